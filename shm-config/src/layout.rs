@@ -1,0 +1,185 @@
+//! Message layouts that name themselves.
+//!
+//! [`message!`](crate::message) writes down each field's name, type and offset
+//! beside the struct. From that table come the layout's fingerprint, by which a
+//! producer and a consumer built from different sources refuse each other, and
+//! the layout in other languages, which therefore cannot drift.
+
+/// One field of a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Field {
+    /// The field's name.
+    pub name: &'static str,
+    /// Its type as written in the source, such as `f64` or `[Waypoint; 64]`.
+    pub type_name: &'static str,
+    /// Bytes from the start of the message.
+    pub offset: usize,
+    /// Bytes.
+    pub size: usize,
+}
+
+/// A type with a pinned layout.
+pub trait Layout {
+    /// The name on the wire, the same in every language.
+    const NAME: &'static str;
+    /// The fields in order; no padding between or after them.
+    const FIELDS: &'static [Field];
+    /// A hash of the names, types and offsets of all fields, nested ones too.
+    const FINGERPRINT: u64;
+}
+
+/// FNV-1a, the only hash simple enough to run in a `const`; it tells layouts
+/// apart, it does not protect anything.
+pub const fn fnv1a(mut hash: u64, bytes: &[u8]) -> u64 {
+    let mut k = 0;
+    while k < bytes.len() {
+        hash = (hash ^ bytes[k] as u64).wrapping_mul(0x0000_0100_0000_01b3);
+        k += 1;
+    }
+    hash
+}
+
+/// The offset basis of FNV-1a.
+pub const FNV_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
+
+/// The fingerprint of a field table.
+pub const fn fingerprint(name: &str, fields: &[Field]) -> u64 {
+    let mut hash = fnv1a(FNV_BASIS, name.as_bytes());
+    let mut k = 0;
+    while k < fields.len() {
+        hash = fnv1a(hash, fields[k].name.as_bytes());
+        hash = fnv1a(hash, fields[k].type_name.as_bytes());
+        hash = fnv1a(hash, &(fields[k].offset as u64).to_le_bytes());
+        hash = fnv1a(hash, &(fields[k].size as u64).to_le_bytes());
+        k += 1;
+    }
+    hash
+}
+
+/// True when the fields fill `size` bytes without a gap: no byte of a message
+/// is ever undefined, so messages can be hashed, recorded and compared bit by bit.
+pub const fn is_packed(fields: &[Field], size: usize) -> bool {
+    let mut end = 0;
+    let mut k = 0;
+    while k < fields.len() {
+        if fields[k].offset != end {
+            return false;
+        }
+        end += fields[k].size;
+        k += 1;
+    }
+    end == size
+}
+
+/// Declares a message: `#[repr(C)]`, every field public, its size pinned, its
+/// layout recorded.
+///
+/// Fields of a nested message type are listed after `nested`, so that a change
+/// inside one changes the fingerprint of everything that holds it.
+#[macro_export]
+macro_rules! message {
+    (
+        $(#[$meta:meta])*
+        pub struct $name:ident: $size:literal bytes $(, nested [$($nested:ty),+])? {
+            $( $(#[$field_meta:meta])* pub $field:ident: $type:ty, )+
+        }
+    ) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        #[repr(C)]
+        pub struct $name {
+            $( $(#[$field_meta])* pub $field: $type, )+
+        }
+
+        impl $crate::layout::Layout for $name {
+            const NAME: &'static str = stringify!($name);
+            const FIELDS: &'static [$crate::layout::Field] = &[
+                $( $crate::layout::Field {
+                    name: stringify!($field),
+                    type_name: stringify!($type),
+                    offset: std::mem::offset_of!($name, $field),
+                    size: {
+                        const fn size_of_field<T, F>(_: fn(&T) -> &F) -> usize {
+                            size_of::<F>()
+                        }
+                        size_of_field(|message: &$name| &message.$field)
+                    },
+                }, )+
+            ];
+            const FINGERPRINT: u64 = {
+                #[allow(unused_mut)]
+                let mut hash = $crate::layout::fingerprint(stringify!($name), Self::FIELDS);
+                $( $( hash = $crate::layout::fnv1a(
+                    hash,
+                    &<$nested as $crate::layout::Layout>::FINGERPRINT.to_le_bytes(),
+                ); )+ )?
+                hash
+            };
+        }
+
+        // SAFETY: `repr(C)`, `Copy`, without padding (asserted below), and every
+        // field can travel (asserted here), so no field holds a pointer.
+        #[allow(unsafe_code)]
+        unsafe impl iceoryx2::prelude::ZeroCopySend for $name {
+            unsafe fn type_name() -> &'static str {
+                stringify!($name)
+            }
+        }
+        const _: () = {
+            const fn travels<T: iceoryx2::prelude::ZeroCopySend>() {}
+            $( travels::<$type>(); )+
+        };
+
+        const _: () = assert!(
+            size_of::<$name>() == $size,
+            concat!("the size of ", stringify!($name), " is pinned at ", stringify!($size), " bytes"),
+        );
+        const _: () = assert!(
+            $crate::layout::is_packed(<$name as $crate::layout::Layout>::FIELDS, size_of::<$name>()),
+            concat!(stringify!($name), " has padding: order or fill its fields"),
+        );
+    };
+}
+
+/// Declares a closed list that travels as a `u32`, with the word users read.
+#[macro_export]
+macro_rules! word_list {
+    (
+        $(#[$meta:meta])*
+        pub enum $name:ident { $( $(#[$variant_meta:meta])* $variant:ident = $code:literal $word:literal, )+ }
+    ) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        #[repr(u32)]
+        pub enum $name { $( $(#[$variant_meta])* $variant = $code, )+ }
+
+        impl $name {
+            /// Every value, in order of code.
+            pub const ALL: &'static [Self] = &[$( Self::$variant, )+];
+
+            /// The value on the wire.
+            pub const fn code(self) -> u32 {
+                self as u32
+            }
+
+            /// The value of a code; `None` when the list has no such code.
+            pub const fn from_code(code: u32) -> Option<Self> {
+                match code {
+                    $( $code => Some(Self::$variant), )+
+                    _ => None,
+                }
+            }
+
+            /// The word users read.
+            pub const fn word(self) -> &'static str {
+                match self { $( Self::$variant => $word, )+ }
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.pad(self.word())
+            }
+        }
+    };
+}

@@ -1,0 +1,72 @@
+use super::{Header, Message, Refusal, header_accessors, known};
+
+crate::word_list! {
+    /// Whom a judge prefers.
+    pub enum Preference {
+        /// No preference: no question yet, the judges disagreed, or they failed.
+        /// It is never read as a preference for the policy, and makes no label.
+        Abstain = 0 "abstain",
+        /// `z = 1` of Sec. 4.2: the expert's rollout is safer.
+        Expert = 1 "expert",
+        /// `z = 0` of Sec. 4.2: the policy's rollout is as safe or safer.
+        Policy = 2 "policy",
+    }
+}
+
+crate::word_list! {
+    /// What kind of judge answered.
+    pub enum Judge {
+        /// None yet.
+        Nobody = 0 "nobody",
+        /// Exact geometry.
+        Rules = 1 "rules",
+        /// A vision-language model.
+        Vlm = 2 "vlm",
+        /// A person.
+        Human = 3 "human",
+        /// Several judges and a quorum.
+        Committee = 4 "committee",
+        /// Answers from a recording.
+        Recorded = 5 "recorded",
+    }
+}
+
+crate::message! {
+    /// Who should drive, until when. Published for every step the gate has
+    /// seen, so that lockstep can wait for it; the answer itself changes rarely.
+    #[derive(Default)]
+    pub struct Advice: 80 bytes, nested [Header] {
+        /// The tick of the last step the gate has considered.
+        pub header: Header,
+        /// The tick the judge was asked about.
+        pub question_tick: u64,
+        /// When the observation of the question was taken, ns.
+        pub question_taken_ns: u64,
+        /// When the answer came, ns on the run's clock.
+        pub answered_ns: u64,
+        /// The first instant at which the advice no longer holds, ns.
+        pub holds_until_ns: u64,
+        /// Questions answered so far, failures and abstentions included.
+        pub answers: u64,
+        /// A [`Preference`].
+        pub preference: u32,
+        /// A [`Judge`].
+        pub judge: u32,
+    }
+}
+
+impl Message for Advice {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        known("preference", self.preference, Preference::from_code)?;
+        known("judge", self.judge, Judge::from_code)
+    }
+}
+
+impl Advice {
+    /// Whom the judge prefers; an unknown code abstains.
+    pub fn preference(&self) -> Preference {
+        Preference::from_code(self.preference).unwrap_or(Preference::Abstain)
+    }
+}

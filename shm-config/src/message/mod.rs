@@ -1,0 +1,194 @@
+//! The messages: `repr(C)`, without padding, of pinned size, checked once at
+//! the door by `admit`.
+
+mod advice;
+mod command;
+mod frame;
+mod health;
+mod observation;
+mod plan;
+mod policy;
+mod progress;
+mod step;
+
+pub use advice::{Advice, Judge, Preference};
+pub use command::{Command, Driver, Reason};
+pub use frame::{Camera, FRAME_BYTES_MAX, Frame, PixelFormat, View};
+pub use health::{Grant, Health, HealthState, Histogram, Timing};
+pub use observation::{BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, FEATURES, Observation, Road};
+pub use plan::{Plan, PlanOutcome, WAYPOINTS_MAX, Waypoint};
+pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
+pub use progress::{Episode, Outcome, Progress};
+pub use step::{Assessment, Proposal, Step, Timings, Verdict};
+
+use crate::layout::Layout;
+use crate::time::Instant;
+
+crate::message! {
+    /// What every message begins with.
+    #[derive(Default)]
+    pub struct Header: 32 bytes {
+        /// The tick of the run this belongs to; the grid index in real time.
+        pub tick: u64,
+        /// When it was taken, on the run's clock, ns.
+        pub taken_ns: u64,
+        /// Counts this producer's messages from 1; a gap is a loss.
+        pub sequence: u64,
+        /// The episode of the run, from 0.
+        pub episode: u32,
+        /// Process id of the producer; a change means it was restarted.
+        pub producer: u32,
+    }
+}
+
+impl Header {
+    /// When it was taken.
+    pub fn taken(&self) -> Instant {
+        Instant(self.taken_ns)
+    }
+}
+
+/// How far a producer's clock may be ahead of the reader's. Both read the same
+/// clock, so only the time between the reader's look at the clock and its look
+/// at the message counts.
+pub const FUTURE_TOLERANCE_NS: u64 = 1_000_000;
+
+/// Why a message was refused at the door.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// A number is NaN or infinite.
+    #[error("{field} is not finite")]
+    NotFinite {
+        /// The field.
+        field: &'static str,
+    },
+    /// A number is outside what the field can hold.
+    #[error("{field} = {value} is out of range")]
+    OutOfRange {
+        /// The field.
+        field: &'static str,
+        /// What it was.
+        value: f64,
+    },
+    /// A count is larger than the array it counts.
+    #[error("{field} = {count} is over the capacity of {capacity}")]
+    OverCapacity {
+        /// The field.
+        field: &'static str,
+        /// What it was.
+        count: u64,
+        /// What fits.
+        capacity: u64,
+    },
+    /// A code that is not on its closed list.
+    #[error("{field} has the unknown code {code}")]
+    UnknownCode {
+        /// The field.
+        field: &'static str,
+        /// What it was.
+        code: u32,
+    },
+    /// Older than the service's age limit.
+    #[error("{age_ns} ns old, over the limit of {limit_ns} ns")]
+    Stale {
+        /// Its age.
+        age_ns: u64,
+        /// The limit.
+        limit_ns: u64,
+    },
+    /// Taken later than now.
+    #[error("taken {ahead_ns} ns in the future")]
+    Future {
+        /// How far ahead.
+        ahead_ns: u64,
+    },
+}
+
+/// A message that can travel.
+pub trait Message:
+    Layout + iceoryx2::prelude::ZeroCopySend + Copy + std::fmt::Debug + 'static
+{
+    /// The header.
+    fn header(&self) -> &Header;
+
+    /// The header, for the port that numbers messages.
+    fn header_mut(&mut self) -> &mut Header;
+
+    /// Everything about the content that does not depend on time.
+    ///
+    /// # Errors
+    /// The first field that is not finite, out of range, over its capacity or
+    /// of unknown code.
+    fn check(&self) -> Result<(), Refusal>;
+
+    /// The door: content, then age. Inside, the message is trusted.
+    ///
+    /// # Errors
+    /// As [`Message::check`]; and when the message is older than `limit_ns` or
+    /// from the future.
+    fn admit(&self, now: Instant, limit_ns: u64) -> Result<(), Refusal> {
+        let taken = self.header().taken();
+        let ahead_ns = taken.since_ns(now);
+        if ahead_ns > FUTURE_TOLERANCE_NS {
+            return Err(Refusal::Future { ahead_ns });
+        }
+        let age_ns = now.since_ns(taken);
+        if age_ns > limit_ns {
+            return Err(Refusal::Stale { age_ns, limit_ns });
+        }
+        self.check()
+    }
+}
+
+/// Implements the two header accessors of [`Message`].
+macro_rules! header_accessors {
+    () => {
+        fn header(&self) -> &crate::message::Header {
+            &self.header
+        }
+        fn header_mut(&mut self) -> &mut crate::message::Header {
+            &mut self.header
+        }
+    };
+}
+pub(crate) use header_accessors;
+
+/// `value` is a number within `[low, high]`.
+pub(crate) fn within(
+    field: &'static str,
+    value: f64,
+    range: std::ops::RangeInclusive<f64>,
+) -> Result<(), Refusal> {
+    if !value.is_finite() {
+        return Err(Refusal::NotFinite { field });
+    }
+    if !range.contains(&value) {
+        return Err(Refusal::OutOfRange { field, value });
+    }
+    Ok(())
+}
+
+/// `count` fits into `capacity`.
+pub(crate) fn fits(field: &'static str, count: u64, capacity: usize) -> Result<(), Refusal> {
+    let capacity = capacity as u64;
+    if count > capacity {
+        return Err(Refusal::OverCapacity {
+            field,
+            count,
+            capacity,
+        });
+    }
+    Ok(())
+}
+
+/// `code` is on its list.
+pub(crate) fn known<T>(
+    field: &'static str,
+    code: u32,
+    from_code: impl Fn(u32) -> Option<T>,
+) -> Result<(), Refusal> {
+    match from_code(code) {
+        Some(_) => Ok(()),
+        None => Err(Refusal::UnknownCode { field, code }),
+    }
+}

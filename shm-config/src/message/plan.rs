@@ -1,0 +1,143 @@
+use vehicle::{Point, Pose, pose};
+
+use super::{Header, Message, Refusal, fits, header_accessors, known, within};
+
+/// Most waypoints of a plan: 30 m at the 2 m step needs 15, rewired trees fewer.
+pub const WAYPOINTS_MAX: usize = 64;
+
+crate::word_list! {
+    /// What the planner found within its budget.
+    pub enum PlanOutcome {
+        /// A path into the goal ball.
+        Reached = 0 "reached",
+        /// No path to the goal; the waypoints lead to the node nearest to it.
+        Partial = 1 "partial",
+        /// Not even a first step is free; there are no waypoints.
+        Blocked = 2 "blocked",
+    }
+}
+
+crate::message! {
+    /// One point of a path.
+    #[derive(Default)]
+    pub struct Waypoint: 24 bytes {
+        /// m, forward, in the body frame at the plan's observation.
+        pub x_body_m: f64,
+        /// m, left, in the body frame at the plan's observation.
+        pub y_body_m: f64,
+        /// Speed wanted here, m/s.
+        pub speed_mps: f64,
+    }
+}
+
+crate::message! {
+    /// The planner's answer to one observation.
+    pub struct Plan: 1640 bytes, nested [Header, Waypoint] {
+        /// The observation's tick; taken when the observation was.
+        pub header: Header,
+        /// Pose of the body frame of the waypoints in the world frame: m.
+        pub origin_x_world_m: f64,
+        /// m.
+        pub origin_y_world_m: f64,
+        /// rad.
+        pub origin_heading_world_rad: f64,
+        /// The goal searched for, m forward.
+        pub goal_x_body_m: f64,
+        /// The goal searched for, m left.
+        pub goal_y_body_m: f64,
+        /// Length of the path, m.
+        pub cost_m: f64,
+        /// Time the planner took, ns on the machine's clock.
+        pub planning_ns: u64,
+        /// A [`PlanOutcome`].
+        pub outcome: u32,
+        /// Iterations spent.
+        pub iterations: u32,
+        /// Nodes of the tree.
+        pub nodes: u32,
+        /// How many waypoints are valid.
+        pub waypoint_count: u32,
+        /// The path from the body's origin outwards; the origin itself first.
+        pub waypoints: [Waypoint; 64],
+    }
+}
+
+const _: () = assert!(WAYPOINTS_MAX == 64, "as the message declares");
+
+impl Default for Plan {
+    fn default() -> Self {
+        Self {
+            header: Header::default(),
+            origin_x_world_m: 0.0,
+            origin_y_world_m: 0.0,
+            origin_heading_world_rad: 0.0,
+            goal_x_body_m: 0.0,
+            goal_y_body_m: 0.0,
+            cost_m: 0.0,
+            planning_ns: 0,
+            outcome: PlanOutcome::Blocked.code(),
+            iterations: 0,
+            nodes: 0,
+            waypoint_count: 0,
+            waypoints: [Waypoint::default(); WAYPOINTS_MAX],
+        }
+    }
+}
+
+impl Message for Plan {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        let position = -1e6..=1e6;
+        within("origin_x_world_m", self.origin_x_world_m, position.clone())?;
+        within("origin_y_world_m", self.origin_y_world_m, position)?;
+        within(
+            "origin_heading_world_rad",
+            self.origin_heading_world_rad,
+            -1e3..=1e3,
+        )?;
+        within("goal_x_body_m", self.goal_x_body_m, -1e4..=1e4)?;
+        within("goal_y_body_m", self.goal_y_body_m, -1e4..=1e4)?;
+        within("cost_m", self.cost_m, 0.0..=1e4)?;
+        known("outcome", self.outcome, PlanOutcome::from_code)?;
+        fits(
+            "waypoint_count",
+            u64::from(self.waypoint_count),
+            WAYPOINTS_MAX,
+        )?;
+        for waypoint in self.waypoints() {
+            within("waypoint.x_body_m", waypoint.x_body_m, -1e4..=1e4)?;
+            within("waypoint.y_body_m", waypoint.y_body_m, -1e4..=1e4)?;
+            within("waypoint.speed_mps", waypoint.speed_mps, 0.0..=150.0)?;
+        }
+        Ok(())
+    }
+}
+
+impl Plan {
+    /// What was found; an unknown code reads as blocked.
+    pub fn outcome(&self) -> PlanOutcome {
+        PlanOutcome::from_code(self.outcome).unwrap_or(PlanOutcome::Blocked)
+    }
+
+    /// The valid waypoints; at most the capacity, whatever the count says.
+    pub fn waypoints(&self) -> &[Waypoint] {
+        &self.waypoints[..(self.waypoint_count as usize).min(WAYPOINTS_MAX)]
+    }
+
+    /// The body frame of the waypoints in the world frame.
+    pub fn world_from_plan(&self) -> Pose {
+        pose(
+            self.origin_x_world_m,
+            self.origin_y_world_m,
+            self.origin_heading_world_rad,
+        )
+    }
+}
+
+impl Waypoint {
+    /// Its position in the plan's body frame, m.
+    pub fn point(&self) -> Point {
+        Point::new(self.x_body_m, self.y_body_m)
+    }
+}

@@ -1,0 +1,228 @@
+use vehicle::Action;
+
+use super::{
+    Advice, Command, Driver, Header, Message, Observation, Plan, Reason, Refusal, header_accessors,
+    known, within,
+};
+
+crate::word_list! {
+    /// What the judge in the tick says of one proposal.
+    pub enum Verdict {
+        /// There was no proposal to judge.
+        Absent = 0 "absent",
+        /// Its rollout touches nothing and stays on the road.
+        Clear = 1 "clear",
+        /// Its rollout leaves the road.
+        Leaves = 2 "leaves",
+        /// Its rollout meets an obstacle.
+        Hits = 3 "hits",
+    }
+}
+
+crate::message! {
+    /// One driver's answer.
+    #[derive(Default)]
+    pub struct Proposal: 24 bytes {
+        /// Steering, normalised.
+        pub steer: f64,
+        /// Pedal, normalised.
+        pub pedal: f64,
+        /// 1 when there is a proposal, else 0.
+        pub present: u32,
+        /// Not used.
+        pub reserved: u32,
+    }
+}
+
+crate::message! {
+    /// What the judge in the tick measured of one proposal's rollout.
+    #[derive(Default)]
+    pub struct Assessment: 40 bytes {
+        /// Least distance between footprint and any lidar return, m; negative
+        /// inside; `CLEARANCE_MAX_M` when none is near.
+        pub clearance_m: f64,
+        /// Time to the first contact or to leaving the road, s; the horizon
+        /// when there is none.
+        pub safe_s: f64,
+        /// Least distance between the car's centre line corners and the road's
+        /// edge, m; negative beyond it.
+        pub edge_m: f64,
+        /// Progress towards the next checkpoint, m.
+        pub progress_m: f64,
+        /// A [`Verdict`].
+        pub verdict: u32,
+        /// 1 when the judge vetoes this proposal, else 0.
+        pub veto: u32,
+    }
+}
+
+crate::message! {
+    /// When things happened in a tick, ns on the machine's clock, whatever the
+    /// run's clock is.
+    #[derive(Default)]
+    pub struct Timings: 48 bytes {
+        /// The instant of the grid this tick was due.
+        pub scheduled_ns: u64,
+        /// When the world's tick began; 0 when there was no observation.
+        pub released_ns: u64,
+        /// When the controller began the tick.
+        pub started_ns: u64,
+        /// When the plan had come, or waiting for it ended.
+        pub planned_ns: u64,
+        /// When proposals and verdict stood.
+        pub decided_ns: u64,
+        /// When the command was handed over.
+        pub commanded_ns: u64,
+    }
+}
+
+crate::message! {
+    /// The record of one tick of the controller: everything it knew and decided.
+    /// With it a tick can be recomputed bit by bit.
+    pub struct Step: 4320 bytes,
+        nested [Header, Observation, Plan, Advice, Proposal, Assessment, Command, Timings]
+    {
+        /// The controller's tick; taken when it began.
+        pub header: Header,
+        /// What the car perceived; the last admitted one when none came.
+        pub observation: Observation,
+        /// The plan followed; the last admitted one when none came.
+        pub plan: Plan,
+        /// The advice in force.
+        pub advice: Advice,
+        /// What the expert proposed.
+        pub expert: Proposal,
+        /// What the policy proposed.
+        pub policy: Proposal,
+        /// The judge on the expert's proposal.
+        pub expert_assessment: Assessment,
+        /// The judge on the policy's proposal.
+        pub policy_assessment: Assessment,
+        /// What was commanded, by whom and why.
+        pub command: Command,
+        /// When.
+        pub timings: Timings,
+        /// Age of the observation, ns; `u64::MAX` when there is none.
+        pub observation_age_ns: u64,
+        /// Age of the plan, ns; `u64::MAX` when there is none.
+        pub plan_age_ns: u64,
+        /// Age of the advice's question, ns; `u64::MAX` when there is none.
+        pub advice_age_ns: u64,
+        /// Version of the weights that proposed; 0 for none.
+        pub weights_version: u64,
+        /// First 8 bytes of their SHA-256; 0 for none.
+        pub weights_hash: u64,
+        /// Ticks of the grid the controller skipped since it started.
+        pub skipped: u64,
+        /// Messages the controller refused since it started.
+        pub refused: u64,
+        /// Random state or other number the policy needs to be replayed.
+        pub reserved: u64,
+    }
+}
+
+impl Proposal {
+    /// A driver's answer, or its absence.
+    pub fn new(action: Option<Action>) -> Self {
+        match action {
+            Some(Action { steer, pedal }) => Self {
+                steer,
+                pedal,
+                present: 1,
+                reserved: 0,
+            },
+            None => Self::default(),
+        }
+    }
+
+    /// The action; `None` when there was no proposal.
+    pub fn action(&self) -> Option<Action> {
+        (self.present == 1).then_some(Action {
+            steer: self.steer,
+            pedal: self.pedal,
+        })
+    }
+
+    fn check(&self, field: &'static str) -> Result<(), Refusal> {
+        within(field, self.steer, -1.0..=1.0)?;
+        within(field, self.pedal, -1.0..=1.0)
+    }
+}
+
+impl Assessment {
+    /// What the judge says; an unknown code reads as a hit.
+    pub fn verdict(&self) -> Verdict {
+        Verdict::from_code(self.verdict).unwrap_or(Verdict::Hits)
+    }
+
+    /// The judge vetoes the proposal.
+    pub fn is_vetoed(&self) -> bool {
+        self.veto != 0
+    }
+
+    fn check(&self, field: &'static str) -> Result<(), Refusal> {
+        within(field, self.clearance_m, -1e3..=1e3)?;
+        within(field, self.safe_s, 0.0..=1e3)?;
+        within(field, self.edge_m, -1e4..=1e4)?;
+        within(field, self.progress_m, -1e4..=1e4)?;
+        known(field, self.verdict, Verdict::from_code)
+    }
+}
+
+impl Step {
+    /// Who drove.
+    pub fn driver(&self) -> Driver {
+        self.command.driver()
+    }
+
+    /// Why.
+    pub fn reason(&self) -> Option<Reason> {
+        self.command.reason()
+    }
+}
+
+impl Default for Step {
+    fn default() -> Self {
+        Self {
+            header: Header::default(),
+            observation: Observation::default(),
+            plan: Plan::default(),
+            advice: Advice::default(),
+            expert: Proposal::default(),
+            policy: Proposal::default(),
+            expert_assessment: Assessment::default(),
+            policy_assessment: Assessment::default(),
+            command: Command {
+                header: Header::default(),
+                steer: Action::BRAKE.steer,
+                pedal: Action::BRAKE.pedal,
+                driver: Driver::Brake.code(),
+                reason: Reason::Blind.code(),
+            },
+            timings: Timings::default(),
+            observation_age_ns: u64::MAX,
+            plan_age_ns: u64::MAX,
+            advice_age_ns: u64::MAX,
+            weights_version: 0,
+            weights_hash: 0,
+            skipped: 0,
+            refused: 0,
+            reserved: 0,
+        }
+    }
+}
+
+impl Message for Step {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        self.observation.check()?;
+        self.plan.check()?;
+        self.advice.check()?;
+        self.expert.check("expert")?;
+        self.policy.check("policy")?;
+        self.expert_assessment.check("expert_assessment")?;
+        self.policy_assessment.check("policy_assessment")?;
+        self.command.check()
+    }
+}

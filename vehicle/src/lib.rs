@@ -1,0 +1,45 @@
+//! What a car is: frames, poses, the kinematic bicycle, limits and footprint.
+//! Arithmetic only; no I/O, no clock, no allocation.
+//!
+//! # Frames and signs of the whole repository
+//!
+//! | frame | origin | axes |
+//! |---|---|---|
+//! | `world` | fixed at the start of an episode | x, y in the ground plane |
+//! | `body` | centre of the car's footprint | x forward, y **left** |
+//! | `road` | the car's projection onto its reference lane | x along the lane, y **left** |
+//!
+//! Headings and steering angles are counter-clockwise: positive turns left.
+//! Lengths are metres, angles radians, speeds m/s, time nanoseconds or seconds
+//! as the name says. A name begins with the frame it is in and ends with its
+//! unit: `goal_body`, `speed_mps`. A pose is named for what it maps:
+//! `world_from_body * goal_body` gives `goal_world`, and
+//! `road_from_world * world_from_body` chains where the inner names agree.
+//!
+//! A normalised [`Action`] is (`steer`, `pedal`), both in [-1, 1]; positive
+//! steers left, positive pedal drives, negative brakes.
+
+mod action;
+mod angle;
+mod bicycle;
+mod footprint;
+mod parameters;
+
+pub use action::{Action, Control};
+pub use angle::wrap_rad;
+pub use bicycle::{State, step};
+pub use footprint::Footprint;
+pub use parameters::{InvalidVehicle, Vehicle};
+
+/// A point, metres, in the frame its name begins with.
+pub type Point = nalgebra::Point2<f64>;
+/// A displacement or velocity, in the frame its name begins with.
+pub type Vector = nalgebra::Vector2<f64>;
+/// A rigid transform of the plane; `world_from_body` is the pose of the body
+/// in the world.
+pub type Pose = nalgebra::Isometry2<f64>;
+
+/// A pose from position (m) and heading (rad, counter-clockwise).
+pub fn pose(x_m: f64, y_m: f64, heading_rad: f64) -> Pose {
+    Pose::new(Vector::new(x_m, y_m), heading_rad)
+}
