@@ -1,0 +1,81 @@
+use serde::{Deserialize, Serialize};
+
+use super::{OutOfRange, in_range};
+
+/// The PD tracking of Sec. 4.1.2; every default is the paper's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Controller {
+    /// Steering gain on the heading error.
+    pub steer_kp: f64,
+    /// Steering gain on its rate.
+    pub steer_kd: f64,
+    /// Pedal gain on the speed error.
+    pub pedal_kp: f64,
+    /// Pedal gain on its rate.
+    pub pedal_kd: f64,
+    /// Distance to the waypoint steered at, m: `d_LA` of Sec. 4.1.1.
+    pub lookahead_m: f64,
+}
+
+impl Default for Controller {
+    fn default() -> Self {
+        Self {
+            steer_kp: 2.0,
+            steer_kd: 0.001,
+            pedal_kp: 0.1,
+            pedal_kd: 0.05,
+            lookahead_m: 2.0,
+        }
+    }
+}
+
+impl Controller {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        in_range("controller.steer_kp", self.steer_kp, 0.0..=100.0)?;
+        in_range("controller.steer_kd", self.steer_kd, 0.0..=100.0)?;
+        in_range("controller.pedal_kp", self.pedal_kp, 0.0..=100.0)?;
+        in_range("controller.pedal_kd", self.pedal_kd, 0.0..=100.0)?;
+        in_range("controller.lookahead_m", self.lookahead_m, 0.1..=30.0)
+    }
+}
+
+/// The judge in the tick: bicycle rollouts against lidar returns and road.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JudgeLimits {
+    /// How far the rollouts look, s: the paper's picture shows 1.5 s.
+    pub horizon_s: f64,
+    /// Integration step, s.
+    pub step_s: f64,
+    /// Lidar returns nearer to the footprint than this count as contact, m.
+    pub margin_m: f64,
+    /// A centre this far beyond the road's edge has left it, m.
+    pub edge_margin_m: f64,
+    /// A contact or exit sooner than the time to stop plus this vetoes, s.
+    pub reaction_s: f64,
+}
+
+impl Default for JudgeLimits {
+    fn default() -> Self {
+        Self {
+            horizon_s: 1.5,
+            step_s: 0.1,
+            // Three grid cells: the returns are exact, the rollout is not.
+            margin_m: 0.15,
+            edge_margin_m: 0.0,
+            // Two periods: this tick's command acts over the next one.
+            reaction_s: 0.2,
+        }
+    }
+}
+
+impl JudgeLimits {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        in_range("judge.horizon_s", self.horizon_s, 0.1..=5.0)?;
+        in_range("judge.step_s", self.step_s, 0.02..=1.5)?;
+        in_range("judge.margin_m", self.margin_m, 0.0..=5.0)?;
+        in_range("judge.edge_margin_m", self.edge_margin_m, -5.0..=5.0)?;
+        in_range("judge.reaction_s", self.reaction_s, 0.0..=5.0)
+    }
+}

@@ -1,0 +1,144 @@
+use std::path::{Path, PathBuf};
+
+use super::{Config, OutOfRange};
+
+/// Why a configuration could not be used: what, where, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{path}: cannot read the configuration: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A key that does not exist.
+    #[error("{origin}: unknown key '{key}'{}", suggestion(.nearest))]
+    UnknownKey {
+        /// The file.
+        origin: String,
+        /// The key with its section.
+        key: String,
+        /// The valid key that looks most like it.
+        nearest: Option<String>,
+    },
+    /// Not TOML, or a value of the wrong type.
+    #[error("{origin}: {message}")]
+    Syntax {
+        /// The file, with the line where known.
+        origin: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// A value out of its range.
+    #[error("{origin}: {error}")]
+    OutOfRange {
+        /// The file.
+        origin: String,
+        /// The key, its value, and what it may be.
+        error: OutOfRange,
+    },
+}
+
+fn suggestion(nearest: &Option<String>) -> String {
+    match nearest {
+        Some(key) => format!("; did you mean '{key}'?"),
+        None => "; ./vlaps config prints every key with its default".into(),
+    }
+}
+
+/// Reads, checks and completes a configuration file.
+///
+/// # Errors
+/// One line that says what is wrong, where, and what to do.
+pub fn load(path: &Path) -> Result<Config, ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        path: path.into(),
+        source,
+    })?;
+    from_toml(&text, &path.display().to_string())
+}
+
+/// Checks and completes a configuration; `origin` names it in errors.
+///
+/// # Errors
+/// As [`load`].
+pub fn from_toml(text: &str, origin: &str) -> Result<Config, ConfigError> {
+    let syntax = |error: toml::de::Error| {
+        let line = error
+            .span()
+            .map(|span| text[..span.start.min(text.len())].lines().count().max(1));
+        ConfigError::Syntax {
+            origin: match line {
+                Some(line) => format!("{origin}:{line}"),
+                None => origin.into(),
+            },
+            message: error.message().trim().replace('\n', "; "),
+        }
+    };
+    let given: toml::Table = text.parse().map_err(syntax)?;
+    let known = toml::Table::try_from(Config::default()).map_err(|error| ConfigError::Syntax {
+        origin: "built-in defaults".into(),
+        message: error.to_string(),
+    })?;
+    if let Some(key) = unknown_key(&given, &known, "") {
+        let mut keys = Vec::new();
+        all_keys(&known, "", &mut keys);
+        return Err(ConfigError::UnknownKey {
+            origin: origin.into(),
+            nearest: nearest(&key, &keys),
+            key,
+        });
+    }
+    let config: Config = toml::from_str(text).map_err(syntax)?;
+    config.validated().map_err(|error| ConfigError::OutOfRange {
+        origin: origin.into(),
+        error,
+    })
+}
+
+fn path_of(section: &str, key: &str) -> String {
+    if section.is_empty() {
+        key.into()
+    } else {
+        format!("{section}.{key}")
+    }
+}
+
+fn unknown_key(given: &toml::Table, known: &toml::Table, section: &str) -> Option<String> {
+    given.iter().find_map(|(key, value)| {
+        let path = path_of(section, key);
+        match (value, known.get(key)) {
+            (_, None) => Some(path),
+            (toml::Value::Table(given), Some(toml::Value::Table(known))) => {
+                unknown_key(given, known, &path)
+            }
+            _ => None,
+        }
+    })
+}
+
+fn all_keys(known: &toml::Table, section: &str, out: &mut Vec<String>) {
+    for (key, value) in known {
+        let path = path_of(section, key);
+        if let toml::Value::Table(table) = value {
+            all_keys(table, &path, out);
+        }
+        out.push(path);
+    }
+}
+
+/// The key most like the wrong one, by its whole path or its last part.
+fn nearest(key: &str, keys: &[String]) -> Option<String> {
+    let last = |path: &str| path.rsplit('.').next().unwrap_or(path).to_string();
+    let likeness = |candidate: &String| {
+        strsim::jaro_winkler(key, candidate)
+            .max(strsim::jaro_winkler(&last(key), &last(candidate)) - 0.05)
+    };
+    keys.iter()
+        .map(|candidate| (likeness(candidate), candidate))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(likeness, _)| *likeness > 0.75)
+        .map(|(_, candidate)| candidate.clone())
+}

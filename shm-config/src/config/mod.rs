@@ -1,0 +1,97 @@
+//! The configuration: one TOML file, read by every process of a run.
+//!
+//! Each section is a struct whose defaults are the paper's numbers. A file need
+//! name only what it changes; an unknown key is an error that names the nearest
+//! valid one.
+
+mod controller;
+mod gate;
+mod load;
+mod planner;
+mod run;
+mod world;
+
+use serde::{Deserialize, Serialize};
+use vehicle::Vehicle;
+
+pub use controller::{Controller, JudgeLimits};
+pub use gate::{Gate, GateMode};
+pub use load::{ConfigError, from_toml, load};
+pub use planner::Planner;
+pub use run::{Clock, Limits, Run, Supervisor};
+pub use world::World;
+
+/// Everything a run is configured by.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Name, clock, seeds and length of the run.
+    pub run: Run,
+    /// Age limits and waiting times.
+    pub limits: Limits,
+    /// The car.
+    pub vehicle: Vehicle,
+    /// The built-in world.
+    pub world: World,
+    /// RRT*.
+    pub planner: Planner,
+    /// PD tracking.
+    pub controller: Controller,
+    /// The judge in the tick.
+    pub judge: JudgeLimits,
+    /// The gate process.
+    pub gate: Gate,
+    /// Restarts and real-time rights.
+    pub supervisor: Supervisor,
+}
+
+/// A value that its key cannot take.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{key} = {value}: must be {expected}")]
+pub struct OutOfRange {
+    /// The key with its section, such as `planner.cell_m`.
+    pub key: String,
+    /// What it was.
+    pub value: String,
+    /// What it may be.
+    pub expected: String,
+}
+
+impl Config {
+    /// Checks every value against its range and against each other.
+    ///
+    /// # Errors
+    /// The first key that is out of range.
+    pub fn validated(self) -> Result<Self, OutOfRange> {
+        self.run.check()?;
+        self.limits.check(&self.run)?;
+        self.vehicle.validated().map_err(|error| OutOfRange {
+            key: format!("vehicle.{}", error.name),
+            value: error.value.to_string(),
+            expected: format!("positive and at most {}", error.limit),
+        })?;
+        self.world.check()?;
+        self.planner.check()?;
+        self.controller.check()?;
+        self.judge.check()?;
+        self.gate.check()?;
+        self.supervisor.check()?;
+        Ok(self)
+    }
+}
+
+/// `value` lies in `range`.
+pub(crate) fn in_range<T: PartialOrd + std::fmt::Display>(
+    key: &str,
+    value: T,
+    range: std::ops::RangeInclusive<T>,
+) -> Result<(), OutOfRange> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(OutOfRange {
+        key: key.into(),
+        value: value.to_string(),
+        expected: format!("within {} and {}", range.start(), range.end()),
+    })
+}

@@ -1,0 +1,197 @@
+use serde::{Deserialize, Serialize};
+
+use super::{OutOfRange, in_range};
+
+/// What drives the run's clock.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Clock {
+    /// A tick on every instant of an absolute monotonic grid.
+    RealTime,
+    /// As fast as the stack answers; the same seed gives the same commands.
+    Lockstep,
+}
+
+/// Name, clock, seeds and length of the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Run {
+    /// Isolates the run from every other on the machine.
+    pub name: String,
+    /// What drives the clock.
+    pub clock: Clock,
+    /// Ticks per second; the paper's is 10 (Sec. 4.1.2: 0.1 s).
+    pub rate_hz: f64,
+    /// Seed of the first episode; each further episode adds one.
+    pub seed: u64,
+    /// Episodes to drive; 0 for no end.
+    pub episodes: u32,
+    /// Seconds to drive on the run's clock; 0 for no end.
+    pub duration_s: f64,
+    /// Folder of the run's configuration and logs.
+    pub folder: String,
+}
+
+impl Default for Run {
+    fn default() -> Self {
+        Self {
+            name: "default".into(),
+            clock: Clock::RealTime,
+            rate_hz: 10.0,
+            seed: 1000,
+            episodes: 0,
+            duration_s: 0.0,
+            folder: "runs/default".into(),
+        }
+    }
+}
+
+impl Run {
+    /// Time from tick to tick, ns.
+    pub fn period_ns(&self) -> u64 {
+        (1e9 / self.rate_hz).round() as u64
+    }
+
+    /// The clock is the simulated one.
+    pub fn is_lockstep(&self) -> bool {
+        self.clock == Clock::Lockstep
+    }
+
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        self.name
+            .parse::<crate::run::RunName>()
+            .map_err(|_| OutOfRange {
+                key: "run.name".into(),
+                value: format!("{:?}", self.name),
+                expected: format!(
+                    "1 to {} letters, digits, '-' or '_'",
+                    crate::run::RUN_NAME_MAX
+                ),
+            })?;
+        in_range("run.rate_hz", self.rate_hz, 1.0..=1000.0)?;
+        in_range("run.episodes", self.episodes, 0..=1_000_000)?;
+        in_range("run.duration_s", self.duration_s, 0.0..=1e7)
+    }
+}
+
+/// Age limits and waiting times: silence means stop.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Older observations are not driven on: the controller brakes, ms.
+    pub observation_age_ms: f64,
+    /// Older plans are not followed: the controller brakes, ms.
+    pub plan_age_ms: f64,
+    /// Older commands are not obeyed: the world brakes, ms.
+    pub command_age_ms: f64,
+    /// How long the controller waits for the plan of its observation before it
+    /// follows the one before, as a share of the period.
+    pub plan_wait: f64,
+    /// How long after the grid's instant the controller ticks without a new
+    /// observation, as a share of the period.
+    pub observation_wait: f64,
+    /// In lockstep: how long a process waits for another before it goes on
+    /// without, s on the machine's clock.
+    pub lockstep_wait_s: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            // Two lost ticks at 10 Hz are bridged, the third brakes: at the
+            // paper's 5 m/s the car has rolled 1.25 m by then.
+            observation_age_ms: 250.0,
+            plan_age_ms: 250.0,
+            command_age_ms: 250.0,
+            plan_wait: 0.5,
+            observation_wait: 0.5,
+            lockstep_wait_s: 1.0,
+        }
+    }
+}
+
+impl Limits {
+    pub(super) fn check(&self, run: &Run) -> Result<(), OutOfRange> {
+        // A limit under one period and a half would brake on every jitter.
+        let least_ms = 1.5e3 / run.rate_hz;
+        let ages = [
+            ("limits.observation_age_ms", self.observation_age_ms),
+            ("limits.plan_age_ms", self.plan_age_ms),
+            ("limits.command_age_ms", self.command_age_ms),
+        ];
+        for (key, value) in ages {
+            in_range(key, value, least_ms..=10_000.0)?;
+        }
+        in_range("limits.plan_wait", self.plan_wait, 0.0..=0.8)?;
+        in_range("limits.observation_wait", self.observation_wait, 0.05..=0.9)?;
+        in_range("limits.lockstep_wait_s", self.lockstep_wait_s, 0.01..=600.0)
+    }
+
+    /// As nanoseconds.
+    pub fn observation_age_ns(&self) -> u64 {
+        (self.observation_age_ms * 1e6) as u64
+    }
+
+    /// As nanoseconds.
+    pub fn plan_age_ns(&self) -> u64 {
+        (self.plan_age_ms * 1e6) as u64
+    }
+
+    /// As nanoseconds.
+    pub fn command_age_ns(&self) -> u64 {
+        (self.command_age_ms * 1e6) as u64
+    }
+}
+
+/// Restarts and real-time rights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Supervisor {
+    /// Restarts of one process before the run is given up.
+    pub restarts_max: u32,
+    /// Pause before the first restart, ms; doubles with each one in a row.
+    pub backoff_ms: f64,
+    /// Longest pause before a restart, ms.
+    pub backoff_max_ms: f64,
+    /// A process that has run this long is healthy again: its pause starts over, s.
+    pub healthy_s: f64,
+    /// A process that says nothing for this long is killed and restarted, s.
+    pub silence_s: f64,
+    /// Ask for real-time priority, own cores and locked memory.
+    pub realtime: bool,
+    /// How long an orderly stop may take, s.
+    pub stop_s: f64,
+    /// Largest log file of a process, MB; one older file is kept beside it.
+    pub log_mb: u32,
+}
+
+impl Default for Supervisor {
+    fn default() -> Self {
+        Self {
+            restarts_max: 10,
+            backoff_ms: 20.0,
+            backoff_max_ms: 2000.0,
+            healthy_s: 5.0,
+            silence_s: 3.0,
+            realtime: true,
+            stop_s: 8.0,
+            log_mb: 8,
+        }
+    }
+}
+
+impl Supervisor {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        in_range("supervisor.restarts_max", self.restarts_max, 0..=100_000)?;
+        in_range("supervisor.backoff_ms", self.backoff_ms, 0.0..=60_000.0)?;
+        in_range(
+            "supervisor.backoff_max_ms",
+            self.backoff_max_ms,
+            self.backoff_ms..=600_000.0,
+        )?;
+        in_range("supervisor.healthy_s", self.healthy_s, 0.1..=3600.0)?;
+        in_range("supervisor.silence_s", self.silence_s, 0.2..=3600.0)?;
+        in_range("supervisor.stop_s", self.stop_s, 0.1..=600.0)?;
+        in_range("supervisor.log_mb", self.log_mb, 1..=1024)
+    }
+}

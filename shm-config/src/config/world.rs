@@ -1,0 +1,69 @@
+use serde::{Deserialize, Serialize};
+
+use super::{OutOfRange, in_range};
+use crate::message::BEAMS_MAX;
+
+/// The built-in world; the defaults are the paper's experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct World {
+    /// Random blocks after the first straight.
+    pub blocks: u32,
+    /// A block sequence such as "SCrRXTO" in place of random ones; empty for none.
+    pub sequence: String,
+    /// Lanes in each direction.
+    pub lanes: u32,
+    /// Width of a lane, m.
+    pub lane_width_m: f64,
+    /// Vehicles per 10 m of spawn lane.
+    pub traffic_density: f64,
+    /// Probability of an obstacle on a block.
+    pub accident_probability: f64,
+    /// Ticks after which an episode ends.
+    pub horizon_ticks: u32,
+    /// Lidar beams over the full circle.
+    pub beams: u32,
+    /// Range of the lidar, m.
+    pub lidar_m: f64,
+}
+
+impl Default for World {
+    fn default() -> Self {
+        Self {
+            blocks: 3,
+            sequence: String::new(),
+            lanes: 3,
+            lane_width_m: 3.5,
+            traffic_density: 0.06,
+            accident_probability: 0.8,
+            horizon_ticks: 1500,
+            beams: 240,
+            lidar_m: 50.0,
+        }
+    }
+}
+
+impl World {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        in_range("world.blocks", self.blocks, 1..=30)?;
+        if let Some(letter) = self.sequence.chars().find(|c| !"SCrRXTO".contains(*c)) {
+            return Err(OutOfRange {
+                key: "world.sequence".into(),
+                value: format!("{:?}", self.sequence),
+                expected: format!("made of the letters S C r R X T O, not '{letter}'"),
+            });
+        }
+        in_range("world.sequence's length", self.sequence.len(), 0..=30)?;
+        in_range("world.lanes", self.lanes, 1..=6)?;
+        in_range("world.lane_width_m", self.lane_width_m, 2.5..=6.0)?;
+        in_range("world.traffic_density", self.traffic_density, 0.0..=1.0)?;
+        in_range(
+            "world.accident_probability",
+            self.accident_probability,
+            0.0..=1.0,
+        )?;
+        in_range("world.horizon_ticks", self.horizon_ticks, 1..=10_000_000)?;
+        in_range("world.beams", self.beams, 1..=BEAMS_MAX as u32)?;
+        in_range("world.lidar_m", self.lidar_m, 1.0..=500.0)
+    }
+}

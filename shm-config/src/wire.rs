@@ -1,0 +1,402 @@
+//! Ports on shared memory: the only place that talks to iceoryx2.
+
+use std::rc::Rc;
+use std::time::Duration;
+
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::*;
+use iceoryx2::service::Service as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::time::Timespec;
+
+use crate::message::Message;
+use crate::run::{RunError, RunLock, RunName, RunPaths};
+use crate::services::{Delivery, Process, Service};
+
+type Ipc = ipc::Service;
+
+/// Publishers of one service at a time: the living one, and dead ones that have
+/// not been swept yet.
+const PUBLISHERS_MAX: usize = 4;
+/// Readers of one service at a time: processes, command-line tools, recorders.
+const SUBSCRIBERS_MAX: usize = 16;
+/// Processes that may look at one service.
+const NODES_MAX: usize = 32;
+
+/// The service attribute that carries the layout's fingerprint.
+const LAYOUT_KEY: &str = "layout";
+
+/// Why a port could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum WireError {
+    /// The run's folder.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Two binaries disagree on a message.
+    #[error(
+        "service '{service}': the running side uses message layout {theirs}, this binary {ours}; \
+         stop the run (./vlaps down) and rebuild both sides from one source"
+    )]
+    Layout {
+        /// The service.
+        service: &'static str,
+        /// The other side's layout.
+        theirs: String,
+        /// This side's layout.
+        ours: String,
+    },
+    /// Shared memory refused.
+    #[error("service '{service}': {what}; check free space in /dev/shm and that the run is yours")]
+    Port {
+        /// The service.
+        service: &'static str,
+        /// What iceoryx2 said.
+        what: String,
+    },
+}
+
+/// A process's membership in a run.
+pub struct Wire {
+    node: Node<Ipc>,
+    config: Config,
+    _alive: RunLock,
+}
+
+/// Publishes one service and wakes its readers.
+pub struct Publisher<M: Message> {
+    port: iceoryx2::port::publisher::Publisher<Ipc, M, ()>,
+    bells: Vec<Rc<Notifier<Ipc>>>,
+    sequence: u64,
+    producer: u32,
+}
+
+/// Reads one service.
+pub struct Subscriber<M: Message> {
+    port: iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>,
+    producer: u32,
+    sequence: u64,
+    lost: u64,
+}
+
+/// Where a process sleeps until one of its services has something new.
+pub struct Doorbell {
+    listener: Listener<Ipc>,
+}
+
+fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
+    let port_error = |what: String| WireError::Port {
+        service: "run",
+        what,
+    };
+    let mut config = Config::default();
+    let root = paths.dir().join("iceoryx2");
+    let root = root.to_string_lossy();
+    let root = iceoryx2::prelude::Path::new(root.as_bytes())
+        .map_err(|error| port_error(format!("folder {root}: {error:?}")))?;
+    config.global.set_root_path(&root);
+    config.global.prefix = FileName::new(paths.prefix().as_bytes())
+        .map_err(|error| port_error(format!("prefix {}: {error:?}", paths.prefix())))?;
+    Ok(config)
+}
+
+impl Wire {
+    /// Joins a run, making it if it does not exist. Dead members are swept.
+    ///
+    /// # Errors
+    /// When the run's folder or shared memory cannot be used.
+    pub fn join(name: &RunName, process: Process) -> Result<Self, WireError> {
+        let paths = RunPaths::new(name.clone());
+        let alive = paths.hold_alive()?;
+        // Its messages go to stderr from inside ports; errors come as values.
+        set_log_level(LogLevel::Fatal);
+        let config = iceoryx_config(&paths)?;
+        let node_name = NodeName::new(process.word()).map_err(|error| WireError::Port {
+            service: "run",
+            what: format!("node name: {error:?}"),
+        })?;
+        let node = NodeBuilder::new()
+            .name(&node_name)
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|error| WireError::Port {
+                service: "run",
+                what: format!("cannot join run '{name}': {error:?}"),
+            })?;
+        paths.make_private()?;
+        Ok(Self {
+            node,
+            config,
+            _alive: alive,
+        })
+    }
+
+    /// Frees what dead processes held, so that their successors can start. Slow;
+    /// never from a tick.
+    pub fn sweep(&self) {
+        self.node
+            .blocking_cleanup_dead_nodes(Duration::from_millis(200));
+    }
+
+    /// Opens the publishing end of a service.
+    ///
+    /// # Errors
+    /// When the layout differs from the running side's, or shared memory refuses.
+    pub fn publisher<M: Message>(&self, service: Service<M>) -> Result<Publisher<M>, WireError> {
+        let topic = self.topic(service)?;
+        let failed = |what: String| WireError::Port {
+            service: service.name,
+            what,
+        };
+        let port = topic
+            .publisher_builder()
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|error| failed(format!("{error:?}")))?;
+        let mut bells = Vec::new();
+        for process in service.to {
+            let bell = self.bell(*process)?;
+            let notifier = bell
+                .notifier_builder()
+                .create()
+                .map_err(|error| failed(format!("doorbell of {process}: {error:?}")))?;
+            bells.push(Rc::new(notifier));
+        }
+        Ok(Publisher {
+            port,
+            bells,
+            sequence: 0,
+            producer: std::process::id(),
+        })
+    }
+
+    /// Opens the reading end of a service, with the table's queue.
+    ///
+    /// # Errors
+    /// As [`Wire::publisher`].
+    pub fn subscriber<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
+        let depth = match service.delivery {
+            Delivery::Latest => 1,
+            Delivery::Queue(depth) => depth,
+        };
+        self.subscriber_of_depth(service, depth)
+    }
+
+    /// Opens the reading end of a queue that is read for its newest message only.
+    ///
+    /// # Errors
+    /// As [`Wire::publisher`].
+    pub fn latest<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
+        self.subscriber_of_depth(service, 1)
+    }
+
+    fn subscriber_of_depth<M: Message>(
+        &self,
+        service: Service<M>,
+        depth: usize,
+    ) -> Result<Subscriber<M>, WireError> {
+        let port = self
+            .topic(service)?
+            .subscriber_builder()
+            .buffer_size(depth)
+            .create()
+            .map_err(|error| WireError::Port {
+                service: service.name,
+                what: format!("{error:?}"),
+            })?;
+        Ok(Subscriber {
+            port,
+            producer: 0,
+            sequence: 0,
+            lost: 0,
+        })
+    }
+
+    /// Opens the process's own doorbell.
+    ///
+    /// # Errors
+    /// When shared memory or the socket refuses.
+    pub fn doorbell(&self, process: Process) -> Result<Doorbell, WireError> {
+        let listener = self
+            .bell(process)?
+            .listener_builder()
+            .create()
+            .map_err(|error| WireError::Port {
+                service: "doorbell",
+                what: format!("{process}: {error:?}"),
+            })?;
+        Ok(Doorbell { listener })
+    }
+
+    fn bell(
+        &self,
+        process: Process,
+    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<Ipc>, WireError> {
+        let failed = |what: String| WireError::Port {
+            service: "doorbell",
+            what,
+        };
+        let name = ServiceName::new(&format!("doorbell/{process}"))
+            .map_err(|error| failed(format!("{process}: {error:?}")))?;
+        self.node
+            .service_builder(&name)
+            .event()
+            .max_nodes(NODES_MAX)
+            .max_listeners(PUBLISHERS_MAX)
+            .max_notifiers(NODES_MAX)
+            .event_id_max_value(1)
+            .open_or_create()
+            .map_err(|error| failed(format!("{process}: {error:?}")))
+    }
+
+    fn topic<M: Message>(&self, service: Service<M>) -> Result<Topic<Ipc, M, ()>, WireError> {
+        let failed = |what: String| WireError::Port {
+            service: service.name,
+            what,
+        };
+        let name = ServiceName::new(service.name).map_err(|error| failed(format!("{error:?}")))?;
+        let ours = format!("{:016x}", M::FINGERPRINT);
+        let verifier = attributes(&ours).map_err(&failed)?;
+        let (depth, history) = match service.delivery {
+            Delivery::Latest => (1, 1),
+            Delivery::Queue(depth) => (depth, 0),
+        };
+        self.node
+            .service_builder(&name)
+            .publish_subscribe::<M>()
+            .enable_safe_overflow(true)
+            .subscriber_max_buffer_size(depth)
+            .subscriber_max_borrowed_samples(1)
+            .history_size(history)
+            .max_publishers(PUBLISHERS_MAX)
+            .max_subscribers(SUBSCRIBERS_MAX)
+            .max_nodes(NODES_MAX)
+            .open_or_create_with_attributes(&verifier)
+            .map_err(|error| {
+                self.layout_error(&name, service.name, &ours)
+                    .unwrap_or_else(|| failed(format!("{error:?}")))
+            })
+    }
+
+    /// The error that names both layouts, when it is a layout that differs.
+    fn layout_error(
+        &self,
+        name: &ServiceName,
+        service: &'static str,
+        ours: &str,
+    ) -> Option<WireError> {
+        let details =
+            Ipc::details(name, &self.config, MessagingPattern::PublishSubscribe).ok()??;
+        let attributes = details.static_details.attributes();
+        let key = LAYOUT_KEY.try_into().ok()?;
+        let theirs = attributes.key_value(&key, 0)?.to_string();
+        (theirs != ours).then(|| WireError::Layout {
+            service,
+            theirs,
+            ours: ours.into(),
+        })
+    }
+}
+
+fn attributes(layout: &str) -> Result<AttributeVerifier, String> {
+    let failed = |error: SemanticStringError| format!("{error:?}");
+    let key = LAYOUT_KEY.try_into().map_err(failed)?;
+    let layout = layout.try_into().map_err(failed)?;
+    AttributeVerifier::new()
+        .require(&key, &layout)
+        .map_err(|error| format!("{error:?}"))
+}
+
+impl<M: Message> Publisher<M> {
+    /// Numbers the message, publishes it and wakes its readers. Never blocks,
+    /// never waits for a reader. Returns whether it went out: only exhausted
+    /// shared memory can prevent that, and the next message tries again.
+    pub fn send(&mut self, message: &mut M) -> bool {
+        self.sequence += 1;
+        let (sequence, producer) = (self.sequence, self.producer);
+        let header = message.header_mut();
+        header.sequence = sequence;
+        header.producer = producer;
+        let sent = self.port.send_copy(*message).is_ok();
+        for bell in &self.bells {
+            // A full bell is already ringing; a dead one is swept by others.
+            let _ = bell.notify();
+        }
+        sent
+    }
+
+    /// Connects to readers that came since the last message, and gives them the
+    /// history. To be called between ticks, so that no tick pays for it.
+    pub fn tend(&self) {
+        // A failure here shows again, and is counted, at the next send.
+        let _ = self.port.update_connections();
+    }
+}
+
+impl<M: Message> Subscriber<M> {
+    /// The next message of the queue, not yet admitted; `None` when there is none.
+    pub fn receive(&mut self) -> Option<M> {
+        let message = *self.port.receive().ok()??.payload();
+        let header = message.header();
+        let (producer, sequence) = (header.producer, header.sequence);
+        if producer == self.producer {
+            self.lost += sequence.saturating_sub(self.sequence + 1);
+        }
+        (self.producer, self.sequence) = (producer, sequence);
+        Some(message)
+    }
+
+    /// The newest message since the last look, not yet admitted; `None` when
+    /// nothing new came. Two publishers exist while a dead one is replaced, so
+    /// this reads until there is nothing left.
+    pub fn newest(&mut self) -> Option<M> {
+        let mut newest = None;
+        // Bounded: a hostile publisher cannot hold a tick.
+        for _ in 0..PUBLISHERS_MAX {
+            match self.receive() {
+                Some(message) => newest = Some(message),
+                None => break,
+            }
+        }
+        newest
+    }
+
+    /// Messages that were overwritten before they were read.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Connects to publishers that came since the last look. To be called
+    /// between ticks, so that no tick pays for it.
+    pub fn tend(&self) {
+        // A failure here shows again at the next receive.
+        let _ = self.port.update_connections();
+    }
+}
+
+impl Doorbell {
+    /// Sleeps until the bell rings or `timeout` has passed; returns at once when
+    /// it rang since the last look. May return early.
+    pub fn wait(&self, timeout: Duration) {
+        let timeout = Timespec {
+            tv_sec: timeout.as_secs() as i64,
+            tv_nsec: i64::from(timeout.subsec_nanos()),
+        };
+        // poll(2) has the high-resolution timer that the listener's own timed
+        // wait lacks: that one sets a socket option counted in jiffies.
+        // SAFETY: the descriptor is open for as long as the listener lives.
+        #[allow(unsafe_code)]
+        let descriptor = unsafe {
+            std::os::fd::BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle())
+        };
+        let _ = poll(
+            &mut [PollFd::from_borrowed_fd(descriptor, PollFlags::IN)],
+            Some(&timeout),
+        );
+        let _ = self.listener.try_wait(|_| {});
+    }
+}

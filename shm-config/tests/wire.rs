@@ -1,0 +1,218 @@
+//! The ports on real shared memory.
+
+use std::time::Duration;
+
+use shm_config::message::{Advice, Command, Header, Preference, Step};
+use shm_config::run::{RunName, RunPaths};
+use shm_config::services::{ADVICE, COMMAND, Process, STEP, STEP_QUEUE, Service};
+use shm_config::wire::{Wire, WireError};
+use shm_config::{Instant, Message};
+
+/// A run of this test alone; its folder goes with it.
+struct TestRun(RunName);
+
+impl TestRun {
+    fn new(label: &str) -> Self {
+        let name = format!("t{}-{label}", std::process::id());
+        Self(name.parse().expect("a valid name"))
+    }
+
+    fn join(&self, process: Process) -> Wire {
+        Wire::join(&self.0, process).expect("shared memory")
+    }
+
+    fn paths(&self) -> RunPaths {
+        RunPaths::new(self.0.clone())
+    }
+}
+
+impl Drop for TestRun {
+    fn drop(&mut self) {
+        let _ = self.paths().clean_if_dead();
+        self.paths().remove_dir();
+    }
+}
+
+fn command(tick: u64) -> Command {
+    Command {
+        header: Header {
+            tick,
+            ..Header::default()
+        },
+        steer: 0.25,
+        pedal: -0.5,
+        driver: 0,
+        reason: 0,
+    }
+}
+
+#[test]
+fn the_latest_value_wins_and_late_joiners_get_it() {
+    let run = TestRun::new("latest");
+    let (here, there) = (run.join(Process::Controller), run.join(Process::World));
+    let mut publisher = here.publisher(COMMAND).unwrap();
+    let mut early = there.subscriber(COMMAND).unwrap();
+    for tick in 1..=3 {
+        assert!(publisher.send(&mut command(tick)));
+    }
+    assert_eq!(early.newest().map(|c| c.header.tick), Some(3));
+    assert_eq!(early.newest(), None);
+    let mut late = there.subscriber(COMMAND).unwrap();
+    publisher.tend();
+    let seen = late.newest().expect("history");
+    assert_eq!((seen.header.tick, seen.header.sequence), (3, 3));
+    assert_eq!(seen.header.producer, std::process::id());
+}
+
+#[test]
+fn a_queue_counts_exactly_what_it_lost() {
+    let run = TestRun::new("queue");
+    let (here, there) = (run.join(Process::Controller), run.join(Process::Learner));
+    let mut publisher = here.publisher(STEP).unwrap();
+    let mut reader = there.subscriber(STEP).unwrap();
+    let mut step = Step::default();
+    publisher.send(&mut step);
+    assert!(reader.receive().is_some());
+    let sent = STEP_QUEUE as u64 + 100;
+    for _ in 0..sent {
+        assert!(
+            publisher.send(&mut step),
+            "a full queue never blocks or fails the producer"
+        );
+    }
+    let mut read = 0;
+    while reader.receive().is_some() {
+        read += 1;
+    }
+    assert_eq!(reader.lost(), 100);
+    assert_eq!(read + reader.lost(), sent);
+}
+
+#[test]
+fn runs_do_not_hear_each_other() {
+    let (one, other) = (TestRun::new("one"), TestRun::new("other"));
+    let mut publisher = one.join(Process::Gate).publisher(ADVICE).unwrap();
+    let mut reader = other.join(Process::Controller).subscriber(ADVICE).unwrap();
+    publisher.send(&mut Advice {
+        preference: Preference::Policy.code(),
+        ..Advice::default()
+    });
+    assert!(reader.newest().is_none());
+}
+
+#[test]
+fn a_doorbell_wakes_at_once_and_times_out_without() {
+    let run = TestRun::new("bell");
+    let world = run.join(Process::World);
+    let bell = world.doorbell(Process::World).unwrap();
+    bell.wait(Duration::from_millis(1));
+    let name = run.0.clone();
+    let ringer = std::thread::spawn(move || {
+        let wire = Wire::join(&name, Process::Controller).expect("shared memory");
+        let mut publisher = wire.publisher(COMMAND).unwrap();
+        publisher.send(&mut command(1));
+    });
+    // Far beyond the test's patience: only the bell can end this wait.
+    bell.wait(Duration::from_secs(3600));
+    ringer.join().unwrap();
+}
+
+mod another_layout {
+    use super::*;
+    shm_config::message! {
+        /// A command as another source might define it.
+        pub struct Command: 40 bytes {
+            /// The header.
+            pub header: Header,
+            /// One number instead of four.
+            pub steer: f64,
+        }
+    }
+    impl Message for Command {
+        fn header(&self) -> &Header {
+            &self.header
+        }
+        fn header_mut(&mut self) -> &mut Header {
+            &mut self.header
+        }
+        fn check(&self) -> Result<(), shm_config::message::Refusal> {
+            Ok(())
+        }
+    }
+}
+
+#[test]
+fn different_layouts_refuse_each_other_by_name() {
+    use shm_config::layout::Layout;
+    let run = TestRun::new("layout");
+    let wire = run.join(Process::World);
+    let _ours = wire.subscriber(COMMAND).unwrap();
+    let theirs: Service<another_layout::Command> =
+        Service::custom(COMMAND.name, COMMAND.from, COMMAND.to, COMMAND.delivery);
+    let error = run
+        .join(Process::Controller)
+        .publisher(theirs)
+        .err()
+        .expect("refused");
+    let WireError::Layout { .. } = error else {
+        panic!("wrong error: {error}");
+    };
+    let text = error.to_string();
+    assert!(
+        text.contains(&format!("{:016x}", Command::FINGERPRINT)),
+        "{text}"
+    );
+    assert!(
+        text.contains(&format!("{:016x}", another_layout::Command::FINGERPRINT)),
+        "{text}"
+    );
+}
+
+#[test]
+fn nothing_is_left_of_a_run() {
+    let run = TestRun::new("leaves");
+    {
+        let wire = run.join(Process::World);
+        let _publisher = wire.publisher(ADVICE).unwrap();
+        assert!(!run.paths().shared_memory().unwrap().is_empty());
+        assert!(
+            run.paths().clean_if_dead().unwrap().is_none(),
+            "a living run is left alone"
+        );
+    }
+    let swept = run.paths().clean_if_dead().unwrap();
+    assert!(swept.is_some(), "a dead run is swept");
+    assert_eq!(
+        run.paths().shared_memory().unwrap(),
+        Vec::<std::path::PathBuf>::new()
+    );
+}
+
+#[test]
+fn only_the_user_may_enter() {
+    use std::os::unix::fs::PermissionsExt;
+    let run = TestRun::new("private");
+    let wire = run.join(Process::World);
+    let _publisher = wire.publisher(ADVICE).unwrap();
+    let mode = |path: &std::path::Path| path.metadata().unwrap().permissions().mode() & 0o077;
+    assert_eq!(mode(&run.paths().dir()), 0);
+    for file in run.paths().shared_memory().unwrap() {
+        assert_eq!(mode(&file), 0, "{}", file.display());
+    }
+}
+
+#[test]
+fn age_is_judged_at_the_door() {
+    let command = Command {
+        header: Header {
+            taken_ns: 1_000_000_000,
+            ..Header::default()
+        },
+        ..command(1)
+    };
+    let limit_ns = 50_000_000;
+    assert!(command.admit(Instant(1_050_000_000), limit_ns).is_ok());
+    assert!(command.admit(Instant(1_050_000_001), limit_ns).is_err());
+    assert!(command.admit(Instant(999_999_999), limit_ns).is_ok());
+    assert!(command.admit(Instant(900_000_000), limit_ns).is_err());
+}
