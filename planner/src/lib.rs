@@ -1,0 +1,32 @@
+//! Observation to plan: occupancy grid, local goal, RRT* (Sec. 4.1.1).
+//!
+//! ```text
+//! Observation -> Grid::fill -> choose_goal -> RRT* -> Plan -> lookahead
+//! ```
+//!
+//! Everything is in the body frame of the observation: x forward, y left,
+//! metres. [`Planner::plan`] is a function of the configuration and the
+//! observation alone: the same input gives the same plan, bit for bit, also
+//! after a restart. It takes no memory and no lock and reads no clock.
+
+mod beams;
+mod centre_line;
+mod corridor;
+mod goal;
+mod grid;
+mod limits;
+mod lookahead;
+mod planner;
+mod sampler;
+mod search;
+mod segment;
+mod tree;
+
+pub use corridor::Corridor;
+pub use goal::choose_goal;
+pub use grid::{Cell, Grid};
+pub use limits::{DISC_CELLS_MAX, NODES_MAX};
+pub use lookahead::{LOOKAHEAD_M, lookahead};
+pub use planner::Planner;
+pub use shm_config::config::Planner as PlannerConfig;
+pub use tree::{Node, Tree};

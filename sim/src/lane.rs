@@ -101,6 +101,17 @@ impl Arc {
         self.start_phase_rad + self.turn.sign() * self.angle_rad
     }
 
+    /// What makes this arc.
+    pub fn shape(&self) -> ArcShape {
+        ArcShape {
+            center_world: self.center_world,
+            radius_m: self.radius_m,
+            start_phase_rad: self.start_phase_rad,
+            angle_rad: self.angle_rad,
+            turn: self.turn,
+        }
+    }
+
     fn phase_at(&self, longitudinal_m: f64) -> f64 {
         self.turn.sign() * longitudinal_m / self.radius_m + self.start_phase_rad
     }
@@ -141,7 +152,7 @@ impl Lane {
     /// A straight lane from one point to another.
     pub fn straight(start_world: Point, end_world: Point, width_m: f64) -> Lane {
         let along = end_world - start_world;
-        let length_m = (along.x * along.x + along.y * along.y).sqrt();
+        let length_m = norm(along);
         Lane {
             curve: Curve::Straight(Straight {
                 heading_rad: along.y.atan2(along.x),
@@ -168,8 +179,11 @@ impl Lane {
 
     /// A circular lane. `radius_m` and `angle_rad` must be positive.
     pub fn arc(shape: ArcShape, width_m: f64) -> Lane {
-        let start_phase_rad = wrap_rad(shape.start_phase_rad);
-        let length_m = shape.radius_m * shape.angle_rad;
+        let start_phase_rad = wrap_by_turns_rad(shape.start_phase_rad);
+        // Through the phases, as the simulator does it: the last bits decide
+        // where whole metres end.
+        let end_phase_rad = start_phase_rad + shape.turn.sign() * shape.angle_rad;
+        let length_m = (shape.radius_m * (end_phase_rad - start_phase_rad)).abs();
         let arc = Arc {
             center_world: shape.center_world,
             radius_m: shape.radius_m,
@@ -340,11 +354,28 @@ pub struct ArcShape {
     pub turn: Turn,
 }
 
-/// Wraps an angle to (-pi, pi], as MetaDrive does (pi itself stays pi).
+/// The length of a vector with MetaDrive's rounding: it squares with the C
+/// library's `pow`, which in one case of a thousand differs from a product in
+/// the last bit.
+pub(crate) fn norm(vector: Vector) -> f64 {
+    // The compiler would turn a constant exponent into a product.
+    let two = std::hint::black_box(2.0);
+    (vector.x.powf(two) + vector.y.powf(two)).sqrt()
+}
+
+/// Wraps an angle to (-pi, pi]; pi itself stays pi.
 pub fn wrap_rad(angle_rad: f64) -> f64 {
     if angle_rad > -PI && angle_rad <= PI {
-        return angle_rad;
+        angle_rad
+    } else {
+        wrap_by_turns_rad(angle_rad)
     }
+}
+
+/// Wraps an angle to (-pi, pi] with MetaDrive's rounding: a negative angle
+/// goes up a turn and down again, and the bits that it loses there decide
+/// further on whether a lane of twenty metres has room for one car or two.
+fn wrap_by_turns_rad(angle_rad: f64) -> f64 {
     let wrapped = angle_rad.rem_euclid(TAU);
     if wrapped > PI { wrapped - TAU } else { wrapped }
 }

@@ -1,0 +1,46 @@
+//! The built-in world: MetaDrive's maps and traffic, seed by seed, without
+//! MetaDrive. Command in, observation out.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`lane`] | one lane: centre line, lane coordinates, surface, painted lines |
+//! | [`road`] | the network: nodes, roads, lanes in flat arrays; routes |
+//! | [`map`] | seed to map, block by block |
+//! | [`spawn`] | seed to scenario: a map with ego, obstacles and traffic |
+//! | [`model`] | the kinds of car and their measures |
+//! | [`rng`] | the simulator's random streams, draw for draw |
+//! | [`dynamics`] | how a car moves |
+//! | [`contact`], [`bodies`] | shapes, collisions, and everything that has a place |
+//! | [`lidar`] | what the beams meet |
+//! | [`navigation`] | where a car is on its route |
+//! | [`idm`], [`traffic`] | how the other cars drive, and when |
+//! | [`rules`] | what ends an episode; sidewalks |
+//! | [`observe`] | state to observation |
+//! | [`score`] | the account of one episode |
+//! | [`world`], [`config`] | episodes by seed, tick by tick |
+
+mod block;
+pub mod bodies;
+pub mod config;
+pub mod contact;
+pub mod dynamics;
+pub mod idm;
+pub mod lane;
+pub mod lidar;
+pub mod map;
+pub mod model;
+pub mod navigation;
+pub mod observe;
+pub mod rng;
+pub mod road;
+pub mod rules;
+pub mod score;
+pub mod spawn;
+mod surface;
+pub mod traffic;
+pub mod world;
+
+pub use block::Parameters;
+pub use config::{OutOfRoute, WorldConfig, WorldError};
+pub use surface::Bounds;
+pub use world::{StepOutcome, World};

@@ -143,12 +143,7 @@ impl ArcSurface {
         let k = (point.y.atan2(point.x) * radius_m / SURFACE_STEP_M)
             .floor()
             .clamp(0.0, last);
-        left_of(
-            rim(k, radii_m),
-            rim(k + 1.0, radii_m),
-            point,
-            margin_m,
-        )
+        left_of(rim(k, radii_m), rim(k + 1.0, radii_m), point, margin_m)
     }
 
     /// The last rim sample that is a corner, and its number: the very last

@@ -1,0 +1,61 @@
+//! The process set: started in order, watched, restarted, stopped; never waited on.
+//!
+//! # The process table
+//!
+//! | process | binary | core | priority | when it dies | starts after |
+//! |---|---|---|---|---|---|
+//! | planner | `vlaps-planner` | last but one | 45 | restarted | |
+//! | controller | `vlaps-controller` | last | 50 | restarted | planner |
+//! | gate | `vlaps-gate` | any | 0 | restarted | controller |
+//! | world | `vlaps-world` | last but two | 48 | restarted at the episode it died in; exit 0 ends the run | gate |
+//!
+//! The world starts last: it owns the clock, and when its first tick comes
+//! everybody who answers is ready. [`table::TABLE`] is this table; a test
+//! compares the two. Cores are asked for on machines with at least
+//! [`table::CORES_MIN`] of them, cores and priorities only in real time:
+//! lockstep has no deadline. The gate is absent when the configured gate has no
+//! process.
+//!
+//! # What ends a process, and what then
+//!
+//! | what the supervisor sees | what it does |
+//! |---|---|
+//! | exit code 2 | shows the process's last line and gives the run up: the same set-up would fail again |
+//! | any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
+//! | no health for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
+//! | not ready within [`member::READY_LIMIT_NS`] | gives up at the first start; SIGKILL and restart later |
+//! | the world's exit 0 | the run is driven to its end |
+//!
+//! The loop runs at 20 Hz, or at once when a child dies or a signal comes. It
+//! only ever looks: at ports, at exit statuses, at the clock it is given.
+//! Output goes through a thread of its own, so that a terminal that takes no
+//! more text cannot hold the loop.
+
+pub mod arguments;
+pub mod backoff;
+pub mod child;
+pub mod clean;
+pub mod doctor;
+pub mod down;
+pub mod event;
+pub mod failure;
+pub mod keys;
+pub mod live;
+pub mod log;
+pub mod member;
+pub mod place;
+pub mod ports;
+pub mod screen;
+pub mod set;
+pub mod settings;
+pub mod signals;
+pub mod status;
+pub mod stop;
+pub mod summary;
+pub mod table;
+pub mod tally;
+pub mod up;
+
+/// How a library function of this crate reads the clock: it is handed one by
+/// `main.rs`.
+pub type Clock = fn() -> shm_config::Instant;

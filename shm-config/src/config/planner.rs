@@ -2,16 +2,121 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
-/// Placeholder until merged.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
+/// Most cells along x or along y: 100 m of road at 5 cm.
+pub const CELLS_MAX: usize = 2048;
+/// Largest inflation, cells; a run of its disc then spans at most three words.
+pub const DISC_CELLS_MAX: usize = 60;
+/// Most nodes of a tree. The time of a search grows with their square.
+pub const NODES_MAX: usize = 4096;
+
+/// What the planner can be told. The defaults are the numbers of Sec. 4.1.1
+/// where the paper gives one; the other fields say where theirs is from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Planner {
-    /// Seed of the tree's samples.
+    /// Side of a cell, m: the paper's `Δx = Δy`.
+    pub cell_m: f64,
+    /// The grid reaches from 0 to this far ahead, m: `x_max`.
+    pub x_max_m: f64,
+    /// The grid reaches this far to either side, m: `y_max`.
+    pub y_max_m: f64,
+    /// Radius around a lidar return that counts as occupied, m.
+    pub inflation_m: f64,
+    /// Taken off the lane corridor on either side, m: `m_lane`. The paper gives
+    /// no number. 1.0: half the car's width (0.926 m), so that the body and not
+    /// only its centre stays inside, and 7 cm for the tracking.
+    pub lane_margin_m: f64,
+    /// Samples drawn for each plan; the whole budget is always spent.
+    pub iterations: u32,
+    /// The most a node is away from the node it was extended from, m.
+    pub step_m: f64,
+    /// Radius in which parents are chosen and edges rewired, m: `r*`.
+    pub rewire_radius_m: f64,
+    /// Radius of the goal ball, m: `r_goal`.
+    pub goal_radius_m: f64,
+    /// Speed written on each waypoint, m/s: `v_ref`.
+    pub speed_mps: f64,
+    /// Share of the samples that are the goal itself. The paper has none: 0.
+    pub goal_bias: f64,
+    /// How far along the road the goal lies at most, m. See the planner's `choose_goal`.
+    pub goal_distance_m: f64,
+    /// How far a bend of the road may leave the straight line to the goal, m.
+    /// See the planner's `choose_goal`.
+    pub goal_sag_m: f64,
+    /// A path that does not reach the goal and ends nearer than this to the car
+    /// is no path, m. 4.0: the front bumper is 2.26 m ahead of the centre, a car
+    /// at 5 m/s stops within 1.1 m, and one tick is 0.5 m more.
+    pub partial_min_m: f64,
+    /// The stream of samples of a plan depends on this, on the episode and on
+    /// the tick, and on nothing else.
     pub seed: u64,
 }
 
+impl Default for Planner {
+    fn default() -> Self {
+        Self {
+            cell_m: 0.05,
+            x_max_m: 30.0,
+            y_max_m: 10.0,
+            inflation_m: 0.5,
+            lane_margin_m: 1.0,
+            iterations: 200,
+            step_m: 2.0,
+            rewire_radius_m: 3.0,
+            goal_radius_m: 1.0,
+            speed_mps: 5.0,
+            goal_bias: 0.0,
+            goal_distance_m: 15.0,
+            goal_sag_m: 0.25,
+            partial_min_m: 4.0,
+            seed: 0,
+        }
+    }
+}
+
 impl Planner {
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        in_range("planner.seed", self.seed, 0..=u64::MAX)
+    /// Checks every number, alone and against the limits of the grid and the tree.
+    ///
+    /// # Errors
+    /// The first number that is not finite or outside its limits.
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        // Every later row is relative to the cell, so the cell comes first.
+        in_range("planner.cell_m", self.cell_m, 0.01..=1.0)?;
+        let cells_m = self.cell_m * CELLS_MAX as f64;
+        let disc_m = self.cell_m * DISC_CELLS_MAX as f64;
+        let rows = [
+            ("planner.x_max_m", self.x_max_m, 5.0..=cells_m),
+            ("planner.y_max_m", self.y_max_m, 1.0..=cells_m / 2.0),
+            ("planner.inflation_m", self.inflation_m, 0.0..=disc_m),
+            ("planner.lane_margin_m", self.lane_margin_m, 0.0..=10.0),
+            ("planner.step_m", self.step_m, self.cell_m..=100.0),
+            (
+                "planner.rewire_radius_m",
+                self.rewire_radius_m,
+                self.cell_m..=100.0,
+            ),
+            (
+                "planner.goal_radius_m",
+                self.goal_radius_m,
+                self.cell_m..=100.0,
+            ),
+            ("planner.speed_mps", self.speed_mps, 0.0..=100.0),
+            ("planner.goal_bias", self.goal_bias, 0.0..=1.0),
+            (
+                "planner.goal_distance_m",
+                self.goal_distance_m,
+                3.0..=1000.0,
+            ),
+            ("planner.goal_sag_m", self.goal_sag_m, 0.01..=1000.0),
+            ("planner.partial_min_m", self.partial_min_m, 0.0..=100.0),
+        ];
+        for (key, value, range) in rows {
+            in_range(key, value, range)?;
+        }
+        in_range(
+            "planner.iterations",
+            self.iterations,
+            1..=NODES_MAX as u32 - 1,
+        )
     }
 }

@@ -1,0 +1,276 @@
+//! The controller process: a command for every tick, whatever happens.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Parser;
+use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
+use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use shm_config::message::{Advice, Command, HealthState, Observation, Plan, Step};
+use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP};
+use shm_config::time::monotonic;
+use shm_config::wire::{Doorbell, Publisher, Subscriber};
+use shm_config::{Instant, config::Config};
+
+/// Answers every observation with a command, and records who drove and why
+#[derive(Parser)]
+#[command(name = "vlaps-controller", version)]
+struct Cli {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+/// How long the controller sleeps at most before it says how it does.
+const NAP: Duration = Duration::from_millis(20);
+/// A car slower than this stands, m/s.
+const STANDING_MPS: f64 = 0.05;
+/// How long an orderly stop may brake before it gives up, ns.
+const STOP_NS: u64 = 5_000_000_000;
+
+fn main() -> ExitCode {
+    exit_code(Process::Controller, drive(&Cli::parse().arguments))
+}
+
+struct Ports {
+    bell: Doorbell,
+    observations: Subscriber<Observation>,
+    plans: Subscriber<Plan>,
+    advices: Subscriber<Advice>,
+    commands: Publisher<Command>,
+    steps: Publisher<Step>,
+}
+
+impl Ports {
+    fn open(member: &Member) -> Result<Self, SetUpError> {
+        let wire = &member.wire;
+        Ok(Self {
+            bell: wire.doorbell(Process::Controller)?,
+            observations: wire.subscriber(OBSERVATION)?,
+            plans: wire.subscriber(PLAN)?,
+            advices: wire.subscriber(ADVICE)?,
+            commands: wire.publisher(COMMAND)?,
+            steps: wire.publisher(STEP)?,
+        })
+    }
+
+    /// Connects to peers that came or came back, between ticks.
+    fn tend(&self) {
+        self.observations.tend();
+        self.plans.tend();
+        self.advices.tend();
+        self.commands.tend();
+        self.steps.tend();
+    }
+}
+
+/// Waits for what a tick needs, never longer than its deadline.
+struct Waiting {
+    slots: Slots,
+    lockstep: bool,
+    asks_gate: bool,
+    period_ns: u64,
+    plan_wait_ns: u64,
+    lockstep_wait_ns: u64,
+    /// A peer that let a wait run out is not waited for until it speaks again.
+    planner_silent: bool,
+    gate_silent: bool,
+    stepped: Option<u64>,
+}
+
+impl Waiting {
+    fn new(config: &Config) -> Self {
+        let period_ns = config.run.period_ns();
+        let share = |share: f64| (period_ns as f64 * share) as u64;
+        Self {
+            slots: Slots::new(period_ns, share(config.limits.observation_wait)),
+            lockstep: config.run.is_lockstep(),
+            asks_gate: config.gate.has_process(),
+            period_ns,
+            plan_wait_ns: share(config.limits.plan_wait),
+            lockstep_wait_ns: (config.limits.lockstep_wait_s * 1e9) as u64,
+            planner_silent: false,
+            gate_silent: false,
+            stepped: None,
+        }
+    }
+
+    /// Sleeps until a new observation or the grid asks for a tick; `None` when
+    /// the time given has passed without either.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn slot(&mut self, ports: &mut Ports, inputs: &mut Inputs) -> Option<Slot> {
+        let now = monotonic();
+        if let Some(observation) = ports.observations.newest() {
+            inputs.observation = Some(observation);
+            let scheduled = Instant(observation.scheduled_ns);
+            if self.lockstep {
+                let slot = Slot {
+                    scheduled,
+                    skipped: 0,
+                };
+                return Some(slot);
+            }
+            if let Some(slot) = self.slots.on_observation(scheduled, now) {
+                return Some(slot);
+            }
+        }
+        let nap = match self.slots.deadline() {
+            Some(deadline) if now >= deadline => return self.slots.on_timeout(now),
+            Some(deadline) => NAP.min(Duration::from_nanos(deadline.since_ns(now))),
+            None => NAP,
+        };
+        ports.bell.wait(nap);
+        None
+    }
+
+    /// Waits for the plan of the new observation, and in lockstep for the gate
+    /// to have seen the step before.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn peers(&mut self, ports: &mut Ports, inputs: &mut Inputs, slot: &Slot) {
+        let tick = inputs
+            .observation
+            .map(|observation| observation.header.tick);
+        let begun = monotonic();
+        let until = match self.lockstep {
+            true => begun.after_ns(self.lockstep_wait_ns),
+            false => slot.scheduled.after_ns(self.plan_wait_ns),
+        };
+        loop {
+            if let Some(plan) = ports.plans.newest() {
+                inputs.plan = Some(plan);
+                self.planner_silent = false;
+            }
+            if let Some(advice) = ports.advices.newest() {
+                inputs.advice = Some(advice);
+                self.gate_silent = false;
+            }
+            let planned = self.planner_silent
+                || tick.is_none()
+                || inputs.plan.map(|plan| plan.header.tick) == tick;
+            let advised = !self.lockstep
+                || !self.asks_gate
+                || self.gate_silent
+                || self.stepped.is_none()
+                || inputs.advice.map(|advice| advice.header.tick) >= self.stepped;
+            let now = monotonic();
+            if planned && advised {
+                return;
+            }
+            if now >= until {
+                self.planner_silent = self.lockstep && !planned;
+                self.gate_silent = !advised;
+                return;
+            }
+            ports.bell.wait(Duration::from_nanos(until.since_ns(now)));
+        }
+    }
+}
+
+#[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
+    let mut member = Member::join(Process::Controller, arguments)?;
+    let mut ports = Ports::open(&member)?;
+    let mut pulse = Pulse::start(&member)?;
+    let mut controller = Controller::new(member.config.clone(), PolicySlot::new(None));
+    let mut waiting = Waiting::new(&member.config);
+    member.claim_rights();
+    pulse.set_rights(&member.rights);
+    pulse.enter(HealthState::Ready, monotonic());
+    let mut inputs = Inputs::default();
+    let mut stop_until = None;
+    loop {
+        let now = monotonic();
+        if member.is_stopping() && stop_until.is_none() {
+            stop_until = Some(now.after_ns(STOP_NS));
+            pulse.health.state = HealthState::Stopping.code();
+        }
+        pulse.beat(now);
+        ports.tend();
+        let never_drove = pulse.health.ticks == 0;
+        if stop_until.is_some_and(|until| now >= until || never_drove) {
+            break;
+        }
+        let Some(slot) = waiting.slot(&mut ports, &mut inputs) else {
+            continue;
+        };
+        let intent = match stop_until {
+            Some(_) => Intent::Stop,
+            None => Intent::Drive,
+        };
+        let stands = tick(
+            &mut controller,
+            &mut ports,
+            &mut waiting,
+            &mut pulse,
+            &mut inputs,
+            (slot, intent),
+        );
+        if intent == Intent::Stop && stands {
+            break;
+        }
+    }
+    pulse.enter(HealthState::Finished, monotonic());
+    Ok(())
+}
+
+/// One tick: wait for the plan, decide, command, record. Returns whether the
+/// car stands, or nobody can say.
+#[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+fn tick(
+    controller: &mut Controller,
+    ports: &mut Ports,
+    waiting: &mut Waiting,
+    pulse: &mut Pulse,
+    inputs: &mut Inputs,
+    (slot, intent): (Slot, Intent),
+) -> bool {
+    let started = monotonic();
+    let released_ns = inputs.observation.map_or(0, |o| o.released_ns);
+    waiting.peers(ports, inputs, &slot);
+    let planned = monotonic();
+    let now = match (waiting.lockstep, &inputs.observation) {
+        (true, Some(observation)) => observation.header.taken(),
+        _ => planned,
+    };
+    let tick = match &inputs.observation {
+        Some(observation) => observation.header.tick,
+        None => controller.step().header.tick + 1 + slot.skipped,
+    };
+    controller.tick(inputs, tick, now, intent);
+    *inputs = Inputs::default();
+    let decided = monotonic();
+    let step = controller.step_mut();
+    step.command.header.taken_ns = now.0;
+    ports.commands.send(&mut step.command);
+    let commanded = monotonic();
+    step.skipped += slot.skipped;
+    step.timings.scheduled_ns = slot.scheduled.0;
+    step.timings.released_ns = released_ns;
+    step.timings.started_ns = started.0;
+    step.timings.planned_ns = planned.0;
+    step.timings.decided_ns = decided.0;
+    step.timings.commanded_ns = commanded.0;
+    ports.steps.send(step);
+    waiting.stepped = Some(tick);
+
+    let done = monotonic();
+    pulse.count_tick(started.since_ns(slot.scheduled), done.since_ns(started));
+    if released_ns > 0 {
+        let response_ns = commanded.0.saturating_sub(released_ns);
+        pulse.timing.response.record(response_ns);
+    }
+    let health = &mut pulse.health;
+    health.header.tick = tick;
+    health.skipped = step.skipped;
+    health.refused = step.refused;
+    health.late += u64::from(commanded > slot.scheduled.after_ns(waiting.period_ns));
+    if health.ticks == 1 {
+        health.first_scheduled_ns = slot.scheduled.0;
+    }
+    health.next_scheduled_ns = slot.scheduled.after_ns(waiting.period_ns).0;
+    if intent == Intent::Drive {
+        health.state = HealthState::Running.code();
+    }
+    let ego = &step.observation.ego;
+    let blind = step.observation_age_ns == u64::MAX;
+    blind || ego.speed_mps.abs() < STANDING_MPS
+}

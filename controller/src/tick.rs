@@ -1,0 +1,168 @@
+use gate::{Scene, assess};
+use shm_config::config::Config;
+use shm_config::message::{Advice, Assessment, Command, Observation, Plan, Proposal, Step};
+use shm_config::{Instant, Message};
+use vehicle::Action;
+
+use crate::{Choice, Intent, Pd, PolicySlot, Standing, choose};
+
+/// What came since the last tick, not yet admitted.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Inputs {
+    /// The newest observation.
+    pub observation: Option<Observation>,
+    /// The newest plan.
+    pub plan: Option<Plan>,
+    /// The newest advice.
+    pub advice: Option<Advice>,
+}
+
+/// The controller without its ports: inputs in, step out.
+pub struct Controller {
+    config: Config,
+    pd: Pd,
+    policy: PolicySlot,
+    has_observation: bool,
+    has_plan: bool,
+    has_advice: bool,
+    /// The record of the last tick; also holds the last admitted inputs.
+    step: Step,
+}
+
+impl Controller {
+    /// A controller with this policy, or none.
+    pub fn new(config: Config, policy: PolicySlot) -> Self {
+        Self {
+            pd: Pd::new(config.controller),
+            config,
+            policy,
+            has_observation: false,
+            has_plan: false,
+            has_advice: false,
+            step: Step::default(),
+        }
+    }
+
+    /// One tick, start to end. Always answers.
+    pub fn tick(&mut self, inputs: &Inputs, tick: u64, now: Instant, intent: Intent) -> &Step {
+        self.admit(inputs, now);
+        let limits = &self.config.limits;
+        let observation = &self.step.observation;
+        let observation_age_ns = age_ns(self.has_observation, observation, now);
+        let plan_age_ns = age_ns(self.has_plan, &self.step.plan, now);
+        let sees = observation_age_ns <= limits.observation_age_ns();
+        let has_plan = sees
+            && plan_age_ns <= limits.plan_age_ns()
+            && self.step.plan.header.episode == observation.header.episode;
+
+        let plan = has_plan.then_some(&self.step.plan);
+        let expert = plan.and_then(|plan| self.pd.propose(plan, observation));
+        let policy = sees.then(|| self.policy.propose(observation)).flatten();
+        let [expert_assessment, policy_assessment] = self.judge(sees, [expert, policy]);
+
+        let choice = choose(&Standing {
+            intent,
+            mode: self.config.gate.mode,
+            now,
+            sees,
+            plan,
+            advice: self.has_advice.then_some(&self.step.advice),
+            policy_loaded: self.policy.is_loaded(),
+            expert,
+            policy,
+            expert_assessment: &expert_assessment,
+            policy_assessment: &policy_assessment,
+        });
+
+        self.record(tick, now, choice);
+        let step = &mut self.step;
+        step.expert = Proposal::new(expert);
+        step.policy = Proposal::new(policy);
+        step.expert_assessment = expert_assessment;
+        step.policy_assessment = policy_assessment;
+        step.observation_age_ns = observation_age_ns;
+        step.plan_age_ns = plan_age_ns;
+        step
+    }
+
+    /// The door: what is refused is counted, and the last good one stays.
+    fn admit(&mut self, inputs: &Inputs, now: Instant) {
+        let limits = &self.config.limits;
+        if let Some(observation) = &inputs.observation {
+            match observation.admit(now, limits.observation_age_ns()) {
+                Ok(()) => {
+                    self.step.observation = *observation;
+                    self.has_observation = true;
+                }
+                Err(_) => self.step.refused += 1,
+            }
+        }
+        if let Some(plan) = &inputs.plan {
+            match plan.admit(now, limits.plan_age_ns()) {
+                Ok(()) => {
+                    self.step.plan = *plan;
+                    self.has_plan = true;
+                }
+                Err(_) => self.step.refused += 1,
+            }
+        }
+        if let Some(advice) = &inputs.advice {
+            // Advice has its own expiry; its age says nothing.
+            match advice.admit(now, u64::MAX) {
+                Ok(()) => {
+                    self.step.advice = *advice;
+                    self.has_advice = true;
+                }
+                Err(_) => self.step.refused += 1,
+            }
+        }
+    }
+
+    /// The judge in the tick, on both proposals.
+    fn judge(&self, sees: bool, proposals: [Option<Action>; 2]) -> [Assessment; 2] {
+        if !sees {
+            return proposals.map(|_| Assessment::default());
+        }
+        let (vehicle, limits) = (&self.config.vehicle, &self.config.judge);
+        let observation = &self.step.observation;
+        let reach_m = Scene::reach_m(vehicle, limits, observation.ego.speed_mps);
+        let scene = Scene::new(observation, reach_m);
+        proposals.map(|proposal| assess(vehicle, limits, &scene, proposal))
+    }
+
+    fn record(&mut self, tick: u64, now: Instant, choice: Choice) {
+        let step = &mut self.step;
+        step.header.tick = tick;
+        step.header.taken_ns = now.0;
+        step.header.episode = step.observation.header.episode;
+        step.command = Command {
+            header: step.header,
+            steer: choice.action.steer,
+            pedal: choice.action.pedal,
+            driver: choice.driver.code(),
+            reason: choice.reason.code(),
+        };
+        step.advice_age_ns = match self.has_advice && step.advice.answers > 0 {
+            true => now.since_ns(Instant(step.advice.question_taken_ns)),
+            false => u64::MAX,
+        };
+        (step.weights_version, step.weights_hash) = self.policy.weights();
+    }
+
+    /// The record of the last tick.
+    pub fn step(&self) -> &Step {
+        &self.step
+    }
+
+    /// The record of the last tick, for the process to add its timings to.
+    pub fn step_mut(&mut self) -> &mut Step {
+        &mut self.step
+    }
+}
+
+fn age_ns<M: Message>(is_there: bool, message: &M, now: Instant) -> u64 {
+    match is_there {
+        true => now.since_ns(message.header().taken()),
+        false => u64::MAX,
+    }
+}

@@ -1,0 +1,133 @@
+use shm_config::config::JudgeLimits;
+use shm_config::message::{Assessment, BEAMS_MAX, Observation, Verdict};
+use vehicle::{Action, Point, State, Vehicle, step};
+
+use crate::RoadAhead;
+
+/// Clearance reported when nothing is near, m.
+pub const CLEARANCE_MAX_M: f64 = 50.0;
+
+/// How far a body's corner may lie beyond the road's edge, m: the sidewalk
+/// begins 0.2 m outside it.
+const SIDEWALK_M: f64 = 0.2;
+
+/// What proposals are judged against: the lidar's returns and the road, in the
+/// body frame. Made once a tick, without allocation.
+pub struct Scene {
+    returns_body: heapless::Vec<Point, BEAMS_MAX>,
+    road: RoadAhead,
+    checkpoint_body: Point,
+    speed_mps: f64,
+}
+
+impl Scene {
+    /// The scene of an admitted observation. Returns beyond `reach_m` of the car
+    /// are left out: no rollout gets there.
+    pub fn new(observation: &Observation, reach_m: f64) -> Self {
+        let ranges_m = observation.ranges();
+        let mut returns_body = heapless::Vec::new();
+        let turn_rad = std::f64::consts::TAU / ranges_m.len().max(1) as f64;
+        let limit_m = observation.lidar_max_m.min(reach_m as f32);
+        for (beam, &range_m) in ranges_m.iter().enumerate() {
+            if range_m < limit_m {
+                let (sin, cos) = (beam as f64 * turn_rad).sin_cos();
+                // Cannot overflow: there is one place for each beam.
+                let _ = returns_body.push(Point::new(cos, sin) * f64::from(range_m));
+            }
+        }
+        let checkpoint = &observation.checkpoints[0];
+        Self {
+            returns_body,
+            road: RoadAhead::new(observation),
+            checkpoint_body: Point::new(checkpoint.x_body_m, checkpoint.y_body_m),
+            speed_mps: observation.ego.speed_mps.max(0.0),
+        }
+    }
+
+    /// How far a car can get from where it is within the horizon, m, footprint
+    /// and margin included.
+    pub fn reach_m(vehicle: &Vehicle, limits: &JudgeLimits, speed_mps: f64) -> f64 {
+        let speed_mps = speed_mps.max(0.0);
+        let travel_m = speed_mps * limits.horizon_s
+            + 0.5 * vehicle.max_accel_mps2 * limits.horizon_s * limits.horizon_s;
+        travel_m + vehicle.footprint().radius_m() + limits.margin_m + 1.0
+    }
+}
+
+/// Rolls a proposal out, held for the whole horizon, and measures it.
+///
+/// The rollout is the bicycle of Eq. 3 to 6 with the accurate step; the paper's
+/// single step of 1.5 s is a matter of the picture only. Obstacles are the lidar
+/// returns at rest. The proposal is vetoed when it would touch something, or
+/// leave the road, sooner than the brake could still prevent it.
+pub fn assess(
+    vehicle: &Vehicle,
+    limits: &JudgeLimits,
+    scene: &Scene,
+    proposal: Option<Action>,
+) -> Assessment {
+    let Some(action) = proposal else {
+        return Assessment {
+            verdict: Verdict::Absent.code(),
+            ..Assessment::default()
+        };
+    };
+    let control = action.control(vehicle);
+    let steps = (limits.horizon_s / limits.step_s).ceil() as u32;
+    let mut state = State::at_origin(scene.speed_mps);
+    // Where the car stands now is nobody's proposal: only what it does next counts.
+    let edge_now_m = edge_m(vehicle, scene, &state);
+    let mut measured = Assessment {
+        clearance_m: clearance_m(vehicle, scene, &state),
+        safe_s: limits.horizon_s,
+        edge_m: edge_now_m,
+        verdict: Verdict::Clear.code(),
+        ..Assessment::default()
+    };
+    for k in 1..=steps {
+        state = step(vehicle, &state, control, limits.step_s);
+        let (clearance_m, edge_m) = (
+            clearance_m(vehicle, scene, &state),
+            edge_m(vehicle, scene, &state),
+        );
+        measured.clearance_m = measured.clearance_m.min(clearance_m);
+        measured.edge_m = measured.edge_m.min(edge_m);
+        let found = if clearance_m < limits.margin_m && state.speed_mps > 0.0 {
+            Verdict::Hits
+        } else if edge_m < (limits.edge_margin_m - SIDEWALK_M).min(edge_now_m) {
+            Verdict::Leaves
+        } else {
+            continue;
+        };
+        measured.verdict = found.code();
+        measured.safe_s = f64::from(k) * limits.step_s;
+        break;
+    }
+    let to_checkpoint_m = |point: Point| (scene.checkpoint_body - point).norm();
+    measured.progress_m = to_checkpoint_m(Point::origin()) - to_checkpoint_m(state.position);
+    let stopping_s = scene.speed_mps / vehicle.max_brake_mps2 + limits.reaction_s;
+    let doomed = measured.verdict() != Verdict::Clear && measured.safe_s <= stopping_s;
+    measured.veto = u32::from(doomed);
+    measured
+}
+
+/// Least distance from the footprint to a return, m; negative inside.
+fn clearance_m(vehicle: &Vehicle, scene: &Scene, state: &State) -> f64 {
+    let footprint = vehicle.footprint();
+    let body_from_world = state.pose().inverse();
+    scene
+        .returns_body
+        .iter()
+        .map(|point| footprint.distance_m(body_from_world * point))
+        .fold(CLEARANCE_MAX_M, f64::min)
+}
+
+/// Least distance from a corner of the footprint to the road's edge, m.
+fn edge_m(vehicle: &Vehicle, scene: &Scene, state: &State) -> f64 {
+    vehicle
+        .footprint()
+        .corners(&state.pose())
+        .into_iter()
+        .map(|corner_body| scene.road.edge_m(corner_body))
+        .fold(f64::INFINITY, f64::min)
+}

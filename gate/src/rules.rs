@@ -1,0 +1,63 @@
+use shm_config::config::JudgeLimits;
+use shm_config::message::{Assessment, Judge as JudgeKind};
+use vehicle::Vehicle;
+
+use crate::{Answer, Judge, Question, Ruling, Scene, assess};
+
+/// Rollouts that stay safe this much longer are safer, s: one period.
+const SAFER_S: f64 = 0.1;
+/// A policy may fall behind the expert by this much over the horizon and still
+/// count as similar, m.
+const BEHIND_M: f64 = 1.0;
+
+/// The built-in judge: compares both rollouts by exact geometry.
+pub struct Rules {
+    vehicle: Vehicle,
+    limits: JudgeLimits,
+}
+
+impl Rules {
+    /// A judge of cars of this kind.
+    pub fn new(vehicle: Vehicle, limits: JudgeLimits) -> Self {
+        Self { vehicle, limits }
+    }
+}
+
+impl Judge for Rules {
+    fn kind(&self) -> JudgeKind {
+        JudgeKind::Rules
+    }
+
+    fn ask(&mut self, question: &Question) -> Ruling {
+        let speed_mps = question.observation.ego.speed_mps;
+        let reach_m = Scene::reach_m(&self.vehicle, &self.limits, speed_mps);
+        let scene = Scene::new(&question.observation, reach_m);
+        let [expert, policy] = [question.expert, question.policy]
+            .map(|proposal| assess(&self.vehicle, &self.limits, &scene, proposal.action()));
+        let answer = match (question.expert.action(), question.policy.action()) {
+            (_, None) => Answer::Abstain,
+            (None, Some(_)) if policy.is_vetoed() => Answer::Abstain,
+            (None, Some(_)) => Answer::Policy,
+            (Some(_), Some(_)) => compare(&expert, &policy),
+        };
+        Ruling {
+            answer,
+            cost_usd: 0.0,
+        }
+    }
+}
+
+/// Safety first, then progress; similar means the policy may drive (the
+/// prompt's 0 of Sec. 8.5).
+fn compare(expert: &Assessment, policy: &Assessment) -> Answer {
+    if policy.safe_s < expert.safe_s - SAFER_S {
+        return Answer::Expert;
+    }
+    if policy.safe_s > expert.safe_s + SAFER_S {
+        return Answer::Policy;
+    }
+    if policy.progress_m < expert.progress_m - BEHIND_M {
+        return Answer::Expert;
+    }
+    Answer::Policy
+}

@@ -1,0 +1,68 @@
+//! How long a plan takes: `cargo run --release -p planner --example plan_speed`.
+//!
+//! Plans for synthetic scenes (straight roads and bends of 15 to 60 m, up to
+//! four cars, barriers or rows of cones, 240 beams) and prints the whole plan,
+//! the grid within it, and the rest, in microseconds.
+#![allow(clippy::disallowed_methods)]
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use planner::{Grid, Planner, PlannerConfig};
+use shm_config::message::{Observation, Plan, PlanOutcome};
+
+#[path = "../tests/course/mod.rs"]
+mod course;
+
+const SCENES: u64 = 500;
+const ROUNDS: usize = 20;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let config = PlannerConfig::default();
+    let scenes: Vec<Observation> = (0..SCENES).map(course::random_scene).collect();
+    let mut planner = Planner::new(config)?;
+    let mut grid = Grid::new(&config);
+    let mut plan = Plan::default();
+    let mut whole_us = Vec::with_capacity(scenes.len() * ROUNDS);
+    let (mut grid_us, mut search_us) = (whole_us.clone(), whole_us.clone());
+    let (mut outcomes, mut nodes) = ([0; 3], 0);
+    for scene in scenes.iter().cycle().take(scenes.len() * ROUNDS) {
+        let start = Instant::now();
+        grid.fill(black_box(scene));
+        let filled = Instant::now();
+        planner.plan(black_box(scene), &mut plan);
+        let planned = Instant::now();
+        let us = |from: Instant, to: Instant| (to - from).as_secs_f64() * 1e6;
+        grid_us.push(us(start, filled));
+        whole_us.push(us(filled, planned));
+        search_us.push(us(filled, planned) - us(start, filled));
+        outcomes[plan.outcome() as usize] += 1;
+        nodes += u64::from(plan.nodes);
+    }
+    let plans = whole_us.len();
+    let of = |outcome: PlanOutcome| 100.0 * f64::from(outcomes[outcome as usize]) / plans as f64;
+    println!(
+        "{plans} plans of {} iterations, {:.0} nodes on average; reached {:.1} %, partial {:.1} %, blocked {:.1} %",
+        config.iterations,
+        nodes as f64 / plans as f64,
+        of(PlanOutcome::Reached),
+        of(PlanOutcome::Partial),
+        of(PlanOutcome::Blocked),
+    );
+    println!(
+        "{:8} {:>8} {:>8} {:>8} {:>8}",
+        "us", "p50", "p99", "p99.9", "max"
+    );
+    for (name, mut values) in [("plan", whole_us), ("grid", grid_us), ("rest", search_us)] {
+        values.sort_by(f64::total_cmp);
+        let at = |share: f64| values[((plans - 1) as f64 * share).round() as usize];
+        println!(
+            "{name:8} {:8.1} {:8.1} {:8.1} {:8.1}",
+            at(0.5),
+            at(0.99),
+            at(0.999),
+            at(1.0)
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,129 @@
+use shm_config::message::Observation;
+use vehicle::{Point, Pose, Vector, pose};
+
+/// A checkpoint less than this ahead of the car, along the road, has been
+/// passed, m. The world moves on to the next one up to 5 m late.
+const PASSED_M: f64 = 1.0;
+
+/// One road of the route: an arc, or a straight line when the curvature is 0.
+#[derive(Debug, Clone, Copy)]
+struct Arc {
+    /// Its beginning, x along the road.
+    body_from_start: Pose,
+    /// Counter-clockwise, 1/m.
+    curvature_per_m: f64,
+    length_m: f64,
+}
+
+/// A place on the middle line of the road ahead.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Station {
+    /// x along the road, y to its left.
+    pub(crate) body_from_road: Pose,
+    /// How far the road has turned since the car, rad, counter-clockwise.
+    pub(crate) turn_rad: f64,
+}
+
+/// The middle line of the road from beside the car to the second checkpoint.
+///
+/// The next checkpoint is the end of the car's road, at its middle. Together
+/// with the direction of the road and the distances to its edges it fixes the
+/// road's middle line, because a road of the map is one arc or one straight
+/// line: it is the only arc that begins beside the car, along the road, and
+/// ends in the checkpoint. The second checkpoint continues it in the same way.
+#[derive(Debug)]
+pub(crate) struct CentreLine {
+    arcs: [Arc; 2],
+}
+
+impl CentreLine {
+    /// From the edges, the heading and the checkpoints of an observation.
+    /// Passed checkpoints are left out; with none left, the line is straight.
+    pub(crate) fn new(observation: &Observation) -> Self {
+        let road = &observation.road;
+        let road_direction = pose(0.0, 0.0, -road.heading_rad);
+        let beside = road_direction * Point::new(0.0, (road.left_m - road.right_m) / 2.0);
+        let mut at = pose(beside.x, beside.y, -road.heading_rad);
+        let mut arcs = [Arc::none(at); 2];
+        for (arc, checkpoint) in arcs.iter_mut().zip(&observation.checkpoints) {
+            let end_body = Point::new(checkpoint.x_body_m, checkpoint.y_body_m);
+            *arc = Arc::to(at, end_body).unwrap_or(Arc::none(at));
+            at = arc.at(arc.length_m).body_from_road;
+        }
+        Self { arcs }
+    }
+
+    /// Distance to its end along the line, m.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.arcs.iter().map(|arc| arc.length_m).sum()
+    }
+
+    /// The place so far along the line, m; beyond its end, straight on.
+    pub(crate) fn at(&self, distance_m: f64) -> Station {
+        let [first, second] = &self.arcs;
+        if distance_m <= first.length_m {
+            return first.at(distance_m);
+        }
+        let beyond_m = distance_m - first.length_m;
+        let mut station = second.at(beyond_m.min(second.length_m));
+        let straight_m = (beyond_m - second.length_m).max(0.0);
+        station.body_from_road *= pose(straight_m, 0.0, 0.0);
+        station.turn_rad += first.curvature_per_m * first.length_m;
+        station
+    }
+}
+
+impl Arc {
+    /// No road at all: where it begins, it ends.
+    fn none(body_from_start: Pose) -> Self {
+        Self {
+            body_from_start,
+            curvature_per_m: 0.0,
+            length_m: 0.0,
+        }
+    }
+
+    /// The arc that begins along x of `body_from_start` and ends in a point;
+    /// `None` when the point is not ahead of it.
+    ///
+    /// An arc of less than half a turn has its end ahead; the map has none of more.
+    fn to(body_from_start: Pose, end_body: Point) -> Option<Self> {
+        let Vector { data, .. } = body_from_start.inverse_transform_point(&end_body).coords;
+        let [[ahead_m, left_m]] = data.0;
+        if ahead_m.is_nan() || left_m.is_nan() || ahead_m < PASSED_M {
+            return None;
+        }
+        let chord_m = ahead_m.hypot(left_m);
+        let curvature_per_m = 2.0 * left_m / (chord_m * chord_m);
+        // Half the turn is the angle between the chord and the tangent.
+        let turn_rad = 2.0 * left_m.atan2(ahead_m);
+        // Below a microradian chord and arc are the same number.
+        let length_m = if turn_rad.abs() < 1e-6 {
+            chord_m
+        } else {
+            turn_rad / curvature_per_m
+        };
+        Some(Self {
+            body_from_start,
+            curvature_per_m,
+            length_m,
+        })
+    }
+
+    /// The place so far along the arc, m.
+    fn at(&self, distance_m: f64) -> Station {
+        let turn_rad = self.curvature_per_m * distance_m;
+        let half_rad = turn_rad / 2.0;
+        // Chord of the arc; sin(a)/a is 1 to the last bit below 1e-8.
+        let chord_m = if half_rad.abs() < 1e-8 {
+            distance_m
+        } else {
+            distance_m * half_rad.sin() / half_rad
+        };
+        let (sin, cos) = half_rad.sin_cos();
+        Station {
+            body_from_road: self.body_from_start * pose(chord_m * cos, chord_m * sin, turn_rad),
+            turn_rad,
+        }
+    }
+}

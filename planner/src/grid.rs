@@ -1,0 +1,318 @@
+use shm_config::message::Observation;
+use vehicle::Point;
+
+use crate::PlannerConfig;
+use crate::beams::Beams;
+use crate::corridor::Corridor;
+use crate::limits::DISC_CELLS_MAX;
+use crate::segment::{Run, Segment};
+
+/// Cells in a word.
+const WORD: usize = u64::BITS as usize;
+
+/// A cell of the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cell {
+    /// Counts along x from the car.
+    pub column: usize,
+    /// Counts along y from the right edge of the grid.
+    pub row: usize,
+}
+
+/// The occupancy grid of Sec. 4.1.1 in the body frame: x in `[0, x_max]`, y in
+/// `[-y_max, y_max]`, one bit a cell.
+///
+/// A cell is occupied when its row's middle is outside the lane corridor, or
+/// when it is within the inflation radius of a cell that holds a lidar return,
+/// middle to middle.
+///
+/// # The start
+/// The car stands at the origin, on the edge between two cells. Those two are
+/// never occupied: the corridor is widened to hold them
+/// ([`Corridor::with_start`]), and the disc around a return is made smaller, to
+/// less than the return's distance from the nearer of the two. So the clearance
+/// asked of a cell is the inflation radius or what the car has now, whichever
+/// is less: from a start that is already too near to an obstacle, every way
+/// that comes no nearer is free, and no way that comes nearer is.
+#[derive(Debug)]
+pub struct Grid {
+    cell_m: f64,
+    cells_per_m: f64,
+    columns: usize,
+    /// Rows on either side of the x axis.
+    half_rows: usize,
+    words_per_row: usize,
+    lane_margin_m: f64,
+    /// Inflation radius squared, in cells, with room for the rounding of
+    /// radius / cell.
+    disc_squared: i64,
+    /// Column reach of the full disc for each row offset from its middle.
+    disc: heapless::Vec<i64, { DISC_CELLS_MAX + 1 }>,
+    beams: Beams,
+    corridor: Corridor,
+    /// Row after row, 64 columns a word, the lowest bit nearest to the car.
+    words: Box<[u64]>,
+}
+
+impl Grid {
+    /// An empty grid of the configured size; the only place that allocates.
+    pub fn new(config: &PlannerConfig) -> Self {
+        let cells_per_m = 1.0 / config.cell_m;
+        // A millionth of a cell: 30 / 0.05 must not become 601.
+        let cells = |length_m: f64| (length_m * cells_per_m - 1e-6).ceil().max(1.0) as usize;
+        let (columns, half_rows) = (cells(config.x_max_m), cells(config.y_max_m));
+        let words_per_row = columns.div_ceil(WORD);
+        let radius_cells = config.inflation_m * cells_per_m;
+        let disc_squared = (radius_cells * radius_cells + 1e-6).floor() as i64;
+        Self {
+            cell_m: config.cell_m,
+            cells_per_m,
+            columns,
+            half_rows,
+            words_per_row,
+            lane_margin_m: config.lane_margin_m,
+            disc_squared,
+            disc: (0..=disc_squared.isqrt().min(DISC_CELLS_MAX as i64))
+                .map(|row| (disc_squared - row * row).isqrt())
+                .collect(),
+            beams: Beams::default(),
+            corridor: Corridor {
+                right_m: 0.0,
+                left_m: 0.0,
+            },
+            words: vec![!0; words_per_row * 2 * half_rows].into_boxed_slice(),
+        }
+    }
+
+    /// Number of cells along x.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Number of cells along y; even, the x axis is between the middle two.
+    pub fn rows(&self) -> usize {
+        2 * self.half_rows
+    }
+
+    /// Side of a cell, m.
+    pub fn cell_m(&self) -> f64 {
+        self.cell_m
+    }
+
+    /// Length along x, m.
+    pub fn x_max_m(&self) -> f64 {
+        self.columns as f64 * self.cell_m
+    }
+
+    /// Reach to either side, m.
+    pub fn y_max_m(&self) -> f64 {
+        self.half_rows as f64 * self.cell_m
+    }
+
+    /// The corridor that was free before the lidar's returns; it holds the start.
+    pub fn corridor(&self) -> Corridor {
+        self.corridor
+    }
+
+    /// Forgets everything and marks what this observation shows.
+    pub fn fill(&mut self, observation: &Observation) {
+        self.corridor = Corridor::lane(&observation.road, self.lane_margin_m, self.y_max_m())
+            .with_start(self.cell_m);
+        for row in 0..self.rows() {
+            let y_m = self.row_middle_m(row);
+            let free = (self.corridor.right_m..=self.corridor.left_m).contains(&y_m);
+            let start = row * self.words_per_row;
+            self.words[start..start + self.words_per_row].fill(if free { 0 } else { !0 });
+        }
+        // The beams are taken out so that the rows can be written while they are read.
+        let mut beams = std::mem::take(&mut self.beams);
+        beams.prepare(observation.ranges().len());
+        let mut last = None;
+        for return_body in beams.returns(observation) {
+            let cell = self.signed_cell(return_body);
+            // Near obstacles put many beams into one cell.
+            if last.replace(cell) == Some(cell) {
+                continue;
+            }
+            self.stamp(cell.0, cell.1);
+            // A return on the x axis belongs to the rows on both sides of it;
+            // with one of them the car would see all that is straight ahead a
+            // little to the left.
+            if return_body.y == 0.0 {
+                self.stamp(cell.0, cell.1 - 1);
+            }
+        }
+        self.beams = beams;
+    }
+
+    /// Column and row, the row counted from the x axis: 0 is the first on the
+    /// left, -1 the first on the right. Either may be outside the grid.
+    fn signed_cell(&self, point_body: Point) -> (i64, i64) {
+        let column = (point_body.x * self.cells_per_m).floor() as i64;
+        let row = (point_body.y.abs() * self.cells_per_m).floor() as i64;
+        (column, if point_body.y < 0.0 { -1 - row } else { row })
+    }
+
+    /// Marks the disc around a return's cell, except where the start would be
+    /// inside (see the type's documentation).
+    fn stamp(&mut self, column: i64, row: i64) {
+        let reach = self.disc.len() as i64 - 1;
+        let half_rows = self.half_rows as i64;
+        if column + reach < 0
+            || column - reach >= self.columns as i64
+            || row + reach < -half_rows
+            || row - reach >= half_rows
+        {
+            return;
+        }
+        // The start's two cells are column 0 of the rows 0 and -1.
+        let start_rows = row.abs().min((row + 1).abs());
+        let start_squared = column * column + start_rows * start_rows;
+        let shrunk = start_squared <= self.disc_squared;
+        for offset in -reach..=reach {
+            let columns = if shrunk {
+                let left = start_squared - 1 - offset * offset;
+                if left < 0 {
+                    continue;
+                }
+                left.isqrt()
+            } else {
+                self.disc[offset.unsigned_abs() as usize]
+            };
+            let at = row + offset + half_rows;
+            if (0..2 * half_rows).contains(&at) {
+                self.mark(at as usize, column - columns, column + columns);
+            }
+        }
+    }
+
+    /// Marks the columns `first..=last` of a row, as far as they are in the grid.
+    fn mark(&mut self, row: usize, first: i64, last: i64) {
+        if last < 0 || first >= self.columns as i64 {
+            return;
+        }
+        let first = first.max(0) as usize;
+        let last = (last as usize).min(self.columns - 1);
+        let (from_first, to_last) = (from_column(first), to_column(last));
+        let start = row * self.words_per_row;
+        let words = &mut self.words[start + first / WORD..=start + last / WORD];
+        match words {
+            [] => {}
+            [word] => *word |= from_first & to_last,
+            [head, middle @ .., tail] => {
+                *head |= from_first;
+                middle.fill(!0);
+                *tail |= to_last;
+            }
+        }
+    }
+
+    /// Whether any cell of a run is occupied.
+    fn any(&self, run: Run) -> bool {
+        let start = run.row * self.words_per_row;
+        let (from_first, to_last) = (from_column(run.first), to_column(run.last));
+        match &self.words[start + run.first / WORD..=start + run.last / WORD] {
+            [] => true,
+            [word] => word & from_first & to_last != 0,
+            [head, middle @ .., tail] => {
+                head & from_first != 0
+                    || tail & to_last != 0
+                    || middle.iter().any(|&word| word != 0)
+            }
+        }
+    }
+
+    /// Whether a cell is occupied; everything outside the grid is.
+    pub fn is_occupied(&self, cell: Cell) -> bool {
+        if cell.column >= self.columns || cell.row >= self.rows() {
+            return true;
+        }
+        let word = self.words[cell.row * self.words_per_row + cell.column / WORD];
+        word >> (cell.column % WORD) & 1 != 0
+    }
+
+    /// The cell a point is in; `None` outside the grid. A point on the x axis
+    /// is in the row left of it.
+    pub fn cell_at(&self, point_body: Point) -> Option<Cell> {
+        let (column, row) = self.signed_cell(point_body);
+        let row = row + self.half_rows as i64;
+        let inside =
+            (0..self.columns as i64).contains(&column) && (0..self.rows() as i64).contains(&row);
+        inside.then_some(Cell {
+            column: column as usize,
+            row: row as usize,
+        })
+    }
+
+    /// The middle of a cell in the body frame, m.
+    pub fn cell_middle(&self, cell: Cell) -> Point {
+        let x_m = (cell.column as f64 + 0.5) * self.cell_m;
+        Point::new(x_m, self.row_middle_m(cell.row))
+    }
+
+    /// The middle of a row, m, positive left of the car.
+    fn row_middle_m(&self, row: usize) -> f64 {
+        (row as f64 - self.half_rows as f64 + 0.5) * self.cell_m
+    }
+
+    /// Whether no cell that the straight line touches is occupied.
+    ///
+    /// Exact: row by row, the columns between where the line enters and where
+    /// it leaves the row, tested a word at a time. No cell can be skipped, since
+    /// no points are sampled. A cell counts as touched when the line comes
+    /// within a billionth of a cell, so rounding errs to the occupied side. A
+    /// line that leaves the grid is not free.
+    pub fn is_segment_free(&self, from_body: Point, to_body: Point) -> bool {
+        let bounds = Point::new(self.columns as f64, self.rows() as f64);
+        let cells = |point: Point| {
+            Point::new(
+                point.x * self.cells_per_m,
+                point.y * self.cells_per_m + self.half_rows as f64,
+            )
+        };
+        let (from, to) = (cells(from_body), cells(to_body));
+        let inside = |point: Point| {
+            (0.0..=bounds.x).contains(&point.x) && (0.0..=bounds.y).contains(&point.y)
+        };
+        if !inside(from) || !inside(to) {
+            return false;
+        }
+        let segment = Segment::new(from, to, self.columns - 1, self.rows() - 1);
+        // Most lines are in the open: the rectangle around them is looked at first.
+        self.is_rectangle_free(&segment) || segment.runs().all(|run| !self.any(run))
+    }
+
+    /// Whether the rectangle of cells around a line is free; may say no when it
+    /// is wider than two words.
+    fn is_rectangle_free(&self, segment: &Segment) -> bool {
+        let (first, last) = segment.columns();
+        let rows = segment.rows();
+        let word = first / WORD;
+        let (rows_before, rows_through) = (*rows.start(), *rows.end() + 1);
+        let words =
+            &self.words[rows_before * self.words_per_row..rows_through * self.words_per_row];
+        let mut heads = 0;
+        if last / WORD == word {
+            for row in words.chunks_exact(self.words_per_row) {
+                heads |= row[word];
+            }
+            return heads & from_column(first) & to_column(last) == 0;
+        }
+        let mut tails = 0;
+        for row in words.chunks_exact(self.words_per_row) {
+            heads |= row[word];
+            tails |= row[word + 1];
+        }
+        last / WORD == word + 1 && heads & from_column(first) == 0 && tails & to_column(last) == 0
+    }
+}
+
+/// The bits of a word from this column on.
+fn from_column(column: usize) -> u64 {
+    !0 << (column % WORD)
+}
+
+/// The bits of a word up to this column.
+fn to_column(column: usize) -> u64 {
+    !0 >> (WORD - 1 - column % WORD)
+}

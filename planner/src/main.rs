@@ -1,0 +1,94 @@
+//! The planner process: a plan for every observation.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Parser;
+use planner::Planner;
+use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use shm_config::message::{HealthState, Message, Plan};
+use shm_config::services::{OBSERVATION, PLAN, Process};
+use shm_config::time::monotonic;
+
+/// Answers every observation with a plan
+#[derive(Parser)]
+#[command(name = "vlaps-planner", version)]
+struct Cli {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+/// How long the planner sleeps at most before it says how it does.
+const NAP: Duration = Duration::from_millis(20);
+
+fn main() -> ExitCode {
+    exit_code(Process::Planner, plan(&Cli::parse().arguments))
+}
+
+#[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
+    let mut member = Member::join(Process::Planner, arguments)?;
+    let bell = member.wire.doorbell(Process::Planner)?;
+    let mut observations = member.wire.subscriber(OBSERVATION)?;
+    let mut plans = member.wire.publisher(PLAN)?;
+    let mut pulse = Pulse::start(&member)?;
+    let mut planner = Planner::new(settings(&member.config.planner))
+        .map_err(|error| SetUpError::Own(error.to_string()))?;
+    let mut plan = Box::<Plan>::default();
+    let lockstep = member.config.run.is_lockstep();
+    let limit_ns = member.config.limits.observation_age_ns();
+    let period_ns = member.config.run.period_ns();
+    member.claim_rights();
+    pulse.set_rights(&member.rights);
+    pulse.enter(HealthState::Ready, monotonic());
+    while !member.is_stopping() {
+        if let Some(observation) = observations.newest() {
+            let begun = monotonic();
+            let now = match lockstep {
+                true => observation.header.taken(),
+                false => begun,
+            };
+            match observation.admit(now, limit_ns) {
+                Ok(()) => {
+                    planner.plan(&observation, &mut plan);
+                    plan.planning_ns = monotonic().since_ns(begun);
+                    plans.send(&mut plan);
+                    let done = monotonic();
+                    let lateness_ns = begun.0.saturating_sub(observation.scheduled_ns);
+                    pulse.count_tick(lateness_ns, done.since_ns(begun));
+                    let health = &mut pulse.health;
+                    health.header.tick = observation.header.tick;
+                    health.late += u64::from(done.0 > observation.scheduled_ns + period_ns);
+                    health.state = HealthState::Running.code();
+                }
+                Err(_) => pulse.health.refused += 1,
+            }
+        }
+        pulse.beat(monotonic());
+        observations.tend();
+        plans.tend();
+        bell.wait(NAP);
+    }
+    pulse.enter(HealthState::Finished, monotonic());
+    Ok(())
+}
+
+fn settings(config: &shm_config::config::Planner) -> planner::PlannerConfig {
+    planner::PlannerConfig {
+        cell_m: config.cell_m,
+        x_max_m: config.x_max_m,
+        y_max_m: config.y_max_m,
+        inflation_m: config.inflation_m,
+        lane_margin_m: config.lane_margin_m,
+        iterations: config.iterations,
+        step_m: config.step_m,
+        rewire_radius_m: config.rewire_radius_m,
+        goal_radius_m: config.goal_radius_m,
+        speed_mps: config.speed_mps,
+        goal_bias: config.goal_bias,
+        goal_distance_m: config.goal_distance_m,
+        goal_sag_m: config.goal_sag_m,
+        partial_min_m: config.partial_min_m,
+        seed: config.seed,
+    }
+}

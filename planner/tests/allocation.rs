@@ -1,0 +1,62 @@
+//! A plan takes no memory: the allocator of this test ends the process when one does.
+
+mod course;
+
+use std::hint::black_box;
+use std::process::Command;
+
+use assert_no_alloc::{AllocDisabler, assert_no_alloc};
+use planner::{Planner, PlannerConfig};
+use shm_config::message::{Observation, Plan, PlanOutcome};
+
+#[global_allocator]
+static ALLOCATOR: AllocDisabler = AllocDisabler;
+
+#[test]
+fn no_plan_allocates() {
+    let scenes: Vec<Observation> = (0..200).map(course::random_scene).collect();
+    let mut planner = Planner::new(PlannerConfig::default()).unwrap();
+    let mut plan = Plan::default();
+    let (mut reached, mut partial, mut nodes, mut waypoints) = (0, 0, 0, 0);
+    for round in 0..10 {
+        for scene in &scenes {
+            let mut observation = *scene;
+            observation.header.tick += 1000 * round;
+            // The beams' directions change with their number.
+            observation.beam_count -= (round % 2) as u32 * 120;
+            assert_no_alloc(|| planner.plan(&observation, &mut plan));
+            reached += usize::from(plan.outcome() == PlanOutcome::Reached);
+            partial += usize::from(plan.outcome() == PlanOutcome::Partial);
+            nodes += plan.nodes;
+            waypoints += plan.waypoint_count;
+        }
+    }
+    // 2,000 plans that were plans.
+    assert!(
+        reached > 1500 && partial > 20,
+        "{reached} reached, {partial} partial"
+    );
+    assert!(nodes > 2000 * 150, "{nodes} nodes");
+    assert!(waypoints > 2000 * 4, "{waypoints} waypoints");
+}
+
+/// Run by the next test only: it ends the process.
+#[test]
+#[ignore = "ends the process; the next test runs it and expects that"]
+fn takes_memory_where_none_may_be_taken() {
+    assert_no_alloc(|| drop(black_box(vec![1u8; 100])));
+}
+
+#[test]
+fn the_allocator_of_this_test_does_end_the_process() {
+    let mut child = Command::new(std::env::current_exe().unwrap());
+    child.args([
+        "--ignored",
+        "--exact",
+        "takes_memory_where_none_may_be_taken",
+    ]);
+    let output = child.output().unwrap();
+    assert!(!output.status.success());
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(error.contains("memory allocation of"), "{error}");
+}

@@ -1,0 +1,158 @@
+//! What every process of a run does at its start and end: arguments,
+//! configuration, membership in the run, logs, stop signal, real-time rights,
+//! and saying how it does. The ticks themselves are each process's own.
+
+mod pulse;
+mod realtime;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use clap::Args;
+use rustix::process::Signal;
+use shm_config::config::{Config, ConfigError, load};
+use shm_config::run::InvalidRunName;
+use shm_config::services::Process;
+use shm_config::wire::{Wire, WireError};
+
+pub use pulse::Pulse;
+pub use realtime::Rights;
+
+/// The exit code of a process that could not be set up. The supervisor does not
+/// restart it: it would fail again.
+pub const SET_UP_FAILED: u8 = 2;
+
+/// The arguments that every process takes.
+#[derive(Debug, Clone, Args)]
+pub struct Arguments {
+    /// The run's resolved configuration
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Real-time priority to ask for (SCHED_FIFO); 0 for none
+    #[arg(long, default_value_t = 0)]
+    pub priority: u32,
+    /// Core to stay on
+    #[arg(long)]
+    pub core: Option<usize>,
+}
+
+/// Why a process could not be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum SetUpError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The run's name.
+    #[error(transparent)]
+    Name(#[from] InvalidRunName),
+    /// Shared memory.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// Signals.
+    #[error("cannot handle signals: {0}")]
+    Signals(#[from] std::io::Error),
+    /// Something of the process's own.
+    #[error("{0}")]
+    Own(String),
+}
+
+/// A process that has joined its run.
+pub struct Member {
+    /// Which it is.
+    pub process: Process,
+    /// The run's configuration.
+    pub config: Config,
+    /// Its membership in the run.
+    pub wire: Wire,
+    /// What it asked the kernel for, and got.
+    pub rights: Rights,
+    stop: Arc<AtomicBool>,
+    // Writes out what is still queued when the process ends.
+    _logs: tracing_appender::non_blocking::WorkerGuard,
+}
+
+impl Member {
+    /// Joins the run of the configuration. Real-time rights are asked for later,
+    /// by [`Member::claim_rights`], when everything is allocated.
+    ///
+    /// # Errors
+    /// One line that says what is wrong and what to do.
+    pub fn join(process: Process, arguments: &Arguments) -> Result<Self, SetUpError> {
+        die_with_parent();
+        let stop = Arc::new(AtomicBool::new(false));
+        for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+            signal_hook::flag::register(signal, stop.clone())?;
+        }
+        // A logging thread, and lines are dropped when the disk cannot follow:
+        // no disk ever holds up a process.
+        let (writer, logs) = tracing_appender::non_blocking(std::io::stderr());
+        tracing_subscriber::fmt()
+            .with_writer(writer)
+            .with_ansi(false)
+            .with_target(false)
+            .with_env_filter(
+                tracing_subscriber::EnvFilter::try_from_env("VLAPS_LOG")
+                    .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info")),
+            )
+            .init();
+        let config = load(&arguments.config)?;
+        let wire = Wire::join(&config.run.name.parse()?, process)?;
+        // In lockstep every process runs flat out: with real-time priority they
+        // would starve the machine.
+        let priority = match config.run.is_lockstep() {
+            true => 0,
+            false => arguments.priority,
+        };
+        let rights = Rights::asked(priority, arguments.core);
+        Ok(Self {
+            process,
+            config,
+            wire,
+            rights,
+            stop,
+            _logs: logs,
+        })
+    }
+
+    /// Somebody asked the process to stop.
+    pub fn is_stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// Asks the kernel for the rights, once everything is allocated. What is
+    /// refused is told, and the process runs without it.
+    pub fn claim_rights(&mut self) {
+        self.rights.claim();
+        tracing::info!(
+            priority = %self.rights.priority,
+            core = %self.rights.core,
+            memory = %self.rights.memory,
+            "real-time rights"
+        );
+    }
+}
+
+/// Ends with the supervisor, however it ends: no process of a run outlives it.
+fn die_with_parent() {
+    let parent = rustix::process::getppid();
+    // Refused only for invalid signals.
+    let _ = rustix::process::set_parent_process_death_signal(Some(Signal::KILL));
+    // The parent may have died before the line above.
+    if rustix::process::getppid() != parent {
+        std::process::exit(0);
+    }
+}
+
+/// Runs a process's main function and turns its error into one line and the
+/// exit code that the supervisor understands.
+pub fn exit_code(process: Process, result: Result<(), SetUpError>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("vlaps-{process}: {error}");
+            ExitCode::from(SET_UP_FAILED)
+        }
+    }
+}

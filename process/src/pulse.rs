@@ -1,0 +1,84 @@
+use shm_config::Instant;
+use shm_config::message::{Health, HealthState, Timing};
+use shm_config::services::{health, timing};
+use shm_config::wire::{Publisher, WireError};
+
+use crate::{Member, Rights};
+
+/// How often a process says how it does, ns on the machine's clock.
+const HEALTH_NS: u64 = 50_000_000;
+/// How often it publishes its histograms, ns on the machine's clock.
+const TIMING_NS: u64 = 500_000_000;
+
+/// A process's own account of how it does, published now and then.
+pub struct Pulse {
+    /// What it says.
+    pub health: Health,
+    /// How punctual it was. Boxed: 34 kB do not belong on a stack.
+    pub timing: Box<Timing>,
+    health_port: Publisher<Health>,
+    timing_port: Publisher<Timing>,
+    health_due: Instant,
+    timing_due: Instant,
+}
+
+impl Pulse {
+    /// Opens the ports and says `Starting`.
+    ///
+    /// # Errors
+    /// When shared memory refuses.
+    pub fn start(member: &Member) -> Result<Self, WireError> {
+        let mut pulse = Self {
+            health: Health::default(),
+            timing: Box::default(),
+            health_port: member.wire.publisher(health(member.process))?,
+            timing_port: member.wire.publisher(timing(member.process))?,
+            health_due: Instant(0),
+            timing_due: Instant(0),
+        };
+        pulse.set_rights(&member.rights);
+        Ok(pulse)
+    }
+
+    /// Notes what the kernel granted.
+    pub fn set_rights(&mut self, rights: &Rights) {
+        self.health.priority = rights.priority.code();
+        self.health.core = rights.core.code();
+        self.health.memory = rights.memory.code();
+        self.health.priority_asked = rights.priority_asked();
+        self.health.priority_got = rights.priority_got();
+    }
+
+    /// Says a new state at once.
+    pub fn enter(&mut self, state: HealthState, now: Instant) {
+        self.health.state = state.code();
+        self.health_due = now;
+        self.timing_due = now;
+        self.beat(now);
+    }
+
+    /// Publishes what is due. To be called between ticks; never allocates, logs
+    /// or blocks.
+    pub fn beat(&mut self, now: Instant) {
+        if now >= self.health_due {
+            self.health.header.taken_ns = now.0;
+            self.health_port.send(&mut self.health);
+            self.health_port.tend();
+            self.health_due = now.after_ns(HEALTH_NS);
+        }
+        if now >= self.timing_due {
+            self.timing.header.taken_ns = now.0;
+            self.timing_port.send(&mut self.timing);
+            self.timing_port.tend();
+            self.timing_due = now.after_ns(TIMING_NS);
+        }
+    }
+
+    /// Counts one tick: begun `lateness_ns` after its instant, done after
+    /// `execution_ns`.
+    pub fn count_tick(&mut self, lateness_ns: u64, execution_ns: u64) {
+        self.health.ticks += 1;
+        self.timing.release_lateness.record(lateness_ns);
+        self.timing.execution.record(execution_ns);
+    }
+}

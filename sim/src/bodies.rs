@@ -1,0 +1,226 @@
+//! Everything that has a place in an episode, and what happens to it in a tick.
+
+use vehicle::{Action, Footprint, Point, Vector};
+
+use crate::contact::{Party, Placed, Shape, collide, overlap};
+use crate::dynamics::{Car, Controls, Motion, SUBSTEPS};
+use crate::lidar::BEAM_HEIGHT_M;
+use crate::model::VehicleKind;
+use crate::road::LaneId;
+use crate::spawn::{Obstacle, ObstacleKind};
+
+/// Length and width of a barrier, m; its long side lies across the lane.
+const BARRIER: Footprint = Footprint {
+    length_m: 0.3,
+    width_m: 2.0,
+};
+/// Radii of a cone and of a warning triangle, m.
+const CONE_M: f64 = 0.2;
+const WARNING_M: f64 = 0.5;
+/// A pair of bodies is watched for a tick when they could meet within it:
+/// nobody moves faster than its speed now plus this slack, m.
+const SLACK_M: f64 = 0.5;
+
+/// A car that may move.
+#[derive(Clone, Debug)]
+pub struct Mover {
+    /// What kind of car it is.
+    pub kind: VehicleKind,
+    /// Its measures and engine.
+    pub car: Car,
+    /// Where it is.
+    pub motion: Motion,
+    /// Whether it is part of the world; cars that leave the road are taken away.
+    pub present: bool,
+    /// Whether it moves; a parked car sleeps until it is hit or drives off.
+    pub awake: bool,
+    controls: Controls,
+}
+
+impl Mover {
+    /// A car at a place.
+    pub fn new(kind: VehicleKind, car: Car, motion: Motion) -> Mover {
+        Mover {
+            kind,
+            car,
+            motion,
+            present: true,
+            awake: false,
+            controls: Controls::default(),
+        }
+    }
+
+    /// Its rectangle where contacts and beams meet it.
+    pub fn placed(&self) -> Placed {
+        Placed::car(&self.car, &self.motion)
+    }
+
+    /// What it does during the next tick.
+    pub fn command(&mut self, action: Action) {
+        self.awake = true;
+        self.controls = self.car.controls(&self.motion, action);
+    }
+
+    /// Whether the beams pass through its body, `floor_m` over the ground.
+    pub(crate) fn is_at_beam_height(&self, floor_m: f64) -> bool {
+        (floor_m..=floor_m + self.car.model.height_m).contains(&BEAM_HEIGHT_M)
+    }
+}
+
+/// A thing that never moves.
+#[derive(Clone, Copy, Debug)]
+pub struct Fixture {
+    /// What it is.
+    pub kind: ObstacleKind,
+    /// Its lane.
+    pub lane: LaneId,
+    /// Where it stands.
+    pub placed: Placed,
+}
+
+impl Fixture {
+    /// The fixture of an obstacle; `None` for a broken-down car, which moves
+    /// when it is hit.
+    pub fn new(obstacle: &Obstacle) -> Option<Fixture> {
+        let shape = match obstacle.kind {
+            ObstacleKind::Cone => Shape::Disc { radius_m: CONE_M },
+            ObstacleKind::Warning => Shape::Disc { radius_m: WARNING_M },
+            ObstacleKind::Barrier => Shape::Box(BARRIER),
+            ObstacleKind::BrokenDown(_) => return None,
+        };
+        let (sin, cos) = obstacle.heading_rad.sin_cos();
+        Some(Fixture {
+            kind: obstacle.kind,
+            lane: obstacle.lane,
+            placed: Placed {
+                shape,
+                center_world: obstacle.position_world,
+                forward_world: Vector::new(cos, sin),
+            },
+        })
+    }
+}
+
+/// All bodies. The first mover is the ego.
+#[derive(Clone, Debug, Default)]
+pub struct Bodies {
+    /// The cars.
+    pub movers: Vec<Mover>,
+    /// The rest.
+    pub fixtures: Vec<Fixture>,
+    /// Pairs that may meet in this tick: a mover with a mover or a fixture.
+    pairs: Vec<(usize, Other)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Other {
+    Mover(usize),
+    Fixture(usize),
+}
+
+/// What the ego touched in a tick.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Touch {
+    /// A car, broken down or not.
+    pub vehicle: bool,
+    /// A cone, a warning triangle or a barrier.
+    pub object: bool,
+}
+
+impl Bodies {
+    /// Moves everything by one tick, as commanded.
+    pub fn advance(&mut self) -> Touch {
+        self.find_pairs();
+        let mut touch = Touch::default();
+        for _ in 0..SUBSTEPS {
+            for mover in self.movers.iter_mut().filter(|mover| mover.awake) {
+                mover.car.substep(&mut mover.motion, &mover.controls);
+            }
+            for k in 0..self.pairs.len() {
+                let (first, other) = self.pairs[k];
+                let touched = self.meet(first, other) && first == 0;
+                match other {
+                    Other::Mover(_) => touch.vehicle |= touched,
+                    Other::Fixture(_) => touch.object |= touched,
+                }
+            }
+        }
+        touch
+    }
+
+    fn find_pairs(&mut self) {
+        self.pairs.clear();
+        let Bodies {
+            movers,
+            fixtures,
+            pairs,
+        } = self;
+        for (i, first) in movers.iter().enumerate() {
+            if !first.present {
+                continue;
+            }
+            let (center, reach_m) = reach(first);
+            for (j, second) in movers.iter().enumerate().skip(i + 1) {
+                if !second.present || !(first.awake || second.awake) {
+                    continue;
+                }
+                let (other_center, other_reach_m) = reach(second);
+                if within(center - other_center, reach_m + other_reach_m) {
+                    pairs.push((i, Other::Mover(j)));
+                }
+            }
+            if !first.awake {
+                continue;
+            }
+            for (j, fixture) in fixtures.iter().enumerate() {
+                let away = center - fixture.placed.center_world;
+                if within(away, reach_m + fixture.placed.shape.radius_m()) {
+                    pairs.push((i, Other::Fixture(j)));
+                }
+            }
+        }
+    }
+
+    /// Whether the pair overlaps; if it does, it collides.
+    fn meet(&mut self, first: usize, other: Other) -> bool {
+        match other {
+            Other::Mover(second) => {
+                let Ok([a, b]) = self.movers.get_disjoint_mut([first, second]) else {
+                    return false;
+                };
+                let Some(found) = overlap(&a.placed(), &b.placed()) else {
+                    return false;
+                };
+                (a.awake, b.awake) = (true, true);
+                let mut first = Party::Car(&a.car, &mut a.motion);
+                collide(&mut first, &mut Party::Car(&b.car, &mut b.motion), &found);
+                true
+            }
+            Other::Fixture(fixture) => {
+                let mover = &mut self.movers[first];
+                let Some(found) = overlap(&mover.placed(), &self.fixtures[fixture].placed) else {
+                    return false;
+                };
+                let mut car = Party::Car(&mover.car, &mut mover.motion);
+                collide(&mut car, &mut Party::Fixed, &found);
+                true
+            }
+        }
+    }
+}
+
+/// Centre of a car, and how far from it anything could touch it within a tick, m.
+fn reach(mover: &Mover) -> (Point, f64) {
+    let model = mover.car.model;
+    let radius_m = model.length_m.hypot(model.width_m) / 2.0;
+    let drive_m = if mover.awake {
+        mover.motion.speed_mps() * 0.1 + SLACK_M
+    } else {
+        0.0
+    };
+    (mover.motion.body_position(), radius_m + drive_m)
+}
+
+fn within(away: Vector, reach_m: f64) -> bool {
+    away.norm_squared() < reach_m * reach_m
+}

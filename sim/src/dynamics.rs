@@ -1,0 +1,465 @@
+//! How a car moves: a chassis on four sprung wheels over flat ground.
+//!
+//! MetaDrive drives Bullet's *raycast vehicle*, so the response of the car is
+//! that algorithm's, in closed form; nothing here is fitted. Each sub-step of
+//! 0.02 s, five a tick:
+//!
+//! 1. gravity, then position and orientation by the velocities of now;
+//! 2. each wheel looks for the ground along the chassis' down axis; a spring
+//!    (40 per s², per kg of the whole car) and a damper (1.2 in, 4.8 out)
+//!    push along the ground's normal;
+//! 3. each wheel asks for the sideways impulse that would take away a *fifth*
+//!    of its slip (this is the measured yaw lag), and for the impulse of the
+//!    engine, or of the brake (never more than stops the wheel);
+//! 4. when any wheel asks for more than friction gives, that wheel's impulses
+//!    shrink to the limit `friction * load`. A forward impulse counts half,
+//!    which is why the car may brake at nearly 12 m/s² with a friction of 0.9
+//!    but slides above 11 to 12 m/s² sideways. Braking unloads the rear
+//!    wheels and cornering the inner ones, hence the third dimension here.
+//!
+//! What MetaDrive *reads* is the pose of one sub-step before (Bullet's
+//! interpolated motion state): [`Motion::seen`] against [`Motion::body`].
+//!
+//! Checked by the example `dynamics_fit`, against step responses and against
+//! recorded drives. Source: `component/vehicle/base_vehicle.py` and
+//! `vehicle_type.py` of MetaDrive c29cc37, and the constants of Panda3D's
+//! vehicle (rest length 0.4 m, maximum suspension force 6000 N).
+
+use nalgebra::{Matrix3, Vector3};
+use vehicle::{Action, Point, Pose, Vector, pose};
+
+use crate::model::{Forces, VehicleKind, VehicleModel};
+
+/// Length of a physics sub-step, s.
+pub const SUBSTEP_S: f64 = 0.02;
+/// Sub-steps in one tick of 0.1 s.
+pub const SUBSTEPS: u32 = 5;
+
+const GRAVITY_MPS2: f64 = 9.81;
+const SUSPENSION_REST_M: f64 = 0.4;
+const SUSPENSION_TRAVEL_M: f64 = 0.15;
+/// Spring, 1/s²: force per metre and per kilogram of the whole car.
+const STIFFNESS: f64 = 40.0;
+const DAMPING_IN: f64 = 1.2;
+const DAMPING_OUT: f64 = 4.8;
+const SUSPENSION_FORCE_MAX_N: f64 = 6000.0;
+/// Share of a wheel's side slip taken away in one sub-step.
+const SIDE_CORRECTION: f64 = 0.2;
+/// How much a forward impulse counts against the friction limit.
+const FORWARD_WEIGHT: f64 = 0.5;
+/// Height of the point where side impulses act, as a share of its real one.
+const ROLL_INFLUENCE: f64 = 0.5;
+/// Impulse that resists rolling while the pedal is not braking, N s.
+const ROLLING_BRAKE: f64 = 2.0;
+/// Below this forward speed the brake pedal only holds, m/s.
+const BRAKE_DEADZONE_MPS: f64 = 0.01;
+/// The engine is cut above this, m/s.
+const ENGINE_CUT_MPS: f64 = 80.0 / 3.6;
+
+/// Height of a car's floor after falling freely for some ticks, m.
+pub(crate) fn floor_after_drop_m(from_m: f64, ticks: u64) -> f64 {
+    // Longer falls end on the springs; 100 keeps the product finite.
+    let substeps = (ticks.min(100) * u64::from(SUBSTEPS)) as f64;
+    from_m - GRAVITY_MPS2 * SUBSTEP_S * SUBSTEP_S * substeps * (substeps + 1.0) / 2.0
+}
+
+/// One car: its kind, its engine, and what follows from them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Car {
+    /// Its measures.
+    pub model: &'static VehicleModel,
+    /// Its engine and brakes.
+    pub forces: Forces,
+    /// Height of the wheels' mounts above the chassis' floor, m.
+    mount_m: f64,
+    inverse_mass: f64,
+    /// About the forward, left and up axes.
+    inverse_inertia: Vector3<f64>,
+}
+
+/// Where a car is and how it moves, in the world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Centre of the chassis' floor, m.
+    position: Vector3<f64>,
+    /// Forward, left and up axes as columns.
+    axes: Matrix3<f64>,
+    /// m/s.
+    velocity: Vector3<f64>,
+    /// rad/s.
+    spin: Vector3<f64>,
+    /// Position, m, and direction of the pose that is seen.
+    seen_world: (Vector, Vector),
+}
+
+/// What the pedals and the wheel ask of the car for one tick; by default
+/// straight on, rolling.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Controls {
+    steer_sin: f64,
+    steer_cos: f64,
+    engine_n: f64,
+    brake_ns: f64,
+}
+
+impl Default for Controls {
+    fn default() -> Controls {
+        Controls {
+            steer_sin: 0.0,
+            steer_cos: 1.0,
+            engine_n: 0.0,
+            brake_ns: ROLLING_BRAKE,
+        }
+    }
+}
+
+impl Car {
+    /// A car of this kind with this engine.
+    pub fn new(kind: VehicleKind, forces: Forces) -> Car {
+        let model = kind.model();
+        let (l, w, h) = (model.length_m, model.width_m, model.height_m);
+        // `CHASSIS_TO_WHEEL_AXIS`
+        let drop_m = match kind {
+            VehicleKind::ExtraLarge => 0.3,
+            VehicleKind::Default
+            | VehicleKind::Small
+            | VehicleKind::Medium
+            | VehicleKind::Large => 0.2,
+        };
+        // A box of even density, about its floor's centre: what the simulator uses.
+        let inertia = Vector3::new(w * w + h * h, l * l + h * h, l * l + w * w)
+            * (model.mass_kg / 12.0);
+        Car {
+            model,
+            forces,
+            mount_m: model.wheel_radius_m - drop_m,
+            inverse_mass: 1.0 / model.mass_kg,
+            inverse_inertia: inertia.map(|moment| 1.0 / moment),
+        }
+    }
+
+    /// The same motion one tick (0.1 s) later. A non-finite action brakes.
+    pub fn tick(&self, motion: &mut Motion, action: Action) {
+        let controls = self.controls(motion, action);
+        for _ in 0..SUBSTEPS {
+            self.substep(motion, &controls);
+        }
+    }
+
+    /// What an action asks of this car, held for a tick. A non-finite action brakes.
+    pub fn controls(&self, motion: &Motion, action: Action) -> Controls {
+        let action = action.clamped();
+        let (steer_sin, steer_cos) = (action.steer * self.model.max_steer_deg)
+            .to_radians()
+            .sin_cos();
+        let (engine_n, brake_ns) = if action.pedal >= 0.0 {
+            let cut = motion.speed_mps() > ENGINE_CUT_MPS;
+            let engine_n = if cut { 0.0 } else { self.forces.engine_n * action.pedal };
+            (engine_n, ROLLING_BRAKE)
+        } else if motion.forward_mps() < BRAKE_DEADZONE_MPS {
+            (0.0, ROLLING_BRAKE)
+        } else {
+            (0.0, -action.pedal * self.forces.brake)
+        };
+        Controls {
+            steer_sin,
+            steer_cos,
+            engine_n,
+            brake_ns,
+        }
+    }
+
+    /// The same motion one sub-step (0.02 s) later.
+    pub fn substep(&self, motion: &mut Motion, controls: &Controls) {
+        motion.integrate();
+        let mut chassis = Moving {
+            velocity: motion.axes.tr_mul(&motion.velocity),
+            spin: motion.axes.tr_mul(&motion.spin),
+        };
+        let up = motion.axes.row(2).transpose();
+        let wheels = self.suspend(motion, &up, &mut chassis);
+        self.roll(&wheels, &up, controls, &mut chassis);
+        motion.velocity = motion.axes * chassis.velocity;
+        motion.spin = motion.axes * chassis.spin;
+    }
+
+    /// Springs and dampers; where each wheel touches and how it is loaded.
+    fn suspend(&self, motion: &Motion, up: &Vector3<f64>, moving: &mut Moving) -> Wheels {
+        let model = self.model;
+        let mount_m = self.mount_m;
+        let reach_m = SUSPENSION_REST_M + model.wheel_radius_m;
+        let mut wheels = Wheels {
+            contact: [Vector3::zeros(); 4],
+            load_ns: [0.0; 4],
+            touching: [false; 4],
+        };
+        let slope = 1.0 / up.z;
+        let before = *moving;
+        for wheel in 0..4 {
+            let x_m = if wheel < 2 { model.front_axle_m } else { -model.rear_axle_m };
+            let y_m = if wheel % 2 == 0 { model.half_track_m } else { -model.half_track_m };
+            let height_m = motion.position.z + up.dot(&Vector3::new(x_m, y_m, mount_m));
+            let drop_m = height_m * slope;
+            // Above its reach, or on its roof.
+            if up.z <= 0.1 || drop_m > reach_m {
+                continue;
+            }
+            wheels.touching[wheel] = true;
+            let contact = Vector3::new(x_m, y_m, mount_m - drop_m);
+            wheels.contact[wheel] = contact;
+            let compression_m = (reach_m - drop_m).clamp(-SUSPENSION_TRAVEL_M, SUSPENSION_TRAVEL_M);
+            let rise_mps = up.dot(&before.at(&contact)) * slope;
+            let damping = if rise_mps < 0.0 { DAMPING_IN } else { DAMPING_OUT };
+            let force_n = (STIFFNESS * compression_m * slope - damping * rise_mps).max(0.0)
+                * model.mass_kg;
+            wheels.load_ns[wheel] = force_n * SUBSTEP_S;
+            let impulse = up * (force_n.min(SUSPENSION_FORCE_MAX_N) * SUBSTEP_S);
+            self.push(moving, &impulse, &contact);
+        }
+        wheels
+    }
+
+    /// Tyres: engine, brake and side slip, limited by friction.
+    fn roll(&self, wheels: &Wheels, up: &Vector3<f64>, controls: &Controls, moving: &mut Moving) {
+        let grounded = wheels.touching.iter().filter(|&&touching| touching).count().max(1) as f64;
+        let mut impulses = [(0.0, 0.0); 4];
+        let mut directions = [(Vector3::zeros(), Vector3::zeros()); 4];
+        for wheel in 0..4 {
+            if !wheels.touching[wheel] {
+                continue;
+            }
+            let right = if wheel < 2 {
+                Vector3::new(controls.steer_sin, -controls.steer_cos, 0.0)
+            } else {
+                Vector3::new(0.0, -1.0, 0.0)
+            };
+            let right = (right - up * up.dot(&right)).normalize();
+            let forward = up.cross(&right);
+            let contact = &wheels.contact[wheel];
+            let slip = moving.at(contact);
+            let side_ns =
+                -SIDE_CORRECTION * right.dot(&slip) / self.mobility(contact, &right);
+            let forward_ns = if controls.engine_n != 0.0 {
+                controls.engine_n * SUBSTEP_S
+            } else {
+                let stop_ns = -forward.dot(&slip) / (self.mobility(contact, &forward) * grounded);
+                stop_ns.clamp(-controls.brake_ns, controls.brake_ns)
+            };
+            let limit_ns = wheels.load_ns[wheel] * self.model.wheel_friction;
+            let asked = (forward_ns * FORWARD_WEIGHT).powi(2) + side_ns * side_ns;
+            let share = if asked > limit_ns * limit_ns {
+                limit_ns / asked.sqrt()
+            } else {
+                1.0
+            };
+            impulses[wheel] = (forward_ns * share, side_ns * share);
+            directions[wheel] = (forward, right);
+        }
+        for wheel in 0..4 {
+            let (forward_ns, side_ns) = impulses[wheel];
+            let (forward, right) = &directions[wheel];
+            let contact = wheels.contact[wheel];
+            self.push(moving, &(forward * forward_ns), &contact);
+            let raised = Vector3::new(contact.x, contact.y, contact.z * ROLL_INFLUENCE);
+            self.push(moving, &(right * side_ns), &raised);
+        }
+    }
+
+    /// Velocity that a unit impulse at a point gives that point along itself.
+    fn mobility(&self, at: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
+        let lever = at.cross(direction);
+        self.inverse_mass + lever.component_mul(&self.inverse_inertia).dot(&lever)
+    }
+
+    fn push(&self, moving: &mut Moving, impulse: &Vector3<f64>, at: &Vector3<f64>) {
+        moving.velocity += impulse * self.inverse_mass;
+        moving.spin += at.cross(impulse).component_mul(&self.inverse_inertia);
+    }
+
+    /// A horizontal impulse (N s, world frame) at a point of the ground plane,
+    /// as a collision gives it.
+    pub fn shove(&self, motion: &mut Motion, impulse_world: Vector, at_world: Point) {
+        let from_center = at_world.coords - motion.position.xy();
+        motion.velocity.x += impulse_world.x * self.inverse_mass;
+        motion.velocity.y += impulse_world.y * self.inverse_mass;
+        motion.spin.z += from_center.perp(&impulse_world) * self.inverse_inertia.z;
+    }
+
+    /// Velocity that a unit impulse at a point of the ground plane gives that
+    /// point along itself, 1/kg.
+    pub fn planar_mobility(&self, motion: &Motion, at_world: Point, direction_world: Vector) -> f64 {
+        let lever_m = (at_world.coords - motion.position.xy()).perp(&direction_world);
+        self.inverse_mass + lever_m * lever_m * self.inverse_inertia.z
+    }
+}
+
+/// Velocities in the chassis' own axes.
+#[derive(Clone, Copy)]
+struct Moving {
+    velocity: Vector3<f64>,
+    spin: Vector3<f64>,
+}
+
+impl Moving {
+    fn at(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        self.velocity + self.spin.cross(point)
+    }
+}
+
+/// Front left, front right, rear left, rear right.
+struct Wheels {
+    /// Where each touches the ground, in the chassis' axes, m.
+    contact: [Vector3<f64>; 4],
+    /// Impulse that carries the car, N s.
+    load_ns: [f64; 4],
+    touching: [bool; 4],
+}
+
+impl Motion {
+    /// At rest at a pose, as MetaDrive places a car: its floor at half its
+    /// height, from where it drops onto its springs.
+    pub fn at_rest(world_from_body: Pose, model: &VehicleModel) -> Motion {
+        let position = world_from_body.translation.vector;
+        let heading_rad = world_from_body.rotation.angle();
+        let (sin, cos) = heading_rad.sin_cos();
+        Motion {
+            position: Vector3::new(position.x, position.y, model.height_m / 2.0),
+            axes: Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0),
+            velocity: Vector3::zeros(),
+            spin: Vector3::zeros(),
+            seen_world: (position, Vector::new(cos, sin)),
+        }
+    }
+
+    /// At rest at a pose, on settled springs.
+    pub fn settled(world_from_body: Pose, car: &Car) -> Motion {
+        let mut motion = Motion::at_rest(world_from_body, car.model);
+        for _ in 0..20 {
+            car.tick(&mut motion, Action::default());
+        }
+        motion.moved_to(world_from_body)
+    }
+
+    /// The same height, lean and vertical motion at another pose.
+    pub fn moved_to(mut self, world_from_body: Pose) -> Motion {
+        let position = world_from_body.translation.vector;
+        let heading_rad = world_from_body.rotation.angle();
+        let (sin, cos) = (heading_rad - self.heading_rad()).sin_cos();
+        let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+        self.position = Vector3::new(position.x, position.y, self.position.z);
+        self.axes = turn * self.axes;
+        self.velocity = turn * self.velocity;
+        self.spin = turn * self.spin;
+        self.seen_world = (position, self.axes.column(0).xy());
+        self
+    }
+
+    /// The same place with a horizontal velocity (m/s, world frame) and a yaw rate.
+    pub fn with_velocity(mut self, velocity_world: Vector, yaw_rate_radps: f64) -> Motion {
+        self.velocity.x = velocity_world.x;
+        self.velocity.y = velocity_world.y;
+        self.spin.z = yaw_rate_radps;
+        self
+    }
+
+    /// The pose as observations give it: that of one sub-step before.
+    pub fn seen(&self) -> Pose {
+        pose(self.seen_world.0.x, self.seen_world.0.y, self.seen_heading_rad())
+    }
+
+    /// Position of [`Motion::seen`].
+    pub fn seen_position(&self) -> Point {
+        Point::from(self.seen_world.0)
+    }
+
+    /// Heading of [`Motion::seen`], rad, in (-pi, pi].
+    pub fn seen_heading_rad(&self) -> f64 {
+        self.seen_world.1.y.atan2(self.seen_world.1.x)
+    }
+
+    /// Unit vector along [`Motion::seen`].
+    pub fn seen_forward(&self) -> Vector {
+        self.seen_world.1.normalize()
+    }
+
+    /// The pose that contacts and beams meet.
+    pub fn body(&self) -> Pose {
+        pose(self.position.x, self.position.y, self.heading_rad())
+    }
+
+    /// Unit vector along [`Motion::body`].
+    pub fn body_forward(&self) -> Vector {
+        self.axes.column(0).xy().normalize()
+    }
+
+    /// Centre of [`Motion::body`].
+    pub fn body_position(&self) -> Point {
+        Point::new(self.position.x, self.position.y)
+    }
+
+    /// Height of the chassis' floor, m.
+    pub fn floor_m(&self) -> f64 {
+        self.position.z
+    }
+
+    /// Velocity over the ground, m/s, world frame.
+    pub fn velocity_world(&self) -> Vector {
+        self.velocity.xy()
+    }
+
+    /// Velocity of the point of the body that is at a place, m/s, world frame.
+    pub fn velocity_at(&self, at_world: Point) -> Vector {
+        let lever = at_world.coords - self.position.xy();
+        self.velocity.xy() + Vector::new(-lever.y, lever.x) * self.spin.z
+    }
+
+    /// Yaw rate of this instant, rad/s.
+    pub fn yaw_rate_radps(&self) -> f64 {
+        self.spin.z
+    }
+
+    /// Speed over the ground, m/s, never negative.
+    pub fn speed_mps(&self) -> f64 {
+        self.velocity.xy().norm()
+    }
+
+    /// Speed along the heading, m/s.
+    pub fn forward_mps(&self) -> f64 {
+        self.velocity.xy().dot(&self.body_forward())
+    }
+
+    /// Moves the body without turning it, m, world frame: to part two bodies.
+    pub fn displace(&mut self, offset_world: Vector) {
+        self.position.x += offset_world.x;
+        self.position.y += offset_world.y;
+    }
+
+    fn heading_rad(&self) -> f64 {
+        self.axes[(1, 0)].atan2(self.axes[(0, 0)])
+    }
+
+    fn integrate(&mut self) {
+        self.seen_world = (self.position.xy(), self.axes.column(0).xy());
+        self.velocity.z -= GRAVITY_MPS2 * SUBSTEP_S;
+        self.position += self.velocity * SUBSTEP_S;
+        self.turn();
+    }
+
+    /// Rotation by `spin * SUBSTEP_S`; the axes stay orthonormal.
+    fn turn(&mut self) {
+        let angle = self.spin * SUBSTEP_S;
+        let square = angle.norm_squared();
+        // Rodrigues with both coefficients to the fourth order: the angle of
+        // one sub-step stays below 0.2 rad, so the rest is below 1e-8.
+        let sine = 1.0 - square / 6.0 * (1.0 - square / 20.0);
+        let cosine = 0.5 - square / 24.0 * (1.0 - square / 30.0);
+        let turned = |axis: Vector3<f64>| {
+            let across = angle.cross(&axis);
+            axis + across * sine + angle.cross(&across) * cosine
+        };
+        let forward = turned(self.axes.column(0).into()).normalize();
+        let left: Vector3<f64> = turned(self.axes.column(1).into());
+        let left = (left - forward * forward.dot(&left)).normalize();
+        self.axes = Matrix3::from_columns(&[forward, left, forward.cross(&left)]);
+    }
+}

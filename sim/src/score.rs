@@ -1,0 +1,101 @@
+//! The account of one episode: what was obeyed, touched, and how it ended.
+
+use sha2::{Digest, Sha256};
+use shm_config::Instant;
+use shm_config::message::{Command, Driver, Episode, Header, Outcome, Progress, Reason};
+use vehicle::Action;
+
+use crate::world::{StepOutcome, World};
+
+/// The account of the running episode.
+#[derive(Clone)]
+pub struct Score {
+    seed: u64,
+    vehicle_contacts: u64,
+    object_contacts: u64,
+    crash_last_step: bool,
+    braked: u64,
+    oldest_obeyed_ns: u64,
+    commands: Sha256,
+}
+
+impl Score {
+    /// Nothing has happened yet.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            seed,
+            vehicle_contacts: 0,
+            object_contacts: 0,
+            crash_last_step: false,
+            braked: 0,
+            oldest_obeyed_ns: 0,
+            commands: Sha256::new(),
+        }
+    }
+
+    /// The action of a command, or the brake when there is none young enough;
+    /// its bits enter the digest either way.
+    pub fn obey(&mut self, command: Option<&Command>, now: Instant) -> Action {
+        let brake = Command {
+            header: Header::default(),
+            steer: Action::BRAKE.steer,
+            pedal: Action::BRAKE.pedal,
+            driver: Driver::Brake.code(),
+            reason: Reason::Blind.code(),
+        };
+        match command {
+            Some(command) => {
+                let age_ns = now.since_ns(command.header.taken());
+                self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(age_ns);
+            }
+            None => self.braked += 1,
+        }
+        let obeyed = command.unwrap_or(&brake);
+        self.commands.update(obeyed.digest_bytes());
+        obeyed.action()
+    }
+
+    /// Counts what a tick touched.
+    pub fn count(&mut self, step: &StepOutcome) {
+        self.vehicle_contacts += u64::from(step.touch.vehicle);
+        self.object_contacts += u64::from(step.touch.object);
+        self.crash_last_step = step.touch.vehicle || step.touch.object;
+    }
+
+    /// The finished episode, but for its header.
+    pub fn episode(&self, world: &World, outcome: Outcome) -> Episode {
+        Episode {
+            header: Header::default(),
+            seed: self.seed,
+            ticks: world.ticks(),
+            completion: world.completion(),
+            driven_m: world.driven_m(),
+            vehicle_contacts: self.vehicle_contacts,
+            object_contacts: self.object_contacts,
+            braked: self.braked,
+            outcome: outcome.code(),
+            crash_last_step: u32::from(self.crash_last_step),
+            command_digest: self.commands.clone().finalize().into(),
+            skipped: 0,
+        }
+    }
+
+    /// How the episode goes, but for its header.
+    pub fn progress(&self, world: &World, outcome: Outcome) -> Progress {
+        Progress {
+            header: Header::default(),
+            seed: self.seed,
+            completion: world.completion(),
+            route_m: world.route_m(),
+            speed_mps: world.speed_mps(),
+            episode_ticks: world.ticks(),
+            vehicle_contacts: self.vehicle_contacts,
+            object_contacts: self.object_contacts,
+            braked: self.braked,
+            oldest_obeyed_ns: self.oldest_obeyed_ns,
+            skipped: 0,
+            outcome: outcome.code(),
+            reserved: 0,
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! What stands on a map when an episode begins: the ego, obstacles, traffic.
+//!
+//! Equal to MetaDrive seed by seed: each of its managers has a stream of its
+//! own, seeded with the map's seed, and the engine has one more that seeds
+//! everything spawned, in this order: obstacles, ego, traffic. Sources:
+//! `manager/{object,agent,traffic}_manager.py`.
+
+mod obstacle;
+mod traffic;
+
+use vehicle::Point;
+
+use crate::map::{BlockKind, Map, MapConfig, MapError};
+use crate::model::{Forces, VehicleKind};
+use crate::rng::Stream;
+use crate::road::{Direction, LaneId, Network, NodeId, RoadId};
+
+/// How far along its lane the ego begins, m (`spawn_longitude`).
+const EGO_LONGITUDINAL_M: f64 = 5.0;
+
+/// What episodes are like; the defaults are the paper's experiment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ScenarioConfig {
+    /// The map.
+    pub map: MapConfig,
+    /// Vehicles per ten metres of lane.
+    pub traffic_density: f64,
+    /// Probability of an obstacle on a block that may have one.
+    pub accident_probability: f64,
+}
+
+impl Default for ScenarioConfig {
+    fn default() -> ScenarioConfig {
+        ScenarioConfig {
+            map: MapConfig::default(),
+            traffic_density: 0.06,
+            accident_probability: 0.8,
+        }
+    }
+}
+
+/// Why there is no scenario.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ScenarioError {
+    /// There is no map.
+    #[error(transparent)]
+    Map(#[from] MapError),
+    /// A density that is not between 0 and 1.
+    #[error("a traffic density of {0}: it must be between 0 and 1")]
+    TrafficDensity(f64),
+    /// A probability that is not between 0 and 1.
+    #[error("an obstacle probability of {0}: it must be between 0 and 1")]
+    AccidentProbability(f64),
+}
+
+/// The roads to a goal, in driving order; never empty.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// Its roads.
+    pub roads: Vec<RoadId>,
+}
+
+impl Route {
+    /// The nodes it passes, first to last.
+    pub fn checkpoints(&self, network: &Network) -> Vec<NodeId> {
+        let first = self.roads.first().map(|&road| network.road(road).from);
+        let rest = self.roads.iter().map(|&road| network.road(road).to);
+        first.into_iter().chain(rest).collect()
+    }
+
+    /// Its length along the leftmost lanes, m.
+    pub fn length_m(&self, network: &Network) -> f64 {
+        let first_lane = |&road| network.lane(network.road(road).first_lane);
+        self.roads
+            .iter()
+            .map(|road| first_lane(road).length_m)
+            .sum()
+    }
+}
+
+/// Where a car stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Its lane.
+    pub lane: LaneId,
+    /// How far along that lane, m.
+    pub longitudinal_m: f64,
+    /// Position of its centre.
+    pub position_world: Point,
+    /// Heading, rad, counter-clockwise; not wrapped.
+    pub heading_rad: f64,
+}
+
+impl Place {
+    fn new(network: &Network, lane: LaneId, longitudinal_m: f64) -> Place {
+        let centerline = network.lane(lane);
+        Place {
+            lane,
+            longitudinal_m,
+            position_world: centerline.position(longitudinal_m, 0.0),
+            heading_rad: centerline.heading_at(longitudinal_m),
+        }
+    }
+}
+
+/// A car, its place, and where it is going.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spawn {
+    /// What car it is.
+    pub kind: VehicleKind,
+    /// Where it stands.
+    pub place: Place,
+    /// How strong it is.
+    pub forces: Forces,
+    /// Where it goes.
+    pub route: Route,
+}
+
+/// What kind of thing stands in the way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ObstacleKind {
+    /// A traffic cone, a cylinder of 0.2 m radius.
+    Cone,
+    /// A warning triangle, a cylinder of 0.5 m radius.
+    Warning,
+    /// A barrier of 2.0 by 0.3 m.
+    Barrier,
+    /// A car that has broken down.
+    BrokenDown(VehicleKind),
+}
+
+/// A thing that stands in the way, and stays there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Obstacle {
+    /// What it is.
+    pub kind: ObstacleKind,
+    /// The lane on which it was put.
+    pub lane: LaneId,
+    /// Position of its centre.
+    pub position_world: Point,
+    /// Heading, rad, counter-clockwise; not wrapped.
+    pub heading_rad: f64,
+}
+
+/// A car of the traffic.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrafficSpawn {
+    /// The car.
+    pub car: Spawn,
+    /// At which count its lane-change timer begins, control steps.
+    pub overtake_timer: u32,
+}
+
+/// The traffic of one block: it stands until the ego is on the trigger road.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrafficGroup {
+    /// The last road of the block before, on the ego's side.
+    pub trigger: RoadId,
+    /// Its cars.
+    pub cars: Vec<TrafficSpawn>,
+}
+
+/// A map with everything on it: where an episode begins.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// The map.
+    pub map: Map,
+    /// The ego.
+    pub ego: Spawn,
+    /// What stands in the way.
+    pub obstacles: Vec<Obstacle>,
+    /// The traffic, one group per block after the first, in order.
+    pub traffic: Vec<TrafficGroup>,
+}
+
+impl Scenario {
+    /// Generates the scenario of a seed.
+    ///
+    /// # Errors
+    /// [`ScenarioError`] if the configuration is out of range or there is no
+    /// map for it.
+    pub fn generate(config: &ScenarioConfig, seed: u64) -> Result<Scenario, ScenarioError> {
+        let unit = 0.0..=1.0;
+        if !unit.contains(&config.traffic_density) {
+            return Err(ScenarioError::TrafficDensity(config.traffic_density));
+        }
+        if !unit.contains(&config.accident_probability) {
+            let probability = config.accident_probability;
+            return Err(ScenarioError::AccidentProbability(probability));
+        }
+        let map = Map::generate(&config.map, seed)?;
+        Ok(furnish(config, map))
+    }
+}
+
+/// The streams that spawning draws from.
+struct Streams {
+    engine: Stream,
+    traffic: Stream,
+}
+
+fn furnish(config: &ScenarioConfig, map: Map) -> Scenario {
+    let mut streams = Streams {
+        engine: Stream::new(map.seed),
+        traffic: Stream::new(map.seed),
+    };
+    let probability = config.accident_probability;
+    let (obstacles, closed_lanes) = obstacle::place(&map, &mut streams, probability);
+    let goals = Goals::new(&map);
+    let ego = place_ego(&map, &goals, &mut streams.engine);
+    let traffic = traffic::Placement {
+        map: &map,
+        goals: &goals,
+        closed_lanes: &closed_lanes,
+        density: config.traffic_density,
+    }
+    .place(&mut streams);
+    Scenario {
+        map,
+        ego,
+        obstacles,
+        traffic,
+    }
+}
+
+fn place_ego(map: &Map, goals: &Goals, engine: &mut Stream) -> Spawn {
+    let lane_count = map.spawn_lanes.len() as u32;
+    let lane = map.spawn_lanes[Stream::new(map.seed).below(lane_count) as usize];
+    let kind = VehicleKind::Default;
+    Spawn {
+        kind,
+        place: Place::new(&map.network, lane, EGO_LONGITUDINAL_M),
+        forces: sample_forces(kind, engine),
+        route: goals.route(&map.network, lane),
+    }
+}
+
+/// A spawned car gets a seed from the engine, and samples its forces.
+fn sample_forces(kind: VehicleKind, engine: &mut Stream) -> Forces {
+    let mut own = Stream::new(engine.spawn_seed());
+    kind.forces(own.parameters())
+}
+
+/// Where cars go (`NodeNetworkNavigation.auto_assign_task`).
+struct Goals {
+    /// Cars that drive outbound go to a socket of the last block.
+    outbound: Option<NodeId>,
+    /// The others go to the beginning.
+    inbound: Option<NodeId>,
+}
+
+impl Goals {
+    fn new(map: &Map) -> Goals {
+        let network = &map.network;
+        let sockets = map.blocks.last().map_or(&[][..], |block| &block.sockets);
+        let choice = match sockets.len() {
+            0 | 1 => 0,
+            // Every car draws anew from the map's seed, so all agree.
+            count => Stream::new(map.seed).below(count as u32) as usize,
+        };
+        let outbound = sockets.get(choice);
+        let inbound = map
+            .blocks
+            .iter()
+            .find(|block| block.kind == BlockKind::First)
+            .and_then(|block| block.sockets.first());
+        Goals {
+            outbound: outbound.map(|socket| network.road(socket.positive).to),
+            inbound: inbound.map(|socket| network.road(socket.negative).to),
+        }
+    }
+
+    /// The way from a lane to the goal; a car that cannot get there, or is
+    /// already on the last road, has only its own road.
+    fn route(&self, network: &Network, lane: LaneId) -> Route {
+        let road = network.road_of(lane);
+        let ends = network.road(road);
+        let goal = match network.nodes()[ends.to.index()].direction {
+            Direction::Outbound => self.outbound,
+            Direction::Inbound => self.inbound,
+        };
+        let roads = goal
+            .and_then(|goal| network.route(ends.from, goal))
+            .filter(|roads| roads.len() > 1);
+        Route {
+            roads: roads.unwrap_or_else(|| vec![road]),
+        }
+    }
+}

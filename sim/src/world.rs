@@ -1,0 +1,345 @@
+//! The world: episodes by seed, one tick of 0.1 s at a time.
+
+use shm_config::message::{Observation, Outcome};
+use vehicle::{Action, Point, Pose, Vector, pose};
+
+use crate::bodies::{Bodies, Fixture, Mover, Touch};
+use crate::config::{OutOfRoute, WorldConfig, WorldError};
+use crate::contact::{Placed, Shape};
+use crate::dynamics::{Car, Motion, floor_after_drop_m};
+use crate::idm::{Idm, View};
+use crate::lidar::{Lidar, Origin};
+use crate::map::Map;
+use crate::model::VehicleKind;
+use crate::navigation::Navigator;
+use crate::observe;
+use crate::rules::{Edges, Sidewalks, has_arrived};
+use crate::spawn::{ObstacleKind, Scenario, ScenarioConfig};
+use crate::traffic::Traffic;
+
+/// What a tick brought.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StepOutcome {
+    /// Whether and how the episode has ended.
+    pub outcome: Outcome,
+    /// What the ego touched during the tick.
+    pub touch: Touch,
+    /// Whether the ego's box is on a sidewalk.
+    pub on_sidewalk: bool,
+}
+
+impl StepOutcome {
+    const BEGINNING: StepOutcome = StepOutcome {
+        outcome: Outcome::Driving,
+        touch: Touch {
+            vehicle: false,
+            object: false,
+        },
+        on_sidewalk: false,
+    };
+
+    /// Whether the episode is over.
+    pub fn has_ended(&self) -> bool {
+        self.outcome != Outcome::Driving
+    }
+}
+
+/// What kind of body it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BodyKind {
+    /// A car that waits or drives.
+    Traffic(VehicleKind),
+    /// Something in the way, a broken-down car included.
+    Obstacle(ObstacleKind),
+}
+
+/// A body other than the ego, as it truly is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Body {
+    /// What it is.
+    pub kind: BodyKind,
+    /// Its shape and place.
+    pub placed: Placed,
+    /// Its velocity, m/s.
+    pub velocity_world: Vector,
+}
+
+/// An episode, and what is needed to begin the next one.
+#[derive(Clone, Debug)]
+pub struct World {
+    config: WorldConfig,
+    scenario_config: ScenarioConfig,
+    lidar: Lidar,
+    map: Map,
+    sidewalks: Sidewalks,
+    navigator: Navigator,
+    bodies: Bodies,
+    traffic: Traffic,
+    ticks: u64,
+    driven_m: f64,
+    last_action: Action,
+    /// The ego's heading one tick ago.
+    before_world: Vector,
+    step: StepOutcome,
+}
+
+impl World {
+    /// A world at the beginning of the episode of seed 0.
+    ///
+    /// # Errors
+    /// [`WorldError`] if the configuration is out of range.
+    pub fn new(config: WorldConfig) -> Result<World, WorldError> {
+        let scenario_config = config.scenario()?;
+        let scenario = Scenario::generate(&scenario_config, 0)?;
+        let ego = &scenario.ego;
+        let place = &ego.place;
+        let navigator =
+            Navigator::new(&scenario.map.network, &ego.route, place.lane, place.position_world);
+        let mut world = World {
+            lidar: Lidar::new(config.beam_count, config.lidar_range_m),
+            config,
+            scenario_config,
+            map: scenario.map.clone(),
+            sidewalks: Sidewalks::default(),
+            navigator,
+            bodies: Bodies::default(),
+            traffic: Traffic::new(),
+            ticks: 0,
+            driven_m: 0.0,
+            last_action: Action::default(),
+            before_world: Vector::x(),
+            step: StepOutcome::BEGINNING,
+        };
+        world.begin(scenario);
+        Ok(world)
+    }
+
+    /// Begins the episode of a seed. The same seed is the same episode, bit by
+    /// bit.
+    ///
+    /// # Errors
+    /// [`WorldError`] if the configuration is out of range or this seed has no
+    /// map; the episode before then goes on.
+    pub fn reset(&mut self, seed: u64) -> Result<(), WorldError> {
+        let scenario = Scenario::generate(&self.scenario_config, seed)?;
+        self.begin(scenario);
+        Ok(())
+    }
+
+    fn begin(&mut self, scenario: Scenario) {
+        let network = &scenario.map.network;
+        let ego = &scenario.ego;
+        let position = ego.place.position_world;
+        let car = Car::new(ego.kind, ego.forces);
+        let at = pose(position.x, position.y, ego.place.heading_rad);
+        let motion = Motion::at_rest(at, car.model);
+        self.navigator = Navigator::new(network, &ego.route, ego.place.lane, position);
+        self.navigator.update(network, position, motion.seen_forward());
+        self.before_world = motion.seen_forward();
+        self.bodies.movers.clear();
+        self.bodies.movers.push(Mover::new(ego.kind, car, motion));
+        self.bodies.fixtures.clear();
+        let fixtures = scenario.obstacles.iter().filter_map(Fixture::new);
+        self.bodies.fixtures.extend(fixtures);
+        self.traffic.place(&scenario, &mut self.bodies);
+        self.sidewalks.lay(network);
+        self.map = scenario.map;
+        self.ticks = 0;
+        self.driven_m = 0.0;
+        self.last_action = Action::default();
+        self.step = StepOutcome::BEGINNING;
+    }
+
+    /// Drives for one tick of 0.1 s; a non-finite action brakes. After the end
+    /// of the episode nothing moves and the outcome repeats.
+    pub fn step(&mut self, action: Action) -> StepOutcome {
+        if self.step.has_ended() {
+            return self.step;
+        }
+        let action = action.clamped();
+        let network = &self.map.network;
+        let ego_lane = self.navigator.lane();
+        self.traffic.trigger(network.road_of(ego_lane));
+        self.traffic.drive(network, &mut self.bodies, ego_lane);
+        let before = self.bodies.movers[0].motion;
+        self.bodies.movers[0].command(action);
+        let touch = self.bodies.advance();
+        self.traffic.follow(network, &mut self.bodies);
+        let motion = &self.bodies.movers[0].motion;
+        self.navigator.update(network, motion.seen_position(), motion.seen_forward());
+        self.driven_m += (motion.seen_position() - before.seen_position()).norm();
+        self.before_world = before.seen_forward();
+        self.last_action = action;
+        self.ticks += 1;
+        self.step = self.judge(touch);
+        self.step
+    }
+
+    fn judge(&self, touch: Touch) -> StepOutcome {
+        let network = &self.map.network;
+        let motion = &self.bodies.movers[0].motion;
+        let position = motion.seen_position();
+        let on_sidewalk = self.sidewalks.touch(&self.ego_seen());
+        let outside = self.config.out_of_route == OutOfRoute::Ends
+            && Edges::of(network, &self.navigator, position).is_outside();
+        let outcome = if has_arrived(network, &self.navigator, position) {
+            Outcome::Arrived
+        } else if !self.navigator.is_on_lane() || on_sidewalk || outside {
+            Outcome::OutOfRoad
+        } else if self.ticks >= self.config.horizon_steps {
+            Outcome::MaxStep
+        } else {
+            Outcome::Driving
+        };
+        StepOutcome {
+            outcome,
+            touch,
+            on_sidewalk,
+        }
+    }
+
+    /// Fills what the ego perceives now; leaves the header and the instants alone.
+    pub fn observe(&self, observation: &mut Observation) {
+        let network = &self.map.network;
+        let motion = &self.bodies.movers[0].motion;
+        observation.ego = observe::ego(motion, self.before_world, self.last_action);
+        observation.road = observe::road(network, &self.navigator, motion);
+        observation.checkpoints = observe::checkpoints(network, &self.navigator, motion);
+        observation.lidar_max_m = self.lidar.range_m() as f32;
+        observation.beam_count = self.lidar.beam_count() as u32;
+        let origin = Origin {
+            position_world: motion.seen_position(),
+            forward_world: motion.seen_forward(),
+        };
+        let movers = self.bodies.movers.iter().skip(1);
+        let seen = movers.filter(|mover| mover.present && self.is_at_beam_height(mover));
+        let fixtures = self.bodies.fixtures.iter().map(|fixture| fixture.placed);
+        let bodies = seen.map(Mover::placed).chain(fixtures);
+        self.lidar.scan(&origin, bodies, &mut observation.ranges_m);
+    }
+
+    /// All cars are dropped from half their height when an episode begins: a
+    /// truck is above the beams for the first two ticks.
+    fn is_at_beam_height(&self, mover: &Mover) -> bool {
+        let floor_m = floor_after_drop_m(mover.car.model.height_m / 2.0, self.ticks);
+        mover.is_at_beam_height(floor_m.max(mover.motion.floor_m()))
+    }
+
+    /// What MetaDrive's traffic driver would do in the ego's place.
+    pub fn advise(&mut self, idm: &mut Idm) -> Action {
+        let ego_lane = self.navigator.lane();
+        let bodies = self.traffic.look(&self.bodies, ego_lane);
+        idm.act(&View {
+            network: &self.map.network,
+            navigator: &self.navigator,
+            bodies,
+            own: 0,
+        })
+    }
+
+    /// Bodies other than the ego, as they truly are.
+    pub fn bodies(&self) -> impl Iterator<Item = Body> {
+        let movers = self.bodies.movers.iter().enumerate().skip(1);
+        let cars = movers.filter(|(_, mover)| mover.present).map(|(index, mover)| Body {
+            kind: match self.traffic.is_broken_down(index) {
+                true => BodyKind::Obstacle(ObstacleKind::BrokenDown(mover.kind)),
+                false => BodyKind::Traffic(mover.kind),
+            },
+            placed: mover.placed(),
+            velocity_world: mover.motion.velocity_world(),
+        });
+        cars.chain(self.bodies.fixtures.iter().map(|fixture| Body {
+            kind: BodyKind::Obstacle(fixture.kind),
+            placed: fixture.placed,
+            velocity_world: Vector::zeros(),
+        }))
+    }
+
+    /// The ego's rectangle where observations see it.
+    pub fn ego_seen(&self) -> Placed {
+        let ego = &self.bodies.movers[0];
+        Placed {
+            shape: Shape::Box(vehicle::Footprint {
+                length_m: ego.car.model.length_m,
+                width_m: ego.car.model.width_m,
+            }),
+            center_world: ego.motion.seen_position(),
+            forward_world: ego.motion.seen_forward(),
+        }
+    }
+
+    /// The ego's pose, as observations give it.
+    pub fn world_from_ego(&self) -> Pose {
+        self.bodies.movers[0].motion.seen()
+    }
+
+    /// The ego's position, as observations give it.
+    pub fn ego_position(&self) -> Point {
+        self.bodies.movers[0].motion.seen_position()
+    }
+
+    /// The ego's car: its measures and engine.
+    pub fn ego_car(&self) -> &Car {
+        &self.bodies.movers[0].car
+    }
+
+    /// The ego's motion.
+    pub fn ego_motion(&self) -> &Motion {
+        &self.bodies.movers[0].motion
+    }
+
+    /// Speed of the ego over the ground, m/s.
+    pub fn speed_mps(&self) -> f64 {
+        self.bodies.movers[0].motion.speed_mps()
+    }
+
+    /// Share of the route driven.
+    pub fn completion(&self) -> f64 {
+        self.navigator.completion()
+    }
+
+    /// Length of the route, m.
+    pub fn route_m(&self) -> f64 {
+        self.navigator.length_m()
+    }
+
+    /// Length driven in this episode, m.
+    pub fn driven_m(&self) -> f64 {
+        self.driven_m
+    }
+
+    /// Ticks of this episode so far.
+    pub fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Seed of this episode.
+    pub fn seed(&self) -> u64 {
+        self.map.seed
+    }
+
+    /// What the last tick brought.
+    pub fn last_step(&self) -> StepOutcome {
+        self.step
+    }
+
+    /// The map of this episode.
+    pub fn map(&self) -> &Map {
+        &self.map
+    }
+
+    /// Its sidewalks.
+    pub fn sidewalks(&self) -> &Sidewalks {
+        &self.sidewalks
+    }
+
+    /// The ego's way through its route.
+    pub fn navigator(&self) -> &Navigator {
+        &self.navigator
+    }
+
+    /// What the episodes of this world are like.
+    pub fn config(&self) -> &WorldConfig {
+        &self.config
+    }
+}

@@ -1,0 +1,152 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use shm_config::config::GateMode;
+use shm_config::run::RunName;
+
+/// Drives a set of real-time processes that drive a car.
+#[derive(Debug, Parser)]
+#[command(
+    name = "vlaps",
+    bin_name = "./vlaps",
+    version,
+    arg_required_else_help = true,
+    after_help = "Examples:\n  \
+        ./vlaps up --episodes 1 --seed 3          drive one episode in real time\n  \
+        ./vlaps up --lockstep --episodes 5        as fast as the processes answer\n  \
+        ./vlaps status                            who is alive, on time, in charge\n  \
+        ./vlaps doctor                            what this machine grants"
+)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Start the process set and drive.
+    Up(Up),
+    /// Stop a running set; the car is braked to a stand first.
+    Down(Down),
+    /// Show who is alive, on time and in charge.
+    Status(Status),
+    /// Show what this machine grants, and how to grant what is missing.
+    Doctor,
+    /// Remove what killed runs left behind; living runs are not touched.
+    Clean(Clean),
+    /// Print the configuration with its defaults, or check a file.
+    Config(Keys),
+}
+
+/// Start the process set and drive.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Without --episodes and --duration it drives until it is stopped: \
+        Ctrl-C brakes the car to a stand, a second Ctrl-C kills.\n\n\
+        Examples:\n  \
+        ./vlaps up --episodes 1 --seed 3\n  \
+        ./vlaps up --lockstep --episodes 5 --seed 3 --json a.json\n  \
+        ./vlaps up --rate 20 --run second --set world.traffic_density=0.1"
+)]
+pub struct Up {
+    /// Seed of the first episode; each further one adds one.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// Episodes to drive; 0 for no end.
+    #[arg(long, value_name = "N")]
+    pub episodes: Option<u32>,
+    /// Seconds to drive on the run's clock; 0 for no end.
+    #[arg(long, value_name = "S")]
+    pub duration: Option<f64>,
+    /// Run as fast as the processes answer; the same seed gives the same commands.
+    #[arg(long)]
+    pub lockstep: bool,
+    /// Who decides who drives.
+    #[arg(long, value_name = "WHO")]
+    pub gate: Option<GateChoice>,
+    /// Ticks per second.
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// Configuration file; vlaps.toml of the current folder is read when present.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Name of the run; sets of different names do not see each other.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<RunName>,
+    /// Write the summary to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Override any key of the configuration, such as gate.period_s=5; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Ask for no real-time priority, cores or locked memory.
+    #[arg(long)]
+    pub no_realtime: bool,
+}
+
+/// Who decides who drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum GateChoice {
+    /// The gate process compares both rollouts by exact geometry.
+    Rules,
+    /// Always the expert; no gate process.
+    Expert,
+    /// Always the policy, if one is loaded; no gate process.
+    Policy,
+}
+
+impl From<GateChoice> for GateMode {
+    fn from(choice: GateChoice) -> Self {
+        match choice {
+            GateChoice::Rules => Self::Rules,
+            GateChoice::Expert => Self::Expert,
+            GateChoice::Policy => Self::Policy,
+        }
+    }
+}
+
+/// Stop a running set.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  ./vlaps down --run second")]
+pub struct Down {
+    /// Name of the run; may be left out when only one runs.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<RunName>,
+}
+
+/// Show who is alive, on time and in charge.
+#[derive(Debug, Args)]
+#[command(after_help = "Exit code 1 says that none runs.\n\n\
+        Examples:\n  ./vlaps status\n  ./vlaps status --run second --json status.json")]
+pub struct Status {
+    /// Name of the run; without it, all of them.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<RunName>,
+    /// Write what is shown to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Remove what killed runs left behind.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  ./vlaps clean")]
+pub struct Clean {
+    /// Name of the run; without it, all of them.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<RunName>,
+}
+
+/// Print the configuration with its defaults, or check a file.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+        ./vlaps config > vlaps.toml       a file to change\n  \
+        ./vlaps config --check vlaps.toml")]
+pub struct Keys {
+    /// Check this file instead; exit code 2 when it is wrong.
+    #[arg(long, value_name = "FILE")]
+    pub check: Option<PathBuf>,
+}

@@ -1,0 +1,280 @@
+//! `doctor`: what this machine grants, and how to grant what is missing.
+//!
+//! Rights are tried, not deduced: a limit that looks sufficient may still be
+//! overruled by a container or a control group.
+
+use std::fmt;
+use std::fs;
+use std::thread;
+
+use rustix::mm::MlockAllFlags;
+use rustix::process::{Resource, Rlimit, getrlimit};
+use thread_priority::{
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+use crate::failure::Failure;
+use crate::place::{SHARED_MEMORY_NEED_BYTES, check_shared_memory, shared_memory};
+use crate::screen::say;
+use crate::table::{CORES_MIN, TABLE};
+use crate::up::own_cores;
+
+/// What a finding means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Grade {
+    /// As it should be.
+    Ok,
+    /// It runs without, less punctually.
+    Missing,
+    /// It does not run without.
+    Fatal,
+}
+
+/// One thing looked at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// What.
+    pub what: &'static str,
+    /// How it is.
+    pub grade: Grade,
+    /// What was found.
+    pub found: String,
+    /// Commands and lines that change it, when it is not as it should be.
+    pub remedy: Vec<String>,
+}
+
+impl Finding {
+    fn new(what: &'static str, is_ok: bool, found: String, remedy: &[&str]) -> Self {
+        let remedy = remedy.iter().map(|line| line.to_string());
+        Self {
+            what,
+            grade: if is_ok { Grade::Ok } else { Grade::Missing },
+            found,
+            remedy: remedy.filter(|_| !is_ok).collect(),
+        }
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let grade = match self.grade {
+            Grade::Ok => "OK",
+            Grade::Missing | Grade::Fatal => "MISSING",
+        };
+        write!(f, "{grade:<8} {:<20} {}", self.what, self.found)?;
+        for line in &self.remedy {
+            write!(f, "\n             {line}")?;
+        }
+        Ok(())
+    }
+}
+
+/// Looks at everything and prints it.
+///
+/// # Errors
+/// When something is missing that a run cannot do without.
+pub fn doctor() -> Result<(), Failure> {
+    let findings = [
+        priority(),
+        locked_memory(),
+        memory(),
+        cores(),
+        kernel(),
+        throttling(),
+        governor(),
+        clock_source(),
+    ];
+    for finding in &findings {
+        say(finding);
+    }
+    let missing = |grade| {
+        findings
+            .iter()
+            .filter(|finding| finding.grade == grade)
+            .count()
+    };
+    let (fatal, poor) = (missing(Grade::Fatal), missing(Grade::Missing));
+    if fatal > 0 {
+        return Err(Failure::GivenUp(format!(
+            "{fatal} of these must be mended before a set can run"
+        )));
+    }
+    say(match poor {
+        0 => "a set runs here with everything it asks for".into(),
+        _ => format!("a set runs here, less punctually than it could: {poor} missing"),
+    });
+    Ok(())
+}
+
+/// The highest priority of the process table.
+fn highest_priority() -> u8 {
+    TABLE.iter().map(|row| row.priority).max().unwrap_or(0)
+}
+
+fn priority() -> Finding {
+    let asked = highest_priority();
+    // On a thread that ends at once, so that the doctor itself stays ordinary.
+    let tried = thread::spawn(move || {
+        let priority = ThreadPriorityValue::try_from(asked).map_err(|error| error.to_string())?;
+        let priority = ThreadPriority::Crossplatform(priority);
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        set_thread_priority_and_policy(thread_native_id(), priority, policy)
+            .map_err(|error| format!("{error:?}"))
+    })
+    .join()
+    .unwrap_or_else(|_| Err("the attempt ended in a panic".into()));
+    let limit = match getrlimit(Resource::Rtprio).current {
+        Some(limit) => limit.to_string(),
+        None => "unlimited".into(),
+    };
+    let found = match &tried {
+        Ok(()) => format!("SCHED_FIFO {asked} granted (RLIMIT_RTPRIO {limit})"),
+        Err(error) => format!("SCHED_FIFO {asked} refused: {error} (RLIMIT_RTPRIO {limit})"),
+    };
+    Finding::new("real-time priority", tried.is_ok(), found, &grants())
+}
+
+/// The ways to grant priority and locked memory; any one is enough.
+fn grants() -> [&'static str; 7] {
+    [
+        "for your user, once; log in again afterwards:",
+        "  printf '%s - rtprio 95\\n%s - memlock unlimited\\n' \"$USER\" \"$USER\" | \
+         sudo tee /etc/security/limits.d/99-vlaps.conf",
+        "or for these binaries, after each build:",
+        "  sudo setcap cap_sys_nice,cap_ipc_lock+ep target/release/vlaps-{world,planner,controller,gate}",
+        "or for one run:",
+        "  sudo systemd-run --pty --same-dir --uid=$USER -p LimitRTPRIO=95 \
+         -p LimitMEMLOCK=infinity ./vlaps up",
+        "in a container: docker run --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1 ...",
+    ]
+}
+
+fn locked_memory() -> Finding {
+    let tried = rustix::mm::mlockall(MlockAllFlags::CURRENT);
+    if tried.is_ok() {
+        // The doctor needs none of it.
+        let _ = rustix::mm::munlockall();
+    }
+    let Rlimit { current, .. } = getrlimit(Resource::Memlock);
+    let limit = match current {
+        Some(bytes) => format!("{} KB", bytes >> 10),
+        None => "unlimited".into(),
+    };
+    let found = match tried {
+        Ok(()) => format!("granted (RLIMIT_MEMLOCK {limit})"),
+        Err(error) => format!("refused: {error} (RLIMIT_MEMLOCK {limit})"),
+    };
+    Finding::new("locked memory", tried.is_ok(), found, &grants())
+}
+
+fn memory() -> Finding {
+    let what = "shared memory";
+    let looked = shared_memory().and_then(|(free, total)| {
+        check_shared_memory(free)?;
+        Ok((free, total))
+    });
+    match looked {
+        Ok((free, total)) => Finding {
+            what,
+            grade: Grade::Ok,
+            found: format!(
+                "/dev/shm: {} MB free of {} MB; a run needs {} MB",
+                free >> 20,
+                total >> 20,
+                SHARED_MEMORY_NEED_BYTES >> 20
+            ),
+            remedy: Vec::new(),
+        },
+        Err(failure) => Finding {
+            what,
+            grade: Grade::Fatal,
+            found: failure.to_string(),
+            remedy: Vec::new(),
+        },
+    }
+}
+
+fn cores() -> Finding {
+    let count = own_cores().len();
+    Finding::new(
+        "cores",
+        count >= CORES_MIN,
+        format!("{count} usable; {CORES_MIN} give world, planner and controller one each"),
+        &["the kernel places the processes; for cores of their own use a larger machine"],
+    )
+}
+
+fn read(path: &str) -> Option<String> {
+    fs::read_to_string(path).ok().map(|text| text.trim().into())
+}
+
+fn kernel() -> Finding {
+    let release = read("/proc/sys/kernel/osrelease").unwrap_or_else(|| "unknown".into());
+    let version = read("/proc/sys/kernel/version").unwrap_or_default();
+    let model = version
+        .split_whitespace()
+        .find(|word| word.starts_with("PREEMPT"))
+        .unwrap_or("no preemption");
+    // The words after it come from a file that only root may read.
+    let chosen = read("/sys/kernel/debug/sched/preempt").unwrap_or_default();
+    Finding::new(
+        "kernel",
+        model.starts_with("PREEMPT"),
+        format!("Linux {release}, {model} {chosen}")
+            .trim_end()
+            .into(),
+        &[
+            "boot a kernel with preemption, best PREEMPT_RT: sudo apt-get install linux-image-rt-amd64",
+        ],
+    )
+}
+
+fn throttling() -> Finding {
+    let runtime = read("/proc/sys/kernel/sched_rt_runtime_us");
+    let runtime_us: Option<i64> = runtime.and_then(|text| text.parse().ok());
+    let found = match runtime_us {
+        None => "the kernel has no limit to show".into(),
+        Some(-1) => "real-time threads may use the whole of a core".into(),
+        Some(us) => format!("real-time threads may use {} % of a core", us / 10_000),
+    };
+    // 95 % is the kernel's default; a tick uses a fraction of it.
+    let is_ok = runtime_us.is_none_or(|us| us == -1 || us >= 900_000);
+    let remedy = ["sudo sysctl kernel.sched_rt_runtime_us=950000"];
+    Finding::new("real-time share", is_ok, found, &remedy)
+}
+
+fn governor() -> Finding {
+    let mut governors: Vec<String> = own_cores()
+        .iter()
+        .filter_map(|core| {
+            read(&format!(
+                "/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor"
+            ))
+        })
+        .collect();
+    governors.sort();
+    governors.dedup();
+    let found = match governors.is_empty() {
+        true => "not in the kernel's hands (a virtual machine or fixed clock)".into(),
+        false => governors.join(", "),
+    };
+    let is_ok = governors.iter().all(|governor| governor == "performance");
+    let remedy = ["sudo cpupower frequency-set -g performance"];
+    Finding::new("CPU governor", is_ok, found, &remedy)
+}
+
+fn clock_source() -> Finding {
+    let folder = "/sys/devices/system/clocksource/clocksource0";
+    let current = read(&format!("{folder}/current_clocksource"));
+    let available = read(&format!("{folder}/available_clocksource")).unwrap_or_default();
+    let name = current.unwrap_or_else(|| "unknown".into());
+    // These are read over a bus on every look at the clock: microseconds.
+    let is_ok = !["hpet", "acpi_pm", "jiffies"].contains(&name.as_str());
+    let remedy = [
+        "boot with `tsc=reliable` if the processor's counter is constant",
+        "(grep constant_tsc /proc/cpuinfo)",
+    ];
+    let found = format!("{name} (available: {available})");
+    Finding::new("clock source", is_ok, found, &remedy)
+}

@@ -1,0 +1,89 @@
+//! `down`: asks a running set to stop and waits until it is gone.
+
+use std::thread::sleep;
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+use shm_config::run::RunPaths;
+
+use crate::arguments::Down;
+use crate::failure::Failure;
+use crate::screen::say;
+
+/// From look to look.
+const LOOK: Duration = Duration::from_millis(50);
+/// Looks before the wait is given up: two minutes, beyond which a run's own
+/// `supervisor.stop_s` is long past unless it was configured so.
+const LOOKS_MAX: u32 = 2400;
+
+/// Stops a run.
+///
+/// # Errors
+/// When several runs are alive and none is named, or it does not end.
+pub fn down(arguments: &Down) -> Result<(), Failure> {
+    let Some(paths) = choose(arguments)? else {
+        return Ok(());
+    };
+    let name = paths.name();
+    let Some(pid) = paths.supervisor_pid() else {
+        say(format_args!("run '{name}' is not running"));
+        return Ok(());
+    };
+    let target = i32::try_from(pid).ok().and_then(Pid::from_raw);
+    let asked = target.map(|target| kill_process(target, Signal::TERM));
+    match asked {
+        Some(Ok(()) | Err(rustix::io::Errno::SRCH)) => {}
+        Some(Err(error)) => {
+            return Err(Failure::GivenUp(format!(
+                "run '{name}': cannot signal process {pid}: {error}"
+            )));
+        }
+        None => {
+            return Err(Failure::GivenUp(format!(
+                "{}: {pid} is no process id",
+                paths.supervisor_file().display()
+            )));
+        }
+    }
+    for _ in 0..LOOKS_MAX {
+        if paths.supervisor_pid() != Some(pid) {
+            say(format_args!("run '{name}' is stopped (process {pid})"));
+            return Ok(());
+        }
+        sleep(LOOK);
+    }
+    Err(Failure::GivenUp(format!(
+        "run '{name}': process {pid} does not end; `kill -9 {pid}` ends it and its children, \
+         `./vlaps clean` removes the rest"
+    )))
+}
+
+/// The run that is meant: the named one, or the only one alive.
+fn choose(arguments: &Down) -> Result<Option<RunPaths>, Failure> {
+    if let Some(name) = &arguments.run {
+        return Ok(Some(RunPaths::new(name.clone())));
+    }
+    let mut alive = living_runs();
+    match alive.len() {
+        0 => {
+            say("nothing runs");
+            Ok(None)
+        }
+        1 => Ok(alive.pop()),
+        _ => {
+            let names: Vec<_> = alive.iter().map(|paths| paths.name().to_string()).collect();
+            Err(Failure::Usage(format!(
+                "several runs are alive: {}; name one with --run NAME",
+                names.join(", ")
+            )))
+        }
+    }
+}
+
+/// The user's runs whose supervisor lives.
+pub fn living_runs() -> Vec<RunPaths> {
+    RunPaths::all()
+        .into_iter()
+        .filter(|paths| paths.supervisor_pid().is_some())
+        .collect()
+}

@@ -1,0 +1,40 @@
+//! What ends a command early, and with which exit code.
+
+use shm_config::config::ConfigError;
+use shm_config::run::RunError;
+use shm_config::wire::WireError;
+
+/// Exit code of a run that had to be given up.
+pub const EXIT_FAILED: u8 = 1;
+/// Exit code of a wrong command line or configuration.
+pub const EXIT_USAGE: u8 = 2;
+
+/// One line for the user, saying what was wrong, where, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// The configuration file or an override.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The command line, or what it names.
+    #[error("{0}")]
+    Usage(String),
+    /// The run's folder.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Shared memory.
+    #[error(transparent)]
+    Wire(#[from] WireError),
+    /// The run had to be given up.
+    #[error("{0}")]
+    GivenUp(String),
+}
+
+impl Failure {
+    /// The process's exit code.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Config(_) | Self::Usage(_) => EXIT_USAGE,
+            Self::Run(_) | Self::Wire(_) | Self::GivenUp(_) => EXIT_FAILED,
+        }
+    }
+}

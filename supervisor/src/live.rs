@@ -1,0 +1,240 @@
+//! How a run does right now, as text. One view serves the live block, the plain
+//! lines and `./vlaps status`.
+
+use std::fmt::Write as _;
+
+use serde::Serialize;
+use shm_config::config::Config;
+use shm_config::message::{HealthState, Outcome};
+use shm_config::services::Process;
+
+use crate::member::Phase;
+use crate::set::ProcessSet;
+use crate::table::rows;
+use crate::tally::{ProcessTally, Tally};
+
+/// How a run does right now.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct View {
+    /// The run's name.
+    pub run: String,
+    /// The run's clock: real time or lockstep.
+    pub clock: &'static str,
+    /// Ticks per second asked for.
+    pub rate_hz: f64,
+    /// The current episode; `None` before the first tick.
+    pub episode: Option<EpisodeView>,
+    /// Who drives, and why; `None` before the first step.
+    pub driver: Option<(&'static str, &'static str)>,
+    /// Finished episodes by outcome.
+    pub outcomes: Vec<(&'static str, usize)>,
+    /// Each process.
+    pub processes: Vec<ProcessView>,
+}
+
+/// The current episode.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct EpisodeView {
+    /// Which one, from 1.
+    pub number: u32,
+    /// Of how many; 0 for no end.
+    pub of: u32,
+    /// Its seed.
+    pub seed: u64,
+    /// Share of the route driven, [0, 1].
+    pub completion: f64,
+    /// Speed, m/s.
+    pub speed_mps: f64,
+    /// Ticks of this run on which the world braked for want of a command.
+    pub braked: u64,
+}
+
+/// One process.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ProcessView {
+    /// Its name.
+    pub process: &'static str,
+    /// What it does: its own word, or what the supervisor knows.
+    pub state: &'static str,
+    /// Its process id; `None` when it does not live.
+    pub pid: Option<u32>,
+    /// Ticks done, over all restarts.
+    pub ticks: u64,
+    /// Ticks completed after their deadline.
+    pub late: u64,
+    /// Ticks of the grid skipped.
+    pub skipped: u64,
+    /// How often it was restarted; `None` when only its supervisor knows.
+    pub restarts: Option<u32>,
+    /// The real-time priority in force; 0 for none.
+    pub priority: u32,
+}
+
+impl View {
+    /// What the supervisor sees.
+    pub fn from_inside(config: &Config, tally: &Tally, set: &ProcessSet) -> Self {
+        let processes = set.members().iter().map(|member| {
+            let process = member.row().process;
+            let said = tally.process(process).and_then(ProcessTally::newest);
+            let state = match member.phase() {
+                Phase::Waiting => "waiting",
+                Phase::Starting { .. } => HealthState::Starting.word(),
+                Phase::Up { .. } => said
+                    .and_then(|health| HealthState::from_code(health.state))
+                    .map_or("running", HealthState::word),
+                Phase::Dead { .. } | Phase::Resting { .. } => "restarting",
+                Phase::Gone => "ended",
+            };
+            let restarts = Some(member.restarts());
+            ProcessView::of(process, state, member.pid(), restarts, tally)
+        });
+        Self::of(config, tally, processes.collect())
+    }
+
+    /// What an onlooker sees who has listened for a while: a process that said
+    /// nothing meanwhile counts as silent.
+    pub fn from_outside(config: &Config, tally: &Tally) -> Self {
+        let processes = rows(config).map(|row| {
+            let said = tally.process(row.process).and_then(ProcessTally::newest);
+            let state = said
+                .and_then(|health| HealthState::from_code(health.state))
+                .map_or("silent", HealthState::word);
+            let pid = said.map(|health| health.header.producer);
+            ProcessView::of(row.process, state, pid, None, tally)
+        });
+        Self::of(config, tally, processes.collect())
+    }
+
+    fn of(config: &Config, tally: &Tally, processes: Vec<ProcessView>) -> Self {
+        Self {
+            run: config.run.name.clone(),
+            clock: match config.run.is_lockstep() {
+                true => "lockstep",
+                false => "real time",
+            },
+            rate_hz: config.run.rate_hz,
+            episode: tally.progress.map(|progress| EpisodeView {
+                number: progress.header.episode.saturating_add(1),
+                of: config.run.episodes,
+                seed: progress.seed,
+                completion: progress.completion,
+                speed_mps: progress.speed_mps,
+                braked: progress.braked,
+            }),
+            driver: tally
+                .steps
+                .newest
+                .map(|(driver, reason)| (driver.word(), reason.word())),
+            outcomes: Outcome::ALL
+                .iter()
+                .filter(|outcome| **outcome != Outcome::Driving)
+                .map(|outcome| (outcome.word(), tally.outcome_count(*outcome)))
+                .collect(),
+            processes,
+        }
+    }
+
+    /// Episode, speed and driver in one line.
+    pub fn headline(&self) -> String {
+        let Self {
+            run,
+            clock,
+            rate_hz,
+            ..
+        } = self;
+        let mut line = format!("{run}: {clock}, {rate_hz} Hz");
+        // Writing to a string cannot fail.
+        if let Some(episode) = &self.episode {
+            let _ = write!(line, "; episode {}", episode.number);
+            if episode.of > 0 {
+                let _ = write!(line, " of {}", episode.of);
+            }
+            let _ = write!(
+                line,
+                ", seed {}, {:.1} m/s",
+                episode.seed, episode.speed_mps
+            );
+        }
+        if let Some((driver, reason)) = self.driver {
+            let _ = write!(line, "; {driver} drives ({reason})");
+        }
+        line
+    }
+
+    /// The processes as a table, one line each.
+    pub fn table(&self) -> String {
+        let mut text = String::from(
+            "  process     state            pid     ticks    late  skipped  restarts  priority",
+        );
+        for row in &self.processes {
+            let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
+            let restarts = row.restarts.map_or("-".into(), |count| count.to_string());
+            let _ = write!(
+                text,
+                "\n  {:<10}  {:<10}  {pid:>8}  {:>8}  {:>6}  {:>7}  {restarts:>8}  {:>8}",
+                row.process, row.state, row.ticks, row.late, row.skipped, row.priority
+            );
+        }
+        text
+    }
+
+    /// Finished episodes by outcome, such as `arrived 2, out_of_road 1`.
+    pub fn outcome_line(&self) -> String {
+        let some: Vec<_> = self
+            .outcomes
+            .iter()
+            .filter(|(_, count)| *count > 0)
+            .map(|(outcome, count)| format!("{outcome} {count}"))
+            .collect();
+        match some.is_empty() {
+            true => "no episode finished yet".into(),
+            false => some.join(", "),
+        }
+    }
+
+    /// Everything in one line, for output that is not a terminal.
+    pub fn plain_line(&self) -> String {
+        let completion = self
+            .episode
+            .map_or(0.0, |episode| episode.completion * 100.0);
+        let sum = |field: fn(&ProcessView) -> u64| self.processes.iter().map(field).sum::<u64>();
+        let world = self
+            .processes
+            .iter()
+            .find(|row| row.process == Process::World.word());
+        format!(
+            "{}; {completion:.0} %; {}; ticks {}, skipped {}, late {}, restarts {}",
+            self.headline(),
+            self.outcome_line(),
+            world.map_or(0, |world| world.ticks),
+            world.map_or(0, |world| world.skipped),
+            sum(|row| row.late),
+            sum(|row| u64::from(row.restarts.unwrap_or(0))),
+        )
+    }
+}
+
+impl ProcessView {
+    fn of(
+        process: Process,
+        state: &'static str,
+        pid: Option<u32>,
+        restarts: Option<u32>,
+        tally: &Tally,
+    ) -> Self {
+        let counted = tally.process(process);
+        let totals = counted.map(ProcessTally::totals).unwrap_or_default();
+        Self {
+            process: process.word(),
+            state,
+            pid,
+            ticks: totals.ticks,
+            late: totals.late,
+            skipped: totals.skipped,
+            restarts,
+            priority: counted
+                .and_then(ProcessTally::newest)
+                .map_or(0, |health| health.priority_got),
+        }
+    }
+}

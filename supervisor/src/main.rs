@@ -1,0 +1,32 @@
+//! `vlaps-supervisor`: the process behind `./vlaps`.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use shm_config::time::monotonic;
+use supervisor::arguments::{Arguments, Command};
+use supervisor::{Clock, clean, doctor, down, keys, status, up};
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    // A process entry point: the clock is read nowhere else.
+    #[allow(clippy::disallowed_methods)]
+    let clock: Clock = monotonic;
+    let done = match &arguments.command {
+        Command::Up(arguments) => up::up(arguments, clock),
+        Command::Down(arguments) => down::down(arguments),
+        Command::Status(arguments) => status::status(arguments, clock),
+        Command::Doctor => doctor::doctor(),
+        Command::Clean(arguments) => clean::clean(arguments),
+        Command::Config(arguments) => keys::keys(arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            use std::io::Write;
+            // Nobody may be left to read it.
+            let _ = writeln!(std::io::stderr(), "error: {failure}");
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! File, options and overrides make one checked configuration.
+
+use std::path::{Path, PathBuf};
+
+use shm_config::config::{Config, ConfigError, GateMode, from_toml, load};
+use toml::{Table, Value};
+
+use crate::arguments::Up;
+use crate::failure::Failure;
+
+/// Read from the current folder when it is there and no other file is named.
+pub const DEFAULT_FILE: &str = "vlaps.toml";
+
+/// One key with its new value, and the option it came by.
+struct Override {
+    origin: String,
+    key: String,
+    value: Value,
+}
+
+/// The configuration of an `up`.
+///
+/// # Errors
+/// When the file or an option is wrong; the error names the one that is.
+pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
+    let (mut table, origin) = match file_of(arguments) {
+        Some(path) => (read(&path)?, path.display().to_string()),
+        None => (Table::new(), "the command line".into()),
+    };
+    let text_at = |table: &Table, key: &str| Some(lookup(table, key)?.as_str()?.to_string());
+    // A file that `./vlaps config` printed names both; then the folder follows
+    // the name all the same, or two runs would share one.
+    let own_folder = text_at(&table, "run.name").unwrap_or(Config::default().run.name);
+    let own_folder = format!("runs/{own_folder}");
+    let folder_given = text_at(&table, "run.folder").is_some_and(|folder| folder != own_folder);
+    let overrides = overrides_of(arguments)?;
+    for change in &overrides {
+        check_alone(change)?;
+        insert(&mut table, &change.key, change.value.clone());
+    }
+    let name = text_at(&table, "run.name");
+    let folder_given = folder_given || overrides.iter().any(|change| change.key == "run.folder");
+    if let (Some(name), false) = (name, folder_given) {
+        insert(&mut table, "run.folder", format!("runs/{name}").into());
+    }
+    let origin = match overrides.is_empty() {
+        true => origin,
+        false => format!("{origin}, with the options given"),
+    };
+    Ok(from_toml(&table.to_string(), &origin)?)
+}
+
+fn file_of(arguments: &Up) -> Option<PathBuf> {
+    let default = Path::new(DEFAULT_FILE);
+    arguments
+        .config
+        .clone()
+        .or_else(|| default.is_file().then(|| default.into()))
+}
+
+/// The file's own table. Its keys, types and syntax are checked here, where
+/// line numbers are still the file's; ranges are checked after the overrides,
+/// which may bring a value back into a range that depends on another.
+fn read(path: &Path) -> Result<Table, Failure> {
+    match load(path) {
+        Ok(_) | Err(ConfigError::OutOfRange { .. }) => {}
+        Err(error) => return Err(error.into()),
+    }
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        path: path.into(),
+        source,
+    })?;
+    text.parse()
+        .map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))
+}
+
+fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
+    let mut overrides = Vec::new();
+    let mut push = |origin: &str, key: &str, value: Option<Value>| {
+        overrides.extend(value.map(|value| Override {
+            origin: origin.into(),
+            key: key.into(),
+            value,
+        }));
+    };
+    let integer = |number: i64| Value::Integer(number);
+    // The option's parser admits no seed over the largest TOML integer.
+    let seed = arguments.seed.map(|seed| integer(seed as i64));
+    push("--seed", "run.seed", seed);
+    let episodes = arguments.episodes.map(|count| integer(i64::from(count)));
+    push("--episodes", "run.episodes", episodes);
+    let duration = arguments.duration.map(Value::Float);
+    push("--duration", "run.duration_s", duration);
+    let clock = arguments.lockstep.then(|| Value::from("lockstep"));
+    push("--lockstep", "run.clock", clock);
+    let gate = arguments.gate.map(GateMode::from).map(Value::try_from);
+    let gate = gate
+        .transpose()
+        .map_err(|error| Failure::Usage(format!("--gate: {error}")))?;
+    push("--gate", "gate.mode", gate);
+    push("--rate", "run.rate_hz", arguments.rate.map(Value::Float));
+    let name = arguments.run.as_ref().map(|name| name.to_string().into());
+    push("--run", "run.name", name);
+    let ordinary = arguments.no_realtime.then_some(Value::Boolean(false));
+    push("--no-realtime", "supervisor.realtime", ordinary);
+    for text in &arguments.overrides {
+        let Some((key, value)) = text.split_once('=') else {
+            return Err(Failure::Usage(format!(
+                "--set {text}: write it as KEY=VALUE, such as --set gate.period_s=5"
+            )));
+        };
+        let value = value_of(value.trim());
+        push(&format!("--set {text}"), key.trim(), Some(value));
+    }
+    Ok(overrides)
+}
+
+/// A TOML value; what is none, such as a bare word, is a string.
+fn value_of(text: &str) -> Value {
+    format!("value = {text}")
+        .parse::<Table>()
+        .ok()
+        .filter(|table| table.len() == 1)
+        .and_then(|mut table| table.remove("value"))
+        .unwrap_or_else(|| text.into())
+}
+
+/// Unknown key and wrong type, so that the error names the option. Its range may
+/// depend on other keys and is checked with all of them.
+fn check_alone(change: &Override) -> Result<(), Failure> {
+    let mut alone = Table::new();
+    insert(&mut alone, &change.key, change.value.clone());
+    match from_toml(&alone.to_string(), &change.origin) {
+        Ok(_) | Err(ConfigError::OutOfRange { .. }) => Ok(()),
+        Err(ConfigError::Syntax { message, .. }) => {
+            let origin = change.origin.clone();
+            Err(ConfigError::Syntax { origin, message }.into())
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn lookup<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    match key.split_once('.') {
+        None => table.get(key),
+        Some((section, rest)) => lookup(table.get(section)?.as_table()?, rest),
+    }
+}
+
+fn insert(table: &mut Table, key: &str, value: Value) {
+    match key.split_once('.') {
+        None => {
+            table.insert(key.into(), value);
+        }
+        Some((section, rest)) => {
+            let entry = table
+                .entry(section)
+                .or_insert_with(|| Value::Table(Table::new()));
+            match entry.as_table_mut() {
+                Some(inner) => insert(inner, rest, value),
+                // The key leads through something that is no section.
+                None => *entry = value,
+            }
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! Signals as bytes in sockets, so that the loop can sleep until one comes.
+
+use std::fs;
+use std::io::{self, Read};
+use std::os::unix::net::UnixStream;
+
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::time::Timespec;
+use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
+use signal_hook::low_level::pipe;
+
+/// The signals that concern the supervisor.
+#[derive(Debug)]
+pub struct Signals {
+    stop: UnixStream,
+    child: UnixStream,
+}
+
+impl Signals {
+    /// Takes over SIGINT, SIGTERM, SIGHUP and SIGCHLD. A hang-up that the caller
+    /// chose to ignore, as `nohup` does, stays ignored.
+    ///
+    /// # Errors
+    /// When the system refuses a socket or a handler.
+    pub fn install() -> io::Result<Self> {
+        let (stop, stop_sender) = UnixStream::pair()?;
+        let (child, child_sender) = UnixStream::pair()?;
+        stop.set_nonblocking(true)?;
+        child.set_nonblocking(true)?;
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
+            if signal != SIGHUP || !is_ignored(SIGHUP) {
+                pipe::register(signal, stop_sender.try_clone()?)?;
+            }
+        }
+        pipe::register(SIGCHLD, child_sender)?;
+        Ok(Self { stop, child })
+    }
+
+    /// Sleeps until a signal comes or `timeout_ns` has passed. May return early.
+    pub fn wait(&mut self, timeout_ns: u64) {
+        let timeout = Timespec {
+            tv_sec: (timeout_ns / 1_000_000_000) as i64,
+            tv_nsec: (timeout_ns % 1_000_000_000) as i64,
+        };
+        let mut sockets = [
+            PollFd::new(&self.stop, PollFlags::IN),
+            PollFd::new(&self.child, PollFlags::IN),
+        ];
+        // An interrupted wait is an early return.
+        let _ = poll(&mut sockets, Some(&timeout));
+        drain(&mut self.child);
+    }
+
+    /// How many times somebody asked to stop since the last call.
+    pub fn take_stops(&mut self) -> usize {
+        drain(&mut self.stop)
+    }
+}
+
+/// One byte came for each signal.
+fn drain(socket: &mut UnixStream) -> usize {
+    let mut bytes = [0; 64];
+    socket.read(&mut bytes).unwrap_or(0)
+}
+
+fn is_ignored(signal: i32) -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    status
+        .lines()
+        .find_map(|line| line.strip_prefix("SigIgn:"))
+        .and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok())
+        .is_some_and(|mask| mask & (1 << (signal - 1)) != 0)
+}

@@ -1,0 +1,122 @@
+//! `status`: looks at living runs from outside. It never makes a run and never
+//! keeps one from anything.
+
+use std::path::Path;
+use std::thread::sleep;
+use std::time::Duration;
+
+use serde::Serialize;
+use shm_config::config::{self, Config};
+use shm_config::run::RunPaths;
+use shm_config::services::Process;
+use shm_config::wire::Wire;
+
+use crate::Clock;
+use crate::arguments::Status;
+use crate::clean::clean_run;
+use crate::down::living_runs;
+use crate::failure::Failure;
+use crate::live::View;
+use crate::ports::{Depth, Ports};
+use crate::screen::say;
+use crate::summary::write_whole;
+use crate::table::rows;
+use crate::tally::Tally;
+
+/// How long everybody has to say something, ns. A process speaks at least every
+/// 100 ms; ten of those.
+const LISTEN_NS: u64 = 1_000_000_000;
+/// From look to look.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// What `--json` writes.
+#[derive(Debug, Serialize)]
+struct Runs {
+    runs: Vec<Seen>,
+}
+
+/// One run.
+#[derive(Debug, Serialize)]
+struct Seen {
+    supervisor: u32,
+    #[serde(flatten)]
+    view: View,
+}
+
+/// Shows the living runs.
+///
+/// # Errors
+/// When none is alive, or one cannot be looked at.
+pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
+    let alive: Vec<_> = match &arguments.run {
+        Some(name) => vec![RunPaths::new(name.clone())],
+        None => living_runs(),
+    };
+    let mut runs = Vec::new();
+    for paths in alive {
+        if let Some(pid) = paths.supervisor_pid() {
+            let view = listen(&paths, clock)?;
+            say(format_args!(
+                "{}\n  supervisor process {pid}",
+                view.headline()
+            ));
+            say(view.table());
+            runs.push(Seen {
+                supervisor: pid,
+                view,
+            });
+        }
+    }
+    let none = runs.is_empty();
+    if let Some(path) = &arguments.json {
+        write_json(path, &Runs { runs })?;
+    }
+    match (none, &arguments.run) {
+        (false, _) => Ok(()),
+        (true, Some(name)) => Err(Failure::GivenUp(format!(
+            "run '{name}' is not running; `./vlaps up --run {name}` starts it"
+        ))),
+        (true, None) => Err(Failure::GivenUp(
+            "nothing runs; `./vlaps up` starts a run".into(),
+        )),
+    }
+}
+
+fn write_json(path: &Path, runs: &Runs) -> Result<(), Failure> {
+    serde_json::to_string_pretty(runs)
+        .map_err(std::io::Error::other)
+        .and_then(|text| write_whole(path, &(text + "\n")))
+        .map_err(|error| Failure::GivenUp(format!("{}: {error}", path.display())))
+}
+
+fn listen(paths: &RunPaths, clock: Clock) -> Result<View, Failure> {
+    let config = config::load(&paths.dir().join("config.toml")).map_err(|_| {
+        Failure::GivenUp(format!(
+            "run '{}' is just starting or ending; try again",
+            paths.name()
+        ))
+    })?;
+    let mut tally = Tally::default();
+    let heard = hear(paths, &config, &mut tally, clock);
+    // The run may have ended meanwhile; then it was us who kept its place.
+    if paths.supervisor_pid().is_none() {
+        clean_run(paths)?;
+    }
+    heard?;
+    Ok(View::from_outside(&config, &tally))
+}
+
+fn hear(paths: &RunPaths, config: &Config, tally: &mut Tally, clock: Clock) -> Result<(), Failure> {
+    let wire = Wire::join(paths.name(), Process::Supervisor)?;
+    let mut ports = Ports::open(&wire, config, Depth::Newest)?;
+    let begun = clock();
+    while clock().since_ns(begun) < LISTEN_NS {
+        ports.drain(tally);
+        let all = rows(config).all(|row| tally.process(row.process).is_some());
+        if all && tally.steps.newest.is_some() && tally.progress.is_some() {
+            break;
+        }
+        sleep(LOOK);
+    }
+    Ok(())
+}

@@ -1,0 +1,377 @@
+//! What a run amounts to: as JSON and as a table.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Write as _};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use shm_config::config::Config;
+use shm_config::message::{Driver, Episode, Grant, Outcome};
+use shm_config::services::Process;
+
+use crate::set::ProcessSet;
+use crate::tally::{Quantiles, Tally, Totals};
+
+/// One object: the keys before the blank line are what scripts rely on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Finished episodes in order.
+    pub episodes: Vec<EpisodeRow>,
+    /// The world's ticks.
+    pub ticks: u64,
+    /// Ticks of the grid that the world skipped.
+    pub skipped: u64,
+    /// From the world's first tick due to the next one due, s on the run's clock.
+    pub elapsed_s: f64,
+    /// Time from tick to tick, s.
+    pub period_s: f64,
+    /// SHA-256 over the digests of all episodes' commands, in order; hex.
+    pub command_digest: String,
+    /// Share of the steps by driver.
+    pub share: Share,
+    /// Restarts of all processes.
+    pub restarts: u32,
+    /// The world's release lateness.
+    pub release_lateness_us: Quantiles,
+
+    /// The run's name.
+    pub run: String,
+    /// How the run ended: finished, stopped, or why it was given up.
+    pub ended: String,
+    /// Steps read.
+    pub steps: u64,
+    /// Steps lost before they were read.
+    pub lost_steps: u64,
+    /// Steps by driver and reason, such as `expert: {unloaded: 120}`.
+    pub reasons: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
+    /// Ticks on which the world braked for want of a young command, in finished
+    /// episodes.
+    pub braked: u64,
+    /// Each process.
+    pub processes: BTreeMap<&'static str, ProcessRow>,
+}
+
+/// One finished episode.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EpisodeRow {
+    /// Its seed.
+    pub seed: u64,
+    /// How it ended.
+    pub outcome: &'static str,
+    /// Arrived without touching anything.
+    pub strict: bool,
+    /// Share of the route driven.
+    pub completion: f64,
+    /// Ticks driven.
+    pub ticks: u64,
+}
+
+/// Share of the steps by driver, each in [0, 1].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Share {
+    /// The hand-made expert.
+    pub expert: f64,
+    /// The learned policy.
+    pub policy: f64,
+    /// The brake.
+    pub brake: f64,
+}
+
+/// One process over all its restarts.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ProcessRow {
+    /// How often it was restarted.
+    pub restarts: u32,
+    /// Ticks done.
+    pub ticks: u64,
+    /// Ticks of the grid skipped.
+    pub skipped: u64,
+    /// Ticks completed after their deadline.
+    pub late: u64,
+    /// Messages refused at its door.
+    pub refused: u64,
+    /// From the scheduled instant to the begin of the tick.
+    pub release_lateness_us: Quantiles,
+    /// From begin to end of the tick.
+    pub execution_us: Quantiles,
+    /// From the world's release to the command (controller).
+    pub response_us: Quantiles,
+    /// What it asked for and was granted.
+    pub realtime: RealTime,
+}
+
+/// Real-time rights of one process.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RealTime {
+    /// Real-time scheduling: not asked, granted or refused.
+    pub priority: &'static str,
+    /// The priority asked for; 0 for none.
+    pub priority_asked: u32,
+    /// The priority in force; 0 for none.
+    pub priority_got: u32,
+    /// Its own core.
+    pub core: &'static str,
+    /// Memory locked.
+    pub memory: &'static str,
+}
+
+/// The digest over the commands of a whole run.
+pub fn command_digest<'a>(episodes: impl Iterator<Item = &'a Episode>) -> String {
+    let mut hash = Sha256::new();
+    for episode in episodes {
+        hash.update(episode.command_digest);
+    }
+    hash.finalize().iter().fold(String::new(), |mut hex, byte| {
+        // Writing to a string cannot fail.
+        let _ = write!(hex, "{byte:02x}");
+        hex
+    })
+}
+
+impl EpisodeRow {
+    fn of(episode: &Episode) -> Self {
+        Self {
+            seed: episode.seed,
+            outcome: episode.outcome().word(),
+            strict: episode.is_strict_success(),
+            completion: episode.completion,
+            ticks: episode.ticks,
+        }
+    }
+}
+
+impl ProcessRow {
+    fn of(process: Process, restarts: u32, tally: &Tally) -> Self {
+        let counted = tally.process(process);
+        let totals = counted.map_or_else(Totals::default, |counted| counted.totals());
+        let timing = counted.map(|counted| counted.timing()).unwrap_or_default();
+        let health = counted
+            .and_then(|counted| counted.newest())
+            .copied()
+            .unwrap_or_default();
+        let grant = |code| Grant::from_code(code).unwrap_or(Grant::Refused).word();
+        Self {
+            restarts,
+            ticks: totals.ticks,
+            skipped: totals.skipped,
+            late: totals.late,
+            refused: totals.refused,
+            release_lateness_us: Quantiles::of(&timing.release_lateness),
+            execution_us: Quantiles::of(&timing.execution),
+            response_us: Quantiles::of(&timing.response),
+            realtime: RealTime {
+                priority: grant(health.priority),
+                priority_asked: health.priority_asked,
+                priority_got: health.priority_got,
+                core: grant(health.core),
+                memory: grant(health.memory),
+            },
+        }
+    }
+}
+
+impl Summary {
+    /// Adds everything up; `ended` says how the run ended.
+    pub fn of(config: &Config, tally: &Tally, set: &ProcessSet, ended: String) -> Self {
+        let processes: BTreeMap<_, _> = set
+            .members()
+            .iter()
+            .map(|member| {
+                let process = member.row().process;
+                (
+                    process.word(),
+                    ProcessRow::of(process, member.restarts(), tally),
+                )
+            })
+            .collect();
+        let world = tally.process(Process::World);
+        let totals = world.map_or_else(Totals::default, |world| world.totals());
+        let mut reasons = BTreeMap::<_, BTreeMap<_, _>>::new();
+        for (driver, reason, count) in tally.steps.reasons() {
+            *reasons
+                .entry(driver.word())
+                .or_default()
+                .entry(reason)
+                .or_default() += count;
+        }
+        Self {
+            episodes: tally.episodes.values().map(EpisodeRow::of).collect(),
+            ticks: totals.ticks,
+            skipped: totals.skipped,
+            elapsed_s: totals.elapsed_ns as f64 / 1e9,
+            period_s: config.run.period_ns() as f64 / 1e9,
+            command_digest: command_digest(tally.episodes.values()),
+            share: Share {
+                expert: tally.steps.share(Driver::Expert),
+                policy: tally.steps.share(Driver::Policy),
+                brake: tally.steps.share(Driver::Brake),
+            },
+            restarts: processes.values().map(|row| row.restarts).sum(),
+            release_lateness_us: processes
+                .get(Process::World.word())
+                .map_or_else(Quantiles::default, |world| world.release_lateness_us),
+            run: config.run.name.clone(),
+            ended,
+            steps: tally.steps.received,
+            lost_steps: tally.steps.lost(),
+            reasons,
+            braked: tally.episodes.values().map(|episode| episode.braked).sum(),
+            processes,
+        }
+    }
+
+    /// Writes the object so that a reader finds the old file or the whole new one.
+    ///
+    /// # Errors
+    /// When the folder is missing or refuses.
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
+        write_whole(path, &(text + "\n"))
+    }
+}
+
+/// Writes a file beside its place, then moves it there.
+///
+/// # Errors
+/// When the folder is missing or refuses.
+pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".{}", std::process::id()));
+    let beside = PathBuf::from(beside);
+    fs::write(&beside, text)
+        .and_then(|()| fs::rename(&beside, path))
+        .inspect_err(|_| {
+            let _ = fs::remove_file(&beside);
+        })
+}
+
+/// Episodes listed one by one at each end of a long run.
+const EPISODES_SHOWN: usize = 20;
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "run {}: {}", self.run, self.ended)?;
+        self.fmt_episodes(f)?;
+        self.fmt_drivers(f)?;
+        self.fmt_ticks(f)?;
+        self.fmt_processes(f)
+    }
+}
+
+impl Summary {
+    fn fmt_episodes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.episodes.is_empty() {
+            return writeln!(f, "\nno episode was finished");
+        }
+        writeln!(
+            f,
+            "\nepisode      seed  outcome      strict  completion   ticks"
+        )?;
+        let count = self.episodes.len();
+        for (index, row) in self.episodes.iter().enumerate() {
+            if index == EPISODES_SHOWN && count > 2 * EPISODES_SHOWN {
+                writeln!(
+                    f,
+                    "    ... {} more in the JSON ...",
+                    count - 2 * EPISODES_SHOWN
+                )?;
+            }
+            if index >= EPISODES_SHOWN && index + EPISODES_SHOWN < count {
+                continue;
+            }
+            writeln!(
+                f,
+                "{:>7}  {:>8}  {:<11}  {:<6}  {:>8.1} %  {:>6}",
+                index + 1,
+                row.seed,
+                row.outcome,
+                if row.strict { "yes" } else { "no" },
+                row.completion * 100.0,
+                row.ticks
+            )?;
+        }
+        let with = |outcome: Outcome| {
+            let word = outcome.word();
+            self.episodes
+                .iter()
+                .filter(|row| row.outcome == word)
+                .count()
+        };
+        writeln!(
+            f,
+            "{count} episodes: {} arrived ({} without contact), {} out of road, {} max step, {} stopped",
+            with(Outcome::Arrived),
+            self.episodes.iter().filter(|row| row.strict).count(),
+            with(Outcome::OutOfRoad),
+            with(Outcome::MaxStep),
+            with(Outcome::Stopped),
+        )
+    }
+
+    fn fmt_drivers(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "\ndrove: expert {:.1} %, policy {:.1} %, brake {:.1} % of {} steps ({} lost before they were read)",
+            self.share.expert * 100.0,
+            self.share.policy * 100.0,
+            self.share.brake * 100.0,
+            self.steps,
+            self.lost_steps
+        )?;
+        for (driver, reasons) in &self.reasons {
+            let list: Vec<_> = reasons
+                .iter()
+                .map(|(reason, count)| format!("{reason} {count}"))
+                .collect();
+            writeln!(f, "  {driver}: {}", list.join(", "))?;
+        }
+        writeln!(f, "command digest {}", self.command_digest)
+    }
+
+    fn fmt_ticks(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let due = match self.period_s > 0.0 {
+            true => (self.elapsed_s / self.period_s).round() as u64,
+            false => 0,
+        };
+        let counted = self.ticks + self.skipped;
+        let relation = if counted == due { "==" } else { "!=" };
+        writeln!(
+            f,
+            "\nticks {} + skipped {} = {counted} {relation} {due} = elapsed {:.3} s / period {} s; \
+             world braked for want of a command on {} ticks",
+            self.ticks, self.skipped, self.elapsed_s, self.period_s, self.braked
+        )
+    }
+
+    fn fmt_processes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "\nreal-time rights")?;
+        for (process, row) in &self.processes {
+            let rights = &row.realtime;
+            writeln!(
+                f,
+                "  {process:<10}  priority {} (asked {}, got {}), own core {}, locked memory {}",
+                rights.priority,
+                rights.priority_asked,
+                rights.priority_got,
+                rights.core,
+                rights.memory
+            )?;
+        }
+        writeln!(
+            f,
+            "\nrelease lateness, us       p50         p99       p99.9         max    late  restarts"
+        )?;
+        for (process, row) in &self.processes {
+            let us = row.release_lateness_us;
+            writeln!(
+                f,
+                "  {process:<14}  {:>12.1}{:>12.1}{:>12.1}{:>12.1}  {:>6}  {:>8}",
+                us.p50, us.p99, us.p999, us.max, row.late, row.restarts
+            )?;
+        }
+        Ok(())
+    }
+}

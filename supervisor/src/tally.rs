@@ -1,0 +1,256 @@
+//! What a run's messages add up to, over all restarts.
+
+use std::collections::BTreeMap;
+
+use shm_config::Message;
+use shm_config::message::{
+    Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, Progress, Reason, Step, Timing,
+};
+use shm_config::services::Process;
+
+/// Timings kept apart, by producer; older ones are merged. A dead process's last
+/// timing may come after its successor's first, never after four successors'.
+const TIMINGS_APART: usize = 4;
+
+/// Everything counted so far.
+#[derive(Debug, Default)]
+pub struct Tally {
+    /// Steps: who drove, and why.
+    pub steps: StepTally,
+    /// Finished episodes by their index in the run.
+    pub episodes: BTreeMap<u32, Episode>,
+    /// How the current episode goes.
+    pub progress: Option<Progress>,
+    /// Messages whose content made no sense.
+    pub refused: u64,
+    processes: BTreeMap<u32, ProcessTally>,
+}
+
+/// Steps, and who drove in them.
+#[derive(Debug, Default)]
+pub struct StepTally {
+    /// Steps read.
+    pub received: u64,
+    /// The newest driver and reason.
+    pub newest: Option<(Driver, Reason)>,
+    counts: BTreeMap<(u32, u32), u64>,
+    last_sequence: BTreeMap<u32, u64>,
+}
+
+/// One process over all its restarts.
+#[derive(Debug, Default)]
+pub struct ProcessTally {
+    healths: BTreeMap<u32, Health>,
+    newest: Option<Health>,
+    timings: Vec<(u32, Box<Timing>)>,
+    merged: Box<Timing>,
+}
+
+/// Counts over all restarts of one process.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Totals {
+    /// Ticks done.
+    pub ticks: u64,
+    /// Ticks of the grid skipped.
+    pub skipped: u64,
+    /// Ticks completed after their deadline.
+    pub late: u64,
+    /// Messages refused at the door.
+    pub refused: u64,
+    /// Messages lost on queues.
+    pub lost: u64,
+    /// From the first tick due to the next one due, ns on the run's clock.
+    pub elapsed_ns: u64,
+}
+
+impl Tally {
+    /// Takes a health in; its state, or `None` when its content is refused.
+    pub fn count_health(&mut self, process: Process, health: &Health) -> Option<HealthState> {
+        health.check().ok()?;
+        let tally = self.processes.entry(process.code()).or_default();
+        tally.healths.insert(health.header.producer, *health);
+        tally.newest = Some(*health);
+        HealthState::from_code(health.state)
+    }
+
+    /// Takes a timing in: the last of each producer counts, since each holds
+    /// everything since its start.
+    pub fn count_timing(&mut self, process: Process, timing: Timing) {
+        let tally = self.processes.entry(process.code()).or_default();
+        let pid = timing.header.producer;
+        match tally
+            .timings
+            .iter_mut()
+            .find(|(producer, _)| *producer == pid)
+        {
+            Some((_, last)) => **last = timing,
+            None => tally.timings.push((pid, Box::new(timing))),
+        }
+        if tally.timings.len() > TIMINGS_APART {
+            let (_, oldest) = tally.timings.remove(0);
+            merge(&mut tally.merged, &oldest);
+        }
+    }
+
+    /// Takes the world's word on the episode in.
+    pub fn count_progress(&mut self, progress: Progress) {
+        match progress.check() {
+            Ok(()) => self.progress = Some(progress),
+            Err(_) => self.refused += 1,
+        }
+    }
+
+    /// Takes a finished episode in.
+    pub fn count_episode(&mut self, episode: Episode) {
+        match episode.check() {
+            Ok(()) => {
+                self.episodes.insert(episode.header.episode, episode);
+            }
+            Err(_) => self.refused += 1,
+        }
+    }
+
+    /// Takes a step in.
+    pub fn count_step(&mut self, step: &Step) {
+        if step.command.check().is_err() {
+            self.refused += 1;
+        }
+        self.steps.count(step);
+    }
+
+    /// The episode that a restarted world begins with: those before are done.
+    pub fn next_episode(&self) -> u32 {
+        self.episodes
+            .last_key_value()
+            .map_or(0, |(episode, _)| episode.saturating_add(1))
+    }
+
+    /// How many episodes ended so.
+    pub fn outcome_count(&self, outcome: Outcome) -> usize {
+        self.episodes
+            .values()
+            .filter(|episode| episode.outcome() == outcome)
+            .count()
+    }
+
+    /// One process's counts; `None` when it never said anything.
+    pub fn process(&self, process: Process) -> Option<&ProcessTally> {
+        self.processes.get(&process.code())
+    }
+
+    /// A process asked for real-time priority and did not get it.
+    pub fn is_priority_refused(&self, process: Process) -> bool {
+        self.process(process)
+            .and_then(ProcessTally::newest)
+            .is_some_and(|health| health.priority == Grant::Refused.code())
+    }
+}
+
+impl StepTally {
+    fn count(&mut self, step: &Step) {
+        self.received += 1;
+        let header = &step.header;
+        self.last_sequence.insert(header.producer, header.sequence);
+        let (driver, reason) = (step.driver(), step.reason());
+        let reason_code = reason.map_or(u32::MAX, Reason::code);
+        *self.counts.entry((driver.code(), reason_code)).or_default() += 1;
+        self.newest = Some((driver, reason.unwrap_or(Reason::Blind)));
+    }
+
+    /// Steps that were overwritten before they were read. Every producer counts
+    /// its steps from 1, and the reader is there before the first.
+    pub fn lost(&self) -> u64 {
+        let sent: u64 = self.last_sequence.values().sum();
+        sent.saturating_sub(self.received)
+    }
+
+    /// Steps driven by one driver, for any reason.
+    pub fn driven_by(&self, driver: Driver) -> u64 {
+        self.counts
+            .iter()
+            .filter(|((code, _), _)| *code == driver.code())
+            .map(|(_, count)| count)
+            .sum()
+    }
+
+    /// Share of the steps read that one driver drove, [0, 1]; 0 without steps.
+    pub fn share(&self, driver: Driver) -> f64 {
+        match self.received {
+            0 => 0.0,
+            received => self.driven_by(driver) as f64 / received as f64,
+        }
+    }
+
+    /// Steps by driver and reason, in the order of the two lists.
+    pub fn reasons(&self) -> impl Iterator<Item = (Driver, &'static str, u64)> + '_ {
+        self.counts.iter().map(|(&(driver, reason), &count)| {
+            let driver = Driver::from_code(driver).unwrap_or(Driver::Brake);
+            let reason = Reason::from_code(reason).map_or("unknown", Reason::word);
+            (driver, reason, count)
+        })
+    }
+}
+
+impl ProcessTally {
+    /// The newest health.
+    pub fn newest(&self) -> Option<&Health> {
+        self.newest.as_ref()
+    }
+
+    /// Counts over all restarts.
+    pub fn totals(&self) -> Totals {
+        let mut totals = Totals::default();
+        for health in self.healths.values() {
+            totals.ticks += health.ticks;
+            totals.skipped += health.skipped;
+            totals.late += health.late;
+            totals.refused += health.refused;
+            totals.lost += health.lost;
+            totals.elapsed_ns += health
+                .next_scheduled_ns
+                .saturating_sub(health.first_scheduled_ns);
+        }
+        totals
+    }
+
+    /// Histograms over all restarts.
+    pub fn timing(&self) -> Box<Timing> {
+        let mut all = self.merged.clone();
+        for (_, timing) in &self.timings {
+            merge(&mut all, timing);
+        }
+        all
+    }
+}
+
+fn merge(into: &mut Timing, more: &Timing) {
+    into.release_lateness.merge(&more.release_lateness);
+    into.execution.merge(&more.execution);
+    into.response.merge(&more.response);
+}
+
+/// A histogram in the four numbers that tables print, microseconds.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+pub struct Quantiles {
+    /// Median, us.
+    pub p50: f64,
+    /// 99 in 100 lie below, us.
+    pub p99: f64,
+    /// 999 in 1000 lie below, us.
+    pub p999: f64,
+    /// The largest, us; exact, nothing is filtered out.
+    pub max: f64,
+}
+
+impl Quantiles {
+    /// Of a histogram; all 0 when it is empty.
+    pub fn of(histogram: &Histogram) -> Self {
+        let us = |ns: u64| ns as f64 / 1e3;
+        Self {
+            p50: us(histogram.quantile_ns(0.5)),
+            p99: us(histogram.quantile_ns(0.99)),
+            p999: us(histogram.quantile_ns(0.999)),
+            max: us(histogram.max_ns),
+        }
+    }
+}

@@ -1,0 +1,385 @@
+//! `up`: start, watch, restart, stop, add up.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use shm_config::Instant;
+use shm_config::config::Config;
+use shm_config::services::Process;
+use shm_config::wire::Wire;
+
+use crate::Clock;
+use crate::arguments::Up;
+use crate::child::{Launch, own_folder};
+use crate::failure::Failure;
+use crate::live::View;
+use crate::log::LogFile;
+use crate::member::{Phase, Turn};
+use crate::place::{Place, check_shared_memory, shared_memory};
+use crate::ports::{Depth, Ports};
+use crate::screen::{Screen, say};
+use crate::set::ProcessSet;
+use crate::settings;
+use crate::signals::Signals;
+use crate::stop::Stop;
+use crate::summary::{Summary, write_whole};
+use crate::table::Rights;
+use crate::tally::Tally;
+
+/// The loop's period, ns: 20 Hz.
+const PERIOD_NS: u64 = 50_000_000;
+/// While processes start, each waits for the one before: look more often, ns.
+const START_PERIOD_NS: u64 = 5_000_000;
+/// From view to view, ns.
+const SHOW_NS: u64 = 200_000_000;
+/// From look to look at the size of the logs, ns.
+const LOGS_NS: u64 = 1_000_000_000;
+
+/// Folder of the children's binaries, for tests of the supervisor alone.
+const BINARIES_VARIABLE: &str = "VLAPS_BIN_DIR";
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum End {
+    Finished,
+    Stopped,
+    GivenUp(String),
+}
+
+/// Drives a run to its end.
+///
+/// # Errors
+/// When the configuration is wrong, the run cannot start, or it had to be given
+/// up. Nothing of it is left in shared memory either way.
+pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
+    let config = settings::resolve(arguments)?;
+    if let Some(path) = &arguments.json {
+        check_writable(path)?;
+    }
+    let signals = Signals::install()
+        .map_err(|error| Failure::GivenUp(format!("cannot take over signals: {error}")))?;
+    let name = config
+        .run
+        .name
+        .parse()
+        .map_err(|error| Failure::Usage(format!("{error}")))?;
+    let (place, leftovers) = Place::take(name)?;
+    if leftovers.files > 0 {
+        say(format_args!(
+            "removed what a killed run '{}' left: {} files, {} KB of shared memory",
+            config.run.name,
+            leftovers.files,
+            leftovers.bytes >> 10
+        ));
+    }
+    check_shared_memory(shared_memory()?.0)?;
+    let folder = prepare_folder(&config, &place)?;
+    let (end, summary) = drive(&config, &place, &folder, signals, clock)?;
+    drop(place);
+    if summary.ticks > 0 {
+        say(format_args!("\n{summary}"));
+        say(format_args!("logs and summary in {}", folder.display()));
+    }
+    write_summary(&summary, &folder.join("summary.json"))?;
+    if let Some(path) = &arguments.json {
+        write_summary(&summary, path)?;
+    }
+    match end {
+        End::Finished | End::Stopped => Ok(()),
+        End::GivenUp(reason) => Err(Failure::GivenUp(reason)),
+    }
+}
+
+/// Said before the drive rather than after it.
+fn check_writable(path: &Path) -> Result<(), Failure> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    match folder.is_dir() && !path.is_dir() {
+        true => Ok(()),
+        false => Err(Failure::Usage(format!(
+            "--json {}: cannot write there; name a file in an existing folder",
+            path.display()
+        ))),
+    }
+}
+
+fn write_summary(summary: &Summary, path: &Path) -> Result<(), Failure> {
+    summary.write(path).map_err(|error| {
+        Failure::GivenUp(format!(
+            "{}: cannot write the summary: {error}",
+            path.display()
+        ))
+    })
+}
+
+/// Makes the run's folder with its resolved configuration; onlookers find a copy
+/// beside the run's other files.
+fn prepare_folder(config: &Config, place: &Place) -> Result<PathBuf, Failure> {
+    let failed = |what: &Path, error: &dyn std::fmt::Display| {
+        Failure::GivenUp(format!(
+            "{}: cannot keep the run's files: {error}; choose another folder with \
+             `--set run.folder=DIR`",
+            what.display()
+        ))
+    };
+    let folder = PathBuf::from(&config.run.folder);
+    fs::create_dir_all(folder.join("logs")).map_err(|error| failed(&folder, &error))?;
+    let folder = folder
+        .canonicalize()
+        .map_err(|error| failed(&folder, &error))?;
+    let text = toml::to_string(config).map_err(|error| failed(&folder, &error))?;
+    for path in [
+        folder.join("config.toml"),
+        place.paths().dir().join("config.toml"),
+    ] {
+        write_whole(&path, &text).map_err(|error| failed(&path, &error))?;
+    }
+    Ok(folder)
+}
+
+fn drive(
+    config: &Config,
+    place: &Place,
+    folder: &Path,
+    signals: Signals,
+    clock: Clock,
+) -> Result<(End, Summary), Failure> {
+    let binaries = match std::env::var_os(BINARIES_VARIABLE) {
+        Some(folder) => folder.into(),
+        None => own_folder()
+            .map_err(|error| Failure::GivenUp(format!("cannot find the binaries: {error}")))?,
+    };
+    let launch = Launch {
+        binaries,
+        config: folder.join("config.toml"),
+        rights: rights(config),
+    };
+    let logs = folder.join("logs");
+    let set = ProcessSet::new(config, launch, &logs)?;
+    let wire = Wire::join(place.paths().name(), Process::Supervisor)?;
+    let ports = Ports::open(&wire, config, Depth::All)?;
+    let now = clock();
+    let mut run = Run {
+        config,
+        ports,
+        wire,
+        set,
+        tally: Tally::default(),
+        screen: Screen::open(),
+        journal: Journal::open(&logs, config, now)?,
+        shown: now,
+        logs_tended: now,
+        is_warned: false,
+        stops_asked: 0,
+        ending: None,
+    };
+    let end = run.loop_to_the_end(signals, clock);
+    let ended = match &end {
+        End::Finished => "finished".into(),
+        End::Stopped => "stopped".into(),
+        End::GivenUp(reason) => format!("given up: {reason}"),
+    };
+    let summary = Summary::of(config, &run.tally, &run.set, ended);
+    run.screen.close();
+    Ok((end, summary))
+}
+
+/// What the processes ask for: nothing in lockstep, which has no deadline and
+/// would only keep the cores from everybody else.
+fn rights(config: &Config) -> Rights {
+    if !config.supervisor.realtime || config.run.is_lockstep() {
+        return Rights::Ordinary;
+    }
+    Rights::RealTime(own_cores())
+}
+
+/// The cores that the supervisor may use, in order.
+pub fn own_cores() -> Vec<usize> {
+    let Ok(allowed) = rustix::thread::sched_getaffinity(None) else {
+        return Vec::new();
+    };
+    (0..rustix::thread::CpuSet::MAX_CPU)
+        .filter(|core| allowed.is_set(*core))
+        .collect()
+}
+
+/// The supervisor's own log.
+struct Journal {
+    log: LogFile,
+    file: File,
+    begun: Instant,
+}
+
+impl Journal {
+    fn open(dir: &Path, config: &Config, now: Instant) -> Result<Self, Failure> {
+        let failed = |error: std::io::Error| {
+            Failure::GivenUp(format!("{}: cannot keep a log: {error}", dir.display()))
+        };
+        let limit_bytes = u64::from(config.supervisor.log_mb) << 20;
+        let mut log =
+            LogFile::create(dir, Process::Supervisor.word(), limit_bytes).map_err(failed)?;
+        let file = log.begin().map_err(failed)?;
+        Ok(Self {
+            log,
+            file,
+            begun: now,
+        })
+    }
+
+    fn line(&mut self, now: Instant, text: &str) {
+        let passed_s = now.since_ns(self.begun) as f64 / 1e9;
+        // A full disk stops the journal, not the car.
+        let _ = writeln!(self.file, "{passed_s:9.3} {text}");
+        let _ = self.log.rotate();
+    }
+}
+
+/// A run in progress. Fields are dropped in this order: ports before the wire.
+struct Run<'a> {
+    config: &'a Config,
+    ports: Ports,
+    wire: Wire,
+    set: ProcessSet,
+    tally: Tally,
+    screen: Screen,
+    journal: Journal,
+    shown: Instant,
+    logs_tended: Instant,
+    is_warned: bool,
+    stops_asked: usize,
+    ending: Option<(End, Stop)>,
+}
+
+impl Run<'_> {
+    fn loop_to_the_end(&mut self, mut signals: Signals, clock: Clock) -> End {
+        loop {
+            let now = clock();
+            self.look(now);
+            self.stops_asked += signals.take_stops();
+            let turn = match self.ending {
+                None => self.act(now),
+                Some(_) => Turn::Drive,
+            };
+            self.end_if_due(turn, now);
+            self.tell(now);
+            if let Some((end, stop)) = &mut self.ending {
+                if self.set.is_empty() {
+                    return end.clone();
+                }
+                if self.stops_asked > 1 {
+                    stop.kill(&self.set);
+                }
+                stop.advance(&self.set, now);
+            }
+            signals.wait(self.pause_ns(now));
+        }
+    }
+
+    /// Takes in all there is to see. The dead are collected before the ports
+    /// are read, so that their last words are in what is read.
+    fn look(&mut self, now: Instant) {
+        let died = self.set.reap(now);
+        for sign in self.ports.drain(&mut self.tally) {
+            self.set.hear(sign.process, sign.pid, sign.state);
+        }
+        if died {
+            // Their successors find the places of the dead free.
+            self.wire.sweep();
+        }
+    }
+
+    /// Restarts, kills and starts what is due.
+    fn act(&mut self, now: Instant) -> Turn {
+        match self.set.judge(now) {
+            Turn::Drive => self.set.start_due(now, self.tally.next_episode()),
+            end => end,
+        }
+    }
+
+    fn end_if_due(&mut self, turn: Turn, now: Instant) {
+        if self.ending.is_some() {
+            return;
+        }
+        let end = match turn {
+            Turn::Finished => End::Finished,
+            Turn::GiveUp(reason) => End::GivenUp(reason),
+            Turn::Drive if self.stops_asked > 0 => End::Stopped,
+            Turn::Drive => return,
+        };
+        let line = match &end {
+            End::Finished => "the run is driven to its end".into(),
+            End::Stopped => "stopping: the car is braked to a stand; once more kills".into(),
+            End::GivenUp(reason) => format!("giving up: {reason}"),
+        };
+        self.journal.line(now, &line);
+        if end == End::Stopped {
+            self.screen.line(line);
+        }
+        let stop = Stop::begin(&self.set, &self.config.supervisor, now);
+        self.ending = Some((end, stop));
+    }
+
+    fn tell(&mut self, now: Instant) {
+        for event in self.set.take_events() {
+            let text = event.to_string();
+            self.journal.line(now, &text);
+            if event.is_notable() {
+                self.screen.line(text);
+            }
+        }
+        self.warn_of_refused_priority(now);
+        if now.since_ns(self.shown) >= SHOW_NS {
+            self.shown = now;
+            let view = View::from_inside(self.config, &self.tally, &self.set);
+            self.screen.show(view);
+        }
+        if now.since_ns(self.logs_tended) >= LOGS_NS {
+            self.logs_tended = now;
+            self.set.tend_logs();
+        }
+    }
+
+    fn warn_of_refused_priority(&mut self, now: Instant) {
+        let is_up = |phase: &Phase| matches!(phase, Phase::Up { .. });
+        let members = self.set.members();
+        if self.is_warned || !members.iter().all(|member| is_up(member.phase())) {
+            return;
+        }
+        self.is_warned = true;
+        let refused: Vec<_> = members
+            .iter()
+            .map(|member| member.row().process)
+            .filter(|process| self.tally.is_priority_refused(*process))
+            .map(Process::word)
+            .collect();
+        if !refused.is_empty() {
+            let line = format!(
+                "warning: real-time priority refused to {}; driving without it, ticks may be late: \
+                 `./vlaps doctor` says how to grant it, --no-realtime asks for none",
+                refused.join(", ")
+            );
+            self.journal.line(now, &line);
+            self.screen.line(line);
+        }
+    }
+
+    fn pause_ns(&self, now: Instant) -> u64 {
+        let starts = self
+            .set
+            .members()
+            .iter()
+            .any(|member| matches!(member.phase(), Phase::Waiting | Phase::Starting { .. }));
+        let period_ns = match starts && self.ending.is_none() {
+            true => START_PERIOD_NS,
+            false => PERIOD_NS,
+        };
+        let due_ns = self
+            .set
+            .next_start()
+            .map_or(u64::MAX, |due| due.since_ns(now));
+        period_ns.min(due_ns.max(1_000_000))
+    }
+}

@@ -1,0 +1,3 @@
+#!/bin/sh
+# Has nothing to do.
+exit 0

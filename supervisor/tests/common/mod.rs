@@ -1,0 +1,125 @@
+//! Children that are shell scripts, where no ports are needed.
+
+#![allow(dead_code)] // not every test file needs all of it
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, waitid};
+use shm_config::Instant;
+use shm_config::config::{Config, GateMode};
+use shm_config::message::HealthState;
+use shm_config::services::Process;
+use supervisor::child::Launch;
+use supervisor::set::ProcessSet;
+use supervisor::table::{Rights, TABLE};
+use tempfile::TempDir;
+
+pub const SECOND: u64 = 1_000_000_000;
+
+/// A folder of binaries, all of them the script of this name. They are links to
+/// checked-in files: a freshly written file may be busy for a moment, when
+/// another test starts a process just then.
+pub fn binaries(script: &str) -> TempDir {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    for row in TABLE {
+        replace(dir.path(), row.binary, script);
+    }
+    dir
+}
+
+/// Makes one binary another script.
+pub fn replace(dir: &Path, binary: &str, script: &str) {
+    let target = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/children")
+        .join(format!("{script}.sh"));
+    let link = dir.join(binary);
+    let _ = fs::remove_file(&link);
+    symlink(target, link).expect("a link");
+}
+
+/// A set of script children.
+pub struct Rig {
+    pub set: ProcessSet,
+    pub config: Config,
+    pub dir: TempDir,
+    pub now: Instant,
+}
+
+impl Rig {
+    pub fn new(script: &str, change: impl FnOnce(&mut Config)) -> Self {
+        let dir = binaries(script);
+        let mut config = Config::default();
+        config.gate.mode = GateMode::Expert;
+        change(&mut config);
+        let launch = Launch {
+            binaries: dir.path().into(),
+            config: dir.path().join("config.toml"),
+            rights: Rights::Ordinary,
+        };
+        let set = ProcessSet::new(&config, launch, dir.path()).expect("a set");
+        let now = Instant(SECOND);
+        Self {
+            set,
+            config,
+            dir,
+            now,
+        }
+    }
+
+    pub fn pid(&self, process: Process) -> Option<u32> {
+        self.set.member(process).expect("in the set").pid()
+    }
+
+    pub fn restarts(&self, process: Process) -> u32 {
+        self.set.member(process).expect("in the set").restarts()
+    }
+
+    pub fn ready(&mut self, process: Process) {
+        let pid = self.pid(process).expect("it lives");
+        self.set.hear(process, pid, HealthState::Ready);
+    }
+
+    /// Starts everybody, one after the other.
+    pub fn start_all(&mut self) {
+        for process in [Process::Planner, Process::Controller, Process::World] {
+            self.set.start_due(self.now, 0);
+            self.ready(process);
+        }
+    }
+
+    /// Waits until a child has ended, without collecting it.
+    pub fn await_end(&self, process: Process) {
+        await_state(self.pid(process).expect("it lives"), WaitIdOptions::EXITED);
+    }
+
+    /// The same, unless it has been collected already.
+    pub fn await_end_if_alive(&self, process: Process) {
+        if self.pid(process).is_some() {
+            self.await_end(process);
+        }
+    }
+
+    /// What a binary was started with, one line for each start.
+    pub fn arguments(&self, binary: &str) -> Vec<String> {
+        arguments(self.dir.path(), binary)
+    }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        self.set.signal_all(Signal::KILL);
+    }
+}
+
+pub fn await_state(pid: u32, state: WaitIdOptions) {
+    let pid = Pid::from_raw(pid as i32).expect("a process id");
+    waitid(WaitId::Pid(pid), state | WaitIdOptions::NOWAIT).expect("our child");
+}
+
+pub fn arguments(dir: &Path, binary: &str) -> Vec<String> {
+    let path: PathBuf = dir.join(format!("{binary}.arguments"));
+    let text = fs::read_to_string(path).unwrap_or_default();
+    text.lines().map(String::from).collect()
+}

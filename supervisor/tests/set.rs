@@ -1,0 +1,249 @@
+//! Start, watch, restart and stop, on children that are shell scripts.
+
+mod common;
+
+use common::{Rig, SECOND, await_state};
+use rustix::process::{Signal, WaitIdOptions};
+use shm_config::message::HealthState;
+use shm_config::services::Process;
+use supervisor::event::Event;
+use supervisor::member::{Phase, READY_LIMIT_NS, Turn};
+use supervisor::stop::Stop;
+
+#[test]
+fn each_starts_when_the_one_before_is_ready() {
+    let mut rig = Rig::new("idle", |_| ());
+    for process in [Process::Planner, Process::Controller, Process::World] {
+        assert_eq!(rig.set.start_due(rig.now, 0), Turn::Drive);
+        assert!(rig.pid(process).is_some(), "{process} has its turn");
+        let started = rig.set.members().iter().filter(|m| m.lives()).count();
+        assert_eq!(rig.set.start_due(rig.now, 0), Turn::Drive);
+        let still = rig.set.members().iter().filter(|m| m.lives()).count();
+        assert_eq!(started, still, "nobody starts before {process} is ready");
+        let pid = rig.pid(process).unwrap();
+        rig.set.hear(process, pid, HealthState::Starting);
+        rig.set.hear(process, pid + 1, HealthState::Ready);
+        let phase = rig.set.member(process).unwrap().phase();
+        assert!(
+            matches!(phase, Phase::Starting { .. }),
+            "neither 'starting' nor another process's word makes it ready: {phase:?}"
+        );
+        rig.ready(process);
+    }
+    assert!(
+        rig.set.member(Process::Gate).is_none(),
+        "the gate is the expert"
+    );
+}
+
+#[test]
+fn a_death_is_followed_by_a_restart_after_its_pause() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    let first = rig.pid(Process::Controller).unwrap();
+    rig.set.signal(Process::Controller, Signal::KILL);
+    rig.await_end(Process::Controller);
+    assert!(rig.set.reap(rig.now));
+    rig.set.take_events();
+    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    let events = rig.set.take_events();
+    assert_eq!(
+        events[0].to_string(),
+        "controller: died (killed by SIGKILL); restart 1 of 10 in 20 ms"
+    );
+    let due = rig.set.next_start().expect("a restart is due");
+    assert_eq!(due, rig.now.after_ns(20_000_000));
+    rig.set.start_due(rig.now, 0);
+    assert_eq!(
+        rig.pid(Process::Controller),
+        None,
+        "not before the pause is over"
+    );
+    rig.set.start_due(due, 0);
+    assert_ne!(rig.pid(Process::Controller), Some(first));
+    assert!(rig.pid(Process::Controller).is_some());
+    assert_eq!(rig.restarts(Process::Controller), 1);
+    assert_eq!(rig.restarts(Process::Planner), 0);
+}
+
+#[test]
+fn a_run_is_given_up_after_the_last_restart_allowed() {
+    let mut rig = Rig::new("crash", |config| config.supervisor.restarts_max = 2);
+    let mut deaths = 0;
+    let reason = loop {
+        assert_eq!(rig.set.start_due(rig.now, 0), Turn::Drive);
+        rig.await_end(Process::Planner);
+        assert!(rig.set.reap(rig.now));
+        deaths += 1;
+        match rig.set.judge(rig.now) {
+            Turn::GiveUp(reason) => break reason,
+            turn => assert_eq!(turn, Turn::Drive),
+        }
+        rig.now = rig.set.next_start().expect("a restart is due");
+    };
+    assert_eq!(deaths, 3, "two restarts");
+    assert_eq!(rig.arguments("vlaps-planner").len(), 3);
+    assert!(
+        reason.contains("exit code 3") && reason.contains("the ground gave way"),
+        "{reason}"
+    );
+}
+
+#[test]
+fn a_refused_set_up_is_shown_and_never_tried_again() {
+    let mut rig = Rig::new("refuse", |_| ());
+    rig.set.start_due(rig.now, 0);
+    rig.await_end(Process::Planner);
+    rig.set.reap(rig.now);
+    let turn = rig.set.judge(rig.now);
+    assert_eq!(turn, Turn::GiveUp("planner: no such lane".into()));
+    assert_eq!(rig.set.next_start(), None);
+    assert_eq!(rig.restarts(Process::Planner), 0);
+}
+
+#[test]
+fn a_stopped_process_is_silent_and_is_killed() {
+    let mut rig = Rig::new("idle", |config| config.supervisor.silence_s = 1.0);
+    rig.start_all();
+    let planner = rig.pid(Process::Planner).unwrap();
+    rig.set.signal(Process::Planner, Signal::STOP);
+    await_state(planner, WaitIdOptions::STOPPED);
+    let mut killed = None;
+    for look in 0..40 {
+        rig.now = rig.now.after_ns(SECOND / 20);
+        for process in [Process::Controller, Process::World] {
+            let pid = rig.pid(process).unwrap();
+            rig.set.hear(process, pid, HealthState::Running);
+        }
+        rig.set.judge(rig.now);
+        let silenced = |event: &Event| matches!(event, Event::Silenced { .. });
+        if rig.set.take_events().iter().any(silenced) {
+            killed = Some(look);
+            break;
+        }
+    }
+    // 20 looks a second and a limit of one second.
+    assert_eq!(killed, Some(21));
+    rig.await_end(Process::Planner);
+    assert!(rig.set.reap(rig.now));
+    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert!(rig.set.next_start().is_some(), "it will be back");
+    assert!(rig.set.lives(Process::Controller) && rig.set.lives(Process::World));
+}
+
+#[test]
+fn a_pause_of_the_supervisor_is_nobodys_silence() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    rig.set.judge(rig.now);
+    rig.set.take_events();
+    rig.now = rig.now.after_ns(3600 * SECOND);
+    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert_eq!(rig.set.take_events(), Vec::new());
+}
+
+#[test]
+fn a_process_that_never_gets_ready_ends_the_start() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.set.start_due(rig.now, 0);
+    rig.now = rig.now.after_ns(READY_LIMIT_NS);
+    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    rig.now = rig.now.after_ns(1);
+    let Turn::GiveUp(reason) = rig.set.judge(rig.now) else {
+        panic!("waits for ever");
+    };
+    assert!(
+        reason.starts_with("planner: not ready 20 s after its start"),
+        "{reason}"
+    );
+}
+
+#[test]
+fn the_world_goes_on_with_the_episode_it_died_in() {
+    let mut rig = Rig::new("idle", |_| ());
+    common::replace(rig.dir.path(), "vlaps-world", "crash");
+    rig.start_all();
+    rig.await_end(Process::World);
+    rig.set.reap(rig.now);
+    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    rig.now = rig.set.next_start().expect("a restart is due");
+    rig.set.start_due(rig.now, 7);
+    rig.await_end(Process::World);
+    let starts = rig.arguments("vlaps-world");
+    assert_eq!(starts.len(), 2);
+    assert!(starts[0].ends_with("--priority 0"), "{starts:?}");
+    assert!(
+        starts[1].ends_with("--priority 0 --first-episode 7"),
+        "{starts:?}"
+    );
+}
+
+#[test]
+fn the_worlds_good_end_is_the_runs_but_nobody_elses_is() {
+    let mut rig = Rig::new("idle", |_| ());
+    common::replace(rig.dir.path(), "vlaps-planner", "done");
+    common::replace(rig.dir.path(), "vlaps-world", "done");
+    rig.start_all();
+    rig.await_end(Process::Planner);
+    rig.set.reap(rig.now);
+    // The first look may have found both.
+    rig.await_end_if_alive(Process::World);
+    rig.set.reap(rig.now);
+    assert_eq!(rig.set.judge(rig.now), Turn::Finished);
+    assert_eq!(
+        rig.restarts(Process::Planner),
+        1,
+        "somebody ended it: it comes back"
+    );
+}
+
+#[test]
+fn a_stop_brakes_the_car_first() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    let mut stop = Stop::begin(&rig.set, &rig.config.supervisor, rig.now);
+    stop.advance(&rig.set, rig.now);
+    rig.await_end(Process::Controller);
+    rig.set.reap(rig.now);
+    assert!(!rig.set.lives(Process::Controller));
+    assert!(rig.set.lives(Process::World), "it drives the braking car");
+    stop.advance(&rig.set, rig.now);
+    rig.await_end(Process::World);
+    rig.await_end(Process::Planner);
+    rig.set.reap(rig.now);
+    assert!(rig.set.is_empty());
+    assert!(!stop.was_forced());
+}
+
+#[test]
+fn a_stop_ends_in_time_whatever_the_processes_do() {
+    let mut rig = Rig::new("idle", |config| config.supervisor.stop_s = 4.0);
+    rig.start_all();
+    for process in [Process::Controller, Process::Planner] {
+        rig.set.signal(process, Signal::STOP);
+        await_state(rig.pid(process).unwrap(), WaitIdOptions::STOPPED);
+    }
+    let begun = rig.now;
+    let mut stop = Stop::begin(&rig.set, &rig.config.supervisor, begun);
+    stop.advance(&rig.set, begun.after_ns(2 * SECOND - 1));
+    assert!(rig.set.lives(Process::World), "the car gets half the time");
+    stop.advance(&rig.set, begun.after_ns(2 * SECOND));
+    rig.await_end(Process::World);
+    stop.advance(&rig.set, begun.after_ns(4 * SECOND - 1));
+    assert!(!stop.was_forced());
+    stop.advance(&rig.set, begun.after_ns(4 * SECOND));
+    rig.await_end(Process::Controller);
+    rig.await_end(Process::Planner);
+    assert!(stop.was_forced());
+}
+
+#[test]
+fn a_stop_without_a_car_asks_all_at_once() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.set.start_due(rig.now, 0);
+    rig.ready(Process::Planner);
+    rig.set.start_due(rig.now, 0);
+    Stop::begin(&rig.set, &rig.config.supervisor, rig.now);
+    rig.await_end(Process::Planner);
+    rig.await_end(Process::Controller);
+}
