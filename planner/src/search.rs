@@ -27,6 +27,10 @@ pub(crate) struct Search {
     /// The first `near_count` are near the new node.
     near: [Near; NODES_MAX],
     near_count: usize,
+    /// Squared distance of each node to the new one, m²; scratch.
+    squares: [f64; NODES_MAX],
+    /// Indices of the nodes inside the radius; scratch.
+    inside: [u16; NODES_MAX],
 }
 
 impl Search {
@@ -36,6 +40,8 @@ impl Search {
             tree: Tree::default(),
             near: [Near::default(); NODES_MAX],
             near_count: 0,
+            squares: [0.0; NODES_MAX],
+            inside: [0; NODES_MAX],
         }
     }
 
@@ -102,22 +108,27 @@ impl Search {
 
     /// Collects the nodes within the radius.
     ///
-    /// A pass over all nodes: at the paper's 200 iterations it is cheaper than
-    /// keeping buckets. Each node is written down and the count moves on only
-    /// for those inside, because a branch would be guessed wrong too often.
+    /// Passes over all nodes: at the paper's 200 iterations they are cheaper than
+    /// keeping buckets. The distances are a loop of vectors; then each index is
+    /// written down and the count moves on only for those inside, because a
+    /// branch would be guessed wrong too often.
     fn find_near(&mut self, point_body: Point, radius_m: f64) {
         let limit = radius_m * radius_m;
+        let squares = self.tree.write_squares(point_body, &mut self.squares);
         let mut count = 0;
-        for (index, square) in self.tree.squares(point_body).enumerate() {
-            let near = &mut self.near[count];
-            near.index = index;
-            near.distance_m = square;
+        for (index, &square) in squares.iter().enumerate() {
+            self.inside[count] = index as u16;
             count += usize::from(square <= limit);
         }
         self.near_count = count;
-        for near in &mut self.near[..count] {
-            near.distance_m = near.distance_m.sqrt();
-            near.cost_via_m = self.tree.cost_m(near.index) + near.distance_m;
+        for (near, &index) in self.near.iter_mut().zip(&self.inside[..count]) {
+            let index = usize::from(index);
+            let distance_m = squares[index].sqrt();
+            *near = Near {
+                index,
+                distance_m,
+                cost_via_m: self.tree.cost_m(index) + distance_m,
+            };
         }
     }
 
@@ -165,12 +176,11 @@ impl Search {
 
     /// Of the nodes in the goal ball the cheapest.
     pub(crate) fn reached(&self, goal_body: Point, radius_m: f64) -> Option<usize> {
-        let limit = radius_m * radius_m;
-        self.tree
-            .squares(goal_body)
-            .enumerate()
-            .filter(|&(_, square)| square <= limit)
-            .map(|(index, _)| index)
+        let in_ball = |&index: &usize| {
+            (self.tree.point(index) - goal_body).norm_squared() <= radius_m * radius_m
+        };
+        (0..self.tree.len())
+            .filter(in_ball)
             .min_by(|&a, &b| self.tree.cost_m(a).total_cmp(&self.tree.cost_m(b)))
     }
 }

@@ -87,13 +87,21 @@ impl Tree {
         self.cost_m[index]
     }
 
-    /// Squared distance of each node to a point, m², in the order of the nodes.
-    pub(crate) fn squares(&self, point_body: Point) -> impl Iterator<Item = f64> + '_ {
-        let Point { coords } = point_body;
-        self.x_m.iter().zip(&self.y_m).map(move |(&x_m, &y_m)| {
-            let (dx_m, dy_m) = (x_m - coords.x, y_m - coords.y);
-            dx_m * dx_m + dy_m * dy_m
-        })
+    /// Writes the squared distance of each node to a point, m², into the
+    /// beginning of `squares`, and returns that.
+    pub(crate) fn write_squares<'a>(
+        &self,
+        point_body: Point,
+        squares: &'a mut [f64; NODES_MAX],
+    ) -> &'a [f64] {
+        // Three slices of one length: the loop becomes one of vectors.
+        let squares = &mut squares[..self.len()];
+        let (x_m, y_m) = (&self.x_m[..squares.len()], &self.y_m[..squares.len()]);
+        for (index, square) in squares.iter_mut().enumerate() {
+            let (dx_m, dy_m) = (x_m[index] - point_body.x, y_m[index] - point_body.y);
+            *square = dx_m * dx_m + dy_m * dy_m;
+        }
+        squares
     }
 
     /// The nearest node and its squared distance, m²; of equals the first.
@@ -104,14 +112,17 @@ impl Tree {
         let (x_lanes, x_rest) = self.x_m.as_chunks::<LANES>();
         let (y_lanes, y_rest) = self.y_m.as_chunks::<LANES>();
         let mut least = [f64::INFINITY; LANES];
-        let mut at = [0u64; LANES];
+        // Counts chunks; of the same width as the distances, so that both are
+        // selected by one comparison.
+        let mut at = [0.0; LANES];
         for (chunk, (x_m, y_m)) in x_lanes.iter().zip(y_lanes).enumerate() {
+            let chunk = chunk as f64;
             for lane in 0..LANES {
                 let (dx_m, dy_m) = (x_m[lane] - coords.x, y_m[lane] - coords.y);
                 let square = dx_m * dx_m + dy_m * dy_m;
                 let nearer = square < least[lane];
                 least[lane] = if nearer { square } else { least[lane] };
-                at[lane] = if nearer { chunk as u64 } else { at[lane] };
+                at[lane] = if nearer { chunk } else { at[lane] };
             }
         }
         let mut best = (0, f64::INFINITY);

@@ -191,10 +191,18 @@ impl RunPaths {
         if !lock(&path, &file, FlockOperation::NonBlockingLockExclusive)? {
             return Ok(None);
         }
-        fs::write(&path, format!("{}\n", std::process::id())).map_err(|source| RunError::Io {
+        let io_error = |source| RunError::Io {
             path: path.clone(),
             source,
-        })?;
+        };
+        // A run that was just ending may have removed the file in between; a lock
+        // on a file that nobody else finds would hold nothing.
+        let locked = file.metadata().map_err(io_error)?.ino();
+        match fs::metadata(&path) {
+            Ok(metadata) if metadata.ino() == locked => {}
+            _ => return self.hold_supervisor(),
+        }
+        fs::write(&path, format!("{}\n", std::process::id())).map_err(io_error)?;
         Ok(Some(RunLock { _file: file }))
     }
 

@@ -9,6 +9,11 @@
 //! Arguments: number of random blocks or a sequence of letters, first seed,
 //! number of seeds.
 
+#![expect(
+    clippy::disallowed_methods,
+    reason = "measuring time is what this entry point is for"
+)]
+
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 

@@ -147,7 +147,7 @@ impl Batch {
     ///
     /// # Errors
     /// [`WorldError`] if a next episode's seed has no map; that world stays at
-    /// the end of its episode.
+    /// the end of its episode. [`WorldError::DeadThread`] if a thread panicked.
     pub fn step(&mut self, actions: &[Action]) -> Result<(), WorldError> {
         let mut actions = actions.iter();
         for shard in &self.shards {
@@ -161,10 +161,10 @@ impl Batch {
             }
         }
         for worker in &self.workers {
-            worker.wake();
+            worker.wake()?;
         }
         for worker in &self.workers {
-            worker.wait();
+            worker.wait()?;
         }
         for shard in &self.shards {
             for slot in &mut lock(shard).slots {
@@ -264,15 +264,13 @@ impl Worker {
         }
     }
 
-    fn wake(&self) {
-        if let Some(go) = &self.go {
-            // A dead thread is noticed when its answer does not come.
-            let _ = go.send(());
-        }
+    fn wake(&self) -> Result<(), WorldError> {
+        let sent = self.go.as_ref().and_then(|go| go.send(()).ok());
+        sent.ok_or(WorldError::DeadThread)
     }
 
-    fn wait(&self) {
-        let _ = self.done.recv();
+    fn wait(&self) -> Result<(), WorldError> {
+        self.done.recv().map_err(|_| WorldError::DeadThread)
     }
 }
 

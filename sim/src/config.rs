@@ -81,6 +81,9 @@ pub enum WorldError {
     /// An episode needs at least one tick.
     #[error("horizon_steps = 0: an episode needs at least one tick")]
     Horizon,
+    /// A thread of a batch has died.
+    #[error("a thread of the batch died: begin a new batch")]
+    DeadThread,
 }
 
 impl From<MapError> for WorldError {

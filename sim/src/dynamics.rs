@@ -10,7 +10,7 @@
 //!    push along the ground's normal;
 //! 3. each wheel asks for the sideways impulse that would take away a *fifth*
 //!    of its slip (this is the measured yaw lag), and for the impulse of the
-//!    engine, or of the brake (never more than stops the wheel);
+//!    engine, or of the brake (never more than would stop the car);
 //! 4. when any wheel asks for more than friction gives, that wheel's impulses
 //!    shrink to the limit `friction * load`. A forward impulse counts half,
 //!    which is why the car may brake at nearly 12 m/s² with a friction of 0.9
@@ -221,7 +221,6 @@ impl Car {
 
     /// Tyres: engine, brake and side slip, limited by friction.
     fn roll(&self, wheels: &Wheels, up: &Vector3<f64>, controls: &Controls, moving: &mut Moving) {
-        let grounded = wheels.touching.iter().filter(|&&touching| touching).count().max(1) as f64;
         let mut impulses = [(0.0, 0.0); 4];
         let mut directions = [(Vector3::zeros(), Vector3::zeros()); 4];
         for wheel in 0..4 {
@@ -242,7 +241,9 @@ impl Car {
             let forward_ns = if controls.engine_n != 0.0 {
                 controls.engine_n * SUBSTEP_S
             } else {
-                let stop_ns = -forward.dot(&slip) / (self.mobility(contact, &forward) * grounded);
+                // Each wheel would stop the whole car alone, so together they
+                // overshoot: a car brakes to rest by rocking back and forth.
+                let stop_ns = -forward.dot(&slip) / self.mobility(contact, &forward);
                 stop_ns.clamp(-controls.brake_ns, controls.brake_ns)
             };
             let limit_ns = wheels.load_ns[wheel] * self.model.wheel_friction;

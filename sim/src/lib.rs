@@ -18,7 +18,9 @@
 //! | [`observe`] | state to observation |
 //! | [`score`] | the account of one episode |
 //! | [`world`], [`config`] | episodes by seed, tick by tick |
+//! | [`batch`] | many worlds at once |
 
+pub mod batch;
 mod block;
 pub mod bodies;
 pub mod config;
@@ -40,6 +42,7 @@ mod surface;
 pub mod traffic;
 pub mod world;
 
+pub use batch::{AfterEnd, Batch, BatchConfig};
 pub use block::Parameters;
 pub use config::{OutOfRoute, WorldConfig, WorldError};
 pub use surface::Bounds;

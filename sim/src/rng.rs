@@ -122,3 +122,65 @@ impl Shared {
         (f64::from(count) * self.unit) as u8
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Printed by numpy 2.4's `RandomState`, seeded as MetaDrive does it:
+    /// seed, three units, `randint` below 7, 50, 10000, 65536 and 1000000
+    /// (after 1, 2 and 3), a weighted choice, a shuffle of 0..12, a unit.
+    #[test]
+    fn draws_are_numpys() {
+        type Row = (u64, [f64; 3], [u32; 8], usize, [u8; 12], f64);
+        let rows: [Row; 3] = [
+            (
+                100,
+                [0.33714631601867096, 0.7379785633962094, 0.1080190473312509],
+                [0, 0, 2, 2, 23, 9625, 26583, 206633],
+                0,
+                [1, 11, 9, 5, 8, 6, 7, 10, 2, 3, 0, 4],
+                0.5680787684862098,
+            ),
+            (
+                65535,
+                [0.4090432337720987, 0.33471447383815456, 0.06413817763568441],
+                [0, 1, 0, 5, 31, 7784, 19402, 559939],
+                6,
+                [6, 7, 2, 11, 5, 3, 10, 1, 8, 4, 9, 0],
+                0.7309715121658038,
+            ),
+            (
+                1_099_511_627_783,
+                [0.2134570731815859, 0.25854875876883476, 0.20641376402264944],
+                [0, 1, 1, 5, 19, 6000, 41828, 810436],
+                5,
+                [8, 6, 4, 3, 2, 10, 1, 5, 11, 7, 0, 9],
+                0.260396151182254,
+            ),
+        ];
+        for (seed, units, integers, choice, shuffled, last) in rows {
+            let mut stream = Stream::new(seed);
+            assert_eq!(units.map(|_| stream.unit()), units, "seed {seed}");
+            let below = [1, 2, 3, 7, 50, 10_000, 65_536, 1_000_000].map(|n| stream.below(n));
+            assert_eq!(below, integers, "seed {seed}");
+            let weights = [0.3, 0.1, 0.1, 0.1, 0.15, 0.15, 0.1];
+            assert_eq!(stream.weighted(&weights), choice, "seed {seed}");
+            let mut items = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11];
+            stream.shuffle(&mut items);
+            assert_eq!(items, shuffled, "seed {seed}");
+            assert_eq!(stream.unit(), last, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn all_parameters_of_a_sample_come_from_one_number() {
+        for seed in 0..100 {
+            let shared = Stream::new(seed).parameters();
+            let length = (shared.within(40.0, 80.0) - 40.0) / 40.0;
+            let radius = (shared.within(25.0, 60.0) - 25.0) / 35.0;
+            assert!((length - radius).abs() < 1e-6, "seed {seed}");
+            assert_eq!(shared.index(2) == 1, length >= 0.5, "seed {seed}");
+        }
+    }
+}

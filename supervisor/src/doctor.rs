@@ -10,7 +10,7 @@ use std::thread;
 use rustix::mm::MlockAllFlags;
 use rustix::process::{Resource, Rlimit, getrlimit};
 use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    Error, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
 };
 
@@ -75,7 +75,7 @@ impl fmt::Display for Finding {
 /// # Errors
 /// When something is missing that a run cannot do without.
 pub fn doctor() -> Result<(), Failure> {
-    let findings = [
+    let mut findings = [
         priority(),
         locked_memory(),
         memory(),
@@ -85,6 +85,10 @@ pub fn doctor() -> Result<(), Failure> {
         governor(),
         clock_source(),
     ];
+    // One way to grant both is told once.
+    if findings[0].remedy == findings[1].remedy && findings[1].grade == Grade::Missing {
+        findings[1].remedy = vec!["the same commands grant it".into()];
+    }
     for finding in &findings {
         say(finding);
     }
@@ -119,8 +123,12 @@ fn priority() -> Finding {
         let priority = ThreadPriorityValue::try_from(asked).map_err(|error| error.to_string())?;
         let priority = ThreadPriority::Crossplatform(priority);
         let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-        set_thread_priority_and_policy(thread_native_id(), priority, policy)
-            .map_err(|error| format!("{error:?}"))
+        set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| {
+            match error {
+                Error::OS(code) => std::io::Error::from_raw_os_error(code).to_string(),
+                other => format!("{other:?}"),
+            }
+        })
     })
     .join()
     .unwrap_or_else(|_| Err("the attempt ended in a panic".into()));

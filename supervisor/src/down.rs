@@ -1,6 +1,5 @@
 //! `down`: asks a running set to stop and waits until it is gone.
 
-use std::thread::sleep;
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -9,6 +8,7 @@ use shm_config::run::RunPaths;
 use crate::arguments::Down;
 use crate::failure::Failure;
 use crate::screen::say;
+use crate::signals::pause;
 
 /// From look to look.
 const LOOK: Duration = Duration::from_millis(50);
@@ -50,7 +50,7 @@ pub fn down(arguments: &Down) -> Result<(), Failure> {
             say(format_args!("run '{name}' is stopped (process {pid})"));
             return Ok(());
         }
-        sleep(LOOK);
+        pause(LOOK);
     }
     Err(Failure::GivenUp(format!(
         "run '{name}': process {pid} does not end; `kill -9 {pid}` ends it and its children, \

@@ -82,8 +82,8 @@ impl View {
                 Phase::Up { .. } => said
                     .and_then(|health| HealthState::from_code(health.state))
                     .map_or("running", HealthState::word),
-                Phase::Dead { .. } | Phase::Resting { .. } => "restarting",
-                Phase::Gone => "ended",
+                Phase::Resting { .. } => "restarting",
+                Phase::Dead { .. } | Phase::Gone => "ended",
             };
             let restarts = Some(member.restarts());
             ProcessView::of(process, state, member.pid(), restarts, tally)
@@ -134,7 +134,7 @@ impl View {
         }
     }
 
-    /// Episode, speed and driver in one line.
+    /// Which run, and which episode.
     pub fn headline(&self) -> String {
         let Self {
             run,
@@ -143,35 +143,37 @@ impl View {
             ..
         } = self;
         let mut line = format!("{run}: {clock}, {rate_hz} Hz");
-        // Writing to a string cannot fail.
         if let Some(episode) = &self.episode {
+            // Writing to a string cannot fail.
             let _ = write!(line, "; episode {}", episode.number);
             if episode.of > 0 {
                 let _ = write!(line, " of {}", episode.of);
             }
-            let _ = write!(
-                line,
-                ", seed {}, {:.1} m/s",
-                episode.seed, episode.speed_mps
-            );
-        }
-        if let Some((driver, reason)) = self.driver {
-            let _ = write!(line, "; {driver} drives ({reason})");
+            let _ = write!(line, ", seed {}", episode.seed);
         }
         line
+    }
+
+    /// Who drives, why, and how fast.
+    pub fn drive_line(&self) -> String {
+        let speed_mps = self.episode.map_or(0.0, |episode| episode.speed_mps);
+        match self.driver {
+            Some((driver, reason)) => format!("{driver} drives ({reason}), {speed_mps:.1} m/s"),
+            None => "nobody drives yet".into(),
+        }
     }
 
     /// The processes as a table, one line each.
     pub fn table(&self) -> String {
         let mut text = String::from(
-            "  process     state            pid     ticks    late  skipped  restarts  priority",
+            "  process     state           pid    ticks   late skipped restarts priority",
         );
         for row in &self.processes {
             let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
             let restarts = row.restarts.map_or("-".into(), |count| count.to_string());
             let _ = write!(
                 text,
-                "\n  {:<10}  {:<10}  {pid:>8}  {:>8}  {:>6}  {:>7}  {restarts:>8}  {:>8}",
+                "\n  {:<10}  {:<10} {pid:>8} {:>8} {:>6} {:>7} {restarts:>8} {:>8}",
                 row.process, row.state, row.ticks, row.late, row.skipped, row.priority
             );
         }
@@ -203,8 +205,9 @@ impl View {
             .iter()
             .find(|row| row.process == Process::World.word());
         format!(
-            "{}; {completion:.0} %; {}; ticks {}, skipped {}, late {}, restarts {}",
+            "{}; {}; {completion:.0} %; {}; ticks {}, skipped {}, late {}, restarts {}",
             self.headline(),
+            self.drive_line(),
             self.outcome_line(),
             world.map_or(0, |world| world.ticks),
             world.map_or(0, |world| world.skipped),

@@ -1,12 +1,12 @@
 //! The run's place on the machine: taken before anything starts, left empty
 //! whatever happens.
 
-use std::thread::sleep;
 use std::time::Duration;
 
 use shm_config::run::{Leftovers, RunLock, RunName, RunPaths};
 
 use crate::failure::Failure;
+use crate::signals::pause;
 
 /// Shared memory that a run needs, bytes: the step queue's samples and one
 /// sample for each reader of everything else, with room for restarts.
@@ -49,7 +49,7 @@ impl Place {
                 let place = Self { paths, _lock: lock };
                 return Ok((place, leftovers));
             }
-            sleep(DEATH_LOOK);
+            pause(DEATH_LOOK);
         }
         Err(Failure::GivenUp(format!(
             "run '{name}': its supervisor is gone, but a process of it lives; find it with \
@@ -71,7 +71,7 @@ impl Drop for Place {
         for _ in 0..DEATH_LOOKS {
             match self.paths.clean_if_dead() {
                 Ok(Some(_)) => return self.paths.remove_dir(),
-                Ok(None) => sleep(DEATH_LOOK),
+                Ok(None) => pause(DEATH_LOOK),
                 Err(_) => return,
             }
         }

@@ -76,7 +76,12 @@ fn draw(inbox: &Receiver<Note>) {
             Note::Line(text) => bar.println(text),
             Note::View(view) => {
                 let completion = view.episode.map_or(0.0, |episode| episode.completion);
-                bar.set_prefix(format!("{}\n{}", view.headline(), view.table()));
+                let table = view.table();
+                bar.set_prefix(format!(
+                    "{}\n{table}\n  {}",
+                    view.headline(),
+                    view.drive_line()
+                ));
                 bar.set_message(format!(
                     "{:>3.0} %; {}",
                     completion * 100.0,

@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
+use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
@@ -55,6 +56,16 @@ impl Signals {
     pub fn take_stops(&mut self) -> usize {
         drain(&mut self.stop)
     }
+}
+
+/// Waits a moment for another process, outside any loop that has a period.
+pub fn pause(moment: Duration) {
+    let moment = Timespec {
+        tv_sec: moment.as_secs() as i64,
+        tv_nsec: i64::from(moment.subsec_nanos()),
+    };
+    // Cut short by a signal, the caller looks again a little earlier.
+    let _ = poll(&mut [], Some(&moment));
 }
 
 /// One byte came for each signal.

@@ -2,7 +2,6 @@
 //! keeps one from anything.
 
 use std::path::Path;
-use std::thread::sleep;
 use std::time::Duration;
 
 use serde::Serialize;
@@ -19,6 +18,7 @@ use crate::failure::Failure;
 use crate::live::View;
 use crate::ports::{Depth, Ports};
 use crate::screen::say;
+use crate::signals::pause;
 use crate::summary::write_whole;
 use crate::table::rows;
 use crate::tally::Tally;
@@ -56,11 +56,12 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     for paths in alive {
         if let Some(pid) = paths.supervisor_pid() {
             let view = listen(&paths, clock)?;
-            say(format_args!(
-                "{}\n  supervisor process {pid}",
-                view.headline()
-            ));
+            say(view.headline());
             say(view.table());
+            say(format_args!(
+                "  {}; supervisor process {pid}",
+                view.drive_line()
+            ));
             runs.push(Seen {
                 supervisor: pid,
                 view,
@@ -116,7 +117,7 @@ fn hear(paths: &RunPaths, config: &Config, tally: &mut Tally, clock: Clock) -> R
         if all && tally.steps.newest.is_some() && tally.progress.is_some() {
             break;
         }
-        sleep(LOOK);
+        pause(LOOK);
     }
     Ok(())
 }

@@ -50,6 +50,8 @@ pub struct Summary {
     /// Ticks on which the world braked for want of a young command, in finished
     /// episodes.
     pub braked: u64,
+    /// Greatest age of a command that the car obeyed, ms.
+    pub oldest_obeyed_ms: f64,
     /// Each process.
     pub processes: BTreeMap<&'static str, ProcessRow>,
 }
@@ -219,6 +221,7 @@ impl Summary {
             lost_steps: tally.steps.lost(),
             reasons,
             braked: tally.episodes.values().map(|episode| episode.braked).sum(),
+            oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
             processes,
         }
     }
@@ -340,9 +343,14 @@ impl Summary {
         let relation = if counted == due { "==" } else { "!=" };
         writeln!(
             f,
-            "\nticks {} + skipped {} = {counted} {relation} {due} = elapsed {:.3} s / period {} s; \
-             world braked for want of a command on {} ticks",
-            self.ticks, self.skipped, self.elapsed_s, self.period_s, self.braked
+            "\nticks {} + skipped {} = {counted} {relation} {due} = elapsed {:.3} s / period {} s\n\
+             world braked for want of a command on {} ticks; oldest command obeyed: {:.1} ms",
+            self.ticks,
+            self.skipped,
+            self.elapsed_s,
+            self.period_s,
+            self.braked,
+            self.oldest_obeyed_ms
         )
     }
 

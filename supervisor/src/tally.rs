@@ -21,6 +21,8 @@ pub struct Tally {
     pub episodes: BTreeMap<u32, Episode>,
     /// How the current episode goes.
     pub progress: Option<Progress>,
+    /// Greatest age of a command that the car obeyed, ns.
+    pub oldest_obeyed_ns: u64,
     /// Messages whose content made no sense.
     pub refused: u64,
     processes: BTreeMap<u32, ProcessTally>,
@@ -35,6 +37,7 @@ pub struct StepTally {
     pub newest: Option<(Driver, Reason)>,
     counts: BTreeMap<(u32, u32), u64>,
     last_sequence: BTreeMap<u32, u64>,
+    is_closed: bool,
 }
 
 /// One process over all its restarts.
@@ -95,7 +98,10 @@ impl Tally {
     /// Takes the world's word on the episode in.
     pub fn count_progress(&mut self, progress: Progress) {
         match progress.check() {
-            Ok(()) => self.progress = Some(progress),
+            Ok(()) => {
+                self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(progress.oldest_obeyed_ns);
+                self.progress = Some(progress);
+            }
             Err(_) => self.refused += 1,
         }
     }
@@ -112,10 +118,18 @@ impl Tally {
 
     /// Takes a step in.
     pub fn count_step(&mut self, step: &Step) {
+        if self.steps.is_closed {
+            return;
+        }
         if step.command.check().is_err() {
             self.refused += 1;
         }
         self.steps.count(step);
+    }
+
+    /// The drive is over: steps that still come are not counted.
+    pub fn close_steps(&mut self) {
+        self.steps.is_closed = true;
     }
 
     /// The episode that a restarted world begins with: those before are done.

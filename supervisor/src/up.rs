@@ -285,7 +285,7 @@ impl Run<'_> {
         for sign in self.ports.drain(&mut self.tally) {
             self.set.hear(sign.process, sign.pid, sign.state);
         }
-        if died {
+        if died && self.ending.is_none() {
             // Their successors find the places of the dead free.
             self.wire.sweep();
         }
@@ -314,6 +314,10 @@ impl Run<'_> {
             End::Stopped => "stopping: the car is braked to a stand; once more kills".into(),
             End::GivenUp(reason) => format!("giving up: {reason}"),
         };
+        if end == End::Finished {
+            // What the controller still does drives nothing.
+            self.tally.close_steps();
+        }
         self.journal.line(now, &line);
         if end == End::Stopped {
             self.screen.line(line);

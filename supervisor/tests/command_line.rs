@@ -41,6 +41,8 @@ impl Bench {
     }
 
     fn up(&self) -> Child {
+        // A start before this one left its own.
+        let _ = fs::remove_file(self.binaries.path().join("vlaps-planner.arguments"));
         let mut command = self.command(&["up", "--run", &self.run]);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         let up = command.spawn().expect("it runs");

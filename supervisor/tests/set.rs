@@ -247,3 +247,19 @@ fn a_stop_without_a_car_asks_all_at_once() {
     rig.await_end(Process::Planner);
     rig.await_end(Process::Controller);
 }
+
+#[test]
+fn a_stop_in_progress_can_be_cut_short() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    for process in [Process::Controller, Process::Planner, Process::World] {
+        rig.set.signal(process, Signal::STOP);
+        await_state(rig.pid(process).unwrap(), WaitIdOptions::STOPPED);
+    }
+    let mut stop = Stop::begin(&rig.set, &rig.config.supervisor, rig.now);
+    stop.kill(&rig.set);
+    for process in [Process::Controller, Process::Planner, Process::World] {
+        rig.await_end(process);
+    }
+    assert!(stop.was_forced());
+}

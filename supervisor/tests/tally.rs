@@ -93,6 +93,16 @@ fn steps_are_counted_by_driver_and_reason_and_the_lost_ones_too() {
 }
 
 #[test]
+fn steps_after_the_end_of_the_drive_count_for_nothing() {
+    let mut tally = Tally::default();
+    tally.count_step(&step(11, 1, Driver::Expert, Reason::Unloaded));
+    tally.close_steps();
+    tally.count_step(&step(11, 3, Driver::Brake, Reason::Stopping));
+    assert_eq!((tally.steps.received, tally.steps.lost()), (1, 0));
+    assert_eq!(tally.steps.share(Driver::Brake), 0.0);
+}
+
+#[test]
 fn a_step_of_unknown_codes_is_refused_and_reads_as_the_brake() {
     let mut tally = Tally::default();
     let mut odd = step(1, 1, Driver::Expert, Reason::Unloaded);

@@ -1,0 +1,239 @@
+//! The judge in the tick against brute force, and the gate process's memory.
+
+use std::sync::mpsc;
+
+use gate::{
+    Answer, Counsel, Docket, Failure, Judge, Question, RoadAhead, Rules, Ruling, Scene, assess,
+};
+use proptest::prelude::*;
+use shm_config::Instant;
+use shm_config::config::{Gate, JudgeLimits};
+use shm_config::message::{Bend, Judge as Kind, Observation, Preference, Proposal, Step, Verdict};
+use vehicle::{Action, Point, State, Vehicle, step};
+
+fn observation(speed_mps: f64) -> Observation {
+    let mut observation = Observation {
+        beam_count: 240,
+        ..Observation::default()
+    };
+    observation.header.taken_ns = 1;
+    observation.ranges_m.fill(50.0);
+    observation.road.left_m = 5.25;
+    observation.road.right_m = 5.25;
+    observation.ego.speed_mps = speed_mps;
+    observation.checkpoints[0].x_body_m = 40.0;
+    observation
+}
+
+proptest! {
+    /// A dense, obviously right rollout against every return.
+    #[test]
+    fn verdicts_agree_with_brute_force(
+        speed_mps in 0.0..15.0f64, steer in -1.0..1.0f64, pedal in -1.0..1.0f64,
+        returns in prop::collection::vec((0usize..240, 2.5f32..30.0), 0..12),
+    ) {
+        let (vehicle, limits) = (Vehicle::default(), JudgeLimits::default());
+        let mut observation = observation(speed_mps);
+        for (beam, range_m) in &returns {
+            observation.ranges_m[*beam] = *range_m;
+        }
+        let action = Action { steer, pedal };
+        let scene = Scene::new(&observation, Scene::reach_m(&vehicle, &limits, speed_mps));
+        let measured = assess(&vehicle, &limits, &scene, Some(action));
+
+        let control = action.control(&vehicle);
+        let mut state = State::at_origin(speed_mps);
+        let mut first_s = None;
+        for k in 1..=15 {
+            state = step(&vehicle, &state, control, 0.1);
+            let body = state.pose().inverse();
+            let hits = returns.iter().any(|(beam, _)| {
+                let range_m = f64::from(observation.ranges_m[*beam]);
+                let angle = (*beam as f64 * 1.5).to_radians();
+                let p = body * Point::new(range_m * angle.cos(), range_m * angle.sin());
+                let (dx, dy) = (p.x.abs() - vehicle.length_m / 2.0, p.y.abs() - vehicle.width_m / 2.0);
+                dx.max(0.0).hypot(dy.max(0.0)) < limits.margin_m && dx.max(dy) < limits.margin_m
+            }) && state.speed_mps > 0.0;
+            let leaves = vehicle.footprint().corners(&state.pose()).iter().any(|c| c.y.abs() > 5.45);
+            if hits || leaves {
+                first_s = Some((f64::from(k) * 0.1, if hits { Verdict::Hits } else { Verdict::Leaves }));
+                break;
+            }
+        }
+        match first_s {
+            None => prop_assert_eq!(measured.verdict(), Verdict::Clear),
+            Some((safe_s, verdict)) => {
+                prop_assert_eq!(measured.verdict(), verdict);
+                prop_assert!((measured.safe_s - safe_s).abs() < 1e-9);
+                let stopping_s = speed_mps / vehicle.max_brake_mps2 + limits.reaction_s;
+                prop_assert_eq!(measured.is_vetoed(), safe_s <= stopping_s);
+            }
+        }
+    }
+
+    /// Points walked along an arc keep their offset; the edges are where they are.
+    #[test]
+    fn bends_are_followed(radius_m in 20.0..60.0f64, along_m in -10.0..10.0f64, offset_m in -4.0..4.0f64, left in any::<bool>()) {
+        let mut observation = observation(5.0);
+        let checkpoint = &mut observation.checkpoints[0];
+        checkpoint.bend = if left { Bend::Left } else { Bend::Right }.code();
+        checkpoint.bend_radius_m = radius_m;
+        let side = if left { 1.0 } else { -1.0 };
+        // The car's own track has this radius: the leftmost lane's centre is 3.5 m to its left.
+        let track_m = radius_m + side * 3.5;
+        let angle = along_m / track_m;
+        let r = track_m - side * offset_m;
+        let point = Point::new(r * angle.sin(), side * (track_m - r * angle.cos()));
+        let road = RoadAhead::new(&observation);
+        prop_assert!((road.offset_m(point) - offset_m).abs() < 1e-9);
+        prop_assert!((road.edge_m(point) - (5.25 - offset_m.abs())).abs() < 1e-9);
+    }
+}
+
+fn step_at(taken_ns: u64, expert: Option<Action>, policy: Option<Action>) -> Step {
+    let mut step = Step {
+        expert: Proposal::new(expert),
+        policy: Proposal::new(policy),
+        ..Step::default()
+    };
+    step.observation = observation(5.0);
+    step.observation.header.taken_ns = taken_ns;
+    step.header.taken_ns = taken_ns;
+    step
+}
+
+const SECOND: u64 = 1_000_000_000;
+const STRAIGHT: Action = Action {
+    steer: 0.0,
+    pedal: 0.1,
+};
+const OFF_ROAD: Action = Action {
+    steer: 1.0,
+    pedal: 0.5,
+};
+
+fn rules() -> Counsel {
+    let judge = Rules::new(Vehicle::default(), JudgeLimits::default());
+    Counsel::new(&Gate::default(), Docket::immediate(judge))
+}
+
+#[test]
+fn rules_prefer_whoever_stays_on_the_road_and_abstain_without_a_pair() {
+    let rows = [
+        (Some(STRAIGHT), Some(OFF_ROAD), Preference::Expert),
+        (Some(OFF_ROAD), Some(STRAIGHT), Preference::Policy),
+        (Some(STRAIGHT), Some(STRAIGHT), Preference::Policy),
+        (
+            Some(STRAIGHT),
+            Some(Action {
+                steer: 0.0,
+                pedal: -1.0,
+            }),
+            Preference::Expert,
+        ),
+        (Some(STRAIGHT), None, Preference::Abstain),
+        (None, Some(STRAIGHT), Preference::Policy),
+        (None, None, Preference::Abstain),
+    ];
+    for (expert, policy, expected) in rows {
+        let advice = rules().consider(&step_at(SECOND, expert, policy), Instant(SECOND));
+        assert_eq!(
+            advice.preference(),
+            expected,
+            "{expert:?} against {policy:?}"
+        );
+        assert_eq!(advice.answers, 1);
+    }
+}
+
+#[test]
+fn questions_come_at_the_papers_cadence_and_advice_expires() {
+    let mut counsel = rules();
+    let mut answers = Vec::new();
+    for tick in 0..250u64 {
+        let taken_ns = SECOND + tick * SECOND / 10;
+        let step = step_at(taken_ns, Some(STRAIGHT), Some(STRAIGHT));
+        let advice = counsel.consider(&step, Instant(taken_ns));
+        answers.push(advice.answers);
+        assert_eq!(
+            advice.holds_until_ns,
+            advice.question_taken_ns + 12 * SECOND
+        );
+    }
+    let asked: Vec<_> = (1..250).filter(|&k| answers[k] > answers[k - 1]).collect();
+    assert_eq!((answers[0], asked), (1, vec![100, 200]), "every 10 s");
+    let mut next = step_at(40 * SECOND, Some(STRAIGHT), Some(STRAIGHT));
+    next.observation.header.episode = 1;
+    assert_eq!(
+        counsel.consider(&next, Instant(40 * SECOND)).answers,
+        4,
+        "and in a new episode"
+    );
+}
+
+struct Slow {
+    go: mpsc::Receiver<Answer>,
+}
+
+impl Judge for Slow {
+    fn kind(&self) -> Kind {
+        Kind::Vlm
+    }
+    fn ask(&mut self, _: &Question) -> Ruling {
+        let answer = self.go.recv().unwrap_or_else(|_| panic!("the judge dies"));
+        Ruling {
+            answer,
+            cost_usd: 0.01,
+        }
+    }
+}
+
+#[test]
+fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
+    let (go, judge) = mpsc::channel();
+    let mut counsel = Counsel::new(&Gate::default(), Docket::threaded(Slow { go: judge }));
+    let mut taken_ns = SECOND;
+    let mut consider = |counsel: &mut Counsel| {
+        taken_ns += SECOND / 10;
+        let step = step_at(taken_ns, Some(STRAIGHT), Some(STRAIGHT));
+        counsel.consider(&step, Instant(taken_ns))
+    };
+    // Hanging: three periods pass, every step is considered, nothing is advised.
+    for _ in 0..300 {
+        assert_eq!(consider(&mut counsel).answers, 0);
+    }
+    let until_answered =
+        |counsel: &mut Counsel,
+         count: u64,
+         consider: &mut dyn FnMut(&mut Counsel) -> shm_config::message::Advice| {
+            loop {
+                let advice = consider(counsel);
+                if advice.answers == count {
+                    return advice;
+                }
+                std::thread::yield_now();
+            }
+        };
+    go.send(Answer::Policy).unwrap();
+    let advice = until_answered(&mut counsel, 1, &mut consider);
+    assert_eq!(advice.preference(), Preference::Policy);
+    assert_eq!(
+        advice.question_taken_ns,
+        SECOND + SECOND / 10,
+        "the answer belongs to its question"
+    );
+    go.send(Answer::Failed(Failure::Timeout)).unwrap();
+    let advice = until_answered(&mut counsel, 2, &mut consider);
+    assert_eq!(
+        advice.preference(),
+        Preference::Abstain,
+        "a failure is never read as 0"
+    );
+    drop(go);
+    let advice = until_answered(&mut counsel, 3, &mut consider);
+    assert_eq!(
+        advice.preference(),
+        Preference::Abstain,
+        "a dead judge neither"
+    );
+}

@@ -1,0 +1,242 @@
+//! What is refused at the door, message by message, field by field.
+
+use proptest::prelude::*;
+use shm_config::message::*;
+use shm_config::{Instant, Message};
+
+const NOW: Instant = Instant(10_000_000_000);
+const LIMIT_NS: u64 = 100_000_000;
+
+fn observation() -> Observation {
+    let mut observation = Observation {
+        beam_count: 240,
+        ..Observation::default()
+    };
+    observation.header.taken_ns = NOW.0;
+    observation
+}
+
+fn refused<M: Message>(good: M, spoil: impl Fn(&mut M)) -> Refusal {
+    assert_eq!(good.check(), Ok(()), "{good:?} is good before it is spoilt");
+    let mut bad = good;
+    spoil(&mut bad);
+    bad.check().expect_err("refused")
+}
+
+#[test]
+fn observations() {
+    let nan = f64::NAN;
+    let fields: [(&str, fn(&mut Observation, f64)); 11] = [
+        ("ego.x_world_m", |o, v| o.ego.x_world_m = v),
+        ("ego.y_world_m", |o, v| o.ego.y_world_m = v),
+        ("ego.heading_world_rad", |o, v| o.ego.heading_world_rad = v),
+        ("ego.speed_mps", |o, v| o.ego.speed_mps = v),
+        ("ego.yaw_rate_radps", |o, v| o.ego.yaw_rate_radps = v),
+        ("ego.steer", |o, v| o.ego.steer = v),
+        ("road.left_m", |o, v| o.road.left_m = v),
+        ("road.heading_rad", |o, v| o.road.heading_rad = v),
+        ("checkpoint.x_body_m", |o, v| o.checkpoints[1].x_body_m = v),
+        ("lidar_max_m", |o, v| o.lidar_max_m = v as f32),
+        ("ranges_m", |o, v| o.ranges_m[239] = v as f32),
+    ];
+    for (field, set) in fields {
+        for value in [nan, f64::INFINITY, f64::NEG_INFINITY] {
+            let refusal = refused(observation(), |o| set(o, value));
+            assert_eq!(refusal, Refusal::NotFinite { field }, "{value}");
+        }
+        let refusal = refused(observation(), |o| set(o, 1e30));
+        assert!(
+            matches!(refusal, Refusal::OutOfRange { field: f, .. } if f == field),
+            "{refusal}"
+        );
+    }
+    let refusal = refused(observation(), |o| o.beam_count = 513);
+    assert_eq!(
+        refusal,
+        Refusal::OverCapacity {
+            field: "beam_count",
+            count: 513,
+            capacity: 512
+        }
+    );
+    let refusal = refused(observation(), |o| o.ranges_m[0] = -0.1);
+    assert!(matches!(
+        refusal,
+        Refusal::OutOfRange {
+            field: "ranges_m",
+            ..
+        }
+    ));
+    let refusal = refused(observation(), |o| o.checkpoints[0].bend = 3);
+    assert_eq!(
+        refusal,
+        Refusal::UnknownCode {
+            field: "checkpoint.bend",
+            code: 3
+        }
+    );
+    let mut hidden = observation();
+    hidden.ranges_m[240] = f32::NAN;
+    assert_eq!(
+        hidden.check(),
+        Ok(()),
+        "beams beyond the count do not count"
+    );
+    let empty = Observation {
+        beam_count: 0,
+        ..observation()
+    };
+    assert_eq!(empty.check(), Ok(()), "a world without lidar is a world");
+}
+
+#[test]
+fn plans_commands_and_advice() {
+    let mut plan = Plan {
+        waypoint_count: 2,
+        ..Plan::default()
+    };
+    plan.header.taken_ns = NOW.0;
+    assert!(matches!(
+        refused(plan, |p| p.waypoint_count = 65),
+        Refusal::OverCapacity { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| p.waypoints[1].y_body_m = f64::NAN),
+        Refusal::NotFinite { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| p.waypoints[0].speed_mps = -1.0),
+        Refusal::OutOfRange { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| p.outcome = 3),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| p.cost_m = -1.0),
+        Refusal::OutOfRange { .. }
+    ));
+
+    let command = Step::default().command;
+    assert!(matches!(
+        refused(command, |c| c.steer = 1.0 + 1e-9),
+        Refusal::OutOfRange { .. }
+    ));
+    assert!(matches!(
+        refused(command, |c| c.pedal = f64::NAN),
+        Refusal::NotFinite { .. }
+    ));
+    assert!(matches!(
+        refused(command, |c| c.driver = 3),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(command, |c| c.reason = 99),
+        Refusal::UnknownCode { .. }
+    ));
+
+    assert!(matches!(
+        refused(Advice::default(), |a| a.preference = 3),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(Advice::default(), |a| a.judge = 77),
+        Refusal::UnknownCode { .. }
+    ));
+}
+
+#[test]
+fn steps_progress_episodes_health_and_policy_status() {
+    let step = Step::default();
+    assert!(matches!(
+        refused(step, |s| s.observation.beam_count = 9999),
+        Refusal::OverCapacity { .. }
+    ));
+    assert!(matches!(
+        refused(step, |s| s.plan.waypoint_count = 9999),
+        Refusal::OverCapacity { .. }
+    ));
+    assert!(matches!(
+        refused(step, |s| s.policy.steer = f64::NAN),
+        Refusal::NotFinite { .. }
+    ));
+    assert!(matches!(
+        refused(step, |s| s.expert_assessment.verdict = 4),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(step, |s| s.policy_assessment.safe_s = -1.0),
+        Refusal::OutOfRange { .. }
+    ));
+
+    assert!(matches!(
+        refused(Progress::default(), |p| p.outcome = 5),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(Progress::default(), |p| p.completion = f64::NAN),
+        Refusal::NotFinite { .. }
+    ));
+    assert!(matches!(
+        refused(Health::default(), |h| h.state = 5),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(Health::default(), |h| h.memory = 3),
+        Refusal::UnknownCode { .. }
+    ));
+}
+
+#[test]
+fn age_and_future_are_judged_to_the_nanosecond() {
+    let observation = observation();
+    for (now, good) in [
+        (NOW.0, true),
+        (NOW.0 + LIMIT_NS, true),
+        (NOW.0 + LIMIT_NS + 1, false),
+        (NOW.0 - FUTURE_TOLERANCE_NS, true),
+        (NOW.0 - FUTURE_TOLERANCE_NS - 1, false),
+        (0, false),
+        (u64::MAX, false),
+    ] {
+        assert_eq!(
+            observation.admit(Instant(now), LIMIT_NS).is_ok(),
+            good,
+            "{now}"
+        );
+    }
+}
+
+proptest! {
+    /// Whatever bytes a publisher writes, the door answers and what it lets
+    /// through can be used without a panic.
+    #[test]
+    fn any_bytes_are_judged_without_a_panic(bits in prop::collection::vec(any::<u64>(), 19 + 4), beams in any::<u32>(), range in any::<u32>()) {
+        let value = |k: usize| f64::from_bits(bits[k]);
+        let mut o = observation();
+        o.ego = Ego { x_world_m: value(0), y_world_m: value(1), heading_world_rad: value(2), speed_mps: value(3),
+                      yaw_rate_radps: value(4), steer: value(5), pedal: value(6) };
+        o.road = Road { left_m: value(7), right_m: value(8), heading_rad: value(9), offset_m: value(10) };
+        o.checkpoints[0] = Checkpoint { x_body_m: value(11), y_body_m: value(12), bend_radius_m: value(13),
+                                        bend_angle_rad: value(14), bend: bits[15] as u32, reserved: 0 };
+        o.beam_count = beams;
+        o.ranges_m[3] = f32::from_bits(range);
+        o.header.taken_ns = bits[16];
+        let admitted = o.admit(NOW, LIMIT_NS);
+        let mut features = [0.0; 19 + BEAMS_MAX];
+        let features = o.features(&mut features).expect("there is room");
+        if admitted.is_ok() {
+            prop_assert!(features.iter().all(|f| (0.0..=1.0).contains(f)));
+        }
+    }
+
+    /// Codes of every closed list survive the round trip, all others are none.
+    #[test]
+    fn codes_are_closed(code in any::<u32>()) {
+        for known in Reason::ALL {
+            prop_assert_eq!(Reason::from_code(known.code()), Some(*known));
+        }
+        prop_assert_eq!(Reason::from_code(code).is_some(), (code as usize) < Reason::ALL.len());
+        prop_assert_eq!(Driver::from_code(code).is_some(), code < 3);
+    }
+}

@@ -1,0 +1,63 @@
+//! Logs and the live table.
+
+mod common;
+
+use std::fs;
+use std::io::Write;
+
+use common::Rig;
+use supervisor::live::View;
+use supervisor::log::LogFile;
+use supervisor::tally::Tally;
+
+#[test]
+fn a_full_log_is_set_aside_and_the_writer_goes_on() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let mut log = LogFile::create(dir.path(), "planner", 100).expect("a log");
+    let mut writer = log.begin().expect("a handle");
+    writeln!(writer, "short").expect("written");
+    log.rotate().expect("looked at");
+    assert!(!log.older().exists(), "not before it is full");
+    writeln!(writer, "{}", "x".repeat(100)).expect("written");
+    log.rotate().expect("rotated");
+    writeln!(writer, "after").expect("written");
+    assert_eq!(fs::read_to_string(log.path()).expect("read"), "after\n");
+    let older = fs::read_to_string(log.older()).expect("read");
+    assert!(older.starts_with("short\nxxx"), "{older}");
+    assert_eq!(log.last_line().as_deref(), Some("after"));
+}
+
+#[test]
+fn the_last_line_is_the_newest_processs_own() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let mut log = LogFile::create(dir.path(), "gate", 1000).expect("a log");
+    assert_eq!(log.last_line(), None);
+    let mut first = log.begin().expect("a handle");
+    write!(first, "one\ntwo\x1b[31m \n\n").expect("written");
+    assert_eq!(
+        log.last_line().as_deref(),
+        Some("two[31m"),
+        "no control codes"
+    );
+    let _second = log.begin().expect("a handle");
+    assert_eq!(log.last_line(), None, "the second has said nothing");
+    // The next run sets all of it aside.
+    let next = LogFile::create(dir.path(), "gate", 1000).expect("a log");
+    assert_eq!(fs::read_to_string(next.path()).expect("read"), "");
+    assert!(next.older().exists());
+}
+
+#[test]
+fn the_live_table_fits_a_terminal_of_80_columns() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    let mut view = View::from_inside(&rig.config, &Tally::default(), &rig.set);
+    for row in &mut view.processes {
+        row.pid = Some(4_194_304);
+        row.ticks = 99_999_999;
+    }
+    for line in view.table().lines() {
+        assert!(line.len() <= 80, "{} columns: {line}", line.len());
+    }
+    assert_eq!(view.table().lines().count(), 1 + rig.set.members().len());
+}

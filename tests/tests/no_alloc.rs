@@ -1,0 +1,184 @@
+//! No tick of planner or controller allocates: 10,000 ticks that really
+//! planned, judged and drove, ports included.
+
+use std::alloc::System;
+
+use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
+use planner::{Planner, PlannerConfig};
+use shm_config::config::Config;
+use shm_config::message::{
+    Advice, Command, Driver, Observation, Plan, PlanOutcome, Preference, Step, Verdict,
+};
+use shm_config::run::{RunName, RunPaths};
+use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP};
+use shm_config::wire::{Publisher, Subscriber, Wire};
+use shm_config::{Instant, Message};
+use sim::{World, WorldConfig};
+use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
+use vehicle::Action;
+
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+const TICKS: u64 = 10_000;
+/// Ticks in which ports may still connect to each other.
+const WARM_UP: u64 = 20;
+const PERIOD_NS: u64 = 100_000_000;
+
+/// Keeps its lane by the features alone: heading and offset, 5 m/s.
+struct LaneKeeper;
+
+impl Policy for LaneKeeper {
+    fn infer(&mut self, features: &[f32]) -> Action {
+        let heading_rad = 1.0 - 2.0 * f64::from(features[2]);
+        let offset_left_m = (0.5 - f64::from(features[8])) * 4.5;
+        let speed_mps = (f64::from(features[3]) * 81.0 - 1.0) / 3.6;
+        Action {
+            steer: -0.8 * heading_rad - 0.15 * offset_left_m,
+            pedal: 0.3 * (5.0 - speed_mps),
+        }
+    }
+    fn version(&self) -> u64 {
+        1
+    }
+    fn hash(&self) -> u64 {
+        1
+    }
+}
+
+struct Ports {
+    observation_out: Publisher<Observation>,
+    planner_in: Subscriber<Observation>,
+    controller_in: Subscriber<Observation>,
+    plan_out: Publisher<Plan>,
+    plan_in: Subscriber<Plan>,
+    advice_out: Publisher<Advice>,
+    advice_in: Subscriber<Advice>,
+    command_out: Publisher<Command>,
+    command_in: Subscriber<Command>,
+    step_out: Publisher<Step>,
+    _step_in: Subscriber<Step>,
+}
+
+impl Ports {
+    fn open(wire: &Wire) -> Self {
+        let failed = "shared memory";
+        Self {
+            observation_out: wire.publisher(OBSERVATION).expect(failed),
+            planner_in: wire.subscriber(OBSERVATION).expect(failed),
+            controller_in: wire.subscriber(OBSERVATION).expect(failed),
+            plan_out: wire.publisher(PLAN).expect(failed),
+            plan_in: wire.subscriber(PLAN).expect(failed),
+            advice_out: wire.publisher(ADVICE).expect(failed),
+            advice_in: wire.subscriber(ADVICE).expect(failed),
+            command_out: wire.publisher(COMMAND).expect(failed),
+            command_in: wire.subscriber(COMMAND).expect(failed),
+            step_out: wire.publisher(STEP).expect(failed),
+            _step_in: wire.subscriber(STEP).expect(failed),
+        }
+    }
+}
+
+/// What the ticks did, so that the count of zero means something.
+#[derive(Debug, Default)]
+struct Done {
+    planned: u64,
+    judged: u64,
+    expert: u64,
+    policy: u64,
+    metres: f64,
+}
+
+fn planner_tick(ports: &mut Ports, planner: &mut Planner, plan: &mut Plan, now: Instant) {
+    let observation = ports.planner_in.newest().expect("an observation");
+    assert!(observation.admit(now, PERIOD_NS).is_ok());
+    planner.plan(&observation, plan);
+    ports.plan_out.send(plan);
+}
+
+fn controller_tick(ports: &mut Ports, controller: &mut Controller, tick: u64, now: Instant) {
+    let inputs = Inputs {
+        observation: ports.controller_in.newest(),
+        plan: ports.plan_in.newest(),
+        advice: ports.advice_in.newest(),
+    };
+    controller.tick(&inputs, tick, now, Intent::Drive);
+    let step = controller.step_mut();
+    ports.command_out.send(&mut step.command);
+    ports.step_out.send(step);
+}
+
+#[test]
+fn ten_thousand_ticks_allocate_nothing() {
+    let name: RunName = format!("t{}-alloc", std::process::id())
+        .parse()
+        .expect("a name");
+    let paths = RunPaths::new(name.clone());
+    let wire = Wire::join(&name, Process::Controller).expect("shared memory");
+    let mut ports = Ports::open(&wire);
+    let mut world = World::new(WorldConfig::default()).expect("a world");
+    let mut planner = Planner::new(PlannerConfig::default()).expect("a planner");
+    let policy = PolicySlot::new(Some(Box::new(LaneKeeper)));
+    let mut controller = Controller::new(Config::default(), policy);
+    let (mut observation, mut plan) = (Box::<Observation>::default(), Box::<Plan>::default());
+    let (mut done, mut seed) = (Done::default(), 100);
+    let mut allocations = 0;
+    world.reset(seed).expect("a map");
+
+    let control = Region::new(ALLOCATOR);
+    drop(std::hint::black_box(Vec::<u8>::with_capacity(100)));
+    assert!(control.change().allocations > 0, "the counter counts");
+
+    for tick in 0..TICKS + WARM_UP {
+        let now = Instant((tick + 1) * PERIOD_NS);
+        // A car that the judge holds before an obstacle proves nothing more.
+        if world.last_step().has_ended() || world.ticks() >= 400 {
+            done.metres += world.driven_m();
+            seed += 1;
+            world.reset(seed).expect("a map");
+        }
+        world.observe(&mut observation);
+        observation.header.tick = tick;
+        observation.header.taken_ns = now.0;
+        observation.header.episode = seed as u32;
+        ports.observation_out.send(&mut observation);
+        let turn = [Preference::Policy, Preference::Expert][(tick / 50 % 2) as usize];
+        ports.advice_out.send(&mut Advice {
+            preference: turn.code(),
+            answers: 1,
+            holds_until_ns: u64::MAX,
+            ..Advice::default()
+        });
+
+        let region = Region::new(ALLOCATOR);
+        planner_tick(&mut ports, &mut planner, &mut plan, now);
+        controller_tick(&mut ports, &mut controller, tick, now);
+        let change = region.change();
+        if tick >= WARM_UP {
+            allocations += change.allocations + change.reallocations + change.deallocations;
+        }
+
+        let step = controller.step();
+        done.planned += u64::from(step.plan.outcome() != PlanOutcome::Blocked);
+        let judged = [step.expert_assessment, step.policy_assessment]
+            .map(|assessment| assessment.verdict() != Verdict::Absent);
+        done.judged += u64::from(judged == [true, true]);
+        done.expert += u64::from(step.driver() == Driver::Expert);
+        done.policy += u64::from(step.driver() == Driver::Policy);
+        let command = ports.command_in.newest().expect("a command");
+        world.step(command.action());
+    }
+    drop(ports);
+    drop(wire);
+    let _ = paths.clean_if_dead();
+    paths.remove_dir();
+    assert!(
+        done.planned > 9_000 && done.judged > 9_000 && done.expert > 3_000 && done.policy > 3_000,
+        "{done:?}"
+    );
+    assert!(done.metres > 1_000.0, "{done:?}");
+    assert_eq!(
+        allocations, 0,
+        "allocations, reallocations and frees in {TICKS} ticks"
+    );
+}
