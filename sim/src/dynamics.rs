@@ -53,6 +53,8 @@ const ROLL_INFLUENCE: f64 = 0.5;
 const ROLLING_BRAKE: f64 = 2.0;
 /// Below this forward speed the brake pedal only holds, m/s.
 const BRAKE_DEADZONE_MPS: f64 = 0.01;
+/// Wheels reach for the ground while the chassis' up axis points up by this.
+const UPRIGHT: f64 = 0.1;
 /// The engine is cut above this, m/s.
 const ENGINE_CUT_MPS: f64 = 80.0 / 3.6;
 
@@ -72,6 +74,9 @@ pub struct Car {
     pub forces: Forces,
     /// Height of the wheels' mounts above the chassis' floor, m.
     mount_m: f64,
+    /// Where they are forward and left: front left, front right, rear left,
+    /// rear right.
+    mounts_m: [(f64, f64); 4],
     inverse_mass: f64,
     /// About the forward, left and up axes.
     inverse_inertia: Vector3<f64>,
@@ -133,6 +138,12 @@ impl Car {
             model,
             forces,
             mount_m: model.wheel_radius_m - drop_m,
+            mounts_m: [
+                (model.front_axle_m, model.half_track_m),
+                (model.front_axle_m, -model.half_track_m),
+                (-model.rear_axle_m, model.half_track_m),
+                (-model.rear_axle_m, -model.half_track_m),
+            ],
             inverse_mass: 1.0 / model.mass_kg,
             inverse_inertia: inertia.map(|moment| 1.0 / moment),
         }
@@ -177,104 +188,106 @@ impl Car {
             spin: motion.axes.tr_mul(&motion.spin),
         };
         let up = motion.axes.row(2).transpose();
-        let wheels = self.suspend(motion, &up, &mut chassis);
-        self.roll(&wheels, &up, controls, &mut chassis);
+        // On its side or roof no wheel finds the ground.
+        if up.z > UPRIGHT {
+            let wheels = self.suspend(motion.position.z, &up, &mut chassis);
+            self.roll(&wheels, &up, controls, &mut chassis);
+        }
         motion.velocity = motion.axes * chassis.velocity;
         motion.spin = motion.axes * chassis.spin;
     }
 
     /// Springs and dampers; where each wheel touches and how it is loaded.
-    fn suspend(&self, motion: &Motion, up: &Vector3<f64>, moving: &mut Moving) -> Wheels {
+    fn suspend(&self, floor_m: f64, up: &Vector3<f64>, moving: &mut Moving) -> [Wheel; 4] {
         let model = self.model;
-        let mount_m = self.mount_m;
         let reach_m = SUSPENSION_REST_M + model.wheel_radius_m;
-        let mut wheels = Wheels {
-            contact: [Vector3::zeros(); 4],
-            load_ns: [0.0; 4],
-            touching: [false; 4],
-        };
         let slope = 1.0 / up.z;
-        let before = *moving;
-        for wheel in 0..4 {
-            let x_m = if wheel < 2 { model.front_axle_m } else { -model.rear_axle_m };
-            let y_m = if wheel % 2 == 0 { model.half_track_m } else { -model.half_track_m };
-            let height_m = motion.position.z + up.dot(&Vector3::new(x_m, y_m, mount_m));
-            let drop_m = height_m * slope;
-            // Above its reach, or on its roof.
-            if up.z <= 0.1 || drop_m > reach_m {
+        let rise_mps = up.dot(&moving.velocity);
+        let (mut push_ns, mut twist) = (0.0, Vector3::zeros());
+        let mut wheels = [Wheel::default(); 4];
+        for (wheel, (x_m, y_m)) in wheels.iter_mut().zip(self.mounts_m) {
+            let drop_m = (floor_m + up.x * x_m + up.y * y_m + up.z * self.mount_m) * slope;
+            if drop_m > reach_m {
                 continue;
             }
-            wheels.touching[wheel] = true;
-            let contact = Vector3::new(x_m, y_m, mount_m - drop_m);
-            wheels.contact[wheel] = contact;
-            let compression_m = (reach_m - drop_m).clamp(-SUSPENSION_TRAVEL_M, SUSPENSION_TRAVEL_M);
-            let rise_mps = up.dot(&before.at(&contact)) * slope;
-            let damping = if rise_mps < 0.0 { DAMPING_IN } else { DAMPING_OUT };
+            let contact = Vector3::new(x_m, y_m, self.mount_m - drop_m);
+            let lever = contact.cross(up);
+            let compression_m = (reach_m - drop_m).min(SUSPENSION_TRAVEL_M);
+            let rise_mps = (rise_mps + lever.dot(&moving.spin)) * slope;
+            let damping = if rise_mps < 0.0 {
+                DAMPING_IN
+            } else {
+                DAMPING_OUT
+            };
             let force_n = (STIFFNESS * compression_m * slope - damping * rise_mps).max(0.0)
                 * model.mass_kg;
-            wheels.load_ns[wheel] = force_n * SUBSTEP_S;
-            let impulse = up * (force_n.min(SUSPENSION_FORCE_MAX_N) * SUBSTEP_S);
-            self.push(moving, &impulse, &contact);
+            *wheel = Wheel {
+                contact,
+                load_ns: force_n * SUBSTEP_S,
+                touches: true,
+            };
+            let impulse_ns = force_n.min(SUSPENSION_FORCE_MAX_N) * SUBSTEP_S;
+            push_ns += impulse_ns;
+            twist += lever * impulse_ns;
         }
+        self.push(moving, &(up * push_ns), &twist);
         wheels
     }
 
-    /// Tyres: engine, brake and side slip, limited by friction.
-    fn roll(&self, wheels: &Wheels, up: &Vector3<f64>, controls: &Controls, moving: &mut Moving) {
-        let mut impulses = [(0.0, 0.0); 4];
-        let mut directions = [(Vector3::zeros(), Vector3::zeros()); 4];
-        for wheel in 0..4 {
-            if !wheels.touching[wheel] {
-                continue;
-            }
-            let right = if wheel < 2 {
-                Vector3::new(controls.steer_sin, -controls.steer_cos, 0.0)
-            } else {
-                Vector3::new(0.0, -1.0, 0.0)
-            };
+    /// Tyres: engine, brake and side slip, limited by friction. All wheels
+    /// decide by the same velocities, then all act.
+    fn roll(
+        &self,
+        wheels: &[Wheel; 4],
+        up: &Vector3<f64>,
+        controls: &Controls,
+        moving: &mut Moving,
+    ) {
+        let (mut push, mut twist) = (Vector3::zeros(), Vector3::zeros());
+        let steered = Vector3::new(controls.steer_sin, -controls.steer_cos, 0.0);
+        let fixed = Vector3::new(0.0, -1.0, 0.0);
+        for (axle, right) in wheels.chunks_exact(2).zip([steered, fixed]) {
             let right = (right - up * up.dot(&right)).normalize();
             let forward = up.cross(&right);
-            let contact = &wheels.contact[wheel];
-            let slip = moving.at(contact);
-            let side_ns =
-                -SIDE_CORRECTION * right.dot(&slip) / self.mobility(contact, &right);
-            let forward_ns = if controls.engine_n != 0.0 {
-                controls.engine_n * SUBSTEP_S
-            } else {
-                // Each wheel would stop the whole car alone, so together they
-                // overshoot: a car brakes to rest by rocking back and forth.
-                let stop_ns = -forward.dot(&slip) / self.mobility(contact, &forward);
-                stop_ns.clamp(-controls.brake_ns, controls.brake_ns)
-            };
-            let limit_ns = wheels.load_ns[wheel] * self.model.wheel_friction;
-            let asked = (forward_ns * FORWARD_WEIGHT).powi(2) + side_ns * side_ns;
-            let share = if asked > limit_ns * limit_ns {
-                limit_ns / asked.sqrt()
-            } else {
-                1.0
-            };
-            impulses[wheel] = (forward_ns * share, side_ns * share);
-            directions[wheel] = (forward, right);
+            for wheel in axle.iter().filter(|wheel| wheel.touches) {
+                let ahead = Lever::new(&wheel.contact, forward);
+                let aside = Lever::new(&wheel.contact, right);
+                let side_ns =
+                    -SIDE_CORRECTION * aside.slip_mps(moving) / self.mobility(&aside.arm);
+                let forward_ns = if controls.engine_n != 0.0 {
+                    controls.engine_n * SUBSTEP_S
+                } else {
+                    // Each wheel would stop the whole car alone, so together
+                    // they overshoot: a car comes to rest rocking.
+                    let stop_ns = -ahead.slip_mps(moving) / self.mobility(&ahead.arm);
+                    stop_ns.clamp(-controls.brake_ns, controls.brake_ns)
+                };
+                let limit_ns = wheel.load_ns * self.model.wheel_friction;
+                let asked = (forward_ns * FORWARD_WEIGHT).powi(2) + side_ns * side_ns;
+                let share = if asked > limit_ns * limit_ns {
+                    limit_ns / asked.sqrt()
+                } else {
+                    1.0
+                };
+                let (forward_ns, side_ns) = (forward_ns * share, side_ns * share);
+                push += ahead.along * forward_ns + aside.along * side_ns;
+                // The side impulse acts higher up than the ground.
+                let raise_m = wheel.contact.z * (1.0 - ROLL_INFLUENCE);
+                let raised = aside.arm - Vector3::new(-right.y, right.x, 0.0) * raise_m;
+                twist += ahead.arm * forward_ns + raised * side_ns;
+            }
         }
-        for wheel in 0..4 {
-            let (forward_ns, side_ns) = impulses[wheel];
-            let (forward, right) = &directions[wheel];
-            let contact = wheels.contact[wheel];
-            self.push(moving, &(forward * forward_ns), &contact);
-            let raised = Vector3::new(contact.x, contact.y, contact.z * ROLL_INFLUENCE);
-            self.push(moving, &(right * side_ns), &raised);
-        }
+        self.push(moving, &push, &twist);
     }
 
-    /// Velocity that a unit impulse at a point gives that point along itself.
-    fn mobility(&self, at: &Vector3<f64>, direction: &Vector3<f64>) -> f64 {
-        let lever = at.cross(direction);
-        self.inverse_mass + lever.component_mul(&self.inverse_inertia).dot(&lever)
+    /// Velocity that a unit impulse on a lever gives its end along itself.
+    fn mobility(&self, arm: &Vector3<f64>) -> f64 {
+        self.inverse_mass + arm.component_mul(&self.inverse_inertia).dot(arm)
     }
 
-    fn push(&self, moving: &mut Moving, impulse: &Vector3<f64>, at: &Vector3<f64>) {
+    fn push(&self, moving: &mut Moving, impulse: &Vector3<f64>, twist: &Vector3<f64>) {
         moving.velocity += impulse * self.inverse_mass;
-        moving.spin += at.cross(impulse).component_mul(&self.inverse_inertia);
+        moving.spin += twist.component_mul(&self.inverse_inertia);
     }
 
     /// A horizontal impulse (N s, world frame) at a point of the ground plane,
@@ -301,19 +314,35 @@ struct Moving {
     spin: Vector3<f64>,
 }
 
-impl Moving {
-    fn at(&self, point: &Vector3<f64>) -> Vector3<f64> {
-        self.velocity + self.spin.cross(point)
+/// A direction at a point of the chassis.
+struct Lever {
+    along: Vector3<f64>,
+    /// The point's offset from the centre, crossed with the direction.
+    arm: Vector3<f64>,
+}
+
+impl Lever {
+    fn new(at: &Vector3<f64>, along: Vector3<f64>) -> Lever {
+        Lever {
+            along,
+            arm: at.cross(&along),
+        }
+    }
+
+    /// Velocity of the point along the direction.
+    fn slip_mps(&self, moving: &Moving) -> f64 {
+        self.along.dot(&moving.velocity) + self.arm.dot(&moving.spin)
     }
 }
 
-/// Front left, front right, rear left, rear right.
-struct Wheels {
-    /// Where each touches the ground, in the chassis' axes, m.
-    contact: [Vector3<f64>; 4],
+/// One wheel on the ground, or above it.
+#[derive(Clone, Copy, Default)]
+struct Wheel {
+    /// Where it touches the ground, in the chassis' axes, m.
+    contact: Vector3<f64>,
     /// Impulse that carries the car, N s.
-    load_ns: [f64; 4],
-    touching: [bool; 4],
+    load_ns: f64,
+    touches: bool,
 }
 
 impl Motion {
@@ -458,9 +487,11 @@ impl Motion {
             let across = angle.cross(&axis);
             axis + across * sine + angle.cross(&across) * cosine
         };
-        let forward = turned(self.axes.column(0).into()).normalize();
+        // One Newton step keeps the axes of unit length without a root.
+        let unit = |axis: Vector3<f64>| axis * (1.5 - 0.5 * axis.norm_squared());
+        let forward = unit(turned(self.axes.column(0).into()));
         let left: Vector3<f64> = turned(self.axes.column(1).into());
-        let left = (left - forward * forward.dot(&left)).normalize();
+        let left = unit(left - forward * forward.dot(&left));
         self.axes = Matrix3::from_columns(&[forward, left, forward.cross(&left)]);
     }
 }

@@ -1,0 +1,199 @@
+//! What must hold of every episode, whoever drives.
+
+mod drivers;
+
+use std::num::NonZeroUsize;
+
+use shm_config::message::{FEATURES, Observation, Outcome};
+use sim::{AfterEnd, Batch, BatchConfig, World, WorldConfig, WorldError};
+use vehicle::Action;
+
+fn world() -> World {
+    World::new(WorldConfig::default()).expect("the default world")
+}
+
+/// All bits of an observation that a world fills.
+fn bits(world: &World) -> Vec<u64> {
+    let mut observation = Observation::default();
+    world.observe(&mut observation);
+    let ego = observation.ego;
+    let numbers = [
+        ego.x_world_m,
+        ego.y_world_m,
+        ego.heading_world_rad,
+        ego.speed_mps,
+        ego.yaw_rate_radps,
+        world.completion(),
+        world.driven_m(),
+    ];
+    let ranges = observation.ranges().iter().map(|range_m| u64::from(range_m.to_bits()));
+    numbers.iter().map(|number| number.to_bits()).chain(ranges).collect()
+}
+
+#[test]
+fn random_driving_never_leaves_the_numbers() {
+    let mut world = world();
+    let mut observation = Observation::default();
+    let mut features = [0.0; FEATURES];
+    let mut noise = drivers::Noise(7);
+    let (mut ticks, mut touched, mut ended) = (0, 0, 0);
+    for seed in 0..60 {
+        world.reset(seed).expect("a map");
+        // A push forward first, so that noise does not just stand still.
+        for tick in 0..300 {
+            let mut action = noise.action();
+            if tick % 50 < 30 {
+                action.pedal = action.pedal.abs();
+                action.steer *= 0.1;
+            }
+            let step = world.step(action);
+            world.observe(&mut observation);
+            shm_config::Message::check(&observation)
+                .unwrap_or_else(|refusal| panic!("seed {seed} tick {tick}: {refusal}"));
+            let features = observation.features(&mut features).expect("features fit");
+            let good = features.iter().all(|feature| (0.0..=1.0).contains(feature));
+            assert!(good, "seed {seed} tick {tick}: {features:?}");
+            ticks += 1;
+            touched += u32::from(step.touch.vehicle || step.touch.object);
+            if step.has_ended() {
+                ended += 1;
+                break;
+            }
+        }
+    }
+    assert!(ticks > 3000 && ended > 10, "{ticks} ticks, {ended} ended, {touched} in contact");
+}
+
+#[test]
+fn the_same_seed_is_the_same_episode() {
+    let (mut fresh, mut used) = (world(), world());
+    for _ in 0..50 {
+        used.step(Action { steer: 0.1, pedal: 1.0 });
+    }
+    for seed in [3, 104, 1007] {
+        fresh.reset(seed).expect("a map");
+        used.reset(seed).expect("a map");
+        let (mut a, mut b) = (drivers::Noise(seed), drivers::Noise(seed));
+        for tick in 0..200 {
+            assert_eq!(bits(&fresh), bits(&used), "seed {seed} tick {tick}");
+            assert_eq!(fresh.step(a.action()), used.step(b.action()), "seed {seed} tick {tick}");
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_change_a_bit() {
+    let run = |threads: usize| {
+        let config = BatchConfig {
+            worlds: NonZeroUsize::new(5).expect("five"),
+            threads: NonZeroUsize::new(threads).expect("a thread"),
+            after_end: AfterEnd::Restart { stride: 5 },
+        };
+        let mut batch = Batch::new(&WorldConfig::default(), config, 100).expect("a batch");
+        let mut actions = vec![Action::default(); batch.len()];
+        let mut restarts = 0;
+        for _ in 0..400 {
+            batch.visit(|k, report| {
+                actions[k] = drivers::keep_lane(report.observation);
+                actions[k].pedal = 1.0;
+                restarts += u32::from(report.outcome.has_ended());
+            });
+            batch.step(&actions).expect("every seed has a map");
+        }
+        let mut all = Vec::new();
+        batch.visit(|_, report| all.push((report.world.seed(), bits(report.world))));
+        assert!(restarts > 0, "episodes end and begin anew");
+        all
+    };
+    let alone = run(1);
+    assert_eq!(alone, run(2));
+    assert_eq!(alone, run(5));
+}
+
+#[test]
+fn after_the_end_nothing_moves() {
+    let mut world = world();
+    while !world.last_step().has_ended() {
+        world.step(Action { steer: 1.0, pedal: 1.0 });
+    }
+    let (last, before) = (world.last_step(), bits(&world));
+    assert_eq!(last.outcome, Outcome::OutOfRoad);
+    let ticks = world.ticks();
+    for _ in 0..10 {
+        assert_eq!(world.step(Action { steer: 0.0, pedal: 1.0 }), last);
+    }
+    assert_eq!((bits(&world), world.ticks()), (before, ticks));
+}
+
+#[test]
+fn the_horizon_ends_an_episode() {
+    let config = WorldConfig {
+        horizon_steps: 12,
+        ..WorldConfig::default()
+    };
+    let mut world = World::new(config).expect("a world");
+    for tick in 1..=12 {
+        let step = world.step(Action::BRAKE);
+        let expected = if tick < 12 { Outcome::Driving } else { Outcome::MaxStep };
+        assert_eq!(step.outcome, expected, "tick {tick}");
+    }
+}
+
+#[test]
+fn an_action_that_is_no_number_brakes() {
+    for action in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY].map(|bad| Action {
+        steer: 0.0,
+        pedal: bad,
+    }) {
+        let (mut bad, mut braking) = (world(), world());
+        for _ in 0..20 {
+            bad.step(Action { steer: 0.0, pedal: 1.0 });
+            braking.step(Action { steer: 0.0, pedal: 1.0 });
+        }
+        for _ in 0..5 {
+            bad.step(action);
+            braking.step(Action::BRAKE);
+        }
+        assert_eq!(bits(&bad), bits(&braking), "{action:?}");
+    }
+}
+
+#[test]
+fn a_configuration_that_cannot_be_is_refused() {
+    let config = |change: fn(&mut WorldConfig)| {
+        let mut config = WorldConfig::default();
+        change(&mut config);
+        World::new(config).err()
+    };
+    assert_eq!(config(|c| c.beam_count = 513), Some(WorldError::BeamCount(513)));
+    assert_eq!(config(|c| c.horizon_steps = 0), Some(WorldError::Horizon));
+    assert!(config(|c| c.lidar_range_m = f64::NAN).is_some());
+    assert!(config(|c| c.block_sequence = "SZ".into()).is_some());
+    assert!(config(|c| c.traffic_density = -0.1).is_some());
+    assert!(config(|c| c.lane_count = 0).is_some());
+    assert_eq!(config(|c| c.block_sequence = "SCO".into()), None);
+}
+
+#[test]
+fn a_broken_down_car_or_barrier_cannot_be_driven_through() {
+    let mut world = world();
+    let mut observation = Observation::default();
+    let mut hits = 0;
+    for seed in 100..150 {
+        world.reset(seed).expect("a map");
+        while !world.last_step().has_ended() && world.ticks() < 400 {
+            world.observe(&mut observation);
+            let mut action = drivers::keep_lane(&observation);
+            action.pedal = 1.0;
+            let touch = world.step(action).touch;
+            hits += u32::from(touch.vehicle || touch.object);
+            let ego = world.ego_seen();
+            for body in world.bodies() {
+                let away_m = (body.placed.center_world - ego.center_world).norm();
+                let tick = world.ticks();
+                assert!(away_m > 0.5, "seed {seed} tick {tick}: inside {:?}", body.kind);
+            }
+        }
+    }
+    assert!(hits > 20, "{hits} ticks in contact");
+}

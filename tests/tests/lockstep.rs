@@ -1,0 +1,110 @@
+//! Lockstep through the real processes: the same seed gives the same commands.
+
+use serde_json::Value;
+use vlaps_tests::Set;
+
+fn drive(label: &str, seed: u64, episodes: u32) -> Value {
+    let set = Set::new(label);
+    let (seed, episodes) = (seed.to_string(), episodes.to_string());
+    let output = set.run(&["--lockstep", "--seed", &seed, "--episodes", &episodes]);
+    assert!(output.status.success(), "{output:?}\n{}", set.logs());
+    assert_eq!(
+        set.paths().shared_memory().expect("/dev/shm"),
+        Vec::<std::path::PathBuf>::new()
+    );
+    set.json()
+}
+
+fn assert_accounts(json: &Value) {
+    let number = |key: &str| json[key].as_f64().expect(key);
+    let instants = (number("elapsed_s") / number("period_s")).round();
+    assert_eq!(
+        instants,
+        number("ticks") + number("skipped"),
+        "elapsed / period == ticks + skipped"
+    );
+    assert_eq!(json["skipped"], 0);
+    assert_eq!(json["restarts"], 0);
+    let ticks: u64 = json["episodes"]
+        .as_array()
+        .expect("episodes")
+        .iter()
+        .map(|e| e["ticks"].as_u64().expect("ticks"))
+        .sum();
+    assert_eq!(Some(ticks), json["ticks"].as_u64());
+    let share: f64 = ["expert", "policy", "brake"]
+        .iter()
+        .map(|d| json["share"][d].as_f64().expect("share"))
+        .sum();
+    assert!((share - 1.0).abs() < 1e-9, "{share}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_commands_and_another_differs() {
+    // At once, in parallel: a digest must not depend on the machine's load.
+    let runs = [("a", 3), ("b", 3), ("c", 4)]
+        .map(|(label, seed)| std::thread::spawn(move || drive(label, seed, 2)));
+    let [a, b, c] = runs.map(|run| run.join().expect("a run"));
+    for json in [&a, &b, &c] {
+        assert_accounts(json);
+    }
+    assert_eq!(a["command_digest"], b["command_digest"]);
+    assert_eq!(a["episodes"], b["episodes"]);
+    assert_ne!(a["command_digest"], c["command_digest"]);
+    assert_eq!(a["episodes"][0]["seed"], 3);
+    assert_eq!(a["episodes"][0]["outcome"], "arrived");
+    assert_eq!(a["episodes"][0]["strict"], true);
+    assert_eq!(
+        a["reasons"]["expert"]["unloaded"].as_u64(),
+        a["ticks"].as_u64(),
+        "{a}"
+    );
+}
+
+#[test]
+fn a_fixed_gate_needs_no_gate_process_and_says_so() {
+    let set = Set::new("expert");
+    let output = set.run(&[
+        "--lockstep",
+        "--seed",
+        "3",
+        "--duration",
+        "20",
+        "--gate",
+        "expert",
+    ]);
+    assert!(output.status.success(), "{output:?}\n{}", set.logs());
+    let json = set.json();
+    assert_eq!(
+        json["reasons"]["expert"]["configured"].as_u64(),
+        json["ticks"].as_u64(),
+        "{json}"
+    );
+    assert_eq!(json["ticks"], 200);
+    assert!(json["processes"].get("gate").is_none(), "{json}");
+    assert_eq!(json["episodes"][0]["outcome"], "stopped");
+}
+
+#[test]
+fn higher_rates_keep_the_account() {
+    let set = Set::new("rate");
+    let output = set.run(&[
+        "--lockstep",
+        "--seed",
+        "3",
+        "--duration",
+        "5",
+        "--rate",
+        "100",
+    ]);
+    assert!(output.status.success(), "{output:?}\n{}", set.logs());
+    let json = set.json();
+    assert_eq!(
+        (json["ticks"].as_u64(), json["period_s"].as_f64()),
+        (Some(500), Some(0.01))
+    );
+    assert_eq!(
+        json["episodes"][0]["ticks"], 50,
+        "the car's physics stays at 10 Hz"
+    );
+}
