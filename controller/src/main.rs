@@ -54,7 +54,7 @@ impl Ports {
     }
 
     /// Connects to peers that came or came back, between ticks.
-    fn tend(&self) {
+    fn tend(&mut self) {
         self.observations.tend();
         self.plans.tend();
         self.advices.tend();
@@ -105,6 +105,7 @@ impl Waiting {
             if self.lockstep {
                 let slot = Slot {
                     scheduled,
+                    due: scheduled,
                     skipped: 0,
                 };
                 return Some(slot);
@@ -177,6 +178,8 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
     pulse.enter(HealthState::Ready, monotonic());
     let mut inputs = Inputs::default();
     let mut stop_until = None;
+    let mut seen = monotonic();
+    let blind_ns = member.config.limits.observation_age_ns();
     loop {
         let now = monotonic();
         if member.is_stopping() && stop_until.is_none() {
@@ -185,13 +188,17 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
         }
         pulse.beat(now);
         ports.tend();
-        let never_drove = pulse.health.ticks == 0;
-        if stop_until.is_some_and(|until| now >= until || never_drove) {
+        // Nobody is left to brake when no world has spoken for so long.
+        let alone = now.since_ns(seen) > blind_ns;
+        if stop_until.is_some_and(|until| now >= until || alone) {
             break;
         }
         let Some(slot) = waiting.slot(&mut ports, &mut inputs) else {
             continue;
         };
+        if inputs.observation.is_some() {
+            seen = now;
+        }
         let intent = match stop_until {
             Some(_) => Intent::Stop,
             None => Intent::Drive,
@@ -253,7 +260,7 @@ fn tick(
     waiting.stepped = Some(tick);
 
     let done = monotonic();
-    pulse.count_tick(started.since_ns(slot.scheduled), done.since_ns(started));
+    pulse.count_tick(started.since_ns(slot.due), done.since_ns(started));
     if released_ns > 0 {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);

@@ -6,6 +6,9 @@ use shm_config::message::FUTURE_TOLERANCE_NS;
 pub struct Slot {
     /// The instant of the grid, ns on the machine's clock.
     pub scheduled: Instant,
+    /// When the tick was to begin: the instant itself, or for a tick without an
+    /// observation the end of the wait for one.
+    pub due: Instant,
     /// Instants of the grid that passed without a tick before this one.
     pub skipped: u64,
 }
@@ -58,7 +61,11 @@ impl Slots {
             }
         };
         self.last = Some(scheduled);
-        Some(Slot { scheduled, skipped })
+        Some(Slot {
+            scheduled,
+            due: scheduled,
+            skipped,
+        })
     }
 
     /// The slot of a tick without a new observation at `now`, at or after the
@@ -73,6 +80,7 @@ impl Slots {
         self.last = Some(scheduled);
         Some(Slot {
             scheduled,
+            due: scheduled.after_ns(self.wait_ns),
             skipped: passed - 1,
         })
     }

@@ -1,5 +1,6 @@
 //! Ports on shared memory: the only place that talks to iceoryx2.
 
+use std::mem::MaybeUninit;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -7,6 +8,7 @@ use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
 use iceoryx2::service::Service as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 use rustix::event::{PollFd, PollFlags, poll};
@@ -67,6 +69,9 @@ pub struct Wire {
 
 /// Publishes one service and wakes its readers.
 pub struct Publisher<M: Message> {
+    /// Room for the next message, borrowed between ticks: the library allocates
+    /// a handle for each loan.
+    room: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
     port: iceoryx2::port::publisher::Publisher<Ipc, M, ()>,
     bells: Vec<Rc<Notifier<Ipc>>>,
     sequence: u64,
@@ -167,6 +172,7 @@ impl Wire {
             bells.push(Rc::new(notifier));
         }
         Ok(Publisher {
+            room: port.loan_uninit().ok(),
             port,
             bells,
             sequence: 0,
@@ -321,7 +327,8 @@ impl<M: Message> Publisher<M> {
         let header = message.header_mut();
         header.sequence = sequence;
         header.producer = producer;
-        let sent = self.port.send_copy(*message).is_ok();
+        let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
+        let sent = room.is_some_and(|room| room.write_payload(*message).send().is_ok());
         for bell in &self.bells {
             // A full bell is already ringing; a dead one is swept by others.
             let _ = bell.notify();
@@ -329,11 +336,15 @@ impl<M: Message> Publisher<M> {
         sent
     }
 
-    /// Connects to readers that came since the last message, and gives them the
-    /// history. To be called between ticks, so that no tick pays for it.
-    pub fn tend(&self) {
-        // A failure here shows again, and is counted, at the next send.
+    /// Connects to readers that came since the last message, gives them the
+    /// history, and borrows room for the next message. To be called between
+    /// ticks, so that no tick pays for it.
+    pub fn tend(&mut self) {
+        // A failure here shows again at the next send.
         let _ = self.port.update_connections();
+        if self.room.is_none() {
+            self.room = self.port.loan_uninit().ok();
+        }
     }
 }
 

@@ -28,7 +28,9 @@ struct Tally {
 }
 
 fn main() -> Result<(), WorldError> {
-    let mut numbers = std::env::args().skip(1).filter_map(|word| word.parse().ok());
+    let mut numbers = std::env::args()
+        .skip(1)
+        .filter_map(|word| word.parse().ok());
     let first_seed = numbers.next().unwrap_or(100);
     let episodes = numbers.next().unwrap_or(50);
     println!("maps {first_seed} to {}", first_seed + episodes - 1);
@@ -47,15 +49,27 @@ fn main() -> Result<(), WorldError> {
         }
         world.advise(&mut idm)
     };
-    print("idm", episodes, &tally(&mut world, first_seed, episodes, drive)?);
+    print(
+        "idm",
+        episodes,
+        &tally(&mut world, first_seed, episodes, drive)?,
+    );
     let drive = |world: &mut World, _| {
         world.observe(&mut observation);
         scripted::keep_lane(&observation)
     };
-    print("lane keeper", episodes, &tally(&mut world, first_seed, episodes, drive)?);
+    print(
+        "lane keeper",
+        episodes,
+        &tally(&mut world, first_seed, episodes, drive)?,
+    );
     let mut noise = scripted::Noise(first_seed);
     let drive = |_: &mut World, _| noise.action();
-    print("random", episodes, &tally(&mut world, first_seed, episodes, drive)?);
+    print(
+        "random",
+        episodes,
+        &tally(&mut world, first_seed, episodes, drive)?,
+    );
     Ok(())
 }
 

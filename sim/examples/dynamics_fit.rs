@@ -48,6 +48,7 @@ fn main() {
                 at(0.9),
                 at(1.0)
             );
+            assert!(at(0.5) < *bar_m, "the median is over the bar");
         }
     }
 }

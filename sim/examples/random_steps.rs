@@ -43,7 +43,9 @@ fn main() -> Result<(), WorldError> {
             }
         }
     }
-    println!("{ticks} ticks over {SEEDS} seeds: {bad} bad, {ended} episodes ended, {contacts} in contact");
+    println!(
+        "{ticks} ticks over {SEEDS} seeds: {bad} bad, {ended} episodes ended, {contacts} in contact"
+    );
     assert_eq!(bad, 0, "an observation left its limits");
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use vehicle::{Action, Footprint, Point, Vector};
 
-use crate::contact::{Party, Placed, Shape, collide, overlap};
+use crate::contact::{Placed, Shape, collide, overlap};
 use crate::dynamics::{Car, Controls, Motion, SUBSTEPS};
 use crate::lidar::BEAM_HEIGHT_M;
 use crate::model::VehicleKind;
@@ -67,7 +67,7 @@ impl Mover {
     }
 }
 
-/// A thing that never moves.
+/// A thing that never moves, and that cars pass through.
 #[derive(Clone, Copy, Debug)]
 pub struct Fixture {
     /// What it is.
@@ -84,7 +84,9 @@ impl Fixture {
     pub fn new(obstacle: &Obstacle) -> Option<Fixture> {
         let shape = match obstacle.kind {
             ObstacleKind::Cone => Shape::Disc { radius_m: CONE_M },
-            ObstacleKind::Warning => Shape::Disc { radius_m: WARNING_M },
+            ObstacleKind::Warning => Shape::Disc {
+                radius_m: WARNING_M,
+            },
             ObstacleKind::Barrier => Shape::Box(BARRIER),
             ObstacleKind::BrokenDown(_) => return None,
         };
@@ -181,7 +183,7 @@ impl Bodies {
         }
     }
 
-    /// Whether the pair overlaps; if it does, it collides.
+    /// Whether the pair overlaps; if they are cars, they collide.
     fn meet(&mut self, first: usize, other: Other) -> bool {
         match other {
             Other::Mover(second) => {
@@ -192,18 +194,12 @@ impl Bodies {
                     return false;
                 };
                 (a.awake, b.awake) = (true, true);
-                let mut first = Party::Car(&a.car, &mut a.motion);
-                collide(&mut first, &mut Party::Car(&b.car, &mut b.motion), &found);
+                collide((&a.car, &mut a.motion), (&b.car, &mut b.motion), &found);
                 true
             }
             Other::Fixture(fixture) => {
-                let mover = &mut self.movers[first];
-                let Some(found) = overlap(&mover.placed(), &self.fixtures[fixture].placed) else {
-                    return false;
-                };
-                let mut car = Party::Car(&mover.car, &mut mover.motion);
-                collide(&mut car, &mut Party::Fixed, &found);
-                true
+                let car = self.movers[first].placed();
+                overlap(&car, &self.fixtures[fixture].placed).is_some()
             }
         }
     }

@@ -132,8 +132,8 @@ impl Car {
             | VehicleKind::Large => 0.2,
         };
         // A box of even density, about its floor's centre: what the simulator uses.
-        let inertia = Vector3::new(w * w + h * h, l * l + h * h, l * l + w * w)
-            * (model.mass_kg / 12.0);
+        let inertia =
+            Vector3::new(w * w + h * h, l * l + h * h, l * l + w * w) * (model.mass_kg / 12.0);
         Car {
             model,
             forces,
@@ -165,7 +165,11 @@ impl Car {
             .sin_cos();
         let (engine_n, brake_ns) = if action.pedal >= 0.0 {
             let cut = motion.speed_mps() > ENGINE_CUT_MPS;
-            let engine_n = if cut { 0.0 } else { self.forces.engine_n * action.pedal };
+            let engine_n = if cut {
+                0.0
+            } else {
+                self.forces.engine_n * action.pedal
+            };
             (engine_n, ROLLING_BRAKE)
         } else if motion.forward_mps() < BRAKE_DEADZONE_MPS {
             (0.0, ROLLING_BRAKE)
@@ -219,8 +223,8 @@ impl Car {
             } else {
                 DAMPING_OUT
             };
-            let force_n = (STIFFNESS * compression_m * slope - damping * rise_mps).max(0.0)
-                * model.mass_kg;
+            let force_n =
+                (STIFFNESS * compression_m * slope - damping * rise_mps).max(0.0) * model.mass_kg;
             *wheel = Wheel {
                 contact,
                 load_ns: force_n * SUBSTEP_S,
@@ -252,8 +256,7 @@ impl Car {
             for wheel in axle.iter().filter(|wheel| wheel.touches) {
                 let ahead = Lever::new(&wheel.contact, forward);
                 let aside = Lever::new(&wheel.contact, right);
-                let side_ns =
-                    -SIDE_CORRECTION * aside.slip_mps(moving) / self.mobility(&aside.arm);
+                let side_ns = -SIDE_CORRECTION * aside.slip_mps(moving) / self.mobility(&aside.arm);
                 let forward_ns = if controls.engine_n != 0.0 {
                     controls.engine_n * SUBSTEP_S
                 } else {
@@ -301,7 +304,12 @@ impl Car {
 
     /// Velocity that a unit impulse at a point of the ground plane gives that
     /// point along itself, 1/kg.
-    pub fn planar_mobility(&self, motion: &Motion, at_world: Point, direction_world: Vector) -> f64 {
+    pub fn planar_mobility(
+        &self,
+        motion: &Motion,
+        at_world: Point,
+        direction_world: Vector,
+    ) -> f64 {
         let lever_m = (at_world.coords - motion.position.xy()).perp(&direction_world);
         self.inverse_mass + lever_m * lever_m * self.inverse_inertia.z
     }
@@ -394,7 +402,11 @@ impl Motion {
 
     /// The pose as observations give it: that of one sub-step before.
     pub fn seen(&self) -> Pose {
-        pose(self.seen_world.0.x, self.seen_world.0.y, self.seen_heading_rad())
+        pose(
+            self.seen_world.0.x,
+            self.seen_world.0.y,
+            self.seen_heading_rad(),
+        )
     }
 
     /// Position of [`Motion::seen`].

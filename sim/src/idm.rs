@@ -175,7 +175,9 @@ impl Idm {
         let index = target.0 - lanes.first;
         let beside = |offset: i32| {
             let lane = i32::from(index) + offset;
-            (0..i32::from(lanes.count)).contains(&lane).then(|| LaneId(lanes.first + lane as u16))
+            (0..i32::from(lanes.count))
+                .contains(&lane)
+                .then(|| LaneId(lanes.first + lane as u16))
         };
         let sides: Sides = [-1, 0, 1].map(|offset| beside(offset).map(|l| surroundings(view, l)));
         let [left, Some(here), right] = sides else {
@@ -184,7 +186,11 @@ impl Idm {
         let stay = (here.front, here.front_m, target);
         let open = self.open_lanes(view, lanes);
         if !open.contains(&index) {
-            let (offset, side) = if index >= open.end { (-1, left) } else { (1, right) };
+            let (offset, side) = if index >= open.end {
+                (-1, left)
+            } else {
+                (1, right)
+            };
             let (Some(side), Some(lane)) = (side, beside(offset)) else {
                 return stay;
             };
@@ -202,7 +208,9 @@ impl Idm {
                 && (front_kmh - NORMAL_KMH).abs() > CONTENT_KMH
                 && self.overtake_timer > CHANGE_STEPS;
             for (offset, side) in [(-1, left), (1, right)] {
-                let gain_kmh = side.and_then(|side| lane_kmh(view, &side)).map(|v| v - front_kmh);
+                let gain_kmh = side
+                    .and_then(|side| lane_kmh(view, &side))
+                    .map(|v| v - front_kmh);
                 if let (true, Some(side), Some(lane)) = (may_change, side, beside(offset))
                     && gain_kmh.is_some_and(|gain| gain > CHANGE_GAIN_KMH)
                     && open.contains(&(lane.0 - lanes.first))
@@ -248,8 +256,7 @@ impl Idm {
         let Some(front) = front.map(|front| &view.bodies[front]) else {
             return free;
         };
-        let closing_kmh =
-            3.6 * (own.velocity_world - front.velocity_world).dot(&own.forward_world);
+        let closing_kmh = 3.6 * (own.velocity_world - front.velocity_world).dot(&own.forward_world);
         let wanted = STANDING_GAP_M
             + own_kmh * TIME_GAP
             + own_kmh * closing_kmh / (2.0 * ACCELERATIONS.sqrt());
@@ -332,7 +339,10 @@ fn surroundings(view: &View, lane_id: LaneId) -> Surroundings {
                 (found.back_m, back_here) = (-ahead_m, true);
             }
         } else if !front_here && leads_to(network, lane_id, body.lane) {
-            let on_lane_m = network.lane(body.lane).local_coordinates(body.position_world).0;
+            let on_lane_m = network
+                .lane(body.lane)
+                .local_coordinates(body.position_world)
+                .0;
             let ahead_m = on_lane_m + left_m;
             if ahead_m > 0.0 && ahead_m < found.front_m {
                 (found.front_m, found.front) = (ahead_m, Some(index));

@@ -111,7 +111,10 @@ impl Lidar {
         if begin < end {
             shoot(&self.beams_body[begin..end], &mut ranges_m[begin..end]);
         } else {
-            shoot(&self.beams_body[begin..count as usize], &mut ranges_m[begin..]);
+            shoot(
+                &self.beams_body[begin..count as usize],
+                &mut ranges_m[begin..],
+            );
             shoot(&self.beams_body[..end], &mut ranges_m[..end]);
         }
     }

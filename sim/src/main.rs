@@ -7,7 +7,7 @@ use clap::Parser;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use rustix::time::{ClockId, Timespec};
 use shm_config::config::{self, Config};
-use shm_config::message::{Command, HealthState, Header, Message, Observation, Outcome, Progress};
+use shm_config::message::{Command, Header, HealthState, Message, Observation, Outcome, Progress};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
@@ -57,7 +57,7 @@ impl Ports {
     }
 
     /// Connects to peers that came or came back, between ticks.
-    fn tend(&self) {
+    fn tend(&mut self) {
         self.commands.tend();
         self.observations.tend();
         self.progress.tend();
@@ -238,7 +238,9 @@ impl Session {
         }
         self.stepped = due;
         let limit_ns = self.member.config.limits.command_age_ns();
-        let young = self.command.filter(|command| command.admit(now, limit_ns).is_ok());
+        let young = self
+            .command
+            .filter(|command| command.admit(now, limit_ns).is_ok());
         let action = self.score.obey(young.as_ref(), now);
         let outcome = self.world.step(action);
         self.score.count(&outcome);
@@ -298,7 +300,12 @@ impl Session {
 
     fn open_episode(&mut self) -> Result<(), SetUpError> {
         self.episode += 1;
-        let seed = self.member.config.run.seed.wrapping_add(u64::from(self.episode));
+        let seed = self
+            .member
+            .config
+            .run
+            .seed
+            .wrapping_add(u64::from(self.episode));
         self.world
             .reset(seed)
             .map_err(|error| SetUpError::Own(format!("seed {seed}: {error}")))?;

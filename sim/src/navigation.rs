@@ -110,7 +110,9 @@ impl Navigator {
         }
         let from = network.road(network.road_of(self.lane)).from;
         let ahead = self.roads[self.current..].iter().skip(1);
-        if let Some(passed) = ahead.map(|&road| network.road(road).from).position(|node| node == from)
+        if let Some(passed) = ahead
+            .map(|&road| network.road(road).from)
+            .position(|node| node == from)
         {
             self.current += passed + 1;
             self.longitudinal_m = self.reference_m(network, position_world);

@@ -19,7 +19,9 @@ pub const TICK_S: f64 = 0.1;
 pub(crate) fn ego(motion: &Motion, before_world: Vector, last: Action) -> Ego {
     let position = motion.seen_position();
     let forward = motion.seen_forward();
-    let turned_rad = before_world.perp(&forward).atan2(before_world.dot(&forward));
+    let turned_rad = before_world
+        .perp(&forward)
+        .atan2(before_world.dot(&forward));
     Ego {
         x_world_m: position.x,
         y_world_m: position.y,
@@ -56,7 +58,12 @@ pub(crate) fn checkpoints(
     [navigator.road(), next].map(|road| checkpoint(network, navigator, motion, road))
 }
 
-fn checkpoint(network: &Network, navigator: &Navigator, motion: &Motion, road: RoadId) -> Checkpoint {
+fn checkpoint(
+    network: &Network,
+    navigator: &Navigator,
+    motion: &Motion,
+    road: RoadId,
+) -> Checkpoint {
     let lane = network.lane(network.road(road).first_lane);
     // The middle is reckoned with the current road's width, also of the next road.
     let count = f64::from(network.road(navigator.road()).lane_count);

@@ -39,7 +39,10 @@ impl Edges {
     pub fn of(network: &Network, navigator: &Navigator, position_world: Point) -> Edges {
         let road = network.road(navigator.road());
         let width_m = network.lane(navigator.lane()).width_m;
-        let lateral_m = network.lane(road.first_lane).local_coordinates(position_world).1;
+        let lateral_m = network
+            .lane(road.first_lane)
+            .local_coordinates(position_world)
+            .1;
         let left_m = lateral_m + width_m / 2.0;
         Edges {
             left_m,
@@ -106,7 +109,10 @@ impl Sidewalks {
     fn lay_along(&mut self, lane: &Lane) {
         let near_m = lane.width_m / 2.0 + SIDEWALK_GAP_M;
         let far_m = near_m + SIDEWALK_WIDTH_M;
-        if lane.bend_radius().is_some_and(|(radius_m, _)| far_m > radius_m) {
+        if lane
+            .bend_radius()
+            .is_some_and(|(radius_m, _)| far_m > radius_m)
+        {
             return;
         }
         let first = self.pieces.len();
@@ -160,7 +166,9 @@ fn convex_overlap(a: &[Point; 4], b: &[Point; 4]) -> bool {
         (0..4).any(|k| {
             let along = from[(k + 1) % 4] - from[k];
             let inside = along.perp(&(from[(k + 2) % 4] - from[k])).signum();
-            other.iter().all(|corner| along.perp(&(corner - from[k])) * inside < 0.0)
+            other
+                .iter()
+                .all(|corner| along.perp(&(corner - from[k])) * inside < 0.0)
         })
     };
     !separates(a, b) && !separates(b, a)

@@ -89,15 +89,21 @@ impl Traffic {
         for (group, cars) in scenario.traffic.iter().enumerate() {
             self.triggers.push(cars.trigger);
             for spawn in &cars.cars {
-                let Spawn { kind, place, forces, .. } = spawn.car;
+                let Spawn {
+                    kind,
+                    place,
+                    forces,
+                    ..
+                } = spawn.car;
                 let position = place.position_world;
                 let at = pose(position.x, position.y, place.heading_rad);
                 let motion = self.settled[kind as usize].moved_to(at);
-                let mut navigator =
-                    Navigator::new(network, &spawn.car.route, place.lane, position);
+                let mut navigator = Navigator::new(network, &spawn.car.route, place.lane, position);
                 navigator.update(network, position, motion.seen_forward());
                 let seed = scenario.map.seed.rotate_left(32) ^ self.minds.len() as u64;
-                bodies.movers.push(Mover::new(kind, Car::new(kind, forces), motion));
+                bodies
+                    .movers
+                    .push(Mover::new(kind, Car::new(kind, forces), motion));
                 self.minds.push(Mind::Driver {
                     group,
                     navigator,
@@ -152,7 +158,11 @@ impl Traffic {
             Mind::Broken(lane) => *lane,
             Mind::Driver { navigator, .. } => navigator.lane(),
         });
-        for (mover, lane) in bodies.movers.iter().zip(std::iter::once(ego_lane).chain(lanes)) {
+        for (mover, lane) in bodies
+            .movers
+            .iter()
+            .zip(std::iter::once(ego_lane).chain(lanes))
+        {
             places.push(neighbours.len());
             if mover.present {
                 neighbours.push(Neighbour {
@@ -185,7 +195,12 @@ impl Traffic {
             .zip(&mut bodies.movers[1..])
             .zip(&self.places[1..])
         {
-            let Mind::Driver { group, navigator, idm } = mind else {
+            let Mind::Driver {
+                group,
+                navigator,
+                idm,
+            } = mind
+            else {
                 continue;
             };
             if *group < started && mover.present {
@@ -204,7 +219,9 @@ impl Traffic {
     pub fn follow(&mut self, network: &Network, bodies: &mut Bodies) {
         let started = self.started;
         for (mind, mover) in self.minds.iter_mut().zip(&mut bodies.movers[1..]) {
-            if let Mind::Driver { group, navigator, .. } = mind
+            if let Mind::Driver {
+                group, navigator, ..
+            } = mind
                 && *group < started
                 && mover.present
             {

@@ -93,8 +93,12 @@ impl World {
         let scenario = Scenario::generate(&scenario_config, 0)?;
         let ego = &scenario.ego;
         let place = &ego.place;
-        let navigator =
-            Navigator::new(&scenario.map.network, &ego.route, place.lane, place.position_world);
+        let navigator = Navigator::new(
+            &scenario.map.network,
+            &ego.route,
+            place.lane,
+            place.position_world,
+        );
         let mut world = World {
             lidar: Lidar::new(config.beam_count, config.lidar_range_m),
             config,
@@ -134,7 +138,8 @@ impl World {
         let at = pose(position.x, position.y, ego.place.heading_rad);
         let motion = Motion::at_rest(at, car.model);
         self.navigator = Navigator::new(network, &ego.route, ego.place.lane, position);
-        self.navigator.update(network, position, motion.seen_forward());
+        self.navigator
+            .update(network, position, motion.seen_forward());
         self.before_world = motion.seen_forward();
         self.bodies.movers.clear();
         self.bodies.movers.push(Mover::new(ego.kind, car, motion));
@@ -166,7 +171,8 @@ impl World {
         let touch = self.bodies.advance();
         self.traffic.follow(network, &mut self.bodies);
         let motion = &self.bodies.movers[0].motion;
-        self.navigator.update(network, motion.seen_position(), motion.seen_forward());
+        self.navigator
+            .update(network, motion.seen_position(), motion.seen_forward());
         self.driven_m += (motion.seen_position() - before.seen_position()).norm();
         self.before_world = before.seen_forward();
         self.last_action = action;
@@ -240,14 +246,16 @@ impl World {
     /// Bodies other than the ego, as they truly are.
     pub fn bodies(&self) -> impl Iterator<Item = Body> {
         let movers = self.bodies.movers.iter().enumerate().skip(1);
-        let cars = movers.filter(|(_, mover)| mover.present).map(|(index, mover)| Body {
-            kind: match self.traffic.is_broken_down(index) {
-                true => BodyKind::Obstacle(ObstacleKind::BrokenDown(mover.kind)),
-                false => BodyKind::Traffic(mover.kind),
-            },
-            placed: mover.placed(),
-            velocity_world: mover.motion.velocity_world(),
-        });
+        let cars = movers
+            .filter(|(_, mover)| mover.present)
+            .map(|(index, mover)| Body {
+                kind: match self.traffic.is_broken_down(index) {
+                    true => BodyKind::Obstacle(ObstacleKind::BrokenDown(mover.kind)),
+                    false => BodyKind::Traffic(mover.kind),
+                },
+                placed: mover.placed(),
+                velocity_world: mover.motion.velocity_world(),
+            });
         cars.chain(self.bodies.fixtures.iter().map(|fixture| Body {
             kind: BodyKind::Obstacle(fixture.kind),
             placed: fixture.placed,

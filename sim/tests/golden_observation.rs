@@ -20,7 +20,9 @@ fn first_observations_equal_the_recorded_ones() {
     for seed in recorded::FIRST_SEED..recorded::FIRST_SEED + recorded::SEEDS {
         world.reset(seed).expect("a recorded seed has a map");
         world.observe(&mut observation);
-        observation.features(&mut features).expect("259 features fit");
+        observation
+            .features(&mut features)
+            .expect("259 features fit");
         let expected = golden[seed.to_string()]["obs0"].as_array().expect("obs0");
         assert_eq!(expected.len(), features.len(), "seed {seed}");
         for (index, (value, &ours)) in expected.iter().zip(&features).enumerate() {
@@ -30,5 +32,10 @@ fn first_observations_equal_the_recorded_ones() {
             }
         }
     }
-    assert!(wrong.is_empty(), "{} differ:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} differ:\n{}",
+        wrong.len(),
+        wrong.join("\n")
+    );
 }

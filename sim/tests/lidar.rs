@@ -9,10 +9,8 @@ const RANGE_M: f64 = 50.0;
 
 fn placed() -> impl Strategy<Value = Placed> {
     let shape = prop_oneof![
-        (0.3..6.0, 0.3..3.0).prop_map(|(length_m, width_m)| Shape::Box(Footprint {
-            length_m,
-            width_m
-        })),
+        (0.3..6.0, 0.3..3.0)
+            .prop_map(|(length_m, width_m)| Shape::Box(Footprint { length_m, width_m })),
         (0.1..1.0).prop_map(|radius_m| Shape::Disc { radius_m }),
     ];
     (shape, -60.0..60.0, -60.0..60.0, -3.2..3.2_f64).prop_map(|(shape, x, y, turn)| Placed {
@@ -42,6 +40,28 @@ fn meets(from: Point, along: Vector, a: Point, b: Point) -> Option<f64> {
     let distance_m = (a - from).perp(&side) / cross;
     let share = (a - from).perp(&along) / cross;
     (distance_m >= 0.0 && (0.0..=1.0).contains(&share)).then_some(distance_m)
+}
+
+#[test]
+fn bodies_with_the_same_centre_overlap() {
+    for shape in [
+        Shape::Disc { radius_m: 0.5 },
+        Shape::Box(Footprint {
+            length_m: 4.0,
+            width_m: 2.0,
+        }),
+    ] {
+        let body = Placed {
+            shape,
+            center_world: Point::new(3.0, 4.0),
+            forward_world: Vector::x(),
+        };
+        let found = overlap(&body, &body).expect("they overlap");
+        assert!(
+            found.depth_m > 0.0 && found.normal_world.norm() > 0.99,
+            "{found:?}"
+        );
+    }
 }
 
 proptest! {

@@ -58,7 +58,19 @@ fn judge(world: &World, kind: &str, rollout: &Rollout, found: &mut Differences) 
     let mut navigator: Navigator = world.navigator().clone();
     let model = world.ego_car().model;
     for (tick, row) in rollout.ego.iter().enumerate() {
-        let [x, y, heading_rad, _, _, _, left_m, right_m, completion, checkpoint, on_lane] = *row;
+        let [
+            x,
+            y,
+            heading_rad,
+            _,
+            _,
+            _,
+            left_m,
+            right_m,
+            completion,
+            checkpoint,
+            on_lane,
+        ] = *row;
         let position = Point::new(x, y);
         let forward = Vector::new(heading_rad.cos(), heading_rad.sin());
         if tick > 0 {
@@ -67,9 +79,15 @@ fn judge(world: &World, kind: &str, rollout: &Rollout, found: &mut Differences) 
         found.ticks += 1;
         let here = format!("{kind} {} tick {tick}", rollout.seed);
         let edges = Edges::of(network, &navigator, position);
-        if (edges.left_m - left_m).abs().max((edges.right_m - right_m).abs()) > TOLERANCE_M {
+        if (edges.left_m - left_m)
+            .abs()
+            .max((edges.right_m - right_m).abs())
+            > TOLERANCE_M
+        {
             let ours = (edges.left_m, edges.right_m);
-            found.edges.push(format!("{here}: {ours:?} for {:?}", (left_m, right_m)));
+            found
+                .edges
+                .push(format!("{here}: {ours:?} for {:?}", (left_m, right_m)));
         }
         let off_m = (navigator.completion() - completion).abs() * navigator.length_m();
         if off_m > TOLERANCE_M {

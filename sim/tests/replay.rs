@@ -35,9 +35,13 @@ fn recorded_actions_lead_where_they_led() {
                 let ego = world.ego_position();
                 away_m[slot].push((ego.x - x).hypot(ego.y - y));
                 world.observe(&mut observation);
-                observation.features(&mut features).expect("259 features fit");
+                observation
+                    .features(&mut features)
+                    .expect("259 features fit");
                 let errors = features.iter().zip(&rollout.obs[tick + 1]);
-                let worst = errors.map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+                let worst = errors
+                    .map(|(a, b)| f64::from((a - b).abs()))
+                    .fold(0.0, f64::max);
                 feature_error[slot].push(worst);
             }
         }
