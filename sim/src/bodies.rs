@@ -3,7 +3,7 @@
 use vehicle::{Action, Footprint, Point, Vector};
 
 use crate::contact::{Placed, Shape, collide, overlap};
-use crate::dynamics::{Car, Controls, Motion, SUBSTEPS};
+use crate::dynamics::{Car, Controls, GRAVITY_MPS2, Motion, SUBSTEP_S, SUBSTEPS};
 use crate::lidar::BEAM_HEIGHT_M;
 use crate::model::VehicleKind;
 use crate::road::LaneId;
@@ -65,6 +65,13 @@ impl Mover {
     pub(crate) fn is_at_beam_height(&self, floor_m: f64) -> bool {
         (floor_m..=floor_m + self.car.model.height_m).contains(&BEAM_HEIGHT_M)
     }
+}
+
+/// Height of a car's floor after falling freely for some ticks, m.
+pub(crate) fn floor_after_drop_m(from_m: f64, ticks: u64) -> f64 {
+    // Longer falls end on the springs; 100 keeps the product finite.
+    let substeps = (ticks.min(100) * u64::from(SUBSTEPS)) as f64;
+    from_m - GRAVITY_MPS2 * SUBSTEP_S * SUBSTEP_S * substeps * (substeps + 1.0) / 2.0
 }
 
 /// A thing that never moves, and that cars pass through.

@@ -20,10 +20,9 @@
 //! What MetaDrive *reads* is the pose of one sub-step before (Bullet's
 //! interpolated motion state): [`Motion::seen`] against [`Motion::body`].
 //!
-//! Checked by the example `dynamics_fit`, against step responses and against
-//! recorded drives. Source: `component/vehicle/base_vehicle.py` and
-//! `vehicle_type.py` of MetaDrive c29cc37, and the constants of Panda3D's
-//! vehicle (rest length 0.4 m, maximum suspension force 6000 N).
+//! The example `dynamics_fit` checks it against recorded drives. Sources:
+//! `base_vehicle.py` and `vehicle_type.py` of MetaDrive c29cc37, Panda3D's
+//! vehicle (rest length 0.4 m, suspension force at most 6000 N).
 
 use nalgebra::{Matrix3, Vector3};
 use vehicle::{Action, Point, Pose, Vector, pose};
@@ -35,7 +34,7 @@ pub const SUBSTEP_S: f64 = 0.02;
 /// Sub-steps in one tick of 0.1 s.
 pub const SUBSTEPS: u32 = 5;
 
-const GRAVITY_MPS2: f64 = 9.81;
+pub(crate) const GRAVITY_MPS2: f64 = 9.81;
 const SUSPENSION_REST_M: f64 = 0.4;
 const SUSPENSION_TRAVEL_M: f64 = 0.15;
 /// Spring, 1/s²: force per metre and per kilogram of the whole car.
@@ -57,13 +56,6 @@ const BRAKE_DEADZONE_MPS: f64 = 0.01;
 const UPRIGHT: f64 = 0.1;
 /// The engine is cut above this, m/s.
 const ENGINE_CUT_MPS: f64 = 80.0 / 3.6;
-
-/// Height of a car's floor after falling freely for some ticks, m.
-pub(crate) fn floor_after_drop_m(from_m: f64, ticks: u64) -> f64 {
-    // Longer falls end on the springs; 100 keeps the product finite.
-    let substeps = (ticks.min(100) * u64::from(SUBSTEPS)) as f64;
-    from_m - GRAVITY_MPS2 * SUBSTEP_S * SUBSTEP_S * substeps * (substeps + 1.0) / 2.0
-}
 
 /// One car: its kind, its engine, and what follows from them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -453,11 +445,6 @@ impl Motion {
     pub fn velocity_at(&self, at_world: Point) -> Vector {
         let lever = at_world.coords - self.position.xy();
         self.velocity.xy() + Vector::new(-lever.y, lever.x) * self.spin.z
-    }
-
-    /// Yaw rate of this instant, rad/s.
-    pub fn yaw_rate_radps(&self) -> f64 {
-        self.spin.z
     }
 
     /// Speed over the ground, m/s, never negative.

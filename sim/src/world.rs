@@ -3,10 +3,10 @@
 use shm_config::message::{Observation, Outcome};
 use vehicle::{Action, Point, Pose, Vector, pose};
 
-use crate::bodies::{Bodies, Fixture, Mover, Touch};
+use crate::bodies::{Bodies, Fixture, Mover, Touch, floor_after_drop_m};
 use crate::config::{OutOfRoute, WorldConfig, WorldError};
 use crate::contact::{Placed, Shape};
-use crate::dynamics::{Car, Motion, floor_after_drop_m};
+use crate::dynamics::{Car, Motion};
 use crate::idm::{Idm, View};
 use crate::lidar::{Lidar, Origin};
 use crate::map::Map;

@@ -1,0 +1,135 @@
+//! The arrows between crates, the homes of `unsafe` and of iceoryx2, the size of files.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Who may use whom of this workspace, in the shipped code.
+const ARROWS: &[(&str, &[&str])] = &[
+    ("vehicle", &[]),
+    ("shm-config", &["vehicle"]),
+    ("process", &["shm-config"]),
+    ("planner", &["vehicle", "shm-config", "process"]),
+    ("gate", &["vehicle", "shm-config", "process"]),
+    ("controller", &["vehicle", "shm-config", "process", "gate"]),
+    ("sim", &["vehicle", "shm-config", "process"]),
+    ("supervisor", &["vehicle", "shm-config"]),
+];
+
+/// Files that may hold `unsafe`: the wire and the real-time system calls.
+const UNSAFE_HOMES: &[&str] = &[
+    "shm-config/src/layout.rs",
+    "shm-config/src/wire.rs",
+    "process/src/realtime.rs",
+];
+
+/// Lines of the longest source file.
+const LINES_MAX: usize = 550;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn manifest(path: &Path) -> toml::Table {
+    let text = fs::read_to_string(path).expect("a manifest");
+    text.parse().expect("TOML")
+}
+
+fn keys<'a>(manifest: &'a toml::Table, table: &str) -> BTreeSet<&'a str> {
+    let table = manifest.get(table).and_then(|table| table.as_table());
+    table
+        .into_iter()
+        .flatten()
+        .map(|(key, _)| key.as_str())
+        .collect()
+}
+
+fn sources() -> Vec<(String, String)> {
+    let mut files = Vec::new();
+    let mut folders: Vec<PathBuf> = members().iter().map(|name| root().join(name)).collect();
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("a folder").flatten() {
+            let path = entry.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let name = path
+                    .strip_prefix(root())
+                    .expect("inside")
+                    .display()
+                    .to_string();
+                files.push((name, fs::read_to_string(&path).expect("a source")));
+            }
+        }
+    }
+    assert!(files.len() > 50, "the sources were found");
+    files
+}
+
+fn members() -> Vec<String> {
+    let root = manifest(&root().join("Cargo.toml"));
+    let members = root["workspace"]["members"].as_array().expect("members");
+    members
+        .iter()
+        .filter_map(|name| name.as_str().map(String::from))
+        .collect()
+}
+
+#[test]
+fn arrows_point_one_way() {
+    let workspace: BTreeSet<String> = members().into_iter().collect();
+    for (name, allowed) in ARROWS {
+        let manifest = manifest(&root().join(name).join("Cargo.toml"));
+        for used in keys(&manifest, "dependencies") {
+            let ours = workspace.contains(used);
+            assert!(
+                !ours || allowed.contains(&used),
+                "{name} must not use {used}"
+            );
+        }
+    }
+}
+
+#[test]
+fn only_the_wire_names_iceoryx2() {
+    for name in members() {
+        let manifest = manifest(&root().join(&name).join("Cargo.toml"));
+        let tables = ["dependencies", "dev-dependencies", "build-dependencies"];
+        let uses = tables
+            .iter()
+            .any(|table| keys(&manifest, table).contains("iceoryx2"));
+        assert_eq!(uses, name == "shm-config", "{name}");
+    }
+}
+
+#[test]
+fn unsafe_code_stays_in_its_homes_and_says_why() {
+    for (name, text) in sources() {
+        let blocks = text.lines().filter(|line| {
+            let code = line.split("//").next().unwrap_or_default();
+            code.contains("unsafe {") || code.contains("unsafe impl")
+        });
+        let count = blocks.count();
+        if count == 0 || name.ends_with("tests/tests/boundaries.rs") {
+            continue;
+        }
+        assert!(
+            UNSAFE_HOMES.contains(&name.as_str()),
+            "{name} is no home of unsafe"
+        );
+        assert!(
+            text.matches("SAFETY:").count() >= count,
+            "{name}: each has its SAFETY sentence"
+        );
+    }
+}
+
+#[test]
+fn files_stay_readable() {
+    let long: Vec<_> = sources()
+        .into_iter()
+        .map(|(name, text)| (text.lines().count(), name))
+        .filter(|(lines, _)| *lines > LINES_MAX)
+        .collect();
+    assert_eq!(long, [], "over {LINES_MAX} lines");
+}
