@@ -26,7 +26,8 @@ fn refused<M: Message>(good: M, spoil: impl Fn(&mut M)) -> Refusal {
 #[test]
 fn observations() {
     let nan = f64::NAN;
-    let fields: [(&str, fn(&mut Observation, f64)); 11] = [
+    type Set = fn(&mut Observation, f64);
+    let fields: [(&str, Set); 11] = [
         ("ego.x_world_m", |o, v| o.ego.x_world_m = v),
         ("ego.y_world_m", |o, v| o.ego.y_world_m = v),
         ("ego.heading_world_rad", |o, v| o.ego.heading_world_rad = v),
