@@ -1,5 +1,5 @@
 use shm_config::config::Controller;
-use shm_config::message::{Observation, Plan, PlanOutcome, Waypoint};
+use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::{Action, Point, pose};
 
 /// A goal that moved further than this between two ticks is another goal, m:
@@ -43,11 +43,7 @@ impl Pd {
         let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
         let world_from_plan = plan.world_from_plan();
         let body_from_plan = world_from_body.inverse() * world_from_plan;
-        let (target_body, speed_mps) = lookahead(
-            plan.waypoints(),
-            |waypoint| body_from_plan * waypoint.point(),
-            self.config.lookahead_m,
-        )?;
+        let (target_body, speed_mps) = plan.lookahead(&body_from_plan, self.config.lookahead_m)?;
         let now = Errors {
             heading_rad: target_body.y.atan2(target_body.x),
             speed_mps: speed_mps - ego.speed_mps,
@@ -87,24 +83,4 @@ impl Pd {
             _ => (0.0, 0.0),
         }
     }
-}
-
-/// The waypoint steered at (Sec. 4.1.1): the nearest of those at least
-/// `distance_m` away, else the last one, in the body frame of now; and its speed.
-fn lookahead(
-    waypoints: &[Waypoint],
-    body_from_plan: impl Fn(&Waypoint) -> Point,
-    distance_m: f64,
-) -> Option<(Point, f64)> {
-    let far_enough = waypoints
-        .iter()
-        .map(|waypoint| (body_from_plan(waypoint), waypoint.speed_mps))
-        .filter(|(point, _)| point.coords.norm() >= distance_m)
-        .min_by(|a, b| a.0.coords.norm().total_cmp(&b.0.coords.norm()));
-    let last = || {
-        waypoints
-            .last()
-            .map(|waypoint| (body_from_plan(waypoint), waypoint.speed_mps))
-    };
-    far_enough.or_else(last)
 }

@@ -42,9 +42,10 @@ const ACROSS_M: f64 = 0.5;
 pub fn choose_goal(grid: &Grid, config: &PlannerConfig, observation: &Observation) -> Point {
     let lane = Corridor::lane(&observation.road, config.lane_margin_m, grid.y_max_m());
     let line = CentreLine::new(observation);
-    let place = |distance_m: f64, across_m: f64| {
-        let place_body = line.at(distance_m).body_from_road * Point::new(0.0, across_m);
-        limited(grid, &lane, place_body)
+    let across = |distance_m: f64| {
+        let body_from_road = line.at(distance_m).body_from_road;
+        offsets(&lane)
+            .map(move |across_m| limited(grid, &lane, body_from_road * Point::new(0.0, across_m)))
     };
     let farthest_m = farthest(grid, config, &lane, &line);
     let free = |place_body: &Point| {
@@ -52,7 +53,6 @@ pub fn choose_goal(grid: &Grid, config: &PlannerConfig, observation: &Observatio
             .is_some_and(|cell| !grid.is_occupied(cell))
     };
     let in_view = |place_body: &Point| grid.is_segment_free(Point::origin(), *place_body);
-    let across = |distance_m: f64| offsets(&lane).map(move |across_m| place(distance_m, across_m));
     if let Some(place_body) = across(farthest_m).find(in_view) {
         return place_body;
     }
@@ -61,7 +61,11 @@ pub fn choose_goal(grid: &Grid, config: &PlannerConfig, observation: &Observatio
         .map(|step| farthest_m - step as f64 * ALONG_M)
         .flat_map(across)
         .find(free)
-        .unwrap_or(place(farthest_m, 0.0))
+        .unwrap_or(limited(
+            grid,
+            &lane,
+            line.at(farthest_m).body_from_road * Point::origin(),
+        ))
 }
 
 /// How far along the line the goal may be, m: rule 2.

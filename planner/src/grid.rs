@@ -4,8 +4,8 @@ use vehicle::Point;
 use crate::PlannerConfig;
 use crate::beams::Beams;
 use crate::corridor::Corridor;
-use crate::limits::DISC_CELLS_MAX;
 use crate::segment::{Run, Segment};
+use shm_config::config::planner::DISC_CELLS_MAX;
 
 /// Cells in a word.
 const WORD: usize = u64::BITS as usize;

@@ -1,7 +1,7 @@
 //! Observation to plan: occupancy grid, local goal, RRT* (Sec. 4.1.1).
 //!
 //! ```text
-//! Observation -> Grid::fill -> choose_goal -> RRT* -> Plan -> lookahead
+//! Observation -> Grid::fill -> choose_goal -> RRT* -> Plan
 //! ```
 //!
 //! Everything is in the body frame of the observation: x forward, y left,
@@ -14,8 +14,6 @@ mod centre_line;
 mod corridor;
 mod goal;
 mod grid;
-mod limits;
-mod lookahead;
 mod planner;
 mod sampler;
 mod search;
@@ -25,8 +23,6 @@ mod tree;
 pub use corridor::Corridor;
 pub use goal::choose_goal;
 pub use grid::{Cell, Grid};
-pub use limits::{DISC_CELLS_MAX, NODES_MAX};
-pub use lookahead::{LOOKAHEAD_M, lookahead};
 pub use planner::Planner;
 pub use shm_config::config::Planner as PlannerConfig;
 pub use tree::{Node, Tree};

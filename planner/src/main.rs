@@ -32,8 +32,8 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut observations = member.wire.subscriber(OBSERVATION)?;
     let mut plans = member.wire.publisher(PLAN)?;
     let mut pulse = Pulse::start(&member)?;
-    let mut planner = Planner::new(settings(&member.config.planner))
-        .map_err(|error| SetUpError::Own(error.to_string()))?;
+    let mut planner =
+        Planner::new(member.config.planner).map_err(|error| SetUpError::Own(error.to_string()))?;
     let mut plan = Box::<Plan>::default();
     let lockstep = member.config.run.is_lockstep();
     let limit_ns = member.config.limits.observation_age_ns();
@@ -71,24 +71,4 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     }
     pulse.enter(HealthState::Finished, monotonic());
     Ok(())
-}
-
-fn settings(config: &shm_config::config::Planner) -> planner::PlannerConfig {
-    planner::PlannerConfig {
-        cell_m: config.cell_m,
-        x_max_m: config.x_max_m,
-        y_max_m: config.y_max_m,
-        inflation_m: config.inflation_m,
-        lane_margin_m: config.lane_margin_m,
-        iterations: config.iterations,
-        step_m: config.step_m,
-        rewire_radius_m: config.rewire_radius_m,
-        goal_radius_m: config.goal_radius_m,
-        speed_mps: config.speed_mps,
-        goal_bias: config.goal_bias,
-        goal_distance_m: config.goal_distance_m,
-        goal_sag_m: config.goal_sag_m,
-        partial_min_m: config.partial_min_m,
-        seed: config.seed,
-    }
 }

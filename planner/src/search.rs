@@ -2,9 +2,9 @@ use vehicle::Point;
 
 use crate::PlannerConfig;
 use crate::grid::Grid;
-use crate::limits::NODES_MAX;
 use crate::sampler::{Region, Sampler};
 use crate::tree::{Edge, Tree};
+use shm_config::config::planner::NODES_MAX;
 
 /// A sample this close to a node is that node, m; a tree of equal points would
 /// have edges of no length.

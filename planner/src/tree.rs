@@ -1,6 +1,6 @@
 use vehicle::Point;
 
-use crate::limits::NODES_MAX;
+use shm_config::config::planner::NODES_MAX;
 
 /// Stands for "no node" among indices.
 const NONE: u16 = u16::MAX;

@@ -1,6 +1,7 @@
 //! The configuration and the room there is for it.
 
-use planner::{DISC_CELLS_MAX, Grid, NODES_MAX, Planner, PlannerConfig};
+use planner::{Grid, Planner, PlannerConfig};
+use shm_config::config::planner::{DISC_CELLS_MAX, NODES_MAX};
 use shm_config::message::{Observation, Plan};
 
 #[test]

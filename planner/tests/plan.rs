@@ -3,7 +3,7 @@
 mod course;
 mod reference;
 
-use planner::{LOOKAHEAD_M, Planner, PlannerConfig, lookahead};
+use planner::{Planner, PlannerConfig};
 use proptest::prelude::*;
 use reference::{small_config, wild_observation};
 use shm_config::message::{Observation, Plan, PlanOutcome, Waypoint};
@@ -211,7 +211,8 @@ fn with_waypoints(points: &[(f64, f64)]) -> Plan {
 
 #[test]
 fn the_lookahead_is_the_nearest_waypoint_far_enough_away() {
-    let x_m = |plan: &Plan| lookahead(plan, LOOKAHEAD_M).map(|waypoint| waypoint.x_body_m);
+    let here = vehicle::Pose::identity();
+    let x_m = |plan: &Plan| plan.lookahead(&here, 2.0).map(|(point, _)| point.x);
     // By distance, not by order along the path: this one turns back.
     let winding = with_waypoints(&[(0.0, 0.0), (1.9, 0.0), (3.0, 2.0), (2.5, 0.0), (6.0, 0.0)]);
     assert_eq!(x_m(&winding), Some(2.5));

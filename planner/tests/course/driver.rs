@@ -1,7 +1,7 @@
 //! The paper's tracking controller (Sec. 4.1.2) on a kinematic bicycle: plans
 //! are judged by how they drive.
 
-use planner::{LOOKAHEAD_M, Planner, PlannerConfig, lookahead};
+use planner::{Planner, PlannerConfig};
 use shm_config::message::{Plan, PlanOutcome};
 use vehicle::{Action, State, Vehicle, pose, step};
 
@@ -84,13 +84,10 @@ pub fn drive(course: &Course, config: PlannerConfig, across_m: f64) -> Drive {
 
 /// The PD controller; without a path it brakes.
 fn track(plan: &Plan, speed_mps: f64, last: &mut [f64; 2]) -> Action {
-    let Some(target) = lookahead(plan, LOOKAHEAD_M) else {
+    let Some((target_body, target_mps)) = plan.lookahead(&vehicle::Pose::identity(), 2.0) else {
         return Action::BRAKE;
     };
-    let errors = [
-        target.y_body_m.atan2(target.x_body_m),
-        target.speed_mps - speed_mps,
-    ];
+    let errors = [target_body.y.atan2(target_body.x), target_mps - speed_mps];
     let rates = [0, 1].map(|which| (errors[which] - last[which]) / STEP_S);
     *last = errors;
     Action {

@@ -7,7 +7,7 @@
 mod controller;
 mod gate;
 mod load;
-mod planner;
+pub mod planner;
 mod run;
 mod world;
 
@@ -19,7 +19,7 @@ pub use gate::{Gate, GateMode};
 pub use load::{ConfigError, from_toml, load};
 pub use planner::Planner;
 pub use run::{Clock, Limits, Run, Supervisor};
-pub use world::World;
+pub use world::{Simulator, World};
 
 /// Everything a run is configured by.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -31,7 +31,7 @@ pub struct Config {
     pub limits: Limits,
     /// The car.
     pub vehicle: Vehicle,
-    /// The built-in world.
+    /// The world.
     pub world: World,
     /// RRT*.
     pub planner: Planner,

@@ -1,3 +1,5 @@
+//! RRT*, and how much room its grid and tree have.
+
 use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
@@ -8,6 +10,8 @@ pub const CELLS_MAX: usize = 2048;
 pub const DISC_CELLS_MAX: usize = 60;
 /// Most nodes of a tree. The time of a search grows with their square.
 pub const NODES_MAX: usize = 4096;
+
+const _: () = assert!(NODES_MAX < u16::MAX as usize, "a node's index is a u16");
 
 /// What the planner can be told. The defaults are the numbers of Sec. 4.1.1
 /// where the paper gives one; the other fields say where theirs is from.

@@ -3,10 +3,23 @@ use serde::{Deserialize, Serialize};
 use super::{OutOfRange, in_range};
 use crate::message::BEAMS_MAX;
 
-/// The built-in world; the defaults are the paper's experiment.
+/// Who computes the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Simulator {
+    /// The built-in world.
+    #[serde(rename = "sim")]
+    BuiltIn,
+    /// The real MetaDrive, as `./vlaps setup metadrive` installs it.
+    #[serde(rename = "metadrive")]
+    MetaDrive,
+}
+
+/// The world; the defaults are the paper's experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct World {
+    /// Who computes it: sim, the built-in world; or metadrive, the real one.
+    pub simulator: Simulator,
     /// Random blocks after the first straight.
     pub blocks: u32,
     /// A block sequence such as "SCrRXTO" in place of random ones; empty for none.
@@ -30,6 +43,7 @@ pub struct World {
 impl Default for World {
     fn default() -> Self {
         Self {
+            simulator: Simulator::BuiltIn,
             blocks: 3,
             sequence: String::new(),
             lanes: 3,

@@ -125,6 +125,22 @@ impl Plan {
         &self.waypoints[..(self.waypoint_count as usize).min(WAYPOINTS_MAX)]
     }
 
+    /// The waypoint to steer for (Sec. 4.1.1): of those at least `distance_m` away
+    /// the nearest, else the last, with its speed, m/s; `None` when there is none.
+    ///
+    /// Distances are those from the body of now, which may have moved since the
+    /// plan was made. Only waypoints count, no point between two of them.
+    pub fn lookahead(&self, body_from_plan: &Pose, distance_m: f64) -> Option<(Point, f64)> {
+        let points = || {
+            let waypoints = self.waypoints().iter();
+            waypoints.map(|waypoint| (body_from_plan * waypoint.point(), waypoint.speed_mps))
+        };
+        points()
+            .filter(|(point, _)| point.coords.norm() >= distance_m)
+            .min_by(|a, b| a.0.coords.norm().total_cmp(&b.0.coords.norm()))
+            .or_else(|| points().next_back())
+    }
+
     /// The body frame of the waypoints in the world frame.
     pub fn world_from_plan(&self) -> Pose {
         pose(
