@@ -12,7 +12,7 @@ crate::word_list! {
         Reached = 0 "reached",
         /// No path to the goal; the waypoints lead to the node nearest to it.
         Partial = 1 "partial",
-        /// Not even a first step is free; there are no waypoints.
+        /// No free step, or a dead end too near to be worth a step; no waypoints.
         Blocked = 2 "blocked",
     }
 }
