@@ -7,11 +7,11 @@
 use crate::message::Histogram;
 
 /// Width of the finest bucket, as a power of two of nanoseconds.
-const UNIT_SHIFT: u32 = 6;
+pub const UNIT_SHIFT: u32 = 6;
 /// Buckets per doubling, as a power of two.
-const HALF_SHIFT: u32 = 7;
+pub const HALF_SHIFT: u32 = 7;
 /// Buckets in all; the last doubling ends at 2^34 ns = 17 s.
-const BUCKETS: usize = 22 << HALF_SHIFT;
+pub const BUCKETS: usize = 22 << HALF_SHIFT;
 
 const _: () = assert!(BUCKETS == 2816, "as the message declares");
 

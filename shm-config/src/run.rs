@@ -19,7 +19,20 @@ use rustix::fs::FlockOperation;
 pub const RUN_NAME_MAX: usize = 24;
 
 /// Where shared memory appears as files.
-const SHARED_MEMORY_DIR: &str = "/dev/shm";
+pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
+
+/// The folder of a user's runs, by user id.
+pub const USER_DIR: &str = "/tmp/vlaps-{user}";
+
+/// What the shared-memory files of a run begin with. The closing '.' is in no
+/// run name, so no prefix begins another.
+pub const PREFIX: &str = "vlaps-{user}-{run}.";
+
+/// The library's folder within a run's.
+pub const LIBRARY_DIR: &str = "iceoryx2";
+
+/// The file within a run's folder whose shared lock every member holds.
+pub const ALIVE_FILE: &str = "alive";
 
 /// The name of a run: 1 to 24 of `a-z`, `A-Z`, `0-9`, `-` and `_`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -92,7 +105,7 @@ impl RunPaths {
         let user = rustix::process::getuid().as_raw();
         Self {
             name,
-            user_dir: PathBuf::from(format!("/tmp/vlaps-{user}")),
+            user_dir: PathBuf::from(USER_DIR.replace("{user}", &user.to_string())),
         }
     }
 
@@ -124,8 +137,9 @@ impl RunPaths {
     /// What every shared-memory file of the run begins with.
     pub fn prefix(&self) -> String {
         let user = rustix::process::getuid().as_raw();
-        // The closing '.' is in no run name, so no prefix begins another.
-        format!("vlaps-{user}-{}.", self.name)
+        PREFIX
+            .replace("{user}", &user.to_string())
+            .replace("{run}", &self.name.0)
     }
 
     /// The file that holds the supervisor's process id while it lives.
@@ -168,7 +182,7 @@ impl RunPaths {
     /// When the file cannot be made or locked.
     pub fn hold_alive(&self) -> Result<RunLock, RunError> {
         self.create()?;
-        let path = self.dir().join("alive");
+        let path = self.dir().join(ALIVE_FILE);
         let file = open_private(&path)?;
         match lock(&path, &file, FlockOperation::NonBlockingLockShared)? {
             true => Ok(RunLock { _file: file }),
@@ -223,7 +237,7 @@ impl RunPaths {
     /// When a leftover cannot be removed.
     pub fn clean_if_dead(&self) -> Result<Option<Leftovers>, RunError> {
         let mut leftovers = Leftovers::default();
-        let alive = self.dir().join("alive");
+        let alive = self.dir().join(ALIVE_FILE);
         if let Ok(file) = File::open(&alive)
             && !lock(&alive, &file, FlockOperation::NonBlockingLockExclusive)?
         {
@@ -236,7 +250,7 @@ impl RunPaths {
         }
         for entry in fs::read_dir(self.dir()).into_iter().flatten().flatten() {
             let path = entry.path();
-            let keep = ["supervisor", "alive"].map(|name| path.ends_with(name));
+            let keep = ["supervisor", ALIVE_FILE].map(|name| path.ends_with(name));
             if !keep.contains(&true) {
                 leftovers.files += 1;
                 remove(&path)?;

@@ -50,6 +50,17 @@ pub enum Delivery {
     Queue(usize),
 }
 
+impl Delivery {
+    /// How many messages a reader may fall behind, and how many a late joiner
+    /// still gets.
+    pub const fn queue(self) -> (usize, usize) {
+        match self {
+            Self::Latest => (1, 1),
+            Self::Queue(depth) => (depth, 0),
+        }
+    }
+}
+
 /// One row of the service table.
 #[derive(Debug, Clone, Copy)]
 pub struct Service<M> {

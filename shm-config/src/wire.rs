@@ -15,21 +15,21 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
 use crate::message::Message;
-use crate::run::{RunError, RunLock, RunName, RunPaths};
-use crate::services::{Delivery, Process, Service};
+use crate::run::{LIBRARY_DIR, RunError, RunLock, RunName, RunPaths};
+use crate::services::{Process, Service};
 
 type Ipc = ipc::Service;
 
 /// Publishers of one service at a time: the living one, and dead ones that have
 /// not been swept yet.
-const PUBLISHERS_MAX: usize = 4;
+pub const PUBLISHERS_MAX: usize = 4;
 /// Readers of one service at a time: processes, command-line tools, recorders.
-const SUBSCRIBERS_MAX: usize = 16;
+pub const SUBSCRIBERS_MAX: usize = 16;
 /// Processes that may look at one service.
-const NODES_MAX: usize = 32;
+pub const NODES_MAX: usize = 32;
 
 /// The service attribute that carries the layout's fingerprint.
-const LAYOUT_KEY: &str = "layout";
+pub const LAYOUT_KEY: &str = "layout";
 
 /// Why a port could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -51,7 +51,10 @@ pub enum WireError {
         ours: String,
     },
     /// Shared memory refused.
-    #[error("service '{service}': {what}; check free space in /dev/shm and that the run is yours")]
+    #[error(
+        "service '{service}': shared memory refuses ({what}): no space in /dev/shm, or its files \
+         were removed while the run drives; `./vlaps doctor` shows the space, `./vlaps down` ends the run"
+    )]
     Port {
         /// The service.
         service: &'static str,
@@ -97,7 +100,7 @@ fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
         what,
     };
     let mut config = Config::default();
-    let root = paths.dir().join("iceoryx2");
+    let root = paths.dir().join(LIBRARY_DIR);
     let root = root.to_string_lossy();
     let root = iceoryx2::prelude::Path::new(root.as_bytes())
         .map_err(|error| port_error(format!("folder {root}: {error:?}")))?;
@@ -185,10 +188,7 @@ impl Wire {
     /// # Errors
     /// As [`Wire::publisher`].
     pub fn subscriber<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
-        let depth = match service.delivery {
-            Delivery::Latest => 1,
-            Delivery::Queue(depth) => depth,
-        };
+        let (depth, _) = service.delivery.queue();
         self.subscriber_of_depth(service, depth)
     }
 
@@ -267,10 +267,7 @@ impl Wire {
         let name = ServiceName::new(service.name).map_err(|error| failed(format!("{error:?}")))?;
         let ours = format!("{:016x}", M::FINGERPRINT);
         let verifier = attributes(&ours).map_err(&failed)?;
-        let (depth, history) = match service.delivery {
-            Delivery::Latest => (1, 1),
-            Delivery::Queue(depth) => (depth, 0),
-        };
+        let (depth, history) = service.delivery.queue();
         self.node
             .service_builder(&name)
             .publish_subscribe::<M>()

@@ -98,7 +98,7 @@ impl WorldConfig {
     /// # Errors
     /// [`WorldError`] if a block letter is unknown, or if beams or horizon are
     /// out of range; the rest is checked when an episode begins.
-    pub(crate) fn scenario(&self) -> Result<ScenarioConfig, WorldError> {
+    pub fn scenario(&self) -> Result<ScenarioConfig, WorldError> {
         if self.beam_count > BEAMS_MAX {
             return Err(WorldError::BeamCount(self.beam_count));
         }

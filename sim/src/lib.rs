@@ -37,6 +37,7 @@ pub mod rng;
 pub mod road;
 pub mod rules;
 pub mod score;
+mod settings;
 pub mod spawn;
 mod surface;
 pub mod traffic;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Parser;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use rustix::time::{ClockId, Timespec};
-use shm_config::config::{self, Config};
+use shm_config::config::Config;
 use shm_config::message::{Command, Header, HealthState, Message, Observation, Outcome, Progress};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
 use shm_config::time::monotonic;
@@ -108,21 +108,6 @@ impl Grid {
     }
 }
 
-fn world_config(config: &config::World) -> WorldConfig {
-    WorldConfig {
-        blocks: config.blocks as usize,
-        block_sequence: config.sequence.clone(),
-        lane_count: config.lanes as usize,
-        lane_width_m: config.lane_width_m,
-        traffic_density: config.traffic_density,
-        accident_probability: config.accident_probability,
-        horizon_steps: u64::from(config.horizon_ticks),
-        beam_count: config.beams as usize,
-        lidar_range_m: config.lidar_m,
-        ..WorldConfig::default()
-    }
-}
-
 struct Session {
     member: Member,
     ports: Ports,
@@ -152,15 +137,9 @@ impl Session {
         let ports = Ports::open(&member)?;
         let mut pulse = Pulse::start(&member)?;
         let hold = (member.config.run.rate_hz / PHYSICS_HZ).round();
-        if (hold * PHYSICS_HZ - member.config.run.rate_hz).abs() > 1e-9 {
-            return Err(SetUpError::Own(format!(
-                "run.rate_hz = {}: the built-in world needs a multiple of {PHYSICS_HZ}",
-                member.config.run.rate_hz
-            )));
-        }
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
         let mut world =
-            World::new(world_config(&member.config.world)).map_err(|error| own(&error))?;
+            World::new(WorldConfig::from(&member.config.world)).map_err(|error| own(&error))?;
         let episode = cli.first_episode;
         let seed = member.config.run.seed.wrapping_add(u64::from(episode));
         world.reset(seed).map_err(|error| own(&error))?;
@@ -250,22 +229,29 @@ impl Session {
             if episodes > 0 && self.episode + 1 >= episodes {
                 return Ok(true);
             }
+            if self.is_over(now) {
+                return Ok(true);
+            }
             self.open_episode()?;
-            return Ok(self.member.is_stopping());
+            return Ok(false);
         }
         Ok(self.ends(now))
     }
 
     /// Somebody asked the world to stop, or the time is up.
     fn ends(&mut self, now: Instant) -> bool {
+        let over = self.is_over(now);
+        if over {
+            self.close_episode(Outcome::Stopped, now);
+        }
+        over
+    }
+
+    fn is_over(&self, now: Instant) -> bool {
         let duration_s = self.member.config.run.duration_s;
         let elapsed_ns = now.since_ns(self.grid.instant(0));
-        let over = duration_s > 0.0 && elapsed_ns as f64 >= duration_s * 1e9;
-        if over || self.member.is_stopping() {
-            self.close_episode(Outcome::Stopped, now);
-            return true;
-        }
-        false
+        let passed = duration_s > 0.0 && elapsed_ns as f64 >= duration_s * 1e9;
+        passed || self.member.is_stopping()
     }
 
     /// Keeps the newest command that is for this episode and well formed.

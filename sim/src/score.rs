@@ -59,7 +59,9 @@ impl Score {
     pub fn count(&mut self, step: &StepOutcome) {
         self.vehicle_contacts += u64::from(step.touch.vehicle);
         self.object_contacts += u64::from(step.touch.object);
-        self.crash_last_step = step.touch.vehicle || step.touch.object;
+        // MetaDrive's flag counts a sidewalk, too: IDM's published crash share is
+        // that of the maps where it clips one.
+        self.crash_last_step = step.touch.vehicle || step.touch.object || step.on_sidewalk;
     }
 
     /// The finished episode, but for its header.

@@ -1,9 +1,10 @@
 //! The command line.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use shm_config::config::GateMode;
+use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
 
 /// Drives a set of real-time processes that drive a car.
@@ -17,6 +18,8 @@ use shm_config::run::RunName;
         ./vlaps up --episodes 1 --seed 3          drive one episode in real time\n  \
         ./vlaps up --lockstep --episodes 5        as fast as the processes answer\n  \
         ./vlaps status                            who is alive, on time, in charge\n  \
+        ./vlaps eval --driver expert              1000 episodes: success, contacts, completion\n  \
+        ./vlaps draw episode --seed 1000          an episode from above\n  \
         ./vlaps doctor                            what this machine grants"
 )]
 pub struct Arguments {
@@ -38,8 +41,31 @@ pub enum Command {
     Doctor,
     /// Remove what killed runs left behind; living runs are not touched.
     Clean(Clean),
+    /// Install what an optional part needs.
+    Setup(Setup),
     /// Print the configuration with its defaults, or check a file.
     Config(Keys),
+    /// Drive many episodes and print success, contacts and completion.
+    #[command(disable_help_flag = true)]
+    Eval(HandedOver),
+    /// Measure, and compare with other systems: parity, sim.
+    #[command(disable_help_flag = true)]
+    Bench(HandedOver),
+    /// Draw a map or an episode from above, as SVG.
+    #[command(disable_help_flag = true)]
+    Draw(HandedOver),
+}
+
+/// What another program of the build does: it reads the words itself.
+#[derive(Debug, Args)]
+pub struct HandedOver {
+    /// Its options; --help shows them.
+    #[arg(
+        trailing_var_arg = true,
+        allow_hyphen_values = true,
+        value_name = "OPTIONS"
+    )]
+    pub words: Vec<OsString>,
 }
 
 /// Start the process set and drive.
@@ -65,6 +91,9 @@ pub struct Up {
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
     pub lockstep: bool,
+    /// Who computes the world; metadrive needs `./vlaps setup metadrive` once.
+    #[arg(long, value_name = "WHICH")]
+    pub world: Option<WorldChoice>,
     /// Who decides who drives.
     #[arg(long, value_name = "WHO")]
     pub gate: Option<GateChoice>,
@@ -107,6 +136,43 @@ impl From<GateChoice> for GateMode {
             GateChoice::Policy => Self::Policy,
         }
     }
+}
+
+/// Who computes the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum WorldChoice {
+    /// The built-in world.
+    Sim,
+    /// The real MetaDrive.
+    Metadrive,
+}
+
+impl From<WorldChoice> for Simulator {
+    fn from(choice: WorldChoice) -> Self {
+        match choice {
+            WorldChoice::Sim => Self::BuiltIn,
+            WorldChoice::Metadrive => Self::MetaDrive,
+        }
+    }
+}
+
+/// Install what an optional part needs.
+#[derive(Debug, Args)]
+#[command(after_help = "Does only what is missing, so it may be repeated.\n\n\
+        Example:\n  ./vlaps setup metadrive")]
+pub struct Setup {
+    /// Which part.
+    pub part: Part,
+    /// The Python to install for; without it, python3.11 or python3.
+    #[arg(long, value_name = "FILE")]
+    pub python: Option<PathBuf>,
+}
+
+/// A part that needs more than a build.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Part {
+    /// The real MetaDrive as world: a Python environment of about 1 GB.
+    Metadrive,
 }
 
 /// Stop a running set.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
 use rustix::process::{Pid, Signal};
+use shm_config::services::Process;
 
 use crate::log::LogFile;
 use crate::table::{Rights, Row};
@@ -19,6 +20,17 @@ pub struct Launch {
     pub config: PathBuf,
     /// Priorities and cores.
     pub rights: Rights,
+    /// The world when it is not a binary beside the others.
+    pub world: Option<Script>,
+}
+
+/// A process that an interpreter runs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Script {
+    /// The interpreter.
+    pub interpreter: PathBuf,
+    /// What it runs.
+    pub file: PathBuf,
 }
 
 /// Exit code by which a child says that its configuration or set-up is wrong.
@@ -65,7 +77,21 @@ impl std::fmt::Display for Exit {
 impl Launch {
     /// Where a row's binary is.
     pub fn binary(&self, row: &Row) -> PathBuf {
-        self.binaries.join(row.binary)
+        match self.script(row) {
+            Some(script) => script.interpreter.clone(),
+            None => self.binaries.join(row.binary),
+        }
+    }
+
+    /// An interpreter runs it.
+    pub fn is_script(&self, row: &Row) -> bool {
+        self.script(row).is_some()
+    }
+
+    fn script(&self, row: &Row) -> Option<&Script> {
+        self.world
+            .as_ref()
+            .filter(|_| row.process == Process::World)
     }
 
     /// Starts a row. To be called from the main thread only: a child's wish to
@@ -78,6 +104,7 @@ impl Launch {
         let errors = output.try_clone()?;
         let mut command = Command::new(self.binary(row));
         command
+            .args(self.script(row).map(|script| &script.file))
             .args(self.arguments(row, first_episode))
             .stdin(Stdio::null())
             .stdout(output)

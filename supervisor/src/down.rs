@@ -12,9 +12,9 @@ use crate::signals::pause;
 
 /// From look to look.
 const LOOK: Duration = Duration::from_millis(50);
-/// Looks before the wait is given up: two minutes, beyond which a run's own
-/// `supervisor.stop_s` is long past unless it was configured so.
-const LOOKS_MAX: u32 = 2400;
+/// Looks before the wait is given up: 20 s, twice the default `supervisor.stop_s`
+/// and more.
+const LOOKS_MAX: u32 = 400;
 
 /// Stops a run.
 ///
@@ -53,8 +53,8 @@ pub fn down(arguments: &Down) -> Result<(), Failure> {
         pause(LOOK);
     }
     Err(Failure::GivenUp(format!(
-        "run '{name}': process {pid} does not end; `kill -9 {pid}` ends it and its children, \
-         `./vlaps clean` removes the rest"
+        "run '{name}': process {pid} does not answer; if it is stopped, `kill -CONT {pid}`; else \
+         `kill -9 {pid}` ends it and its children, and `./vlaps clean` removes the rest"
     )))
 }
 

@@ -23,8 +23,18 @@
 //! | exit code 2 | shows the process's last line and gives the run up: the same set-up would fail again |
 //! | any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
 //! | no health for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
-//! | not ready within [`member::READY_LIMIT_NS`] | gives up at the first start; SIGKILL and restart later |
+//! | not ready within [`member::READY_LIMIT_NS`] ([`member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
 //! | the world's exit 0 | the run is driven to its end |
+//!
+//! # What the car does meanwhile
+//!
+//! | dead or silent | the car |
+//! |---|---|
+//! | planner | follows the last plan up to `limits.plan_age_ms`, then the controller brakes (*unplanned*) |
+//! | controller | the world obeys the last command up to `limits.command_age_ms`, then brakes |
+//! | gate | goes on; when the last advice has expired, the expert drives (*expired*) |
+//! | world | is gone with it; the controller brakes (*blind*) until the world is back, at the beginning of its episode |
+//! | supervisor | all processes end at once with it; the next `up` or `clean` removes what they left |
 //!
 //! The loop runs at 20 Hz, or at once when a child dies or a signal comes. It
 //! only ever looks: at ports, at exit statuses, at the clock it is given.
@@ -39,15 +49,18 @@ pub mod doctor;
 pub mod down;
 pub mod event;
 pub mod failure;
+pub mod hand_over;
 pub mod keys;
 pub mod live;
 pub mod log;
 pub mod member;
+pub mod metadrive;
 pub mod place;
 pub mod ports;
 pub mod screen;
 pub mod set;
 pub mod settings;
+pub mod setup;
 pub mod signals;
 pub mod status;
 pub mod stop;

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use shm_config::time::monotonic;
 use supervisor::arguments::{Arguments, Command};
-use supervisor::{Clock, clean, doctor, down, keys, status, up};
+use supervisor::{Clock, clean, doctor, down, hand_over, keys, setup, status, up};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -18,7 +18,11 @@ fn main() -> ExitCode {
         Command::Status(arguments) => status::status(arguments, clock),
         Command::Doctor => doctor::doctor(),
         Command::Clean(arguments) => clean::clean(arguments),
+        Command::Setup(arguments) => setup::setup(arguments),
         Command::Config(arguments) => keys::keys(arguments),
+        Command::Eval(words) => hand_over::to_bench("eval", words),
+        Command::Bench(words) => hand_over::to_bench("bench", words),
+        Command::Draw(words) => hand_over::to_bench("draw", words),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

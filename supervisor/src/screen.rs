@@ -76,12 +76,13 @@ fn draw(inbox: &Receiver<Note>) {
             Note::Line(text) => bar.println(text),
             Note::View(view) => {
                 let completion = view.episode.map_or(0.0, |episode| episode.completion);
-                let table = view.table();
-                bar.set_prefix(format!(
-                    "{}\n{table}\n  {}",
+                let text = format!(
+                    "{}\n{}\n  {}",
                     view.headline(),
+                    view.table(),
                     view.drive_line()
-                ));
+                );
+                bar.set_prefix(cut(&text, columns()));
                 bar.set_message(format!(
                     "{:>3.0} %; {}",
                     completion * 100.0,
@@ -92,6 +93,22 @@ fn draw(inbox: &Receiver<Note>) {
         }
     }
     bar.finish_and_clear();
+}
+
+/// Columns of the terminal; 80 when nobody knows.
+fn columns() -> usize {
+    match rustix::termios::tcgetwinsize(io::stdout()) {
+        Ok(size) if size.ws_col > 0 => usize::from(size.ws_col),
+        _ => 80,
+    }
+}
+
+/// Every line cut to the terminal: a wrapped line would not be redrawn in place.
+fn cut(text: &str, columns: usize) -> String {
+    let lines = text
+        .lines()
+        .map(|line| line.chars().take(columns).collect());
+    lines.collect::<Vec<String>>().join("\n")
 }
 
 fn print(inbox: &Receiver<Note>) {

@@ -13,7 +13,7 @@ use crate::child::Launch;
 use crate::event::Event;
 use crate::failure::Failure;
 use crate::log::LogFile;
-use crate::member::{Member, Phase, Turn};
+use crate::member::{Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS, Turn};
 use crate::table::rows;
 
 /// The most that one look adds to a silence, ns: four periods of the loop. A
@@ -51,7 +51,11 @@ impl ProcessSet {
                 LogFile::create(log_dir, row.process.word(), limit_bytes).map_err(|error| {
                     Failure::GivenUp(format!("{}: cannot keep a log: {error}", log_dir.display()))
                 })?;
-            members.push(Member::new(row, log));
+            let ready_limit_ns = match launch.is_script(row) {
+                true => SCRIPT_READY_LIMIT_NS,
+                false => READY_LIMIT_NS,
+            };
+            members.push(Member::new(row, log, ready_limit_ns));
         }
         Ok(Self {
             members,

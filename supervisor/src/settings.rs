@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use shm_config::config::{Config, ConfigError, GateMode, from_toml, load};
+use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load};
 use toml::{Table, Value};
 
 use crate::arguments::Up;
@@ -98,6 +98,11 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
         .transpose()
         .map_err(|error| Failure::Usage(format!("--gate: {error}")))?;
     push("--gate", "gate.mode", gate);
+    let world = arguments.world.map(Simulator::from).map(Value::try_from);
+    let world = world
+        .transpose()
+        .map_err(|error| Failure::Usage(format!("--world: {error}")))?;
+    push("--world", "world.simulator", world);
     push("--rate", "run.rate_hz", arguments.rate.map(Value::Float));
     let name = arguments.run.as_ref().map(|name| name.to_string().into());
     push("--run", "run.name", name);

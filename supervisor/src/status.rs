@@ -52,10 +52,22 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
         Some(name) => vec![RunPaths::new(name.clone())],
         None => living_runs(),
     };
-    let mut runs = Vec::new();
+    let (mut runs, mut broken) = (Vec::new(), false);
     for paths in alive {
         if let Some(pid) = paths.supervisor_pid() {
-            let view = listen(&paths, clock)?;
+            let view = match listen(&paths, clock) {
+                Ok(view) => view,
+                // One broken run must not hide the others.
+                Err(error) => {
+                    let name = paths.name();
+                    say(format_args!(
+                        "run '{name}' (supervisor process {pid}) cannot be looked at: {error}; \
+                         `./vlaps down --run {name}` stops it"
+                    ));
+                    broken = true;
+                    continue;
+                }
+            };
             say(view.headline());
             say(view.table());
             say(format_args!(
@@ -73,6 +85,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
         write_json(path, &Runs { runs })?;
     }
     match (none, &arguments.run) {
+        _ if broken => Err(Failure::GivenUp("not every run could be looked at".into())),
         (false, _) => Ok(()),
         (true, Some(name)) => Err(Failure::GivenUp(format!(
             "run '{name}' is not running; `./vlaps up --run {name}` starts it"

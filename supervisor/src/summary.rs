@@ -29,7 +29,8 @@ pub struct Summary {
     /// Time from tick to tick, s.
     pub period_s: f64,
     /// SHA-256 over the digests of all episodes' commands, in order; hex.
-    pub command_digest: String,
+    /// `None` when no episode was finished.
+    pub command_digest: Option<String>,
     /// Share of the steps by driver.
     pub share: Share,
     /// Restarts of all processes.
@@ -205,7 +206,10 @@ impl Summary {
             skipped: totals.skipped,
             elapsed_s: totals.elapsed_ns as f64 / 1e9,
             period_s: config.run.period_ns() as f64 / 1e9,
-            command_digest: command_digest(tally.episodes.values()),
+            command_digest: match tally.episodes.is_empty() {
+                true => None,
+                false => Some(command_digest(tally.episodes.values())),
+            },
             share: Share {
                 expert: tally.steps.share(Driver::Expert),
                 policy: tally.steps.share(Driver::Policy),
@@ -236,11 +240,17 @@ impl Summary {
     }
 }
 
-/// Writes a file beside its place, then moves it there.
+/// Writes a file beside its place, then moves it there. A link is followed, and
+/// what is no plain file (a device, a pipe) is written to, never replaced.
 ///
 /// # Errors
 /// When the folder is missing or refuses.
 pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
+    let target = fs::canonicalize(path);
+    let path = target.as_deref().unwrap_or(path);
+    if path.metadata().is_ok_and(|metadata| !metadata.is_file()) {
+        return fs::write(path, text);
+    }
     let mut beside = path.as_os_str().to_owned();
     beside.push(format!(".{}", std::process::id()));
     let beside = PathBuf::from(beside);
@@ -331,7 +341,8 @@ impl Summary {
                 .collect();
             writeln!(f, "  {driver}: {}", list.join(", "))?;
         }
-        writeln!(f, "command digest {}", self.command_digest)
+        let digest = self.command_digest.as_deref().unwrap_or("none");
+        writeln!(f, "command digest {digest}")
     }
 
     fn fmt_ticks(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

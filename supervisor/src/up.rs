@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use shm_config::Instant;
-use shm_config::config::Config;
+use shm_config::config::{Config, Simulator};
 use shm_config::services::Process;
 use shm_config::wire::Wire;
 
@@ -16,6 +16,7 @@ use crate::failure::Failure;
 use crate::live::View;
 use crate::log::LogFile;
 use crate::member::{Phase, Turn};
+use crate::metadrive;
 use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
 use crate::screen::{Screen, say};
@@ -44,6 +45,7 @@ const BINARIES_VARIABLE: &str = "VLAPS_BIN_DIR";
 enum End {
     Finished,
     Stopped,
+    Killed,
     GivenUp(String),
 }
 
@@ -87,6 +89,9 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
     match end {
         End::Finished | End::Stopped => Ok(()),
+        End::Killed => Err(Failure::GivenUp(
+            "killed by a second signal; the car was not brought to a stand".into(),
+        )),
         End::GivenUp(reason) => Err(Failure::GivenUp(reason)),
     }
 }
@@ -156,6 +161,10 @@ fn drive(
         binaries,
         config: folder.join("config.toml"),
         rights: rights(config),
+        world: match config.world.simulator {
+            Simulator::BuiltIn => None,
+            Simulator::MetaDrive => Some(metadrive::world()?),
+        },
     };
     let logs = folder.join("logs");
     let set = ProcessSet::new(config, launch, &logs)?;
@@ -180,6 +189,7 @@ fn drive(
     let ended = match &end {
         End::Finished => "finished".into(),
         End::Stopped => "stopped".into(),
+        End::Killed => "killed".into(),
         End::GivenUp(reason) => format!("given up: {reason}"),
     };
     let summary = Summary::of(config, &run.tally, &run.set, ended);
@@ -271,6 +281,9 @@ impl Run<'_> {
                 }
                 if self.stops_asked > 1 {
                     stop.kill(&self.set);
+                    if *end == End::Stopped {
+                        *end = End::Killed;
+                    }
                 }
                 stop.advance(&self.set, now);
             }
@@ -311,7 +324,9 @@ impl Run<'_> {
         };
         let line = match &end {
             End::Finished => "the run is driven to its end".into(),
-            End::Stopped => "stopping: the car is braked to a stand; once more kills".into(),
+            End::Stopped | End::Killed => {
+                "stopping: the car is braked to a stand; once more kills".into()
+            }
             End::GivenUp(reason) => format!("giving up: {reason}"),
         };
         if end == End::Finished {

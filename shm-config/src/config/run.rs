@@ -20,7 +20,8 @@ pub struct Run {
     pub name: String,
     /// What drives the clock.
     pub clock: Clock,
-    /// Ticks per second; the paper's is 10 (Sec. 4.1.2: 0.1 s).
+    /// Ticks per second, a multiple of 10 up to 1000; the paper's is 10
+    /// (Sec. 4.1.2: 0.1 s). The car's physics stays at 10 Hz.
     pub rate_hz: f64,
     /// Seed of the first episode; each further episode adds one.
     pub seed: u64,
@@ -68,7 +69,15 @@ impl Run {
                     crate::run::RUN_NAME_MAX
                 ),
             })?;
-        in_range("run.rate_hz", self.rate_hz, 1.0..=1000.0)?;
+        in_range("run.rate_hz", self.rate_hz, 10.0..=1000.0)?;
+        // Both worlds step their physics at 10 Hz and hold it in between.
+        if self.rate_hz % 10.0 != 0.0 {
+            return Err(OutOfRange {
+                key: "run.rate_hz".into(),
+                value: self.rate_hz.to_string(),
+                expected: "a multiple of 10".into(),
+            });
+        }
         in_range("run.episodes", self.episodes, 0..=1_000_000)?;
         in_range("run.duration_s", self.duration_s, 0.0..=1e7)
     }

@@ -57,6 +57,7 @@ impl Rig {
             binaries: dir.path().into(),
             config: dir.path().join("config.toml"),
             rights: Rights::Ordinary,
+            world: None,
         };
         let set = ProcessSet::new(&config, launch, dir.path()).expect("a set");
         let now = Instant(SECOND);

@@ -1,0 +1,184 @@
+//! The command line.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::seat::DriverKind;
+
+/// Evaluates drivers, compares with other systems, draws pictures.
+#[derive(Debug, Parser)]
+#[command(
+    name = "vlaps",
+    bin_name = "./vlaps",
+    version,
+    arg_required_else_help = true
+)]
+pub struct Arguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Drive many episodes and print success, contacts and completion.
+    Eval(Eval),
+    /// Measure, and compare with other systems.
+    #[command(subcommand, arg_required_else_help = true)]
+    Bench(Bench),
+    /// Draw a map or an episode from above, as SVG.
+    #[command(subcommand, arg_required_else_help = true)]
+    Draw(Draw),
+}
+
+/// Drive many episodes and print success, contacts and completion.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Every episode depends on its seed alone: the figures are the same on any \
+        number of threads. The expert is the very planner and controller of \
+        `./vlaps up --lockstep --gate expert`, and gives the same commands.\n\n\
+        Examples:\n  \
+        ./vlaps eval --driver expert --episodes 1000\n  \
+        ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json"
+)]
+pub struct Eval {
+    /// Who drives.
+    #[arg(long, value_name = "WHO", default_value = "expert")]
+    pub driver: DriverKind,
+    /// How many episodes.
+    #[arg(long, value_name = "N", default_value_t = 1000,
+          value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub episodes: u64,
+    /// Seed of the first episode; each further one adds one.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub first_seed: u64,
+    /// In which world.
+    #[arg(long, value_name = "WORLD", default_value = "sim")]
+    pub world: WorldChoice,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Threads; without it, as many as there are cores.
+    #[arg(long, value_name = "N")]
+    pub threads: Option<NonZeroUsize>,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// The worlds that an evaluation can run in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum WorldChoice {
+    /// The built-in world.
+    Sim,
+}
+
+/// The configuration of a run.
+#[derive(Debug, Args)]
+pub struct Configuration {
+    /// Configuration file; vlaps.toml of the current folder is read when present.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override any key of the configuration, such as world.blocks=5; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+}
+
+/// What to measure.
+#[derive(Debug, Subcommand)]
+pub enum Bench {
+    /// Compare the built-in world with recordings of MetaDrive.
+    Parity(Parity),
+    /// Measure how fast the built-in world is, beside MetaDrive.
+    Sim(Sim),
+}
+
+/// Compare the built-in world with recordings of MetaDrive.
+#[derive(Debug, Args)]
+#[command(after_help = "Exit code 1 when a bar is missed.\n\n\
+        Example:\n  ./vlaps bench parity --data recordings --json parity.json")]
+pub struct Parity {
+    /// Folder with golden_*.json.gz and rollouts/KIND/seedN.npz.
+    #[arg(long, value_name = "DIR")]
+    pub data: PathBuf,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Measure how fast the built-in world is, beside MetaDrive.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Everything is on: 240 beams, traffic, obstacles, resets, and a driver that \
+        keeps its lane. MetaDrive runs on one core in the same run when \
+        `./vlaps setup metadrive` has made its virtual environment.\n\n\
+        Example:\n  ./vlaps bench sim --seconds 10 --json sim.json"
+)]
+pub struct Sim {
+    /// Seconds for each row.
+    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = seconds)]
+    pub seconds: f64,
+    /// Seed of the first episode.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub first_seed: u64,
+    /// The virtual environment with MetaDrive, if not the one that
+    /// `./vlaps setup metadrive` makes.
+    #[arg(long, value_name = "DIR")]
+    pub metadrive: Option<PathBuf>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "not a number".to_string())?;
+    match (0.1..=3600.0).contains(&seconds) {
+        true => Ok(seconds),
+        false => Err("must be within 0.1 and 3600".into()),
+    }
+}
+
+/// What to draw.
+#[derive(Debug, Subcommand)]
+pub enum Draw {
+    /// A map with its route, obstacles and waiting traffic.
+    Map(DrawMap),
+    /// An episode: who drove where, traffic, contacts, the last scan.
+    Episode(DrawEpisode),
+}
+
+/// A map with its route, obstacles and waiting traffic.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  ./vlaps draw map --seed 1000 --set world.sequence=SCrRXTO")]
+pub struct DrawMap {
+    /// Its seed.
+    #[arg(long, value_name = "N")]
+    pub seed: u64,
+    /// The file to write; without it, map-N.svg.
+    #[arg(long, value_name = "FILE.svg")]
+    pub out: Option<PathBuf>,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+}
+
+/// An episode: who drove where, traffic, contacts, the last scan.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  ./vlaps draw episode --seed 1007 --driver idm --out drive.svg")]
+pub struct DrawEpisode {
+    /// Its seed.
+    #[arg(long, value_name = "N")]
+    pub seed: u64,
+    /// Who drives.
+    #[arg(long, value_name = "WHO", default_value = "expert")]
+    pub driver: DriverKind,
+    /// The file to write; without it, episode-N-WHO.svg.
+    #[arg(long, value_name = "FILE.svg")]
+    pub out: Option<PathBuf>,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+}

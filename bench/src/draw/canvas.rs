@@ -1,0 +1,233 @@
+//! A picture that is drawn in metres of the world.
+
+use std::fmt::Write as _;
+
+use sim::Bounds;
+use sim::road::Network;
+use svg::node::element::{Circle, ClipPath, Definitions, Element, Group, Path, Rectangle};
+use svg::{Document, Node};
+use vehicle::{Point, Vector};
+
+use super::palette;
+
+/// Room around the roads, m.
+const MARGIN_M: f64 = 9.0;
+/// The map fits into this, px.
+const WIDTH_PX: f64 = 1500.0;
+const HEIGHT_PX: f64 = 1050.0;
+/// Small maps are not blown up further than this.
+const SCALE_MAX_PX_PER_M: f64 = 9.0;
+/// Narrowest picture: the legend needs the room, px.
+const WIDTH_MIN_PX: f64 = 900.0;
+/// Height of the title above the map, px.
+pub const HEAD_PX: f64 = 84.0;
+
+/// How a line is drawn. Widths are metres on the ground.
+#[derive(Clone, Copy)]
+pub struct Stroke<'a> {
+    /// Its colour.
+    pub color: &'a str,
+    /// Its width, m.
+    pub width_m: f64,
+    /// How much it covers, (0, 1].
+    pub opacity: f64,
+    /// Lengths of dash and gap, m.
+    pub dash_m: Option<[f64; 2]>,
+}
+
+impl<'a> Stroke<'a> {
+    /// A solid, opaque line.
+    pub fn solid(color: &'a str, width_m: f64) -> Stroke<'a> {
+        Stroke {
+            color,
+            width_m,
+            opacity: 1.0,
+            dash_m: None,
+        }
+    }
+}
+
+/// The picture under way.
+pub struct Canvas {
+    min_world: Point,
+    max_world: Point,
+    scale_px_per_m: f64,
+    size_px: [f64; 2],
+    map: Group,
+}
+
+impl Canvas {
+    /// An empty picture of the ground around these roads.
+    pub fn around(network: &Network) -> Canvas {
+        let mut bounds = Bounds::EMPTY;
+        for lane in network.bounds() {
+            bounds.include(lane.min_world);
+            bounds.include(lane.max_world);
+        }
+        let margin = Vector::new(MARGIN_M, MARGIN_M);
+        let (min_world, max_world) = (bounds.min_world - margin, bounds.max_world + margin);
+        let size_m = max_world - min_world;
+        let scale_px_per_m = (WIDTH_PX / size_m.x)
+            .min(HEIGHT_PX / size_m.y)
+            .min(SCALE_MAX_PX_PER_M);
+        let width_px = (size_m.x * scale_px_per_m).max(WIDTH_MIN_PX);
+        // What the narrowest picture has too much goes to both sides.
+        let spare = Vector::new((width_px / scale_px_per_m - size_m.x) / 2.0, 0.0);
+        Canvas {
+            min_world: min_world - spare,
+            max_world: max_world + spare,
+            scale_px_per_m,
+            size_px: [width_px, size_m.y * scale_px_per_m],
+            map: Group::new()
+                .set("stroke-linecap", "butt")
+                .set("stroke-linejoin", "round"),
+        }
+    }
+
+    /// Pixels of a metre.
+    pub fn scale_px_per_m(&self) -> f64 {
+        self.scale_px_per_m
+    }
+
+    /// Width and height of the map, px.
+    pub fn size_px(&self) -> [f64; 2] {
+        self.size_px
+    }
+
+    /// Where a point is drawn, px; the world's y points up, the picture's down.
+    pub fn at(&self, point_world: Point) -> [f64; 2] {
+        [
+            (point_world.x - self.min_world.x) * self.scale_px_per_m,
+            (self.max_world.y - point_world.y) * self.scale_px_per_m + HEAD_PX,
+        ]
+    }
+
+    fn path(&self, points_world: &[Point], close: &str) -> Path {
+        let mut data = String::new();
+        for (index, point) in points_world.iter().enumerate() {
+            let [x, y] = self.at(*point);
+            let letter = if index == 0 { 'M' } else { 'L' };
+            // Writing into a string cannot fail.
+            let _ = write!(data, "{letter}{x:.2} {y:.2}");
+        }
+        data.push_str(close);
+        Path::new().set("d", data)
+    }
+
+    /// A line through points.
+    pub fn line(&mut self, points_world: &[Point], stroke: Stroke) {
+        if points_world.len() < 2 {
+            return;
+        }
+        let scale = self.scale_px_per_m;
+        let mut path = self
+            .path(points_world, "")
+            .set("fill", "none")
+            .set("stroke", stroke.color)
+            .set("stroke-width", px(stroke.width_m * scale));
+        if stroke.opacity < 1.0 {
+            path = path.set("stroke-opacity", px(stroke.opacity));
+        }
+        if let Some([dash_m, gap_m]) = stroke.dash_m {
+            let dashes = format!("{} {}", px(dash_m * scale), px(gap_m * scale));
+            path = path.set("stroke-dasharray", dashes);
+        }
+        self.add(path);
+    }
+
+    /// A filled polygon.
+    pub fn area(&mut self, corners_world: &[Point], color: &str, opacity: f64) {
+        let mut path = self.path(corners_world, "Z").set("fill", color);
+        if opacity < 1.0 {
+            path = path.set("fill-opacity", px(opacity));
+        }
+        self.add(path);
+    }
+
+    /// A filled polygon with a thin rim, for bodies.
+    pub fn body(&mut self, corners_world: &[Point], color: &str, rim: &str) {
+        let rim_px = (0.16 * self.scale_px_per_m).max(0.7);
+        let path = self
+            .path(corners_world, "Z")
+            .set("fill", color)
+            .set("stroke", rim)
+            .set("stroke-width", px(rim_px));
+        self.add(path);
+    }
+
+    /// A filled circle; radius in m.
+    pub fn disc(&mut self, center_world: Point, radius_m: f64, color: &str) {
+        let circle = self.circle(center_world, radius_m).set("fill", color);
+        self.add(circle);
+    }
+
+    /// A ring; radius and width in m.
+    pub fn ring(&mut self, center_world: Point, radius_m: f64, stroke: Stroke) {
+        let width_px = px(stroke.width_m * self.scale_px_per_m);
+        let circle = self
+            .circle(center_world, radius_m)
+            .set("fill", "none")
+            .set("stroke", stroke.color)
+            .set("stroke-width", width_px);
+        self.add(circle);
+    }
+
+    fn circle(&self, center_world: Point, radius_m: f64) -> Circle {
+        let [x, y] = self.at(center_world);
+        Circle::new()
+            .set("cx", px(x))
+            .set("cy", px(y))
+            .set("r", px(radius_m * self.scale_px_per_m))
+    }
+
+    /// A word centred on a point.
+    pub fn label(&mut self, at_world: Point, text: &str, (color, size_px): (&str, f64)) {
+        let [x, y] = self.at(at_world);
+        let label = svg::node::element::Text::new(text)
+            .set("x", px(x))
+            .set("y", px(y + size_px * 0.36))
+            .set("font-size", px(size_px))
+            .set("font-weight", 600)
+            .set("text-anchor", "middle")
+            .set("fill", color);
+        self.add(label);
+    }
+
+    fn add(&mut self, element: impl Into<Element>) {
+        self.map.append(element.into());
+    }
+
+    /// The picture with head and foot around it.
+    pub fn finish(self, foot_px: f64, around: Group) -> String {
+        let [width_px, map_px] = self.size_px;
+        let height_px = HEAD_PX + map_px + foot_px;
+        let rectangle = |y: f64, height: f64, color: &str| {
+            Rectangle::new()
+                .set("y", px(y))
+                .set("width", px(width_px))
+                .set("height", px(height))
+                .set("fill", color)
+        };
+        let clip =
+            ClipPath::new()
+                .set("id", "ground")
+                .add(rectangle(HEAD_PX, map_px, palette::GROUND));
+        let document = Document::new()
+            .set("viewBox", format!("0 0 {} {}", px(width_px), px(height_px)))
+            .set("width", px(width_px))
+            .set("height", px(height_px))
+            .set("font-family", "Inter, 'Helvetica Neue', Arial, sans-serif")
+            .add(rectangle(0.0, height_px, palette::PAPER))
+            .add(rectangle(HEAD_PX, map_px, palette::GROUND))
+            .add(Definitions::new().add(clip))
+            .add(self.map.set("clip-path", "url(#ground)"))
+            .add(around);
+        format!("{document}\n")
+    }
+}
+
+/// A length with two decimals and no more: files stay small and readable.
+pub fn px(value: f64) -> String {
+    let text = format!("{value:.2}");
+    text.trim_end_matches('0').trim_end_matches('.').to_string()
+}

@@ -1,0 +1,231 @@
+//! Title, legend and scale around a map.
+
+use shm_config::message::Driver;
+use sim::World;
+use sim::observe::TICK_S;
+use sim::spawn::ObstacleKind;
+use sim::world::BodyKind;
+use svg::Node;
+use svg::node::element::{Circle, Element, Group, Line, Polygon, Rectangle, Text};
+
+use super::canvas::{Canvas, HEAD_PX, px};
+use super::palette;
+use super::ride::Ride;
+
+/// Margin left and right, px.
+const SIDE_PX: f64 = 28.0;
+/// Height of a row of the legend, px.
+const ROW_PX: f64 = 30.0;
+/// Room between the legend's entries, px.
+const GAP_PX: f64 = 26.0;
+/// Width of a symbol with its gap, px.
+const SYMBOL_PX: f64 = 32.0;
+/// Room for the scale bar at the right, px.
+const SCALE_PX: f64 = 230.0;
+/// Width of a letter of the legend: on the wide side, fonts differ, px.
+const LETTER_PX: f64 = 7.4;
+/// Lengths that a scale bar may have, m.
+const SCALES_M: [f64; 7] = [5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0];
+/// It should be about this long, px.
+const SCALE_BAR_PX: f64 = 140.0;
+
+/// How an entry of the legend looks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Symbol {
+    Line,
+    Box,
+    Disc,
+    Ring,
+    Triangle,
+}
+
+/// An entry of the legend.
+#[derive(Clone, Debug)]
+pub struct Key {
+    symbol: Symbol,
+    color: &'static str,
+    text: String,
+}
+
+fn key(symbol: Symbol, color: &'static str, text: &str) -> Key {
+    Key {
+        symbol,
+        color,
+        text: text.into(),
+    }
+}
+
+/// What a map needs explained; only what is on it.
+pub fn map_keys(world: &World) -> Vec<Key> {
+    let mut keys = vec![
+        key(Symbol::Box, palette::EGO, "ego"),
+        key(Symbol::Box, palette::ROUTE, "route"),
+        key(Symbol::Disc, palette::CHECKPOINT, "checkpoint"),
+        key(Symbol::Box, palette::SIDEWALK, "sidewalk"),
+    ];
+    keys.extend(body_keys(world));
+    keys
+}
+
+/// What an episode needs explained; `who` sat at the wheel.
+pub fn episode_keys(world: &World, ride: &Ride, who: &str) -> Vec<Key> {
+    let mut keys: Vec<Key> = ride
+        .drivers()
+        .map(|(driver, ticks)| {
+            let seconds = ticks as f64 * TICK_S;
+            let word = match driver {
+                Driver::Expert => format!("{who} drove"),
+                Driver::Policy => "policy drove".into(),
+                Driver::Brake => "braked".into(),
+            };
+            key(
+                Symbol::Line,
+                palette::driver(driver),
+                &format!("{word}, {seconds:.1} s"),
+            )
+        })
+        .collect();
+    if ride.has_contacts() {
+        keys.push(key(Symbol::Ring, palette::CONTACT, "contact"));
+    }
+    keys.push(key(Symbol::Disc, palette::SCAN, "last scan"));
+    keys.extend(map_keys(world));
+    keys
+}
+
+fn body_keys(world: &World) -> Vec<Key> {
+    let all = [
+        key(Symbol::Box, palette::TRAFFIC, "traffic"),
+        key(Symbol::Box, palette::BROKEN_DOWN, "broken down"),
+        key(Symbol::Disc, palette::CONE, "cone, barrier"),
+        key(Symbol::Triangle, palette::WARNING, "warning triangle"),
+    ];
+    let mut there = [false; 4];
+    for body in world.bodies() {
+        let index = match body.kind {
+            BodyKind::Traffic(_) => 0,
+            BodyKind::Obstacle(ObstacleKind::BrokenDown(_)) => 1,
+            BodyKind::Obstacle(ObstacleKind::Cone | ObstacleKind::Barrier) => 2,
+            BodyKind::Obstacle(ObstacleKind::Warning) => 3,
+        };
+        there[index] = true;
+    }
+    let all = all.into_iter().zip(there);
+    all.filter_map(|(key, there)| there.then_some(key))
+        .collect()
+}
+
+/// Puts title, legend and scale around the map.
+pub fn finish(canvas: Canvas, title: &str, facts: &str, keys: &[Key]) -> String {
+    let [width_px, map_px] = canvas.size_px();
+    let top_px = HEAD_PX + map_px;
+    let mut around = Group::new()
+        .add(text(title, [SIDE_PX, 40.0], 25.0).set("font-weight", 700))
+        .add(text(facts, [SIDE_PX, 66.0], 14.5).set("fill", palette::FAINT));
+    let (mut x, mut row) = (SIDE_PX, 0);
+    for key in keys {
+        let wide_px = SYMBOL_PX + key.text.chars().count() as f64 * LETTER_PX;
+        if x + wide_px > width_px - SCALE_PX && x > SIDE_PX {
+            (x, row) = (SIDE_PX, row + 1);
+        }
+        let y = top_px + 28.0 + ROW_PX * f64::from(row);
+        around =
+            around
+                .add(symbol(key, [x, y]))
+                .add(text(&key.text, [x + SYMBOL_PX, y + 5.0], 14.0));
+        x += wide_px + GAP_PX;
+    }
+    around = around.add(scale(
+        canvas.scale_px_per_m(),
+        [width_px - SIDE_PX, top_px + 28.0],
+    ));
+    canvas.finish(26.0 + ROW_PX * f64::from(row + 1), around)
+}
+
+fn text(words: &str, [x, y]: [f64; 2], size_px: f64) -> Text {
+    Text::new(words)
+        .set("x", px(x))
+        .set("y", px(y))
+        .set("font-size", px(size_px))
+        .set("fill", palette::INK)
+}
+
+fn symbol(key: &Key, [x, y]: [f64; 2]) -> Element {
+    let rim = |mut element: Element| -> Element {
+        element.assign("stroke", palette::INK);
+        element.assign("stroke-width", "0.8");
+        element
+    };
+    match key.symbol {
+        Symbol::Line => Line::new()
+            .set("x1", px(x))
+            .set("y1", px(y))
+            .set("x2", px(x + 22.0))
+            .set("y2", px(y))
+            .set("stroke", key.color)
+            .set("stroke-width", 6)
+            .set("stroke-linecap", "round")
+            .into(),
+        Symbol::Box => rim(Rectangle::new()
+            .set("x", px(x))
+            .set("y", px(y - 6.0))
+            .set("width", 22)
+            .set("height", 12)
+            .set("rx", 2)
+            .set("fill", key.color)
+            .into()),
+        Symbol::Disc => rim(Circle::new()
+            .set("cx", px(x + 11.0))
+            .set("cy", px(y))
+            .set("r", 6)
+            .set("fill", key.color)
+            .into()),
+        Symbol::Ring => Circle::new()
+            .set("cx", px(x + 11.0))
+            .set("cy", px(y))
+            .set("r", 7)
+            .set("fill", "none")
+            .set("stroke", key.color)
+            .set("stroke-width", 3)
+            .into(),
+        Symbol::Triangle => {
+            let points = [[4.0, 6.0], [18.0, 6.0], [11.0, -7.0]];
+            let points = points.map(|[dx, dy]| format!("{},{}", px(x + dx), px(y + dy)));
+            rim(Polygon::new()
+                .set("points", points.join(" "))
+                .set("fill", key.color)
+                .into())
+        }
+    }
+}
+
+/// A bar of a round length, right-aligned at a point.
+fn scale(scale_px_per_m: f64, [right, y]: [f64; 2]) -> Group {
+    let off = |length_m: &f64| (length_m * scale_px_per_m - SCALE_BAR_PX).abs();
+    let length_m = SCALES_M
+        .into_iter()
+        .min_by(|a, b| off(a).total_cmp(&off(b)))
+        .unwrap_or(SCALES_M[0]);
+    let left = right - length_m * scale_px_per_m;
+    let mut bar = Group::new()
+        .set("stroke", palette::FAINT)
+        .set("stroke-width", 2);
+    let ends = [
+        [left, y, right, y],
+        [left, y - 5.0, left, y + 5.0],
+        [right, y - 5.0, right, y + 5.0],
+    ];
+    for [x1, y1, x2, y2] in ends {
+        let line = Line::new()
+            .set("x1", px(x1))
+            .set("y1", px(y1))
+            .set("x2", px(x2))
+            .set("y2", px(y2));
+        bar = bar.add(line);
+    }
+    let words = format!("{length_m} m");
+    let label = text(&words, [(left + right) / 2.0, y + 20.0], 13.0)
+        .set("text-anchor", "middle")
+        .set("fill", palette::FAINT);
+    Group::new().add(bar).add(label)
+}

@@ -1,0 +1,123 @@
+//! Pictures from above, as SVG: a map, or an episode.
+
+mod canvas;
+mod frame;
+mod palette;
+mod ride;
+mod roads;
+mod tracks;
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use shm_config::message::{Episode, Observation, Outcome};
+use sim::observe::TICK_S;
+use sim::{World, WorldConfig};
+
+use crate::arguments::{DrawEpisode, DrawMap};
+use crate::episode::drive;
+use crate::report::say;
+use crate::seat::Seat;
+use crate::{Clock, settings};
+use canvas::Canvas;
+use ride::Ride;
+
+/// Draws the map of a seed with all that stands on it.
+///
+/// # Errors
+/// When the configuration is wrong, the seed has no map, or the file cannot be
+/// written.
+pub fn map(arguments: &DrawMap) -> anyhow::Result<()> {
+    let chosen = &arguments.configuration;
+    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+    let mut world = World::new(WorldConfig::from(&config.world))?;
+    world.reset(arguments.seed)?;
+    let file = format!("map-{}.svg", arguments.seed);
+    write(arguments.out.clone(), &file, &map_svg(&world))
+}
+
+/// Draws the episode of a seed.
+///
+/// # Errors
+/// As [`map`].
+pub fn episode(arguments: &DrawEpisode, clock: Clock) -> anyhow::Result<()> {
+    let chosen = &arguments.configuration;
+    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut seat = Seat::new(arguments.driver, &config, clock)?;
+    world.reset(arguments.seed)?;
+    let mut ride = Ride::begin(&world);
+    let task = (arguments.seed, config.run.period_ns());
+    let episode = drive(&mut world, &mut seat, task, |tick| ride.watch(tick))?;
+    let who = arguments.driver.word();
+    let file = format!("episode-{}-{who}.svg", arguments.seed);
+    write(
+        arguments.out.clone(),
+        &file,
+        &episode_svg(&world, &ride, &episode, who),
+    )
+}
+
+fn write(out: Option<PathBuf>, default: &str, text: &str) -> anyhow::Result<()> {
+    let path = out.unwrap_or_else(|| default.into());
+    std::fs::write(&path, text).with_context(|| path.display().to_string())?;
+    say(path.display());
+    Ok(())
+}
+
+/// The picture of a world as it stands now.
+pub fn map_svg(world: &World) -> String {
+    let map = world.map();
+    let letters: Vec<String> = map
+        .blocks
+        .iter()
+        .map(|b| b.kind.letter().to_string())
+        .collect();
+    let facts = format!(
+        "blocks {}   ·   {} lanes of {} m   ·   route {:.0} m over {} roads",
+        letters.join(" "),
+        world.config().lane_count,
+        map.lane_width_m,
+        world.route_m(),
+        world.navigator().roads().len(),
+    );
+    let mut canvas = Canvas::around(&map.network);
+    roads::draw(&mut canvas, world);
+    ride::draw_bodies(&mut canvas, world);
+    ride::draw_ego(&mut canvas, world);
+    let keys = frame::map_keys(world);
+    frame::finish(canvas, &format!("Map {}", map.seed), &facts, &keys)
+}
+
+/// The picture of an episode that has ended.
+pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> String {
+    let mut seen = Observation::default();
+    world.observe(&mut seen);
+    let outcome = match episode.outcome() {
+        Outcome::Arrived if episode.is_strict_success() => "arrived, touched nothing",
+        Outcome::Arrived => "arrived, but touched something",
+        Outcome::OutOfRoad => "left the road",
+        Outcome::MaxStep => "ran out of steps",
+        Outcome::Stopped | Outcome::Driving => "stopped",
+    };
+    let title = format!("Seed {}: {who} {outcome}", episode.seed);
+    let seconds = episode.ticks as f64 * TICK_S;
+    let facts = format!(
+        "{:.1} % of {:.0} m   ·   {seconds:.1} s   ·   {:.1} m/s   ·   in contact with vehicles {:.1} s, with objects {:.1} s",
+        episode.completion * 100.0,
+        world.route_m(),
+        episode.driven_m / seconds.max(TICK_S),
+        episode.vehicle_contacts as f64 * TICK_S,
+        episode.object_contacts as f64 * TICK_S,
+    );
+    let mut canvas = Canvas::around(&world.map().network);
+    roads::draw(&mut canvas, world);
+    ride.draw_scan(&mut canvas, &seen);
+    ride.draw_traffic(&mut canvas);
+    ride::draw_bodies(&mut canvas, world);
+    ride.draw_path(&mut canvas);
+    ride::draw_ego(&mut canvas, world);
+    ride.draw_contacts(&mut canvas);
+    let keys = frame::episode_keys(world, ride, who);
+    frame::finish(canvas, &title, &facts, &keys)
+}

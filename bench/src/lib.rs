@@ -1,0 +1,32 @@
+//! Evaluation, comparison with other systems, and pictures: the program
+//! `vlaps-bench`, to which `./vlaps eval`, `bench` and `draw` hand over.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`arguments`] | the command line |
+//! | [`settings`] | the run's configuration, as `./vlaps up` would make it |
+//! | [`seat`] | the drivers: the stack's expert, a lane keeper, MetaDrive's IDM |
+//! | [`episode`] | one episode in lockstep order |
+//! | [`eval`], [`evaluation`] | many episodes, and their table |
+//! | [`statistics`] | means with 95 % intervals |
+//! | [`report`] | rows of a table, on the screen and as JSON |
+//! | [`parity`] | the world against recordings of MetaDrive |
+//! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
+//! | [`draw`] | pictures of maps and episodes |
+
+pub mod arguments;
+pub mod draw;
+pub mod episode;
+pub mod eval;
+pub mod evaluation;
+pub mod metadrive;
+pub mod parity;
+pub mod report;
+pub mod seat;
+pub mod settings;
+pub mod speed;
+pub mod statistics;
+
+/// How a library function of this crate reads the clock: it is handed one by
+/// `main.rs`.
+pub type Clock = fn() -> shm_config::Instant;

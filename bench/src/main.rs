@@ -1,0 +1,110 @@
+//! `vlaps-bench`: `./vlaps eval`, `bench` and `draw`.
+
+use std::alloc::System;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use bench::Clock;
+use bench::arguments::{Arguments, Bench, Command, Draw, Eval};
+use bench::eval::{Task, evaluate};
+use bench::evaluation::Evaluation;
+use bench::report::{say, write_json};
+use bench::speed::Gauges;
+use bench::{draw, parity, settings, speed};
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use rustix::time::{ClockId, clock_gettime};
+use shm_config::time::monotonic;
+use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
+use supervisor::failure::{EXIT_FAILED, Failure};
+
+/// Counts bytes, for the memory of a world.
+#[global_allocator]
+static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
+
+fn main() -> ExitCode {
+    // A process entry point: the clock is read nowhere else.
+    #[allow(clippy::disallowed_methods)]
+    let clock: Clock = monotonic;
+    let done = match &Arguments::parse().command {
+        Command::Eval(arguments) => eval(arguments, clock).map(|()| ExitCode::SUCCESS),
+        Command::Bench(Bench::Parity(arguments)) => parity::bench(arguments),
+        Command::Bench(Bench::Sim(arguments)) => {
+            speed::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Draw(Draw::Map(arguments)) => draw::map(arguments).map(|()| ExitCode::SUCCESS),
+        Command::Draw(Draw::Episode(arguments)) => {
+            draw::episode(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+    };
+    done.unwrap_or_else(|error| {
+        use std::io::Write;
+        // Nobody may be left to read it.
+        let _ = writeln!(std::io::stderr(), "error: {error:#}");
+        let failure = error.downcast_ref::<Failure>();
+        ExitCode::from(failure.map_or(EXIT_FAILED, Failure::exit_code))
+    })
+}
+
+fn gauges(clock: Clock) -> Gauges {
+    Gauges {
+        clock,
+        core: core_time,
+        bytes_held,
+    }
+}
+
+/// Processor time of this thread so far.
+#[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+fn core_time() -> Duration {
+    let now = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(now.tv_sec.unsigned_abs(), now.tv_nsec.unsigned_abs() as u32)
+}
+
+/// Bytes of the heap in use.
+fn bytes_held() -> usize {
+    let stats = ALLOCATOR.stats();
+    stats
+        .bytes_allocated
+        .saturating_sub(stats.bytes_deallocated)
+}
+
+fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
+    let chosen = &arguments.configuration;
+    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+    let cores = std::thread::available_parallelism();
+    let task = Task {
+        driver: arguments.driver,
+        first_seed: arguments.first_seed,
+        episodes: arguments.episodes,
+        threads: match arguments.threads {
+            Some(threads) => threads,
+            None => cores?,
+        },
+    };
+    let bar = ProgressBar::new(task.episodes);
+    let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {eta} left";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    let begun = clock();
+    let drives = evaluate(&task, &config, clock, |_| bar.inc(1))?;
+    let elapsed_s = clock().since_ns(begun) as f64 * 1e-9;
+    bar.finish_and_clear();
+    let evaluation = Evaluation::new(&task, &drives);
+    let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
+    say(format_args!(
+        "{} in the built-in world, seeds {} to {last_seed}: {} episodes on {} threads in {elapsed_s:.1} s",
+        task.driver.word(),
+        task.first_seed,
+        task.episodes,
+        task.threads
+    ));
+    say(evaluation.table());
+    if let Some(failures) = evaluation.failure_table() {
+        say("failures by the strict metric, with their seeds:");
+        say(failures);
+    }
+    match &arguments.json {
+        Some(path) => write_json(path, &evaluation),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,83 @@
+//! The real MetaDrive on one core, for the row beside ours.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, bail};
+use serde::Deserialize;
+use shm_config::config::Config;
+use supervisor::metadrive::{home, python, sources};
+
+/// Drives it and prints how fast it was.
+const SCRIPT: &str = include_str!("../metadrive_speed.py");
+
+/// What the script measured.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Measured {
+    /// Ticks driven.
+    pub steps: u64,
+    /// Episodes.
+    pub episodes: u64,
+    /// Time that took, s.
+    pub seconds: f64,
+    /// Processor time that took, s.
+    pub core_s: f64,
+    /// Mean of a reset, us.
+    pub reset_mean_us: f64,
+    /// The longest reset, us.
+    pub reset_worst_us: f64,
+}
+
+/// What became of the attempt.
+#[derive(Debug)]
+pub enum Attempt {
+    /// It ran.
+    Measured(Measured),
+    /// It is not there, and why.
+    Absent(String),
+}
+
+/// Drives MetaDrive for about this many seconds.
+///
+/// # Errors
+/// When it is there but does not run.
+pub fn measure(
+    environment: Option<&Path>,
+    config: &Config,
+    (first_seed, seconds): (u64, f64),
+) -> anyhow::Result<Attempt> {
+    let home = match environment {
+        Some(folder) => folder.to_path_buf(),
+        None => home()?,
+    };
+    let interpreter = python(&home);
+    if !interpreter.is_file() {
+        return Ok(Attempt::Absent(format!(
+            "no MetaDrive in {}: ./vlaps setup metadrive makes it",
+            home.display()
+        )));
+    }
+    let task = serde_json::json!({
+        "world": config.world,
+        "first_seed": first_seed,
+        "seconds": seconds,
+    });
+    let output = Command::new(&interpreter)
+        .args(["-c", SCRIPT])
+        .arg(sources()?)
+        .arg(task.to_string())
+        .stdin(Stdio::null())
+        .output()
+        .with_context(|| interpreter.display().to_string())?;
+    if !output.status.success() {
+        let text = String::from_utf8_lossy(&output.stderr);
+        let last = text.lines().last().unwrap_or("it said nothing");
+        bail!("MetaDrive in {}: {}: {last}", home.display(), output.status);
+    }
+    // It may print before the object: only the last line counts.
+    let text = String::from_utf8_lossy(&output.stdout);
+    let last = text.lines().last().unwrap_or_default();
+    let measured =
+        serde_json::from_str(last).with_context(|| format!("MetaDrive said {last:?}"))?;
+    Ok(Attempt::Measured(measured))
+}

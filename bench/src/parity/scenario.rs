@@ -1,0 +1,255 @@
+//! Where episodes begin: lanes, checkpoints, objects, vehicles, and the first
+//! observation.
+
+use std::f64::consts::TAU;
+
+use anyhow::{Context, ensure};
+use shm_config::message::{BEAMS_MAX, Observation};
+use sim::lane::{Curve, Lane, LineType};
+use sim::road::{LaneId, Network, NodeId, RoadId};
+use sim::spawn::{Obstacle, ObstacleKind, Place, Route, Scenario, Spawn};
+use sim::{World, WorldConfig};
+use vehicle::Point;
+
+use super::record::{self, Golden};
+use super::{Row, Tally, Unit};
+
+/// Bar of positions and lengths, m, and of angles, rad.
+const BAR_M: f64 = 1e-3;
+/// Bar of a feature.
+const BAR_FEATURE: f64 = 1e-3;
+
+#[derive(Default)]
+struct Tallies {
+    lanes: Tally,
+    routes: Tally,
+    egos: Tally,
+    objects: Tally,
+    vehicles: Tally,
+    features: Tally,
+}
+
+/// Compares all recorded scenarios.
+pub(super) fn rows(golden: &Golden) -> anyhow::Result<Vec<Row>> {
+    let mut tallies = Tallies::default();
+    for (&seed, recorded) in &golden.seeds {
+        let config = config(recorded)?;
+        compare(seed, recorded, &config, &mut tallies).with_context(|| format!("seed {seed}"))?;
+    }
+    let Tallies {
+        lanes,
+        routes,
+        egos,
+        objects,
+        vehicles,
+        features,
+    } = tallies;
+    Ok(vec![
+        Row::largest(
+            "lanes: type, lines, length, end points",
+            lanes,
+            Unit::M,
+            BAR_M,
+        ),
+        Row::largest("routes: checkpoints and length", routes, Unit::M, BAR_M),
+        Row::largest("egos: lane, place, engine, brake", egos, Unit::M, BAR_M),
+        Row::largest("objects: kind, place, heading", objects, Unit::M, BAR_M),
+        Row::largest(
+            "vehicles: kind, place, forces, route",
+            vehicles,
+            Unit::M,
+            BAR_M,
+        ),
+        Row::largest(
+            "first observation, each feature",
+            features,
+            Unit::Feature,
+            BAR_FEATURE,
+        ),
+    ])
+}
+
+/// The world that a scenario was recorded in.
+fn config(recorded: &record::Scenario) -> anyhow::Result<WorldConfig> {
+    let mut config = WorldConfig::default();
+    let Some(given) = &recorded.config else {
+        return Ok(config);
+    };
+    match &given.map {
+        Some(serde_json::Value::String(letters)) => config.block_sequence.clone_from(letters),
+        Some(number) => {
+            let count = number
+                .as_u64()
+                .context("map is neither a number nor letters")?;
+            config.blocks = count as usize;
+        }
+        None => {}
+    }
+    let or = |given: Option<f64>, default| given.unwrap_or(default);
+    config.lane_count = given.lane_count.unwrap_or(config.lane_count);
+    config.lane_width_m = or(given.lane_width_m, config.lane_width_m);
+    config.traffic_density = or(given.traffic_density, config.traffic_density);
+    config.accident_probability = or(given.accident_probability, config.accident_probability);
+    Ok(config)
+}
+
+fn compare(
+    seed: u64,
+    recorded: &record::Scenario,
+    config: &WorldConfig,
+    tallies: &mut Tallies,
+) -> anyhow::Result<()> {
+    let ours = Scenario::generate(&config.scenario()?, seed)?;
+    let network = &ours.map.network;
+    compare_lanes(recorded, network, &mut tallies.lanes);
+    let route_m = (recorded.route_len - ours.ego.route.length_m(network)).abs();
+    let same_route = recorded.ckpt == nodes(network, &ours.ego.route);
+    tallies.routes.count(same_route.then_some(route_m), BAR_M);
+    let ego = car_error(network, &recorded.ego, &ours.ego);
+    tallies.egos.count(ego, BAR_M);
+    pair(
+        &recorded.objects,
+        &ours.obstacles,
+        &mut tallies.objects,
+        object_error,
+    );
+    tallies
+        .vehicles
+        .missing(recorded.traffic.len().abs_diff(ours.traffic.len()));
+    // Recorded with the last block first: the simulator pops from the end.
+    for (theirs, ours) in recorded.traffic.iter().rev().zip(&ours.traffic) {
+        let same_trigger = theirs.trigger.join("|") == network.road_name(ours.trigger);
+        pair(
+            &theirs.vehicles,
+            &ours.cars,
+            &mut tallies.vehicles,
+            |theirs, ours| {
+                let same_timer = theirs.overtake_timer == Some(ours.overtake_timer);
+                let same_route = theirs.ckpt == nodes(network, &ours.car.route);
+                let error = car_error(network, theirs, &ours.car)?;
+                (same_trigger && same_timer && same_route).then_some(error)
+            },
+        );
+    }
+    let mut world = World::new(config.clone())?;
+    world.reset(seed)?;
+    let mut observation = Observation::default();
+    world.observe(&mut observation);
+    let mut room = [0.0; 19 + BEAMS_MAX];
+    let features = observation.features(&mut room).context("too many beams")?;
+    let (theirs, ours) = (recorded.obs0.len(), features.len());
+    ensure!(theirs == ours, "{theirs} features recorded, {ours} here");
+    pair(
+        &recorded.obs0,
+        features,
+        &mut tallies.features,
+        |theirs, &ours| Some((theirs - f64::from(ours)).abs()),
+    );
+    Ok(())
+}
+
+/// Compares two lists item by item; what only one of them has, differs.
+fn pair<A, B>(
+    theirs: &[A],
+    ours: &[B],
+    tally: &mut Tally,
+    mut error: impl FnMut(&A, &B) -> Option<f64>,
+) {
+    for (theirs, ours) in theirs.iter().zip(ours) {
+        tally.count(error(theirs, ours), BAR_M);
+    }
+    tally.missing(theirs.len().abs_diff(ours.len()));
+}
+
+fn compare_lanes(recorded: &record::Scenario, network: &Network, tally: &mut Tally) {
+    let mut found = 0;
+    for road in (0..network.roads().len()).map(|index| RoadId(index as u16)) {
+        let lanes = network.lanes_of(road);
+        match recorded.net.get(&network.road_name(road)) {
+            Some(theirs) => {
+                found += 1;
+                pair(theirs, lanes, tally, lane_error);
+            }
+            None => tally.missing(lanes.len()),
+        }
+    }
+    if found < recorded.net.len() {
+        let ours = |name: &str| {
+            network
+                .roads()
+                .iter()
+                .enumerate()
+                .any(|(index, _)| network.road_name(RoadId(index as u16)) == name)
+        };
+        let only_theirs = recorded.net.iter().filter(|(name, _)| !ours(name));
+        tally.missing(only_theirs.map(|(_, lanes)| lanes.len()).sum());
+    }
+}
+
+fn lane_error(theirs: &record::Lane, ours: &Lane) -> Option<f64> {
+    let class = match ours.curve {
+        Curve::Straight(_) => "StraightLane",
+        Curve::Taper(_) => "ExtendingLane",
+        Curve::Arc(_) => "CircularLane",
+    };
+    let lines = ours.lines.map(|line| match line {
+        LineType::None => "UNKNOWN_LINE",
+        LineType::Broken => "ROAD_LINE_BROKEN_SINGLE_WHITE",
+        LineType::Continuous => "ROAD_LINE_SOLID_SINGLE_WHITE",
+        LineType::Side => "ROAD_EDGE_BOUNDARY",
+    });
+    let error_m = apart_m(theirs.start, ours.start_world)
+        .max(apart_m(theirs.end, ours.end_world))
+        .max((theirs.length - ours.length_m).abs())
+        .max((theirs.width - ours.width_m).abs());
+    (theirs.class == class && theirs.lines == lines).then_some(error_m)
+}
+
+fn object_error(theirs: &record::Object, ours: &Obstacle) -> Option<f64> {
+    let class = match ours.kind {
+        ObstacleKind::Cone => "TrafficCone",
+        ObstacleKind::Warning => "TrafficWarning",
+        ObstacleKind::Barrier => "TrafficBarrier",
+        ObstacleKind::BrokenDown(kind) => kind.model().name,
+    };
+    let same = theirs.cls == class && is_near_rad(theirs.heading, ours.heading_rad);
+    same.then(|| apart_m(theirs.pos, ours.position_world))
+}
+
+fn car_error(network: &Network, theirs: &record::Car, ours: &Spawn) -> Option<f64> {
+    let model = ours.kind.model();
+    // Of the ego no kind is recorded.
+    let same_kind = theirs.cls.as_ref().is_none_or(|class| class == model.name);
+    let Place {
+        lane,
+        position_world,
+        heading_rad,
+        ..
+    } = ours.place;
+    let (from, to, number) = &theirs.lane;
+    let same_lane = format!("{from}|{to}|{number}") == lane_name(network, lane);
+    // Forces are hundreds of newtons: the record has them in single precision.
+    let same_forces = (theirs.engine - ours.forces.engine_n).abs() < BAR_M
+        && (theirs.brake - ours.forces.brake).abs() < BAR_M;
+    let same = same_kind && same_lane && same_forces && is_near_rad(theirs.heading, heading_rad);
+    same.then(|| apart_m(theirs.pos, position_world))
+}
+
+fn apart_m([x, y]: [f64; 2], ours: Point) -> f64 {
+    (x - ours.x).hypot(y - ours.y)
+}
+
+fn is_near_rad(theirs: f64, ours: f64) -> bool {
+    let away = (theirs - ours).rem_euclid(TAU);
+    away.min(TAU - away) <= BAR_M
+}
+
+fn nodes(network: &Network, route: &Route) -> Vec<String> {
+    let name = |node: &NodeId| network.nodes()[node.index()].to_string();
+    route.checkpoints(network).iter().map(name).collect()
+}
+
+fn lane_name(network: &Network, lane: LaneId) -> String {
+    let road = network.road_name(network.road_of(lane));
+    format!("{road}|{}", network.index_in_road(lane))
+}

@@ -1,0 +1,206 @@
+//! Who sits at the wheel of an episode.
+
+use clap::ValueEnum;
+use controller::{Controller, Inputs, Intent, PolicySlot};
+use hdrhistogram::Histogram;
+use planner::Planner;
+use shm_config::Instant;
+use shm_config::config::{Config, GateMode, OutOfRange};
+use shm_config::message::{Bend, Command, Driver, Header, Observation, Plan, Reason};
+use sim::World;
+use sim::idm::Idm;
+use vehicle::Action;
+
+use crate::Clock;
+
+/// Steps between two changes of lane of MetaDrive's driver; his timer begins
+/// anywhere below (`LANE_CHANGE_FREQ`).
+const LANE_CHANGE_STEPS: u64 = 50;
+/// Longest planning time that is told apart, us: ten periods.
+const PLANNING_MAX_US: u64 = 1_000_000;
+
+/// The drivers that can be asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DriverKind {
+    /// Planner and controller of this stack, with the judge in the tick.
+    Expert,
+    /// A simple lane keeper that sees only the observation.
+    Lane,
+    /// MetaDrive's driver of the other cars, which sees everything.
+    Idm,
+}
+
+impl DriverKind {
+    /// As on the command line.
+    pub fn word(self) -> &'static str {
+        match self {
+            DriverKind::Expert => "expert",
+            DriverKind::Lane => "lane",
+            DriverKind::Idm => "idm",
+        }
+    }
+}
+
+/// A driver at the wheel.
+pub struct Seat {
+    config: Config,
+    clock: Clock,
+    planning_us: Histogram<u64>,
+    driver: Seated,
+}
+
+enum Seated {
+    Expert(Box<Stack>),
+    Lane,
+    Idm(Idm),
+}
+
+/// Planner and controller without their processes.
+struct Stack {
+    planner: Planner,
+    controller: Controller,
+    plan: Plan,
+    inputs: Inputs,
+}
+
+impl Seat {
+    /// A driver of this kind. The configuration is that of a run; its gate is
+    /// always the expert's, as with `./vlaps up --gate expert`.
+    ///
+    /// # Errors
+    /// When the planner's configuration is out of range.
+    pub fn new(kind: DriverKind, config: &Config, clock: Clock) -> Result<Seat, OutOfRange> {
+        let mut config = config.clone();
+        config.gate.mode = GateMode::Expert;
+        let driver = match kind {
+            DriverKind::Expert => Seated::Expert(Box::new(Stack {
+                planner: Planner::new(config.planner)?,
+                controller: Controller::new(config.clone(), PolicySlot::new(None)),
+                plan: Plan::default(),
+                inputs: Inputs::default(),
+            })),
+            DriverKind::Lane => Seated::Lane,
+            DriverKind::Idm => Seated::Idm(Idm::new(0, 0)),
+        };
+        Ok(Seat {
+            config,
+            clock,
+            planning_us: planning_histogram(),
+            driver,
+        })
+    }
+
+    /// Gets ready for the episode that has begun: nothing of the one before is
+    /// left, so an episode depends on its seed alone.
+    pub fn begin(&mut self, world: &World) {
+        match &mut self.driver {
+            Seated::Expert(stack) => {
+                stack.controller = Controller::new(self.config.clone(), PolicySlot::new(None));
+            }
+            Seated::Lane => {}
+            Seated::Idm(idm) => {
+                let seed = world.seed();
+                *idm = Idm::new((seed.wrapping_mul(31) % LANE_CHANGE_STEPS) as u32, seed);
+            }
+        }
+    }
+
+    /// The command for what is observed now.
+    pub fn command(&mut self, observation: &Observation, world: &mut World) -> Command {
+        let scripted = |action: Action| Command {
+            header: observation.header,
+            steer: action.steer,
+            pedal: action.pedal,
+            driver: Driver::Expert.code(),
+            reason: Reason::Configured.code(),
+        };
+        match &mut self.driver {
+            Seated::Expert(stack) => {
+                let begun = (self.clock)();
+                stack.planner.plan(observation, &mut stack.plan);
+                let planning_ns = (self.clock)().since_ns(begun);
+                self.planning_us
+                    .saturating_record(planning_ns.div_ceil(1000));
+                stack.command(observation)
+            }
+            Seated::Lane => scripted(keep_lane(observation)),
+            Seated::Idm(idm) => scripted(world.advise(idm).clamped()),
+        }
+    }
+
+    /// How long each plan took, us; empty for drivers that do not plan.
+    pub fn planning_us(&self) -> &Histogram<u64> {
+        &self.planning_us
+    }
+}
+
+/// Room for planning times.
+pub fn planning_histogram() -> Histogram<u64> {
+    // The bounds are constants that the library accepts; a test would not start
+    // otherwise.
+    Histogram::new_with_bounds(1, PLANNING_MAX_US, 3).expect("valid bounds")
+}
+
+impl Stack {
+    /// The controller's tick, in the order of the processes in lockstep:
+    /// observation, its plan, command.
+    fn command(&mut self, observation: &Observation) -> Command {
+        self.inputs.observation = Some(*observation);
+        self.inputs.plan = Some(self.plan);
+        let Header { tick, .. } = observation.header;
+        let now: Instant = observation.header.taken();
+        let step = self.controller.tick(&self.inputs, tick, now, Intent::Drive);
+        step.command
+    }
+}
+
+/// Speed of the lane keeper on a straight road, m/s.
+const CRUISE_MPS: f64 = 8.0;
+/// Sideways acceleration it takes a bend with, m/s².
+const SIDEWAYS_MPS2: f64 = 3.0;
+/// A bend counts from this far before its road, m.
+const BEND_AHEAD_M: f64 = 12.0;
+/// Half the width of the strip ahead in which it brakes for what it sees, m.
+const STRIP_M: f64 = 1.3;
+/// It stands this far behind what is ahead, from centre to return, m.
+const STANDOFF_M: f64 = 5.0;
+/// The deceleration it reckons with, m/s².
+const BRAKE_MPS2: f64 = 3.0;
+
+/// Keeps to its lane, slows down for bends and for what is straight ahead, and
+/// never changes lanes. It sees the observation alone, so it drives in any
+/// world that publishes one.
+pub fn keep_lane(observation: &Observation) -> Action {
+    let road = &observation.road;
+    let mut speed_mps = CRUISE_MPS;
+    let [here, next] = &observation.checkpoints;
+    let to_next_m = here.x_body_m.hypot(here.y_body_m);
+    for (checkpoint, near) in [(here, true), (next, to_next_m < BEND_AHEAD_M)] {
+        if near && checkpoint.bend != Bend::Straight.code() {
+            let bend_mps = (SIDEWAYS_MPS2 * checkpoint.bend_radius_m).sqrt();
+            speed_mps = speed_mps.min(bend_mps);
+        }
+    }
+    let room_m = (free_ahead_m(observation) - STANDOFF_M).max(0.0);
+    speed_mps = speed_mps.min((2.0 * BRAKE_MPS2 * room_m).sqrt());
+    Action {
+        steer: -(0.8 * road.heading_rad + 0.12 * road.offset_m),
+        pedal: 0.3 * (speed_mps - observation.ego.speed_mps),
+    }
+    .clamped()
+}
+
+/// Distance to the nearest return in the strip ahead, m; infinite when free.
+fn free_ahead_m(observation: &Observation) -> f64 {
+    let ranges_m = observation.ranges();
+    let spacing_rad = std::f64::consts::TAU / ranges_m.len() as f64;
+    let returns = ranges_m.iter().enumerate().filter_map(|(k, &range_m)| {
+        if range_m >= observation.lidar_max_m {
+            return None;
+        }
+        let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
+        let range_m = f64::from(range_m);
+        (cos > 0.0 && (range_m * sin).abs() < STRIP_M).then_some(range_m * cos)
+    });
+    returns.fold(f64::INFINITY, f64::min)
+}

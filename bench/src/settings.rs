@@ -1,0 +1,42 @@
+//! The configuration, exactly as `./vlaps up` resolves it.
+
+use std::path::Path;
+
+use clap::Parser;
+use shm_config::config::Config;
+use supervisor::arguments::{Arguments, Command};
+use supervisor::failure::Failure;
+use supervisor::settings::resolve;
+
+/// Ticks of the car's physics in a second.
+const PHYSICS_HZ: f64 = 10.0;
+
+/// The configuration of `./vlaps up --config FILE --set KEY=VALUE ...`. It is
+/// asked for through that command's own arguments, so that file, defaults and
+/// overrides mean the same here.
+///
+/// # Errors
+/// When the file or an override is wrong; the error names the one that is.
+pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failure> {
+    let mut words: Vec<std::ffi::OsString> = vec!["vlaps".into(), "up".into()];
+    if let Some(file) = file {
+        words.extend(["--config".into(), file.into()]);
+    }
+    for text in overrides {
+        words.extend(["--set".into(), text.into()]);
+    }
+    let arguments =
+        Arguments::try_parse_from(words).map_err(|error| Failure::Usage(error.to_string()))?;
+    let Command::Up(up) = &arguments.command else {
+        return Err(Failure::Usage("no configuration".into()));
+    };
+    let config = resolve(up)?;
+    if (config.run.rate_hz - PHYSICS_HZ).abs() > 1e-9 {
+        let rate_hz = config.run.rate_hz;
+        return Err(Failure::Usage(format!(
+            "run.rate_hz = {rate_hz}: episodes are driven here at {PHYSICS_HZ} Hz, \
+             the rate of the car's physics; leave the key out"
+        )));
+    }
+    Ok(config)
+}

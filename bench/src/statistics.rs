@@ -1,0 +1,125 @@
+//! Means with 95 % intervals.
+
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use serde::Serialize;
+
+/// The two-sided 95 % quantile of the normal distribution.
+const Z: f64 = 1.959_963_984_540_054;
+/// Resamples of a bootstrap: the ends of its interval then move by about a
+/// fortieth of its width from one seed to another.
+const RESAMPLES: usize = 4000;
+/// Any number will do; a fixed one makes a table the same each time.
+const BOOTSTRAP_SEED: u64 = 95;
+
+/// A mean and its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The mean.
+    pub mean: f64,
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+}
+
+impl Estimate {
+    /// A share with Wilson's score interval, which stays within [0, 1] and is
+    /// honest at shares of 0 and 1; of nothing, all is possible.
+    pub fn of_share(hits: usize, trials: usize) -> Estimate {
+        if trials == 0 {
+            return Estimate {
+                mean: f64::NAN,
+                low: 0.0,
+                high: 1.0,
+            };
+        }
+        let n = trials as f64;
+        let share = hits as f64 / n;
+        let square = Z * Z / n;
+        let middle = (share + square / 2.0) / (1.0 + square);
+        let half = Z * (share * (1.0 - share) / n + square / (4.0 * n)).sqrt() / (1.0 + square);
+        Estimate {
+            mean: share,
+            // Exact at the ends, where rounding would leave 1e-17.
+            low: if hits == 0 { 0.0 } else { middle - half },
+            high: if hits == trials { 1.0 } else { middle + half },
+        }
+    }
+
+    /// A mean with the percentile interval of a bootstrap: completions pile up
+    /// at 0.98, for which no normal interval is right. One value has no
+    /// interval, none has no mean: NaN.
+    pub fn of_mean(values: &[f64]) -> Estimate {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        if values.len() < 2 {
+            return Estimate {
+                mean,
+                low: f64::NAN,
+                high: f64::NAN,
+            };
+        }
+        let mut stream = Xoshiro256PlusPlus::seed_from_u64(BOOTSTRAP_SEED);
+        let count = values.len() as u128;
+        // The upper half of a product: uniform up to 1 in 2^64.
+        let mut draw = || values[((u128::from(stream.next_u64()) * count) >> 64) as usize];
+        let mut means: Vec<f64> = (0..RESAMPLES)
+            .map(|_| (0..values.len()).map(|_| draw()).sum::<f64>() / values.len() as f64)
+            .collect();
+        means.sort_by(f64::total_cmp);
+        Estimate {
+            mean,
+            low: means[RESAMPLES / 40],
+            high: means[RESAMPLES - 1 - RESAMPLES / 40],
+        }
+    }
+}
+
+/// The value below which this share of all lies; NaN of nothing. Sorts.
+pub fn quantile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1);
+    let index = (last as f64 * share).round() as usize;
+    values.get(index).copied().unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wilson_matches_published_values() {
+        // Newcombe 1998, table I: 81 of 263, and 0 of 20.
+        let many = Estimate::of_share(81, 263);
+        assert!((many.low - 0.2553).abs() < 5e-5, "{many:?}");
+        assert!((many.high - 0.3662).abs() < 5e-5, "{many:?}");
+        let none = Estimate::of_share(0, 20);
+        assert_eq!(none.low, 0.0);
+        assert!((none.high - 0.1611).abs() < 5e-5, "{none:?}");
+    }
+
+    #[test]
+    fn bootstrap_is_near_the_normal_interval_of_many_values() {
+        let values: Vec<f64> = (0..1000).map(|k| f64::from(k) / 999.0).collect();
+        let found = Estimate::of_mean(&values);
+        // A uniform variable has deviation 1/sqrt(12).
+        let half = Z / 12f64.sqrt() / 1000f64.sqrt();
+        assert!((found.low - (0.5 - half)).abs() < 0.1 * half, "{found:?}");
+        assert!((found.high - (0.5 + half)).abs() < 0.1 * half, "{found:?}");
+        assert_eq!(found, Estimate::of_mean(&values), "the same each time");
+    }
+
+    #[test]
+    fn one_value_has_no_interval() {
+        let one = Estimate::of_mean(&[3.0]);
+        assert!(one.mean == 3.0 && one.low.is_nan() && one.high.is_nan());
+    }
+
+    #[test]
+    fn quantiles_are_of_the_sorted_values() {
+        let mut values = [5.0, 1.0, 3.0, 2.0, 4.0];
+        assert_eq!(quantile(&mut values, 0.5), 3.0);
+        assert_eq!(quantile(&mut values, 1.0), 5.0);
+        assert!(quantile(&mut [], 0.5).is_nan());
+    }
+}

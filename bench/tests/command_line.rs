@@ -1,0 +1,133 @@
+//! The program as users call it.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn bench(words: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
+        .args(words)
+        .output()
+        .expect("the program starts")
+}
+
+fn scratch(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+fn json(path: &Path) -> Value {
+    let text = std::fs::read_to_string(path).expect("the JSON was written");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+fn eval(driver: &str, threads: &str) -> Value {
+    let path = scratch(&format!("eval-{driver}-{threads}.json"));
+    let file = path.display().to_string();
+    let output = bench(&[
+        "eval",
+        "--driver",
+        driver,
+        "--episodes",
+        "6",
+        "--threads",
+        threads,
+        "--json",
+        &file,
+    ]);
+    assert!(output.status.success(), "{output:?}");
+    json(&path)
+}
+
+#[test]
+fn an_evaluation_is_the_same_on_any_number_of_threads() {
+    for driver in ["expert", "lane", "idm"] {
+        let (mut one, mut three) = (eval(driver, "1"), eval(driver, "3"));
+        // The only figure that is a time of this machine.
+        for evaluation in [&mut one, &mut three] {
+            let figures = evaluation.as_object_mut().expect("an object");
+            let p99 = figures.remove("planning_p99_us").expect("the key");
+            assert_eq!(p99.is_number(), driver == "expert", "{driver}: {p99}");
+        }
+        assert_eq!(one, three, "{driver}");
+        assert!(
+            one["mean_length"].as_f64() > Some(10.0),
+            "{driver} drove: {one}"
+        );
+    }
+}
+
+#[test]
+fn an_evaluation_has_the_agreed_keys() {
+    let found = eval("idm", "2");
+    for key in [
+        "success",
+        "strict_success",
+        "contact",
+        "crash_last_step",
+        "out_of_road",
+        "max_step",
+        "completion",
+    ] {
+        let [mean, low, high] = ["mean", "low", "high"].map(|end| found[key][end].as_f64());
+        assert!(
+            low <= mean && mean <= high && low.is_some(),
+            "{key}: {}",
+            found[key]
+        );
+    }
+    assert_eq!(found["driver"], "idm");
+    assert_eq!(found["world"], "sim");
+    assert_eq!(found["episodes"], 6);
+    assert!(found["mean_speed_mps"].as_f64() > Some(1.0), "{found}");
+}
+
+#[test]
+fn mistakes_are_named_with_exit_code_2() {
+    for (words, hint) in [
+        (&["eval", "--drivr", "idm"][..], "--driver"),
+        (&["eval", "--driver", "ape"], "expert"),
+        (&["eval", "--set", "world.bloks=3"], "world.blocks"),
+        (&["eval", "--set", "run.rate_hz=100"], "run.rate_hz"),
+        (&["draw", "mapp"], "map"),
+    ] {
+        let output = bench(words);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{words:?}: {text}");
+        assert!(text.contains(hint), "{words:?}: {text}");
+    }
+}
+
+#[test]
+fn parity_without_recordings_says_what_is_missing() {
+    let empty = scratch("no-recordings");
+    std::fs::create_dir_all(&empty).expect("a folder");
+    let output = bench(&["bench", "parity", "--data", &empty.display().to_string()]);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("golden_"), "{text}");
+}
+
+#[test]
+fn pictures_hold_what_happened() {
+    let path = scratch("episode.svg");
+    let file = path.display().to_string();
+    let output = bench(&[
+        "draw", "episode", "--seed", "1003", "--driver", "idm", "--out", &file,
+    ]);
+    assert!(output.status.success(), "{output:?}");
+    let picture = std::fs::read_to_string(&path).expect("the picture");
+    for word in [
+        "<svg",
+        "Seed 1003: idm",
+        "idm drove",
+        "last scan",
+        "checkpoint",
+    ] {
+        assert!(picture.contains(word), "{word}");
+    }
+    assert!(
+        !picture.contains("NaN") && !picture.contains("inf"),
+        "all numbers are finite"
+    );
+}

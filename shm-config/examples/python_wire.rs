@@ -1,0 +1,5 @@
+//! Prints the wire as a Python module, for the world process of MetaDrive.
+
+fn main() {
+    print!("{}", shm_config::python::module());
+}

@@ -1,0 +1,200 @@
+//! The wire as a Python module: a process in Python reads the same tables that
+//! this crate compiles, so neither side writes a layout or a limit twice.
+//!
+//! `cargo run -p shm-config --example python_wire` prints the module; a test
+//! compares it with the one checked in beside the process that reads it.
+
+use std::fmt::Write;
+
+use crate::histogram::{BUCKETS, HALF_SHIFT, UNIT_SHIFT};
+use crate::layout::Layout;
+use crate::message::{
+    Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FUTURE_TOLERANCE_NS, Frame, Grant,
+    Header, Health, HealthState, Histogram, Observation, Outcome, PixelFormat, Progress, Reason,
+    Road, Timing, View,
+};
+use crate::run;
+use crate::services::{self, Process, Service};
+use crate::wire::{LAYOUT_KEY, NODES_MAX, PUBLISHERS_MAX, SUBSCRIBERS_MAX};
+
+const TITLE: &str = r#""""The wire of VLAPS: messages, services, limits.
+
+Generated from the crate `shm-config`; do not edit. Renew it with
+    cargo run -p shm-config --example python_wire > sim/metadrive/wire_layout.py
+"""
+"#;
+
+/// The text of the module, with everything that a world process needs.
+pub fn module() -> String {
+    let mut out = String::from(TITLE);
+    out.push_str("\nimport ctypes\nfrom collections import namedtuple\n");
+    limits(&mut out);
+    word_list(
+        &mut out,
+        "Process",
+        Process::ALL,
+        Process::code,
+        Process::word,
+    );
+    word_list(
+        &mut out,
+        "HealthState",
+        HealthState::ALL,
+        HealthState::code,
+        HealthState::word,
+    );
+    word_list(&mut out, "Grant", Grant::ALL, Grant::code, Grant::word);
+    word_list(
+        &mut out,
+        "Outcome",
+        Outcome::ALL,
+        Outcome::code,
+        Outcome::word,
+    );
+    word_list(&mut out, "Driver", Driver::ALL, Driver::code, Driver::word);
+    word_list(&mut out, "Reason", Reason::ALL, Reason::code, Reason::word);
+    word_list(&mut out, "Bend", Bend::ALL, Bend::code, Bend::word);
+    word_list(&mut out, "View", View::ALL, View::code, View::word);
+    word_list(
+        &mut out,
+        "PixelFormat",
+        PixelFormat::ALL,
+        PixelFormat::code,
+        PixelFormat::word,
+    );
+    message::<Header>(&mut out);
+    message::<Ego>(&mut out);
+    message::<Road>(&mut out);
+    message::<Checkpoint>(&mut out);
+    message::<Observation>(&mut out);
+    message::<Command>(&mut out);
+    message::<Progress>(&mut out);
+    message::<Episode>(&mut out);
+    message::<Health>(&mut out);
+    message::<Histogram>(&mut out);
+    message::<Timing>(&mut out);
+    message::<Camera>(&mut out);
+    message::<Frame>(&mut out);
+    out.push_str(
+        "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history\")\n\n",
+    );
+    service(&mut out, "OBSERVATION", &services::OBSERVATION);
+    service(&mut out, "COMMAND", &services::COMMAND);
+    service(&mut out, "FRAME", &services::FRAME);
+    service(&mut out, "PROGRESS", &services::PROGRESS);
+    service(&mut out, "EPISODE", &services::EPISODE);
+    service(&mut out, "HEALTH_WORLD", &services::health(Process::World));
+    service(&mut out, "TIMING_WORLD", &services::timing(Process::World));
+    out
+}
+
+fn limits(out: &mut String) {
+    let mut line = |name: &str, value: String| line(out, &format!("{name} = {value}"));
+    line("USER_DIR", format!("{:?}", run::USER_DIR));
+    line("PREFIX", format!("{:?}", run::PREFIX));
+    line("LIBRARY_DIR", format!("{:?}", run::LIBRARY_DIR));
+    line("ALIVE_FILE", format!("{:?}", run::ALIVE_FILE));
+    line("SHARED_MEMORY_DIR", format!("{:?}", run::SHARED_MEMORY_DIR));
+    line("PUBLISHERS_MAX", PUBLISHERS_MAX.to_string());
+    line("SUBSCRIBERS_MAX", SUBSCRIBERS_MAX.to_string());
+    line("NODES_MAX", NODES_MAX.to_string());
+    line("LAYOUT_KEY", format!("{LAYOUT_KEY:?}"));
+    line("FUTURE_TOLERANCE_NS", FUTURE_TOLERANCE_NS.to_string());
+    line("HISTOGRAM_UNIT_SHIFT", UNIT_SHIFT.to_string());
+    line("HISTOGRAM_HALF_SHIFT", HALF_SHIFT.to_string());
+    line("HISTOGRAM_BUCKETS", BUCKETS.to_string());
+}
+
+fn line(out: &mut String, text: &str) {
+    // Writing to a String cannot fail.
+    let _ = writeln!(out, "{text}");
+}
+
+fn word_list<T: Copy>(
+    out: &mut String,
+    name: &str,
+    all: &[T],
+    code: fn(T) -> u32,
+    word: fn(T) -> &'static str,
+) {
+    line(out, &format!("\n\nclass {name}:"));
+    for &value in all {
+        let constant = word(value).to_uppercase().replace([' ', '-'], "_");
+        line(out, &format!("    {constant} = {}", code(value)));
+    }
+    let words: Vec<_> = all
+        .iter()
+        .map(|&value| format!("{}: {:?}", code(value), word(value)))
+        .collect();
+    line(out, &format!("    WORDS = {{{}}}", words.join(", ")));
+}
+
+/// A type of the field tables in Python's words.
+fn python_type(name: &str) -> String {
+    if let Some(array) = name
+        .strip_prefix('[')
+        .and_then(|name| name.strip_suffix(']'))
+        && let Some((element, count)) = array.split_once(';')
+    {
+        return format!("{} * {}", python_type(element.trim()), count.trim());
+    }
+    match name {
+        "f32" => "ctypes.c_float".into(),
+        "f64" => "ctypes.c_double".into(),
+        "u8" => "ctypes.c_uint8".into(),
+        "u32" => "ctypes.c_uint32".into(),
+        "u64" => "ctypes.c_uint64".into(),
+        // A nested message, printed above.
+        message => message.into(),
+    }
+}
+
+fn message<M: Layout>(out: &mut String) {
+    line(out, &format!("\n\nclass {}(ctypes.Structure):", M::NAME));
+    line(out, &format!("    LAYOUT = \"{:016x}\"", M::FINGERPRINT));
+    line(out, "    _fields_ = [");
+    for field in M::FIELDS {
+        let kind = python_type(field.type_name);
+        line(out, &format!("        (\"{}\", {kind}),", field.name));
+    }
+    line(out, "    ]\n\n    @staticmethod\n    def type_name():");
+    line(out, &format!("        return \"{}\"\n", M::NAME));
+    line(out, "");
+    let end = M::FIELDS
+        .last()
+        .map_or(0, |field| field.offset + field.size);
+    line(out, &format!("assert ctypes.sizeof({}) == {end}", M::NAME));
+    for field in M::FIELDS {
+        line(
+            out,
+            &format!(
+                "assert {}.{}.offset == {}",
+                M::NAME,
+                field.name,
+                field.offset
+            ),
+        );
+    }
+}
+
+fn service<M: Layout>(out: &mut String, constant: &str, service: &Service<M>) {
+    let (depth, history) = service.delivery.queue();
+    let to: Vec<_> = service
+        .to
+        .iter()
+        .map(|process| format!("{:?}", process.word()))
+        .collect();
+    let to = match to.as_slice() {
+        [] => "()".to_string(),
+        to => format!("({},)", to.join(", ")),
+    };
+    line(
+        out,
+        &format!(
+            "{constant} = Service({:?}, {}, {:?}, {to}, {depth}, {history})",
+            service.name,
+            M::NAME,
+            service.from.word(),
+        ),
+    );
+}

@@ -1,0 +1,246 @@
+"""What every process of a run does at its start and end, and how it says how it
+does: the mirror of the crate `process`."""
+
+import argparse
+import ctypes
+import datetime
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+import tomllib
+
+import wire_layout as layout
+from wire import Wire, WireError
+
+# The exit code of a process that could not be set up; it is not restarted.
+SET_UP_FAILED = 2
+# How often a process says how it does, and publishes its histograms, ns.
+HEALTH_NS = 50_000_000
+TIMING_NS = 500_000_000
+# Log lines that may wait for a slow disk before further ones are dropped.
+LOG_LINES = 1000
+
+_libc = ctypes.CDLL(None, use_errno=True)
+_PR_SET_PDEATHSIG = 1
+_PR_SET_TIMERSLACK = 29
+# Current and future pages, locked as they are first touched.
+_MLOCK = 1 | 2 | 4
+_CLOCK_MONOTONIC = 1
+_TIMER_ABSTIME = 1
+
+
+class SetUpError(Exception):
+    """Why the process could not be set up: what, where, what to do."""
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = [("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long)]
+
+
+def sleep_until(instant_ns):
+    """Sleeps until an instant of the machine's monotonic clock."""
+    due = _Timespec(instant_ns // 1_000_000_000, instant_ns % 1_000_000_000)
+    while _libc.clock_nanosleep(_CLOCK_MONOTONIC, _TIMER_ABSTIME, ctypes.byref(due), None):
+        pass
+
+
+def die_with_parent():
+    """Ends with the supervisor, however it ends: no process of a run outlives it."""
+    parent = os.getppid()
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    # The parent may have died before the line above.
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+def parse_arguments():
+    """The arguments that every process takes, and the world's own."""
+    parser = argparse.ArgumentParser(
+        prog="vlaps-world", description="Drives the real MetaDrive as the world of a run"
+    )
+    parser.add_argument("--config", required=True, help="the run's resolved configuration")
+    parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority; 0 for none")
+    parser.add_argument("--core", type=int, help="core to stay on")
+    parser.add_argument(
+        "--first-episode", type=int, default=0, help="episode of the run to begin with"
+    )
+    return parser.parse_args()
+
+
+def load_config(path):
+    """The resolved configuration, which names every key."""
+    try:
+        with open(path, "rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise SetUpError(f"{path}: cannot read the configuration: {error.strerror}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise SetUpError(f"{path}: {error}") from None
+
+
+class Log:
+    """Lines for stderr, written by a thread of its own; dropped when the disk
+    cannot follow, so that no disk ever holds up a tick."""
+
+    def __init__(self):
+        self._lines = queue.Queue(LOG_LINES)
+        self._thread = threading.Thread(target=self._write, daemon=True)
+        self._thread.start()
+
+    def _write(self):
+        while (line := self._lines.get()) is not None:
+            # One write: two threads must not share a line.
+            sys.stderr.write(line + "\n")
+            sys.stderr.flush()
+
+    def say(self, what, **values):
+        when = datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="microseconds")
+        words = " ".join(f"{name}={value}" for name, value in values.items())
+        try:
+            self._lines.put_nowait(f"{when.replace('+00:00', 'Z')}  INFO {what} {words}")
+        except queue.Full:
+            pass
+
+    def close(self):
+        try:
+            self._lines.put(None, timeout=1.0)
+        except queue.Full:
+            return
+        self._thread.join(timeout=1.0)
+
+
+class Rights:
+    """What the main thread asks the kernel for, and what it got."""
+
+    def __init__(self, priority, core):
+        self._priority_asked = priority
+        self._core_asked = core
+        self._priority = self._core = self._memory = layout.Grant.NOT_ASKED
+
+    def claim(self):
+        """To be called when everything is allocated; what is refused is told."""
+        if self._core_asked is not None:
+            self._core = _granted(lambda: os.sched_setaffinity(0, {self._core_asked}))
+        if self._priority_asked == 0:
+            return
+        # Threads started later do not inherit the priority.
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        wish = os.sched_param(self._priority_asked)
+        self._priority = _granted(lambda: os.sched_setscheduler(0, policy, wish))
+        locked = _libc.mlockall(_MLOCK) == 0
+        self._memory = layout.Grant.GRANTED if locked else layout.Grant.REFUSED
+        # Absolute sleeps of real-time threads have no slack; of others, 50 us.
+        _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+    def tell(self, health):
+        health.priority = self._priority
+        health.core = self._core
+        health.memory = self._memory
+        health.priority_asked = self._priority_asked
+        got = self._priority == layout.Grant.GRANTED
+        health.priority_got = self._priority_asked if got else 0
+
+    def words(self):
+        word = layout.Grant.WORDS
+        return {
+            "priority": word[self._priority],
+            "core": word[self._core],
+            "memory": word[self._memory],
+        }
+
+
+def _granted(ask):
+    try:
+        ask()
+    except OSError:
+        return layout.Grant.REFUSED
+    return layout.Grant.GRANTED
+
+
+def record(histogram, ns):
+    """Counts one duration in the buckets of `shm-config/src/histogram.rs`."""
+    units = ns >> layout.HISTOGRAM_UNIT_SHIFT
+    doublings = (units >> (layout.HISTOGRAM_HALF_SHIFT + 1)).bit_length()
+    bucket = (doublings << layout.HISTOGRAM_HALF_SHIFT) + (units >> doublings)
+    histogram.buckets[min(bucket, layout.HISTOGRAM_BUCKETS - 1)] += 1
+    histogram.count += 1
+    histogram.max_ns = max(histogram.max_ns, ns)
+
+
+class Pulse:
+    """A process's own account of how it does, published now and then."""
+
+    def __init__(self, wire):
+        self.health = layout.Health()
+        self.timing = layout.Timing()
+        self._health_port = wire.publisher(layout.HEALTH_WORLD)
+        self._timing_port = wire.publisher(layout.TIMING_WORLD)
+        self._health_due = 0
+        self._timing_due = 0
+
+    def enter(self, state, now_ns):
+        """Says a new state at once."""
+        self.health.state = state
+        self._health_due = self._timing_due = now_ns
+        self.beat(now_ns)
+
+    def beat(self, now_ns):
+        """Publishes what is due, between ticks."""
+        if now_ns >= self._health_due:
+            self.health.header.taken_ns = now_ns
+            self._health_port.send(self.health)
+            self._health_port.tend()
+            self._health_due = now_ns + HEALTH_NS
+        if now_ns >= self._timing_due:
+            self.timing.header.taken_ns = now_ns
+            self._timing_port.send(self.timing)
+            self._timing_port.tend()
+            self._timing_due = now_ns + TIMING_NS
+
+    def count_tick(self, lateness_ns, execution_ns):
+        self.health.ticks += 1
+        record(self.timing.release_lateness, lateness_ns)
+        record(self.timing.execution, execution_ns)
+
+
+class Member:
+    """A process that has joined its run."""
+
+    def __init__(self, arguments, log):
+        self._stop = False
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._ask_to_stop)
+        self.log = log
+        self.config = load_config(arguments.config)
+        try:
+            self.lockstep = self.config["run"]["clock"] == "lockstep"
+            self.period_ns = round(1e9 / self.config["run"]["rate_hz"])
+            self.wire = Wire(self.config["run"]["name"], "world")
+        except KeyError as error:
+            raise SetUpError(
+                f"{arguments.config}: key {error} is missing; start the world with ./vlaps up"
+            ) from None
+        except WireError as error:
+            raise SetUpError(str(error)) from None
+        # In lockstep every process runs flat out: with real-time priority they
+        # would starve the machine.
+        self.rights = Rights(0 if self.lockstep else arguments.priority, arguments.core)
+
+    def _ask_to_stop(self, _number, _frame):
+        self._stop = True
+
+    @property
+    def is_stopping(self):
+        return self._stop
+
+    def claim_rights(self):
+        self.rights.claim()
+        self.log.say("real-time rights", **self.rights.words())
+
+
+def monotonic_ns():
+    """The machine's monotonic clock, the same for every process."""
+    return time.monotonic_ns()

@@ -1,0 +1,248 @@
+"""A run's shared memory: the mirror of `shm-config/src/run.rs` and `wire.rs`.
+
+Every name, limit and layout comes from `wire_layout.py`, which is generated.
+"""
+
+import ctypes
+import fcntl
+import os
+import stat
+
+import iceoryx2
+
+import wire_layout as layout
+
+
+class WireError(Exception):
+    """What is wrong with the run or its shared memory, and what to do."""
+
+
+def _private_folder(path):
+    """Makes a folder that only this user enters, or refuses one that others can."""
+    try:
+        os.mkdir(path, 0o700)
+    except FileExistsError:
+        pass
+    found = os.lstat(path)
+    mode = stat.S_IMODE(found.st_mode)
+    if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode) or mode & 0o077:
+        raise WireError(
+            f"{path}: belongs to user {found.st_uid} with mode {mode:o}, so it is not safe to use; "
+            "remove it or ask its owner"
+        )
+
+
+class Wire:
+    """A process's membership in a run, making the run if it does not exist."""
+
+    def __init__(self, run_name, process):
+        user = str(os.getuid())
+        user_dir = layout.USER_DIR.replace("{user}", user)
+        self.dir = os.path.join(user_dir, run_name)
+        self.prefix = layout.PREFIX.replace("{user}", user).replace("{run}", run_name)
+        try:
+            _private_folder(user_dir)
+            _private_folder(self.dir)
+            self._alive = self._hold_alive()
+        except OSError as error:
+            raise WireError(f"{error.filename or self.dir}: {error.strerror}") from None
+        iceoryx2.set_log_level(iceoryx2.LogLevel.Fatal)
+        self._node = self._join(run_name, process)
+        self._make_private()
+
+    def _hold_alive(self):
+        """The shared lock by which the run is provably alive; the kernel drops it."""
+        path = os.path.join(self.dir, layout.ALIVE_FILE)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise WireError(f"{path}: the run is being cleaned up; try again") from None
+        return file
+
+    def _join(self, run_name, process):
+        config = iceoryx2.config.default()
+        root = os.path.join(self.dir, layout.LIBRARY_DIR)
+        config.global_cfg.root_path = iceoryx2.Path.new(root)
+        config.global_cfg.prefix = iceoryx2.FileName.new(self.prefix)
+        try:
+            return (
+                iceoryx2.NodeBuilder.new()
+                .name(iceoryx2.NodeName.new(process))
+                .config(config)
+                .signal_handling_mode(iceoryx2.SignalHandlingMode.Disabled)
+                .create(iceoryx2.ServiceType.Ipc)
+            )
+        except iceoryx2.NodeCreationFailure as error:
+            raise WireError(f"cannot join run '{run_name}': {error}") from None
+
+    def _make_private(self):
+        """Closes what the library leaves open to every user (a counter, 16 bytes)."""
+        for name in os.listdir(layout.SHARED_MEMORY_DIR):
+            if name.startswith(self.prefix):
+                try:
+                    os.chmod(os.path.join(layout.SHARED_MEMORY_DIR, name), 0o600)
+                except FileNotFoundError:
+                    pass
+
+    def publisher(self, service):
+        """Opens the publishing end of a service, with its readers' doorbells."""
+        try:
+            topic = self._topic(service)
+            port = (
+                topic.publisher_builder()
+                .max_loaned_samples(1)
+                .backpressure_strategy(iceoryx2.BackpressureStrategy.DiscardData)
+                .create()
+            )
+            bells = [self._bell(process).notifier_builder().create() for process in service.to]
+        except (iceoryx2.PublisherCreateError, iceoryx2.NotifierCreateError) as error:
+            raise self._refused(service.name, error) from None
+        return Publisher(port, bells, topic)
+
+    def subscriber(self, service):
+        """Opens the reading end of a service."""
+        try:
+            port = self._topic(service).subscriber_builder().buffer_size(service.depth).create()
+        except iceoryx2.SubscriberCreateError as error:
+            raise self._refused(service.name, error) from None
+        return Subscriber(port)
+
+    def doorbell(self, process):
+        """Opens the process's own doorbell."""
+        try:
+            return Doorbell(self._bell(process).listener_builder().create())
+        except iceoryx2.ListenerCreateError as error:
+            raise self._refused(f"doorbell/{process}", error) from None
+
+    def _bell(self, process):
+        name = f"doorbell/{process}"
+        try:
+            return (
+                self._node.service_builder(iceoryx2.ServiceName.new(name))
+                .event()
+                .max_nodes(layout.NODES_MAX)
+                .max_listeners(layout.PUBLISHERS_MAX)
+                .max_notifiers(layout.NODES_MAX)
+                .event_id_max_value(1)
+                .open_or_create()
+            )
+        except iceoryx2.EventOpenOrCreateError as error:
+            raise self._refused(name, error) from None
+
+    def _topic(self, service):
+        key = iceoryx2.AttributeKey.new(layout.LAYOUT_KEY)
+        ours = iceoryx2.AttributeValue.new(service.message.LAYOUT)
+        try:
+            return (
+                self._node.service_builder(iceoryx2.ServiceName.new(service.name))
+                .publish_subscribe(service.message)
+                .enable_safe_overflow(True)
+                .subscriber_max_buffer_size(service.depth)
+                .subscriber_max_borrowed_samples(1)
+                .history_size(service.history)
+                .max_publishers(layout.PUBLISHERS_MAX)
+                .max_subscribers(layout.SUBSCRIBERS_MAX)
+                .max_nodes(layout.NODES_MAX)
+                .open_or_create_with_attributes(iceoryx2.AttributeVerifier.new().require(key, ours))
+            )
+        except iceoryx2.PublishSubscribeOpenOrCreateError as error:
+            raise self._layout_error(service, error) from None
+
+    def _layout_error(self, service, error):
+        """Says so when it is the layout or the type that differs."""
+        if "Attributes" in str(error) or "Types" in str(error):
+            return WireError(
+                f"service '{service.name}': the running side uses another message layout than "
+                f"sim/metadrive/wire_layout.py ({service.message.LAYOUT}); stop the run "
+                "(./vlaps down), renew that file as its first lines say, and rebuild"
+            )
+        return self._refused(service.name, error)
+
+    @staticmethod
+    def _refused(service, error):
+        return WireError(
+            f"service '{service}': {error}; check free space in {layout.SHARED_MEMORY_DIR} "
+            "and that the run is yours"
+        )
+
+
+class Publisher:
+    """Publishes one service and wakes its readers. Never waits for a reader."""
+
+    def __init__(self, port, bells, topic):
+        self._port = port
+        self._topic = topic
+        self._bells = bells
+        self._sequence = 0
+        self._pid = os.getpid()
+
+    def send(self, message):
+        """Numbers and publishes the message; whether it went out."""
+        self._sequence += 1
+        message.header.sequence = self._sequence
+        message.header.producer = self._pid
+        try:
+            self._port.send_copy(message)
+            sent = True
+        except (iceoryx2.LoanError, iceoryx2.SendError):
+            # Only exhausted shared memory; the next message tries again.
+            sent = False
+        for bell in self._bells:
+            try:
+                bell.notify()
+            except iceoryx2.NotifierNotifyError:
+                # A full bell is already ringing; a dead one is swept by others.
+                pass
+        return sent
+
+    def has_readers(self):
+        """Somebody reads the service."""
+        return self._topic.dynamic_config.number_of_subscribers > 0
+
+    def tend(self):
+        """Connects to readers that came since the last message, between ticks."""
+        try:
+            self._port.update_connections()
+        except iceoryx2.ConnectionFailure:
+            # It shows again at the next send.
+            pass
+
+
+class Subscriber:
+    """Reads one service; looks for new publishers by itself."""
+
+    def __init__(self, port):
+        self._port = port
+
+    def newest(self, message):
+        """A copy of the newest message since the last look, or None."""
+        newest = None
+        # Bounded: a hostile publisher cannot hold a tick.
+        for _ in range(layout.PUBLISHERS_MAX):
+            try:
+                sample = self._port.receive()
+            except iceoryx2.ReceiveError:
+                break
+            if sample is None:
+                break
+            newest = message.from_buffer_copy(
+                ctypes.string_at(sample.payload_ptr, ctypes.sizeof(message))
+            )
+            sample.delete()
+        return newest
+
+
+class Doorbell:
+    """Where the process sleeps until one of its services has something new."""
+
+    def __init__(self, listener):
+        self._listener = listener
+
+    def wait(self, timeout_ns):
+        """Returns when it rings or the time is up; may return early."""
+        try:
+            self._listener.timed_wait(iceoryx2.Duration.from_nanos(max(int(timeout_ns), 1)))
+        except iceoryx2.ListenerWaitError:
+            # A signal; the caller looks at the clock and at the signal.
+            pass

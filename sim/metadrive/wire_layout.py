@@ -1,0 +1,469 @@
+"""The wire of VLAPS: messages, services, limits.
+
+Generated from the crate `shm-config`; do not edit. Renew it with
+    cargo run -p shm-config --example python_wire > sim/metadrive/wire_layout.py
+"""
+
+import ctypes
+from collections import namedtuple
+USER_DIR = "/tmp/vlaps-{user}"
+PREFIX = "vlaps-{user}-{run}."
+LIBRARY_DIR = "iceoryx2"
+ALIVE_FILE = "alive"
+SHARED_MEMORY_DIR = "/dev/shm"
+PUBLISHERS_MAX = 4
+SUBSCRIBERS_MAX = 16
+NODES_MAX = 32
+LAYOUT_KEY = "layout"
+FUTURE_TOLERANCE_NS = 1000000
+HISTOGRAM_UNIT_SHIFT = 6
+HISTOGRAM_HALF_SHIFT = 7
+HISTOGRAM_BUCKETS = 2816
+
+
+class Process:
+    SUPERVISOR = 0
+    WORLD = 1
+    PLANNER = 2
+    CONTROLLER = 3
+    GATE = 4
+    LEARNER = 5
+    WORDS = {0: "supervisor", 1: "world", 2: "planner", 3: "controller", 4: "gate", 5: "learner"}
+
+
+class HealthState:
+    STARTING = 0
+    READY = 1
+    RUNNING = 2
+    STOPPING = 3
+    FINISHED = 4
+    WORDS = {0: "starting", 1: "ready", 2: "running", 3: "stopping", 4: "finished"}
+
+
+class Grant:
+    NOT_ASKED = 0
+    GRANTED = 1
+    REFUSED = 2
+    WORDS = {0: "not asked", 1: "granted", 2: "refused"}
+
+
+class Outcome:
+    DRIVING = 0
+    ARRIVED = 1
+    OUT_OF_ROAD = 2
+    MAX_STEP = 3
+    STOPPED = 4
+    WORDS = {0: "driving", 1: "arrived", 2: "out_of_road", 3: "max_step", 4: "stopped"}
+
+
+class Driver:
+    EXPERT = 0
+    POLICY = 1
+    BRAKE = 2
+    WORDS = {0: "expert", 1: "policy", 2: "brake"}
+
+
+class Reason:
+    CONFIGURED = 0
+    ADVISED = 1
+    UNADVISED = 2
+    EXPIRED = 3
+    UNLOADED = 4
+    FAULTY = 5
+    VETOED = 6
+    UNSAFE = 7
+    BLOCKED = 8
+    UNPLANNED = 9
+    BLIND = 10
+    STOPPING = 11
+    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping"}
+
+
+class Bend:
+    STRAIGHT = 0
+    LEFT = 1
+    RIGHT = 2
+    WORDS = {0: "straight", 1: "left", 2: "right"}
+
+
+class View:
+    EGO = 0
+    TOP_DOWN = 1
+    WORDS = {0: "ego", 1: "top_down"}
+
+
+class PixelFormat:
+    RGB8 = 0
+    WORDS = {0: "rgb8"}
+
+
+class Header(ctypes.Structure):
+    LAYOUT = "364439007b1123b7"
+    _fields_ = [
+        ("tick", ctypes.c_uint64),
+        ("taken_ns", ctypes.c_uint64),
+        ("sequence", ctypes.c_uint64),
+        ("episode", ctypes.c_uint32),
+        ("producer", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Header"
+
+
+assert ctypes.sizeof(Header) == 32
+assert Header.tick.offset == 0
+assert Header.taken_ns.offset == 8
+assert Header.sequence.offset == 16
+assert Header.episode.offset == 24
+assert Header.producer.offset == 28
+
+
+class Ego(ctypes.Structure):
+    LAYOUT = "ea559b89d1b510fc"
+    _fields_ = [
+        ("x_world_m", ctypes.c_double),
+        ("y_world_m", ctypes.c_double),
+        ("heading_world_rad", ctypes.c_double),
+        ("speed_mps", ctypes.c_double),
+        ("yaw_rate_radps", ctypes.c_double),
+        ("steer", ctypes.c_double),
+        ("pedal", ctypes.c_double),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Ego"
+
+
+assert ctypes.sizeof(Ego) == 56
+assert Ego.x_world_m.offset == 0
+assert Ego.y_world_m.offset == 8
+assert Ego.heading_world_rad.offset == 16
+assert Ego.speed_mps.offset == 24
+assert Ego.yaw_rate_radps.offset == 32
+assert Ego.steer.offset == 40
+assert Ego.pedal.offset == 48
+
+
+class Road(ctypes.Structure):
+    LAYOUT = "ec258c3c42b9cd1f"
+    _fields_ = [
+        ("left_m", ctypes.c_double),
+        ("right_m", ctypes.c_double),
+        ("heading_rad", ctypes.c_double),
+        ("offset_m", ctypes.c_double),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Road"
+
+
+assert ctypes.sizeof(Road) == 32
+assert Road.left_m.offset == 0
+assert Road.right_m.offset == 8
+assert Road.heading_rad.offset == 16
+assert Road.offset_m.offset == 24
+
+
+class Checkpoint(ctypes.Structure):
+    LAYOUT = "ba20014db975d1ca"
+    _fields_ = [
+        ("x_body_m", ctypes.c_double),
+        ("y_body_m", ctypes.c_double),
+        ("bend_radius_m", ctypes.c_double),
+        ("bend_angle_rad", ctypes.c_double),
+        ("bend", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Checkpoint"
+
+
+assert ctypes.sizeof(Checkpoint) == 40
+assert Checkpoint.x_body_m.offset == 0
+assert Checkpoint.y_body_m.offset == 8
+assert Checkpoint.bend_radius_m.offset == 16
+assert Checkpoint.bend_angle_rad.offset == 24
+assert Checkpoint.bend.offset == 32
+assert Checkpoint.reserved.offset == 36
+
+
+class Observation(ctypes.Structure):
+    LAYOUT = "f342643835cd3847"
+    _fields_ = [
+        ("header", Header),
+        ("scheduled_ns", ctypes.c_uint64),
+        ("released_ns", ctypes.c_uint64),
+        ("ego", Ego),
+        ("road", Road),
+        ("checkpoints", Checkpoint * 2),
+        ("lidar_max_m", ctypes.c_float),
+        ("beam_count", ctypes.c_uint32),
+        ("ranges_m", ctypes.c_float * 512),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Observation"
+
+
+assert ctypes.sizeof(Observation) == 2272
+assert Observation.header.offset == 0
+assert Observation.scheduled_ns.offset == 32
+assert Observation.released_ns.offset == 40
+assert Observation.ego.offset == 48
+assert Observation.road.offset == 104
+assert Observation.checkpoints.offset == 136
+assert Observation.lidar_max_m.offset == 216
+assert Observation.beam_count.offset == 220
+assert Observation.ranges_m.offset == 224
+
+
+class Command(ctypes.Structure):
+    LAYOUT = "a5ef2e32c43c5dac"
+    _fields_ = [
+        ("header", Header),
+        ("steer", ctypes.c_double),
+        ("pedal", ctypes.c_double),
+        ("driver", ctypes.c_uint32),
+        ("reason", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Command"
+
+
+assert ctypes.sizeof(Command) == 56
+assert Command.header.offset == 0
+assert Command.steer.offset == 32
+assert Command.pedal.offset == 40
+assert Command.driver.offset == 48
+assert Command.reason.offset == 52
+
+
+class Progress(ctypes.Structure):
+    LAYOUT = "523adaadbe23e7a2"
+    _fields_ = [
+        ("header", Header),
+        ("seed", ctypes.c_uint64),
+        ("completion", ctypes.c_double),
+        ("route_m", ctypes.c_double),
+        ("speed_mps", ctypes.c_double),
+        ("episode_ticks", ctypes.c_uint64),
+        ("vehicle_contacts", ctypes.c_uint64),
+        ("object_contacts", ctypes.c_uint64),
+        ("braked", ctypes.c_uint64),
+        ("oldest_obeyed_ns", ctypes.c_uint64),
+        ("skipped", ctypes.c_uint64),
+        ("outcome", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Progress"
+
+
+assert ctypes.sizeof(Progress) == 120
+assert Progress.header.offset == 0
+assert Progress.seed.offset == 32
+assert Progress.completion.offset == 40
+assert Progress.route_m.offset == 48
+assert Progress.speed_mps.offset == 56
+assert Progress.episode_ticks.offset == 64
+assert Progress.vehicle_contacts.offset == 72
+assert Progress.object_contacts.offset == 80
+assert Progress.braked.offset == 88
+assert Progress.oldest_obeyed_ns.offset == 96
+assert Progress.skipped.offset == 104
+assert Progress.outcome.offset == 112
+assert Progress.reserved.offset == 116
+
+
+class Episode(ctypes.Structure):
+    LAYOUT = "317dfc03d9b39474"
+    _fields_ = [
+        ("header", Header),
+        ("seed", ctypes.c_uint64),
+        ("ticks", ctypes.c_uint64),
+        ("completion", ctypes.c_double),
+        ("driven_m", ctypes.c_double),
+        ("vehicle_contacts", ctypes.c_uint64),
+        ("object_contacts", ctypes.c_uint64),
+        ("braked", ctypes.c_uint64),
+        ("outcome", ctypes.c_uint32),
+        ("crash_last_step", ctypes.c_uint32),
+        ("command_digest", ctypes.c_uint8 * 32),
+        ("skipped", ctypes.c_uint64),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Episode"
+
+
+assert ctypes.sizeof(Episode) == 136
+assert Episode.header.offset == 0
+assert Episode.seed.offset == 32
+assert Episode.ticks.offset == 40
+assert Episode.completion.offset == 48
+assert Episode.driven_m.offset == 56
+assert Episode.vehicle_contacts.offset == 64
+assert Episode.object_contacts.offset == 72
+assert Episode.braked.offset == 80
+assert Episode.outcome.offset == 88
+assert Episode.crash_last_step.offset == 92
+assert Episode.command_digest.offset == 96
+assert Episode.skipped.offset == 128
+
+
+class Health(ctypes.Structure):
+    LAYOUT = "bf0aca772dee30d8"
+    _fields_ = [
+        ("header", Header),
+        ("ticks", ctypes.c_uint64),
+        ("skipped", ctypes.c_uint64),
+        ("late", ctypes.c_uint64),
+        ("refused", ctypes.c_uint64),
+        ("lost", ctypes.c_uint64),
+        ("first_scheduled_ns", ctypes.c_uint64),
+        ("next_scheduled_ns", ctypes.c_uint64),
+        ("state", ctypes.c_uint32),
+        ("priority", ctypes.c_uint32),
+        ("core", ctypes.c_uint32),
+        ("memory", ctypes.c_uint32),
+        ("priority_asked", ctypes.c_uint32),
+        ("priority_got", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32 * 2),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Health"
+
+
+assert ctypes.sizeof(Health) == 120
+assert Health.header.offset == 0
+assert Health.ticks.offset == 32
+assert Health.skipped.offset == 40
+assert Health.late.offset == 48
+assert Health.refused.offset == 56
+assert Health.lost.offset == 64
+assert Health.first_scheduled_ns.offset == 72
+assert Health.next_scheduled_ns.offset == 80
+assert Health.state.offset == 88
+assert Health.priority.offset == 92
+assert Health.core.offset == 96
+assert Health.memory.offset == 100
+assert Health.priority_asked.offset == 104
+assert Health.priority_got.offset == 108
+assert Health.reserved.offset == 112
+
+
+class Histogram(ctypes.Structure):
+    LAYOUT = "0fb2e4b3cb700579"
+    _fields_ = [
+        ("max_ns", ctypes.c_uint64),
+        ("count", ctypes.c_uint64),
+        ("buckets", ctypes.c_uint32 * 2816),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Histogram"
+
+
+assert ctypes.sizeof(Histogram) == 11280
+assert Histogram.max_ns.offset == 0
+assert Histogram.count.offset == 8
+assert Histogram.buckets.offset == 16
+
+
+class Timing(ctypes.Structure):
+    LAYOUT = "cc58b71dc7fb3d97"
+    _fields_ = [
+        ("header", Header),
+        ("release_lateness", Histogram),
+        ("execution", Histogram),
+        ("response", Histogram),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Timing"
+
+
+assert ctypes.sizeof(Timing) == 33872
+assert Timing.header.offset == 0
+assert Timing.release_lateness.offset == 32
+assert Timing.execution.offset == 11312
+assert Timing.response.offset == 22592
+
+
+class Camera(ctypes.Structure):
+    LAYOUT = "deb5f19c7c52d6bf"
+    _fields_ = [
+        ("pixel_from_body", ctypes.c_double * 12),
+        ("position_body_m", ctypes.c_double * 3),
+        ("near_m", ctypes.c_double),
+        ("view", ctypes.c_uint32),
+        ("orthographic", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Camera"
+
+
+assert ctypes.sizeof(Camera) == 136
+assert Camera.pixel_from_body.offset == 0
+assert Camera.position_body_m.offset == 96
+assert Camera.near_m.offset == 120
+assert Camera.view.offset == 128
+assert Camera.orthographic.offset == 132
+
+
+class Frame(ctypes.Structure):
+    LAYOUT = "941cd01acca576d3"
+    _fields_ = [
+        ("header", Header),
+        ("camera", Camera),
+        ("width", ctypes.c_uint32),
+        ("height", ctypes.c_uint32),
+        ("format", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+        ("pixels", ctypes.c_uint8 * 2073600),
+        ("end", ctypes.c_uint64),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Frame"
+
+
+assert ctypes.sizeof(Frame) == 2073792
+assert Frame.header.offset == 0
+assert Frame.camera.offset == 32
+assert Frame.width.offset == 168
+assert Frame.height.offset == 172
+assert Frame.format.offset == 176
+assert Frame.reserved.offset == 180
+assert Frame.pixels.offset == 184
+assert Frame.end.offset == 2073784
+
+
+Service = namedtuple("Service", "name message from_ to depth history")
+
+OBSERVATION = Service("observation", Observation, "world", ("planner", "controller",), 1, 1)
+COMMAND = Service("command", Command, "controller", ("world",), 1, 1)
+FRAME = Service("frame", Frame, "world", ("gate",), 1, 1)
+PROGRESS = Service("progress", Progress, "world", (), 1, 1)
+EPISODE = Service("episode", Episode, "world", (), 256, 0)
+HEALTH_WORLD = Service("health/world", Health, "world", (), 1, 1)
+TIMING_WORLD = Service("timing/world", Timing, "world", (), 1, 1)

@@ -1,0 +1,300 @@
+"""The world process on the real MetaDrive: owns the run's clock and the car.
+
+The mirror of `sim/src/main.rs`, tick for tick.
+"""
+
+import os
+import sys
+import traceback
+
+import member
+import wire_layout as layout
+from member import Member, Pulse, SetUpError, monotonic_ns
+from score import Score, is_admitted, is_well_formed
+from wire import WireError
+
+# Ticks of the car's physics in a second. At a higher rate the state is held.
+PHYSICS_HZ = 10.0
+# How long the world sleeps at most before it says how it does, ns.
+NAP_NS = 20_000_000
+
+
+class Grid:
+    """The instants at which the world ticks."""
+
+    def __init__(self, lockstep, period_ns, first_ns):
+        self.lockstep = lockstep
+        self.period_ns = period_ns
+        self._first_ns = 0 if lockstep else first_ns
+        self.tick = 0
+        self.skipped = 0
+
+    def instant_ns(self, tick):
+        """When a tick is due, on the run's clock."""
+        return self._first_ns + tick * self.period_ns
+
+    def sleep(self):
+        """Sleeps until the next tick is due."""
+        if not self.lockstep:
+            member.sleep_until(self.instant_ns(self.tick))
+            self.skip_passed()
+
+    def skip_passed(self):
+        """Skips and counts the instants that have passed meanwhile."""
+        if self.lockstep:
+            return
+        late_ns = max(monotonic_ns() - self.instant_ns(self.tick), 0)
+        passed = late_ns // self.period_ns
+        self.tick += passed
+        self.skipped += passed
+
+
+class Ports:
+    """What the world reads and publishes."""
+
+    def __init__(self, wire):
+        self.bell = wire.doorbell("world")
+        self.commands = wire.subscriber(layout.COMMAND)
+        self.observations = wire.publisher(layout.OBSERVATION)
+        self.progress = wire.publisher(layout.PROGRESS)
+        self.episodes = wire.publisher(layout.EPISODE)
+        self.frames = wire.publisher(layout.FRAME)
+
+    def tend(self):
+        """Connects to readers that came or came back, between ticks."""
+        for port in (self.observations, self.progress, self.episodes, self.frames):
+            port.tend()
+
+
+class Session:
+    """A run of the world, from its first episode to its last."""
+
+    def __init__(self, arguments, log):
+        self.member = Member(arguments, log)
+        config = self.member.config
+        rate_hz = config["run"]["rate_hz"]
+        self.hold = round(rate_hz / PHYSICS_HZ)
+        if self.hold < 1 or abs(self.hold * PHYSICS_HZ - rate_hz) > 1e-9:
+            raise SetUpError(f"run.rate_hz = {rate_hz}: MetaDrive needs a multiple of {PHYSICS_HZ}")
+        self.ports = Ports(self.member.wire)
+        self.pulse = Pulse(self.member.wire)
+        # Only now: the run's own errors need not wait for the simulator.
+        from environment import World
+        from frame import Photographer
+
+        try:
+            self.world = World(config["world"])
+        except (AssertionError, KeyError, ValueError) as error:
+            raise SetUpError(f"MetaDrive refuses this configuration: {error!r}") from None
+        self.photographer = Photographer(self.world, self.ports.frames, self.member.period_ns)
+        self.command_age_ns = int(config["limits"]["command_age_ms"] * 1e6)
+        self.wait_ns = int(config["limits"]["lockstep_wait_s"] * 1e9)
+        self.observation = layout.Observation()
+        self.command = None
+        self.episode = arguments.first_episode
+        self.episode_skipped = 0
+        self.stepped = 0
+        self._reset()
+        self.member.claim_rights()
+        self.member.rights.tell(self.pulse.health)
+        self.pulse.enter(layout.HealthState.READY, monotonic_ns())
+        # The first instant lies one period ahead: everybody can be there.
+        first_ns = monotonic_ns() + self.member.period_ns
+        self.grid = Grid(self.member.lockstep, self.member.period_ns, first_ns)
+
+    def _reset(self):
+        seed = self.member.config["run"]["seed"] + self.episode
+        try:
+            self.world.reset(seed)
+        except ValueError as error:
+            raise SetUpError(f"seed {seed}: {error}") from None
+        self.photographer.begin_episode()
+        self.score = Score(seed)
+
+    def leave(self):
+        """Closes what the world holds of the run, in this order."""
+        self.photographer = self.ports = self.pulse = self.member.wire = None
+
+    def drive(self):
+        """Ticks until the run is done."""
+        grid, health = self.grid, self.pulse.health
+        health.first_scheduled_ns = grid.instant_ns(0)
+        health.state = layout.HealthState.RUNNING
+        while True:
+            grid.sleep()
+            released_ns = monotonic_ns()
+            now_ns = grid.instant_ns(grid.tick) if grid.lockstep else released_ns
+            if grid.tick > 0:
+                episode = self.episode
+                if self._advance(now_ns):
+                    break
+                if self.episode != episode and not grid.lockstep:
+                    # A reset takes longer than a period: its first observation
+                    # is taken now, on the newest instant of the grid.
+                    grid.skip_passed()
+                    released_ns = now_ns = monotonic_ns()
+            self._publish(released_ns, now_ns)
+            self._finish_tick(released_ns)
+            if grid.lockstep:
+                self._await_command()
+        self._account()
+        # Its last words; nothing of the simulator is worth another second.
+        self.pulse.enter(layout.HealthState.FINISHED, monotonic_ns())
+
+    def _finish_tick(self, released_ns):
+        grid = self.grid
+        done_ns = monotonic_ns()
+        lateness_ns = 0 if grid.lockstep else max(released_ns - grid.instant_ns(grid.tick), 0)
+        grid.tick += 1
+        self.pulse.count_tick(lateness_ns, done_ns - released_ns)
+        self._account()
+        self.pulse.beat(done_ns)
+        self.ports.tend()
+        slack_ns = None if grid.lockstep else grid.instant_ns(grid.tick) - monotonic_ns()
+        self.photographer.take_if_due(self.observation.header, slack_ns)
+
+    def _account(self):
+        health = self.pulse.health
+        health.header.tick = max(self.grid.tick - 1, 0)
+        health.skipped = health.late = self.grid.skipped
+        health.next_scheduled_ns = self.grid.instant_ns(self.grid.tick)
+
+    def _advance(self, now_ns):
+        """Obeys the newest command for one tick of the physics; whether the run
+        is done."""
+        self._take_command(now_ns)
+        due = self.grid.tick // self.hold
+        if due == self.stepped:
+            return self._ends(now_ns)
+        self.stepped = due
+        young = self.command
+        if young is not None and not is_admitted(young, now_ns, self.command_age_ns):
+            young = None
+        step = self.world.step(self.score.obey(young, now_ns))
+        self.score.count(step)
+        if step.outcome != layout.Outcome.DRIVING:
+            self._close_episode(step.outcome, now_ns)
+            episodes = self.member.config["run"]["episodes"]
+            if 0 < episodes <= self.episode + 1:
+                return True
+            self._open_episode()
+            return self.member.is_stopping
+        return self._ends(now_ns)
+
+    def _ends(self, now_ns):
+        """Somebody asked the world to stop, or the time is up."""
+        duration_s = self.member.config["run"]["duration_s"]
+        elapsed_ns = now_ns - self.grid.instant_ns(0)
+        if (duration_s > 0 and elapsed_ns >= duration_s * 1e9) or self.member.is_stopping:
+            self._close_episode(layout.Outcome.STOPPED, now_ns)
+            return True
+        return False
+
+    def _take_command(self, now_ns):
+        """Keeps the newest command that is for this episode and well formed."""
+        command = self.ports.commands.newest(layout.Command)
+        if command is None:
+            return
+        if not is_admitted(command, now_ns, self.command_age_ns):
+            self.pulse.health.refused += 1
+        elif command.header.episode == self.episode:
+            self.command = command
+
+    def _close_episode(self, outcome, now_ns):
+        episode = self.score.episode(self.world, outcome)
+        self._fill_header(episode.header, now_ns)
+        episode.skipped = self.grid.skipped - self.episode_skipped
+        self.ports.episodes.send(episode)
+        self.member.log.say(
+            "episode",
+            seed=episode.seed,
+            outcome=layout.Outcome.WORDS[outcome],
+            ticks=episode.ticks,
+            completion=episode.completion,
+            contacts=episode.vehicle_contacts + episode.object_contacts,
+            braked=episode.braked,
+        )
+        self._publish_progress(now_ns, outcome)
+
+    def _open_episode(self):
+        # A reset is the longest the world is silent.
+        self.pulse.beat(monotonic_ns())
+        self.episode += 1
+        self._reset()
+        self.episode_skipped = self.grid.skipped
+        self.command = None
+
+    def _fill_header(self, header, now_ns):
+        header.tick = self.grid.tick
+        header.taken_ns = now_ns
+        header.episode = self.episode
+
+    def _publish(self, released_ns, now_ns):
+        observation, grid = self.observation, self.grid
+        self.world.observe(observation)
+        self._fill_header(observation.header, now_ns)
+        observation.scheduled_ns = released_ns if grid.lockstep else grid.instant_ns(grid.tick)
+        observation.released_ns = released_ns
+        self.ports.observations.send(observation)
+        self._publish_progress(now_ns, layout.Outcome.DRIVING)
+
+    def _publish_progress(self, now_ns, outcome):
+        progress = self.score.progress(self.world, outcome)
+        self._fill_header(progress.header, now_ns)
+        progress.skipped = self.grid.skipped
+        self.ports.progress.send(progress)
+
+    def _await_command(self):
+        """In lockstep the next tick begins when the command for this one is there.
+        Nobody is waited for endlessly: then the car brakes."""
+        asked = self.grid.tick - 1
+        until_ns = monotonic_ns() + self.wait_ns
+        while True:
+            command = self.ports.commands.newest(layout.Command)
+            if command is not None:
+                header = command.header
+                good = is_well_formed(command)
+                if good and header.tick == asked and header.episode == self.episode:
+                    self.command = command
+                    return
+                self.pulse.health.refused += not good
+            now_ns = monotonic_ns()
+            if now_ns >= until_ns or self.member.is_stopping:
+                return
+            self.pulse.beat(now_ns)
+            self.ports.tend()
+            self.ports.bell.wait(min(NAP_NS, until_ns - now_ns))
+
+
+def drive(arguments, log):
+    """Joins the run and drives it to its end."""
+    session = Session(arguments, log)
+    session.drive()
+    session.leave()
+
+
+def main():
+    member.die_with_parent()
+    arguments = member.parse_arguments()
+    log = member.Log()
+    code, last_words = 0, ""
+    try:
+        drive(arguments, log)
+    except (SetUpError, WireError) as error:
+        code, last_words = member.SET_UP_FAILED, f"vlaps-world: {error}\n"
+    except ImportError as error:
+        remedy = "this Python lacks what the world needs; run ./vlaps setup metadrive"
+        code, last_words = member.SET_UP_FAILED, f"vlaps-world: {error}: {remedy}\n"
+    except Exception:
+        code, last_words = 1, traceback.format_exc()
+    # The supervisor shows the last line.
+    log.close()
+    sys.stderr.write(last_words)
+    sys.stderr.flush()
+    return code
+
+
+if __name__ == "__main__":
+    # The interpreter's own end would first take the simulator apart, which can
+    # take longer than the supervisor waits for a silent process.
+    os._exit(main())

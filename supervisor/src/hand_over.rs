@@ -1,0 +1,28 @@
+//! Commands that another program of the build carries out.
+
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+
+use crate::arguments::HandedOver;
+use crate::child::own_folder;
+use crate::failure::Failure;
+
+/// The program of `eval`, `bench` and `draw`. The supervisor does not link it:
+/// it brings the built-in world and all drivers along.
+const BENCH: &str = "vlaps-bench";
+
+/// Becomes the program of `eval`, `bench` and `draw`; only returns when it
+/// cannot.
+///
+/// # Errors
+/// When that program is not beside this one.
+pub fn to_bench(command: &str, rest: &HandedOver) -> Result<(), Failure> {
+    let folder = own_folder()
+        .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
+    let program = folder.join(BENCH);
+    let error = Command::new(&program).arg(command).args(&rest.words).exec();
+    Err(Failure::GivenUp(format!(
+        "{}: {error}; build it with cargo build --release --workspace --bins",
+        program.display()
+    )))
+}

@@ -1,0 +1,43 @@
+//! The evaluation's expert is the process set's, bit for bit.
+
+use bench::episode::drive;
+use bench::seat::{DriverKind, Seat};
+use shm_config::Instant;
+use shm_config::config::Config;
+use sim::{World, WorldConfig};
+use supervisor::summary::command_digest;
+use vlaps_tests::Set;
+
+#[test]
+fn an_evaluated_episode_gives_the_commands_of_the_processes() {
+    let config = Config::default();
+    let mut world = World::new(WorldConfig::from(&config.world)).expect("the default world");
+    // Planning times are not part of a command.
+    let clock = || Instant(0);
+    let mut seat = Seat::new(DriverKind::Expert, &config, clock).expect("the default planner");
+    // The second episode of a seat is as good as its first.
+    for seed in [1000_u64, 1007] {
+        let task = (seed, config.run.period_ns());
+        let episode = drive(&mut world, &mut seat, task, |_| {}).expect("a map");
+        let set = Set::new("evaluation");
+        let number = seed.to_string();
+        let output = set.run(&[
+            "--lockstep",
+            "--gate",
+            "expert",
+            "--seed",
+            &number,
+            "--episodes",
+            "1",
+        ]);
+        assert!(output.status.success(), "{output:?}\n{}", set.logs());
+        let json = set.json();
+        assert!(episode.ticks > 50, "seed {seed}: it drove");
+        assert_eq!(json["episodes"][0]["ticks"], episode.ticks, "seed {seed}");
+        assert_eq!(
+            json["command_digest"].as_str(),
+            Some(command_digest(std::iter::once(&episode)).as_str()),
+            "seed {seed}"
+        );
+    }
+}
