@@ -22,7 +22,7 @@ TICK_S = 0.1
 # Nothing but failures: what is worth a line is in the world's own log.
 LOG_LEVEL = 50
 
-Step = namedtuple("Step", "outcome touched_vehicle touched_object")
+Step = namedtuple("Step", "outcome touched_vehicle touched_object on_sidewalk")
 
 
 class ExperimentEnv(SafeMetaDriveEnv):
@@ -109,7 +109,8 @@ class World:
         vehicle = self.vehicle
         after = vehicle.position
         self.driven_m += math.hypot(after[0] - before[0], after[1] - before[1])
-        return Step(self._outcome(vehicle), bool(vehicle.crash_vehicle), bool(vehicle.crash_object))
+        touched = map(bool, (vehicle.crash_vehicle, vehicle.crash_object, vehicle.crash_sidewalk))
+        return Step(self._outcome(vehicle), *touched)
 
     def _outcome(self, vehicle):
         if self.env._is_arrive_destination(vehicle):

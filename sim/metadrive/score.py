@@ -64,7 +64,8 @@ class Score:
         """Counts what a tick touched."""
         self.vehicle_contacts += step.touched_vehicle
         self.object_contacts += step.touched_object
-        self.crash_last_step = step.touched_vehicle or step.touched_object
+        # MetaDrive's flag counts a sidewalk, too, as the built-in world's does.
+        self.crash_last_step = step.touched_vehicle or step.touched_object or step.on_sidewalk
 
     def episode(self, world, outcome):
         """The finished episode, but for its header and the skipped ticks."""

@@ -307,9 +307,17 @@ impl Run<'_> {
     /// Restarts, kills and starts what is due.
     fn act(&mut self, now: Instant) -> Turn {
         match self.set.judge(now) {
+            Turn::Drive if self.is_driven() && !self.set.lives(Process::World) => Turn::Finished,
             Turn::Drive => self.set.start_due(now, self.tally.next_episode()),
             end => end,
         }
+    }
+
+    /// Every configured episode has ended: a world that dies after its last one
+    /// is not started for one more.
+    fn is_driven(&self) -> bool {
+        let episodes = self.config.run.episodes;
+        episodes > 0 && self.tally.next_episode() >= episodes
     }
 
     fn end_if_due(&mut self, turn: Turn, now: Instant) {
