@@ -42,7 +42,8 @@ pub enum Command {
         `./vlaps up --lockstep --gate expert`, and gives the same commands.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
-        ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json"
+        ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
+        ./vlaps eval --driver expert --world metadrive --episodes 50"
 )]
 pub struct Eval {
     /// Who drives.
@@ -61,7 +62,8 @@ pub struct Eval {
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Threads; without it, as many as there are cores.
+    /// Threads; without it, as many as there are cores. Each has a MetaDrive of
+    /// its own.
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
     /// Write the figures to this file, too.
@@ -74,6 +76,26 @@ pub struct Eval {
 pub enum WorldChoice {
     /// The built-in world.
     Sim,
+    /// The real MetaDrive; see `./vlaps setup metadrive`.
+    Metadrive,
+}
+
+impl WorldChoice {
+    /// As on the command line.
+    pub fn word(self) -> &'static str {
+        match self {
+            WorldChoice::Sim => "sim",
+            WorldChoice::Metadrive => "metadrive",
+        }
+    }
+
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            WorldChoice::Sim => "the built-in world",
+            WorldChoice::Metadrive => "MetaDrive",
+        }
+    }
 }
 
 /// The configuration of a run.

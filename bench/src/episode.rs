@@ -34,7 +34,7 @@ pub fn drive(
     mut watch: impl FnMut(&Tick),
 ) -> Result<Episode, WorldError> {
     world.reset(seed)?;
-    seat.begin(world);
+    seat.begin(seed);
     let mut score = Score::new(seed);
     let mut observation = Box::<Observation>::default();
     let mut tick = 0;

@@ -11,7 +11,9 @@ use shm_config::message::{Episode, Outcome};
 use sim::{World, WorldConfig};
 
 use crate::Clock;
+use crate::arguments::WorldChoice;
 use crate::episode::drive;
+use crate::outside;
 use crate::seat::{DriverKind, Seat, planning_histogram};
 
 /// Which episodes, and who drives them.
@@ -19,6 +21,8 @@ use crate::seat::{DriverKind, Seat, planning_histogram};
 pub struct Task {
     /// Who drives.
     pub driver: DriverKind,
+    /// In which world.
+    pub world: WorldChoice,
     /// Seed of the first episode; each further one adds one.
     pub first_seed: u64,
     /// How many.
@@ -35,11 +39,24 @@ pub struct Drives {
     pub planning_us: Histogram<u64>,
 }
 
-/// Drives all episodes; `done` is told of each one as it ends, in any order.
+/// Drives all episodes in the task's world; `done` is told of each one as it ends, in any order.
 ///
 /// # Errors
-/// When the configuration is out of range or a seed has no map.
+/// When the configuration is out of range, a seed has no map, or
+/// [`outside::evaluate`] fails.
 pub fn evaluate(
+    task: &Task,
+    config: &Config,
+    clock: Clock,
+    done: impl FnMut(&Episode),
+) -> anyhow::Result<Drives> {
+    match task.world {
+        WorldChoice::Sim => evaluate_inside(task, config, clock, done),
+        WorldChoice::Metadrive => outside::evaluate(task, config, clock, done),
+    }
+}
+
+fn evaluate_inside(
     task: &Task,
     config: &Config,
     clock: Clock,

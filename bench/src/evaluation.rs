@@ -83,7 +83,7 @@ impl Evaluation {
         let planning_us = &drives.planning_us;
         Evaluation {
             driver: task.driver.word(),
-            world: "sim",
+            world: task.world.word(),
             episodes: episodes.len(),
             first_seed: task.first_seed,
             success: share(|episode| episode.outcome() == Outcome::Arrived),

@@ -8,6 +8,7 @@
 //! | [`seat`] | the drivers: the stack's expert, a lane keeper, MetaDrive's IDM |
 //! | [`episode`] | one episode in lockstep order |
 //! | [`eval`], [`evaluation`] | many episodes, and their table |
+//! | [`outside`] | the same in the real MetaDrive |
 //! | [`statistics`] | means with 95 % intervals |
 //! | [`report`] | rows of a table, on the screen and as JSON |
 //! | [`parity`] | the world against recordings of MetaDrive |
@@ -20,6 +21,7 @@ pub mod episode;
 pub mod eval;
 pub mod evaluation;
 pub mod metadrive;
+pub mod outside;
 pub mod parity;
 pub mod report;
 pub mod seat;

@@ -75,6 +75,7 @@ fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
     let cores = std::thread::available_parallelism();
     let task = Task {
         driver: arguments.driver,
+        world: arguments.world,
         first_seed: arguments.first_seed,
         episodes: arguments.episodes,
         threads: match arguments.threads {
@@ -92,8 +93,9 @@ fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
     let evaluation = Evaluation::new(&task, &drives);
     let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
     say(format_args!(
-        "{} in the built-in world, seeds {} to {last_seed}: {} episodes on {} threads in {elapsed_s:.1} s",
+        "{} in {}, seeds {} to {last_seed}: {} episodes on {} threads in {elapsed_s:.1} s",
         task.driver.word(),
+        task.world.name(),
         task.first_seed,
         task.episodes,
         task.threads

@@ -19,6 +19,12 @@ const LANE_CHANGE_STEPS: u64 = 50;
 /// Longest planning time that is told apart, us: ten periods.
 const PLANNING_MAX_US: u64 = 1_000_000;
 
+/// Straight on, brakes full.
+const BRAKE: Action = Action {
+    steer: 0.0,
+    pedal: -1.0,
+};
+
 /// The drivers that can be asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DriverKind {
@@ -92,21 +98,35 @@ impl Seat {
 
     /// Gets ready for the episode that has begun: nothing of the one before is
     /// left, so an episode depends on its seed alone.
-    pub fn begin(&mut self, world: &World) {
+    pub fn begin(&mut self, seed: u64) {
         match &mut self.driver {
             Seated::Expert(stack) => {
                 stack.controller = Controller::new(self.config.clone(), PolicySlot::new(None));
             }
             Seated::Lane => {}
             Seated::Idm(idm) => {
-                let seed = world.seed();
                 *idm = Idm::new((seed.wrapping_mul(31) % LANE_CHANGE_STEPS) as u32, seed);
             }
         }
     }
 
-    /// The command for what is observed now.
+    /// The command for what is observed now in the built-in world.
     pub fn command(&mut self, observation: &Observation, world: &mut World) -> Command {
+        self.steer(observation, |idm| world.advise(idm).clamped())
+    }
+
+    /// The command of a driver who sees the observation alone, in any world.
+    /// MetaDrive's own driver sees nothing there, and brakes.
+    pub fn answer(&mut self, observation: &Observation) -> Command {
+        self.steer(observation, |_| BRAKE)
+    }
+
+    /// The command; `advise` asks MetaDrive's own driver.
+    fn steer(
+        &mut self,
+        observation: &Observation,
+        advise: impl FnOnce(&mut Idm) -> Action,
+    ) -> Command {
         let scripted = |action: Action| Command {
             header: observation.header,
             steer: action.steer,
@@ -124,7 +144,7 @@ impl Seat {
                 stack.command(observation)
             }
             Seated::Lane => scripted(keep_lane(observation)),
-            Seated::Idm(idm) => scripted(world.advise(idm).clamped()),
+            Seated::Idm(idm) => scripted(advise(idm)),
         }
     }
 

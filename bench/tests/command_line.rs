@@ -89,6 +89,10 @@ fn mistakes_are_named_with_exit_code_2() {
         (&["eval", "--driver", "ape"], "expert"),
         (&["eval", "--set", "world.bloks=3"], "world.blocks"),
         (&["eval", "--set", "run.rate_hz=100"], "run.rate_hz"),
+        (
+            &["eval", "--world", "metadrive", "--driver", "idm"],
+            "--driver idm",
+        ),
         (&["draw", "mapp"], "map"),
     ] {
         let output = bench(words);
@@ -96,6 +100,19 @@ fn mistakes_are_named_with_exit_code_2() {
         assert_eq!(output.status.code(), Some(2), "{words:?}: {text}");
         assert!(text.contains(hint), "{words:?}: {text}");
     }
+}
+
+#[test]
+fn an_evaluation_without_metadrive_says_what_to_run() {
+    let output = Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
+        .args(["eval", "--world", "metadrive", "--episodes", "1"])
+        .env("VLAPS_METADRIVE", scratch("no-metadrive"))
+        .output()
+        .expect("the program starts");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("./vlaps setup metadrive"), "{text}");
+    assert_eq!(text.lines().count(), 1, "{text}");
 }
 
 #[test]
