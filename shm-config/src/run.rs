@@ -18,6 +18,9 @@ use rustix::fs::FlockOperation;
 /// Longest run name. Socket paths are limited to 108 bytes by the kernel.
 pub const RUN_NAME_MAX: usize = 24;
 
+/// Tries to make a folder that others may be removing.
+const CREATE_TRIES: u32 = 100;
+
 /// Where shared memory appears as files.
 pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 
@@ -152,6 +155,18 @@ impl RunPaths {
     /// # Errors
     /// When it belongs to somebody else or cannot be made.
     pub fn create(&self) -> Result<(), RunError> {
+        // Another run that ends may take the user's empty folder away between
+        // the two steps; it cannot do so for ever.
+        for _ in 0..CREATE_TRIES {
+            match self.try_create() {
+                Err(RunError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
+                done => return done,
+            }
+        }
+        self.try_create()
+    }
+
+    fn try_create(&self) -> Result<(), RunError> {
         for dir in [&self.user_dir, &self.dir()] {
             let io_error = |source| RunError::Io {
                 path: dir.clone(),

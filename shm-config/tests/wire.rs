@@ -216,3 +216,18 @@ fn age_is_judged_at_the_door() {
     assert!(command.admit(Instant(999_999_999), limit_ns).is_ok());
     assert!(command.admit(Instant(900_000_000), limit_ns).is_err());
 }
+
+#[test]
+fn runs_that_end_do_not_keep_others_from_starting() {
+    let threads = (0..4).map(|k| {
+        std::thread::spawn(move || {
+            for round in 0..200 {
+                let run = TestRun::new(&format!("race{k}-{round}"));
+                run.paths().create().expect("a folder");
+            }
+        })
+    });
+    for thread in threads.collect::<Vec<_>>() {
+        thread.join().expect("no thread failed");
+    }
+}
