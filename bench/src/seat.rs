@@ -80,7 +80,7 @@ impl Seat {
         config.gate.mode = GateMode::Expert;
         let driver = match kind {
             DriverKind::Expert => Seated::Expert(Box::new(Stack {
-                planner: Planner::new(config.planner)?,
+                planner: Planner::new(&config)?,
                 controller: Controller::new(config.clone(), PolicySlot::new(None)),
                 plan: Plan::default(),
                 inputs: Inputs::default(),
@@ -102,6 +102,7 @@ impl Seat {
         match &mut self.driver {
             Seated::Expert(stack) => {
                 stack.controller = Controller::new(self.config.clone(), PolicySlot::new(None));
+                stack.planner.forget();
             }
             Seated::Lane => {}
             Seated::Idm(idm) => {

@@ -56,7 +56,10 @@ impl Controller {
             && self.step.plan.header.episode == observation.header.episode;
 
         let plan = has_plan.then_some(&self.step.plan);
-        let expert = plan.and_then(|plan| self.pd.propose(plan, observation));
+        let expert = plan.and_then(|plan| match plan.actions() {
+            [] => self.pd.propose(plan, observation),
+            _ => plan.action_at(plan_age_ns),
+        });
         let policy = sees.then(|| self.policy.propose(observation)).flatten();
         let [expert_assessment, policy_assessment] = self.judge(sees, [expert, policy]);
 

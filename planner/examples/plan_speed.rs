@@ -8,7 +8,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use planner::{Grid, Planner, PlannerConfig};
+use planner::{Grid, PlannerConfig, RrtStar};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 
 #[path = "../tests/course/mod.rs"]
@@ -20,7 +20,7 @@ const ROUNDS: usize = 20;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let config = PlannerConfig::default();
     let scenes: Vec<Observation> = (0..SCENES).map(course::random_scene).collect();
-    let mut planner = Planner::new(config)?;
+    let mut planner = RrtStar::new(config)?;
     let mut grid = Grid::new(&config);
     let mut plan = Plan::default();
     let mut whole_us = Vec::with_capacity(scenes.len() * ROUNDS);

@@ -33,7 +33,7 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut plans = member.wire.publisher(PLAN)?;
     let mut pulse = Pulse::start(&member)?;
     let mut planner =
-        Planner::new(member.config.planner).map_err(|error| SetUpError::Own(error.to_string()))?;
+        Planner::new(&member.config).map_err(|error| SetUpError::Own(error.to_string()))?;
     let mut plan = Box::<Plan>::default();
     let lockstep = member.config.run.is_lockstep();
     let limit_ns = member.config.limits.observation_age_ns();

@@ -6,7 +6,7 @@ use std::hint::black_box;
 use std::process::Command;
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
-use planner::{Planner, PlannerConfig};
+use planner::{PlannerConfig, RrtStar};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 
 #[global_allocator]
@@ -15,7 +15,7 @@ static ALLOCATOR: AllocDisabler = AllocDisabler;
 #[test]
 fn no_plan_allocates() {
     let scenes: Vec<Observation> = (0..200).map(course::random_scene).collect();
-    let mut planner = Planner::new(PlannerConfig::default()).unwrap();
+    let mut planner = RrtStar::new(PlannerConfig::default()).unwrap();
     let mut plan = Plan::default();
     let (mut reached, mut partial, mut nodes, mut waypoints) = (0, 0, 0, 0);
     for round in 0..10 {

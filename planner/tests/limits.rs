@@ -1,6 +1,6 @@
 //! The configuration and the room there is for it.
 
-use planner::{Grid, Planner, PlannerConfig};
+use planner::{Grid, PlannerConfig, RrtStar};
 use shm_config::config::planner::{DISC_CELLS_MAX, NODES_MAX};
 use shm_config::message::{Observation, Plan};
 
@@ -17,7 +17,7 @@ fn the_defaults_are_the_papers_numbers() {
     );
     assert_eq!((config.rewire_radius_m, config.goal_radius_m), (3.0, 1.0));
     assert_eq!((config.speed_mps, config.goal_bias), (5.0, 0.0));
-    assert!(Planner::new(config).is_ok());
+    assert!(RrtStar::new(config).is_ok());
 }
 
 #[test]
@@ -58,7 +58,7 @@ fn a_full_tree_is_searched_to_the_last_node() {
         iterations: NODES_MAX as u32 - 1,
         ..PlannerConfig::default()
     };
-    let mut planner = Planner::new(config).unwrap();
+    let mut planner = RrtStar::new(config).unwrap();
     let mut observation = Observation::default();
     observation.road.left_m = 5.0;
     observation.road.right_m = 5.0;
@@ -70,7 +70,7 @@ fn a_full_tree_is_searched_to_the_last_node() {
 
 #[test]
 fn a_number_out_of_range_is_named_with_its_value_and_its_limits() {
-    let bad = |config: PlannerConfig| Planner::new(config).unwrap_err().to_string();
+    let bad = |config: PlannerConfig| RrtStar::new(config).unwrap_err().to_string();
     let text = bad(PlannerConfig {
         cell_m: f64::NAN,
         ..PlannerConfig::default()

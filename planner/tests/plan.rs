@@ -3,13 +3,13 @@
 mod course;
 mod reference;
 
-use planner::{Planner, PlannerConfig};
+use planner::{PlannerConfig, RrtStar};
 use proptest::prelude::*;
 use reference::{small_config, wild_observation};
 use shm_config::message::{Observation, Plan, PlanOutcome, Waypoint};
 
-fn planner() -> Planner {
-    Planner::new(PlannerConfig::default()).unwrap()
+fn planner() -> RrtStar {
+    RrtStar::new(PlannerConfig::default()).unwrap()
 }
 
 /// A straight road of 10.5 m, the car in its middle, walls as told.
@@ -45,7 +45,7 @@ proptest! {
     #[test]
     fn the_same_observation_gives_the_same_plan(config in small_config(), seed: u64, other: u64) {
         let observation = wild_observation(seed);
-        let mut fresh = Planner::new(config).unwrap();
+        let mut fresh = RrtStar::new(config).unwrap();
         let (mut first, mut second) = (Plan::default(), Plan::default());
         fresh.plan(&observation, &mut first);
         // One that has planned something else before.
@@ -88,8 +88,8 @@ fn ticks_episodes_and_seeds_have_streams_of_their_own() {
         seed: 1,
         ..PlannerConfig::default()
     };
-    let mut other = Planner::new(seeded).unwrap();
-    let first = |planner: &mut Planner, observation: &Observation| {
+    let mut other = RrtStar::new(seeded).unwrap();
+    let first = |planner: &mut RrtStar, observation: &Observation| {
         planner.plan(observation, &mut Plan::default());
         planner.tree().node(1).unwrap().point_body
     };
@@ -175,7 +175,7 @@ fn of_a_path_too_long_the_first_points_are_kept() {
         goal_bias: 1.0,
         ..PlannerConfig::default()
     };
-    let mut planner = Planner::new(config).unwrap();
+    let mut planner = RrtStar::new(config).unwrap();
     let mut plan = Plan::default();
     planner.plan(&straight(|_| 50.0), &mut plan);
     assert_eq!(

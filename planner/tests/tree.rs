@@ -3,14 +3,14 @@
 mod course;
 mod reference;
 
-use planner::{Node, Planner, PlannerConfig};
+use planner::{Node, PlannerConfig, RrtStar};
 use proptest::prelude::*;
 use reference::{Dense, slow_tree, small_config, wild_observation};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::Point;
 
-fn planned(config: PlannerConfig, observation: &Observation) -> (Planner, Plan) {
-    let mut planner = Planner::new(config).unwrap();
+fn planned(config: PlannerConfig, observation: &Observation) -> (RrtStar, Plan) {
+    let mut planner = RrtStar::new(config).unwrap();
     let mut plan = Plan::default();
     planner.plan(observation, &mut plan);
     (planner, plan)
@@ -34,7 +34,7 @@ fn same_as_by_the_book(config: PlannerConfig, observation: &Observation, dense: 
 }
 
 /// Edges are free, costs are their sums, every node hangs on the start.
-fn check_tree(planner: &Planner, dense: &Dense) -> Result<(), TestCaseError> {
+fn check_tree(planner: &RrtStar, dense: &Dense) -> Result<(), TestCaseError> {
     let config = planner.config();
     let nodes: Vec<Node> = planner.tree().nodes().collect();
     prop_assert_eq!(nodes[0].point_body, Point::origin());
@@ -66,7 +66,7 @@ fn check_tree(planner: &Planner, dense: &Dense) -> Result<(), TestCaseError> {
 }
 
 /// The path is a way of the tree, to the right node.
-fn check_path(planner: &Planner, plan: &Plan, dense: &Dense) -> Result<(), TestCaseError> {
+fn check_path(planner: &RrtStar, plan: &Plan, dense: &Dense) -> Result<(), TestCaseError> {
     let config = planner.config();
     let nodes: Vec<Node> = planner.tree().nodes().collect();
     let to_goal_m = |point: Point| (point - goal(plan)).norm();
@@ -165,7 +165,7 @@ proptest! {
 #[test]
 fn the_papers_tree_is_the_one_of_the_book() {
     let config = PlannerConfig::default();
-    let mut planner = Planner::new(config).unwrap();
+    let mut planner = RrtStar::new(config).unwrap();
     let nodes: usize = (0..25)
         .map(|seed| {
             let observation = course::random_scene(seed);

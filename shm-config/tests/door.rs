@@ -106,6 +106,26 @@ fn plans_commands_and_advice() {
         Refusal::NotFinite { .. }
     ));
     assert!(matches!(
+        refused(plan, |p| p.action_count = 33),
+        Refusal::OverCapacity { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| p.action_count = 1),
+        Refusal::OutOfRange { .. }
+    ));
+    let acting = |p: &mut Plan, steer| {
+        (p.action_count, p.action_step_s) = (1, 0.1);
+        p.actions[0].steer = steer;
+    };
+    assert!(matches!(
+        refused(plan, |p| acting(p, f64::NAN)),
+        Refusal::NotFinite { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| acting(p, 1.5)),
+        Refusal::OutOfRange { .. }
+    ));
+    assert!(matches!(
         refused(plan, |p| p.waypoints[0].speed_mps = -1.0),
         Refusal::OutOfRange { .. }
     ));

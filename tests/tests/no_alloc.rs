@@ -4,7 +4,7 @@
 use std::alloc::System;
 
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
-use planner::{Planner, PlannerConfig};
+use planner::{PlannerConfig, RrtStar};
 use shm_config::config::Config;
 use shm_config::message::{
     Advice, Command, Driver, Observation, Plan, PlanOutcome, Preference, Step, Verdict,
@@ -98,7 +98,7 @@ struct Done {
     metres: f64,
 }
 
-fn planner_tick(ports: &mut Ports, planner: &mut Planner, plan: &mut Plan, now: Instant) {
+fn planner_tick(ports: &mut Ports, planner: &mut RrtStar, plan: &mut Plan, now: Instant) {
     let observation = ports.planner_in.newest().expect("an observation");
     assert!(observation.admit(now, PERIOD_NS).is_ok());
     planner.plan(&observation, plan);
@@ -126,7 +126,7 @@ fn ten_thousand_ticks_allocate_nothing() {
     let wire = Wire::join(&name, Process::Controller).expect("shared memory");
     let mut ports = Ports::open(&wire);
     let mut world = World::new(WorldConfig::default()).expect("a world");
-    let mut planner = Planner::new(PlannerConfig::default()).expect("a planner");
+    let mut planner = RrtStar::new(PlannerConfig::default()).expect("a planner");
     let policy = PolicySlot::new(Some(Box::new(LaneKeeper)));
     let mut controller = Controller::new(Config::default(), policy);
     let (mut observation, mut plan) = (Box::<Observation>::default(), Box::<Plan>::default());

@@ -1,7 +1,7 @@
 //! The paper's tracking controller (Sec. 4.1.2) on a kinematic bicycle: plans
 //! are judged by how they drive.
 
-use planner::{Planner, PlannerConfig};
+use planner::{PlannerConfig, RrtStar};
 use shm_config::message::{Plan, PlanOutcome};
 use vehicle::{Action, State, Vehicle, pose, step};
 
@@ -38,7 +38,7 @@ pub struct Drive {
 /// Drives a course from 5 m after its beginning, this far left of its middle.
 pub fn drive(course: &Course, config: PlannerConfig, across_m: f64) -> Drive {
     let vehicle = Vehicle::default();
-    let mut planner = Planner::new(config).unwrap();
+    let mut planner = RrtStar::new(config).unwrap();
     let mut plan = Plan::default();
     let start = course.pose_at(5.0) * pose(0.0, across_m, 0.0);
     let mut state = State {

@@ -13,11 +13,28 @@ pub const NODES_MAX: usize = 4096;
 
 const _: () = assert!(NODES_MAX < u16::MAX as usize, "a node's index is a u16");
 
+/// How the planner makes its plans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// The paper's: RRT* on the occupancy grid of one observation.
+    RrtStar,
+    /// RRT* that begins with the last path, and samples only where a shorter
+    /// one can be.
+    Informed,
+    /// RRT* whose edges a car with this turning circle can drive.
+    Kinodynamic,
+    /// Model-predictive control on the bicycle.
+    Mpc,
+}
+
 /// What the planner can be told. The defaults are the numbers of Sec. 4.1.1
 /// where the paper gives one; the other fields say where theirs is from.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Planner {
+    /// How plans are made. The rest of this section is about the RRT* methods.
+    pub method: Method,
     /// Side of a cell, m: the paper's `Δx = Δy`.
     pub cell_m: f64,
     /// The grid reaches from 0 to this far ahead, m: `x_max`.
@@ -59,6 +76,7 @@ pub struct Planner {
 impl Default for Planner {
     fn default() -> Self {
         Self {
+            method: Method::RrtStar,
             cell_m: 0.05,
             x_max_m: 30.0,
             y_max_m: 10.0,

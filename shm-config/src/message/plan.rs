@@ -1,4 +1,4 @@
-use vehicle::{Point, Pose, pose};
+use vehicle::{Action, Point, Pose, pose};
 
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
 
@@ -30,9 +30,23 @@ crate::message! {
     }
 }
 
+/// Most actions of a plan: 3.2 s at the 0.1 s step.
+pub const PLANNED_MAX: usize = 32;
+
+crate::message! {
+    /// One action of a plan that says what to do and not only where to go.
+    #[derive(Default)]
+    pub struct PlannedAction: 16 bytes {
+        /// Normalised, in [-1, 1], positive left.
+        pub steer: f64,
+        /// Normalised, in [-1, 1], positive drives.
+        pub pedal: f64,
+    }
+}
+
 crate::message! {
     /// The planner's answer to one observation.
-    pub struct Plan: 1640 bytes, nested [Header, Waypoint] {
+    pub struct Plan: 2168 bytes, nested [Header, Waypoint, PlannedAction] {
         /// The observation's tick; taken when the observation was.
         pub header: Header,
         /// Pose of the body frame of the waypoints in the world frame: m.
@@ -59,10 +73,21 @@ crate::message! {
         pub waypoint_count: u32,
         /// The path from the body's origin outwards; the origin itself first.
         pub waypoints: [Waypoint; 64],
+        /// How long each action holds, s.
+        pub action_step_s: f64,
+        /// How many actions are valid; 0 of a plan that is only a path.
+        pub action_count: u32,
+        /// Not used.
+        pub reserved: u32,
+        /// What to do from the plan's observation on, one after the other.
+        pub actions: [PlannedAction; 32],
     }
 }
 
-const _: () = assert!(WAYPOINTS_MAX == 64, "as the message declares");
+const _: () = assert!(
+    WAYPOINTS_MAX == 64 && PLANNED_MAX == 32,
+    "as the message declares"
+);
 
 impl Default for Plan {
     fn default() -> Self {
@@ -80,6 +105,10 @@ impl Default for Plan {
             nodes: 0,
             waypoint_count: 0,
             waypoints: [Waypoint::default(); WAYPOINTS_MAX],
+            action_step_s: 0.0,
+            action_count: 0,
+            reserved: 0,
+            actions: [PlannedAction::default(); PLANNED_MAX],
         }
     }
 }
@@ -110,6 +139,16 @@ impl Message for Plan {
             within("waypoint.y_body_m", waypoint.y_body_m, -1e4..=1e4)?;
             within("waypoint.speed_mps", waypoint.speed_mps, 0.0..=150.0)?;
         }
+        fits("action_count", u64::from(self.action_count), PLANNED_MAX)?;
+        let steps_s = match self.action_count {
+            0 => 0.0..=10.0,
+            _ => 1e-3..=10.0,
+        };
+        within("action_step_s", self.action_step_s, steps_s)?;
+        for action in self.actions() {
+            within("action.steer", action.steer, -1.0..=1.0)?;
+            within("action.pedal", action.pedal, -1.0..=1.0)?;
+        }
         Ok(())
     }
 }
@@ -123,6 +162,22 @@ impl Plan {
     /// The valid waypoints; at most the capacity, whatever the count says.
     pub fn waypoints(&self) -> &[Waypoint] {
         &self.waypoints[..(self.waypoint_count as usize).min(WAYPOINTS_MAX)]
+    }
+
+    /// The valid actions; at most the capacity, whatever the count says.
+    pub fn actions(&self) -> &[PlannedAction] {
+        &self.actions[..(self.action_count as usize).min(PLANNED_MAX)]
+    }
+
+    /// The action planned for an instant, by its age after the plan's
+    /// observation; `None` when the plan has none so far ahead, or none at all.
+    pub fn action_at(&self, age_ns: u64) -> Option<Action> {
+        let index = (age_ns as f64 * 1e-9 / self.action_step_s + 1e-6) as usize;
+        let planned = self.actions().get(index)?;
+        Some(Action {
+            steer: planned.steer,
+            pedal: planned.pedal,
+        })
     }
 
     /// The waypoint to steer for (Sec. 4.1.1): of those at least `distance_m` away

@@ -79,7 +79,7 @@ crate::message! {
 crate::message! {
     /// The record of one tick of the controller: everything it knew and decided.
     /// With it a tick can be recomputed bit by bit.
-    pub struct Step: 4320 bytes,
+    pub struct Step: 4848 bytes,
         nested [Header, Observation, Plan, Advice, Proposal, Assessment, Command, Timings]
     {
         /// The controller's tick; taken when it began.

@@ -1,0 +1,119 @@
+use shm_config::config::OutOfRange;
+use shm_config::message::{Header, Observation, Plan, PlanOutcome, WAYPOINTS_MAX, Waypoint};
+use vehicle::Point;
+
+use crate::PlannerConfig;
+use crate::goal::choose_goal;
+use crate::grid::Grid;
+use crate::sampler::Sampler;
+use crate::search::Search;
+use crate::tree::Tree;
+
+/// The paper's planner (Sec. 4.1.1): grid, goal, RRT*, path. All memory is taken
+/// at the start; a plan depends on the configuration and the observation, on
+/// nothing before.
+#[derive(Debug)]
+pub struct RrtStar {
+    config: PlannerConfig,
+    grid: Grid,
+    search: Box<Search>,
+}
+
+impl RrtStar {
+    /// The only place that allocates.
+    ///
+    /// # Errors
+    /// The first number of the configuration that is outside its limits.
+    pub fn new(config: PlannerConfig) -> Result<Self, OutOfRange> {
+        config.check()?;
+        Ok(Self {
+            config,
+            grid: Grid::new(&config),
+            search: Box::new(Search::new()),
+        })
+    }
+
+    /// The configuration it was made with.
+    pub fn config(&self) -> &PlannerConfig {
+        &self.config
+    }
+
+    /// The grid of the last plan.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The tree of the last plan; empty before the first.
+    pub fn tree(&self) -> &Tree {
+        &self.search.tree
+    }
+
+    /// Plans for one admitted observation: grid, goal, tree, path (Sec. 4.1.1).
+    ///
+    /// Writes all of `out` except the producer and sequence number of its header
+    /// and the planning time, which are the caller's. Nothing of an earlier plan
+    /// is left. The work is bounded by the configuration; it does not allocate.
+    pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
+        let Self {
+            config,
+            grid,
+            search,
+        } = self;
+        grid.fill(observation);
+        let goal_body = choose_goal(grid, config, observation);
+        let sampler = Sampler::new(config.seed, &observation.header);
+        search.grow(grid, config, goal_body, sampler);
+        *out = Plan {
+            header: Header {
+                sequence: out.header.sequence,
+                producer: out.header.producer,
+                ..observation.header
+            },
+            origin_x_world_m: observation.ego.x_world_m,
+            origin_y_world_m: observation.ego.y_world_m,
+            origin_heading_world_rad: observation.ego.heading_world_rad,
+            goal_x_body_m: goal_body.x,
+            goal_y_body_m: goal_body.y,
+            iterations: config.iterations,
+            nodes: search.tree.len() as u32,
+            planning_ns: out.planning_ns,
+            ..Plan::default()
+        };
+        let (outcome, end) = self.end(goal_body);
+        out.outcome = outcome.code();
+        if let Some(end) = end {
+            self.write_path(end, out);
+        }
+    }
+
+    /// What was found, and the node where the path ends.
+    fn end(&self, goal_body: Point) -> (PlanOutcome, Option<usize>) {
+        let Self { config, search, .. } = self;
+        if let Some(end) = search.reached(goal_body, config.goal_radius_m) {
+            return (PlanOutcome::Reached, Some(end));
+        }
+        let (end, _) = search.tree.nearest(goal_body);
+        if end != 0 && search.tree.point(end).coords.norm() >= config.partial_min_m {
+            return (PlanOutcome::Partial, Some(end));
+        }
+        (PlanOutcome::Blocked, None)
+    }
+
+    /// The path from the start to a node; of a longer one the first points.
+    fn write_path(&self, end: usize, out: &mut Plan) {
+        let tree = &self.search.tree;
+        let length = tree.way_back(end).count();
+        for (before_end, index) in tree.way_back(end).enumerate() {
+            let point_body = tree.point(index);
+            if let Some(waypoint) = out.waypoints.get_mut(length - 1 - before_end) {
+                *waypoint = Waypoint {
+                    x_body_m: point_body.x,
+                    y_body_m: point_body.y,
+                    speed_mps: self.config.speed_mps,
+                };
+            }
+        }
+        out.waypoint_count = length.min(WAYPOINTS_MAX) as u32;
+        out.cost_m = tree.cost_m(end);
+    }
+}
