@@ -78,6 +78,8 @@ impl Seat {
     pub fn new(kind: DriverKind, config: &Config, clock: Clock) -> Result<Seat, OutOfRange> {
         let mut config = config.clone();
         config.gate.mode = GateMode::Expert;
+        // Nothing may depend on how fast this machine is now.
+        config.run.clock = shm_config::config::Clock::Lockstep;
         let driver = match kind {
             DriverKind::Expert => Seated::Expert(Box::new(Stack {
                 planner: Planner::new(&config)?,

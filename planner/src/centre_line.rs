@@ -22,6 +22,8 @@ pub(crate) struct Station {
     pub(crate) body_from_road: Pose,
     /// How far the road has turned since the car, rad, counter-clockwise.
     pub(crate) turn_rad: f64,
+    /// Its curvature here, 1/m, counter-clockwise.
+    pub(crate) curvature_per_m: f64,
 }
 
 /// The middle line of the road from beside the car to the second checkpoint.
@@ -53,6 +55,11 @@ impl CentreLine {
         Self { arcs }
     }
 
+    /// Length of the car's own road from beside the car on, m.
+    pub(crate) fn first_length_m(&self) -> f64 {
+        self.arcs[0].length_m
+    }
+
     /// Distance to its end along the line, m.
     pub(crate) fn length_m(&self) -> f64 {
         self.arcs.iter().map(|arc| arc.length_m).sum()
@@ -67,7 +74,10 @@ impl CentreLine {
         let beyond_m = distance_m - first.length_m;
         let mut station = second.at(beyond_m.min(second.length_m));
         let straight_m = (beyond_m - second.length_m).max(0.0);
-        station.body_from_road *= pose(straight_m, 0.0, 0.0);
+        if straight_m > 0.0 {
+            station.body_from_road *= pose(straight_m, 0.0, 0.0);
+            station.curvature_per_m = 0.0;
+        }
         station.turn_rad += first.curvature_per_m * first.length_m;
         station
     }
@@ -124,6 +134,7 @@ impl Arc {
         Station {
             body_from_road: self.body_from_start * pose(chord_m * cos, chord_m * sin, turn_rad),
             turn_rad,
+            curvature_per_m: self.curvature_per_m,
         }
     }
 }

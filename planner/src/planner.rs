@@ -2,13 +2,15 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Observation, Plan};
 
-use crate::RrtStar;
+use crate::{Mpc, RrtStar};
 
 /// Turns observations into plans by the configured method.
 #[derive(Debug)]
 pub enum Planner {
     /// The paper's.
     RrtStar(RrtStar),
+    /// Model-predictive control.
+    Mpc(Box<Mpc>),
 }
 
 impl Planner {
@@ -18,9 +20,10 @@ impl Planner {
     /// The first number of the configuration that is outside its limits.
     pub fn new(config: &Config) -> Result<Self, OutOfRange> {
         match config.planner.method {
-            Method::RrtStar | Method::Informed | Method::Kinodynamic | Method::Mpc => {
+            Method::RrtStar | Method::Informed | Method::Kinodynamic => {
                 RrtStar::new(config.planner).map(Self::RrtStar)
             }
+            Method::Mpc => Ok(Self::Mpc(Box::new(Mpc::new(config)))),
         }
     }
 
@@ -31,6 +34,7 @@ impl Planner {
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
         match self {
             Self::RrtStar(planner) => planner.plan(observation, out),
+            Self::Mpc(planner) => planner.plan(observation, out),
         }
     }
 
@@ -39,6 +43,7 @@ impl Planner {
     pub fn forget(&mut self) {
         match self {
             Self::RrtStar(_) => {}
+            Self::Mpc(planner) => planner.forget(),
         }
     }
 }

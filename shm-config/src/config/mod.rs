@@ -7,6 +7,7 @@
 mod controller;
 mod gate;
 mod load;
+mod mpc;
 pub mod planner;
 mod run;
 mod world;
@@ -17,6 +18,7 @@ use vehicle::Vehicle;
 pub use controller::{Controller, JudgeLimits};
 pub use gate::{Gate, GateMode};
 pub use load::{ConfigError, from_toml, load};
+pub use mpc::Mpc;
 pub use planner::Planner;
 pub use run::{Clock, Limits, Run, Supervisor};
 pub use world::{Simulator, World};
@@ -35,6 +37,8 @@ pub struct Config {
     pub world: World,
     /// RRT*.
     pub planner: Planner,
+    /// Model-predictive control.
+    pub mpc: Mpc,
     /// PD tracking.
     pub controller: Controller,
     /// The judge in the tick.
@@ -72,6 +76,7 @@ impl Config {
         })?;
         self.world.check()?;
         self.planner.check()?;
+        self.mpc.check()?;
         self.controller.check()?;
         self.judge.check()?;
         self.gate.check()?;

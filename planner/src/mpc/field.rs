@@ -1,0 +1,114 @@
+use crate::mpc::line::{Line, Place};
+use crate::track::Sighting;
+
+/// Beyond this distance clearance is not told apart, m.
+pub(crate) const FAR_M: f64 = 2.5;
+/// The field reaches from here, m along the road from the car.
+const BEGIN_M: f64 = -4.0;
+/// Sizes of a cell, m along and m across.
+const ALONG_M: f64 = 0.5;
+const ACROSS_M: f64 = 0.25;
+const ROWS: usize = 88;
+const COLUMNS: usize = 80;
+/// The field reaches this far to either side, m.
+const SIDE_M: f64 = ACROSS_M * COLUMNS as f64 / 2.0;
+/// A body that shows a face this wide goes on behind it, m.
+const FACE_M: f64 = 0.7;
+/// How far it goes on, m: so that the way back into the lane is not planned
+/// through the unseen part of a standing car.
+const BEHIND_M: [f64; 2] = [1.5, 3.0];
+/// Slowest progress that arrival times are reckoned with, m/s.
+const ARRIVE_MPS: f64 = 3.0;
+/// Predictions further ahead than this are worth nothing, s.
+const PREDICT_S: f64 = 3.0;
+
+/// Distance to the nearest obstacle over the places of the road, m, at the time
+/// that the car gets there.
+#[derive(Debug)]
+pub(crate) struct Field {
+    clearance_m: Box<[f32]>,
+}
+
+impl Field {
+    /// The only place that allocates.
+    pub(crate) fn new() -> Self {
+        Self {
+            clearance_m: vec![FAR_M as f32; ROWS * COLUMNS].into_boxed_slice(),
+        }
+    }
+
+    /// Forgets everything and marks what was sighted.
+    ///
+    /// What rests is marked where it is. What drives along the road is marked in
+    /// each row where it will be when the car gets there at `speed_mps`. What
+    /// crosses is not marked: the speed is chosen for it, not the path.
+    pub(crate) fn fill(&mut self, line: &Line, sightings: &[Sighting], speed_mps: f64) {
+        self.clearance_m.fill(FAR_M as f32);
+        for sighting in sightings {
+            let place = line.place(sighting.point_body);
+            if !sighting.moves() {
+                self.mark(place);
+                if sighting.radius_m > FACE_M {
+                    for behind_m in BEHIND_M {
+                        let along_m = place.along_m + behind_m;
+                        self.mark(Place { along_m, ..place });
+                    }
+                }
+                continue;
+            }
+            let road_from_body = line.body_from_road(place.along_m).rotation.inverse();
+            let velocity = road_from_body * sighting.velocity_body;
+            if velocity.x > 2.0 * velocity.y.abs() {
+                for row in 0..ROWS {
+                    let row_m = BEGIN_M + (row as f64 + 0.5) * ALONG_M;
+                    let arrive_s = (row_m / speed_mps.max(ARRIVE_MPS)).clamp(0.0, PREDICT_S);
+                    let then = Place {
+                        along_m: place.along_m + velocity.x * arrive_s,
+                        left_m: place.left_m + velocity.y * arrive_s,
+                    };
+                    self.mark_row(row, then);
+                }
+            }
+        }
+    }
+
+    fn mark(&mut self, place: Place) {
+        let row = |along_m: f64| (along_m - BEGIN_M) / ALONG_M;
+        let first = row(place.along_m - FAR_M).max(0.0) as usize;
+        let end = (row(place.along_m + FAR_M).max(0.0) as usize + 1).min(ROWS);
+        for row in first..end {
+            self.mark_row(row, place);
+        }
+    }
+
+    fn mark_row(&mut self, row: usize, place: Place) {
+        let along_m = BEGIN_M + (row as f64 + 0.5) * ALONG_M - place.along_m;
+        if along_m.abs() >= FAR_M {
+            return;
+        }
+        let column = |left_m: f64| (left_m + SIDE_M) / ACROSS_M;
+        let first = column(place.left_m - FAR_M).max(0.0) as usize;
+        let end = ((column(place.left_m + FAR_M).max(0.0)) as usize + 1).min(COLUMNS);
+        for column in first..end {
+            let left_m = (column as f64 + 0.5) * ACROSS_M - SIDE_M - place.left_m;
+            let away_m = along_m.hypot(left_m) as f32;
+            let cell = &mut self.clearance_m[row * COLUMNS + column];
+            *cell = cell.min(away_m);
+        }
+    }
+
+    /// Distance from a place to the nearest obstacle, m, at most [`FAR_M`]; to
+    /// half a cell.
+    pub(crate) fn clearance_m(&self, place: Place) -> f64 {
+        let row = (place.along_m - BEGIN_M) / ALONG_M;
+        let column = (place.left_m + SIDE_M) / ACROSS_M;
+        if row < 0.0 || column < 0.0 {
+            return FAR_M;
+        }
+        let (row, column) = (row as usize, column as usize);
+        if row >= ROWS || column >= COLUMNS {
+            return FAR_M;
+        }
+        f64::from(self.clearance_m[row * COLUMNS + column])
+    }
+}

@@ -1,0 +1,309 @@
+use crate::mpc::body::Body;
+use crate::mpc::field::Field;
+use crate::mpc::line::{Line, Place};
+use shm_config::config::Mpc as Config;
+
+/// Distance between two stations, m along the road.
+const STATION_M: f64 = 2.0;
+/// Stations after the first: the path is 36 m long.
+pub(crate) const STATIONS: usize = 18;
+/// Distance between two lanes of the lattice, m across.
+const ACROSS_M: f64 = 0.25;
+/// Lanes on either side of the middle line.
+const SIDE: i32 = 32;
+const LANES: usize = 2 * SIDE as usize + 1;
+/// Steepest slope to either side: lanes per station, so 0.625 m per m.
+const STEEP: i32 = 5;
+const SLOPES: usize = 2 * STEEP as usize + 1;
+/// Most change of slope from station to station: a radius of 5.3 m, twice that
+/// of the wheels at their stop.
+const CHANGE: i32 = 3;
+/// The sidewalk begins 0.2 m outside the road; half of it may be used.
+const BEYOND_M: f64 = 0.1;
+/// Near an edge, m, costs as much as near an obstacle.
+const EDGE_M: f64 = 0.3;
+
+/// Costs of a station: one metre off the middle line, one metre off the last
+/// path, squared; a slope of 1, squared; a change of slope by one lane; no
+/// clearance left, squared.
+const MIDDLE: f32 = 0.02;
+const LAST: f32 = 0.1;
+const SLOPE: f32 = 1.0;
+const BEND: f32 = 0.25;
+const TIGHT: f32 = 4.0;
+
+/// A path along the road: how far to the left at each station.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Path {
+    left_m: heapless::Vec<f64, { STATIONS + 1 }>,
+    /// Whether it ends because nothing behind is free.
+    pub(crate) is_blocked: bool,
+}
+
+impl Path {
+    /// The path through places in order along the road, by lines between them;
+    /// `None` when they do not reach from the car on.
+    pub(crate) fn through(places: impl Iterator<Item = Place> + Clone) -> Option<Self> {
+        let offset_at = |along_m: f64| {
+            let after = places.clone().find(|place| place.along_m >= along_m)?;
+            let before = places
+                .clone()
+                .take_while(|place| place.along_m < along_m)
+                .last()?;
+            let part = (along_m - before.along_m) / (after.along_m - before.along_m);
+            Some(before.left_m + part * (after.left_m - before.left_m))
+        };
+        let left_m: heapless::Vec<f64, { STATIONS + 1 }> = (0..=STATIONS)
+            .map_while(|station| offset_at(station as f64 * STATION_M + 1e-3))
+            .collect();
+        (!left_m.is_empty()).then_some(Self {
+            left_m,
+            is_blocked: false,
+        })
+    }
+
+    /// How long it is, m along the road.
+    pub(crate) fn length_m(&self) -> f64 {
+        self.left_m.len().saturating_sub(1) as f64 * STATION_M
+    }
+
+    /// Its stations as places.
+    pub(crate) fn places(&self) -> impl Iterator<Item = Place> + '_ {
+        self.left_m
+            .iter()
+            .enumerate()
+            .map(|(station, &left_m)| Place {
+                along_m: station as f64 * STATION_M,
+                left_m,
+            })
+    }
+
+    /// Offset at a distance, m to the left, and its slope; beyond its end it goes
+    /// on along the road.
+    pub(crate) fn at(&self, along_m: f64) -> (f64, f64) {
+        let last = self.left_m.len().saturating_sub(1);
+        let position = (along_m / STATION_M).max(0.0);
+        let station = position as usize;
+        match station < last {
+            true => {
+                let rise_m = self.left_m[station + 1] - self.left_m[station];
+                let left_m = self.left_m[station] + rise_m * (position - station as f64);
+                (left_m, rise_m / STATION_M)
+            }
+            false => (self.left_m.last().copied().unwrap_or(0.0), 0.0),
+        }
+    }
+
+    /// How much its slope changes around a distance, 1/m.
+    pub(crate) fn bend_per_m(&self, along_m: f64) -> f64 {
+        let half_m = STATION_M / 2.0;
+        let (before, after) = (self.at(along_m - half_m).1, self.at(along_m + half_m).1);
+        (after - before) / STATION_M
+    }
+}
+
+/// Finds the cheapest path over a lattice of places and slopes by dynamic
+/// programming: which side each obstacle is passed on.
+#[derive(Debug)]
+pub(crate) struct Lattice {
+    cost: Box<[[f32; SLOPES]; LANES]>,
+    next: Box<[[f32; SLOPES]; LANES]>,
+    /// The slope before, for each station, lane and slope.
+    from: Box<[[[i8; SLOPES]; LANES]; STATIONS]>,
+}
+
+/// What a path is searched in.
+pub(crate) struct Ground<'a> {
+    pub(crate) line: &'a Line,
+    pub(crate) field: &'a Field,
+    pub(crate) body: &'a Body,
+    pub(crate) config: &'a Config,
+    /// The path of the last plan, seen from here.
+    pub(crate) last: Option<&'a Path>,
+}
+
+impl Lattice {
+    /// The only place that allocates.
+    pub(crate) fn new() -> Self {
+        Self {
+            cost: Box::new([[f32::INFINITY; SLOPES]; LANES]),
+            next: Box::new([[f32::INFINITY; SLOPES]; LANES]),
+            from: Box::new([[[0; SLOPES]; LANES]; STATIONS]),
+        }
+    }
+
+    /// The cheapest path from `left_m` beside the middle line, with this slope
+    /// against the road; the farthest one when none is free to the end.
+    pub(crate) fn search(&mut self, ground: &Ground, left_m: f64, slope: f64) -> Path {
+        let begin_lane = (left_m / ACROSS_M).round().clamp(-SIDE as f64, SIDE as f64);
+        // The lattice is shifted so that the car stands on a lane of it.
+        let shift_m = left_m - begin_lane * ACROSS_M;
+        let steepness = slope * STATION_M / ACROSS_M;
+        let begin_slope = steepness.round().clamp(-STEEP as f64, STEEP as f64) as i32;
+        let begin = Place {
+            along_m: 0.0,
+            left_m,
+        };
+        let slack = Slack {
+            clear_m: ground.clear_m(begin, slope) - 0.02,
+            edge_m: ground.edge_m(begin, slope) - 0.02,
+        };
+        for row in self.cost.iter_mut() {
+            row.fill(f32::INFINITY);
+        }
+        self.cost[(begin_lane as i32 + SIDE) as usize][(begin_slope + STEEP) as usize] = 0.0;
+        let mut reached = 0;
+        for station in 1..=STATIONS {
+            if !self.advance(ground, station, shift_m, &slack) {
+                break;
+            }
+            reached = station;
+        }
+        self.trace(reached, shift_m, left_m)
+    }
+
+    /// One station further; whether anything of it can be reached.
+    fn advance(&mut self, ground: &Ground, station: usize, shift_m: f64, slack: &Slack) -> bool {
+        let along_m = station as f64 * STATION_M;
+        let last = ground.last.map(|path| path.at(along_m).0);
+        for row in self.next.iter_mut() {
+            row.fill(f32::INFINITY);
+        }
+        let mut any = false;
+        for lane in -SIDE..=SIDE {
+            let left_m = f64::from(lane) * ACROSS_M + shift_m;
+            for steep in -STEEP..=STEEP {
+                let before = lane - steep;
+                if !(-SIDE..=SIDE).contains(&before) {
+                    continue;
+                }
+                let (least, slope) = self.cheapest(before, steep);
+                if least == f32::INFINITY {
+                    continue;
+                }
+                let place = Place { along_m, left_m };
+                let here = ground.cost(place, steep, last, slack.at(station));
+                let slot = (lane + SIDE) as usize;
+                self.next[slot][(steep + STEEP) as usize] = least + here;
+                self.from[station - 1][slot][(steep + STEEP) as usize] = slope as i8;
+                any |= here < f32::INFINITY;
+            }
+        }
+        if any {
+            std::mem::swap(&mut self.cost, &mut self.next);
+        }
+        any
+    }
+
+    /// The cheapest way to be in a lane and to go on from it with a slope.
+    fn cheapest(&self, lane: i32, steep: i32) -> (f32, i32) {
+        let row = &self.cost[(lane + SIDE) as usize];
+        let (low, high) = ((steep - CHANGE).max(-STEEP), (steep + CHANGE).min(STEEP));
+        let mut best = (f32::INFINITY, 0);
+        for before in low..=high {
+            let change = (steep - before) as f32;
+            let cost = row[(before + STEEP) as usize] + BEND * change * change;
+            if cost < best.0 {
+                best = (cost, before);
+            }
+        }
+        best
+    }
+
+    fn trace(&self, reached: usize, shift_m: f64, begin_left_m: f64) -> Path {
+        let mut best = (f32::INFINITY, 0, 0);
+        for (lane, row) in self.cost.iter().enumerate() {
+            for (slope, &cost) in row.iter().enumerate() {
+                if cost < best.0 {
+                    best = (cost, lane as i32 - SIDE, slope as i32 - STEEP);
+                }
+            }
+        }
+        let (_, mut lane, mut steep) = best;
+        let mut left_m = [begin_left_m; STATIONS + 1];
+        for station in (1..=reached).rev() {
+            left_m[station] = f64::from(lane) * ACROSS_M + shift_m;
+            let slot = (lane + SIDE) as usize;
+            let before = self.from[station - 1][slot][(steep + STEEP) as usize];
+            lane -= steep;
+            steep = i32::from(before);
+        }
+        Path {
+            left_m: left_m.iter().copied().take(reached + 1).collect(),
+            is_blocked: reached < STATIONS,
+        }
+    }
+}
+
+/// Where the car stands is as it is: the first stations need not be better.
+struct Slack {
+    clear_m: f64,
+    edge_m: f64,
+}
+
+impl Slack {
+    fn at(&self, station: usize) -> (f64, f64) {
+        match station <= 2 {
+            true => (self.clear_m, self.edge_m),
+            false => (f64::INFINITY, f64::INFINITY),
+        }
+    }
+}
+
+impl Ground<'_> {
+    /// Least clearance of the car's discs at a place, m; negative inside.
+    fn clear_m(&self, place: Place, slope: f64) -> f64 {
+        let ahead = 1.0 / slope.hypot(1.0);
+        let Body { offsets_m, .. } = self.body;
+        let nearest_m = offsets_m
+            .iter()
+            .map(|&offset_m| {
+                self.field.clearance_m(Place {
+                    along_m: place.along_m + offset_m * ahead,
+                    left_m: place.left_m + offset_m * ahead * slope,
+                })
+            })
+            .fold(f64::INFINITY, f64::min);
+        nearest_m - self.body.radius_m
+    }
+
+    /// Distance from the car's corners to the nearer edge of the road, m.
+    fn edge_m(&self, place: Place, slope: f64) -> f64 {
+        let reach_m = self.body.half_width_m + self.body.half_length_m * slope.abs();
+        self.line.half_width_m(place.along_m) - place.left_m.abs() - reach_m
+    }
+
+    /// What a place costs; infinite when it is not free.
+    fn cost(
+        &self,
+        place: Place,
+        steep: i32,
+        last: Option<f64>,
+        (clear_slack_m, edge_slack_m): (f64, f64),
+    ) -> f32 {
+        let slope = f64::from(steep) * ACROSS_M / STATION_M;
+        let edge_m = self.edge_m(place, slope) + BEYOND_M;
+        if edge_m < edge_slack_m.min(0.0) {
+            return f32::INFINITY;
+        }
+        let halfway = Place {
+            along_m: place.along_m - STATION_M / 2.0,
+            left_m: place.left_m - slope * STATION_M / 2.0,
+        };
+        let clear_m = self.clear_m(place, slope).min(self.clear_m(halfway, slope));
+        if clear_m < clear_slack_m.min(self.config.contact_m) {
+            return f32::INFINITY;
+        }
+        let tight = |room_m: f64, wanted_m: f64| {
+            let missing = (1.0 - room_m / wanted_m).max(0.0) as f32;
+            TIGHT * missing * missing
+        };
+        let (left_m, slope) = (place.left_m as f32, slope as f32);
+        let mut cost = MIDDLE * left_m * left_m + SLOPE * slope * slope;
+        if let Some(last_m) = last {
+            let off_m = (left_m - last_m as f32).clamp(-2.0, 2.0);
+            cost += LAST * off_m * off_m;
+        }
+        cost + tight(clear_m, self.config.clearance_m.max(1e-3)) + tight(edge_m, EDGE_M)
+    }
+}

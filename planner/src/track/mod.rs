@@ -1,0 +1,159 @@
+//! What moves: the car's own state, and the bodies that the lidar sees.
+//!
+//! The returns of a scan are parted into clusters; a cluster is followed from
+//! scan to scan by a Kalman filter of constant velocity in the world frame.
+
+mod cluster;
+mod ego;
+mod kalman;
+
+pub(crate) use ego::{EgoFilter, YAW_LAG_S};
+
+use shm_config::message::{BEAMS_MAX, Observation};
+use vehicle::{Point, Pose, Vector, pose};
+
+use crate::beams::Beams;
+use cluster::{CLUSTERS_MAX, Cluster, clusters};
+use kalman::Kalman;
+
+/// Most bodies followed at a time.
+const TRACKS_MAX: usize = 64;
+/// A cluster belongs to a track when it is nearer than this to where the track
+/// should be, m: a car seen from another side moves its middle by half its length.
+const GATE_M: f64 = 2.5;
+/// How well the middle of a cluster is measured, m: its seen part changes.
+const MIDDLE_DEVIATION_M: f64 = 0.4;
+/// Change of velocity of traffic, m/s per root of a second.
+const VELOCITY_NOISE: f64 = 2.0;
+/// First guess of a velocity: none, but up to this, m/s.
+const VELOCITY_DEVIATION: f64 = 5.0;
+/// A track counts after it was seen this often, and is dropped after it was
+/// not seen this often.
+const SEEN_MIN: u32 = 4;
+const MISSED_MAX: u32 = 5;
+/// A slower track rests, m/s: a standing car that is passed seems to move, too,
+/// because more of its side comes into view.
+const RESTING_MPS: f64 = 2.0;
+
+/// One lidar return with the velocity of its body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sighting {
+    /// Where, in the body frame, m.
+    pub(crate) point_body: Point,
+    /// Velocity over ground, in the body frame's directions, m/s; zero at rest.
+    pub(crate) velocity_body: Vector,
+    /// Half the diagonal of the box around all returns of its body, m.
+    pub(crate) radius_m: f64,
+}
+
+impl Sighting {
+    /// Its body moves.
+    pub(crate) fn moves(&self) -> bool {
+        self.velocity_body != Vector::zeros()
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Track {
+    x: Kalman,
+    y: Kalman,
+    seen: u32,
+    missed: u32,
+    /// Already has its cluster of this scan.
+    taken: bool,
+}
+
+/// Follows bodies from scan to scan. All memory is its own.
+#[derive(Debug, Default)]
+pub(crate) struct Tracker {
+    beams: Beams,
+    tracks: heapless::Vec<Track, TRACKS_MAX>,
+    sightings: heapless::Vec<Sighting, BEAMS_MAX>,
+}
+
+impl Tracker {
+    /// Nothing was seen yet.
+    pub(crate) fn forget(&mut self) {
+        self.tracks.clear();
+    }
+
+    /// All returns of the last scan.
+    pub(crate) fn sightings(&self) -> &[Sighting] {
+        &self.sightings
+    }
+
+    /// Takes a scan in, `step_s` after the last one.
+    pub(crate) fn update(&mut self, observation: &Observation, step_s: f64) {
+        let ego = &observation.ego;
+        let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
+        self.beams.prepare(observation.ranges().len());
+        let mut returns_world = heapless::Vec::<(Point, f64), BEAMS_MAX>::new();
+        self.sightings.clear();
+        for point_body in self.beams.returns(observation) {
+            // Both have room for every beam.
+            let _ = returns_world.push((world_from_body * point_body, point_body.coords.norm()));
+            let _ = self.sightings.push(Sighting {
+                point_body,
+                velocity_body: Vector::zeros(),
+                radius_m: 0.0,
+            });
+        }
+        for track in &mut self.tracks {
+            let noise = VELOCITY_NOISE * step_s.sqrt();
+            track.x.predict(1.0, step_s, noise);
+            track.y.predict(1.0, step_s, noise);
+            track.taken = false;
+            track.missed += 1;
+        }
+        for cluster in &clusters(&returns_world) {
+            let velocity_world = self.follow(cluster);
+            self.mark(cluster, &world_from_body, velocity_world);
+        }
+        self.tracks.retain(|track| track.missed <= MISSED_MAX);
+    }
+
+    /// Gives a cluster to its track, or begins one; the velocity over ground, or
+    /// zero at rest.
+    fn follow(&mut self, cluster: &Cluster) -> Vector {
+        let away =
+            |track: &Track| (Point::new(track.x.y(), track.y.y()) - cluster.middle).norm_squared();
+        let nearest = self
+            .tracks
+            .iter_mut()
+            .filter(|track| !track.taken && away(track) < GATE_M * GATE_M)
+            .min_by(|a, b| away(a).total_cmp(&away(b)));
+        let Some(track) = nearest else {
+            let begin = |at_m| Kalman::new((at_m, MIDDLE_DEVIATION_M), (0.0, VELOCITY_DEVIATION));
+            // With no room left it is not followed, and rests.
+            let _ = self.tracks.push(Track {
+                x: begin(cluster.middle.x),
+                y: begin(cluster.middle.y),
+                seen: 1,
+                missed: 0,
+                taken: true,
+            });
+            return Vector::zeros();
+        };
+        track.x.measure(cluster.middle.x, MIDDLE_DEVIATION_M);
+        track.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
+        (track.taken, track.missed) = (true, 0);
+        track.seen += 1;
+        let velocity = Vector::new(track.x.g(), track.y.g());
+        match track.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
+            true => velocity,
+            false => Vector::zeros(),
+        }
+    }
+
+    fn mark(&mut self, cluster: &Cluster, world_from_body: &Pose, velocity_world: Vector) {
+        let velocity_body = world_from_body.rotation.inverse() * velocity_world;
+        let count = self.sightings.len();
+        for offset in 0..cluster.count {
+            let sighting = &mut self.sightings[(cluster.first + offset) % count];
+            sighting.velocity_body = velocity_body;
+            sighting.radius_m = cluster.radius_m;
+        }
+    }
+}
+
+const _: () = assert!(CLUSTERS_MAX <= TRACKS_MAX, "every cluster can be followed");

@@ -1,0 +1,109 @@
+use serde::{Deserialize, Serialize};
+
+use super::{OutOfRange, in_range};
+use crate::message::PLANNED_MAX;
+
+/// Model-predictive control on the bicycle: `planner.method = "mpc"`. The paper
+/// gives no numbers for it; each field says where its own is from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Mpc {
+    /// Steps that are planned. 25 of 0.1 s: enough to stop from 8 m/s at 3.2 m/s².
+    pub steps: u32,
+    /// Length of a step, s; the period of the commands of the experiment.
+    pub step_s: f64,
+    /// Speed wanted on a free straight road, m/s. The speed limit of the other
+    /// traffic is 8.3 m/s.
+    pub speed_mps: f64,
+    /// Sideways acceleration that a bend is taken with, m/s². A quarter of where
+    /// the tyres let go (11 m/s²).
+    pub sideways_mps2: f64,
+    /// Deceleration that is planned with, m/s²; the brake gives four times as much.
+    pub brake_mps2: f64,
+    /// Distance kept from obstacles and the road's edges where there is room, m.
+    pub clearance_m: f64,
+    /// Distance below which a way counts as blocked, m.
+    pub contact_m: f64,
+    /// How far before a blocked place the car stops, m, from its centre; near
+    /// enough to see past, far enough to steer past.
+    pub standoff_m: f64,
+    /// Cost of one metre off the path, squared.
+    pub weight_offset: f64,
+    /// Cost of one radian off the path's direction, squared.
+    pub weight_heading: f64,
+    /// Cost of 1 m/s off the wanted speed, squared.
+    pub weight_speed: f64,
+    /// Cost of one radian of wheel angle, squared.
+    pub weight_steer: f64,
+    /// Cost of one radian of change of the wheel angle from step to step, squared.
+    pub weight_steer_change: f64,
+    /// Cost of 1 m/s² of acceleration, squared.
+    pub weight_accel: f64,
+    /// Cost of 1 m/s² of change of acceleration from step to step, squared.
+    pub weight_accel_change: f64,
+    /// Cost of one metre inside an obstacle's or edge's clearance; also of its square.
+    pub weight_slack: f64,
+    /// The solver stops after this many iterations; it needs 8 to 20.
+    pub iterations: u32,
+    /// The solver stops after this time, ms, and the last plan is followed on.
+    /// In lockstep there is no such limit, so that runs repeat.
+    pub time_limit_ms: f64,
+}
+
+impl Default for Mpc {
+    fn default() -> Self {
+        Self {
+            steps: 25,
+            step_s: 0.1,
+            speed_mps: 8.0,
+            sideways_mps2: 2.5,
+            brake_mps2: 3.0,
+            clearance_m: 0.6,
+            contact_m: 0.1,
+            standoff_m: 4.0,
+            weight_offset: 1.0,
+            weight_heading: 4.0,
+            weight_speed: 0.5,
+            weight_steer: 0.5,
+            weight_steer_change: 20.0,
+            weight_accel: 0.05,
+            weight_accel_change: 0.05,
+            weight_slack: 100.0,
+            iterations: 60,
+            time_limit_ms: 10.0,
+        }
+    }
+}
+
+impl Mpc {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        in_range("mpc.steps", self.steps, 2..=PLANNED_MAX as u32)?;
+        let rows = [
+            ("mpc.step_s", self.step_s, 0.02..=0.5),
+            ("mpc.speed_mps", self.speed_mps, 0.0..=30.0),
+            ("mpc.sideways_mps2", self.sideways_mps2, 0.1..=10.0),
+            ("mpc.brake_mps2", self.brake_mps2, 0.1..=10.0),
+            ("mpc.clearance_m", self.clearance_m, 0.0..=1.5),
+            ("mpc.contact_m", self.contact_m, 0.0..=1.0),
+            ("mpc.standoff_m", self.standoff_m, 0.0..=20.0),
+            ("mpc.time_limit_ms", self.time_limit_ms, 0.01..=1000.0),
+        ];
+        for (key, value, range) in rows {
+            in_range(key, value, range)?;
+        }
+        let weights = [
+            ("mpc.weight_offset", self.weight_offset),
+            ("mpc.weight_heading", self.weight_heading),
+            ("mpc.weight_speed", self.weight_speed),
+            ("mpc.weight_steer", self.weight_steer),
+            ("mpc.weight_steer_change", self.weight_steer_change),
+            ("mpc.weight_accel", self.weight_accel),
+            ("mpc.weight_accel_change", self.weight_accel_change),
+            ("mpc.weight_slack", self.weight_slack),
+        ];
+        for (key, value) in weights {
+            in_range(key, value, 0.0..=1e4)?;
+        }
+        in_range("mpc.iterations", self.iterations, 1..=200)
+    }
+}
