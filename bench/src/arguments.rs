@@ -123,7 +123,7 @@ pub enum Bench {
 #[command(after_help = "Exit code 1 when a bar is missed.\n\n\
         Example:\n  ./vlaps bench parity --data recordings --json parity.json")]
 pub struct Parity {
-    /// Folder with golden_*.json.gz and rollouts/KIND/seedN.npz.
+    /// Folder with golden_*.json.gz, rollouts/KIND/seedN.npz and dynamics.json.
     #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
     /// Write the rows to this file, too.

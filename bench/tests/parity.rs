@@ -31,7 +31,7 @@ fn every_bar_is_met() {
             .iter()
             .filter(|row| row.bar.is_some())
             .count()
-            >= 12
+            >= 24
     );
     assert!(comparison.is_met(), "\n{}", comparison.table());
 }

@@ -3,10 +3,12 @@
 //! Worlds are dealt to shards, one for each thread; a shard is locked by its
 //! thread while it steps and by the caller between steps. Nothing is shared
 //! between worlds, so the number of threads cannot change a result.
+//!
+//! Threads wait for each other with a lock and a condition variable: a channel
+//! allocates when somebody first has to wait at it, which may be at any step.
 
 use std::num::NonZeroUsize;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use shm_config::message::{Observation, Outcome};
@@ -49,23 +51,37 @@ struct Slot {
     error: Option<WorldError>,
 }
 
+/// What a shard is about to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    /// It rests, and its worlds may be read.
+    Rest,
+    /// Its thread steps its worlds.
+    Step,
+    /// Its thread ends.
+    End,
+    /// Its thread has ended, if only by a panic.
+    Dead,
+}
+
 /// Worlds that one thread runs.
 struct Shard {
     slots: Vec<Slot>,
     after_end: AfterEnd,
+    phase: Phase,
 }
 
-/// A thread and the way to wake it; it answers when its shard has stepped.
-struct Worker {
-    go: Option<SyncSender<()>>,
-    done: Receiver<()>,
-    thread: Option<JoinHandle<()>>,
+/// A shard, and the bell that rings when its phase has changed.
+struct Desk {
+    shard: Mutex<Shard>,
+    changed: Condvar,
 }
 
 /// Many worlds. See the module's documentation.
 pub struct Batch {
-    shards: Vec<Arc<Mutex<Shard>>>,
-    workers: Vec<Worker>,
+    desks: Vec<Arc<Desk>>,
+    /// One for each desk; none when the caller steps the only one.
+    threads: Vec<JoinHandle<()>>,
     worlds: usize,
 }
 
@@ -97,21 +113,19 @@ impl Batch {
             slots.push(Slot::new(first.clone(), first_seed + k as u64)?);
         }
         let threads = batch.threads.get().min(worlds);
-        let mut shards = Vec::with_capacity(threads);
+        let mut desks = Vec::with_capacity(threads);
         for k in 0..threads {
             let rest = slots.split_off(slots.len().min(share(worlds, threads, k)));
             let slots = std::mem::replace(&mut slots, rest);
-            let after_end = batch.after_end;
-            shards.push(Arc::new(Mutex::new(Shard { slots, after_end })));
+            desks.push(Arc::new(Desk::new(slots, batch.after_end)));
         }
-        // A single shard is stepped by the caller.
-        let workers = match shards.len() {
+        let threads = match desks.len() {
             1 => Vec::new(),
-            _ => shards.iter().map(Worker::start).collect(),
+            _ => desks.iter().map(work_at).collect(),
         };
         Ok(Batch {
-            shards,
-            workers,
+            desks,
+            threads,
             worlds,
         })
     }
@@ -133,8 +147,8 @@ impl Batch {
     /// have begun theirs.
     pub fn reset(&mut self, first_seed: u64) -> Result<(), WorldError> {
         let mut seed = first_seed;
-        for shard in &self.shards {
-            for slot in &mut lock(shard).slots {
+        for desk in &self.desks {
+            for slot in &mut desk.lock().slots {
                 slot.begin(seed)?;
                 seed += 1;
             }
@@ -150,37 +164,31 @@ impl Batch {
     /// the end of its episode. [`WorldError::DeadThread`] if a thread panicked.
     pub fn step(&mut self, actions: &[Action]) -> Result<(), WorldError> {
         let mut actions = actions.iter();
-        for shard in &self.shards {
-            for slot in &mut lock(shard).slots {
+        let alone = self.threads.is_empty();
+        for desk in &self.desks {
+            let mut shard = desk.lock();
+            for slot in &mut shard.slots {
                 slot.action = actions.next().copied().unwrap_or(Action::BRAKE);
             }
-        }
-        if self.workers.is_empty() {
-            for shard in &self.shards {
-                lock(shard).step();
+            match alone {
+                true => shard.step(),
+                false => desk.ask(shard)?,
             }
         }
-        for worker in &self.workers {
-            worker.wake()?;
+        // All have stepped before the first error is told.
+        let mut result = Ok(());
+        for desk in &self.desks {
+            let told = desk.answer().and_then(|mut shard| shard.take_error());
+            result = result.and(told);
         }
-        for worker in &self.workers {
-            worker.wait()?;
-        }
-        for shard in &self.shards {
-            for slot in &mut lock(shard).slots {
-                if let Some(error) = slot.error.take() {
-                    return Err(error);
-                }
-            }
-        }
-        Ok(())
+        result
     }
 
     /// Shows every world's report in order.
     pub fn visit(&self, mut look: impl FnMut(usize, Report)) {
         let mut index = 0;
-        for shard in &self.shards {
-            for slot in &lock(shard).slots {
+        for desk in &self.desks {
+            for slot in &desk.lock().slots {
                 let report = Report {
                     outcome: slot.outcome,
                     observation: &slot.observation,
@@ -196,12 +204,6 @@ impl Batch {
 /// How many of the worlds the k-th of the threads gets.
 fn share(worlds: usize, threads: usize, k: usize) -> usize {
     worlds / threads + usize::from(k < worlds % threads)
-}
-
-/// A shard whose thread panicked still holds whole worlds: each slot is
-/// written by one step at a time.
-fn lock(shard: &Mutex<Shard>) -> MutexGuard<'_, Shard> {
-    shard.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Slot {
@@ -242,42 +244,106 @@ impl Shard {
             slot.step(self.after_end);
         }
     }
+
+    /// The first world's error, if any has one; none has one after.
+    fn take_error(&mut self) -> Result<(), WorldError> {
+        let mut errors = self.slots.iter_mut().filter_map(|slot| slot.error.take());
+        let first = errors.next();
+        errors.for_each(drop);
+        first.map_or(Ok(()), Err)
+    }
 }
 
-impl Worker {
-    fn start(shard: &Arc<Mutex<Shard>>) -> Worker {
-        let (go, awaited) = sync_channel::<()>(1);
-        let (answer, done) = sync_channel::<()>(1);
-        let shard = Arc::clone(shard);
-        let thread = std::thread::spawn(move || {
-            while awaited.recv().is_ok() {
-                lock(&shard).step();
-                if answer.send(()).is_err() {
-                    return;
-                }
-            }
-        });
-        Worker {
-            go: Some(go),
-            done,
-            thread: Some(thread),
+impl Desk {
+    fn new(slots: Vec<Slot>, after_end: AfterEnd) -> Desk {
+        Desk {
+            shard: Mutex::new(Shard {
+                slots,
+                after_end,
+                phase: Phase::Rest,
+            }),
+            changed: Condvar::new(),
         }
     }
 
-    fn wake(&self) -> Result<(), WorldError> {
-        let sent = self.go.as_ref().and_then(|go| go.send(()).ok());
-        sent.ok_or(WorldError::DeadThread)
+    /// A shard whose thread panicked still holds whole worlds: each slot is
+    /// written by one step at a time.
+    fn lock(&self) -> MutexGuard<'_, Shard> {
+        self.shard.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn wait(&self) -> Result<(), WorldError> {
-        self.done.recv().map_err(|_| WorldError::DeadThread)
+    /// Sets the phase, unless the thread is dead.
+    fn enter(&self, mut shard: MutexGuard<'_, Shard>, phase: Phase) {
+        if shard.phase != Phase::Dead {
+            shard.phase = phase;
+        }
+        drop(shard);
+        // The caller and one thread: at most one of them waits.
+        self.changed.notify_one();
+    }
+
+    /// Waits while the shard is in that phase.
+    fn wait_out<'a>(&'a self, shard: MutexGuard<'a, Shard>, phase: Phase) -> MutexGuard<'a, Shard> {
+        self.changed
+            .wait_while(shard, |shard| shard.phase == phase)
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Wakes the thread; it steps the shard.
+    fn ask(&self, shard: MutexGuard<'_, Shard>) -> Result<(), WorldError> {
+        let dead = shard.phase == Phase::Dead;
+        self.enter(shard, Phase::Step);
+        if dead {
+            Err(WorldError::DeadThread)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// The shard once it has stepped.
+    fn answer(&self) -> Result<MutexGuard<'_, Shard>, WorldError> {
+        let shard = self.wait_out(self.lock(), Phase::Step);
+        match shard.phase {
+            Phase::Dead => Err(WorldError::DeadThread),
+            Phase::Rest | Phase::Step | Phase::End => Ok(shard),
+        }
+    }
+
+    /// What the thread does until it is told to end.
+    fn work(&self) {
+        let _last = Last(self);
+        loop {
+            let mut shard = self.wait_out(self.lock(), Phase::Rest);
+            match shard.phase {
+                Phase::Step => shard.step(),
+                Phase::Rest | Phase::End | Phase::Dead => return,
+            }
+            self.enter(shard, Phase::Rest);
+        }
     }
 }
 
-impl Drop for Worker {
+/// Says that the thread has ended, however it does: a panic drops it, too.
+struct Last<'a>(&'a Desk);
+
+impl Drop for Last<'_> {
     fn drop(&mut self) {
-        self.go = None;
-        if let Some(thread) = self.thread.take() {
+        self.0.enter(self.0.lock(), Phase::Dead);
+    }
+}
+
+fn work_at(desk: &Arc<Desk>) -> JoinHandle<()> {
+    let desk = Arc::clone(desk);
+    std::thread::spawn(move || desk.work())
+}
+
+impl Drop for Batch {
+    fn drop(&mut self) {
+        for desk in &self.desks {
+            desk.enter(desk.lock(), Phase::End);
+        }
+        for thread in self.threads.drain(..) {
+            // A panic has been told by its steps.
             let _ = thread.join();
         }
     }

@@ -118,13 +118,15 @@ pub struct Bodies {
     /// The rest.
     pub fixtures: Vec<Fixture>,
     /// Pairs that may meet in this tick: a mover with a mover or a fixture.
-    pairs: Vec<(usize, Other)>,
+    /// Indices are short because room is held for every pair there is; 65,535
+    /// cars would need 600 km of lanes.
+    pairs: Vec<(u16, Other)>,
 }
 
 #[derive(Clone, Copy, Debug)]
 enum Other {
-    Mover(usize),
-    Fixture(usize),
+    Mover(u16),
+    Fixture(u16),
 }
 
 /// What the ego touched in a tick.
@@ -137,6 +139,15 @@ pub struct Touch {
 }
 
 impl Bodies {
+    /// Makes room for all that a tick of these bodies can need, so that none
+    /// allocates: in the worst pile-up every car meets every other body.
+    pub fn reserve(&mut self) {
+        let (movers, fixtures) = (self.movers.len(), self.fixtures.len());
+        let most = movers * movers.saturating_sub(1) / 2 + movers * fixtures;
+        self.pairs.clear();
+        self.pairs.reserve_exact(most);
+    }
+
     /// Moves everything by one tick, as commanded.
     pub fn advance(&mut self) -> Touch {
         self.find_pairs();
@@ -175,7 +186,7 @@ impl Bodies {
                 }
                 let (other_center, other_reach_m) = reach(second);
                 if within(center - other_center, reach_m + other_reach_m) {
-                    pairs.push((i, Other::Mover(j)));
+                    pairs.push((i as u16, Other::Mover(j as u16)));
                 }
             }
             if !first.awake {
@@ -184,17 +195,19 @@ impl Bodies {
             for (j, fixture) in fixtures.iter().enumerate() {
                 let away = center - fixture.placed.center_world;
                 if within(away, reach_m + fixture.placed.shape.radius_m()) {
-                    pairs.push((i, Other::Fixture(j)));
+                    pairs.push((i as u16, Other::Fixture(j as u16)));
                 }
             }
         }
     }
 
     /// Whether the pair overlaps; if they are cars, they collide.
-    fn meet(&mut self, first: usize, other: Other) -> bool {
+    fn meet(&mut self, first: u16, other: Other) -> bool {
+        let first = usize::from(first);
         match other {
             Other::Mover(second) => {
-                let Ok([a, b]) = self.movers.get_disjoint_mut([first, second]) else {
+                let pair = [first, usize::from(second)];
+                let Ok([a, b]) = self.movers.get_disjoint_mut(pair) else {
                     return false;
                 };
                 let Some(found) = overlap(&a.placed(), &b.placed()) else {
@@ -206,7 +219,7 @@ impl Bodies {
             }
             Other::Fixture(fixture) => {
                 let car = self.movers[first].placed();
-                overlap(&car, &self.fixtures[fixture].placed).is_some()
+                overlap(&car, &self.fixtures[usize::from(fixture)].placed).is_some()
             }
         }
     }

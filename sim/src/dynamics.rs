@@ -20,7 +20,7 @@
 //! What MetaDrive *reads* is the pose of one sub-step before (Bullet's
 //! interpolated motion state): [`Motion::seen`] against [`Motion::body`].
 //!
-//! The example `dynamics_fit` checks it against recorded drives. Sources:
+//! `./vlaps bench parity` checks it against recorded drives. Sources:
 //! `base_vehicle.py` and `vehicle_type.py` of MetaDrive c29cc37, Panda3D's
 //! vehicle (rest length 0.4 m, suspension force at most 6000 N).
 

@@ -74,7 +74,8 @@ impl Traffic {
         }
     }
 
-    /// Puts the scenario's cars behind the ego, which is the first mover.
+    /// Puts the scenario's cars behind the ego, which is the first mover; the
+    /// fixtures are there already.
     pub fn place(&mut self, scenario: &Scenario, bodies: &mut Bodies) {
         self.minds.clear();
         self.triggers.clear();
@@ -111,6 +112,18 @@ impl Traffic {
                 });
             }
         }
+        self.reserve(bodies);
+    }
+
+    /// Makes room for what [`Traffic::look`] lists, every body once, so that
+    /// no tick allocates when the first group starts.
+    fn reserve(&mut self, bodies: &Bodies) {
+        let movers = bodies.movers.len();
+        self.neighbours.clear();
+        self.neighbours
+            .reserve_exact(movers + bodies.fixtures.len());
+        self.places.clear();
+        self.places.reserve_exact(movers);
     }
 
     /// Nobody drives it, so its engine does not matter; it rolls when it is hit.

@@ -147,6 +147,7 @@ impl World {
         let fixtures = scenario.obstacles.iter().filter_map(Fixture::new);
         self.bodies.fixtures.extend(fixtures);
         self.traffic.place(&scenario, &mut self.bodies);
+        self.bodies.reserve();
         self.sidewalks.lay(network);
         self.map = scenario.map;
         self.ticks = 0;

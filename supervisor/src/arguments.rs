@@ -158,11 +158,26 @@ impl From<WorldChoice> for Simulator {
 
 /// Install what an optional part needs.
 #[derive(Debug, Args)]
-#[command(after_help = "Does only what is missing, so it may be repeated.\n\n\
-        Example:\n  ./vlaps setup metadrive")]
+#[command(
+    after_help = "Does only what is missing, so it may be repeated; with another --checkout, or \
+        without, it replaces the MetaDrive that is there. It installs into target/metadrive; \
+        the environment variable VLAPS_METADRIVE names another folder, for setup, up, eval and \
+        bench alike.\n\n\
+        Examples:\n  \
+        ./vlaps setup metadrive\n  \
+        VLAPS_METADRIVE=$HOME/md-c29 ./vlaps setup metadrive --checkout ../metadrive"
+)]
 pub struct Setup {
     /// Which part.
     pub part: Part,
+    /// Install MetaDrive from this checkout of its repository, not its release.
+    ///
+    /// The built-in world mirrors commit c29cc37 of metadriverse/metadrive. The
+    /// release on the registry, 0.4.3, has older lanes at in- and out-ramps:
+    /// figures that are compared need the commit. The checkout is only read; all
+    /// other packages stay as pinned.
+    #[arg(long, value_name = "DIR")]
+    pub checkout: Option<PathBuf>,
     /// The Python to install for; without it, python3.11 or python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,

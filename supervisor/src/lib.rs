@@ -43,6 +43,7 @@
 
 pub mod arguments;
 pub mod backoff;
+pub mod checkout;
 pub mod child;
 pub mod clean;
 pub mod doctor;

@@ -5,17 +5,20 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::arguments::{Part, Setup};
+use crate::checkout::{Checkout, installed};
 use crate::failure::Failure;
 use crate::metadrive::{home, python, sources};
 use crate::screen::say;
 
-/// In the environment's folder: what was installed, as required then. Written
-/// when everything has been checked.
+/// In the environment's folder: what was installed, as required then, and from
+/// which checkout. Written when everything has been checked.
 pub const DONE: &str = "installed.txt";
 
 /// The only Python that MetaDrive's graphics engine has packages for among those
 /// that read TOML.
 const PYTHON_VERSION: &str = "3.11";
+/// MetaDrive among the requirements.
+const RELEASE: &str = "metadrive-simulator";
 
 /// Makes what a part needs, as far as it is missing.
 ///
@@ -23,25 +26,35 @@ const PYTHON_VERSION: &str = "3.11";
 /// One line that says which step failed, why, and what to do.
 pub fn setup(arguments: &Setup) -> Result<(), Failure> {
     match arguments.part {
-        Part::Metadrive => setup_metadrive(arguments.python.as_deref()),
+        Part::Metadrive => {
+            setup_metadrive(arguments.python.as_deref(), arguments.checkout.as_deref())
+        }
     }
 }
 
-fn setup_metadrive(wanted: Option<&Path>) -> Result<(), Failure> {
+fn setup_metadrive(wanted: Option<&Path>, checkout: Option<&Path>) -> Result<(), Failure> {
+    let checkout = checkout.map(Checkout::open).transpose()?;
     let sources = sources()?;
     let home = home()?;
     let required = sources.join("requirements.txt");
     let required_text = fs::read_to_string(&required)
         .map_err(|error| Failure::GivenUp(format!("{}: {error}", required.display())))?;
+    let record = match &checkout {
+        None => required_text.clone(),
+        Some(checkout) => format!(
+            "{required_text}\n# In place of {RELEASE}, a checkout: {}\n",
+            checkout.identity()
+        ),
+    };
     let done = home.join(DONE);
     let interpreter = python(&home);
-    if interpreter.is_file() && fs::read_to_string(&done).ok().as_ref() == Some(&required_text) {
+    if interpreter.is_file() && fs::read_to_string(&done).ok().as_ref() == Some(&record) {
         say(format_args!("{}: installed already", home.display()));
     } else {
         // Until the end, it counts as not set up.
         let _ = fs::remove_file(&done);
         make_environment(wanted, &home, &interpreter)?;
-        install(&interpreter, &required)?;
+        install(&home, &required_text, checkout.as_ref())?;
     }
     say("checking: assets, one reset, one step");
     let prepare = sources.join("prepare.py");
@@ -54,7 +67,7 @@ fn setup_metadrive(wanted: Option<&Path>) -> Result<(), Failure> {
         )));
     }
     say(String::from_utf8_lossy(&output.stdout).trim());
-    fs::write(&done, required_text)
+    fs::write(&done, record)
         .map_err(|error| Failure::GivenUp(format!("{}: {error}", done.display())))?;
     say("ready: ./vlaps up --world metadrive");
     Ok(())
@@ -86,21 +99,48 @@ fn make_environment(wanted: Option<&Path>, home: &Path, interpreter: &Path) -> R
     }
 }
 
-fn install(interpreter: &Path, required: &Path) -> Result<(), Failure> {
-    say("installing metadrive-simulator, iceoryx2 and what they need; this takes some minutes");
+/// Installs what is required; MetaDrive itself from the checkout, if there is
+/// one. Whatever MetaDrive was there goes first: pip does not know of a copy.
+fn install(home: &Path, required: &str, checkout: Option<&Checkout>) -> Result<(), Failure> {
+    let interpreter = python(home);
+    let packages = home.join(format!("lib/python{PYTHON_VERSION}/site-packages"));
+    let uninstall = ["-m", "pip", "uninstall", "--quiet", "--yes", RELEASE];
+    output_of(Command::new(&interpreter).args(uninstall))?;
+    let package = installed(&packages);
+    if package.exists() {
+        fs::remove_dir_all(&package)
+            .map_err(|error| Failure::GivenUp(format!("{}: {error}", package.display())))?;
+    }
+    let mut lines: Vec<&str> = required.lines().collect();
+    let from = match checkout {
+        None => RELEASE.to_string(),
+        Some(checkout) => {
+            lines.retain(|line| !line.starts_with(RELEASE));
+            format!("MetaDrive of a checkout ({})", checkout.identity())
+        }
+    };
+    say(format_args!(
+        "installing {from}, iceoryx2 and what they need; this takes some minutes"
+    ));
+    let list = home.join("requirements.txt");
+    fs::write(&list, lines.join("\n"))
+        .map_err(|error| Failure::GivenUp(format!("{}: {error}", list.display())))?;
     let output = output_of(
-        Command::new(interpreter)
+        Command::new(&interpreter)
             .args(["-m", "pip", "install", "--quiet", "--requirement"])
-            .arg(required),
+            .arg(&list),
     )?;
-    match output.status.success() {
-        true => Ok(()),
-        false => Err(Failure::GivenUp(format!(
+    if !output.status.success() {
+        return Err(Failure::GivenUp(format!(
             "cannot install {}: {}; check the network and, behind a proxy or mirror, \
              `pip config list`, then run ./vlaps setup metadrive again",
-            required.display(),
+            list.display(),
             last_line(&output)
-        ))),
+        )));
+    }
+    match checkout {
+        None => Ok(()),
+        Some(checkout) => checkout.copy_into(&packages),
     }
 }
 

@@ -1,10 +1,12 @@
 //! The built-in world against recordings of MetaDrive: maps, spawns, first
-//! observations, and recorded actions driven again.
+//! observations, recorded actions driven again, recorded poses judged again.
 //!
 //! Each row compares one thing over all recorded seeds, with its bar beside it.
 
+mod dynamics;
 pub mod record;
 mod replay;
+mod rules;
 mod scenario;
 
 use std::path::Path;
@@ -12,11 +14,17 @@ use std::process::ExitCode;
 
 use comfy_table::Table;
 use serde::Serialize;
+use sim::model::Forces;
 use sim::{World, WorldConfig};
 
 use crate::arguments::Parity;
 use crate::report::{say, table, write_json};
-use record::Golden;
+use crate::statistics::quantile;
+use record::{Golden, Rollout};
+
+/// After how many ticks to look at a drive, and how far from the record the
+/// median one may be by then, m.
+const LOOKS: [(usize, f64); 3] = [(10, 0.1), (30, 0.5), (50, 1.5)];
 
 /// What a row measures, and in what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -39,6 +47,8 @@ pub struct Row {
     pub compared: usize,
     /// How many of them differ by more than the bar, or cannot be compared.
     pub different: usize,
+    /// The first seed of which one differs, where seeds are compared.
+    pub first_seed: Option<u64>,
     /// The largest or typical error, as `figure` says.
     pub error: f64,
     /// Its unit.
@@ -58,16 +68,41 @@ impl Row {
             compared,
             different,
             largest,
+            first_seed,
         } = tally;
         Row {
             what: what.into(),
             compared,
             different,
+            first_seed,
             error: largest,
             unit,
             figure: "largest",
             bar: Some(bar),
             met: Some(compared > 0 && different == 0 && largest <= bar),
+        }
+    }
+
+    /// A row of a quantile of many errors.
+    fn typical(
+        what: &str,
+        errors: &mut [f64],
+        (unit, share): (Unit, f64),
+        bar: Option<f64>,
+    ) -> Row {
+        let error = quantile(errors, share);
+        let over = |bar: f64| errors.iter().filter(|error| **error > bar).count();
+        Row {
+            what: what.into(),
+            compared: errors.len(),
+            different: bar.map_or(0, over),
+            first_seed: None,
+            error,
+            unit,
+            figure: if share == 0.5 { "median" } else { "p90" },
+            bar,
+            // NaN, of no drives at all, meets nothing.
+            met: bar.map(|bar| error <= bar),
         }
     }
 }
@@ -81,6 +116,8 @@ pub struct Tally {
     pub different: usize,
     /// The largest error among those that could be measured.
     pub largest: f64,
+    /// The first seed of which one differs.
+    pub first_seed: Option<u64>,
 }
 
 impl Tally {
@@ -95,6 +132,14 @@ impl Tally {
                 self.largest = self.largest.max(error);
             }
             None => self.different += 1,
+        }
+    }
+
+    /// Remembers a seed whose items have been counted if it is the first of
+    /// which one differs.
+    fn end_of(&mut self, seed: u64) {
+        if self.different > 0 {
+            self.first_seed.get_or_insert(seed);
         }
     }
 
@@ -136,10 +181,20 @@ impl Comparison {
         let mut rows = scenario::rows(&golden)?;
         let mut world = World::new(WorldConfig::default())?;
         let mut drives = 0;
+        rows.extend(dynamics::response_rows(folder)?);
+        let forces = |seed: u64| {
+            let ego = &golden.seeds.get(&seed)?.ego;
+            Some(Forces {
+                engine_n: ego.engine,
+                brake: ego.brake,
+            })
+        };
         for kind in record::rollout_kinds(folder)? {
-            let (found, count) = replay::rows(folder, &kind, &mut world)?;
-            rows.extend(found);
-            drives += count;
+            let rollouts = Rollout::read_all(folder, &kind)?;
+            rows.extend(rules::rows(&kind, &rollouts, &mut world)?);
+            rows.extend(replay::rows(&kind, &rollouts, &mut world)?);
+            rows.extend(dynamics::window_rows(&kind, &rollouts, forces)?);
+            drives += rollouts.len();
         }
         Ok(Comparison {
             rows,
@@ -160,9 +215,10 @@ impl Comparison {
     pub fn table(&self) -> Table {
         let mut table = table(&["", "compared", "differ", "error", "", "bar", ""]);
         for row in &self.rows {
-            let differ = match row.bar {
-                Some(_) => row.different.to_string(),
-                None => String::new(),
+            let differ = match (row.bar, row.first_seed) {
+                (Some(_), Some(seed)) => format!("{}, first at seed {seed}", row.different),
+                (Some(_), None) => row.different.to_string(),
+                (None, _) => String::new(),
             };
             table.add_row([
                 row.what.clone(),

@@ -15,6 +15,8 @@ const GOLDEN: (&str, &str) = ("golden_", ".json.gz");
 /// Columns of a recorded drive that are read here.
 const EGO_COLUMNS: usize = 11;
 const FLAG_COLUMNS: usize = 6;
+/// Columns of a recorded step response.
+const RESPONSE_COLUMNS: usize = 8;
 
 /// Every recorded scenario, by seed.
 pub struct Golden {
@@ -27,6 +29,8 @@ pub struct Golden {
 pub struct Scenario {
     /// The settings it was made with, where they are not the paper's.
     pub config: Option<Config>,
+    /// The blocks of its map, in the order of their making.
+    pub blocks: Vec<Block>,
     /// Lanes by road, `from|to`.
     pub net: BTreeMap<String, Vec<Lane>>,
     /// The ego.
@@ -58,6 +62,22 @@ pub struct Config {
     pub accident_probability: Option<f64>,
 }
 
+/// One block of a map.
+#[derive(Debug, Deserialize)]
+pub struct Block {
+    /// The letter of its kind.
+    #[serde(rename = "ID")]
+    pub letter: String,
+    /// Seed of its own stream.
+    pub seed: u64,
+    /// How many samples it took.
+    pub trials: u32,
+    /// What it is attached to, such as `0I-socket0`; none of the first.
+    pub pre_socket: Option<String>,
+    /// Its measures, by name.
+    pub cfg: BTreeMap<String, serde_json::Value>,
+}
+
 /// One lane.
 #[derive(Debug, Deserialize)]
 pub struct Lane {
@@ -74,6 +94,26 @@ pub struct Lane {
     pub end: [f64; 2],
     /// The lines on its left and right.
     pub lines: [String; 2],
+    /// Their colours.
+    pub colors: [String; 2],
+    /// The circle, if it is an arc.
+    #[serde(flatten)]
+    pub arc: Option<Arc>,
+}
+
+/// The circle of a lane that bends.
+#[derive(Debug, Deserialize)]
+pub struct Arc {
+    /// Its centre.
+    pub center: [f64; 2],
+    /// Its radius, m.
+    pub radius: f64,
+    /// Direction from the centre to where the lane begins.
+    pub start_phase: f64,
+    /// The angle that the lane sweeps.
+    pub angle: f64,
+    /// Whether it bends to the right.
+    pub clockwise: bool,
 }
 
 /// The ego or a car of the traffic.
@@ -88,6 +128,15 @@ pub struct Car {
     pub pos: [f64; 2],
     /// Its heading.
     pub heading: f64,
+    /// Its place along the lane, m; not of the ego.
+    #[serde(default)]
+    pub long: Option<f64>,
+    /// Its length and width, m; not of the ego.
+    #[serde(default)]
+    pub size: Option<[f64; 2]>,
+    /// Its mass, kg; not of the ego.
+    #[serde(default)]
+    pub mass: Option<f64>,
     /// Engine force per wheel, N.
     pub engine: f64,
     /// Brake force.
@@ -160,6 +209,38 @@ impl Golden {
     }
 }
 
+/// The recorded step responses, where there are any: `dynamics.json`.
+///
+/// # Errors
+/// When the file is there but not what it should be.
+pub fn step_responses(folder: &Path) -> anyhow::Result<Option<StepResponses>> {
+    let path = folder.join("dynamics.json");
+    if !path.exists() {
+        return Ok(None);
+    }
+    let read = || anyhow::Ok(serde_json::from_reader(BufReader::new(File::open(&path)?))?);
+    read().with_context(|| path.display().to_string()).map(Some)
+}
+
+/// What a car on a straight road does when one action is held.
+#[derive(Debug, Deserialize)]
+pub struct StepResponses {
+    /// The car's engine and brake.
+    pub params: Vec<Forces>,
+    /// x, y, heading, speed tick by tick, by the name of the action.
+    #[serde(flatten)]
+    pub responses: BTreeMap<String, Vec<[f64; RESPONSE_COLUMNS]>>,
+}
+
+/// A car's engine and brake.
+#[derive(Debug, Deserialize)]
+pub struct Forces {
+    /// Engine force per wheel, N.
+    pub max_engine_force: f64,
+    /// Brake force.
+    pub max_brake_force: f64,
+}
+
 /// The kinds of recorded drives in a folder: the folders in `rollouts`.
 ///
 /// # Errors
@@ -168,7 +249,7 @@ pub fn rollout_kinds(folder: &Path) -> anyhow::Result<Vec<String>> {
     names(&folder.join("rollouts"))
 }
 
-/// One recorded drive; row t is what was seen before action t.
+/// One recorded drive; row t is what was before action t.
 pub struct Rollout {
     /// Its seed.
     pub seed: u64,
@@ -176,10 +257,94 @@ pub struct Rollout {
     pub features: Vec<Vec<f32>>,
     /// Steer and pedal.
     pub actions: Vec<[f64; 2]>,
+    /// The ego.
+    pub ego: Vec<Ego>,
+    /// What action t brought.
+    pub judged: Vec<Judged>,
+}
+
+/// The ego at one instant of a drive.
+#[derive(Clone, Copy, Debug)]
+pub struct Ego {
     /// Position, m.
-    pub positions: Vec<[f64; 2]>,
-    /// Whether anything was touched during action t.
-    pub touched: Vec<bool>,
+    pub position: [f64; 2],
+    /// Heading, rad, counter-clockwise.
+    pub heading_rad: f64,
+    /// Velocity, m/s.
+    pub velocity: [f64; 2],
+    /// How fast it turns, rad/s, counter-clockwise.
+    pub yaw_rate_radps: f64,
+    /// Distances to the road's left and right edge, m.
+    pub edges_m: [f64; 2],
+    /// Share of the route driven.
+    pub completion: f64,
+    /// How many roads of the route lie behind.
+    pub roads_done: usize,
+    /// Whether a lane is under it.
+    pub on_lane: bool,
+}
+
+/// How the simulator judged one tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Judged {
+    /// A vehicle was touched.
+    pub vehicle: bool,
+    /// A cone, a triangle or a barrier was touched.
+    pub object: bool,
+    /// The ego was on a sidewalk.
+    pub sidewalk: bool,
+    /// The ego was out of the road.
+    pub out_of_road: bool,
+    /// The ego had arrived.
+    pub arrived: bool,
+}
+
+impl From<&[f64; EGO_COLUMNS]> for Ego {
+    fn from(row: &[f64; EGO_COLUMNS]) -> Ego {
+        let [
+            x,
+            y,
+            heading_rad,
+            vx,
+            vy,
+            yaw_rate_radps,
+            left_m,
+            right_m,
+            completion,
+            roads,
+            lane,
+        ] = *row;
+        Ego {
+            position: [x, y],
+            heading_rad,
+            velocity: [vx, vy],
+            yaw_rate_radps,
+            edges_m: [left_m, right_m],
+            completion,
+            roads_done: roads as usize,
+            on_lane: lane != 0.0,
+        }
+    }
+}
+
+impl From<&[bool; FLAG_COLUMNS]> for Judged {
+    fn from(row: &[bool; FLAG_COLUMNS]) -> Judged {
+        let [vehicle, object, sidewalk, out_of_road, arrived, _max_step] = *row;
+        Judged {
+            vehicle,
+            object,
+            sidewalk,
+            out_of_road,
+            arrived,
+        }
+    }
+}
+
+impl Judged {
+    /// Whether anything was touched that moves or stands in the way.
+    pub fn touched(&self) -> bool {
+        self.vehicle || self.object
+    }
 }
 
 impl Rollout {
@@ -217,20 +382,12 @@ impl Rollout {
             seed,
             features: features.chunks_exact(width).map(<[f32]>::to_vec).collect(),
             actions: actions.as_chunks().0.to_vec(),
-            positions: ego
-                .chunks_exact(EGO_COLUMNS)
-                .map(|row| [row[0], row[1]])
-                .collect(),
-            touched: flags
-                .as_chunks::<FLAG_COLUMNS>()
-                .0
-                .iter()
-                .map(|flags| flags[0] || flags[1])
-                .collect(),
+            ego: ego.as_chunks().0.iter().map(Ego::from).collect(),
+            judged: flags.as_chunks().0.iter().map(Judged::from).collect(),
         };
         let ticks = rollout.actions.len();
-        let seen = [rollout.features.len(), rollout.positions.len()];
-        if seen != [ticks + 1; 2] || rollout.touched.len() != ticks {
+        let seen = [rollout.features.len(), rollout.ego.len()];
+        if seen != [ticks + 1; 2] || rollout.judged.len() != ticks {
             bail!("{ticks} actions, but {seen:?} rows before and after them");
         }
         Ok(rollout)

@@ -5,7 +5,9 @@ use std::f64::consts::TAU;
 
 use anyhow::{Context, ensure};
 use shm_config::message::{BEAMS_MAX, Observation};
-use sim::lane::{Curve, Lane, LineType};
+use sim::Parameters;
+use sim::lane::{Arc, Curve, Lane, LineColor, LineType, Turn};
+use sim::map::Block;
 use sim::road::{LaneId, Network, NodeId, RoadId};
 use sim::spawn::{Obstacle, ObstacleKind, Place, Route, Scenario, Spawn};
 use sim::{World, WorldConfig};
@@ -21,6 +23,7 @@ const BAR_FEATURE: f64 = 1e-3;
 
 #[derive(Default)]
 struct Tallies {
+    blocks: Tally,
     lanes: Tally,
     routes: Tally,
     egos: Tally,
@@ -29,14 +32,32 @@ struct Tallies {
     features: Tally,
 }
 
+impl Tallies {
+    fn all(&mut self) -> [&mut Tally; 7] {
+        [
+            &mut self.blocks,
+            &mut self.lanes,
+            &mut self.routes,
+            &mut self.egos,
+            &mut self.objects,
+            &mut self.vehicles,
+            &mut self.features,
+        ]
+    }
+}
+
 /// Compares all recorded scenarios.
 pub(super) fn rows(golden: &Golden) -> anyhow::Result<Vec<Row>> {
     let mut tallies = Tallies::default();
     for (&seed, recorded) in &golden.seeds {
         let config = config(recorded)?;
         compare(seed, recorded, &config, &mut tallies).with_context(|| format!("seed {seed}"))?;
+        for tally in tallies.all() {
+            tally.end_of(seed);
+        }
     }
     let Tallies {
+        blocks,
         lanes,
         routes,
         egos,
@@ -46,7 +67,13 @@ pub(super) fn rows(golden: &Golden) -> anyhow::Result<Vec<Row>> {
     } = tallies;
     Ok(vec![
         Row::largest(
-            "lanes: type, lines, length, end points",
+            "blocks: kind, seed, socket, measures",
+            blocks,
+            Unit::M,
+            BAR_M,
+        ),
+        Row::largest(
+            "lanes: type, lines, length, ends, arcs",
             lanes,
             Unit::M,
             BAR_M,
@@ -55,7 +82,7 @@ pub(super) fn rows(golden: &Golden) -> anyhow::Result<Vec<Row>> {
         Row::largest("egos: lane, place, engine, brake", egos, Unit::M, BAR_M),
         Row::largest("objects: kind, place, heading", objects, Unit::M, BAR_M),
         Row::largest(
-            "vehicles: kind, place, forces, route",
+            "vehicles: kind, place, forces, route, size",
             vehicles,
             Unit::M,
             BAR_M,
@@ -101,6 +128,7 @@ fn compare(
 ) -> anyhow::Result<()> {
     let ours = Scenario::generate(&config.scenario()?, seed)?;
     let network = &ours.map.network;
+    compare_blocks(&recorded.blocks, &ours.map.blocks, &mut tallies.blocks);
     compare_lanes(recorded, network, &mut tallies.lanes);
     let route_m = (recorded.route_len - ours.ego.route.length_m(network)).abs();
     let same_route = recorded.ckpt == nodes(network, &ours.ego.route);
@@ -161,6 +189,61 @@ fn pair<A, B>(
     tally.missing(theirs.len().abs_diff(ours.len()));
 }
 
+fn compare_blocks(theirs: &[record::Block], ours: &[Block], tally: &mut Tally) {
+    // What a block is attached to is named by the block before.
+    let sockets: Vec<Option<String>> = (ours.iter().enumerate())
+        .map(|(index, block)| {
+            let (before, entry) = (index.checked_sub(1)?, block.entry?);
+            let letter = ours[before].kind.letter();
+            Some(format!("{before}{letter}-socket{}", entry.number))
+        })
+        .collect();
+    let ours: Vec<_> = ours.iter().zip(&sockets).collect();
+    pair(theirs, &ours, tally, |theirs, (ours, socket)| {
+        let same = theirs.letter == ours.kind.letter().to_string()
+            && theirs.seed == ours.seed
+            && theirs.trials == ours.trials
+            && theirs.pre_socket == **socket;
+        let mut error = 0.0_f64;
+        for (name, value) in measures(&ours.parameters) {
+            let recorded = theirs.cfg.get(name).and_then(serde_json::Value::as_f64)?;
+            error = error.max((recorded - value).abs());
+        }
+        same.then_some(error)
+    });
+}
+
+/// A block's measures by the simulator's names: m, degrees and numbers.
+fn measures(parameters: &Parameters) -> Vec<(&'static str, f64)> {
+    match *parameters {
+        Parameters::Fixed => vec![],
+        Parameters::Straight { length_m } => vec![("length", length_m)],
+        Parameters::Curve {
+            length_m,
+            radius_m,
+            angle_deg,
+            turn,
+        } => vec![
+            ("length", length_m),
+            ("radius", radius_m),
+            ("angle", angle_deg),
+            ("dir", if turn == Turn::Right { 1.0 } else { 0.0 }),
+        ],
+        Parameters::Ramp {
+            length_m,
+            extension_m,
+        } => vec![("length", length_m), ("extension_length", extension_m)],
+        Parameters::TIntersection { missing } => vec![("t_type", f64::from(missing))],
+        Parameters::Roundabout {
+            exit_radius_m,
+            inner_radius_m,
+        } => vec![
+            ("exit_radius", exit_radius_m),
+            ("inner_radius", inner_radius_m),
+        ],
+    }
+}
+
 fn compare_lanes(recorded: &record::Scenario, network: &Network, tally: &mut Tally) {
     let mut found = 0;
     for road in (0..network.roads().len()).map(|index| RoadId(index as u16)) {
@@ -198,11 +281,31 @@ fn lane_error(theirs: &record::Lane, ours: &Lane) -> Option<f64> {
         LineType::Continuous => "ROAD_LINE_SOLID_SINGLE_WHITE",
         LineType::Side => "ROAD_EDGE_BOUNDARY",
     });
+    // A yellow's recorded text is cut short; white's is whole.
+    let color = match theirs.colors[0].as_str() {
+        "(1, 1, 1, 1)" => LineColor::White,
+        _ => LineColor::Yellow,
+    };
+    let arc_m = match (&theirs.arc, &ours.curve) {
+        (Some(theirs), Curve::Arc(ours)) => arc_error_m(theirs, ours)?,
+        (None, Curve::Straight(_) | Curve::Taper(_)) => 0.0,
+        _ => return None,
+    };
     let error_m = apart_m(theirs.start, ours.start_world)
         .max(apart_m(theirs.end, ours.end_world))
         .max((theirs.length - ours.length_m).abs())
-        .max((theirs.width - ours.width_m).abs());
-    (theirs.class == class && theirs.lines == lines).then_some(error_m)
+        .max((theirs.width - ours.width_m).abs())
+        .max(arc_m);
+    let same = theirs.class == class && theirs.lines == lines && color == ours.left_color;
+    same.then_some(error_m)
+}
+
+fn arc_error_m(theirs: &record::Arc, ours: &Arc) -> Option<f64> {
+    let same = theirs.clockwise == (ours.turn == Turn::Right)
+        && is_near_rad(theirs.start_phase, ours.start_phase_rad)
+        && is_near_rad(theirs.angle, ours.angle_rad);
+    let error_m = apart_m(theirs.center, ours.center_world);
+    same.then(|| error_m.max((theirs.radius - ours.radius_m).abs()))
 }
 
 fn object_error(theirs: &record::Object, ours: &Obstacle) -> Option<f64> {
@@ -224,15 +327,25 @@ fn car_error(network: &Network, theirs: &record::Car, ours: &Spawn) -> Option<f6
         lane,
         position_world,
         heading_rad,
-        ..
+        longitudinal_m,
     } = ours.place;
     let (from, to, number) = &theirs.lane;
     let same_lane = format!("{from}|{to}|{number}") == lane_name(network, lane);
     // Forces are hundreds of newtons: the record has them in single precision.
     let same_forces = (theirs.engine - ours.forces.engine_n).abs() < BAR_M
         && (theirs.brake - ours.forces.brake).abs() < BAR_M;
-    let same = same_kind && same_lane && same_forces && is_near_rad(theirs.heading, heading_rad);
-    same.then(|| apart_m(theirs.pos, position_world))
+    let same_body = theirs.size.is_none_or(|[length_m, width_m]| {
+        (length_m - model.length_m).abs() < BAR_M && (width_m - model.width_m).abs() < BAR_M
+    }) && theirs.mass.is_none_or(|mass_kg| mass_kg == model.mass_kg);
+    let along_m = theirs
+        .long
+        .map_or(0.0, |long_m| (long_m - longitudinal_m).abs());
+    let same = same_kind
+        && same_lane
+        && same_forces
+        && same_body
+        && is_near_rad(theirs.heading, heading_rad);
+    same.then(|| apart_m(theirs.pos, position_world).max(along_m))
 }
 
 fn apart_m([x, y]: [f64; 2], ours: Point) -> f64 {

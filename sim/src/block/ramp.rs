@@ -60,13 +60,7 @@ fn build_in(out: &mut Builder<'_>, lengths: Lengths) -> Built {
         from: before.to,
         to: out.node(0, 1),
     };
-    let lane = extended(
-        &before_lane,
-        lengths.length_m + lengths.extension_m,
-        [LineType::Broken, LineType::Side],
-    );
-    place_pair(out, lane, beside)?;
-    out.set_right_lines(beside, [left_line, LineType::Broken]);
+    place_beside(out, &before_lane, beside, lengths)?;
 
     let after = RoadName {
         from: beside.to,
@@ -130,13 +124,8 @@ fn build_out(out: &mut Builder<'_>, lengths: Lengths) -> Built {
         from: out.entry.positive.to,
         to: out.node(0, 0),
     };
-    let lane = extended(
-        &out.basic_lane(),
-        lengths.length_m + lengths.extension_m,
-        [LineType::Broken, LineType::Side],
-    );
-    place_pair(out, lane, beside)?;
-    out.set_right_lines(beside, [left_line, LineType::Broken]);
+    let entry = out.basic_lane();
+    place_beside(out, &entry, beside, lengths)?;
 
     let after = RoadName {
         from: beside.to,
@@ -192,6 +181,18 @@ fn build_leaving(
         to: out.node(1, 4),
     };
     add_checked(out, far_road, far)
+}
+
+/// The stretch of main road beside the ramp's own lane, after a lane.
+fn place_beside(out: &mut Builder<'_>, after: &Lane, road: RoadName, lengths: Lengths) -> Built {
+    let lane = extended(
+        after,
+        lengths.length_m + lengths.extension_m,
+        [LineType::Broken, LineType::Side],
+    );
+    place_pair(out, lane, road)?;
+    out.set_right_lines(road, [left_line(out.lane_count()), LineType::Broken]);
+    Ok(())
 }
 
 /// A stretch of main road and its opposite direction.
