@@ -1,4 +1,6 @@
-//! Observation to plan: occupancy grid, local goal, RRT* (Sec. 4.1.1).
+//! Observation to plan, by one of several methods ([`Planner`]).
+//!
+//! The paper's is [`RrtStar`]: occupancy grid, local goal, RRT* (Sec. 4.1.1).
 //!
 //! ```text
 //! Observation -> Grid::fill -> choose_goal -> RRT* -> Plan
@@ -26,7 +28,7 @@ mod tree;
 pub use corridor::Corridor;
 pub use goal::choose_goal;
 pub use grid::{Cell, Grid};
-pub use mpc::Mpc;
+pub use mpc::{Effort, Mpc};
 pub use planner::Planner;
 pub use rrt_star::RrtStar;
 pub use shm_config::config::Planner as PlannerConfig;

@@ -37,6 +37,8 @@ use lattice::{Ground, Lattice, Path};
 use line::{Line, Place};
 use model::{Model, State};
 use problem::{PROBES, Problem, Solution, Stage, Task};
+
+pub use problem::Effort;
 use speed::{Profile, Way};
 
 /// What is remembered is worth something for this long, s.
@@ -90,6 +92,11 @@ impl Mpc {
             stages: vec![Stage::default(); config.mpc.steps as usize].into(),
             memory: None,
         }
+    }
+
+    /// What the solver needed for the last plan.
+    pub fn effort(&self) -> Effort {
+        self.problem.effort()
     }
 
     /// Nothing of what was before counts any more.
@@ -283,7 +290,7 @@ impl Mpc {
             }
             return;
         };
-        out.iterations = solution.iterations;
+        out.iterations = self.problem.effort().iterations;
         for (slot, input) in out.actions.iter_mut().zip(&solution.inputs) {
             let [steer_rad, accel_mps2] = *input;
             let gain = if accel_mps2 > 0.0 {

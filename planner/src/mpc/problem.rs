@@ -59,6 +59,7 @@ pub(crate) struct Problem {
     row_values: Vec<f64>,
     linear: Vec<f64>,
     bounds: Vec<f64>,
+    effort: Effort,
 }
 
 impl std::fmt::Debug for Problem {
@@ -72,7 +73,17 @@ impl std::fmt::Debug for Problem {
 pub(crate) struct Solution {
     pub(crate) states: heapless::Vec<State, PLANNED_MAX>,
     pub(crate) inputs: heapless::Vec<Input, PLANNED_MAX>,
-    pub(crate) iterations: u32,
+}
+
+/// What the solver needed for a problem.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Effort {
+    /// Iterations of the interior-point method.
+    pub iterations: u32,
+    /// Time by the solver's own clock, s.
+    pub solve_s: f64,
+    /// It found an answer.
+    pub is_solved: bool,
 }
 
 impl Problem {
@@ -97,6 +108,7 @@ impl Problem {
             solver: None,
             linear: vec![0.0; columns],
             bounds: vec![0.0; row_count],
+            effort: Effort::default(),
         };
         problem.write_costs();
         problem.set_up(time_limit_s);
@@ -114,9 +126,12 @@ impl Problem {
             .input_sparse_dropzeros(false)
             // The scaling would be that of the first data for ever after.
             .equilibrate_enable(false)
-            .tol_gap_abs(1e-6)
-            .tol_gap_rel(1e-6)
-            .tol_feas(1e-6)
+            // A millimetre and a milliradian are far more than the model knows.
+            .tol_gap_abs(1e-5)
+            .tol_gap_rel(1e-5)
+            .tol_feas(1e-5)
+            .iterative_refinement_reltol(1e-8)
+            .iterative_refinement_abstol(1e-8)
             .max_threads(1)
             .direct_solve_method("qdldl".into())
             .build()
@@ -141,9 +156,15 @@ impl Problem {
         .ok();
     }
 
+    /// What the last problem needed.
+    pub(crate) fn effort(&self) -> Effort {
+        self.effort
+    }
+
     /// Solves; `None` when the solver gave up, in time or number.
     pub(crate) fn solve(&mut self, task: &Task, stages: &[Stage]) -> Option<Solution> {
         debug_assert_eq!(stages.len(), self.steps, "a stage for each step");
+        self.effort = Effort::default();
         self.write_linear(task, stages);
         self.write_rows(task, stages);
         let solver = self.solver.as_mut()?;
@@ -156,13 +177,15 @@ impl Problem {
             SolverStatus::Solved | SolverStatus::AlmostSolved
         );
         let values = &solver.solution.x;
-        if !is_good || !values.iter().all(|value| value.is_finite()) {
+        self.effort = Effort {
+            iterations: solver.solution.iterations,
+            solve_s: solver.solution.solve_time,
+            is_solved: is_good && values.iter().all(|value| value.is_finite()),
+        };
+        if !self.effort.is_solved {
             return None;
         }
-        let mut solution = Solution {
-            iterations: solver.solution.iterations,
-            ..Solution::default()
-        };
+        let mut solution = Solution::default();
         for step in values.chunks_exact(STEP) {
             // There is room for as many steps as a configuration may have.
             let _ = solution.states.push(std::array::from_fn(|at| step[at]));
