@@ -201,7 +201,7 @@ fn print(speed: &Speed) {
 }
 
 /// The one-minute load, where the system tells.
-fn load() -> Option<f64> {
+pub(crate) fn load() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     text.split(' ').next()?.parse().ok()
 }

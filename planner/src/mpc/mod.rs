@@ -36,7 +36,7 @@ use field::{FAR_M, Field};
 use lattice::{Ground, Lattice, Path};
 use line::{Line, Place};
 use model::{Model, State};
-use problem::{PROBES, Problem, Solution, Stage, Task};
+use problem::{Problem, Solution, Stage, Task};
 
 pub use problem::Effort;
 use speed::{Profile, Way};
@@ -208,7 +208,7 @@ impl Mpc {
             steering_gain: ego.steering_gain(),
             step_s: self.settings.step_s,
         };
-        let probes_m = [-1.0, 0.0, 1.0].map(|side| side * self.body.offsets_m[4]);
+        let probes_m = [self.body.offsets_m[0], self.body.offsets_m[body::DISCS - 1]];
         let mut before = now;
         for step in 0..self.stages.len() {
             let (along_m, speed_mps) = profile.at(step + 1);
@@ -366,5 +366,3 @@ fn begin_plan(observation: &Observation, out: &mut Plan) {
         ..Plan::default()
     };
 }
-
-const _: () = assert!(PROBES == 3, "rear, middle, front");

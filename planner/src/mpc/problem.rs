@@ -12,8 +12,9 @@ use crate::mpc::sparse::Sparse;
 const SLACKS: usize = 2;
 /// Variables of a step: the state after it, its input, its slacks.
 const STEP: usize = STATES + INPUTS + SLACKS;
-/// Places of the car that are kept in the corridor: rear, middle, front.
-pub(crate) const PROBES: usize = 3;
+/// Places of the car that are kept in the corridor: rear and front. What is between
+/// them follows, as both the car and a corridor without a sharp edge are straight.
+pub(crate) const PROBES: usize = 2;
 /// Inequalities of a step.
 const LIMITS: usize = 2 * PROBES + 1 + SLACKS + 2 * INPUTS + 1;
 
@@ -357,3 +358,6 @@ fn row_entries(steps: usize, step: usize, entry: &mut impl FnMut(usize, usize)) 
     }
     next(&[speed]);
 }
+
+#[cfg(test)]
+mod tests;

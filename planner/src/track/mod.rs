@@ -157,3 +157,6 @@ impl Tracker {
 }
 
 const _: () = assert!(CLUSTERS_MAX <= TRACKS_MAX, "every cluster can be followed");
+
+#[cfg(test)]
+mod tests;
