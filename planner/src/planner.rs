@@ -2,7 +2,7 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Observation, Plan};
 
-use crate::RrtStar;
+use crate::{Grid, RrtStar, Tree};
 
 /// Turns observations into plans by the configured method.
 #[derive(Debug)]
@@ -31,6 +31,20 @@ impl Planner {
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
         match self {
             Self::RrtStar(planner) => planner.plan(observation, out),
+        }
+    }
+
+    /// The grid of the last plan; none of methods without one.
+    pub fn grid(&self) -> Option<&Grid> {
+        match self {
+            Self::RrtStar(planner) => Some(planner.grid()),
+        }
+    }
+
+    /// The tree of the last plan; none of methods without one.
+    pub fn tree(&self) -> Option<&Tree> {
+        match self {
+            Self::RrtStar(planner) => Some(planner.tree()),
         }
     }
 
