@@ -30,7 +30,7 @@ pub enum Command {
     /// Measure, and compare with other systems.
     #[command(subcommand, arg_required_else_help = true)]
     Bench(Bench),
-    /// Draw a map or an episode from above, as SVG.
+    /// Draw a map, an episode or a plan from above, as SVG.
     #[command(subcommand, arg_required_else_help = true)]
     Draw(Draw),
 }
@@ -40,9 +40,11 @@ pub enum Command {
 #[command(
     after_help = "Every episode depends on its seed alone: the figures are the same on any \
         number of threads. The expert is the very planner and controller of \
-        `./vlaps up --lockstep --gate expert`, and gives the same commands.\n\n\
+        `./vlaps up --lockstep --gate expert`, and gives the same commands; rrt-star, \
+        informed, kinodynamic and mpc are the expert with that planner.method.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
+        ./vlaps eval --driver mpc --episodes 200\n  \
         ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
         ./vlaps eval --driver expert --world metadrive --episodes 50"
 )]

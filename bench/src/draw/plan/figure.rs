@@ -115,8 +115,7 @@ pub(super) fn svg(planned: &Planned) -> String {
         .set("stroke-linecap", "round")
         .set("stroke-linejoin", "round")
         .add(free(&view, grid))
-        .add(blocked(&view, grid))
-        .add(returns(&view, observation));
+        .add(blocked(&view, grid));
     let mut around = frame::head(&planned.title, &facts(planned))
         .add(axes(&view))
         .add(keys(planned, &view));
@@ -125,6 +124,7 @@ pub(super) fn svg(planned: &Planned) -> String {
         ground = ground.add(branches(&view, tree, greatest_m));
         around = around.add(colour_bar(&view, greatest_m));
     }
+    ground = ground.add(returns(&view, observation));
     ground = ground.add(goal_ball(&view, plan, config.planner.goal_radius_m));
     let footprint = |body: &Pose| Vehicle::default().footprint().corners(body);
     if tree.is_none() {
@@ -211,9 +211,14 @@ fn facts(planned: &Planned) -> String {
             actions.len()
         )),
     }
+    let side = match plan.goal_y_body_m < 0.0 {
+        true => "right",
+        false => "left",
+    };
     facts.push(format!(
-        "goal {:.1} m ahead, {:.1} m left",
-        plan.goal_x_body_m, plan.goal_y_body_m
+        "goal {:.1} m ahead, {:.1} m {side}",
+        plan.goal_x_body_m,
+        plan.goal_y_body_m.abs()
     ));
     facts.push(format!("car at {:.1} m/s", observation.ego.speed_mps));
     facts.join("   ·   ")
@@ -238,21 +243,29 @@ fn blocked(view: &View, grid: &Grid) -> Path {
         .set("shape-rendering", "crispEdges")
 }
 
-/// The lidar's returns.
-fn returns(view: &View, observation: &Observation) -> Group {
-    let mut group = Group::new().set("fill", palette::SCAN);
+/// The lidar's returns that are in view, px.
+fn returns_px<'a>(
+    view: &'a View,
+    observation: &'a Observation,
+) -> impl Iterator<Item = [f64; 2]> + 'a {
     let ranges_m = observation.ranges();
-    let spacing_rad = std::f64::consts::TAU / ranges_m.len() as f64;
-    for (k, &range_m) in ranges_m.iter().enumerate() {
-        if range_m < observation.lidar_max_m {
+    let spacing_rad = std::f64::consts::TAU / ranges_m.len().max(1) as f64;
+    ranges_m
+        .iter()
+        .enumerate()
+        .filter_map(move |(k, &range_m)| {
             let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
             let [x, y] = view.at(Point::new(cos, sin) * f64::from(range_m));
             let is_in_view = (LEFT_PX..=LEFT_PX + WIDTH_PX).contains(&x)
                 && (HEAD_PX..=view.bottom_px()).contains(&y);
-            if is_in_view {
-                group = group.add(disc([x, y], 2.8));
-            }
-        }
+            (range_m < observation.lidar_max_m && is_in_view).then_some([x, y])
+        })
+}
+
+fn returns(view: &View, observation: &Observation) -> Group {
+    let mut group = Group::new().set("fill", palette::SCAN);
+    for place in returns_px(view, observation) {
+        group = group.add(disc(place, 2.8));
     }
     group
 }
@@ -371,14 +384,16 @@ fn keys(planned: &Planned, view: &View) -> Group {
         true => "path",
         false => "predicted trajectory",
     };
-    let keys = [
+    let mut keys = vec![
         key(Symbol::Line, palette::PATH, path),
         key(Symbol::Star, palette::PATH, "goal with its ball"),
         key(Symbol::Box, palette::FREE, "free"),
         key(Symbol::Box, palette::OCCUPIED, "occupied"),
-        key(Symbol::Disc, palette::SCAN, "lidar return"),
         key(Symbol::Box, palette::CAR, "ego"),
     ];
+    if returns_px(view, &planned.observation).next().is_some() {
+        keys.push(key(Symbol::Disc, palette::SCAN, "lidar return"));
+    }
     let top = view.bottom_px() + AXIS_PX + 12.0;
     legend(&keys, [LEFT_PX, top], LEFT_PX + WIDTH_PX + RIGHT_PX).0
 }
