@@ -18,8 +18,8 @@ const SOURCES: [(&str, &str); 2] = [
 ];
 /// What a scene file begins with.
 const MAGIC: &[u8; 8] = b"VLAPSRRT";
-/// How OMPL looks for neighbours: at 200 nodes passing over all of them takes
-/// two thirds of the time of its default, a GNAT.
+/// How OMPL looks for neighbours. At 200 nodes passing over all of them takes a
+/// tenth less time than its default, a GNAT: the faster one is compared with.
 const NEIGHBOURS: &str = "linear";
 /// Cells in a word of the file.
 const WORD: usize = u64::BITS as usize;

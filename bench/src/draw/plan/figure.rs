@@ -1,96 +1,26 @@
 //! The figure of a plan, in the body frame: x forward to the right, y left
 //! upwards, metres.
 
-use std::fmt::Write;
-
 use planner::{Grid, Tree};
 use shm_config::message::{Observation, Plan};
 use svg::Document;
 use svg::node::element::{
-    Circle, ClipPath, Definitions, Group, Line, LinearGradient, Path, Rectangle, Stop,
+    Circle, ClipPath, Definitions, Group, LinearGradient, Path, Rectangle, Stop,
 };
 use vehicle::{Point, Pose, Vehicle, pose};
 
+use super::axes::{axes, colour_bar};
+use super::view::{AXIS_PX, LEFT_PX, RIGHT_PX, View, WIDTH_PX};
 use super::{Planned, cells};
 use crate::draw::canvas::{HEAD_PX, px};
-use crate::draw::frame::{self, ROW_PX, SIDE_PX, Symbol, key, legend, star, text};
+use crate::draw::frame::{self, ROW_PX, Symbol, key, legend, star};
 use crate::draw::palette;
 use crate::seat::DriverKind;
 
-/// Width of the drawn ground, px.
-const WIDTH_PX: f64 = 1180.0;
-/// Left of it: the y axis.
-const LEFT_PX: f64 = 84.0;
-/// Right of it: the colour bar.
-const RIGHT_PX: f64 = 150.0;
-/// Below it: the x axis.
-const AXIS_PX: f64 = 66.0;
-/// Ground behind the car's middle, m: the rear half of the car fits.
-const BEHIND_M: f64 = 3.0;
-/// Ground beyond the goal, m.
-const BEYOND_M: f64 = 5.0;
-/// Least ground ahead, m.
-const AHEAD_MIN_M: f64 = 15.0;
-/// Ground beside the corridor, m.
-const BESIDE_M: f64 = 1.5;
+/// From one predicted footprint to the next, m: they overlap, yet each is seen.
+const FOOTPRINTS_M: f64 = 1.5;
 /// Colours of the tree: edges of nearly the same cost share one path.
 const SHADES: usize = 24;
-
-/// Ground to pixels.
-struct View {
-    left_m: f64,
-    right_m: f64,
-    x_min_m: f64,
-    x_max_m: f64,
-    px_per_m: f64,
-}
-
-impl View {
-    /// What there is to see: car, corridor, goal.
-    fn of(grid: &Grid, plan: &Plan) -> View {
-        let corridor = grid.corridor();
-        let far_m = plan
-            .waypoints()
-            .iter()
-            .map(|waypoint| waypoint.x_body_m)
-            .fold(plan.goal_x_body_m, f64::max);
-        let x_max_m = (far_m + BEYOND_M).max(AHEAD_MIN_M).ceil();
-        let x_max_m = x_max_m.min(grid.x_max_m());
-        Self {
-            left_m: (corridor.left_m + BESIDE_M).ceil().min(grid.y_max_m()),
-            right_m: (corridor.right_m - BESIDE_M).floor().max(-grid.y_max_m()),
-            x_min_m: -BEHIND_M,
-            x_max_m,
-            px_per_m: WIDTH_PX / (x_max_m + BEHIND_M),
-        }
-    }
-
-    fn at(&self, point_body: Point) -> [f64; 2] {
-        [
-            LEFT_PX + (point_body.x - self.x_min_m) * self.px_per_m,
-            HEAD_PX + (self.left_m - point_body.y) * self.px_per_m,
-        ]
-    }
-
-    fn height_px(&self) -> f64 {
-        (self.left_m - self.right_m) * self.px_per_m
-    }
-
-    fn bottom_px(&self) -> f64 {
-        HEAD_PX + self.height_px()
-    }
-
-    fn data(&self, points_body: &[Point], close: &str) -> String {
-        let mut data = String::new();
-        for (index, point) in points_body.iter().enumerate() {
-            let [x, y] = self.at(*point);
-            let letter = if index == 0 { 'M' } else { 'L' };
-            // Writing into a string cannot fail.
-            let _ = write!(data, "{letter}{} {}", px(x), px(y));
-        }
-        data + close
-    }
-}
 
 /// The whole picture.
 pub(super) fn svg(planned: &Planned) -> String {
@@ -130,7 +60,8 @@ pub(super) fn svg(planned: &Planned) -> String {
     if tree.is_none() {
         for body in poses(plan) {
             let data = view.data(&footprint(&body), "Z");
-            ground = ground.add(shape(data, palette::PATH, 0.12, palette::PATH));
+            let outline = shape(data, palette::PATH, 0.07, palette::PATH);
+            ground = ground.add(outline.set("stroke-opacity", 0.55));
         }
     }
     let ego = footprint(&Pose::identity());
@@ -180,7 +111,8 @@ fn document(view: &View, ground: Group, around: Group) -> String {
     format!("{document}\n")
 }
 
-fn plate([x, y]: [f64; 2], [width, height]: [f64; 2]) -> Rectangle {
+/// A rectangle by corner and size, px.
+pub(super) fn plate([x, y]: [f64; 2], [width, height]: [f64; 2]) -> Rectangle {
     Rectangle::new()
         .set("x", px(x))
         .set("y", px(y))
@@ -306,79 +238,6 @@ fn branches(view: &View, tree: &Tree, greatest_m: f64) -> Group {
     Group::new().add(group).add(nodes)
 }
 
-/// The scale of the tree's colours.
-fn colour_bar(view: &View, greatest_m: f64) -> Group {
-    let (left, width) = (LEFT_PX + WIDTH_PX + 34.0, 20.0);
-    let (top, height) = (HEAD_PX, view.height_px());
-    let mut bar = Group::new().add(
-        plate([left, top], [width, height])
-            .set("fill", "url(#costs)")
-            .set("stroke", palette::INK),
-    );
-    let step_m = if greatest_m > 12.0 { 5.0 } else { 2.0 };
-    for k in 0..=(greatest_m / step_m) as u32 {
-        let cost_m = f64::from(k) * step_m;
-        let y = top + height * (1.0 - cost_m / greatest_m);
-        bar = bar
-            .add(tick([left + width, y], [left + width + 6.0, y]))
-            .add(text(
-                &cost_m.to_string(),
-                [left + width + 11.0, y + 5.0],
-                14.0,
-            ));
-    }
-    let [x, y] = [left + width + 52.0, top + height / 2.0];
-    bar.add(
-        text("cost-to-come, m", [x, y], 15.0)
-            .set("text-anchor", "middle")
-            .set("transform", format!("rotate(-90 {} {})", px(x), px(y))),
-    )
-}
-
-fn tick([x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Line {
-    Line::new()
-        .set("x1", px(x1))
-        .set("y1", px(y1))
-        .set("x2", px(x2))
-        .set("y2", px(y2))
-        .set("stroke", palette::INK)
-        .set("stroke-width", 1.2)
-}
-
-/// Metres along both edges.
-fn axes(view: &View) -> Group {
-    let mut axes = Group::new().add(
-        plate([LEFT_PX, HEAD_PX], [WIDTH_PX, view.height_px()])
-            .set("fill", "none")
-            .set("stroke", palette::INK)
-            .set("stroke-width", 1.2),
-    );
-    let bottom = view.bottom_px();
-    let marks = |low_m: f64, high_m: f64, step_m: i32| {
-        (low_m.ceil() as i32..=high_m.floor() as i32).filter(move |m| m % step_m == 0)
-    };
-    for x_m in marks(view.x_min_m, view.x_max_m, 5) {
-        let [x, _] = view.at(Point::new(x_m.into(), 0.0));
-        let label = text(&x_m.to_string(), [x, bottom + 24.0], 14.0).set("text-anchor", "middle");
-        axes = axes.add(tick([x, bottom], [x, bottom + 6.0])).add(label);
-    }
-    for y_m in marks(view.right_m, view.left_m, 2) {
-        let [_, y] = view.at(Point::new(0.0, y_m.into()));
-        let label = text(&y_m.to_string(), [LEFT_PX - 12.0, y + 5.0], 14.0);
-        axes = axes
-            .add(tick([LEFT_PX - 6.0, y], [LEFT_PX, y]))
-            .add(label.set("text-anchor", "end"));
-    }
-    let middle = LEFT_PX + WIDTH_PX / 2.0;
-    let [x, y] = [SIDE_PX + 6.0, HEAD_PX + view.height_px() / 2.0];
-    axes.add(text("x, m forward", [middle, bottom + 48.0], 15.0).set("text-anchor", "middle"))
-        .add(
-            text("y, m left", [x, y], 15.0)
-                .set("text-anchor", "middle")
-                .set("transform", format!("rotate(-90 {} {})", px(x), px(y))),
-        )
-}
-
 fn keys(planned: &Planned, view: &View) -> Group {
     let path = match planned.plan.actions().is_empty() {
         true => "path",
@@ -432,16 +291,23 @@ fn way(view: &View, plan: &Plan) -> Group {
     group
 }
 
-/// The car at the waypoints, heading as the trajectory goes.
+/// The car at some of the waypoints, heading as the trajectory goes: every
+/// [`FOOTPRINTS_M`], and at the end.
 fn poses(plan: &Plan) -> Vec<Pose> {
     let points: Vec<Point> = plan.waypoints().iter().map(|w| w.point()).collect();
-    let along = points.array_windows().filter_map(|[from, to]| {
+    let mut poses = Vec::new();
+    let mut apart_m = 0.0;
+    for (index, [from, to]) in points.array_windows().enumerate() {
         let step = to - from;
-        let heading_rad = step.y.atan2(step.x);
+        apart_m += step.norm();
+        let is_last = index + 2 == points.len();
         // A car that stands has no direction of its own.
-        (step.norm() > 1e-3).then(|| pose(to.x, to.y, heading_rad))
-    });
-    along.collect()
+        if step.norm() > 1e-3 && (is_last || apart_m >= FOOTPRINTS_M) {
+            poses.push(pose(to.x, to.y, step.y.atan2(step.x)));
+            apart_m = 0.0;
+        }
+    }
+    poses
 }
 
 fn shape(data: String, color: &str, opacity: f64, rim: &str) -> Path {
