@@ -158,8 +158,9 @@ pub struct BenchPlanner {
           value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub episodes: u64,
     /// How many scenes to keep of them.
-    #[arg(long, value_name = "N", default_value_t = 600, requires = "record")]
-    pub keep: usize,
+    #[arg(long, value_name = "N", default_value_t = 600, requires = "record",
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub keep: u32,
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,

@@ -71,7 +71,7 @@ pub fn bench(arguments: &BenchPlanner, clocks: Clocks) -> anyhow::Result<()> {
         let recording = Recording {
             first_seed: arguments.first_seed,
             episodes: arguments.episodes,
-            scenes: arguments.keep,
+            scenes: arguments.keep as usize,
         };
         let bar = progress(2 * arguments.episodes, "drives")?;
         let scenes = scene::record(recording, &config, clocks.wall, || bar.inc(1))?;
