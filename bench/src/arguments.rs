@@ -3,7 +3,8 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use shm_config::run::RunName;
 
 use crate::seat::DriverKind;
 
@@ -29,7 +30,7 @@ pub enum Command {
     /// Measure, and compare with other systems.
     #[command(subcommand, arg_required_else_help = true)]
     Bench(Bench),
-    /// Draw a map or an episode from above, as SVG.
+    /// Draw a map, an episode or a plan from above, as SVG.
     #[command(subcommand, arg_required_else_help = true)]
     Draw(Draw),
 }
@@ -39,9 +40,11 @@ pub enum Command {
 #[command(
     after_help = "Every episode depends on its seed alone: the figures are the same on any \
         number of threads. The expert is the very planner and controller of \
-        `./vlaps up --lockstep --gate expert`, and gives the same commands.\n\n\
+        `./vlaps up --lockstep --gate expert`, and gives the same commands; rrt-star, \
+        informed, kinodynamic and mpc are the expert with that planner.method.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
+        ./vlaps eval --driver mpc --episodes 200\n  \
         ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
         ./vlaps eval --driver expert --world metadrive --episodes 50"
 )]
@@ -116,6 +119,81 @@ pub enum Bench {
     Parity(Parity),
     /// Measure how fast the built-in world is, beside MetaDrive.
     Sim(Sim),
+    /// Measure how long plans take and how good they are, beside OMPL.
+    Planner(BenchPlanner),
+    /// Drive the model-predictive expert for long, disturbed: does it answer in time?
+    Mpc(Soak),
+}
+
+/// Drive the model-predictive expert for long, disturbed: does it answer in time?
+#[derive(Debug, Args)]
+#[command(
+    after_help = "A third of the time the road is free, a third a wall stands across it, a \
+        third random commands are obeyed in place of the plan's.\n\n\
+        Examples:\n  \
+        ./vlaps bench mpc --json mpc.json\n  \
+        ./vlaps bench mpc --ticks 2000 --set mpc.steps=16"
+)]
+pub struct Soak {
+    /// How many ticks.
+    #[arg(long, value_name = "N", default_value_t = 100_000,
+          value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub ticks: u64,
+    /// Seed of the first episode, and of the disturbances.
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub first_seed: u64,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Measure how long plans take and how good they are, beside OMPL.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Scenes are what the car saw in real episodes of the built-in world; \
+        bench/scenes/README.md describes their file, so that others can be fed in. \
+        RRT* always has the paper's numbers, the others those of the configuration. \
+        --ompl builds bench/ompl with g++ and libompl-dev.\n\n\
+        Examples:\n  \
+        ./vlaps bench planner --json planner.json\n  \
+        ./vlaps bench planner --ompl\n  \
+        ./vlaps bench planner --record scenes.jsonl.gz --first-seed 100 --episodes 50\n  \
+        ./vlaps bench planner --scenes scenes.jsonl.gz"
+)]
+pub struct BenchPlanner {
+    /// The scenes to plan for; without it, the checked-in ones.
+    #[arg(long, value_name = "FILE")]
+    pub scenes: Option<PathBuf>,
+    /// How often each scene is planned for.
+    #[arg(long, value_name = "N", default_value_t = 10,
+          value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub rounds: u32,
+    /// Compare the paper's planner with OMPL's RRTstar, too.
+    #[arg(long)]
+    pub ompl: bool,
+    /// Measure nothing; drive episodes and record scenes into this file.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["scenes", "rounds", "ompl", "json"])]
+    pub record: Option<PathBuf>,
+    /// Seed of the first episode to record; each further one adds one.
+    #[arg(long, value_name = "N", default_value_t = 100, requires = "record")]
+    pub first_seed: u64,
+    /// How many episodes to record.
+    #[arg(long, value_name = "N", default_value_t = 50, requires = "record",
+          value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub episodes: u64,
+    /// How many scenes to keep of them.
+    #[arg(long, value_name = "N", default_value_t = 600, requires = "record",
+          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub keep: u32,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 /// Compare the built-in world with recordings of MetaDrive.
@@ -170,6 +248,8 @@ pub enum Draw {
     Map(DrawMap),
     /// An episode: who drove where, traffic, contacts, the last scan.
     Episode(DrawEpisode),
+    /// A plan: the grid, the search tree, the path, the goal.
+    Plan(DrawPlan),
 }
 
 /// A map with its route, obstacles and waiting traffic.
@@ -198,6 +278,45 @@ pub struct DrawEpisode {
     #[arg(long, value_name = "WHO", default_value = "expert")]
     pub driver: DriverKind,
     /// The file to write; without it, episode-N-WHO.svg.
+    #[arg(long, value_name = "FILE.svg")]
+    pub out: Option<PathBuf>,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+}
+
+/// A plan: the grid, the search tree, the path, the goal.
+#[derive(Debug, Args)]
+#[command(
+    group = ArgGroup::new("source").required(true).args(["seed", "scene", "run"]),
+    after_help = "From an episode that is driven up to a tick, from a recorded scene, or from a \
+        run that is alive: there the newest observation is planned for again, with the run's \
+        own configuration.\n\n\
+        Examples:\n  \
+        ./vlaps draw plan --seed 1000 --tick 120\n  \
+        ./vlaps draw plan --scene bench/scenes/built_in.jsonl.gz --index 17 --driver mpc\n  \
+        ./vlaps draw plan --run default"
+)]
+pub struct DrawPlan {
+    /// Seed of an episode to drive.
+    #[arg(long, value_name = "N", requires = "tick")]
+    pub seed: Option<u64>,
+    /// Its tick, from 0.
+    #[arg(long, value_name = "T", requires = "seed")]
+    pub tick: Option<u64>,
+    /// A file of recorded scenes; bench/scenes/README.md describes it.
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+    /// Which scene of the file, from 0.
+    #[arg(long, value_name = "I", default_value_t = 0, requires = "scene")]
+    pub index: usize,
+    /// Name of a run that is alive; its configuration counts.
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["driver", "config", "overrides"])]
+    pub run: Option<RunName>,
+    /// Who drives, and plans.
+    #[arg(long, value_name = "WHO", default_value = "expert")]
+    pub driver: DriverKind,
+    /// The file to write; without it, plan-SOURCE.svg.
     #[arg(long, value_name = "FILE.svg")]
     pub out: Option<PathBuf>,
     /// Configuration and overrides.

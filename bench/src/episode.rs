@@ -1,7 +1,7 @@
 //! One episode, driven tick by tick as the processes do in lockstep.
 
 use shm_config::Instant;
-use shm_config::message::{Command, Episode, Header, Observation};
+use shm_config::message::{Command, Episode, Header, Observation, Plan};
 use sim::score::Score;
 use sim::{StepOutcome, World, WorldError};
 
@@ -12,6 +12,8 @@ use crate::seat::Seat;
 pub struct Tick<'a> {
     /// What the ego perceived.
     pub observation: &'a Observation,
+    /// What was planned for it; none by drivers that do not plan.
+    pub plan: Option<&'a Plan>,
     /// What it was told.
     pub command: &'a Command,
     /// What that led to.
@@ -52,6 +54,7 @@ pub fn drive(
         score.count(&outcome);
         watch(&Tick {
             observation: &observation,
+            plan: seat.plan(),
             command: &command,
             outcome,
             world,

@@ -13,7 +13,9 @@
 //! | [`report`] | rows of a table, on the screen and as JSON |
 //! | [`parity`] | the world against recordings of MetaDrive |
 //! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
-//! | [`draw`] | pictures of maps and episodes |
+//! | [`scene`] | recorded scenes and their files |
+//! | [`planning`] | planners on recorded scenes, beside OMPL's |
+//! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
 pub mod draw;
@@ -23,9 +25,12 @@ pub mod evaluation;
 pub mod metadrive;
 pub mod outside;
 pub mod parity;
+pub mod planning;
 pub mod report;
+pub mod scene;
 pub mod seat;
 pub mod settings;
+pub mod soak;
 pub mod speed;
 pub mod statistics;
 

@@ -8,9 +8,10 @@ use bench::Clock;
 use bench::arguments::{Arguments, Bench, Command, Draw, Eval};
 use bench::eval::{Task, evaluate};
 use bench::evaluation::Evaluation;
+use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
-use bench::{draw, parity, settings, speed};
+use bench::{draw, parity, planning, settings, soak, speed};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
@@ -32,9 +33,22 @@ fn main() -> ExitCode {
         Command::Bench(Bench::Sim(arguments)) => {
             speed::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
         }
+        Command::Bench(Bench::Mpc(arguments)) => {
+            soak::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Planner(arguments)) => {
+            let clocks = Clocks {
+                wall: clock,
+                core: core_time,
+            };
+            planning::bench(arguments, clocks).map(|()| ExitCode::SUCCESS)
+        }
         Command::Draw(Draw::Map(arguments)) => draw::map(arguments).map(|()| ExitCode::SUCCESS),
         Command::Draw(Draw::Episode(arguments)) => {
             draw::episode(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Draw(Draw::Plan(arguments)) => {
+            draw::plan(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
     };
     done.unwrap_or_else(|error| {

@@ -5,6 +5,7 @@ use controller::{Controller, Inputs, Intent, PolicySlot};
 use hdrhistogram::Histogram;
 use planner::Planner;
 use shm_config::Instant;
+use shm_config::config::planner::Method;
 use shm_config::config::{Config, GateMode, OutOfRange};
 use shm_config::message::{Bend, Command, Driver, Header, Observation, Plan, Reason};
 use sim::World;
@@ -28,8 +29,17 @@ const BRAKE: Action = Action {
 /// The drivers that can be asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DriverKind {
-    /// Planner and controller of this stack, with the judge in the tick.
+    /// Planner and controller of this stack, with the judge in the tick; plans
+    /// as `planner.method` says.
     Expert,
+    /// The expert with the paper's planner.
+    RrtStar,
+    /// The expert with informed RRT*.
+    Informed,
+    /// The expert with RRT* on edges that the car can drive.
+    Kinodynamic,
+    /// The expert with model-predictive control.
+    Mpc,
     /// A simple lane keeper that sees only the observation.
     Lane,
     /// MetaDrive's driver of the other cars, which sees everything.
@@ -41,9 +51,44 @@ impl DriverKind {
     pub fn word(self) -> &'static str {
         match self {
             DriverKind::Expert => "expert",
+            DriverKind::RrtStar => "rrt-star",
+            DriverKind::Informed => "informed",
+            DriverKind::Kinodynamic => "kinodynamic",
+            DriverKind::Mpc => "mpc",
             DriverKind::Lane => "lane",
             DriverKind::Idm => "idm",
         }
+    }
+
+    /// The planning method it stands for; none when the configuration says it,
+    /// or nothing is planned.
+    pub fn method(self) -> Option<Method> {
+        match self {
+            DriverKind::RrtStar => Some(Method::RrtStar),
+            DriverKind::Informed => Some(Method::Informed),
+            DriverKind::Kinodynamic => Some(Method::Kinodynamic),
+            DriverKind::Mpc => Some(Method::Mpc),
+            DriverKind::Expert | DriverKind::Lane | DriverKind::Idm => None,
+        }
+    }
+
+    /// The expert that plans by a method.
+    pub fn of_method(method: Method) -> DriverKind {
+        match method {
+            Method::RrtStar => DriverKind::RrtStar,
+            Method::Informed => DriverKind::Informed,
+            Method::Kinodynamic => DriverKind::Kinodynamic,
+            Method::Mpc => DriverKind::Mpc,
+        }
+    }
+
+    /// The configuration with this driver's planning method.
+    pub fn configure(self, config: &Config) -> Config {
+        let mut config = config.clone();
+        if let Some(method) = self.method() {
+            config.planner.method = method;
+        }
+        config
     }
 }
 
@@ -76,12 +121,16 @@ impl Seat {
     /// # Errors
     /// When the planner's configuration is out of range.
     pub fn new(kind: DriverKind, config: &Config, clock: Clock) -> Result<Seat, OutOfRange> {
-        let mut config = config.clone();
+        let mut config = kind.configure(config);
         config.gate.mode = GateMode::Expert;
         // Nothing may depend on how fast this machine is now.
         config.run.clock = shm_config::config::Clock::Lockstep;
         let driver = match kind {
-            DriverKind::Expert => Seated::Expert(Box::new(Stack {
+            DriverKind::Expert
+            | DriverKind::RrtStar
+            | DriverKind::Informed
+            | DriverKind::Kinodynamic
+            | DriverKind::Mpc => Seated::Expert(Box::new(Stack {
                 planner: Planner::new(&config)?,
                 controller: Controller::new(config.clone(), PolicySlot::new(None)),
                 plan: Plan::default(),
@@ -148,6 +197,14 @@ impl Seat {
             }
             Seated::Lane => scripted(keep_lane(observation)),
             Seated::Idm(idm) => scripted(advise(idm)),
+        }
+    }
+
+    /// The last plan; none by drivers that do not plan.
+    pub fn plan(&self) -> Option<&Plan> {
+        match &self.driver {
+            Seated::Expert(stack) => Some(&stack.plan),
+            Seated::Lane | Seated::Idm(_) => None,
         }
     }
 

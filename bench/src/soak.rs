@@ -203,7 +203,10 @@ impl Soaking {
         observation: &mut Observation,
     ) -> Action {
         if let Some(wall_world) = self.wall_world {
-            put_wall(observation, &(world.world_from_ego().inverse() * wall_world));
+            put_wall(
+                observation,
+                &(world.world_from_ego().inverse() * wall_world),
+            );
         }
         let (core, begun) = ((self.gauges.core)(), (self.gauges.clock)());
         self.planner.plan(observation, &mut self.plan);
@@ -211,7 +214,9 @@ impl Soaking {
         let core = (self.gauges.core)() - core;
         let effort = self.planner.effort();
         let tally = &mut self.tallies[spell as usize];
-        tally.solve_us.saturating_record((effort.solve_s * 1e6).ceil() as u64);
+        tally
+            .solve_us
+            .saturating_record((effort.solve_s * 1e6).ceil() as u64);
         tally.plan_cpu_us.saturating_record(core.as_micros() as u64);
         tally.plan_us.saturating_record(plan_ns.div_ceil(1000));
         tally.iterations_max = tally.iterations_max.max(effort.iterations);
@@ -310,8 +315,18 @@ impl Tally {
 
 fn print(soaked: &Soaked) {
     let mut table = table(&[
-        "", "ticks", "solve p50", "p99", "max us", "plan, core p50", "p99", "wall p99", "max us",
-        "iterations", "infeasible", "missed",
+        "",
+        "ticks",
+        "solve p50",
+        "p99",
+        "max us",
+        "plan, core p50",
+        "p99",
+        "wall p99",
+        "max us",
+        "iterations",
+        "infeasible",
+        "missed",
     ]);
     for row in &soaked.rows {
         let numbers = [
@@ -338,6 +353,8 @@ fn print(soaked: &Soaked) {
         conditions.steps,
         conditions.episodes,
         conditions.first_seed,
-        conditions.load.map_or("unknown".into(), |load| format!("{load:.1}")),
+        conditions
+            .load
+            .map_or("unknown".into(), |load| format!("{load:.1}")),
     ));
 }

@@ -41,19 +41,45 @@ fn eval(driver: &str, threads: &str) -> Value {
 
 #[test]
 fn an_evaluation_is_the_same_on_any_number_of_threads() {
-    for driver in ["expert", "lane", "idm"] {
+    for driver in ["expert", "rrt-star", "lane", "idm"] {
         let (mut one, mut three) = (eval(driver, "1"), eval(driver, "3"));
         // The only figure that is a time of this machine.
         for evaluation in [&mut one, &mut three] {
             let figures = evaluation.as_object_mut().expect("an object");
             let p99 = figures.remove("planning_p99_us").expect("the key");
-            assert_eq!(p99.is_number(), driver == "expert", "{driver}: {p99}");
+            assert_eq!(
+                p99.is_number(),
+                ["expert", "rrt-star"].contains(&driver),
+                "{driver}: {p99}"
+            );
         }
         assert_eq!(one, three, "{driver}");
         assert!(
             one["mean_length"].as_f64() > Some(10.0),
             "{driver} drove: {one}"
         );
+    }
+}
+
+#[test]
+fn a_planning_method_is_a_driver_of_its_own_name() {
+    for driver in ["rrt-star", "informed", "kinodynamic", "mpc"] {
+        let path = scratch(&format!("eval-method-{driver}.json"));
+        let file = path.display().to_string();
+        let words = [
+            "eval",
+            "--driver",
+            driver,
+            "--episodes",
+            "1",
+            "--json",
+            &file,
+        ];
+        let output = bench(&words);
+        assert!(output.status.success(), "{output:?}");
+        let table = String::from_utf8_lossy(&output.stdout);
+        assert!(table.contains("planning p99"), "{driver}: {table}");
+        assert_eq!(json(&path)["driver"], driver);
     }
 }
 

@@ -2,7 +2,7 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Observation, Plan};
 
-use crate::{Mpc, RrtStar};
+use crate::{Grid, Mpc, RrtStar, Tree};
 
 /// Turns observations into plans by the configured method.
 #[derive(Debug)]
@@ -35,6 +35,22 @@ impl Planner {
         match self {
             Self::RrtStar(planner) => planner.plan(observation, out),
             Self::Mpc(planner) => planner.plan(observation, out),
+        }
+    }
+
+    /// The grid of the last plan; none of methods without one.
+    pub fn grid(&self) -> Option<&Grid> {
+        match self {
+            Self::RrtStar(planner) => Some(planner.grid()),
+            Self::Mpc(_) => None,
+        }
+    }
+
+    /// The tree of the last plan; none of methods without one.
+    pub fn tree(&self) -> Option<&Tree> {
+        match self {
+            Self::RrtStar(planner) => Some(planner.tree()),
+            Self::Mpc(_) => None,
         }
     }
 

@@ -48,10 +48,10 @@ pub enum Command {
     /// Drive many episodes and print success, contacts and completion.
     #[command(disable_help_flag = true)]
     Eval(HandedOver),
-    /// Measure, and compare with other systems: parity, sim.
+    /// Measure, and compare with other systems: parity, sim, planner.
     #[command(disable_help_flag = true)]
     Bench(HandedOver),
-    /// Draw a map or an episode from above, as SVG.
+    /// Draw a map, an episode or a plan from above, as SVG.
     #[command(disable_help_flag = true)]
     Draw(HandedOver),
 }

@@ -13,9 +13,9 @@ use super::palette;
 use super::ride::Ride;
 
 /// Margin left and right, px.
-const SIDE_PX: f64 = 28.0;
+pub const SIDE_PX: f64 = 28.0;
 /// Height of a row of the legend, px.
-const ROW_PX: f64 = 30.0;
+pub const ROW_PX: f64 = 30.0;
 /// Room between the legend's entries, px.
 const GAP_PX: f64 = 26.0;
 /// Width of a symbol with its gap, px.
@@ -31,12 +31,19 @@ const SCALE_BAR_PX: f64 = 140.0;
 
 /// How an entry of the legend looks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Symbol {
+pub enum Symbol {
+    /// A thick line.
     Line,
+    /// A filled rectangle.
     Box,
+    /// A filled circle.
     Disc,
+    /// A circle.
     Ring,
+    /// A triangle.
     Triangle,
+    /// A star.
+    Star,
 }
 
 /// An entry of the legend.
@@ -47,7 +54,8 @@ pub struct Key {
     text: String,
 }
 
-fn key(symbol: Symbol, color: &'static str, text: &str) -> Key {
+/// An entry of the legend.
+pub fn key(symbol: Symbol, color: &'static str, text: &str) -> Key {
     Key {
         symbol,
         color,
@@ -119,30 +127,42 @@ fn body_keys(world: &World) -> Vec<Key> {
 pub fn finish(canvas: Canvas, title: &str, facts: &str, keys: &[Key]) -> String {
     let [width_px, map_px] = canvas.size_px();
     let top_px = HEAD_PX + map_px;
-    let mut around = Group::new()
+    let (legend, rows) = legend(keys, [SIDE_PX, top_px + 28.0], width_px - SCALE_PX);
+    let around = head(title, facts).add(legend).add(scale(
+        canvas.scale_px_per_m(),
+        [width_px - SIDE_PX, top_px + 28.0],
+    ));
+    canvas.finish(26.0 + ROW_PX * f64::from(rows), around)
+}
+
+/// Title and facts above a picture.
+pub fn head(title: &str, facts: &str) -> Group {
+    Group::new()
         .add(text(title, [SIDE_PX, 40.0], 25.0).set("font-weight", 700))
-        .add(text(facts, [SIDE_PX, 66.0], 14.5).set("fill", palette::FAINT));
-    let (mut x, mut row) = (SIDE_PX, 0);
+        .add(text(facts, [SIDE_PX, 66.0], 14.5).set("fill", palette::FAINT))
+}
+
+/// A legend from its left upper end to a right end, px, and its number of rows.
+pub fn legend(keys: &[Key], [left, top]: [f64; 2], right: f64) -> (Group, u32) {
+    let mut legend = Group::new();
+    let (mut x, mut row) = (left, 0);
     for key in keys {
         let wide_px = SYMBOL_PX + key.text.chars().count() as f64 * LETTER_PX;
-        if x + wide_px > width_px - SCALE_PX && x > SIDE_PX {
-            (x, row) = (SIDE_PX, row + 1);
+        if x + wide_px > right && x > left {
+            (x, row) = (left, row + 1);
         }
-        let y = top_px + 28.0 + ROW_PX * f64::from(row);
-        around =
-            around
+        let y = top + ROW_PX * f64::from(row);
+        legend =
+            legend
                 .add(symbol(key, [x, y]))
                 .add(text(&key.text, [x + SYMBOL_PX, y + 5.0], 14.0));
         x += wide_px + GAP_PX;
     }
-    around = around.add(scale(
-        canvas.scale_px_per_m(),
-        [width_px - SIDE_PX, top_px + 28.0],
-    ));
-    canvas.finish(26.0 + ROW_PX * f64::from(row + 1), around)
+    (legend, row + 1)
 }
 
-fn text(words: &str, [x, y]: [f64; 2], size_px: f64) -> Text {
+/// A word whose base line begins at a point, px.
+pub fn text(words: &str, [x, y]: [f64; 2], size_px: f64) -> Text {
     Text::new(words)
         .set("x", px(x))
         .set("y", px(y))
@@ -188,6 +208,7 @@ fn symbol(key: &Key, [x, y]: [f64; 2]) -> Element {
             .set("stroke", key.color)
             .set("stroke-width", 3)
             .into(),
+        Symbol::Star => rim(star([x + 11.0, y], 10.0).set("fill", key.color).into()),
         Symbol::Triangle => {
             let points = [[4.0, 6.0], [18.0, 6.0], [11.0, -7.0]];
             let points = points.map(|[dx, dy]| format!("{},{}", px(x + dx), px(y + dy)));
@@ -197,6 +218,22 @@ fn symbol(key: &Key, [x, y]: [f64; 2]) -> Element {
                 .into())
         }
     }
+}
+
+/// A star of five points around a point, px.
+pub fn star([x, y]: [f64; 2], radius_px: f64) -> Polygon {
+    let points: Vec<String> = (0..10)
+        .map(|k| {
+            let (sin, cos) = (f64::from(k) * std::f64::consts::PI / 5.0).sin_cos();
+            let radius_px = if k % 2 == 0 {
+                radius_px
+            } else {
+                0.42 * radius_px
+            };
+            format!("{},{}", px(x + sin * radius_px), px(y - cos * radius_px))
+        })
+        .collect();
+    Polygon::new().set("points", points.join(" "))
 }
 
 /// A bar of a round length, right-aligned at a point.

@@ -1,8 +1,9 @@
-//! Pictures from above, as SVG: a map, or an episode.
+//! Pictures from above, as SVG: a map, an episode, or a plan.
 
 mod canvas;
 mod frame;
 mod palette;
+mod plan;
 mod ride;
 mod roads;
 mod tracks;
@@ -20,6 +21,7 @@ use crate::report::say;
 use crate::seat::Seat;
 use crate::{Clock, settings};
 use canvas::Canvas;
+pub use plan::plan;
 use ride::Ride;
 
 /// Draws the map of a seed with all that stands on it.

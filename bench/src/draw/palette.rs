@@ -37,6 +37,37 @@ pub const CONTACT: &str = "#ff2d78";
 /// The last scan.
 pub const SCAN: &str = "#f7c948";
 
+/// Free cells of the grid.
+pub const FREE: &str = "#ffffff";
+/// Occupied cells.
+pub const OCCUPIED: &str = "#15181d";
+/// The planned path and its goal.
+pub const PATH: &str = "#1fb35b";
+/// The car of a plan.
+pub const CAR: &str = "#8fa3bd";
+
+/// Cost-to-come, from the start's to the greatest; dark enough for white paper,
+/// and without green, which is the path's.
+pub const COSTS: [[u8; 3]; 5] = [
+    [0x22, 0x1f, 0x9e],
+    [0x7a, 0x1f, 0xb0],
+    [0xc4, 0x2f, 0x86],
+    [0xea, 0x66, 0x4b],
+    [0xf9, 0xa8, 0x2b],
+];
+
+/// The colour of a share of the greatest cost, [0, 1].
+pub fn cost(share: f64) -> String {
+    let at = share.clamp(0.0, 1.0) * (COSTS.len() - 1) as f64;
+    let below = (at as usize).min(COSTS.len() - 2);
+    let part = at - below as f64;
+    let mixed = |k: usize| {
+        let (low, high) = (COSTS[below][k], COSTS[below + 1][k]);
+        (f64::from(low) + (f64::from(high) - f64::from(low)) * part).round() as u8
+    };
+    format!("#{:02x}{:02x}{:02x}", mixed(0), mixed(1), mixed(2))
+}
+
 /// Who drove.
 pub fn driver(driver: Driver) -> &'static str {
     match driver {

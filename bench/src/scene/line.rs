@@ -1,0 +1,215 @@
+//! One scene as one line of JSON.
+
+use serde::{Deserialize, Serialize};
+use shm_config::message::{
+    BEAMS_MAX, Bend, Checkpoint, Ego, Header, Message, Observation, PlanOutcome, Road,
+};
+
+use super::{Origin, Scene};
+
+/// A scene as it is written.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Line {
+    seed: u64,
+    outcome: String,
+    observation: Seen,
+    before: Option<Seen>,
+}
+
+/// An observation as it is written: the fields of the message of that name.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Seen {
+    tick: u64,
+    taken_ns: u64,
+    ego: SeenEgo,
+    road: SeenRoad,
+    checkpoints: [SeenCheckpoint; 2],
+    lidar_max_m: f32,
+    ranges_m: Vec<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SeenEgo {
+    x_world_m: f64,
+    y_world_m: f64,
+    heading_world_rad: f64,
+    speed_mps: f64,
+    yaw_rate_radps: f64,
+    steer: f64,
+    pedal: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SeenRoad {
+    left_m: f64,
+    right_m: f64,
+    heading_rad: f64,
+    offset_m: f64,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SeenCheckpoint {
+    x_body_m: f64,
+    y_body_m: f64,
+    bend_radius_m: f64,
+    bend_angle_rad: f64,
+    bend: String,
+}
+
+impl Line {
+    /// A scene to be written.
+    pub(super) fn new(scene: &Scene) -> Line {
+        Line {
+            seed: scene.origin.seed,
+            outcome: scene.origin.outcome.word().into(),
+            observation: Seen::new(&scene.observation),
+            before: scene.before.as_deref().map(Seen::new),
+        }
+    }
+
+    /// A line of a file.
+    ///
+    /// # Errors
+    /// In words, with the field that is wrong.
+    pub(super) fn parse(text: &str) -> Result<Scene, String> {
+        let line: Line = serde_json::from_str(text).map_err(|error| explain(text, &error))?;
+        let named = |name: &'static str| move |error: String| format!("{name}.{error}");
+        let outcome = PlanOutcome::ALL
+            .iter()
+            .copied()
+            .find(|outcome| outcome.word() == line.outcome)
+            .ok_or_else(|| format!("outcome: \"{}\" is no outcome of a plan", line.outcome))?;
+        let before = line.before.as_ref().map(Seen::observation).transpose();
+        Ok(Scene {
+            origin: Origin {
+                seed: line.seed,
+                outcome,
+            },
+            observation: line
+                .observation
+                .observation()
+                .map_err(named("observation"))?,
+            before: before.map_err(named("before"))?,
+        })
+    }
+}
+
+/// What a line's error means, with the field before it: the library names only
+/// fields that are missing or too many.
+fn explain(text: &str, error: &serde_json::Error) -> String {
+    let column = error.column().min(text.len());
+    let before = text.get(..column).unwrap_or(text);
+    let words = error.to_string();
+    let words = match words.rfind(" at line ") {
+        Some(end) => &words[..end],
+        None => &words,
+    };
+    match field_before(before) {
+        Some(field) => format!("{field}: {words} (column {column})"),
+        None => format!("{words} (column {column})"),
+    }
+}
+
+/// The last `"field":` of a text.
+fn field_before(text: &str) -> Option<&str> {
+    let end = text.rfind("\":")?;
+    let begin = text[..end].rfind('"')?;
+    Some(&text[begin + 1..end])
+}
+
+impl Seen {
+    fn new(observation: &Observation) -> Seen {
+        let Observation { ego, road, .. } = observation;
+        Seen {
+            tick: observation.header.tick,
+            taken_ns: observation.header.taken_ns,
+            ego: SeenEgo {
+                x_world_m: ego.x_world_m,
+                y_world_m: ego.y_world_m,
+                heading_world_rad: ego.heading_world_rad,
+                speed_mps: ego.speed_mps,
+                yaw_rate_radps: ego.yaw_rate_radps,
+                steer: ego.steer,
+                pedal: ego.pedal,
+            },
+            road: SeenRoad {
+                left_m: road.left_m,
+                right_m: road.right_m,
+                heading_rad: road.heading_rad,
+                offset_m: road.offset_m,
+            },
+            checkpoints: observation.checkpoints.map(|checkpoint| SeenCheckpoint {
+                x_body_m: checkpoint.x_body_m,
+                y_body_m: checkpoint.y_body_m,
+                bend_radius_m: checkpoint.bend_radius_m,
+                bend_angle_rad: checkpoint.bend_angle_rad,
+                bend: checkpoint.bend().word().into(),
+            }),
+            lidar_max_m: observation.lidar_max_m,
+            ranges_m: observation.ranges().to_vec(),
+        }
+    }
+
+    /// The message, checked as at a process's door.
+    fn observation(&self) -> Result<Box<Observation>, String> {
+        let Seen { ego, road, .. } = self;
+        let count = self.ranges_m.len();
+        if !(1..=BEAMS_MAX).contains(&count) {
+            return Err(format!("ranges_m: {count} beams, must be 1 to {BEAMS_MAX}"));
+        }
+        let mut observation = Box::new(Observation {
+            header: Header {
+                tick: self.tick,
+                taken_ns: self.taken_ns,
+                ..Header::default()
+            },
+            ego: Ego {
+                x_world_m: ego.x_world_m,
+                y_world_m: ego.y_world_m,
+                heading_world_rad: ego.heading_world_rad,
+                speed_mps: ego.speed_mps,
+                yaw_rate_radps: ego.yaw_rate_radps,
+                steer: ego.steer,
+                pedal: ego.pedal,
+            },
+            road: Road {
+                left_m: road.left_m,
+                right_m: road.right_m,
+                heading_rad: road.heading_rad,
+                offset_m: road.offset_m,
+            },
+            lidar_max_m: self.lidar_max_m,
+            beam_count: count as u32,
+            ..Observation::default()
+        });
+        for (to, from) in observation.checkpoints.iter_mut().zip(&self.checkpoints) {
+            *to = from.checkpoint()?;
+        }
+        observation.ranges_m[..count].copy_from_slice(&self.ranges_m);
+        observation.check().map_err(|refusal| refusal.to_string())?;
+        Ok(observation)
+    }
+}
+
+impl SeenCheckpoint {
+    fn checkpoint(&self) -> Result<Checkpoint, String> {
+        let bend = Bend::ALL
+            .iter()
+            .copied()
+            .find(|bend| bend.word() == self.bend)
+            .ok_or_else(|| format!("checkpoints.bend: \"{}\" is no bend", self.bend))?;
+        Ok(Checkpoint {
+            x_body_m: self.x_body_m,
+            y_body_m: self.y_body_m,
+            bend_radius_m: self.bend_radius_m,
+            bend_angle_rad: self.bend_angle_rad,
+            bend: bend.code(),
+            reserved: 0,
+        })
+    }
+}
