@@ -159,7 +159,16 @@ impl Way<'_> {
             length_m, width_m, ..
         } = *self.vehicle;
         let footprint = Footprint { length_m, width_m };
-        let moving = || self.sightings.iter().filter(|sighting| sighting.moves());
+        // Whoever comes from behind sees the car; to stop for him would be to
+        // stand in his way.
+        let follows = |sighting: &Sighting| {
+            sighting.point_body.x < -length_m / 2.0 && sighting.velocity_body.x > 0.0
+        };
+        let moving = || {
+            self.sightings
+                .iter()
+                .filter(|sighting| sighting.moves() && !follows(sighting))
+        };
         if moving().next().is_none() {
             return f64::INFINITY;
         }
@@ -176,10 +185,6 @@ impl Way<'_> {
                 let point_body = sighting.point_body + sighting.velocity_body * then_s;
                 let mut point_car = car_from_body * point_body;
                 let velocity_car = car_from_body.rotation * sighting.velocity_body;
-                // Whoever comes from behind sees the car.
-                if point_car.x < -length_m / 2.0 && velocity_car.x > 0.0 {
-                    return false;
-                }
                 if point_car.x > 0.0 {
                     let ahead_m = HEADWAY_S * (speed_mps - velocity_car.x.max(0.0)).max(0.0);
                     point_car.x = (point_car.x - ahead_m).max(0.0);

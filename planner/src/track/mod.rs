@@ -31,9 +31,14 @@ const VELOCITY_DEVIATION: f64 = 5.0;
 /// not seen this often.
 const SEEN_MIN: u32 = 4;
 const MISSED_MAX: u32 = 5;
-/// A slower track rests, m/s: a standing car that is passed seems to move, too,
-/// because more of its side comes into view.
-const RESTING_MPS: f64 = 2.0;
+/// A slower track rests, m/s.
+const RESTING_MPS: f64 = 1.5;
+/// A body has moved when the middle of its box has left the largest box it was
+/// seen in by this, m. A standing car that is passed, or a row of cones that
+/// comes into view, seems to move as well, but never that far.
+const LEFT_M: f64 = 0.5;
+/// A larger box, half its diagonal, m, holds more than one vehicle, and rests.
+const VEHICLE_M: f64 = 3.6;
 
 /// One lidar return with the velocity of its body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,6 +62,9 @@ impl Sighting {
 struct Track {
     x: Kalman,
     y: Kalman,
+    /// Where its middle was first, and the largest box it was seen in.
+    begin: Point,
+    radius_m: f64,
     seen: u32,
     missed: u32,
     /// Already has its cluster of this scan.
@@ -128,6 +136,8 @@ impl Tracker {
             let _ = self.tracks.push(Track {
                 x: begin(cluster.middle.x),
                 y: begin(cluster.middle.y),
+                begin: cluster.middle,
+                radius_m: cluster.radius_m,
                 seen: 1,
                 missed: 0,
                 taken: true,
@@ -138,8 +148,11 @@ impl Tracker {
         track.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
         (track.taken, track.missed) = (true, 0);
         track.seen += 1;
+        track.radius_m = track.radius_m.max(cluster.radius_m);
         let velocity = Vector::new(track.x.g(), track.y.g());
-        match track.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
+        let went_m = (cluster.middle - track.begin).norm();
+        let has_moved = went_m > track.radius_m + LEFT_M && track.radius_m <= VEHICLE_M;
+        match has_moved && track.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
             true => velocity,
             false => Vector::zeros(),
         }
