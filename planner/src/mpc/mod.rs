@@ -32,7 +32,7 @@ use vehicle::{Control, Point, Pose, Vehicle, pose};
 
 use crate::track::{EgoFilter, Tracker};
 use body::Body;
-use field::{FAR_M, Field};
+use field::Field;
 use lattice::{Ground, Lattice, Path};
 use line::{Line, Place};
 use model::{Model, State};
@@ -45,6 +45,8 @@ use speed::{Profile, Way};
 const MEMORY_S: f64 = 0.5;
 /// The car is kept this far from what the corridor ends at, m, if there is room.
 const ROOM_M: f64 = 0.3;
+/// How much less room than the path there may be beside it, m.
+const GIVE_M: f64 = 0.15;
 /// The corridor is looked for in steps of this, m.
 const LOOK_M: f64 = 0.25;
 /// Hardest braking that is planned, m/s²: below where friction ends (11.8).
@@ -253,7 +255,15 @@ impl Mpc {
     fn corridor_m(&self, line: &Line, path: &Path, along_m: f64) -> (f64, f64) {
         let (path_m, _) = path.at(along_m);
         let edge_m = (line.half_width_m(along_m) - self.body.half_width_m).max(0.0);
-        let needed_m = (self.body.radius_m + ROOM_M).min(FAR_M);
+        let here_m = self.field.clearance_m(Place {
+            along_m,
+            left_m: path_m,
+        });
+        // Where the path itself has less room, the corridor is not a line: a way
+        // that costs slack all along would not be driven at all.
+        let needed_m = (self.body.radius_m + ROOM_M)
+            .min(here_m - GIVE_M)
+            .max(self.body.half_width_m);
         let look = |direction: f64| {
             let mut free_m = path_m;
             loop {

@@ -33,6 +33,8 @@ const SEEN_MIN: u32 = 4;
 const MISSED_MAX: u32 = 5;
 /// A slower track rests, m/s.
 const RESTING_MPS: f64 = 1.5;
+/// How far the middle of a resting body's box jumps from scan to scan, m.
+const JITTER_M: f64 = 0.05;
 /// A body has moved when the middle of its box has left the largest box it was
 /// seen in by this, m. A standing car that is passed, or a row of cones that
 /// comes into view, seems to move as well, but never that far.
@@ -62,6 +64,8 @@ impl Sighting {
 struct Track {
     x: Kalman,
     y: Kalman,
+    /// Where its middle was last.
+    middle: Point,
     /// Where its middle was first, and the largest box it was seen in.
     begin: Point,
     radius_m: f64,
@@ -69,6 +73,23 @@ struct Track {
     missed: u32,
     /// Already has its cluster of this scan.
     taken: bool,
+}
+
+impl Track {
+    /// Of a cluster that is seen for the first time, or rests.
+    fn new(cluster: &Cluster) -> Self {
+        let begin = |at_m| Kalman::new((at_m, MIDDLE_DEVIATION_M), (0.0, VELOCITY_DEVIATION));
+        Self {
+            x: begin(cluster.middle.x),
+            y: begin(cluster.middle.y),
+            middle: cluster.middle,
+            begin: cluster.middle,
+            radius_m: cluster.radius_m,
+            seen: 1,
+            missed: 0,
+            taken: true,
+        }
+    }
 }
 
 /// Follows bodies from scan to scan. All memory is its own.
@@ -113,11 +134,31 @@ impl Tracker {
             track.taken = false;
             track.missed += 1;
         }
-        for cluster in &clusters(&returns_world) {
-            let velocity_world = self.follow(cluster);
+        let clusters = clusters(&returns_world);
+        // First whatever is where it was: else neighbours in a row of cones would
+        // hand their tracks on, and seem to run.
+        let still = RESTING_MPS * step_s + JITTER_M;
+        let rests = clusters.iter().map(|cluster| self.rests(cluster, still));
+        let rests: heapless::Vec<bool, CLUSTERS_MAX> = rests.collect();
+        for (cluster, rests) in clusters.iter().zip(rests) {
+            let velocity_world = match rests {
+                true => Vector::zeros(),
+                false => self.follow(cluster),
+            };
             self.mark(cluster, &world_from_body, velocity_world);
         }
         self.tracks.retain(|track| track.missed <= MISSED_MAX);
+    }
+
+    /// A cluster that is where a track was last is that track, at rest.
+    fn rests(&mut self, cluster: &Cluster, still_m: f64) -> bool {
+        let is_there =
+            |track: &&mut Track| !track.taken && (track.middle - cluster.middle).norm() < still_m;
+        let Some(track) = self.tracks.iter_mut().find(is_there) else {
+            return false;
+        };
+        *track = Track::new(cluster);
+        true
     }
 
     /// Gives a cluster to its track, or begins one; the velocity over ground, or
@@ -131,22 +172,14 @@ impl Tracker {
             .filter(|track| !track.taken && away(track) < GATE_M * GATE_M)
             .min_by(|a, b| away(a).total_cmp(&away(b)));
         let Some(track) = nearest else {
-            let begin = |at_m| Kalman::new((at_m, MIDDLE_DEVIATION_M), (0.0, VELOCITY_DEVIATION));
             // With no room left it is not followed, and rests.
-            let _ = self.tracks.push(Track {
-                x: begin(cluster.middle.x),
-                y: begin(cluster.middle.y),
-                begin: cluster.middle,
-                radius_m: cluster.radius_m,
-                seen: 1,
-                missed: 0,
-                taken: true,
-            });
+            let _ = self.tracks.push(Track::new(cluster));
             return Vector::zeros();
         };
         track.x.measure(cluster.middle.x, MIDDLE_DEVIATION_M);
         track.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
         (track.taken, track.missed) = (true, 0);
+        track.middle = cluster.middle;
         track.seen += 1;
         track.radius_m = track.radius_m.max(cluster.radius_m);
         let velocity = Vector::new(track.x.g(), track.y.g());
