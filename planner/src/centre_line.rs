@@ -58,6 +58,23 @@ impl CentreLine {
         self.arcs.iter().map(|arc| arc.length_m).sum()
     }
 
+    /// How far along the line it goes straight on from a place on it, m; the
+    /// place itself within a bend.
+    pub(crate) fn straight_until(&self, distance_m: f64) -> f64 {
+        let mut end_m = 0.0;
+        for arc in &self.arcs {
+            end_m += arc.length_m;
+            if distance_m < end_m {
+                // 10 km: 5 cm off the chord over the 60 m of the grid.
+                return match arc.curvature_per_m.abs() < 1e-4 {
+                    true => end_m,
+                    false => distance_m,
+                };
+            }
+        }
+        f64::INFINITY
+    }
+
     /// The place so far along the line, m; beyond its end, straight on.
     pub(crate) fn at(&self, distance_m: f64) -> Station {
         let [first, second] = &self.arcs;

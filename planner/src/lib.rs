@@ -12,8 +12,12 @@
 mod beams;
 mod centre_line;
 mod corridor;
+mod dubins;
+mod ellipse;
 mod goal;
 mod grid;
+mod informed;
+mod kinodynamic;
 mod planner;
 mod rrt_star;
 mod sampler;
@@ -22,8 +26,11 @@ mod segment;
 mod tree;
 
 pub use corridor::Corridor;
+pub use dubins::{Dubins, Piece, Turn};
 pub use goal::choose_goal;
 pub use grid::{Cell, Grid};
+pub use informed::Informed;
+pub use kinodynamic::{Kinodynamic, PoseNode};
 pub use planner::Planner;
 pub use rrt_star::RrtStar;
 pub use shm_config::config::Planner as PlannerConfig;

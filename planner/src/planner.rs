@@ -2,13 +2,17 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Observation, Plan};
 
-use crate::RrtStar;
+use crate::{Informed, Kinodynamic, RrtStar};
 
 /// Turns observations into plans by the configured method.
 #[derive(Debug)]
 pub enum Planner {
     /// The paper's.
     RrtStar(RrtStar),
+    /// The paper's with a memory and informed sampling.
+    Informed(Informed),
+    /// RRT* over the bicycle.
+    Kinodynamic(Kinodynamic),
 }
 
 impl Planner {
@@ -18,9 +22,9 @@ impl Planner {
     /// The first number of the configuration that is outside its limits.
     pub fn new(config: &Config) -> Result<Self, OutOfRange> {
         match config.planner.method {
-            Method::RrtStar | Method::Informed | Method::Kinodynamic | Method::Mpc => {
-                RrtStar::new(config.planner).map(Self::RrtStar)
-            }
+            Method::RrtStar | Method::Mpc => RrtStar::new(config.planner).map(Self::RrtStar),
+            Method::Informed => Informed::new(config.planner, config.informed).map(Self::Informed),
+            Method::Kinodynamic => Kinodynamic::new(config).map(Self::Kinodynamic),
         }
     }
 
@@ -31,6 +35,8 @@ impl Planner {
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
         match self {
             Self::RrtStar(planner) => planner.plan(observation, out),
+            Self::Informed(planner) => planner.plan(observation, out),
+            Self::Kinodynamic(planner) => planner.plan(observation, out),
         }
     }
 
@@ -38,7 +44,8 @@ impl Planner {
     /// with a memory also notice it themselves by the observation's header.
     pub fn forget(&mut self) {
         match self {
-            Self::RrtStar(_) => {}
+            Self::RrtStar(_) | Self::Kinodynamic(_) => {}
+            Self::Informed(planner) => planner.forget(),
         }
     }
 }

@@ -6,6 +6,8 @@
 
 mod controller;
 mod gate;
+mod informed;
+mod kinodynamic;
 mod load;
 pub mod planner;
 mod run;
@@ -16,6 +18,8 @@ use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
 pub use gate::{Gate, GateMode};
+pub use informed::Informed;
+pub use kinodynamic::Kinodynamic;
 pub use load::{ConfigError, from_toml, load};
 pub use planner::Planner;
 pub use run::{Clock, Limits, Run, Supervisor};
@@ -35,6 +39,10 @@ pub struct Config {
     pub world: World,
     /// RRT*.
     pub planner: Planner,
+    /// RRT* with a memory, in place of the paper's.
+    pub informed: Informed,
+    /// RRT* over the bicycle, in place of the paper's.
+    pub kinodynamic: Kinodynamic,
     /// PD tracking.
     pub controller: Controller,
     /// The judge in the tick.
@@ -72,6 +80,8 @@ impl Config {
         })?;
         self.world.check()?;
         self.planner.check()?;
+        self.informed.check(self.planner.cell_m)?;
+        self.kinodynamic.check()?;
         self.controller.check()?;
         self.judge.check()?;
         self.gate.check()?;
