@@ -5,6 +5,10 @@ use vehicle::{Point, Pose, Vector, pose};
 /// passed, m. The world moves on to the next one up to 5 m late.
 const PASSED_M: f64 = 1.0;
 
+/// A car wants to be this far behind the last checkpoint at most, m: twice the
+/// 5 m before and behind it in which it has arrived.
+const BEYOND_M: f64 = 10.0;
+
 /// One road of the route: an arc, or a straight line when the curvature is 0.
 #[derive(Debug, Clone, Copy)]
 struct Arc {
@@ -34,6 +38,8 @@ pub(crate) struct Station {
 #[derive(Debug)]
 pub(crate) struct CentreLine {
     arcs: [Arc; 2],
+    /// Whether its end is that of the route.
+    is_last: bool,
 }
 
 impl CentreLine {
@@ -50,12 +56,22 @@ impl CentreLine {
             *arc = Arc::to(at, end_body).unwrap_or(Arc::none(at));
             at = arc.at(arc.length_m).body_from_road;
         }
-        Self { arcs }
+        let [first, second] = &observation.checkpoints;
+        let is_last = (first.x_body_m, first.y_body_m) == (second.x_body_m, second.y_body_m);
+        Self { arcs, is_last }
     }
 
     /// Distance to its end along the line, m.
     pub(crate) fn length_m(&self) -> f64 {
         self.arcs.iter().map(|arc| arc.length_m).sum()
+    }
+
+    /// How far along it a car may want to be, m: to its end; behind the last
+    /// checkpoint of the route, which is said twice, a little farther, so that
+    /// what stands on the goal line can be passed.
+    pub(crate) fn known_m(&self) -> f64 {
+        let beyond_m = if self.is_last { BEYOND_M } else { 0.0 };
+        self.length_m() + beyond_m
     }
 
     /// How far along the line it goes straight on from a place on it, m; the

@@ -3,11 +3,11 @@ use shm_config::config::{Config, Kinodynamic as Settings, OutOfRange};
 use shm_config::message::{Observation, Plan, PlanOutcome};
 use vehicle::{Pose, Vehicle, pose, wrap_rad};
 
+use crate::PlannerConfig;
 use crate::centre_line::CentreLine;
 use crate::grid::Grid;
 use crate::rrt_star::header;
 use crate::sampler::Sampler;
-use crate::PlannerConfig;
 
 mod body;
 mod goal;
@@ -69,6 +69,7 @@ impl Kinodynamic {
         let body = Body::new(&vehicle);
         let planner = PlannerConfig {
             inflation_m: body.radius_m + settings.clearance_m,
+            lane_margin_m: settings.lane_margin_m,
             ..config.planner
         };
         planner.check()?;
@@ -85,7 +86,7 @@ impl Kinodynamic {
     }
 
     /// The planner's section it was made with; its inflation is what the body
-    /// and the clearance make of it.
+    /// and the clearance make of it, its margin its own.
     pub fn config(&self) -> &PlannerConfig {
         &self.config
     }
@@ -135,8 +136,8 @@ impl Kinodynamic {
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
         let line = CentreLine::new(observation);
         self.grid.fill_along(observation, &line, &self.body.ahead_m);
-        let most_m = self.settings.goal_distance_m;
-        let (goal, along_m) = goal::choose_goal(&self.grid, &self.body, &line, most_m);
+        let limits_m = (self.settings.goal_distance_m, self.settings.goal_sag_m);
+        let (goal, along_m) = goal::choose_goal(&self.grid, &self.body, &line, limits_m);
         *out = Plan {
             goal_x_body_m: goal.translation.x,
             goal_y_body_m: goal.translation.y,

@@ -6,7 +6,9 @@ use std::hint::black_box;
 use std::process::Command;
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
-use planner::{PlannerConfig, RrtStar};
+use planner::Planner;
+use shm_config::config::Config;
+use shm_config::config::planner::Method;
 use shm_config::message::{Observation, Plan, PlanOutcome};
 
 #[global_allocator]
@@ -14,14 +16,23 @@ static ALLOCATOR: AllocDisabler = AllocDisabler;
 
 #[test]
 fn no_plan_allocates() {
+    for method in [Method::RrtStar, Method::Informed, Method::Kinodynamic] {
+        no_plan_of_a_method_allocates(method);
+    }
+}
+
+fn no_plan_of_a_method_allocates(method: Method) {
     let scenes: Vec<Observation> = (0..200).map(course::random_scene).collect();
-    let mut planner = RrtStar::new(PlannerConfig::default()).unwrap();
+    let mut config = Config::default();
+    config.planner.method = method;
+    let mut planner = Planner::new(&config).unwrap();
     let mut plan = Plan::default();
     let (mut reached, mut partial, mut nodes, mut waypoints) = (0, 0, 0, 0);
     for round in 0..10 {
         for scene in &scenes {
             let mut observation = *scene;
             observation.header.tick += 1000 * round;
+            // Ticks in a row: a method with a memory uses it.
             // The beams' directions change with their number.
             observation.beam_count -= (round % 2) as u32 * 120;
             assert_no_alloc(|| planner.plan(&observation, &mut plan));

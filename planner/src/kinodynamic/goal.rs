@@ -12,15 +12,29 @@ const APART_M: f64 = 0.5;
 /// Where the car is to be, and in which direction: on the middle line of the
 /// road, at most so far along, in the direction of the road there.
 ///
-/// The farthest place along the line where the car could stand, and of those
+/// While the middle line itself is free, the goal is on it, and in a bend no
+/// farther than the bend leaves the straight line to it by `sag_m`: the shortest
+/// way to a goal far round a bend hugs the inner edge, and cuts off who drives
+/// there. With something on the line, the goal is behind it, as far as may be.
+///
+/// Then it is the farthest place along the line where the car could stand, and of those
 /// across the road there the one nearest to the middle line; of two as near the
 /// one on the side where the car is. Nothing is asked of the way there: that is
 /// the tree's work. Without any such place, straight ahead on the road, as near
 /// as goals are.
 ///
 /// Returns the pose and how far along the line it is, m.
-pub(super) fn choose_goal(grid: &Grid, body: &Body, line: &CentreLine, most_m: f64) -> (Pose, f64) {
-    let end_m = most_m.min(line.length_m()).max(NEAR_M);
+pub(super) fn choose_goal(
+    grid: &Grid,
+    body: &Body,
+    line: &CentreLine,
+    (most_m, sag_m): (f64, f64),
+) -> (Pose, f64) {
+    let end_m = most_m.min(line.known_m()).max(NEAR_M);
+    let end_m = match is_line_free(grid, body, line, end_m) {
+        true => until_sag(line, end_m, sag_m),
+        false => end_m,
+    };
     let beside_m = line
         .at(0.0)
         .body_from_road
@@ -49,6 +63,22 @@ pub(super) fn choose_goal(grid: &Grid, body: &Body, line: &CentreLine, most_m: f
                 false => (pose(NEAR_M, 0.0, 0.0), NEAR_M),
             }
         })
+}
+
+/// Whether the car could drive along the middle line itself, m.
+fn is_line_free(grid: &Grid, body: &Body, line: &CentreLine, end_m: f64) -> bool {
+    (0..=((end_m - NEAR_M) / APART_M) as usize)
+        .map(|step| line.at(NEAR_M + step as f64 * APART_M).body_from_road)
+        .all(|place| is_finite(&place) && body.is_free_at(grid, &place))
+}
+
+/// How far along the line it leaves its chord by no more than so much, m.
+fn until_sag(line: &CentreLine, end_m: f64, sag_m: f64) -> f64 {
+    (0..=((end_m - NEAR_M) / APART_M) as usize)
+        .map(|step| end_m - step as f64 * APART_M)
+        // The height of an arc over its chord is length * turn / 8.
+        .find(|&along_m| along_m * line.at(along_m).turn_rad.abs() / 8.0 <= sag_m)
+        .unwrap_or(NEAR_M)
 }
 
 fn is_finite(pose: &Pose) -> bool {
