@@ -27,12 +27,14 @@ fn no_plan_of_a_method_allocates(method: Method) {
     config.planner.method = method;
     let mut planner = Planner::new(&config).unwrap();
     let mut plan = Plan::default();
+    let mut tick = 0;
     let (mut reached, mut partial, mut nodes, mut waypoints) = (0, 0, 0, 0);
     for round in 0..10 {
         for scene in &scenes {
             let mut observation = *scene;
-            observation.header.tick += 1000 * round;
-            // Ticks in a row: a method with a memory uses it.
+            // One after the other: a method with a memory uses it.
+            tick += 1;
+            observation.header.tick = tick;
             // The beams' directions change with their number.
             observation.beam_count -= (round % 2) as u32 * 120;
             assert_no_alloc(|| planner.plan(&observation, &mut plan));
@@ -44,10 +46,15 @@ fn no_plan_of_a_method_allocates(method: Method) {
     }
     // 2,000 plans that were plans.
     assert!(
-        reached > 1500 && partial > 20,
-        "{reached} reached, {partial} partial"
+        reached > 1500 && partial >= 10,
+        "{method:?}: {reached} reached, {partial} partial"
     );
-    assert!(nodes > 2000 * 150, "{nodes} nodes");
+    // Where a curve leads straight to the goal, nothing else can help.
+    let least = match method {
+        Method::Kinodynamic => 2,
+        Method::RrtStar | Method::Informed | Method::Mpc => 150,
+    };
+    assert!(nodes > 2000 * least, "{method:?}: {nodes} nodes");
     assert!(waypoints > 2000 * 4, "{waypoints} waypoints");
 }
 

@@ -11,6 +11,9 @@ use vehicle::{Point, Vector};
 /// Sampled points are this far apart, in cells.
 const APART: f64 = 2e-3;
 
+/// An arc may be refused when an occupied cell is this near, in cells.
+const NEAR: f64 = 0.01;
+
 /// Whether a place, in cells, is in an occupied cell or outside the grid; the
 /// cells are made larger, or smaller, by so much.
 fn is_hit(grid: &Grid, place: Point, larger: f64) -> bool {
@@ -69,7 +72,7 @@ proptest! {
                 prop_assert_eq!(hit, None, "from {} around {} by {}", from, centre, turn_rad);
             } else {
                 prop_assert!(
-                    places().any(|place| is_hit(&grid, place, 2.0 * APART)),
+                    places().any(|place| is_hit(&grid, place, NEAR)),
                     "nothing in the way from {} around {} by {}", from, centre, turn_rad
                 );
             }

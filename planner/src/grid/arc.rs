@@ -5,10 +5,10 @@ use vehicle::{Point, Vector};
 use super::Grid;
 use crate::segment::{Run, Segment, cells};
 
-/// How near an arc must come to a cell to touch it, in cells: ten times what a
-/// rounding of 1e-12 cells in height makes of the width where an arc of 4096
-/// cells is level, and a hundred-thousandth of a millimetre on the road.
-const TOUCH: f64 = 1e-5;
+/// How near an arc must come to a cell to touch it, in cells. Where an arc of r
+/// cells is level, this much in height is sqrt(2 r TOUCH) in width: a hundredth
+/// of a cell at most on the road, and far more than what r² rounds by.
+const TOUCH: f64 = 1e-7;
 
 /// A part of a circle, in cells, along which x and y only rise or only fall.
 struct Quarter {

@@ -12,7 +12,8 @@ pub struct Kinodynamic {
     /// 0.25: the judge's 0.15, and 10 cm for the tracking.
     pub clearance_m: f64,
     /// Taken off the road on either side for the body's middle line, m, in place
-    /// of `planner.lane_margin_m`. MARGIN
+    /// of `planner.lane_margin_m`. 1.5: of the body's half width (0.926 m) it leaves
+    /// 0.57 m for cutting corners; with 1.0, 3 % of the episodes end on a sidewalk.
     pub lane_margin_m: f64,
     /// Sideways acceleration that no curve asks for more than, m/s²: at the speed
     /// v the radius is at least v²/a, and at least the car's own. 4.0 at 5 m/s is
