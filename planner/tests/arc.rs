@@ -20,7 +20,7 @@ fn is_hit(grid: &Grid, place: Point, larger: f64) -> bool {
     let (columns, rows) = (grid.columns() as f64, grid.rows() as f64);
     let outside = [(place.x, columns), (place.y, rows)]
         .iter()
-        .any(|&(at, size)| at < -larger || at > size + larger);
+        .any(|&(at, size)| at < larger || at > size - larger);
     let around = [place.x - larger, place.x, place.x + larger]
         .into_iter()
         .flat_map(|x| [place.y - larger, place.y, place.y + larger].map(|y| (x, y)));
