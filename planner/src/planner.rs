@@ -8,11 +8,11 @@ use crate::{Informed, Kinodynamic, RrtStar};
 #[derive(Debug)]
 pub enum Planner {
     /// The paper's.
-    RrtStar(RrtStar),
+    RrtStar(Box<RrtStar>),
     /// The paper's with a memory and informed sampling.
-    Informed(Informed),
+    Informed(Box<Informed>),
     /// RRT* over the bicycle.
-    Kinodynamic(Kinodynamic),
+    Kinodynamic(Box<Kinodynamic>),
 }
 
 impl Planner {
@@ -22,9 +22,14 @@ impl Planner {
     /// The first number of the configuration that is outside its limits.
     pub fn new(config: &Config) -> Result<Self, OutOfRange> {
         match config.planner.method {
-            Method::RrtStar | Method::Mpc => RrtStar::new(config.planner).map(Self::RrtStar),
-            Method::Informed => Informed::new(config.planner, config.informed).map(Self::Informed),
-            Method::Kinodynamic => Kinodynamic::new(config).map(Self::Kinodynamic),
+            Method::RrtStar | Method::Mpc => {
+                RrtStar::new(config.planner).map(|planner| Self::RrtStar(Box::new(planner)))
+            }
+            Method::Informed => Informed::new(config.planner, config.informed)
+                .map(|planner| Self::Informed(Box::new(planner))),
+            Method::Kinodynamic => {
+                Kinodynamic::new(config).map(|planner| Self::Kinodynamic(Box::new(planner)))
+            }
         }
     }
 
