@@ -1,14 +1,16 @@
-//! How long a plan takes: `cargo run --release -p planner --example plan_speed`.
+//! How long a plan takes: `cargo run --release -p planner --example plan_speed [METHOD]`.
 //!
 //! Plans for synthetic scenes (straight roads and bends of 15 to 60 m, up to
 //! four cars, barriers or rows of cones, 240 beams) and prints the whole plan,
-//! the grid within it, and the rest, in microseconds.
+//! the grid within it, and the rest, in microseconds. METHOD is one of the
+//! configuration's, such as kinodynamic; without it, the paper's.
 #![allow(clippy::disallowed_methods)]
 
 use std::hint::black_box;
 use std::time::Instant;
 
-use planner::{Grid, PlannerConfig, RrtStar};
+use planner::{Grid, Planner};
+use shm_config::config::Config;
 use shm_config::message::{Observation, Plan, PlanOutcome};
 
 #[path = "../tests/course/mod.rs"]
@@ -18,9 +20,12 @@ const SCENES: u64 = 500;
 const ROUNDS: usize = 20;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let config = PlannerConfig::default();
+    let method = std::env::args().nth(1).unwrap_or("rrt_star".into());
+    let configuration = format!("[planner]\nmethod = \"{method}\"");
+    let configuration: Config = shm_config::config::from_toml(&configuration, "METHOD")?;
+    let config = configuration.planner;
     let scenes: Vec<Observation> = (0..SCENES).map(course::random_scene).collect();
-    let mut planner = RrtStar::new(config)?;
+    let mut planner = Planner::new(&configuration)?;
     let mut grid = Grid::new(&config);
     let mut plan = Plan::default();
     let mut whole_us = Vec::with_capacity(scenes.len() * ROUNDS);

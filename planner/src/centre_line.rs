@@ -5,6 +5,10 @@ use vehicle::{Point, Pose, Vector, pose};
 /// passed, m. The world moves on to the next one up to 5 m late.
 const PASSED_M: f64 = 1.0;
 
+/// A car wants to be this far behind the last checkpoint at most, m: twice the
+/// 5 m before and behind it in which it has arrived.
+const BEYOND_M: f64 = 10.0;
+
 /// One road of the route: an arc, or a straight line when the curvature is 0.
 #[derive(Debug, Clone, Copy)]
 struct Arc {
@@ -36,6 +40,8 @@ pub(crate) struct Station {
 #[derive(Debug)]
 pub(crate) struct CentreLine {
     arcs: [Arc; 2],
+    /// Whether its end is that of the route.
+    is_last: bool,
 }
 
 impl CentreLine {
@@ -52,7 +58,9 @@ impl CentreLine {
             *arc = Arc::to(at, end_body).unwrap_or(Arc::none(at));
             at = arc.at(arc.length_m).body_from_road;
         }
-        Self { arcs }
+        let [first, second] = &observation.checkpoints;
+        let is_last = (first.x_body_m, first.y_body_m) == (second.x_body_m, second.y_body_m);
+        Self { arcs, is_last }
     }
 
     /// Length of the car's own road from beside the car on, m.
@@ -63,6 +71,31 @@ impl CentreLine {
     /// Distance to its end along the line, m.
     pub(crate) fn length_m(&self) -> f64 {
         self.arcs.iter().map(|arc| arc.length_m).sum()
+    }
+
+    /// How far along it a car may want to be, m: to its end; behind the last
+    /// checkpoint of the route, which is said twice, a little farther, so that
+    /// what stands on the goal line can be passed.
+    pub(crate) fn known_m(&self) -> f64 {
+        let beyond_m = if self.is_last { BEYOND_M } else { 0.0 };
+        self.length_m() + beyond_m
+    }
+
+    /// How far along the line it goes straight on from a place on it, m; the
+    /// place itself within a bend.
+    pub(crate) fn straight_until(&self, distance_m: f64) -> f64 {
+        let mut end_m = 0.0;
+        for arc in &self.arcs {
+            end_m += arc.length_m;
+            if distance_m < end_m {
+                // 10 km: 5 cm off the chord over the 60 m of the grid.
+                return match arc.curvature_per_m.abs() < 1e-4 {
+                    true => end_m,
+                    false => distance_m,
+                };
+            }
+        }
+        f64::INFINITY
     }
 
     /// The place so far along the line, m; beyond its end, straight on.

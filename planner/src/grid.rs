@@ -7,6 +7,11 @@ use crate::corridor::Corridor;
 use crate::segment::{Run, Segment};
 use shm_config::config::planner::DISC_CELLS_MAX;
 
+mod arc;
+mod road;
+
+/// Most points of the body that are protected at the start.
+pub(crate) const STARTS_MAX: usize = 4;
 /// Cells in a word.
 const WORD: usize = u64::BITS as usize;
 
@@ -50,6 +55,9 @@ pub struct Grid {
     disc: heapless::Vec<i64, { DISC_CELLS_MAX + 1 }>,
     beams: Beams,
     corridor: Corridor,
+    /// Columns of the cells on either side of the x axis that are never
+    /// occupied: the car's.
+    starts: heapless::Vec<i64, STARTS_MAX>,
     /// Row after row, 64 columns a word, the lowest bit nearest to the car.
     words: Box<[u64]>,
 }
@@ -80,6 +88,7 @@ impl Grid {
                 right_m: 0.0,
                 left_m: 0.0,
             },
+            starts: heapless::Vec::from_array([0]),
             words: vec![!0; words_per_row * 2 * half_rows].into_boxed_slice(),
         }
     }
@@ -124,6 +133,11 @@ impl Grid {
             let start = row * self.words_per_row;
             self.words[start..start + self.words_per_row].fill(if free { 0 } else { !0 });
         }
+        self.stamp_returns(observation);
+    }
+
+    /// Marks what the lidar saw.
+    fn stamp_returns(&mut self, observation: &Observation) {
         // The beams are taken out so that the rows can be written while they are read.
         let mut beams = std::mem::take(&mut self.beams);
         beams.prepare(observation.ranges().len());
@@ -167,7 +181,9 @@ impl Grid {
         }
         // The start's two cells are column 0 of the rows 0 and -1.
         let start_rows = row.abs().min((row + 1).abs());
-        let start_squared = column * column + start_rows * start_rows;
+        let start_columns = self.starts.iter().map(|start| (column - start).abs()).min();
+        let start_columns = start_columns.unwrap_or(column);
+        let start_squared = start_columns * start_columns + start_rows * start_rows;
         let shrunk = start_squared <= self.disc_squared;
         for offset in -reach..=reach {
             let columns = if shrunk {

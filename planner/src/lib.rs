@@ -14,8 +14,12 @@
 mod beams;
 mod centre_line;
 mod corridor;
+mod dubins;
+mod ellipse;
 mod goal;
 mod grid;
+mod informed;
+mod kinodynamic;
 mod mpc;
 mod planner;
 mod rrt_star;
@@ -26,8 +30,11 @@ mod track;
 mod tree;
 
 pub use corridor::Corridor;
+pub use dubins::{Dubins, Piece, Turn};
 pub use goal::choose_goal;
 pub use grid::{Cell, Grid};
+pub use informed::Informed;
+pub use kinodynamic::{Kinodynamic, PoseNode};
 pub use mpc::{Effort, Mpc};
 pub use planner::Planner;
 pub use rrt_star::RrtStar;

@@ -2,13 +2,17 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Observation, Plan};
 
-use crate::{Grid, Mpc, RrtStar, Tree};
+use crate::{Grid, Informed, Kinodynamic, Mpc, RrtStar, Tree};
 
 /// Turns observations into plans by the configured method.
 #[derive(Debug)]
 pub enum Planner {
     /// The paper's.
-    RrtStar(RrtStar),
+    RrtStar(Box<RrtStar>),
+    /// The paper's with a memory and informed sampling.
+    Informed(Box<Informed>),
+    /// RRT* over the bicycle.
+    Kinodynamic(Box<Kinodynamic>),
     /// Model-predictive control.
     Mpc(Box<Mpc>),
 }
@@ -19,12 +23,14 @@ impl Planner {
     /// # Errors
     /// The first number of the configuration that is outside its limits.
     pub fn new(config: &Config) -> Result<Self, OutOfRange> {
-        match config.planner.method {
-            Method::RrtStar | Method::Informed | Method::Kinodynamic => {
-                RrtStar::new(config.planner).map(Self::RrtStar)
+        Ok(match config.planner.method {
+            Method::RrtStar => Self::RrtStar(Box::new(RrtStar::new(config.planner)?)),
+            Method::Informed => {
+                Self::Informed(Box::new(Informed::new(config.planner, config.informed)?))
             }
-            Method::Mpc => Ok(Self::Mpc(Box::new(Mpc::new(config)))),
-        }
+            Method::Kinodynamic => Self::Kinodynamic(Box::new(Kinodynamic::new(config)?)),
+            Method::Mpc => Self::Mpc(Box::new(Mpc::new(config))),
+        })
     }
 
     /// Plans for one admitted observation.
@@ -34,6 +40,8 @@ impl Planner {
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
         match self {
             Self::RrtStar(planner) => planner.plan(observation, out),
+            Self::Informed(planner) => planner.plan(observation, out),
+            Self::Kinodynamic(planner) => planner.plan(observation, out),
             Self::Mpc(planner) => planner.plan(observation, out),
         }
     }
@@ -42,15 +50,18 @@ impl Planner {
     pub fn grid(&self) -> Option<&Grid> {
         match self {
             Self::RrtStar(planner) => Some(planner.grid()),
+            Self::Informed(planner) => Some(planner.grid()),
+            Self::Kinodynamic(planner) => Some(planner.grid()),
             Self::Mpc(_) => None,
         }
     }
 
-    /// The tree of the last plan; none of methods without one.
+    /// The tree of the last plan; none of methods without one of straight edges.
     pub fn tree(&self) -> Option<&Tree> {
         match self {
             Self::RrtStar(planner) => Some(planner.tree()),
-            Self::Mpc(_) => None,
+            Self::Informed(planner) => Some(planner.tree()),
+            Self::Kinodynamic(_) | Self::Mpc(_) => None,
         }
     }
 
@@ -58,7 +69,8 @@ impl Planner {
     /// with a memory also notice it themselves by the observation's header.
     pub fn forget(&mut self) {
         match self {
-            Self::RrtStar(_) => {}
+            Self::RrtStar(_) | Self::Kinodynamic(_) => {}
+            Self::Informed(planner) => planner.forget(),
             Self::Mpc(planner) => planner.forget(),
         }
     }

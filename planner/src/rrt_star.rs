@@ -64,56 +64,71 @@ impl RrtStar {
         let sampler = Sampler::new(config.seed, &observation.header);
         search.grow(grid, config, goal_body, sampler);
         *out = Plan {
-            header: Header {
-                sequence: out.header.sequence,
-                producer: out.header.producer,
-                ..observation.header
-            },
-            origin_x_world_m: observation.ego.x_world_m,
-            origin_y_world_m: observation.ego.y_world_m,
-            origin_heading_world_rad: observation.ego.heading_world_rad,
             goal_x_body_m: goal_body.x,
             goal_y_body_m: goal_body.y,
             iterations: config.iterations,
             nodes: search.tree.len() as u32,
-            planning_ns: out.planning_ns,
-            ..Plan::default()
+            ..header(observation, out)
         };
-        let (outcome, end) = self.end(goal_body);
-        out.outcome = outcome.code();
-        if let Some(end) = end {
-            self.write_path(end, out);
-        }
+        write_outcome(config, search, goal_body, out);
     }
+}
 
-    /// What was found, and the node where the path ends.
-    fn end(&self, goal_body: Point) -> (PlanOutcome, Option<usize>) {
-        let Self { config, search, .. } = self;
-        if let Some(end) = search.reached(goal_body, config.goal_radius_m) {
-            return (PlanOutcome::Reached, Some(end));
-        }
-        let (end, _) = search.tree.nearest(goal_body);
-        if end != 0 && search.tree.point(end).coords.norm() >= config.partial_min_m {
-            return (PlanOutcome::Partial, Some(end));
-        }
-        (PlanOutcome::Blocked, None)
+/// An empty plan for an observation; what is the caller's stays.
+pub(crate) fn header(observation: &Observation, out: &Plan) -> Plan {
+    Plan {
+        header: Header {
+            sequence: out.header.sequence,
+            producer: out.header.producer,
+            ..observation.header
+        },
+        origin_x_world_m: observation.ego.x_world_m,
+        origin_y_world_m: observation.ego.y_world_m,
+        origin_heading_world_rad: observation.ego.heading_world_rad,
+        planning_ns: out.planning_ns,
+        ..Plan::default()
     }
+}
 
-    /// The path from the start to a node; of a longer one the first points.
-    fn write_path(&self, end: usize, out: &mut Plan) {
-        let tree = &self.search.tree;
-        let length = tree.way_back(end).count();
-        for (before_end, index) in tree.way_back(end).enumerate() {
-            let point_body = tree.point(index);
-            if let Some(waypoint) = out.waypoints.get_mut(length - 1 - before_end) {
-                *waypoint = Waypoint {
-                    x_body_m: point_body.x,
-                    y_body_m: point_body.y,
-                    speed_mps: self.config.speed_mps,
-                };
-            }
-        }
-        out.waypoint_count = length.min(WAYPOINTS_MAX) as u32;
-        out.cost_m = tree.cost_m(end);
+/// Writes what was found, and the path to it.
+pub(crate) fn write_outcome(
+    config: &PlannerConfig,
+    search: &Search,
+    goal_body: Point,
+    out: &mut Plan,
+) {
+    let (outcome, end) = end(config, search, goal_body);
+    out.outcome = outcome.code();
+    if let Some(end) = end {
+        write_path(config, &search.tree, end, out);
     }
+}
+
+/// What was found, and the node where the path ends.
+fn end(config: &PlannerConfig, search: &Search, goal_body: Point) -> (PlanOutcome, Option<usize>) {
+    if let Some(end) = search.reached(goal_body, config.goal_radius_m) {
+        return (PlanOutcome::Reached, Some(end));
+    }
+    let (end, _) = search.tree.nearest(goal_body);
+    if end != 0 && search.tree.point(end).coords.norm() >= config.partial_min_m {
+        return (PlanOutcome::Partial, Some(end));
+    }
+    (PlanOutcome::Blocked, None)
+}
+
+/// The path from the start to a node; of a longer one the first points.
+fn write_path(config: &PlannerConfig, tree: &Tree, end: usize, out: &mut Plan) {
+    let length = tree.way_back(end).count();
+    for (before_end, index) in tree.way_back(end).enumerate() {
+        let point_body = tree.point(index);
+        if let Some(waypoint) = out.waypoints.get_mut(length - 1 - before_end) {
+            *waypoint = Waypoint {
+                x_body_m: point_body.x,
+                y_body_m: point_body.y,
+                speed_mps: config.speed_mps,
+            };
+        }
+    }
+    out.waypoint_count = length.min(WAYPOINTS_MAX) as u32;
+    out.cost_m = tree.cost_m(end);
 }

@@ -76,7 +76,7 @@ impl Search {
     }
 
     /// One iteration: extend, choose the parent, rewire.
-    fn extend(&mut self, grid: &Grid, config: &PlannerConfig, sample_body: Point) {
+    pub(crate) fn extend(&mut self, grid: &Grid, config: &PlannerConfig, sample_body: Point) {
         let (nearest, square) = self.tree.nearest(sample_body);
         let distance_m = square.sqrt();
         if distance_m < SAME_M {
@@ -88,22 +88,35 @@ impl Search {
         } else {
             sample_body
         };
+        self.insert(grid, config, nearest, point_body);
+    }
+
+    /// Adds a point that can be reached straight from a node: chooses the parent,
+    /// rewires. `None` when the way there is not free, or the tree is full.
+    pub(crate) fn insert(
+        &mut self,
+        grid: &Grid,
+        config: &PlannerConfig,
+        from: usize,
+        point_body: Point,
+    ) -> Option<usize> {
+        let from_body = self.tree.point(from);
         if !grid.is_segment_free(from_body, point_body) {
-            return;
+            return None;
         }
         self.find_near(point_body, config.rewire_radius_m);
         let edge = self.choose_parent(
             grid,
             point_body,
             Edge {
-                parent: nearest,
+                parent: from,
                 // Of the points as they are, not the step: costs are then exact sums.
                 length_m: (point_body - from_body).norm_squared().sqrt(),
             },
         );
-        if let Some(index) = self.tree.push(point_body, edge) {
-            self.rewire(grid, index);
-        }
+        let index = self.tree.push(point_body, edge)?;
+        self.rewire(grid, index);
+        Some(index)
     }
 
     /// Collects the nodes within the radius.

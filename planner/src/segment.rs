@@ -82,7 +82,7 @@ impl Segment {
 }
 
 /// First and last cell that an interval touches along one axis, at most `last`.
-fn cells(low: f64, high: f64, last: usize) -> (usize, usize) {
+pub(crate) fn cells(low: f64, high: f64, last: usize) -> (usize, usize) {
     // 32 bits hold every count of cells, and convert at a fraction of the cost
     // of 64. Truncating is floor for what is positive, and saturates.
     let cell = |at: f64| (at as i32).max(0).min(last as i32) as usize;

@@ -6,7 +6,9 @@ use std::hint::black_box;
 use std::process::Command;
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
-use planner::{PlannerConfig, RrtStar};
+use planner::Planner;
+use shm_config::config::Config;
+use shm_config::config::planner::Method;
 use shm_config::message::{Observation, Plan, PlanOutcome};
 
 #[global_allocator]
@@ -14,14 +16,25 @@ static ALLOCATOR: AllocDisabler = AllocDisabler;
 
 #[test]
 fn no_plan_allocates() {
+    for method in [Method::RrtStar, Method::Informed, Method::Kinodynamic] {
+        no_plan_of_a_method_allocates(method);
+    }
+}
+
+fn no_plan_of_a_method_allocates(method: Method) {
     let scenes: Vec<Observation> = (0..200).map(course::random_scene).collect();
-    let mut planner = RrtStar::new(PlannerConfig::default()).unwrap();
+    let mut config = Config::default();
+    config.planner.method = method;
+    let mut planner = Planner::new(&config).unwrap();
     let mut plan = Plan::default();
+    let mut tick = 0;
     let (mut reached, mut partial, mut nodes, mut waypoints) = (0, 0, 0, 0);
     for round in 0..10 {
         for scene in &scenes {
             let mut observation = *scene;
-            observation.header.tick += 1000 * round;
+            // One after the other: a method with a memory uses it.
+            tick += 1;
+            observation.header.tick = tick;
             // The beams' directions change with their number.
             observation.beam_count -= (round % 2) as u32 * 120;
             assert_no_alloc(|| planner.plan(&observation, &mut plan));
@@ -33,10 +46,15 @@ fn no_plan_allocates() {
     }
     // 2,000 plans that were plans.
     assert!(
-        reached > 1500 && partial > 20,
-        "{reached} reached, {partial} partial"
+        reached > 1500 && partial >= 10,
+        "{method:?}: {reached} reached, {partial} partial"
     );
-    assert!(nodes > 2000 * 150, "{nodes} nodes");
+    // Where a curve leads straight to the goal, nothing else can help.
+    let least = match method {
+        Method::Kinodynamic => 2,
+        Method::RrtStar | Method::Informed | Method::Mpc => 150,
+    };
+    assert!(nodes > 2000 * least, "{method:?}: {nodes} nodes");
     assert!(waypoints > 2000 * 4, "{waypoints} waypoints");
 }
 

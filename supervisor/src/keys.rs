@@ -16,6 +16,8 @@ const SOURCES: &[&str] = &[
     include_str!("../../shm-config/src/config/run.rs"),
     include_str!("../../shm-config/src/config/world.rs"),
     include_str!("../../shm-config/src/config/planner.rs"),
+    include_str!("../../shm-config/src/config/informed.rs"),
+    include_str!("../../shm-config/src/config/kinodynamic.rs"),
     include_str!("../../shm-config/src/config/mpc.rs"),
     include_str!("../../shm-config/src/config/controller.rs"),
     include_str!("../../shm-config/src/config/gate.rs"),

@@ -6,6 +6,8 @@
 
 mod controller;
 mod gate;
+mod informed;
+mod kinodynamic;
 mod load;
 mod mpc;
 pub mod planner;
@@ -17,6 +19,8 @@ use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
 pub use gate::{Gate, GateMode};
+pub use informed::Informed;
+pub use kinodynamic::Kinodynamic;
 pub use load::{ConfigError, from_toml, load};
 pub use mpc::Mpc;
 pub use planner::Planner;
@@ -37,6 +41,10 @@ pub struct Config {
     pub world: World,
     /// RRT*.
     pub planner: Planner,
+    /// RRT* with a memory, in place of the paper's.
+    pub informed: Informed,
+    /// RRT* over the bicycle, in place of the paper's.
+    pub kinodynamic: Kinodynamic,
     /// Model-predictive control.
     pub mpc: Mpc,
     /// PD tracking.
@@ -76,6 +84,8 @@ impl Config {
         })?;
         self.world.check()?;
         self.planner.check()?;
+        self.informed.check(self.planner.cell_m)?;
+        self.kinodynamic.check()?;
         self.mpc.check()?;
         self.controller.check()?;
         self.judge.check()?;
