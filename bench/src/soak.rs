@@ -57,17 +57,15 @@ pub struct Row {
     pub condition: &'static str,
     /// Plans made.
     pub ticks: u64,
-    /// Time in the solver, by its own clock, us.
-    pub solve_p50_us: u64,
-    /// 99 % of the solutions took no longer, us.
-    pub solve_p99_us: u64,
-    /// The longest, us.
-    pub solve_max_us: u64,
-    /// Processor time of a whole plan, us.
+    /// Processor time of a whole plan, us: tracking, path, speed and solver.
     pub plan_cpu_p50_us: u64,
     /// 99 % of the plans took no more, us.
     pub plan_cpu_p99_us: u64,
+    /// The most, us.
+    pub plan_cpu_max_us: u64,
     /// Whole plans by the wall clock, other processes included, us.
+    pub plan_p50_us: u64,
+    /// 99 % of the plans took no longer, us.
     pub plan_p99_us: u64,
     /// The longest, us.
     pub plan_max_us: u64,
@@ -102,7 +100,6 @@ pub struct Conditions {
 }
 
 struct Tally {
-    solve_us: Histogram<u64>,
     plan_cpu_us: Histogram<u64>,
     plan_us: Histogram<u64>,
     iterations_max: u32,
@@ -214,9 +211,6 @@ impl Soaking {
         let core = (self.gauges.core)() - core;
         let effort = self.planner.effort();
         let tally = &mut self.tallies[spell as usize];
-        tally
-            .solve_us
-            .saturating_record((effort.solve_s * 1e6).ceil() as u64);
         tally.plan_cpu_us.saturating_record(core.as_micros() as u64);
         tally.plan_us.saturating_record(plan_ns.div_ceil(1000));
         tally.iterations_max = tally.iterations_max.max(effort.iterations);
@@ -272,7 +266,6 @@ fn put_wall(observation: &mut Observation, body_from_wall: &Pose) {
 impl Tally {
     fn new() -> Self {
         Self {
-            solve_us: planning_histogram(),
             plan_cpu_us: planning_histogram(),
             plan_us: planning_histogram(),
             iterations_max: 0,
@@ -283,7 +276,6 @@ impl Tally {
 
     fn add(&mut self, other: &Tally) {
         for (mine, theirs) in [
-            (&mut self.solve_us, &other.solve_us),
             (&mut self.plan_cpu_us, &other.plan_cpu_us),
             (&mut self.plan_us, &other.plan_us),
         ] {
@@ -299,11 +291,10 @@ impl Tally {
         Row {
             condition,
             ticks: self.plan_us.len(),
-            solve_p50_us: self.solve_us.value_at_quantile(0.5),
-            solve_p99_us: self.solve_us.value_at_quantile(0.99),
-            solve_max_us: self.solve_us.max(),
             plan_cpu_p50_us: self.plan_cpu_us.value_at_quantile(0.5),
             plan_cpu_p99_us: self.plan_cpu_us.value_at_quantile(0.99),
+            plan_cpu_max_us: self.plan_cpu_us.max(),
+            plan_p50_us: self.plan_us.value_at_quantile(0.5),
             plan_p99_us: self.plan_us.value_at_quantile(0.99),
             plan_max_us: self.plan_us.max(),
             iterations_max: self.iterations_max,
@@ -317,12 +308,11 @@ fn print(soaked: &Soaked) {
     let mut table = table(&[
         "",
         "ticks",
-        "solve p50",
+        "core p50",
         "p99",
         "max us",
-        "plan, core p50",
+        "wall p50",
         "p99",
-        "wall p99",
         "max us",
         "iterations",
         "infeasible",
@@ -331,11 +321,10 @@ fn print(soaked: &Soaked) {
     for row in &soaked.rows {
         let numbers = [
             row.ticks,
-            row.solve_p50_us,
-            row.solve_p99_us,
-            row.solve_max_us,
             row.plan_cpu_p50_us,
             row.plan_cpu_p99_us,
+            row.plan_cpu_max_us,
+            row.plan_p50_us,
             row.plan_p99_us,
             row.plan_max_us,
             u64::from(row.iterations_max),
@@ -348,8 +337,8 @@ fn print(soaked: &Soaked) {
     say(table);
     let conditions = &soaked.conditions;
     say(format_args!(
-        "{} steps, one thread, {} episodes from seed {}, load {}; \"solve\" is by the wall clock \
-         of the solver, \"core\" is processor time",
+        "{} steps, one thread, {} episodes from seed {}, load {}; times are of whole plans: \
+         \"core\" by processor time, \"wall\" by the clock",
         conditions.steps,
         conditions.episodes,
         conditions.first_seed,

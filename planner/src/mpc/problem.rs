@@ -81,8 +81,6 @@ pub(crate) struct Solution {
 pub struct Effort {
     /// Iterations of the interior-point method.
     pub iterations: u32,
-    /// Time by the solver's own clock, s.
-    pub solve_s: f64,
     /// It found an answer.
     pub is_solved: bool,
 }
@@ -180,7 +178,6 @@ impl Problem {
         let values = &solver.solution.x;
         self.effort = Effort {
             iterations: solver.solution.iterations,
-            solve_s: solver.solution.solve_time,
             is_solved: is_good && values.iter().all(|value| value.is_finite()),
         };
         if !self.effort.is_solved {
