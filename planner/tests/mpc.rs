@@ -85,7 +85,7 @@ fn drive(course: &Course, ticks: u64) -> Drive {
 
 #[test]
 fn drives_bends_and_passes_obstacles_without_touching_them() {
-    for seed in 0..8 {
+    for seed in 0..4 {
         let drive = drive(&random_course(seed, true), 900);
         assert!(drive.arrived, "seed {seed}: {:.1} m", drive.along_m);
         assert!(
@@ -159,7 +159,7 @@ fn always_has_an_answer() {
     let mut plan = Plan::default();
     let mut dice = Dice::new(7);
     let mut solved = 0;
-    for tick in 0..1500 {
+    for tick in 0..600 {
         let mut observation = at_tick(random_scene(tick), tick);
         let ego = &mut observation.ego;
         ego.speed_mps = dice.between(-1.0, 22.0);
@@ -182,7 +182,7 @@ fn always_has_an_answer() {
         assert!(plan.action_count > 0, "tick {tick}");
         solved += u64::from(planner.effort().is_solved);
     }
-    assert_eq!(solved, 1500, "an infeasible problem");
+    assert_eq!(solved, 600, "an infeasible problem");
 }
 
 #[test]

@@ -376,3 +376,6 @@ fn begin_plan(observation: &Observation, out: &mut Plan) {
         ..Plan::default()
     };
 }
+
+#[cfg(test)]
+mod tests;

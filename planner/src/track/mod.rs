@@ -33,6 +33,9 @@ const SEEN_MIN: u32 = 4;
 const MISSED_MAX: u32 = 5;
 /// A slower track rests, m/s.
 const RESTING_MPS: f64 = 1.5;
+/// After so many scans at one place a body rests; a moving one that comes into
+/// view may seem to stand for one or two.
+const STILL_MIN: u32 = 3;
 /// How far the middle of a resting body's box jumps from scan to scan, m.
 const JITTER_M: f64 = 0.05;
 /// A body has moved when the middle of its box has left the largest box it was
@@ -70,6 +73,8 @@ struct Track {
     begin: Point,
     radius_m: f64,
     seen: u32,
+    /// For so many scans it has been where it was.
+    still: u32,
     missed: u32,
     /// Already has its cluster of this scan.
     taken: bool,
@@ -86,8 +91,26 @@ impl Track {
             begin: cluster.middle,
             radius_m: cluster.radius_m,
             seen: 1,
+            still: 0,
             missed: 0,
             taken: true,
+        }
+    }
+
+    /// Takes its cluster of this scan; the velocity over ground, or zero at rest.
+    fn take(&mut self, cluster: &Cluster) -> Vector {
+        self.x.measure(cluster.middle.x, MIDDLE_DEVIATION_M);
+        self.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
+        (self.taken, self.missed, self.still) = (true, 0, 0);
+        self.middle = cluster.middle;
+        self.seen += 1;
+        self.radius_m = self.radius_m.max(cluster.radius_m);
+        let velocity = Vector::new(self.x.g(), self.y.g());
+        let went_m = (cluster.middle - self.begin).norm();
+        let has_moved = went_m > self.radius_m + LEFT_M && self.radius_m <= VEHICLE_M;
+        match has_moved && self.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
+            true => velocity,
+            false => Vector::zeros(),
         }
     }
 }
@@ -138,27 +161,34 @@ impl Tracker {
         // First whatever is where it was: else neighbours in a row of cones would
         // hand their tracks on, and seem to run.
         let still = RESTING_MPS * step_s + JITTER_M;
-        let rests = clusters.iter().map(|cluster| self.rests(cluster, still));
-        let rests: heapless::Vec<bool, CLUSTERS_MAX> = rests.collect();
-        for (cluster, rests) in clusters.iter().zip(rests) {
-            let velocity_world = match rests {
-                true => Vector::zeros(),
-                false => self.follow(cluster),
-            };
+        let found = clusters
+            .iter()
+            .map(|cluster| self.find_resting(cluster, still));
+        let found: heapless::Vec<Option<Vector>, CLUSTERS_MAX> = found.collect();
+        for (cluster, found) in clusters.iter().zip(found) {
+            let velocity_world = found.unwrap_or_else(|| self.follow(cluster));
             self.mark(cluster, &world_from_body, velocity_world);
         }
         self.tracks.retain(|track| track.missed <= MISSED_MAX);
     }
 
-    /// A cluster that is where a track was last is that track, at rest.
-    fn rests(&mut self, cluster: &Cluster, still_m: f64) -> bool {
+    /// A cluster that is where a track was last is that track; after some scans
+    /// of that it rests, whatever it seemed to do before. Its velocity.
+    fn find_resting(&mut self, cluster: &Cluster, still_m: f64) -> Option<Vector> {
         let is_there =
             |track: &&mut Track| !track.taken && (track.middle - cluster.middle).norm() < still_m;
-        let Some(track) = self.tracks.iter_mut().find(is_there) else {
-            return false;
+        let track = self.tracks.iter_mut().find(is_there)?;
+        if track.still + 1 < STILL_MIN {
+            let still = track.still + 1;
+            let velocity = track.take(cluster);
+            track.still = still;
+            return Some(velocity);
+        }
+        *track = Track {
+            still: track.still,
+            ..Track::new(cluster)
         };
-        *track = Track::new(cluster);
-        true
+        Some(Vector::zeros())
     }
 
     /// Gives a cluster to its track, or begins one; the velocity over ground, or
@@ -176,19 +206,7 @@ impl Tracker {
             let _ = self.tracks.push(Track::new(cluster));
             return Vector::zeros();
         };
-        track.x.measure(cluster.middle.x, MIDDLE_DEVIATION_M);
-        track.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
-        (track.taken, track.missed) = (true, 0);
-        track.middle = cluster.middle;
-        track.seen += 1;
-        track.radius_m = track.radius_m.max(cluster.radius_m);
-        let velocity = Vector::new(track.x.g(), track.y.g());
-        let went_m = (cluster.middle - track.begin).norm();
-        let has_moved = went_m > track.radius_m + LEFT_M && track.radius_m <= VEHICLE_M;
-        match has_moved && track.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
-            true => velocity,
-            false => Vector::zeros(),
-        }
+        track.take(cluster)
     }
 
     fn mark(&mut self, cluster: &Cluster, world_from_body: &Pose, velocity_world: Vector) {
