@@ -9,6 +9,7 @@ mod gate;
 mod load;
 mod mpc;
 pub mod planner;
+mod rates;
 mod run;
 mod world;
 
@@ -20,6 +21,7 @@ pub use gate::{Gate, GateMode};
 pub use load::{ConfigError, from_toml, load};
 pub use mpc::Mpc;
 pub use planner::Planner;
+pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Supervisor};
 pub use world::{Simulator, World};
 
@@ -68,7 +70,8 @@ impl Config {
     /// The first key that is out of range.
     pub fn validated(self) -> Result<Self, OutOfRange> {
         self.run.check()?;
-        self.limits.check(&self.run)?;
+        self.check_rates()?;
+        self.limits.check(&self)?;
         self.vehicle.validated().map_err(|error| OutOfRange {
             key: format!("vehicle.{}", error.name),
             value: error.value.to_string(),
