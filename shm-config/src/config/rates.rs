@@ -1,6 +1,7 @@
 //! The rates of world, controller and planner, one against the other.
 
 use super::{Config, OutOfRange, Simulator, in_range};
+use crate::services::Process;
 
 /// Ticks of the decisions of traffic and rules in a second; both worlds mirror a
 /// simulator that steps at this rate, and MetaDrive itself knows no other.
@@ -20,6 +21,16 @@ impl Config {
     /// Plans per second.
     pub fn planner_rate_hz(&self) -> f64 {
         or_the_runs(self.planner.rate_hz, self)
+    }
+
+    /// The rate of a process; `None` of one at a pace of its own.
+    pub fn rate_hz(&self, process: Process) -> Option<f64> {
+        match process {
+            Process::World => Some(self.world_rate_hz()),
+            Process::Controller => Some(self.run.rate_hz),
+            Process::Planner => Some(self.planner_rate_hz()),
+            Process::Supervisor | Process::Gate | Process::Learner => None,
+        }
     }
 
     /// Instants of the world in one tick of the run.
