@@ -107,22 +107,20 @@ impl Waiting {
         let now = monotonic();
         if let Some(observation) = ports.observations.newest() {
             let scheduled = Instant(observation.scheduled_ns);
-            let asks = self.answered != Some(origin(&observation));
-            if asks || !self.lockstep {
-                inputs.observation = Some(observation);
-            }
-            if self.lockstep && asks {
-                let slot = Slot {
+            let is_new = self.answered != Some(origin(&observation));
+            let slot = match (self.lockstep, is_new) {
+                (true, true) => Some(Slot {
                     scheduled,
                     due: scheduled,
                     skipped: 0,
-                };
-                return Some(slot);
-            }
-            let slot = match self.lockstep {
-                true => None,
-                false => self.slots.on_observation(scheduled, now),
+                }),
+                (true, false) => None,
+                (false, _) => self.slots.on_observation(scheduled, now),
             };
+            // In lockstep nobody looks between two ticks: runs repeat.
+            if is_new || !self.lockstep {
+                inputs.observation = Some(observation);
+            }
             if slot.is_some() {
                 return slot;
             }

@@ -6,13 +6,12 @@ use std::time::Duration;
 use clap::Parser;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use rustix::time::{ClockId, Timespec};
-use shm_config::config::{Config, PHYSICS_HZ};
 use shm_config::message::{Command, Header, HealthState, Message, Observation, Outcome, Progress};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
 use shm_config::{Instant, message::Episode};
-use sim::dynamics::SUBSTEPS;
+use sim::grid::Grid;
 use sim::{World, WorldConfig, score::Score};
 
 /// Drives the built-in world: maps, traffic and rules of MetaDrive
@@ -66,81 +65,6 @@ impl Ports {
     }
 }
 
-/// The instants at which the world moves. One in every `share` is a tick of the
-/// run, which the controller answers.
-struct Grid {
-    lockstep: bool,
-    /// From tick to tick of the run.
-    period_ns: u64,
-    share: u64,
-    /// Instants to one tick of the physics.
-    hold: u64,
-    first: Instant,
-    /// The instant that comes next, or is now.
-    index: u64,
-    /// Instants missed.
-    missed: u64,
-}
-
-impl Grid {
-    fn new(config: &Config, first: Instant) -> Self {
-        let lockstep = config.run.is_lockstep();
-        Self {
-            lockstep,
-            period_ns: config.run.period_ns(),
-            share: config.world_instants(),
-            hold: (config.world_rate_hz() / PHYSICS_HZ).round() as u64,
-            first: if lockstep { Instant(0) } else { first },
-            index: 0,
-            missed: 0,
-        }
-    }
-
-    /// When an instant is due, on the run's clock.
-    fn instant(&self, index: u64) -> Instant {
-        self.first.after_ns(index * self.period_ns / self.share)
-    }
-
-    /// The run's tick of now.
-    fn tick(&self) -> u64 {
-        self.index / self.share
-    }
-
-    /// Ticks of the run that were due before now.
-    fn ticks_due(&self) -> u64 {
-        self.index.div_ceil(self.share)
-    }
-
-    /// When a tick of the run is due.
-    fn tick_instant(&self, tick: u64) -> Instant {
-        self.instant(tick * self.share)
-    }
-
-    /// Sub-steps of the physics that were due by now, and the share of the next
-    /// one that has passed.
-    fn substeps_due(&self) -> (u64, f64) {
-        let scaled = self.index * u64::from(SUBSTEPS);
-        let passed = (scaled % self.hold) as f64 / self.hold as f64;
-        (scaled / self.hold, passed)
-    }
-
-    /// Sleeps until the next instant is due. Those that passed meanwhile are
-    /// missed, and counted.
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
-    fn sleep(&mut self) {
-        if self.lockstep {
-            return;
-        }
-        let due = self.instant(self.index);
-        let timespec: Timespec = due.timespec();
-        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &timespec).is_err() {}
-        let late_ns = monotonic().since_ns(due);
-        let passed = late_ns * self.share / self.period_ns;
-        self.index += passed;
-        self.missed += passed;
-    }
-}
-
 /// What an instant of the world's grid is.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Moment {
@@ -155,6 +79,7 @@ struct Session {
     ports: Ports,
     pulse: Pulse,
     world: World,
+    lockstep: bool,
     grid: Grid,
     score: Score,
     observation: Box<Observation>,
@@ -163,8 +88,6 @@ struct Session {
     episode_skipped: u64,
     /// The run's newest tick that was published.
     told: Option<u64>,
-    /// Sub-steps of the physics that were due so far.
-    moved: u64,
     /// What worlds before this one have driven.
     driven_ns: u64,
 }
@@ -190,9 +113,13 @@ impl Session {
         pulse.set_rights(&member.rights);
         pulse.enter(HealthState::Ready, monotonic());
         // The first instant lies one period ahead: everybody can be there.
-        let first = monotonic().after_ns(member.config.run.period_ns());
+        let first = match member.config.run.is_lockstep() {
+            true => Instant(0),
+            false => monotonic().after_ns(member.config.run.period_ns()),
+        };
         Ok(Self {
             grid: Grid::new(&member.config, first),
+            lockstep: member.config.run.is_lockstep(),
             score: Score::new(seed),
             member,
             ports,
@@ -203,7 +130,6 @@ impl Session {
             episode,
             episode_skipped: 0,
             told: None,
-            moved: 0,
             driven_ns: cli.driven_ns,
         })
     }
@@ -213,13 +139,13 @@ impl Session {
         self.pulse.health.first_scheduled_ns = self.grid.tick_instant(0).0;
         self.pulse.health.state = HealthState::Running.code();
         loop {
-            self.grid.sleep();
+            self.sleep();
             let released = monotonic();
-            let now = match self.grid.lockstep {
-                true => self.grid.instant(self.grid.index),
+            let now = match self.lockstep {
+                true => self.grid.now(),
                 false => released,
             };
-            if self.grid.index > 0 && self.advance(now)? {
+            if !self.grid.is_first() && self.advance(now)? {
                 break;
             }
             let moment = match self.told == Some(self.grid.tick()) {
@@ -230,7 +156,7 @@ impl Session {
             self.publish(released, now, moment);
             self.account(released, moment);
             self.ports.tend();
-            if self.grid.lockstep && moment == Moment::Tick {
+            if self.lockstep && moment == Moment::Tick {
                 self.await_command();
             }
         }
@@ -239,15 +165,27 @@ impl Session {
         Ok(())
     }
 
+    /// Sleeps until the next instant is due. Those that passed meanwhile are
+    /// missed, and counted.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn sleep(&mut self) {
+        if self.lockstep {
+            return;
+        }
+        let timespec: Timespec = self.grid.now().timespec();
+        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &timespec).is_err() {}
+        self.grid.miss_until(monotonic());
+    }
+
     /// Ends the instant of now: counts it, and as a tick where the run has one.
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn account(&mut self, released: Instant, moment: Moment) {
         let done = monotonic();
-        let lateness_ns = match self.grid.lockstep {
+        let lateness_ns = match self.lockstep {
             true => 0,
-            false => released.since_ns(self.grid.instant(self.grid.index)),
+            false => released.since_ns(self.grid.now()),
         };
-        self.grid.index += 1;
+        self.grid.move_on();
         let timing = &mut self.pulse.timing;
         timing.release_lateness.record(lateness_ns);
         timing.execution.record(done.since_ns(released));
@@ -264,7 +202,7 @@ impl Session {
         health.header.tick = due.saturating_sub(1);
         health.skipped = skipped;
         health.next_scheduled_ns = self.grid.tick_instant(due).0;
-        health.late = self.grid.missed;
+        health.late = self.grid.missed();
     }
 
     fn skipped(&self) -> u64 {
@@ -275,19 +213,16 @@ impl Session {
     /// run is done.
     fn advance(&mut self, now: Instant) -> Result<bool, SetUpError> {
         self.take_command(now);
-        let (due, _) = self.grid.substeps_due();
-        let passed = due - self.moved;
-        if passed == 0 {
+        let substeps = self.grid.take_substeps();
+        if substeps == 0 {
             return Ok(self.ends(now));
         }
-        self.moved = due;
         let limit_ns = self.member.config.limits.command_age_ns();
         let young = self
             .command
             .filter(|command| command.admit(now, limit_ns).is_ok());
         let action = self.score.obey(young.as_ref(), now);
-        // Whole ticks that the world slept through are lost.
-        for _ in 0..(passed - 1) % u64::from(SUBSTEPS) + 1 {
+        for _ in 0..substeps {
             let Some(step) = self.world.substep(action) else {
                 continue;
             };
@@ -322,7 +257,7 @@ impl Session {
 
     fn is_over(&self, now: Instant) -> bool {
         let duration_s = self.member.config.run.duration_s;
-        let elapsed_ns = self.driven_ns + now.since_ns(self.grid.instant(0));
+        let elapsed_ns = self.driven_ns + now.since_ns(self.grid.tick_instant(0));
         let passed = duration_s > 0.0 && elapsed_ns as f64 >= duration_s * 1e9;
         passed || self.member.is_stopping()
     }
@@ -385,10 +320,10 @@ impl Session {
 
     /// Publishes what is seen. Between two ticks of the run nobody is woken by it.
     fn publish(&mut self, released: Instant, now: Instant, moment: Moment) {
-        let (_, passed) = self.grid.substeps_due();
+        let passed = self.grid.substep_share();
         self.world.observe_between(passed, &mut self.observation);
         self.observation.header = self.header(now);
-        self.observation.scheduled_ns = match self.grid.lockstep {
+        self.observation.scheduled_ns = match self.lockstep {
             true => released.0,
             false => self.grid.tick_instant(self.grid.tick()).0,
         };
