@@ -258,9 +258,9 @@ impl World {
         let network = &self.map.network;
         let motion = &self.bodies.movers[0].motion.between(passed);
         let before_world = self.heading_before(passed);
-        observation.ego = observe::ego(&motion, before_world, self.last_action);
-        observation.road = observe::road(network, &self.navigator, &motion);
-        observation.checkpoints = observe::checkpoints(network, &self.navigator, &motion);
+        observation.ego = observe::ego(motion, before_world, self.last_action);
+        observation.road = observe::road(network, &self.navigator, motion);
+        observation.checkpoints = observe::checkpoints(network, &self.navigator, motion);
         observation.lidar_max_m = self.lidar.range_m() as f32;
         observation.beam_count = self.lidar.beam_count() as u32;
         let origin = Origin {
