@@ -419,7 +419,6 @@ fn an_older_plan_is_moved_by_the_egos_motion_since_it_was_made() {
 
     // Without a new plan the next tick moves the same one on.
     let later = NOW.after_ns(SECOND / 100);
-    let mut moved = moved;
     moved.header.taken_ns = later.0;
     (moved.ego.x_world_m, moved.ego.heading_world_rad) = (2.05, 0.29);
     let inputs = Inputs {
