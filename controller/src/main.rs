@@ -10,7 +10,7 @@ use shm_config::message::{Advice, Command, HealthState, Observation, Plan, Step}
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
-use shm_config::{Instant, config::Config};
+use shm_config::{Instant, PlanTurns, config::Config};
 
 /// Answers every observation with a command, and records who drove and why
 #[derive(Parser)]
@@ -66,6 +66,7 @@ impl Ports {
 /// Waits for what a tick needs, never longer than its deadline.
 struct Waiting {
     slots: Slots,
+    turns: PlanTurns,
     lockstep: bool,
     asks_gate: bool,
     period_ns: u64,
@@ -75,6 +76,9 @@ struct Waiting {
     planner_silent: bool,
     gate_silent: bool,
     stepped: Option<u64>,
+    /// World and tick answered last. What a world publishes between two ticks
+    /// carries the number of the first.
+    answered: Option<(u32, u64)>,
 }
 
 impl Waiting {
@@ -83,6 +87,7 @@ impl Waiting {
         let share = |share: f64| (period_ns as f64 * share) as u64;
         Self {
             slots: Slots::new(period_ns, share(config.limits.observation_wait)),
+            turns: PlanTurns::every(config.plan_ticks()),
             lockstep: config.run.is_lockstep(),
             asks_gate: config.gate.has_process(),
             period_ns,
@@ -91,6 +96,7 @@ impl Waiting {
             planner_silent: false,
             gate_silent: false,
             stepped: None,
+            answered: None,
         }
     }
 
@@ -100,18 +106,23 @@ impl Waiting {
     fn slot(&mut self, ports: &mut Ports, inputs: &mut Inputs) -> Option<Slot> {
         let now = monotonic();
         if let Some(observation) = ports.observations.newest() {
-            inputs.observation = Some(observation);
             let scheduled = Instant(observation.scheduled_ns);
-            if self.lockstep {
-                let slot = Slot {
+            let is_new = self.answered != Some(origin(&observation));
+            let slot = match (self.lockstep, is_new) {
+                (true, true) => Some(Slot {
                     scheduled,
                     due: scheduled,
                     skipped: 0,
-                };
-                return Some(slot);
+                }),
+                (true, false) => None,
+                (false, _) => self.slots.on_observation(scheduled, now),
+            };
+            // In lockstep nobody looks between two ticks: runs repeat.
+            if is_new || !self.lockstep {
+                inputs.observation = Some(observation);
             }
-            if let Some(slot) = self.slots.on_observation(scheduled, now) {
-                return Some(slot);
+            if slot.is_some() {
+                return slot;
             }
         }
         let nap = match self.slots.deadline() {
@@ -123,13 +134,17 @@ impl Waiting {
         None
     }
 
-    /// Waits for the plan of the new observation, and in lockstep for the gate
-    /// to have seen the step before.
+    /// Waits for the plan of the new observation where the planner makes one, and
+    /// in lockstep for the gate to have seen the step before.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn peers(&mut self, ports: &mut Ports, inputs: &mut Inputs, slot: &Slot) {
         let tick = inputs
             .observation
             .map(|observation| observation.header.tick);
+        let turns = &mut self.turns;
+        let is_due = inputs
+            .observation
+            .is_some_and(|observation| turns.take(&observation.header));
         let begun = monotonic();
         let until = match self.lockstep {
             true => begun.after_ns(self.lockstep_wait_ns),
@@ -144,9 +159,8 @@ impl Waiting {
                 inputs.advice = Some(advice);
                 self.gate_silent = false;
             }
-            let planned = self.planner_silent
-                || tick.is_none()
-                || inputs.plan.map(|plan| plan.header.tick) == tick;
+            let planned =
+                self.planner_silent || !is_due || inputs.plan.map(|plan| plan.header.tick) == tick;
             let advised = !self.lockstep
                 || !self.asks_gate
                 || self.gate_silent
@@ -161,9 +175,16 @@ impl Waiting {
                 self.gate_silent = !advised;
                 return;
             }
-            ports.bell.wait(Duration::from_nanos(until.since_ns(now)));
+            // A ring that got lost costs a nap, not the whole wait.
+            let left = Duration::from_nanos(until.since_ns(now));
+            ports.bell.wait(NAP.min(left));
         }
     }
+}
+
+/// Which world said it, and of which tick.
+fn origin(observation: &Observation) -> (u32, u64) {
+    (observation.header.producer, observation.header.tick)
 }
 
 #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
@@ -239,8 +260,11 @@ fn tick(
         _ => planned,
     };
     let tick = match &inputs.observation {
-        Some(observation) => observation.header.tick,
-        None => controller.step().header.tick + 1 + slot.skipped,
+        Some(observation) if waiting.answered != Some(origin(observation)) => {
+            waiting.answered = Some(origin(observation));
+            observation.header.tick
+        }
+        _ => controller.step().header.tick + 1 + slot.skipped,
     };
     controller.tick(inputs, tick, now, intent);
     *inputs = Inputs::default();

@@ -52,7 +52,7 @@ impl Controller {
         let plan_age_ns = age_ns(self.has_plan, &self.step.plan, now);
         let sees = observation_age_ns <= limits.observation_age_ns();
         let has_plan = sees
-            && plan_age_ns <= limits.plan_age_ns()
+            && plan_age_ns <= self.config.plan_age_ns()
             && self.step.plan.header.episode == observation.header.episode;
 
         let plan = has_plan.then_some(&self.step.plan);
@@ -101,7 +101,7 @@ impl Controller {
             }
         }
         if let Some(plan) = &inputs.plan {
-            match plan.admit(now, limits.plan_age_ns()) {
+            match plan.admit(now, self.config.plan_age_ns()) {
                 Ok(()) => {
                     self.step.plan = *plan;
                     self.has_plan = true;

@@ -383,3 +383,92 @@ fn an_older_plan_is_moved_into_the_body_frame_of_now() {
     assert!((step.expert.steer - expected).abs() < 1e-12);
     assert_eq!(step.plan_age_ns, SECOND / 10);
 }
+
+/// A plan from standing at the origin, looking along x, to a point 6 m ahead and
+/// 2 m left; then the car is somewhere else and has turned.
+#[test]
+fn an_older_plan_is_moved_by_the_egos_motion_since_it_was_made() {
+    let mut older = plan(Instant(NOW.0 - SECOND / 10));
+    older.waypoint_count = 2;
+    older.waypoints[1] = Waypoint {
+        x_body_m: 6.0,
+        y_body_m: 2.0,
+        speed_mps: 5.0,
+    };
+    let mut moved = observation(NOW);
+    (moved.ego.x_world_m, moved.ego.y_world_m) = (2.0, 1.0);
+    moved.ego.heading_world_rad = 0.3;
+    let config = Config::default();
+    let mut controller = Controller::new(config.clone(), PolicySlot::new(None));
+    let inputs = Inputs {
+        observation: Some(moved),
+        plan: Some(older),
+        advice: None,
+    };
+    let step = *controller.tick(&inputs, 5, NOW, Intent::Drive);
+    // From (2, 1) the waypoint is 4 m along x and 1 m along y of the world.
+    let bearing_rad = 1.0_f64.atan2(4.0) - 0.3;
+    let steer = config.controller.steer_kp * bearing_rad;
+    let expert = step.expert.action().expect("a proposal");
+    assert!(
+        (expert.steer - steer).abs() < 1e-12,
+        "{} instead of {steer}",
+        expert.steer
+    );
+    assert_eq!(step.plan_age_ns, SECOND / 10);
+
+    // Without a new plan the next tick moves the same one on.
+    let later = NOW.after_ns(SECOND / 100);
+    moved.header.taken_ns = later.0;
+    (moved.ego.x_world_m, moved.ego.heading_world_rad) = (2.05, 0.29);
+    let inputs = Inputs {
+        observation: Some(moved),
+        ..Inputs::default()
+    };
+    let step = controller.tick(&inputs, 6, later, Intent::Drive);
+    let turned_rad = 1.0_f64.atan2(3.95) - 0.29;
+    let rate_radps = (turned_rad - bearing_rad) / 0.01;
+    let steer = config.controller.steer_kp * turned_rad + config.controller.steer_kd * rate_radps;
+    let expert = step.expert.action().expect("a proposal");
+    assert!((expert.steer - steer).abs() < 1e-9);
+}
+
+#[test]
+fn actions_of_an_older_plan_are_taken_by_its_age() {
+    let mut actions = plan(NOW);
+    (actions.action_step_s, actions.action_count) = (0.1, 3);
+    for (k, action) in actions.actions.iter_mut().take(3).enumerate() {
+        action.steer = 0.1 * (k + 1) as f64;
+    }
+    let mut controller = Controller::new(Config::default(), PolicySlot::new(None));
+    let mut given = Some(actions);
+    for tick in 0..25_u64 {
+        let now = NOW.after_ns(tick * SECOND / 100);
+        let inputs = Inputs {
+            observation: Some(observation(now)),
+            plan: given.take(),
+            advice: None,
+        };
+        let step = controller.tick(&inputs, tick, now, Intent::Drive);
+        let expected = 0.1 * (tick / 10 + 1) as f64;
+        let steer = step.expert.action().map(|action| action.steer);
+        assert_eq!(steer, Some(expected), "tick {tick}");
+    }
+}
+
+#[test]
+fn the_plans_age_limit_follows_a_slower_planner() {
+    let mut config = Config::default();
+    config.planner.rate_hz = 2.0;
+    let late = NOW.after_ns(SECOND);
+    for (config, driver) in [(config, Driver::Expert), (Config::default(), Driver::Brake)] {
+        let mut controller = Controller::new(config, PolicySlot::new(None));
+        controller.tick(&inputs(), 5, NOW, Intent::Drive);
+        let next = Inputs {
+            observation: Some(observation(late)),
+            ..Inputs::default()
+        };
+        let step = controller.tick(&next, 6, late, Intent::Drive);
+        assert_eq!(step.driver(), driver);
+    }
+}

@@ -1,4 +1,4 @@
-//! The planner process: a plan for every observation.
+//! The planner process: a plan for every observation whose turn it is.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -6,11 +6,12 @@ use std::time::Duration;
 use clap::Parser;
 use planner::Planner;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use shm_config::PlanTurns;
 use shm_config::message::{HealthState, Message, Plan};
 use shm_config::services::{OBSERVATION, PLAN, Process};
 use shm_config::time::monotonic;
 
-/// Answers every observation with a plan
+/// Answers observations with plans, at its own rate
 #[derive(Parser)]
 #[command(name = "vlaps-planner", version)]
 struct Cli {
@@ -37,7 +38,8 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut plan = Box::<Plan>::default();
     let lockstep = member.config.run.is_lockstep();
     let limit_ns = member.config.limits.observation_age_ns();
-    let period_ns = member.config.run.period_ns();
+    let mut turns = PlanTurns::every(member.config.plan_ticks());
+    let period_ns = member.config.run.period_ns() * member.config.plan_ticks();
     member.claim_rights();
     pulse.set_rights(&member.rights);
     pulse.enter(HealthState::Ready, monotonic());
@@ -49,6 +51,8 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
                 false => begun,
             };
             match observation.admit(now, limit_ns) {
+                // Between two turns the controller moves the last plan on.
+                Ok(()) if !turns.take(&observation.header) => {}
                 Ok(()) => {
                     planner.plan(&observation, &mut plan);
                     plan.planning_ns = monotonic().since_ns(begun);

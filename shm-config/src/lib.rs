@@ -11,8 +11,10 @@ pub mod python;
 pub mod run;
 pub mod services;
 pub mod time;
+pub mod turns;
 #[allow(clippy::disallowed_types)] // the one place that may name iceoryx2
 pub mod wire;
 
 pub use message::Message;
 pub use time::Instant;
+pub use turns::PlanTurns;

@@ -2,8 +2,8 @@
 //!
 //! | service | from | to | what |
 //! |---|---|---|---|
-//! | `observation` | world | planner, controller | what the car perceives, every tick |
-//! | `plan` | planner | controller | the answer to one observation |
+//! | `observation` | world | planner, controller | what the car perceives, at every instant of the world; those between two ticks wake nobody |
+//! | `plan` | planner | controller | the answer to one observation, at the planner's rate |
 //! | `command` | controller | world | what the car shall do |
 //! | `step` | controller | gate, learner, supervisor | the record of one tick; a queue |
 //! | `advice` | gate | controller | who should drive, until when |
@@ -102,7 +102,7 @@ pub const EPISODE_QUEUE: usize = 256;
 use Delivery::{Latest, Queue};
 use Process as P;
 
-/// What the car perceives, every tick.
+/// What the car perceives, at every instant of the world.
 pub const OBSERVATION: Service<Observation> = Service::custom(
     "observation",
     P::World,

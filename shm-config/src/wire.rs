@@ -319,18 +319,23 @@ impl<M: Message> Publisher<M> {
     /// never waits for a reader. Returns whether it went out: only exhausted
     /// shared memory can prevent that, and the next message tries again.
     pub fn send(&mut self, message: &mut M) -> bool {
+        let sent = self.send_quietly(message);
+        for bell in &self.bells {
+            // A full bell is already ringing; a dead one is swept by others.
+            let _ = bell.notify();
+        }
+        sent
+    }
+
+    /// The same, but nobody is woken: who is awake finds the newest.
+    pub fn send_quietly(&mut self, message: &mut M) -> bool {
         self.sequence += 1;
         let (sequence, producer) = (self.sequence, self.producer);
         let header = message.header_mut();
         header.sequence = sequence;
         header.producer = producer;
         let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
-        let sent = room.is_some_and(|room| room.write_payload(*message).send().is_ok());
-        for bell in &self.bells {
-            // A full bell is already ringing; a dead one is swept by others.
-            let _ = bell.notify();
-        }
-        sent
+        room.is_some_and(|room| room.write_payload(*message).send().is_ok())
     }
 
     /// Connects to readers that came since the last message, gives them the

@@ -113,3 +113,77 @@ fn a_missing_file_is_named() {
         "{text}"
     );
 }
+
+#[test]
+fn rates_are_equal_by_default_and_follow_the_runs() {
+    let config = Config::default();
+    assert_eq!((config.world_instants(), config.plan_ticks()), (1, 1));
+    assert_eq!(config.plan_age_ns(), 250_000_000);
+    let config = from_toml("[run]\nrate_hz = 100.0\n", "x").unwrap();
+    assert_eq!(
+        (config.world_rate_hz(), config.planner_rate_hz()),
+        (100.0, 100.0)
+    );
+    assert_eq!(config.plan_age_ns(), 250_000_000, "never shorter");
+}
+
+#[test]
+fn world_controller_and_planner_may_differ_by_whole_numbers() {
+    let text = "[run]\nrate_hz = 100.0\n[world]\nrate_hz = 1000.0\n[planner]\nrate_hz = 2.0\n";
+    let config = from_toml(text, "x").unwrap();
+    assert_eq!((config.world_instants(), config.plan_ticks()), (10, 50));
+    assert_eq!(config.plan_age_ns(), 1_250_000_000, "2.5 of its periods");
+    let text = error("[run]\nrate_hz = 40.0\n[world]\nrate_hz = 100.0\n");
+    assert!(
+        text.contains("world.rate_hz = 100: must be 0 or a multiple of run.rate_hz = 40"),
+        "{text}"
+    );
+    let text = error("[run]\nrate_hz = 100.0\n[world]\nrate_hz = 50.0\n");
+    assert!(text.contains("a multiple of run.rate_hz = 100"), "{text}");
+    let text = error("[run]\nrate_hz = 100.0\n[planner]\nrate_hz = 30.0\n");
+    assert!(
+        text.contains("planner.rate_hz = 30: must be 0, or run.rate_hz = 100 divided"),
+        "{text}"
+    );
+    let text = error("[planner]\nrate_hz = 20.0\n");
+    assert!(text.contains("run.rate_hz = 10 divided"), "{text}");
+    let text = error("[world]\nrate_hz = 2000.0\n");
+    assert!(text.contains("within 10 and 1000"), "{text}");
+    let text = error("[run]\nrate_hz = 15.0\n");
+    assert!(
+        text.contains("run.rate_hz = 15: must be a multiple of 10"),
+        "{text}"
+    );
+    for value in ["nan", "-10.0", "inf"] {
+        for section in ["run", "world", "planner"] {
+            let text = error(&format!("[{section}]\nrate_hz = {value}\n"));
+            assert!(text.contains(&format!("{section}.rate_hz")), "{text}");
+        }
+    }
+}
+
+#[test]
+fn age_limits_suit_the_rate_of_the_producer() {
+    let slow = "[planner]\nrate_hz = 2.0\n[limits]\nplan_age_ms = ";
+    let text = error(&format!("{slow}250.0\n"));
+    assert!(
+        text.contains("limits.plan_age_ms = 250: must be within 750"),
+        "{text}"
+    );
+    let config = from_toml(&format!("{slow}800.0\n"), "x").unwrap();
+    assert_eq!(config.plan_age_ns(), 800_000_000);
+}
+
+#[test]
+fn metadrive_has_one_rate() {
+    let metadrive = "[world]\nsimulator = \"metadrive\"\n";
+    assert!(from_toml(metadrive, "x").is_ok());
+    assert!(from_toml(&format!("{metadrive}[planner]\nrate_hz = 5.0\n"), "x").is_ok());
+    let text = error(&format!("{metadrive}rate_hz = 100.0\n"));
+    assert!(
+        text.contains("world.rate_hz = 100: must be 10 with world.simulator"),
+        "{text}"
+    );
+    let text = error(&format!("{metadrive}[run]\nrate_hz = 20.0\n"));
+    assert!(text.contains("run.rate_hz = 20: must be 10"), "{text}");
+}

@@ -67,6 +67,9 @@ def parse_arguments():
     parser.add_argument(
         "--first-episode", type=int, default=0, help="episode of the run to begin with"
     )
+    parser.add_argument(
+        "--driven-ns", type=int, default=0, help="time that the run has driven already, ns"
+    )
     return parser.parse_args()
 
 

@@ -13,7 +13,7 @@ from member import Member, Pulse, SetUpError, monotonic_ns
 from score import Score, is_admitted, is_well_formed
 from wire import WireError
 
-# Ticks of the car's physics in a second. At a higher rate the state is held.
+# Ticks of the simulator in a second: the only rate of this world.
 PHYSICS_HZ = 10.0
 # How long the world sleeps at most before it says how it does, ns.
 NAP_NS = 20_000_000
@@ -72,10 +72,13 @@ class Session:
     def __init__(self, arguments, log):
         self.member = Member(arguments, log)
         config = self.member.config
-        rate_hz = config["run"]["rate_hz"]
-        self.hold = round(rate_hz / PHYSICS_HZ)
-        if self.hold < 1 or abs(self.hold * PHYSICS_HZ - rate_hz) > 1e-9:
-            raise SetUpError(f"run.rate_hz = {rate_hz}: MetaDrive needs a multiple of {PHYSICS_HZ}")
+        run_hz = config["run"]["rate_hz"]
+        rate_hz = config["world"].get("rate_hz") or run_hz
+        if rate_hz != PHYSICS_HZ or run_hz != PHYSICS_HZ:
+            raise SetUpError(
+                f"world.rate_hz = {rate_hz}, run.rate_hz = {run_hz}: "
+                f"MetaDrive steps at {PHYSICS_HZ} Hz; leave both keys out"
+            )
         self.ports = Ports(self.member.wire)
         self.pulse = Pulse(self.member.wire)
         # Only now: the run's own errors need not wait for the simulator.
@@ -93,7 +96,8 @@ class Session:
         self.command = None
         self.episode = arguments.first_episode
         self.episode_skipped = 0
-        self.stepped = 0
+        # What worlds before this one have driven.
+        self.driven_ns = arguments.driven_ns
         self._reset()
         self.member.claim_rights()
         self.member.rights.tell(self.pulse.health)
@@ -163,10 +167,6 @@ class Session:
         """Obeys the newest command for one tick of the physics; whether the run
         is done."""
         self._take_command(now_ns)
-        due = self.grid.tick // self.hold
-        if due == self.stepped:
-            return self._ends(now_ns)
-        self.stepped = due
         young = self.command
         if young is not None and not is_admitted(young, now_ns, self.command_age_ns):
             young = None
@@ -184,7 +184,7 @@ class Session:
     def _ends(self, now_ns):
         """Somebody asked the world to stop, or the time is up."""
         duration_s = self.member.config["run"]["duration_s"]
-        elapsed_ns = now_ns - self.grid.instant_ns(0)
+        elapsed_ns = self.driven_ns + now_ns - self.grid.instant_ns(0)
         if (duration_s > 0 and elapsed_ns >= duration_s * 1e9) or self.member.is_stopping:
             self._close_episode(layout.Outcome.STOPPED, now_ns)
             return True

@@ -55,7 +55,7 @@ impl Mover {
         Placed::car(&self.car, &self.motion)
     }
 
-    /// What it does during the next tick.
+    /// What it does from the next sub-step on.
     pub fn command(&mut self, action: Action) {
         self.awake = true;
         self.controls = self.car.controls(&self.motion, action);
@@ -148,27 +148,24 @@ impl Bodies {
         self.pairs.reserve_exact(most);
     }
 
-    /// Moves everything by one tick, as commanded.
-    pub fn advance(&mut self) -> Touch {
-        self.find_pairs();
-        let mut touch = Touch::default();
-        for _ in 0..SUBSTEPS {
-            for mover in self.movers.iter_mut().filter(|mover| mover.awake) {
-                mover.car.substep(&mut mover.motion, &mover.controls);
-            }
-            for k in 0..self.pairs.len() {
-                let (first, other) = self.pairs[k];
-                let touched = self.meet(first, other) && first == 0;
-                match other {
-                    Other::Mover(_) => touch.vehicle |= touched,
-                    Other::Fixture(_) => touch.object |= touched,
-                }
+    /// Moves everything by one sub-step, as commanded, and adds to `touch` what
+    /// the ego touched. The pairs of the tick must have been found.
+    pub fn substep(&mut self, touch: &mut Touch) {
+        for mover in self.movers.iter_mut().filter(|mover| mover.awake) {
+            mover.car.substep(&mut mover.motion, &mover.controls);
+        }
+        for k in 0..self.pairs.len() {
+            let (first, other) = self.pairs[k];
+            let touched = self.meet(first, other) && first == 0;
+            match other {
+                Other::Mover(_) => touch.vehicle |= touched,
+                Other::Fixture(_) => touch.object |= touched,
             }
         }
-        touch
     }
 
-    fn find_pairs(&mut self) {
+    /// Lists who may meet whom within a tick that begins now.
+    pub fn find_pairs(&mut self) {
         self.pairs.clear();
         let Bodies {
             movers,

@@ -401,6 +401,21 @@ impl Motion {
         )
     }
 
+    /// The same motion as it is seen when a share of a sub-step, [0, 1), has
+    /// passed: the seen pose is that share of the way to the body's, as Bullet
+    /// interpolates motion states between its fixed steps.
+    pub fn between(mut self, passed: f64) -> Motion {
+        if passed > 0.0 {
+            let (position, forward) = self.seen_world;
+            let body = (self.position.xy(), self.axes.column(0).xy());
+            self.seen_world = (
+                position + (body.0 - position) * passed,
+                forward + (body.1 - forward) * passed,
+            );
+        }
+        self
+    }
+
     /// Position of [`Motion::seen`].
     pub fn seen_position(&self) -> Point {
         Point::from(self.seen_world.0)

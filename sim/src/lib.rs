@@ -18,6 +18,7 @@
 //! | [`observe`] | state to observation |
 //! | [`score`] | the account of one episode |
 //! | [`world`], [`config`] | episodes by seed, tick by tick |
+//! | [`grid`] | the instants at which the world process moves |
 //! | [`batch`] | many worlds at once |
 
 pub mod batch;
@@ -26,6 +27,7 @@ pub mod bodies;
 pub mod config;
 pub mod contact;
 pub mod dynamics;
+pub mod grid;
 pub mod idm;
 pub mod lane;
 pub mod lidar;

@@ -6,12 +6,12 @@ use std::time::Duration;
 use clap::Parser;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use rustix::time::{ClockId, Timespec};
-use shm_config::config::Config;
 use shm_config::message::{Command, Header, HealthState, Message, Observation, Outcome, Progress};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
 use shm_config::{Instant, message::Episode};
+use sim::grid::Grid;
 use sim::{World, WorldConfig, score::Score};
 
 /// Drives the built-in world: maps, traffic and rules of MetaDrive
@@ -23,11 +23,11 @@ struct Cli {
     /// Episode of the run to begin with; its seed is the run's plus this
     #[arg(long, default_value_t = 0)]
     first_episode: u32,
+    /// Time that the run has driven already, ns; a restarted world goes on from there
+    #[arg(long, default_value_t = 0)]
+    driven_ns: u64,
 }
 
-/// Ticks of the car's physics in a second: fixed by the simulator it mirrors.
-/// At a higher rate the state is held in between.
-const PHYSICS_HZ: f64 = 10.0;
 /// How long the world sleeps at most before it says how it does.
 const NAP: Duration = Duration::from_millis(20);
 
@@ -65,47 +65,13 @@ impl Ports {
     }
 }
 
-/// The instants at which the world ticks.
-struct Grid {
-    lockstep: bool,
-    period_ns: u64,
-    first: Instant,
-    tick: u64,
-    skipped: u64,
-}
-
-impl Grid {
-    fn new(config: &Config, first: Instant) -> Self {
-        let lockstep = config.run.is_lockstep();
-        Self {
-            lockstep,
-            period_ns: config.run.period_ns(),
-            first: if lockstep { Instant(0) } else { first },
-            tick: 0,
-            skipped: 0,
-        }
-    }
-
-    /// When a tick is due, on the run's clock.
-    fn instant(&self, tick: u64) -> Instant {
-        self.first.after_ns(tick * self.period_ns)
-    }
-
-    /// Sleeps until the next tick is due. Instants that passed meanwhile are
-    /// skipped, and counted.
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
-    fn sleep(&mut self) {
-        if self.lockstep {
-            return;
-        }
-        let due = self.instant(self.tick);
-        let timespec: Timespec = due.timespec();
-        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &timespec).is_err() {}
-        let late_ns = monotonic().since_ns(due);
-        let passed = late_ns / self.period_ns;
-        self.tick += passed;
-        self.skipped += passed;
-    }
+/// What an instant of the world's grid is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Moment {
+    /// The first of a tick of the run: the others are woken and answer.
+    Tick,
+    /// One between two ticks.
+    Between,
 }
 
 struct Session {
@@ -113,16 +79,17 @@ struct Session {
     ports: Ports,
     pulse: Pulse,
     world: World,
+    lockstep: bool,
     grid: Grid,
     score: Score,
     observation: Box<Observation>,
     command: Option<Command>,
-    /// Grid ticks to one tick of the physics.
-    hold: u64,
     episode: u32,
     episode_skipped: u64,
-    /// Ticks of the physics from the start of the run.
-    stepped: u64,
+    /// The run's newest tick that was published.
+    told: Option<u64>,
+    /// What worlds before this one have driven.
+    driven_ns: u64,
 }
 
 fn run(cli: &Cli) -> Result<(), SetUpError> {
@@ -136,7 +103,6 @@ impl Session {
         let mut member = Member::join(Process::World, &cli.arguments)?;
         let ports = Ports::open(&member)?;
         let mut pulse = Pulse::start(&member)?;
-        let hold = (member.config.run.rate_hz / PHYSICS_HZ).round();
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
         let mut world =
             World::new(WorldConfig::from(&member.config.world)).map_err(|error| own(&error))?;
@@ -147,9 +113,13 @@ impl Session {
         pulse.set_rights(&member.rights);
         pulse.enter(HealthState::Ready, monotonic());
         // The first instant lies one period ahead: everybody can be there.
-        let first = monotonic().after_ns(member.config.run.period_ns());
+        let first = match member.config.run.is_lockstep() {
+            true => Instant(0),
+            false => monotonic().after_ns(member.config.run.period_ns()),
+        };
         Ok(Self {
             grid: Grid::new(&member.config, first),
+            lockstep: member.config.run.is_lockstep(),
             score: Score::new(seed),
             member,
             ports,
@@ -157,85 +127,123 @@ impl Session {
             world,
             observation: Box::default(),
             command: None,
-            hold: hold as u64,
             episode,
             episode_skipped: 0,
-            stepped: 0,
+            told: None,
+            driven_ns: cli.driven_ns,
         })
     }
 
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn drive(&mut self) -> Result<(), SetUpError> {
-        self.pulse.health.first_scheduled_ns = self.grid.instant(0).0;
+        self.pulse.health.first_scheduled_ns = self.grid.tick_instant(0).0;
         self.pulse.health.state = HealthState::Running.code();
         loop {
-            self.grid.sleep();
+            self.sleep();
             let released = monotonic();
-            let now = match self.grid.lockstep {
-                true => self.grid.instant(self.grid.tick),
+            let now = match self.lockstep {
+                true => self.grid.now(),
                 false => released,
             };
-            if self.grid.tick > 0 && self.advance(now)? {
+            if !self.grid.is_first() && self.advance(now)? {
                 break;
             }
-            self.publish(released, now);
-            let done = monotonic();
-            let scheduled = self.grid.instant(self.grid.tick);
-            let lateness_ns = match self.grid.lockstep {
-                true => 0,
-                false => released.since_ns(scheduled),
+            let moment = match self.told == Some(self.grid.tick()) {
+                true => Moment::Between,
+                false => Moment::Tick,
             };
-            self.grid.tick += 1;
-            self.pulse.count_tick(lateness_ns, done.since_ns(released));
-            self.account();
-            self.pulse.beat(done);
+            self.told = Some(self.grid.tick());
+            self.publish(released, now, moment);
+            self.account(released, moment);
             self.ports.tend();
-            if self.grid.lockstep {
+            if self.lockstep && moment == Moment::Tick {
                 self.await_command();
             }
         }
-        self.account();
+        self.schedule();
         self.pulse.enter(HealthState::Finished, monotonic());
         Ok(())
     }
 
-    fn account(&mut self) {
-        let health = &mut self.pulse.health;
-        health.header.tick = self.grid.tick.saturating_sub(1);
-        health.skipped = self.grid.skipped;
-        health.next_scheduled_ns = self.grid.instant(self.grid.tick).0;
-        health.late = health.skipped;
+    /// Sleeps until the next instant is due. Those that passed meanwhile are
+    /// missed, and counted.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn sleep(&mut self) {
+        if self.lockstep {
+            return;
+        }
+        let timespec: Timespec = self.grid.now().timespec();
+        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &timespec).is_err() {}
+        self.grid.miss_until(monotonic());
     }
 
-    /// Obeys the newest command for one tick of the physics; `true` when the run
-    /// is done.
+    /// Ends the instant of now: counts it, and as a tick where the run has one.
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn account(&mut self, released: Instant, moment: Moment) {
+        let done = monotonic();
+        let lateness_ns = match self.lockstep {
+            true => 0,
+            false => released.since_ns(self.grid.now()),
+        };
+        self.grid.move_on();
+        let timing = &mut self.pulse.timing;
+        timing.release_lateness.record(lateness_ns);
+        timing.execution.record(done.since_ns(released));
+        self.pulse.health.ticks += u64::from(moment == Moment::Tick);
+        self.schedule();
+        self.pulse.beat(done);
+    }
+
+    /// Ticks and skipped ones are those of the run's grid; late is every instant
+    /// of the world's own that was missed.
+    fn schedule(&mut self) {
+        let (due, skipped) = (self.grid.ticks_due(), self.skipped());
+        let health = &mut self.pulse.health;
+        health.header.tick = due.saturating_sub(1);
+        health.skipped = skipped;
+        health.next_scheduled_ns = self.grid.tick_instant(due).0;
+        health.late = self.grid.missed();
+    }
+
+    fn skipped(&self) -> u64 {
+        self.grid.ticks_due() - self.pulse.health.ticks
+    }
+
+    /// Obeys the newest command for the sub-steps that are due; `true` when the
+    /// run is done.
     fn advance(&mut self, now: Instant) -> Result<bool, SetUpError> {
         self.take_command(now);
-        let due = self.grid.tick / self.hold;
-        if due == self.stepped {
+        let substeps = self.grid.take_substeps();
+        if substeps == 0 {
             return Ok(self.ends(now));
         }
-        self.stepped = due;
         let limit_ns = self.member.config.limits.command_age_ns();
         let young = self
             .command
             .filter(|command| command.admit(now, limit_ns).is_ok());
         let action = self.score.obey(young.as_ref(), now);
-        let outcome = self.world.step(action);
-        self.score.count(&outcome);
-        if outcome.has_ended() {
-            self.close_episode(outcome.outcome, now);
-            let episodes = self.member.config.run.episodes;
-            if episodes > 0 && self.episode + 1 >= episodes {
-                return Ok(true);
+        for _ in 0..substeps {
+            let Some(step) = self.world.substep(action) else {
+                continue;
+            };
+            self.score.count(&step);
+            if step.has_ended() {
+                return self.begin_next(step.outcome, now);
             }
-            if self.is_over(now) {
-                return Ok(true);
-            }
-            self.open_episode()?;
-            return Ok(false);
         }
         Ok(self.ends(now))
+    }
+
+    /// After the end of an episode: the next one; `true` when there is none.
+    fn begin_next(&mut self, outcome: Outcome, now: Instant) -> Result<bool, SetUpError> {
+        self.close_episode(outcome, now);
+        let episodes = self.member.config.run.episodes;
+        let was_last = episodes > 0 && self.episode + 1 >= episodes;
+        if was_last || self.is_over(now) {
+            return Ok(true);
+        }
+        self.open_episode()?;
+        Ok(false)
     }
 
     /// Somebody asked the world to stop, or the time is up.
@@ -249,7 +257,7 @@ impl Session {
 
     fn is_over(&self, now: Instant) -> bool {
         let duration_s = self.member.config.run.duration_s;
-        let elapsed_ns = now.since_ns(self.grid.instant(0));
+        let elapsed_ns = self.driven_ns + now.since_ns(self.grid.tick_instant(0));
         let passed = duration_s > 0.0 && elapsed_ns as f64 >= duration_s * 1e9;
         passed || self.member.is_stopping()
     }
@@ -270,7 +278,7 @@ impl Session {
     fn close_episode(&mut self, outcome: Outcome, now: Instant) {
         let mut episode = self.score.episode(&self.world, outcome);
         episode.header = self.header(now);
-        episode.skipped = self.grid.skipped - self.episode_skipped;
+        episode.skipped = self.skipped() - self.episode_skipped;
         self.ports.episodes.send(&mut episode);
         tracing::info!(
             seed = episode.seed,
@@ -296,36 +304,46 @@ impl Session {
             .reset(seed)
             .map_err(|error| SetUpError::Own(format!("seed {seed}: {error}")))?;
         self.score = Score::new(seed);
-        self.episode_skipped = self.grid.skipped;
+        self.episode_skipped = self.skipped();
         self.command = None;
         Ok(())
     }
 
     fn header(&self, now: Instant) -> Header {
         Header {
-            tick: self.grid.tick,
+            tick: self.grid.tick(),
             taken_ns: now.0,
             episode: self.episode,
             ..Header::default()
         }
     }
 
-    fn publish(&mut self, released: Instant, now: Instant) {
-        self.world.observe(&mut self.observation);
+    /// Publishes what is seen. Between two ticks of the run nobody is woken by it.
+    fn publish(&mut self, released: Instant, now: Instant, moment: Moment) {
+        let passed = self.grid.substep_share();
+        self.world.observe_between(passed, &mut self.observation);
         self.observation.header = self.header(now);
-        self.observation.scheduled_ns = match self.grid.lockstep {
+        self.observation.scheduled_ns = match self.lockstep {
             true => released.0,
-            false => self.grid.instant(self.grid.tick).0,
+            false => self.grid.tick_instant(self.grid.tick()).0,
         };
         self.observation.released_ns = released.0;
-        self.ports.observations.send(&mut self.observation);
-        self.publish_progress(now, Outcome::Driving);
+        match moment {
+            Moment::Tick => {
+                self.ports.observations.send(&mut self.observation);
+                self.publish_progress(now, Outcome::Driving);
+            }
+            Moment::Between => {
+                let port = &mut self.ports.observations;
+                port.send_quietly(&mut self.observation);
+            }
+        }
     }
 
     fn publish_progress(&mut self, now: Instant, outcome: Outcome) {
         let mut progress = self.score.progress(&self.world, outcome);
         progress.header = self.header(now);
-        progress.skipped = self.grid.skipped;
+        progress.skipped = self.skipped();
         self.ports.progress.send(&mut progress);
     }
 
@@ -333,12 +351,12 @@ impl Session {
     /// Nobody is waited for endlessly: then the car brakes.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn await_command(&mut self) {
-        let asked = self.grid.tick - 1;
+        let asked = self.told;
         let wait_ns = (self.member.config.limits.lockstep_wait_s * 1e9) as u64;
         let until = monotonic().after_ns(wait_ns);
         loop {
             if let Some(command) = self.ports.commands.newest() {
-                let answers = command.header.tick == asked
+                let answers = Some(command.header.tick) == asked
                     && command.header.episode == self.episode
                     && command.check().is_ok();
                 if answers {

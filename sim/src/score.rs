@@ -15,6 +15,8 @@ pub struct Score {
     object_contacts: u64,
     crash_last_step: bool,
     braked: u64,
+    /// The car was braked for want of a command in the tick that runs.
+    is_braked: bool,
     oldest_obeyed_ns: u64,
     commands: Sha256,
 }
@@ -28,6 +30,7 @@ impl Score {
             object_contacts: 0,
             crash_last_step: false,
             braked: 0,
+            is_braked: false,
             oldest_obeyed_ns: 0,
             commands: Sha256::new(),
         }
@@ -48,7 +51,7 @@ impl Score {
                 let age_ns = now.since_ns(command.header.taken());
                 self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(age_ns);
             }
-            None => self.braked += 1,
+            None => self.is_braked = true,
         }
         let obeyed = command.unwrap_or(&brake);
         self.commands.update(obeyed.digest_bytes());
@@ -57,6 +60,8 @@ impl Score {
 
     /// Counts what a tick touched.
     pub fn count(&mut self, step: &StepOutcome) {
+        self.braked += u64::from(self.is_braked);
+        self.is_braked = false;
         self.vehicle_contacts += u64::from(step.touch.vehicle);
         self.object_contacts += u64::from(step.touch.object);
         // MetaDrive's flag counts a sidewalk, too: IDM's published crash share is

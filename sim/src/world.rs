@@ -6,7 +6,7 @@ use vehicle::{Action, Point, Pose, Vector, pose};
 use crate::bodies::{Bodies, Fixture, Mover, Touch, floor_after_drop_m};
 use crate::config::{OutOfRoute, WorldConfig, WorldError};
 use crate::contact::{Placed, Shape};
-use crate::dynamics::{Car, Motion};
+use crate::dynamics::{Car, Motion, SUBSTEPS};
 use crate::idm::{Idm, View};
 use crate::lidar::{Lidar, Origin};
 use crate::map::Map;
@@ -78,8 +78,14 @@ pub struct World {
     ticks: u64,
     driven_m: f64,
     last_action: Action,
-    /// The ego's heading one tick ago.
-    before_world: Vector,
+    /// Sub-steps of the current tick that are done, and what the ego touched in them.
+    substeps: usize,
+    touch: Touch,
+    /// Where the ego was seen when the current tick began.
+    begun_world: Point,
+    /// The ego's seen headings before each of the last five sub-steps; the one
+    /// that the next sub-step overwrites is the oldest, a tick ago.
+    headings_world: [Vector; SUBSTEPS as usize],
     step: StepOutcome,
 }
 
@@ -111,7 +117,10 @@ impl World {
             ticks: 0,
             driven_m: 0.0,
             last_action: Action::default(),
-            before_world: Vector::x(),
+            substeps: 0,
+            touch: Touch::default(),
+            begun_world: Point::origin(),
+            headings_world: [Vector::x(); SUBSTEPS as usize],
             step: StepOutcome::BEGINNING,
         };
         world.begin(scenario);
@@ -140,7 +149,8 @@ impl World {
         self.navigator = Navigator::new(network, &ego.route, ego.place.lane, position);
         self.navigator
             .update(network, position, motion.seen_forward());
-        self.before_world = motion.seen_forward();
+        self.headings_world.fill(motion.seen_forward());
+        (self.substeps, self.touch) = (0, Touch::default());
         self.bodies.movers.clear();
         self.bodies.movers.push(Mover::new(ego.kind, car, motion));
         self.bodies.fixtures.clear();
@@ -156,29 +166,60 @@ impl World {
         self.step = StepOutcome::BEGINNING;
     }
 
-    /// Drives for one tick of 0.1 s; a non-finite action brakes. After the end
-    /// of the episode nothing moves and the outcome repeats.
+    /// Drives for one tick of 0.1 s, or to the end of one that has begun; a
+    /// non-finite action brakes. After the end of the episode nothing moves and
+    /// the outcome repeats.
     pub fn step(&mut self, action: Action) -> StepOutcome {
+        loop {
+            if let Some(step) = self.substep(action) {
+                return step;
+            }
+        }
+    }
+
+    /// Drives for one sub-step of 0.02 s; says what the tick brought with the
+    /// last sub-step of one. Five with one action are [`World::step`], bit for
+    /// bit: another action than before is obeyed at once, the same one goes on as
+    /// the pedals and the wheel were set for it. The traffic decides and the
+    /// rules judge once in a tick.
+    pub fn substep(&mut self, action: Action) -> Option<StepOutcome> {
         if self.step.has_ended() {
-            return self.step;
+            return Some(self.step);
         }
         let action = action.clamped();
+        let begins = self.substeps == 0;
+        if begins {
+            let ego_lane = self.navigator.lane();
+            let network = &self.map.network;
+            self.traffic.trigger(network.road_of(ego_lane));
+            self.traffic.drive(network, &mut self.bodies, ego_lane);
+        }
+        if begins || action != self.last_action {
+            self.bodies.movers[0].command(action);
+            self.last_action = action;
+        }
+        let motion = &self.bodies.movers[0].motion;
+        self.headings_world[self.substeps] = motion.seen_forward();
+        if begins {
+            self.begun_world = motion.seen_position();
+            self.touch = Touch::default();
+            self.bodies.find_pairs();
+        }
+        self.bodies.substep(&mut self.touch);
+        self.substeps += 1;
+        (self.substeps == SUBSTEPS as usize).then(|| self.end_tick())
+    }
+
+    fn end_tick(&mut self) -> StepOutcome {
         let network = &self.map.network;
-        let ego_lane = self.navigator.lane();
-        self.traffic.trigger(network.road_of(ego_lane));
-        self.traffic.drive(network, &mut self.bodies, ego_lane);
-        let before = self.bodies.movers[0].motion;
-        self.bodies.movers[0].command(action);
-        let touch = self.bodies.advance();
         self.traffic.follow(network, &mut self.bodies);
         let motion = &self.bodies.movers[0].motion;
         self.navigator
             .update(network, motion.seen_position(), motion.seen_forward());
-        self.driven_m += (motion.seen_position() - before.seen_position()).norm();
-        self.before_world = before.seen_forward();
-        self.last_action = action;
+        self.driven_m += (motion.seen_position() - self.begun_world).norm();
+        self.substeps = 0;
         self.ticks += 1;
-        self.step = self.judge(touch);
+        self.step = self.judge(self.touch);
         self.step
     }
 
@@ -207,9 +248,17 @@ impl World {
 
     /// Fills what the ego perceives now; leaves the header and the instants alone.
     pub fn observe(&self, observation: &mut Observation) {
+        self.observe_between(0.0, observation);
+    }
+
+    /// The same when a share of the next sub-step, [0, 1), has passed. As in
+    /// MetaDrive the pose that is read is interpolated and the bodies that the
+    /// beams meet are not; the lane the car is on is the last tick's.
+    pub fn observe_between(&self, passed: f64, observation: &mut Observation) {
         let network = &self.map.network;
-        let motion = &self.bodies.movers[0].motion;
-        observation.ego = observe::ego(motion, self.before_world, self.last_action);
+        let motion = &self.bodies.movers[0].motion.between(passed);
+        let before_world = self.heading_before(passed);
+        observation.ego = observe::ego(motion, before_world, self.last_action);
         observation.road = observe::road(network, &self.navigator, motion);
         observation.checkpoints = observe::checkpoints(network, &self.navigator, motion);
         observation.lidar_max_m = self.lidar.range_m() as f32;
@@ -223,6 +272,16 @@ impl World {
         let fixtures = self.bodies.fixtures.iter().map(|fixture| fixture.placed);
         let bodies = seen.map(Mover::placed).chain(fixtures);
         self.lidar.scan(&origin, bodies, &mut observation.ranges_m);
+    }
+
+    /// The ego's seen heading a tick before that moment, as a unit vector.
+    fn heading_before(&self, passed: f64) -> Vector {
+        let oldest = self.headings_world[self.substeps];
+        let next = self.headings_world[(self.substeps + 1) % self.headings_world.len()];
+        match passed > 0.0 {
+            true => (oldest + (next - oldest) * passed).normalize(),
+            false => oldest,
+        }
     }
 
     /// All cars are dropped from half their height when an episode begins: a

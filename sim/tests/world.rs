@@ -244,3 +244,112 @@ fn no_car_can_be_driven_through() {
     }
     assert!(hits > 20, "{hits} ticks in contact");
 }
+
+#[test]
+fn five_substeps_with_one_command_are_one_tick_bit_for_bit() {
+    let (mut whole, mut parts) = (world(), world());
+    let mut noise = drivers::Noise(11);
+    for seed in [3, 17, 1004] {
+        whole.reset(seed).expect("a map");
+        parts.reset(seed).expect("a map");
+        for tick in 0..150 {
+            let mut action = noise.action();
+            action.pedal = action.pedal.abs();
+            action.steer *= 0.2;
+            let expected = whole.step(action);
+            for substep in 1..5 {
+                assert_eq!(parts.substep(action), None, "sub-step {substep}");
+            }
+            assert_eq!(parts.substep(action), Some(expected));
+            assert_eq!(bits(&whole), bits(&parts), "seed {seed} tick {tick}");
+            if expected.has_ended() {
+                break;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_new_command_is_obeyed_within_a_tick() {
+    let drive = Action {
+        steer: 0.0,
+        pedal: 1.0,
+    };
+    let (mut whole, mut parts) = (world(), world());
+    for world in [&mut whole, &mut parts] {
+        world.reset(3).expect("a map");
+        for _ in 0..20 {
+            world.step(drive);
+        }
+    }
+    whole.step(drive);
+    parts.substep(drive);
+    parts.substep(drive);
+    parts.step(Action::BRAKE);
+    assert_eq!(
+        whole.ticks(),
+        parts.ticks(),
+        "step ends the tick that has begun"
+    );
+    assert!(
+        parts.speed_mps() < whole.speed_mps() - 0.5,
+        "{} m/s with three sub-steps of brake, {} m/s without",
+        parts.speed_mps(),
+        whole.speed_mps()
+    );
+    let mut observation = Observation::default();
+    parts.observe(&mut observation);
+    assert_eq!(observation.ego.pedal, -1.0, "the one obeyed last");
+}
+
+#[test]
+fn poses_between_two_substeps_lie_between_theirs() {
+    let mut world = world();
+    world.reset(3).expect("a map");
+    let action = Action {
+        steer: 0.3,
+        pedal: 0.8,
+    };
+    for _ in 0..15 {
+        world.step(action);
+    }
+    let seen = |world: &World, passed: f64| {
+        let mut observation = Observation::default();
+        world.observe_between(passed, &mut observation);
+        shm_config::Message::check(&observation).expect("well formed");
+        observation.ego
+    };
+    for substep in 0..12 {
+        let (before, middle, near) = (
+            seen(&world, 0.0),
+            seen(&world, 0.5),
+            seen(&world, 1.0 - 1e-9),
+        );
+        world.substep(action);
+        let after = seen(&world, 0.0);
+        let half = |a: f64, b: f64| (a + b) / 2.0;
+        let rows = [
+            (middle.x_world_m, half(before.x_world_m, after.x_world_m)),
+            (middle.y_world_m, half(before.y_world_m, after.y_world_m)),
+            (
+                middle.heading_world_rad,
+                half(before.heading_world_rad, after.heading_world_rad),
+            ),
+            (
+                middle.yaw_rate_radps,
+                half(before.yaw_rate_radps, after.yaw_rate_radps),
+            ),
+            (near.x_world_m, after.x_world_m),
+            (near.heading_world_rad, after.heading_world_rad),
+            (near.yaw_rate_radps, after.yaw_rate_radps),
+        ];
+        for (row, (got, expected)) in rows.into_iter().enumerate() {
+            let error = (got - expected).abs();
+            assert!(
+                error < 1e-5,
+                "sub-step {substep} row {row}: {got} for {expected}"
+            );
+        }
+        assert!(after.x_world_m != before.x_world_m, "the car moves");
+    }
+}

@@ -24,6 +24,15 @@ pub struct Launch {
     pub world: Option<Script>,
 }
 
+/// Where a restarted world goes on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Resume {
+    /// The episode it begins with.
+    pub episode: u32,
+    /// Time that the run has driven already, ns on the run's clock.
+    pub driven_ns: u64,
+}
+
 /// A process that an interpreter runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Script {
@@ -99,13 +108,13 @@ impl Launch {
     ///
     /// # Errors
     /// When the log or the binary cannot be opened.
-    pub fn start(&self, row: &Row, log: &mut LogFile, first_episode: u32) -> io::Result<Running> {
+    pub fn start(&self, row: &Row, log: &mut LogFile, resume: Resume) -> io::Result<Running> {
         let output = log.begin()?;
         let errors = output.try_clone()?;
         let mut command = Command::new(self.binary(row));
         command
             .args(self.script(row).map(|script| &script.file))
-            .args(self.arguments(row, first_episode))
+            .args(self.arguments(row, resume))
             .stdin(Stdio::null())
             .stdout(output)
             .stderr(errors)
@@ -114,7 +123,7 @@ impl Launch {
         Ok(Running(command.spawn()?))
     }
 
-    fn arguments(&self, row: &Row, first_episode: u32) -> Vec<String> {
+    fn arguments(&self, row: &Row, resume: Resume) -> Vec<String> {
         let mut arguments = vec![
             "--config".into(),
             self.config.display().to_string(),
@@ -124,8 +133,14 @@ impl Launch {
         if let Some(core) = self.rights.core(row) {
             arguments.extend(["--core".into(), core.to_string()]);
         }
-        if row.restart == crate::table::Restart::AtEpisode && first_episode > 0 {
-            arguments.extend(["--first-episode".into(), first_episode.to_string()]);
+        if row.restart == crate::table::Restart::AtEpisode {
+            let numbers = [
+                ("--first-episode", u64::from(resume.episode)),
+                ("--driven-ns", resume.driven_ns),
+            ];
+            for (option, number) in numbers.into_iter().filter(|(_, number)| *number > 0) {
+                arguments.extend([option.into(), number.to_string()]);
+            }
         }
         arguments
     }

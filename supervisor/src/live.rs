@@ -20,7 +20,7 @@ pub struct View {
     pub run: String,
     /// The run's clock: real time or lockstep.
     pub clock: &'static str,
-    /// Ticks per second asked for.
+    /// Ticks of the run per second asked for: the controller's.
     pub rate_hz: f64,
     /// The current episode; `None` before the first tick.
     pub episode: Option<EpisodeView>,
@@ -58,6 +58,8 @@ pub struct ProcessView {
     pub state: &'static str,
     /// Its process id; `None` when it does not live.
     pub pid: Option<u32>,
+    /// Its own rate asked for; `None` of a process at a pace of its own.
+    pub rate_hz: Option<f64>,
     /// Ticks done, over all restarts.
     pub ticks: u64,
     /// Ticks completed after their deadline.
@@ -85,8 +87,10 @@ impl View {
                 Phase::Resting { .. } => "restarting",
                 Phase::Dead { .. } | Phase::Gone => "ended",
             };
-            let restarts = Some(member.restarts());
-            ProcessView::of(process, state, member.pid(), restarts, tally)
+            ProcessView {
+                restarts: Some(member.restarts()),
+                ..ProcessView::of(process, state, member.pid(), config, tally)
+            }
         });
         Self::of(config, tally, processes.collect())
     }
@@ -100,7 +104,7 @@ impl View {
                 .and_then(|health| HealthState::from_code(health.state))
                 .map_or("silent", HealthState::word);
             let pid = said.map(|health| health.header.producer);
-            ProcessView::of(row.process, state, pid, None, tally)
+            ProcessView::of(row.process, state, pid, config, tally)
         });
         Self::of(config, tally, processes.collect())
     }
@@ -166,14 +170,17 @@ impl View {
     /// The processes as a table, one line each.
     pub fn table(&self) -> String {
         let mut text = String::from(
-            "  process     state           pid    ticks   late skipped restarts priority",
+            "  process     state           pid    Hz    ticks   late skipped restarts priority",
         );
         for row in &self.processes {
             let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
+            let rate = row
+                .rate_hz
+                .map_or("-".into(), |rate_hz| rate_hz.to_string());
             let restarts = row.restarts.map_or("-".into(), |count| count.to_string());
             let _ = write!(
                 text,
-                "\n  {:<10}  {:<10} {pid:>8} {:>8} {:>6} {:>7} {restarts:>8} {:>8}",
+                "\n  {:<10}  {:<10} {pid:>8} {rate:>5} {:>8} {:>6} {:>7} {restarts:>8} {:>8}",
                 row.process, row.state, row.ticks, row.late, row.skipped, row.priority
             );
         }
@@ -222,7 +229,7 @@ impl ProcessView {
         process: Process,
         state: &'static str,
         pid: Option<u32>,
-        restarts: Option<u32>,
+        config: &Config,
         tally: &Tally,
     ) -> Self {
         let counted = tally.process(process);
@@ -231,10 +238,11 @@ impl ProcessView {
             process: process.word(),
             state,
             pid,
+            rate_hz: config.rate_hz(process),
             ticks: totals.ticks,
             late: totals.late,
             skipped: totals.skipped,
-            restarts,
+            restarts: None,
             priority: counted
                 .and_then(ProcessTally::newest)
                 .map_or(0, |health| health.priority_got),

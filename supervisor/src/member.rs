@@ -6,7 +6,7 @@ use shm_config::config::Supervisor;
 use shm_config::message::HealthState;
 
 use crate::backoff::{After, Backoff};
-use crate::child::{Exit, Launch, Running};
+use crate::child::{Exit, Launch, Resume, Running};
 use crate::event::Event;
 use crate::log::LogFile;
 use crate::table::{Restart, Row};
@@ -175,12 +175,12 @@ impl Member {
     pub(crate) fn start(
         &mut self,
         launch: &Launch,
-        first_episode: u32,
+        resume: Resume,
         now: Instant,
         events: &mut Vec<Event>,
     ) -> Turn {
         let process = self.row.process;
-        match launch.start(self.row, &mut self.log, first_episode) {
+        match launch.start(self.row, &mut self.log, resume) {
             Ok(child) => {
                 let pid = child.pid();
                 self.child = Some(child);

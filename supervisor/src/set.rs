@@ -9,7 +9,7 @@ use shm_config::config::{Config, Supervisor};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
 
-use crate::child::Launch;
+use crate::child::{Launch, Resume};
 use crate::event::Event;
 use crate::failure::Failure;
 use crate::log::LogFile;
@@ -122,7 +122,7 @@ impl ProcessSet {
 
     /// Starts whoever's turn has come: first starts in the table's order, each
     /// when the one before is ready; restarts when their pause is over.
-    pub fn start_due(&mut self, now: Instant, first_episode: u32) -> Turn {
+    pub fn start_due(&mut self, now: Instant, resume: Resume) -> Turn {
         for index in 0..self.members.len() {
             let due = match self.members[index].phase() {
                 Phase::Waiting => self.members[..index].iter().all(Member::was_ready),
@@ -131,7 +131,7 @@ impl ProcessSet {
             };
             if due
                 && let Turn::GiveUp(reason) =
-                    self.members[index].start(&self.launch, first_episode, now, &mut self.events)
+                    self.members[index].start(&self.launch, resume, now, &mut self.events)
             {
                 return Turn::GiveUp(reason);
             }

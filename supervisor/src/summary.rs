@@ -20,13 +20,14 @@ use crate::tally::{Quantiles, Tally, Totals};
 pub struct Summary {
     /// Finished episodes in order.
     pub episodes: Vec<EpisodeRow>,
-    /// The world's ticks.
+    /// The run's ticks that the world published: those of the controller's rate,
+    /// however often the world moves in between.
     pub ticks: u64,
     /// Ticks of the grid that the world skipped.
     pub skipped: u64,
-    /// From the world's first tick due to the next one due, s on the run's clock.
+    /// From the run's first tick due to the next one due, s on the run's clock.
     pub elapsed_s: f64,
-    /// Time from tick to tick, s.
+    /// Time from tick to tick of the run, s.
     pub period_s: f64,
     /// SHA-256 over the digests of all episodes' commands, in order; hex.
     /// `None` when no episode was finished.
@@ -88,7 +89,10 @@ pub struct Share {
 pub struct ProcessRow {
     /// How often it was restarted.
     pub restarts: u32,
-    /// Ticks done.
+    /// Its own rate: of the world's instants, of plans, of commands. `None` of a
+    /// process at a pace of its own.
+    pub rate_hz: Option<f64>,
+    /// Ticks done; of the planner, plans made.
     pub ticks: u64,
     /// Ticks of the grid skipped.
     pub skipped: u64,
@@ -147,7 +151,7 @@ impl EpisodeRow {
 }
 
 impl ProcessRow {
-    fn of(process: Process, restarts: u32, tally: &Tally) -> Self {
+    fn of(process: Process, restarts: u32, config: &Config, tally: &Tally) -> Self {
         let counted = tally.process(process);
         let totals = counted.map_or_else(Totals::default, |counted| counted.totals());
         let timing = counted.map(|counted| counted.timing()).unwrap_or_default();
@@ -158,6 +162,7 @@ impl ProcessRow {
         let grant = |code| Grant::from_code(code).unwrap_or(Grant::Refused).word();
         Self {
             restarts,
+            rate_hz: config.rate_hz(process),
             ticks: totals.ticks,
             skipped: totals.skipped,
             late: totals.late,
@@ -186,7 +191,7 @@ impl Summary {
                 let process = member.row().process;
                 (
                     process.word(),
-                    ProcessRow::of(process, member.restarts(), tally),
+                    ProcessRow::of(process, member.restarts(), config, tally),
                 )
             })
             .collect();
@@ -385,9 +390,12 @@ impl Summary {
         )?;
         for (process, row) in &self.processes {
             let us = row.release_lateness_us;
+            let rate = row
+                .rate_hz
+                .map_or(String::new(), |rate_hz| format!("{rate_hz} Hz"));
             writeln!(
                 f,
-                "  {process:<14}  {:>12.1}{:>12.1}{:>12.1}{:>12.1}  {:>6}  {:>8}",
+                "  {process:<10}{rate:>8}{:>10.1}{:>12.1}{:>12.1}{:>12.1}  {:>6}  {:>8}",
                 us.p50, us.p99, us.p999, us.max, row.late, row.restarts
             )?;
         }

@@ -13,7 +13,8 @@ pub const CORES_MIN: usize = 4;
 pub enum Restart {
     /// Started again as before.
     Again,
-    /// Started again with `--first-episode K`; exit 0 ends the run.
+    /// Started again where it was: `--first-episode K --driven-ns T`; exit 0
+    /// ends the run.
     AtEpisode,
 }
 

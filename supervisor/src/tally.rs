@@ -8,6 +8,8 @@ use shm_config::message::{
 };
 use shm_config::services::Process;
 
+use crate::child::Resume;
+
 /// Timings kept apart, by producer; older ones are merged. A dead process's last
 /// timing may come after its successor's first, never after four successors'.
 const TIMINGS_APART: usize = 4;
@@ -137,6 +139,15 @@ impl Tally {
         self.episodes
             .last_key_value()
             .map_or(0, |(episode, _)| episode.saturating_add(1))
+    }
+
+    /// Where a restarted world goes on.
+    pub fn resume(&self) -> Resume {
+        let world = self.process(Process::World);
+        Resume {
+            episode: self.next_episode(),
+            driven_ns: world.map_or(0, |world| world.totals().elapsed_ns),
+        }
     }
 
     /// How many episodes ended so.

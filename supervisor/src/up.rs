@@ -308,7 +308,7 @@ impl Run<'_> {
     fn act(&mut self, now: Instant) -> Turn {
         match self.set.judge(now) {
             Turn::Drive if self.is_driven() && !self.set.lives(Process::World) => Turn::Finished,
-            Turn::Drive => self.set.start_due(now, self.tally.next_episode()),
+            Turn::Drive => self.set.start_due(now, self.tally.resume()),
             end => end,
         }
     }

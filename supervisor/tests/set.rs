@@ -6,6 +6,7 @@ use common::{Rig, SECOND, await_state};
 use rustix::process::{Signal, WaitIdOptions};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
+use supervisor::child::Resume;
 use supervisor::event::Event;
 use supervisor::member::{Phase, READY_LIMIT_NS, Turn};
 use supervisor::stop::Stop;
@@ -14,10 +15,10 @@ use supervisor::stop::Stop;
 fn each_starts_when_the_one_before_is_ready() {
     let mut rig = Rig::new("idle", |_| ());
     for process in [Process::Planner, Process::Controller, Process::World] {
-        assert_eq!(rig.set.start_due(rig.now, 0), Turn::Drive);
+        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
         assert!(rig.pid(process).is_some(), "{process} has its turn");
         let started = rig.set.members().iter().filter(|m| m.lives()).count();
-        assert_eq!(rig.set.start_due(rig.now, 0), Turn::Drive);
+        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
         let still = rig.set.members().iter().filter(|m| m.lives()).count();
         assert_eq!(started, still, "nobody starts before {process} is ready");
         let pid = rig.pid(process).unwrap();
@@ -53,13 +54,13 @@ fn a_death_is_followed_by_a_restart_after_its_pause() {
     );
     let due = rig.set.next_start().expect("a restart is due");
     assert_eq!(due, rig.now.after_ns(20_000_000));
-    rig.set.start_due(rig.now, 0);
+    rig.set.start_due(rig.now, Resume::default());
     assert_eq!(
         rig.pid(Process::Controller),
         None,
         "not before the pause is over"
     );
-    rig.set.start_due(due, 0);
+    rig.set.start_due(due, Resume::default());
     assert_ne!(rig.pid(Process::Controller), Some(first));
     assert!(rig.pid(Process::Controller).is_some());
     assert_eq!(rig.restarts(Process::Controller), 1);
@@ -71,7 +72,7 @@ fn a_run_is_given_up_after_the_last_restart_allowed() {
     let mut rig = Rig::new("crash", |config| config.supervisor.restarts_max = 2);
     let mut deaths = 0;
     let reason = loop {
-        assert_eq!(rig.set.start_due(rig.now, 0), Turn::Drive);
+        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
         rig.await_end(Process::Planner);
         assert!(rig.set.reap(rig.now));
         deaths += 1;
@@ -92,7 +93,7 @@ fn a_run_is_given_up_after_the_last_restart_allowed() {
 #[test]
 fn a_refused_set_up_is_shown_and_never_tried_again() {
     let mut rig = Rig::new("refuse", |_| ());
-    rig.set.start_due(rig.now, 0);
+    rig.set.start_due(rig.now, Resume::default());
     rig.await_end(Process::Planner);
     rig.set.reap(rig.now);
     let turn = rig.set.judge(rig.now);
@@ -145,7 +146,7 @@ fn a_pause_of_the_supervisor_is_nobodys_silence() {
 #[test]
 fn a_process_that_never_gets_ready_ends_the_start() {
     let mut rig = Rig::new("idle", |_| ());
-    rig.set.start_due(rig.now, 0);
+    rig.set.start_due(rig.now, Resume::default());
     rig.now = rig.now.after_ns(READY_LIMIT_NS);
     assert_eq!(rig.set.judge(rig.now), Turn::Drive);
     rig.now = rig.now.after_ns(1);
@@ -167,13 +168,17 @@ fn the_world_goes_on_with_the_episode_it_died_in() {
     rig.set.reap(rig.now);
     assert_eq!(rig.set.judge(rig.now), Turn::Drive);
     rig.now = rig.set.next_start().expect("a restart is due");
-    rig.set.start_due(rig.now, 7);
+    let resume = Resume {
+        episode: 7,
+        driven_ns: 12_300_000_000,
+    };
+    rig.set.start_due(rig.now, resume);
     rig.await_end(Process::World);
     let starts = rig.arguments("vlaps-world");
     assert_eq!(starts.len(), 2);
     assert!(starts[0].ends_with("--priority 0"), "{starts:?}");
     assert!(
-        starts[1].ends_with("--priority 0 --first-episode 7"),
+        starts[1].ends_with("--priority 0 --first-episode 7 --driven-ns 12300000000"),
         "{starts:?}"
     );
 }
@@ -240,9 +245,9 @@ fn a_stop_ends_in_time_whatever_the_processes_do() {
 #[test]
 fn a_stop_without_a_car_asks_all_at_once() {
     let mut rig = Rig::new("idle", |_| ());
-    rig.set.start_due(rig.now, 0);
+    rig.set.start_due(rig.now, Resume::default());
     rig.ready(Process::Planner);
-    rig.set.start_due(rig.now, 0);
+    rig.set.start_due(rig.now, Resume::default());
     Stop::begin(&rig.set, &rig.config.supervisor, rig.now);
     rig.await_end(Process::Planner);
     rig.await_end(Process::Controller);

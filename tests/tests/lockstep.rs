@@ -105,6 +105,61 @@ fn higher_rates_keep_the_account() {
     );
     assert_eq!(
         json["episodes"][0]["ticks"], 50,
-        "the car's physics stays at 10 Hz"
+        "traffic and rules decide at 10 Hz"
     );
+}
+
+/// World 100 Hz, controller 50 Hz, planner 10 Hz.
+const UNEQUAL: [&str; 6] = [
+    "--set",
+    "world.rate_hz=100",
+    "--set",
+    "run.rate_hz=50",
+    "--set",
+    "planner.rate_hz=10",
+];
+
+#[test]
+fn unequal_rates_repeat_too() {
+    let runs = ["a", "b"].map(|label| {
+        std::thread::spawn(move || {
+            let set = Set::new(label);
+            let output = set.run(
+                &[
+                    &["--lockstep", "--seed", "3", "--episodes", "2"],
+                    &UNEQUAL[..],
+                ]
+                .concat(),
+            );
+            assert!(output.status.success(), "{output:?}\n{}", set.logs());
+            set.json()
+        })
+    });
+    let [a, b] = runs.map(|run| run.join().expect("a run"));
+    assert_eq!(a["command_digest"], b["command_digest"]);
+    assert_eq!(a["episodes"], b["episodes"]);
+    let single = drive("single", 3, 2);
+    assert_ne!(a["command_digest"], single["command_digest"]);
+    for episode in a["episodes"].as_array().expect("episodes") {
+        assert_eq!(episode["outcome"], "arrived", "{a}");
+    }
+    // The account is that of the run's grid; an episode's ticks are the physics'.
+    assert_eq!(a["period_s"], 0.02);
+    let ticks = a["ticks"].as_u64().expect("ticks");
+    assert_eq!(
+        (a["elapsed_s"].as_f64(), &a["skipped"]),
+        (Some(ticks as f64 * 0.02), &0.into())
+    );
+    let driven: u64 = a["episodes"]
+        .as_array()
+        .expect("episodes")
+        .iter()
+        .map(|episode| episode["ticks"].as_u64().expect("ticks"))
+        .sum();
+    assert_eq!(ticks, 5 * driven);
+    let row = |process: &str, key: &str| a["processes"][process][key].as_f64();
+    assert_eq!(row("controller", "ticks"), Some(ticks as f64));
+    assert_eq!(row("planner", "ticks"), Some(driven as f64), "one in five");
+    let rates = ["world", "controller", "planner"].map(|process| row(process, "rate_hz"));
+    assert_eq!(rates, [Some(100.0), Some(50.0), Some(10.0)]);
 }

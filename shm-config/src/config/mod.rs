@@ -11,6 +11,7 @@ mod kinodynamic;
 mod load;
 mod mpc;
 pub mod planner;
+mod rates;
 mod run;
 mod world;
 
@@ -24,6 +25,7 @@ pub use kinodynamic::Kinodynamic;
 pub use load::{ConfigError, from_toml, load};
 pub use mpc::Mpc;
 pub use planner::Planner;
+pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Supervisor};
 pub use world::{Simulator, World};
 
@@ -76,7 +78,8 @@ impl Config {
     /// The first key that is out of range.
     pub fn validated(self) -> Result<Self, OutOfRange> {
         self.run.check()?;
-        self.limits.check(&self.run)?;
+        self.check_rates()?;
+        self.limits.check(&self)?;
         self.vehicle.validated().map_err(|error| OutOfRange {
             key: format!("vehicle.{}", error.name),
             value: error.value.to_string(),

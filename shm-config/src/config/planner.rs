@@ -35,6 +35,10 @@ pub enum Method {
 pub struct Planner {
     /// How plans are made. The rest of this section is about the RRT* methods.
     pub method: Method,
+    /// Plans per second: run.rate_hz divided by a whole number, at least 1; 0
+    /// for one at every tick. In between, the last plan is moved into the car's
+    /// frame of now.
+    pub rate_hz: f64,
     /// Side of a cell, m: the paper's `Δx = Δy`.
     pub cell_m: f64,
     /// The grid reaches from 0 to this far ahead, m: `x_max`.
@@ -77,6 +81,7 @@ impl Default for Planner {
     fn default() -> Self {
         Self {
             method: Method::RrtStar,
+            rate_hz: 0.0,
             cell_m: 0.05,
             x_max_m: 30.0,
             y_max_m: 10.0,

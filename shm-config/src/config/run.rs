@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::{OutOfRange, in_range};
+use super::{Config, OutOfRange, in_range};
 
 /// What drives the run's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,8 +20,9 @@ pub struct Run {
     pub name: String,
     /// What drives the clock.
     pub clock: Clock,
-    /// Ticks per second, a multiple of 10 up to 1000; the paper's is 10
-    /// (Sec. 4.1.2: 0.1 s). The car's physics stays at 10 Hz.
+    /// Ticks of the controller per second, a multiple of 10 up to 1000; the
+    /// paper's is 10 (Sec. 4.1.2: 0.1 s). World and planner have the same rate
+    /// unless world.rate_hz and planner.rate_hz say otherwise.
     pub rate_hz: f64,
     /// Seed of the first episode; each further episode adds one.
     pub seed: u64,
@@ -69,15 +70,6 @@ impl Run {
                     crate::run::RUN_NAME_MAX
                 ),
             })?;
-        in_range("run.rate_hz", self.rate_hz, 10.0..=1000.0)?;
-        // Both worlds step their physics at 10 Hz and hold it in between.
-        if self.rate_hz % 10.0 != 0.0 {
-            return Err(OutOfRange {
-                key: "run.rate_hz".into(),
-                value: self.rate_hz.to_string(),
-                expected: "a multiple of 10".into(),
-            });
-        }
         in_range("run.episodes", self.episodes, 0..=1_000_000)?;
         in_range("run.duration_s", self.duration_s, 0.0..=1e7)
     }
@@ -89,15 +81,17 @@ impl Run {
 pub struct Limits {
     /// Older observations are not driven on: the controller brakes, ms.
     pub observation_age_ms: f64,
-    /// Older plans are not followed: the controller brakes, ms.
+    /// Older plans are not followed: the controller brakes, ms; 0 for two and a
+    /// half periods of the planner, but no less than 250.
     pub plan_age_ms: f64,
     /// Older commands are not obeyed: the world brakes, ms.
     pub command_age_ms: f64,
-    /// How long the controller waits for the plan of its observation before it
-    /// follows the one before, as a share of the period.
+    /// How long the controller waits for the plan of its observation, where the
+    /// planner makes one, before it follows the one before, as a share of the
+    /// controller's period.
     pub plan_wait: f64,
     /// How long after the grid's instant the controller ticks without a new
-    /// observation, as a share of the period.
+    /// observation, as a share of the controller's period.
     pub observation_wait: f64,
     /// In lockstep: how long a process waits for another before it goes on
     /// without, s on the machine's clock.
@@ -110,7 +104,7 @@ impl Default for Limits {
             // Two lost ticks at 10 Hz are bridged, the third brakes: at the
             // paper's 5 m/s the car has rolled 1.25 m by then.
             observation_age_ms: 250.0,
-            plan_age_ms: 250.0,
+            plan_age_ms: 0.0,
             command_age_ms: 250.0,
             plan_wait: 0.5,
             observation_wait: 0.5,
@@ -120,16 +114,21 @@ impl Default for Limits {
 }
 
 impl Limits {
-    pub(super) fn check(&self, run: &Run) -> Result<(), OutOfRange> {
-        // A limit under one period and a half would brake on every jitter.
-        let least_ms = 1.5e3 / run.rate_hz;
+    pub(super) fn check(&self, config: &Config) -> Result<(), OutOfRange> {
+        // A limit under one period and a half would brake on every jitter. An
+        // observation is looked at once in a period of the controller, however
+        // often the world makes one.
+        let least_ms = 1.5e3 / config.run.rate_hz;
         let ages = [
             ("limits.observation_age_ms", self.observation_age_ms),
-            ("limits.plan_age_ms", self.plan_age_ms),
             ("limits.command_age_ms", self.command_age_ms),
         ];
         for (key, value) in ages {
             in_range(key, value, least_ms..=10_000.0)?;
+        }
+        if self.plan_age_ms != 0.0 {
+            let least_ms = 1.5e3 / config.planner_rate_hz();
+            in_range("limits.plan_age_ms", self.plan_age_ms, least_ms..=10_000.0)?;
         }
         in_range("limits.plan_wait", self.plan_wait, 0.0..=0.8)?;
         in_range("limits.observation_wait", self.observation_wait, 0.05..=0.9)?;
@@ -139,11 +138,6 @@ impl Limits {
     /// As nanoseconds.
     pub fn observation_age_ns(&self) -> u64 {
         (self.observation_age_ms * 1e6) as u64
-    }
-
-    /// As nanoseconds.
-    pub fn plan_age_ns(&self) -> u64 {
-        (self.plan_age_ms * 1e6) as u64
     }
 
     /// As nanoseconds.

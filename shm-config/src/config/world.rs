@@ -20,6 +20,11 @@ pub enum Simulator {
 pub struct World {
     /// Who computes it: sim, the built-in world; or metadrive, the real one.
     pub simulator: Simulator,
+    /// How often the world moves and publishes per second, a multiple of
+    /// run.rate_hz up to 1000; 0 for the same. Traffic and rules decide at 10 Hz
+    /// and the car's physics has sub-steps of 0.02 s at any rate; above 50 Hz
+    /// poses between two sub-steps are interpolated.
+    pub rate_hz: f64,
     /// Random blocks after the first straight.
     pub blocks: u32,
     /// A block sequence such as "SCrRXTO" in place of random ones; empty for none.
@@ -44,6 +49,7 @@ impl Default for World {
     fn default() -> Self {
         Self {
             simulator: Simulator::BuiltIn,
+            rate_hz: 0.0,
             blocks: 3,
             sequence: String::new(),
             lanes: 3,

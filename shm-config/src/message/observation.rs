@@ -86,7 +86,9 @@ crate::message! {
     pub struct Observation: 2272 bytes, nested [Header, Ego, Road, Checkpoint] {
         /// Which tick, and when.
         pub header: Header,
-        /// The instant of the grid this tick was due, ns on the machine's clock.
+        /// The instant of the run's grid this tick was due, ns on the machine's
+        /// clock. A world with a higher rate than the run publishes more than one
+        /// observation of a tick; this and the tick are then the same in all.
         pub scheduled_ns: u64,
         /// When the world's tick began, ns on the machine's clock.
         pub released_ns: u64,

@@ -184,16 +184,35 @@ impl Plan {
     /// the nearest, else the last, with its speed, m/s; `None` when there is none.
     ///
     /// Distances are those from the body of now, which may have moved since the
-    /// plan was made. Only waypoints count, no point between two of them.
+    /// plan was made; waypoints that it has left behind do not count. Only
+    /// waypoints count, no point between two of them.
     pub fn lookahead(&self, body_from_plan: &Pose, distance_m: f64) -> Option<(Point, f64)> {
         let points = || {
             let waypoints = self.waypoints().iter();
             waypoints.map(|waypoint| (body_from_plan * waypoint.point(), waypoint.speed_mps))
         };
         points()
+            .skip(self.passed(body_from_plan))
             .filter(|(point, _)| point.coords.norm() >= distance_m)
             .min_by(|a, b| a.0.coords.norm().total_cmp(&b.0.coords.norm()))
             .or_else(|| points().next_back())
+    }
+
+    /// How many waypoints the body has left behind: those before the end of the
+    /// piece of the path that is nearest to it. None on a path of one point.
+    fn passed(&self, body_from_plan: &Pose) -> usize {
+        let away_m = |pair: &[Waypoint]| {
+            let [from, to] = [&pair[0], &pair[1]].map(|waypoint| body_from_plan * waypoint.point());
+            let along = to - from;
+            // A piece without a length is its point.
+            let length2 = along.norm_squared().max(f64::MIN_POSITIVE);
+            let share = (-from.coords.dot(&along) / length2).clamp(0.0, 1.0);
+            (from.coords + along * share).norm()
+        };
+        let pieces = self.waypoints().windows(2).map(away_m).enumerate();
+        pieces
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map_or(0, |(piece, _)| piece + 1)
     }
 
     /// The body frame of the waypoints in the world frame.
@@ -210,5 +229,61 @@ impl Waypoint {
     /// Its position in the plan's body frame, m.
     pub fn point(&self) -> Point {
         Point::new(self.x_body_m, self.y_body_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points every 1.5 m along a left bend of 10 m radius.
+    fn bend() -> Plan {
+        let mut plan = Plan {
+            waypoint_count: 8,
+            ..Plan::default()
+        };
+        for (k, waypoint) in plan.waypoints.iter_mut().take(8).enumerate() {
+            let angle_rad = 0.15 * k as f64;
+            waypoint.x_body_m = 10.0 * angle_rad.sin();
+            waypoint.y_body_m = 10.0 * (1.0 - angle_rad.cos());
+        }
+        plan
+    }
+
+    #[test]
+    fn the_waypoint_is_ahead_however_far_the_car_has_come() {
+        let plan = bend();
+        for tenth in 0..=70_u32 {
+            let angle_rad = 0.015 * f64::from(tenth);
+            let plan_from_body = pose(
+                10.0 * angle_rad.sin(),
+                10.0 * (1.0 - angle_rad.cos()),
+                angle_rad,
+            );
+            let (target, _) = plan
+                .lookahead(&plan_from_body.inverse(), 2.0)
+                .expect("a waypoint");
+            let passed_m = 0.15 * f64::from(tenth);
+            let left_m = 10.5 - passed_m;
+            let ahead = target.x > 0.0 || left_m < 0.1;
+            assert!(ahead, "{passed_m} m on: {target}");
+            assert!(
+                target.coords.norm() < 3.5 && target.coords.norm() > left_m.min(2.0) - 0.1,
+                "{passed_m} m on: {target}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_fresh_plan_has_nothing_behind_it() {
+        let (target, _) = bend()
+            .lookahead(&Pose::identity(), 2.0)
+            .expect("a waypoint");
+        assert_eq!(target, bend().waypoints[2].point());
+        let mut point = bend();
+        point.waypoint_count = 1;
+        assert!(point.lookahead(&Pose::identity(), 2.0).is_some());
+        point.waypoint_count = 0;
+        assert!(point.lookahead(&Pose::identity(), 2.0).is_none());
     }
 }

@@ -11,7 +11,7 @@ use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
-use supervisor::child::Launch;
+use supervisor::child::{Launch, Resume};
 use supervisor::set::ProcessSet;
 use supervisor::table::{Rights, TABLE};
 use tempfile::TempDir;
@@ -85,7 +85,7 @@ impl Rig {
     /// Starts everybody, one after the other.
     pub fn start_all(&mut self) {
         for process in [Process::Planner, Process::Controller, Process::World] {
-            self.set.start_due(self.now, 0);
+            self.set.start_due(self.now, Resume::default());
             self.ready(process);
         }
     }
