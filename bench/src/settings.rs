@@ -31,12 +31,19 @@ pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failu
         return Err(Failure::Usage("no configuration".into()));
     };
     let config = resolve(up)?;
-    if (config.run.rate_hz - PHYSICS_HZ).abs() > 1e-9 {
-        let rate_hz = config.run.rate_hz;
-        return Err(Failure::Usage(format!(
-            "run.rate_hz = {rate_hz}: episodes are driven here at {PHYSICS_HZ} Hz, \
-             the rate of the car's physics; leave the key out"
-        )));
+    let rates = [
+        ("run.rate_hz", config.run.rate_hz),
+        ("world.rate_hz", config.world.rate_hz),
+        ("planner.rate_hz", config.planner.rate_hz),
+    ];
+    for (key, rate_hz) in rates {
+        // 0 means the run's rate.
+        if rate_hz != 0.0 && (rate_hz - PHYSICS_HZ).abs() > 1e-9 {
+            return Err(Failure::Usage(format!(
+                "{key} = {rate_hz}: episodes are driven here at {PHYSICS_HZ} Hz, \
+                 the rate of the car's physics; leave the key out"
+            )));
+        }
     }
     Ok(config)
 }

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
 
@@ -94,6 +95,9 @@ pub struct Up {
     /// Who computes the world; metadrive needs `./vlaps setup metadrive` once.
     #[arg(long, value_name = "WHICH")]
     pub world: Option<WorldChoice>,
+    /// How the expert plans; the paper's RRT* without it.
+    #[arg(long, value_name = "HOW")]
+    pub driver: Option<DriverChoice>,
     /// Who decides who drives.
     #[arg(long, value_name = "WHO")]
     pub gate: Option<GateChoice>,
@@ -115,6 +119,30 @@ pub struct Up {
     /// Ask for no real-time priority, cores or locked memory.
     #[arg(long)]
     pub no_realtime: bool,
+}
+
+/// How the expert plans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DriverChoice {
+    /// The paper's RRT* and PD.
+    RrtStar,
+    /// RRT* that remembers its last path, and PD.
+    Informed,
+    /// RRT* over curves the car can drive, and PD.
+    Kinodynamic,
+    /// Model-predictive control.
+    Mpc,
+}
+
+impl From<DriverChoice> for Method {
+    fn from(choice: DriverChoice) -> Self {
+        match choice {
+            DriverChoice::RrtStar => Self::RrtStar,
+            DriverChoice::Informed => Self::Informed,
+            DriverChoice::Kinodynamic => Self::Kinodynamic,
+            DriverChoice::Mpc => Self::Mpc,
+        }
+    }
 }
 
 /// Who decides who drives.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use shm_config::config::planner::Method;
 use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load};
 use toml::{Table, Value};
 
@@ -93,6 +94,11 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     push("--duration", "run.duration_s", duration);
     let clock = arguments.lockstep.then(|| Value::from("lockstep"));
     push("--lockstep", "run.clock", clock);
+    let driver = arguments.driver.map(Method::from).map(Value::try_from);
+    let driver = driver
+        .transpose()
+        .map_err(|error| Failure::Usage(format!("--driver: {error}")))?;
+    push("--driver", "planner.method", driver);
     let gate = arguments.gate.map(GateMode::from).map(Value::try_from);
     let gate = gate
         .transpose()

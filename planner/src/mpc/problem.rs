@@ -243,10 +243,10 @@ impl Problem {
             for row in 0..STATES {
                 entry(-1.0);
                 let mut known = rest[row];
-                for column in 0..STATES {
+                for (&weight, &now) in state[row].iter().zip(&task.now) {
                     match index {
-                        0 => known += state[row][column] * task.now[column],
-                        _ => entry(state[row][column]),
+                        0 => known += weight * now,
+                        _ => entry(weight),
                     }
                 }
                 input[row].into_iter().for_each(&mut entry);

@@ -63,21 +63,21 @@ impl EgoFilter {
 
     /// Speed, m/s.
     pub(crate) fn speed_mps(&self) -> f64 {
-        self.speed.y().max(0.0)
+        self.speed.value().max(0.0)
     }
 
     /// Turning rate, rad/s, counter-clockwise.
     pub(crate) fn yaw_rate_radps(&self) -> f64 {
-        self.yaw_rate.y()
+        self.yaw_rate.value()
     }
 
     /// Acceleration at full pedal, compared with the model's.
     pub(crate) fn engine_gain(&self) -> f64 {
-        self.speed.g().clamp(GAINS.0, GAINS.1)
+        self.speed.driver().clamp(GAINS.0, GAINS.1)
     }
 
     /// Turning rate at an angle of the wheels, compared with the model's.
     pub(crate) fn steering_gain(&self) -> f64 {
-        self.yaw_rate.g().clamp(GAINS.0, GAINS.1)
+        self.yaw_rate.driver().clamp(GAINS.0, GAINS.1)
     }
 }

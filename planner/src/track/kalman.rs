@@ -42,12 +42,12 @@ impl Kalman {
     }
 
     /// The quantity.
-    pub(crate) fn y(&self) -> f64 {
+    pub(crate) fn value(&self) -> f64 {
         self.state.x
     }
 
     /// What drives it.
-    pub(crate) fn g(&self) -> f64 {
+    pub(crate) fn driver(&self) -> f64 {
         self.state.y
     }
 }

@@ -105,7 +105,7 @@ impl Track {
         self.middle = cluster.middle;
         self.seen += 1;
         self.radius_m = self.radius_m.max(cluster.radius_m);
-        let velocity = Vector::new(self.x.g(), self.y.g());
+        let velocity = Vector::new(self.x.driver(), self.y.driver());
         let went_m = (cluster.middle - self.begin).norm();
         let has_moved = went_m > self.radius_m + LEFT_M && self.radius_m <= VEHICLE_M;
         match has_moved && self.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
@@ -194,8 +194,9 @@ impl Tracker {
     /// Gives a cluster to its track, or begins one; the velocity over ground, or
     /// zero at rest.
     fn follow(&mut self, cluster: &Cluster) -> Vector {
-        let away =
-            |track: &Track| (Point::new(track.x.y(), track.y.y()) - cluster.middle).norm_squared();
+        let away = |track: &Track| {
+            (Point::new(track.x.value(), track.y.value()) - cluster.middle).norm_squared()
+        };
         let nearest = self
             .tracks
             .iter_mut()

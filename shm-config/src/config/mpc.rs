@@ -8,7 +8,9 @@ use crate::message::PLANNED_MAX;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mpc {
-    /// Steps that are planned. 25 of 0.1 s: enough to stop from 6 m/s at 2.4 m/s².
+    /// Steps that are planned. 16 of 0.1 s: path and speed are chosen for 36 m
+    /// and 4 s, so the horizon has only to follow them; 25 steps drive as well
+    /// and take half as long again.
     pub steps: u32,
     /// Length of a step, s; the period of the commands of the experiment.
     pub step_s: f64,
@@ -53,7 +55,7 @@ pub struct Mpc {
 impl Default for Mpc {
     fn default() -> Self {
         Self {
-            steps: 25,
+            steps: 16,
             step_s: 0.1,
             speed_mps: 6.0,
             sideways_mps2: 2.5,
