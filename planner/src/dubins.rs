@@ -85,8 +85,14 @@ impl Dubins {
         let mut best = (f64::INFINITY, [Turn::Straight; 3], [0.0; 3]);
         for (question, is_mirror) in [(question, false), (mirror, true)] {
             let words = [
-                ([Turn::Right, Turn::Straight, Turn::Right], question.rsr()),
-                ([Turn::Left, Turn::Straight, Turn::Right], question.lsr()),
+                (
+                    [Turn::Right, Turn::Straight, Turn::Right],
+                    question.rsr(best.0),
+                ),
+                (
+                    [Turn::Left, Turn::Straight, Turn::Right],
+                    question.lsr(best.0),
+                ),
                 ([Turn::Right, Turn::Left, Turn::Right], question.rlr()),
             ];
             for (turns, lengths) in words {
@@ -153,7 +159,7 @@ impl Dubins {
     }
 
     /// What going so far along an arc or a straight line does to a pose.
-    fn moved(&self, turn: Turn, length_m: f64) -> Pose {
+    pub(crate) fn moved(&self, turn: Turn, length_m: f64) -> Pose {
         let turn_rad = turn.sign() * length_m / self.radius_m;
         match turn {
             Turn::Straight => pose(length_m, 0.0, 0.0),
@@ -203,10 +209,14 @@ impl Question {
         }
     }
 
-    fn rsr(&self) -> Option<[f64; 3]> {
+    /// `None` also when it cannot be shorter than so much; its angles are what costs.
+    fn rsr(&self, most: f64) -> Option<[f64; 3]> {
         let across = self.distance - self.start_sin + self.end_sin;
         let along = self.start_cos - self.end_cos;
-        let straight = across.hypot(along);
+        let straight = (across * across + along * along).sqrt();
+        if straight >= most {
+            return None;
+        }
         // Both circles in one: the straight line has no direction.
         let line_rad = match straight > SAME_RAD {
             true => along.atan2(across),
@@ -216,7 +226,8 @@ impl Question {
         Some([first, straight, turn(line_rad - self.end_rad)])
     }
 
-    fn lsr(&self) -> Option<[f64; 3]> {
+    /// `None` also when it cannot be shorter than so much.
+    fn lsr(&self, most: f64) -> Option<[f64; 3]> {
         let across = self.distance + self.start_sin + self.end_sin;
         let along = -self.start_cos - self.end_cos;
         let square = across * across + along * along - 4.0;
@@ -224,6 +235,9 @@ impl Question {
             return None;
         }
         let straight = square.sqrt();
+        if straight >= most {
+            return None;
+        }
         let line_rad = along.atan2(across) - (-2.0f64).atan2(straight);
         Some([
             turn(line_rad - self.start_rad),
@@ -253,7 +267,12 @@ impl Question {
 
 /// The angle within a full turn, rad, from 0 on.
 fn turn(angle_rad: f64) -> f64 {
-    let within_rad = angle_rad.rem_euclid(TAU);
+    // The same to the last bit as the remainder, which is slower, and rarely needed.
+    let within_rad = match angle_rad {
+        angle_rad if (0.0..TAU).contains(&angle_rad) => angle_rad,
+        angle_rad if (-TAU..0.0).contains(&angle_rad) => angle_rad + TAU,
+        angle_rad => angle_rad.rem_euclid(TAU),
+    };
     match within_rad < TAU - SAME_RAD {
         true => within_rad,
         false => 0.0,

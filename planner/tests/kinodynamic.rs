@@ -323,4 +323,45 @@ fn an_empty_road_is_one_curve_to_its_middle() {
         planner.radius_m(),
     );
     assert!((plan.cost_m - shortest.length_m()).abs() < 1e-3);
+    // No chain of curves is shorter than the one curve: nothing is looked for.
+    assert_eq!((plan.iterations, plan.nodes), (0, 2));
+}
+
+/// Neither the fast nor the slow car finds a way; together they take one budget.
+#[test]
+fn a_closed_road_takes_one_budget() {
+    let mut course = Course::new(&[Road {
+        length_m: 100.0,
+        curvature_per_m: 0.0,
+    }]);
+    for across_m in [-3.5, 0.0, 3.5] {
+        course.put(34.0, across_m, course::CAR);
+    }
+    let state = State {
+        position: Point::new(20.0, 0.0),
+        heading_rad: 0.0,
+        speed_mps: 5.0,
+    };
+    let config = Config::default();
+    let (planner, plan) = planned(&config, &course.observe(&state, 0));
+    assert_eq!(plan.outcome(), PlanOutcome::Partial);
+    assert_eq!(plan.iterations, config.planner.iterations);
+    let slow_m = planner.turning_radius_m(config.kinodynamic.slow_mps);
+    assert_eq!(planner.radius_m(), slow_m);
+}
+
+/// Whatever the scene, no plan takes more than a budget and the quarter of one
+/// in which the fast car found nothing.
+#[test]
+fn a_plan_takes_a_budget_and_a_quarter_at_most() {
+    let config = Config::default();
+    let (mut most, mut none) = (0, 0);
+    for seed in 0..300 {
+        let (_, plan) = planned(&config, &course::random_scene(seed));
+        most = most.max(plan.iterations);
+        none += usize::from(plan.iterations == 0);
+    }
+    let budget = config.planner.iterations;
+    assert!((budget..=budget + budget / 4).contains(&most), "{most}");
+    assert!(none > 50, "only {none} of 300 goals are one curve away");
 }

@@ -95,14 +95,17 @@ impl Grid {
             Point::new(x, corner.y * self.cells_per_m + self.half_rows as f64 - 0.5)
         };
         let corners = corners.map(in_cells);
-        let low = corners
-            .iter()
-            .map(|corner| corner.y)
-            .fold(f64::INFINITY, f64::min);
-        let high = corners
-            .iter()
-            .map(|corner| corner.y)
-            .fold(f64::NEG_INFINITY, f64::max);
+        let bounds = |of: fn(&Point) -> f64| {
+            let values = corners.iter().map(of);
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+                (low.min(value), high.max(value))
+            })
+        };
+        let ((left, right), (low, high)) = (bounds(|corner| corner.x), bounds(|corner| corner.y));
+        // Half of the road lies beyond the grid.
+        if left > self.columns as f64 || right < -1.0 {
+            return;
+        }
         let last = (high.floor() as i64).min(self.rows() as i64 - 1);
         for row in (low.ceil() as i64).max(0)..=last {
             let y = row as f64;
@@ -119,10 +122,16 @@ impl Grid {
                 (first, last) = (first.min(x), last.max(x));
             }
             // A hundred-millionth of a cell: neighbouring pieces leave no seam.
-            let (first, last) = ((first - 1e-8).ceil(), (last + 1e-8).floor());
-            if last >= 0.0 && first <= last && first < self.columns as f64 {
-                let last = (last as usize).min(self.columns - 1);
-                self.clear(row as usize, first.max(0.0) as usize, last);
+            let (first, last) = (first - 1e-8, last + 1e-8);
+            if last < 0.0 || first > self.columns as f64 {
+                continue;
+            }
+            // Truncating is floor for what is positive, at a fraction of its cost.
+            let up = first.max(0.0) as usize;
+            let up = up + usize::from((up as f64) < first);
+            let down = (last as usize).min(self.columns - 1);
+            if up <= down {
+                self.clear(row as usize, up, down);
             }
         }
     }

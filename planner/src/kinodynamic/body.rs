@@ -1,6 +1,6 @@
 use vehicle::{Point, Pose, Vector, Vehicle};
 
-use crate::dubins::{Dubins, Turn};
+use crate::dubins::{Dubins, Piece, Turn};
 use crate::grid::Grid;
 
 /// Discs that stand for the body.
@@ -45,10 +45,15 @@ impl Body {
 
     /// Whether the car can drive a curve.
     pub(crate) fn is_free_along(&self, grid: &Grid, from: &Pose, curve: &Dubins) -> bool {
-        curve
-            .walk(from)
-            .filter(|(_, piece)| piece.length_m > 0.0)
-            .all(|(begin, piece)| match piece.turn {
+        let pieces = || curve.walk(from).filter(|(_, piece)| piece.length_m > 0.0);
+        // What is in the way of most curves that are not free is in the way at
+        // the beginning or the middle of a piece, where it is found at once.
+        let stands_free = |(begin, piece): (Pose, Piece)| {
+            let middle = begin * curve.moved(piece.turn, piece.length_m / 2.0);
+            self.is_free_at(grid, &middle) && self.is_free_at(grid, &begin)
+        };
+        pieces().all(stands_free)
+            && pieces().all(|(begin, piece)| match piece.turn {
                 Turn::Straight => self.ahead_m.iter().all(|&ahead_m| {
                     let disc = |moved_m: f64| begin * Point::new(ahead_m + moved_m, 0.0);
                     grid.is_segment_free(disc(0.0), disc(piece.length_m))
