@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use clap::Parser;
-use shm_config::config::Config;
+use shm_config::config::{Clock, Config};
 use supervisor::arguments::{Arguments, Command};
 use supervisor::failure::Failure;
 use supervisor::settings::resolve;
@@ -30,7 +30,9 @@ pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failu
     let Command::Up(up) = &arguments.command else {
         return Err(Failure::Usage("no configuration".into()));
     };
-    let config = resolve(up)?;
+    let mut config = resolve(up)?;
+    // Nothing here may depend on how fast this machine is now.
+    config.run.clock = Clock::Lockstep;
     let rates = [
         ("run.rate_hz", config.run.rate_hz),
         ("world.rate_hz", config.world.rate_hz),

@@ -7,7 +7,6 @@ use planner::Mpc;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use shm_config::config::Clock;
 use shm_config::message::{Header, Observation, Plan};
 use sim::{World, WorldConfig};
 use vehicle::{Action, Point, Pose, pose};
@@ -113,8 +112,7 @@ struct Tally {
 /// When the configuration is out of range, or a seed has no map.
 pub fn bench(arguments: &Soak, gauges: Gauges) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
-    let mut config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
-    config.run.clock = Clock::Lockstep;
+    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
     let period_ns = config.run.period_ns();
     let mut world = World::new(WorldConfig::from(&config.world))?;
     let mut drive = Soaking {

@@ -251,7 +251,7 @@ impl Question {
         let sines = self.start_sin - self.end_sin;
         let cos =
             (6.0 - distance * distance + 2.0 * self.between_cos + 2.0 * distance * sines) / 8.0;
-        if cos.abs() > 1.0 {
+        if cos.is_nan() || cos.abs() > 1.0 {
             return None;
         }
         // The middle arc of a shortest curve is more than half a turn.
