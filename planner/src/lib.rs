@@ -1,15 +1,18 @@
-//! Observation to plan, by one of several methods ([`Planner`]).
-//!
-//! The paper's is [`RrtStar`]: occupancy grid, local goal, RRT* (Sec. 4.1.1).
+//! Observation to plan, by one of four methods ([`Planner`]).
 //!
 //! ```text
-//! Observation -> Grid::fill -> choose_goal -> RRT* -> Plan
+//! RrtStar      Observation -> Grid -> choose_goal -> RRT* -> Plan       (Sec. 4.1.1)
+//! Informed     the same, from the last path on, sampling in an ellipse
+//! Kinodynamic  Observation -> Grid along the road -> RRT* over Dubins curves -> Plan
+//! Mpc          Observation -> tracks -> lattice, speed -> quadratic programme -> Plan
 //! ```
 //!
 //! Everything is in the body frame of the observation: x forward, y left,
-//! metres. [`Planner::plan`] is a function of the configuration and the
-//! observation alone: the same input gives the same plan, bit for bit, also
-//! after a restart. It takes no memory and no lock and reads no clock.
+//! metres. [`RrtStar`] and [`Kinodynamic`] are functions of the configuration
+//! and the observation alone: the same input gives the same plan, bit for bit,
+//! also after a restart. [`Informed`] and [`Mpc`] remember within an episode.
+//! The three RRT* take no memory, no lock and read no clock; the solver of
+//! [`Mpc`] allocates once for each plan and looks at the clock for its limit.
 
 mod beams;
 mod centre_line;
