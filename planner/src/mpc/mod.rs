@@ -30,6 +30,7 @@ use shm_config::message::{
 };
 use vehicle::{Control, Point, Pose, Vehicle, pose};
 
+use crate::rrt_star::header;
 use crate::track::{EgoFilter, Tracker};
 use body::Body;
 use field::Field;
@@ -149,7 +150,7 @@ impl Mpc {
             ego.yaw_rate_radps(),
         ];
         let solution = self.control(observation, &ego, &line, &path, &profile, now);
-        begin_plan(observation, out);
+        *out = header(observation, out);
         out.outcome = match path.is_blocked {
             true => PlanOutcome::Partial.code(),
             false => PlanOutcome::Reached.code(),
@@ -359,22 +360,6 @@ impl Mpc {
 fn world_from_body(observation: &Observation) -> Pose {
     let ego = &observation.ego;
     pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad)
-}
-
-/// Everything of a plan that follows from its observation alone.
-fn begin_plan(observation: &Observation, out: &mut Plan) {
-    *out = Plan {
-        header: Header {
-            sequence: out.header.sequence,
-            producer: out.header.producer,
-            ..observation.header
-        },
-        origin_x_world_m: observation.ego.x_world_m,
-        origin_y_world_m: observation.ego.y_world_m,
-        origin_heading_world_rad: observation.ego.heading_world_rad,
-        planning_ns: out.planning_ns,
-        ..Plan::default()
-    };
 }
 
 #[cfg(test)]
