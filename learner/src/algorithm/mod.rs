@@ -1,0 +1,93 @@
+//! The ways to learn, one file each, hyper-parameters at the top with their
+//! source.
+//!
+//! | | learns from | loss |
+//! |---|---|---|
+//! | [`bc`] | steps that the expert was preferred at | squared error |
+//! | [`hg_dagger`] | the same, while the policy drives where it may | squared error |
+//! | [`dagger`] | every step: the expert is a program and answers everywhere | squared error |
+//! | [`pvp`] | preferences and what followed | twin critics, Eq. 1 and 2 |
+//! | [`ppl`] | preferences at the predicted states of rejected rollouts | preference pairs |
+
+pub mod pvp;
+mod regression;
+
+use rand::Rng;
+
+use crate::Adam;
+use crate::network::{Head, Network};
+use crate::replay::{ACTIONS, Replay};
+use shm_config::message::FEATURES;
+
+pub use pvp::Pvp;
+pub use regression::{Regression, Source};
+
+/// What the algorithms have in common.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Size {
+    /// Neurons of each of the two hidden layers.
+    pub hidden: usize,
+    /// Transitions of an update.
+    pub batch: usize,
+    /// Threads of the matrix products; a result depends on it in its last bits.
+    pub threads: usize,
+}
+
+/// What an update cost; zeros for what an algorithm has not.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Losses {
+    /// Of the actor, imitation included.
+    pub actor: f32,
+    /// Of the imitation alone.
+    pub imitation: f32,
+    /// Of the critics.
+    pub critic: f32,
+}
+
+/// A network and its optimiser.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Learned {
+    /// The network.
+    pub network: Network,
+    /// Its optimiser.
+    pub adam: Adam,
+    gradient: Vec<f32>,
+}
+
+impl Learned {
+    /// Initialised at random.
+    pub fn new(sizes: &[usize], head: Head, rate: f32, random: &mut impl Rng) -> Learned {
+        let network = Network::new(sizes, head, random);
+        let count = network.parameters().len();
+        Learned {
+            network,
+            adam: Adam::new(count, rate),
+            gradient: vec![0.0; count],
+        }
+    }
+
+    /// One step of the optimiser along the gradient gathered; it is empty after.
+    fn step(&mut self) {
+        self.adam
+            .step(self.network.parameters_mut(), &self.gradient);
+        self.gradient.fill(0.0);
+    }
+}
+
+/// An actor of the experiment's size: 259-256-256-2 by default.
+pub fn actor(size: Size, rate: f32, random: &mut impl Rng) -> Learned {
+    let sizes = [FEATURES, size.hidden, size.hidden, ACTIONS];
+    Learned::new(&sizes, Head::Tanh, rate, random)
+}
+
+/// A way to learn.
+pub trait Algorithm {
+    /// One update from the replay; nothing when it holds nothing to learn from.
+    fn update(&mut self, replay: &Replay, random: &mut dyn Rng) -> Losses;
+
+    /// The policy as it is now.
+    fn policy(&self) -> &Network;
+
+    /// Everything that a resumed learner needs.
+    fn parts(&mut self) -> Vec<&mut Learned>;
+}

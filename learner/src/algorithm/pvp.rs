@@ -1,0 +1,246 @@
+//! PVP: a proxy value from preferences, spread along the trajectory by temporal
+//! differences without a reward, and an actor that follows it (Sec. 4.3).
+//!
+//! After PVP4Real, whose numbers stand where the paper gives none.
+
+use rand::{Rng, RngExt};
+
+use super::{Algorithm, Learned, Losses, Size, actor};
+use crate::network::{Head, Network, Tape};
+use crate::replay::{ACTIONS, Batch, Replay};
+use shm_config::message::FEATURES;
+
+/// Discount; PVP4Real.
+const GAMMA: f32 = 0.99;
+/// Share by which targets follow; PVP4Real.
+const TAU: f32 = 0.005;
+/// Updates of the critics for one of the actor; PVP4Real.
+const POLICY_DELAY: u64 = 2;
+/// Standard deviation of the noise on target actions; TD3.
+const TARGET_NOISE: f32 = 0.2;
+/// Bound of that noise; TD3.
+const TARGET_NOISE_CLIP: f32 = 0.5;
+/// Value of a preferred action, and less this of a rejected one; PVP4Real.
+const VALUE_BOUND: f32 = 1.0;
+/// Keeps the mean over interventions finite; PVP4Real.
+const FEW: f32 = 1e-5;
+
+/// The hyper-parameters that the configuration may change.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Length of Adam's steps for all networks; PVP4Real has 1e-4.
+    pub rate: f32,
+    /// `lambda_BC` of Eq. 2; PVP4Real has 1.
+    pub imitation_weight: f32,
+}
+
+/// Twin critics and an actor.
+pub struct Pvp {
+    settings: Settings,
+    size: Size,
+    actor: Learned,
+    critics: [Learned; 2],
+    actor_target: Network,
+    critic_targets: [Network; 2],
+    updates: u64,
+    last_actor: Losses,
+    room: Room,
+}
+
+/// What an update writes to, kept from one to the next.
+#[derive(Default)]
+struct Room {
+    batch: Batch,
+    tape: Tape,
+    critic_tape: Tape,
+    actions: Vec<f32>,
+    inputs: Vec<f32>,
+    values: Vec<f32>,
+    delta: Vec<f32>,
+    slope: Vec<f32>,
+}
+
+impl Pvp {
+    /// With fresh networks.
+    pub fn new(settings: Settings, size: Size, random: &mut impl Rng) -> Pvp {
+        let actor = actor(size, settings.rate, random);
+        let sizes = [FEATURES + ACTIONS, size.hidden, size.hidden, 1];
+        let critics =
+            [(), ()].map(|()| Learned::new(&sizes, Head::Linear, settings.rate, random));
+        Pvp {
+            settings,
+            size,
+            actor_target: actor.network.clone(),
+            critic_targets: [0, 1].map(|k| critics[k].network.clone()),
+            actor,
+            critics,
+            updates: 0,
+            last_actor: Losses::default(),
+            room: Room::default(),
+        }
+    }
+
+    /// `y = gamma min_i Q'_i(s', a')` where the episode went on: no reward.
+    fn targets(&mut self, random: &mut impl Rng) {
+        let Room {
+            batch,
+            tape,
+            actions,
+            inputs,
+            values,
+            ..
+        } = &mut self.room;
+        let threads = self.size.threads;
+        actions.clear();
+        actions.extend_from_slice(self.actor_target.forward(&batch.nexts, threads, tape));
+        for action in actions.iter_mut() {
+            let noise = (TARGET_NOISE * normal(random)).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
+            *action = (*action + noise).clamp(-1.0, 1.0);
+        }
+        join(&batch.nexts, actions, inputs);
+        values.clear();
+        values.extend_from_slice(self.critic_targets[0].forward(inputs, threads, tape));
+        let second = self.critic_targets[1].forward(inputs, threads, tape);
+        for ((value, second), goes_on) in values.iter_mut().zip(second).zip(&batch.goes_on) {
+            *value = goes_on * GAMMA * value.min(*second);
+        }
+    }
+
+    /// For each critic `[Q(s, a) - y]^2 + I [Q(s, a_applied) - 1]^2
+    /// + I [Q(s, a_policy) + 1]^2`, means over the batch.
+    fn update_critics(&mut self) -> f32 {
+        let Room {
+            batch,
+            tape,
+            critic_tape,
+            inputs,
+            values,
+            delta,
+            slope: rejected,
+            ..
+        } = &mut self.room;
+        let threads = self.size.threads;
+        let share = 1.0 / batch.len() as f32;
+        join(&batch.states, &batch.applied, inputs);
+        join(&batch.states, &batch.policy, rejected);
+        let mut loss = 0.0;
+        for critic in &mut self.critics {
+            let taken = critic.network.forward(inputs, threads, tape);
+            delta.clear();
+            for (k, &value) in taken.iter().enumerate() {
+                let [td, margin] = [value - values[k], value - VALUE_BOUND];
+                let [known, preferred] = [batch.is_known[k], batch.is_preferred[k]];
+                loss += share * (known * td * td + preferred * margin * margin);
+                delta.push(2.0 * share * (known * td + preferred * margin));
+            }
+            let gradient = Some(&mut critic.gradient[..]);
+            critic.network.backward((inputs, delta), threads, tape, gradient, None);
+            let refused = critic.network.forward(rejected, threads, critic_tape);
+            delta.clear();
+            for (&value, preferred) in refused.iter().zip(&batch.is_preferred) {
+                let margin = value + VALUE_BOUND;
+                loss += share * preferred * margin * margin;
+                delta.push(2.0 * share * preferred * margin);
+            }
+            let gradient = Some(&mut critic.gradient[..]);
+            let pass = (&rejected[..], &delta[..]);
+            critic.network.backward(pass, threads, critic_tape, gradient, None);
+            critic.step();
+        }
+        loss
+    }
+
+    /// Eq. 2: `-mean Q(s, mu(s)) + lambda_BC` times Eq. 1.
+    fn update_actor(&mut self) -> Losses {
+        let Room {
+            batch,
+            tape,
+            critic_tape,
+            actions,
+            inputs,
+            delta,
+            slope,
+            ..
+        } = &mut self.room;
+        let threads = self.size.threads;
+        let share = 1.0 / batch.len() as f32;
+        actions.clear();
+        actions.extend_from_slice(self.actor.network.forward(&batch.states, threads, tape));
+        join(&batch.states, actions, inputs);
+        let critic = &self.critics[0].network;
+        let values = critic.forward(inputs, threads, critic_tape);
+        let value = values.iter().sum::<f32>() * share;
+        delta.clear();
+        delta.resize(batch.len(), -share);
+        critic.backward((inputs, delta), threads, critic_tape, None, Some(slope));
+        delta.clear();
+        for row in slope.chunks_exact(FEATURES + ACTIONS) {
+            delta.extend_from_slice(&row[FEATURES..]);
+        }
+        let preferred = batch.is_preferred.iter().sum::<f32>() + FEW;
+        let weight = self.settings.imitation_weight / (preferred * ACTIONS as f32);
+        let mut imitation = 0.0;
+        for (k, (action, expert)) in actions.iter().zip(&batch.applied).enumerate() {
+            let error = batch.is_preferred[k / ACTIONS] * (action - expert);
+            imitation += error * error / (preferred * ACTIONS as f32);
+            delta[k] += 2.0 * weight * error;
+        }
+        let pass = (&batch.states[..], &delta[..]);
+        let gradient = Some(&mut self.actor.gradient[..]);
+        self.actor.network.backward(pass, threads, tape, gradient, None);
+        self.actor.step();
+        Losses {
+            actor: self.settings.imitation_weight * imitation - value,
+            imitation,
+            critic: 0.0,
+        }
+    }
+}
+
+impl Algorithm for Pvp {
+    fn update(&mut self, replay: &Replay, mut random: &mut dyn Rng) -> Losses {
+        replay.sample_evenly(self.size.batch, &mut random, &mut self.room.batch);
+        if self.room.batch.is_empty() {
+            return Losses::default();
+        }
+        self.targets(&mut random);
+        let critic = self.update_critics();
+        self.updates += 1;
+        if self.updates % POLICY_DELAY == 0 {
+            self.last_actor = self.update_actor();
+            self.actor_target.follow(&self.actor.network, TAU);
+            for (target, critic) in self.critic_targets.iter_mut().zip(&self.critics) {
+                target.follow(&critic.network, TAU);
+            }
+        }
+        Losses {
+            critic,
+            ..self.last_actor
+        }
+    }
+
+    fn policy(&self) -> &Network {
+        &self.actor.network
+    }
+
+    fn parts(&mut self) -> Vec<&mut Learned> {
+        let [first, second] = &mut self.critics;
+        vec![&mut self.actor, first, second]
+    }
+}
+
+/// States and actions side by side: `batch x (FEATURES + ACTIONS)`.
+fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
+    out.clear();
+    let rows = states.chunks_exact(FEATURES);
+    for (state, action) in rows.zip(actions.chunks_exact(ACTIONS)) {
+        out.extend_from_slice(state);
+        out.extend_from_slice(action);
+    }
+}
+
+/// A normal number, by Box and Muller.
+fn normal(random: &mut impl Rng) -> f32 {
+    let radius = (-2.0 * (1.0 - random.random::<f32>()).ln()).sqrt();
+    radius * (std::f32::consts::TAU * random.random::<f32>()).cos()
+}

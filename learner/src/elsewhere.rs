@@ -1,0 +1,148 @@
+//! What the car would see a little way from where it is.
+//!
+//! Predicted states of a rollout are asked about as if the car were there: the
+//! lidar returns, the road and the checkpoints are those of the observation,
+//! seen from the other pose. What was hidden stays unknown, and what moves is
+//! where it was, which holds for the second or two that a rollout lasts.
+
+use shm_config::message::{BEAMS_MAX, Bend, Observation};
+use vehicle::{Point, Pose, State, wrap_rad};
+
+/// Neighbouring returns nearer to each other than this belong to one body, m:
+/// less than a car could pass through.
+const JOINED_M: f64 = 1.5;
+/// Half the lane width that the leftmost lane's centre line is from its edge, m.
+const HALF_LANE_M: f64 = 1.75;
+/// A bend's centre nearer than this is no bend that a car can follow, m.
+const CENTRE_MIN_M: f64 = 1.0;
+
+/// Writes what would be observed after a motion: `moved` is the car's state in
+/// the body frame of the observation, its speed in m/s, and what it last obeyed.
+pub fn observe(
+    from: &Observation,
+    moved: &State,
+    (steer, pedal): (f64, f64),
+    out: &mut Observation,
+) {
+    *out = *from;
+    let body_from_there = moved.pose();
+    let there_from_body = body_from_there.inverse();
+    move_ego(from, moved, out);
+    (out.ego.steer, out.ego.pedal) = (steer, pedal);
+    move_road(from, &body_from_there, out);
+    for checkpoint in &mut out.checkpoints {
+        let point = there_from_body * Point::new(checkpoint.x_body_m, checkpoint.y_body_m);
+        (checkpoint.x_body_m, checkpoint.y_body_m) = (point.x, point.y);
+    }
+    scan(from, &there_from_body, out);
+}
+
+fn move_ego(from: &Observation, moved: &State, out: &mut Observation) {
+    let ego = &from.ego;
+    let world_from_body = vehicle::pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
+    let position_world = world_from_body * moved.position;
+    out.ego.x_world_m = position_world.x;
+    out.ego.y_world_m = position_world.y;
+    out.ego.heading_world_rad = wrap_rad(ego.heading_world_rad + moved.heading_rad);
+    out.ego.speed_mps = moved.speed_mps;
+}
+
+/// The road as two lines or two arcs around one centre.
+fn move_road(from: &Observation, body_from_there: &Pose, out: &mut Observation) {
+    let road = &from.road;
+    let checkpoint = &from.checkpoints[0];
+    let to_leftmost_m = road.left_m - HALF_LANE_M;
+    let centre_y_m = match checkpoint.bend() {
+        Bend::Straight => f64::INFINITY,
+        Bend::Left => to_leftmost_m + checkpoint.bend_radius_m,
+        Bend::Right => to_leftmost_m - checkpoint.bend_radius_m,
+    };
+    let place_road = vehicle::pose(0.0, 0.0, road.heading_rad)
+        * Point::from(body_from_there.translation.vector);
+    let (offset_m, turned_rad) = match centre_y_m.is_finite() && centre_y_m.abs() > CENTRE_MIN_M {
+        false => (place_road.y, 0.0),
+        true => {
+            let across_m = centre_y_m - place_road.y;
+            let radius_m = place_road.x.hypot(across_m);
+            let offset_m = (centre_y_m.abs() - radius_m) * centre_y_m.signum();
+            let turned_rad = place_road.x.atan2(across_m.abs()) * centre_y_m.signum();
+            (offset_m, turned_rad)
+        }
+    };
+    out.road.left_m = road.left_m - offset_m;
+    out.road.right_m = road.right_m + offset_m;
+    out.road.offset_m = road.offset_m + offset_m;
+    let heading_rad = road.heading_rad + body_from_there.rotation.angle() - turned_rad;
+    out.road.heading_rad = wrap_rad(heading_rad);
+}
+
+/// The scan from there: segments between joined neighbours, single returns as
+/// wide as the gap between two beams.
+fn scan(from: &Observation, there_from_body: &Pose, out: &mut Observation) {
+    let ranges_m = from.ranges();
+    let beams = ranges_m.len();
+    if beams == 0 {
+        return;
+    }
+    let spacing_rad = std::f64::consts::TAU / beams as f64;
+    let max_m = f64::from(from.lidar_max_m);
+    out.ranges_m[..beams].fill(from.lidar_max_m);
+    let mut points = [None; BEAMS_MAX];
+    for (k, &range_m) in ranges_m.iter().enumerate() {
+        let range_m = f64::from(range_m);
+        if range_m < max_m {
+            let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
+            points[k] = Some(there_from_body * Point::new(range_m * cos, range_m * sin));
+        }
+    }
+    for k in 0..beams {
+        let Some(point) = points[k] else {
+            continue;
+        };
+        let next = points[(k + 1) % beams].filter(|next| (next - point).norm() < JOINED_M);
+        fill(point, next.unwrap_or(point), spacing_rad, &mut out.ranges_m[..beams], max_m);
+    }
+}
+
+/// Shortens the beams that meet the segment.
+fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) {
+    let (from_rad, to_rad) = (a.y.atan2(a.x), b.y.atan2(b.x));
+    let sweep_rad = wrap_rad(to_rad - from_rad);
+    // Half a gap further at both ends, so that no body falls between two beams.
+    let (low_rad, high_rad) = match sweep_rad < 0.0 {
+        true => (from_rad + sweep_rad, from_rad),
+        false => (from_rad, from_rad + sweep_rad),
+    };
+    let first = (low_rad / spacing_rad - 0.5).ceil() as i64;
+    let last = (high_rad / spacing_rad + 0.5).floor() as i64;
+    let along = b - a;
+    let beams = ranges_m.len() as i64;
+    for k in first..=last {
+        let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
+        // The beam meets the line of the segment at this share of its length.
+        let across = cos * along.y - sin * along.x;
+        let share = match across.abs() > 1e-9 {
+            true => ((sin * a.x - cos * a.y) / across).clamp(0.0, 1.0),
+            false => 0.0,
+        };
+        let meets = a + along * share;
+        let range_m = meets.coords.norm().min(max_m) as f32;
+        let beam = &mut ranges_m[k.rem_euclid(beams) as usize];
+        *beam = beam.min(range_m);
+    }
+}
+
+/// Puts a body there that is not: its outline shortens the beams that meet it.
+pub fn place(outline_body: &[Point], observation: &mut Observation) {
+    let beams = observation.ranges().len();
+    if beams == 0 {
+        return;
+    }
+    let max_m = f64::from(observation.lidar_max_m);
+    let spacing_rad = std::f64::consts::TAU / beams as f64;
+    let ranges_m = &mut observation.ranges_m[..beams];
+    for (k, &corner) in outline_body.iter().enumerate() {
+        let next = outline_body[(k + 1) % outline_body.len()];
+        fill(corner, next, spacing_rad, ranges_m, max_m);
+    }
+}

@@ -1,0 +1,286 @@
+//! The replay on disk: every transition is appended as it comes, so that a
+//! learner that is killed has lost none but the last few.
+//!
+//! One record after the other, each with its checksum; a torn one at the end is
+//! cut off when the file is opened. When the file holds much more than the rings
+//! do, it is written anew, whole or not at all.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
+
+use shm_config::message::FEATURES;
+
+use crate::assembler::Counts;
+use crate::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
+
+/// First bytes of the file: name and version of the format.
+const MAGIC: &[u8; 8] = b"VLREPL01";
+/// Numbers of a transition.
+const NUMBERS: usize = 2 * FEATURES + 3 * ACTIONS;
+/// Counters beside each transition.
+const COUNTERS: usize = 11;
+/// Codes beside them: ring, label, what followed.
+const CODES: usize = 3;
+/// Bytes of a record: numbers, codes, counters, checksum.
+const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
+/// The file is written anew at this many times what the rings can hold.
+const SLACK: u64 = 2;
+
+/// How far the steps had come when a record was written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Mark {
+    /// What became of the steps.
+    pub counts: Counts,
+    /// Process id of the controller.
+    pub producer: u32,
+    /// Its last step's sequence number.
+    pub sequence: u64,
+    /// Updates of the networks.
+    pub updates: u64,
+}
+
+/// The file, open for more.
+pub struct Journal {
+    path: PathBuf,
+    file: BufWriter<File>,
+    records: u64,
+}
+
+/// What a file held.
+pub struct Recovered {
+    /// The file, open for more.
+    pub journal: Journal,
+    /// The transitions, in their rings.
+    pub replay: Replay,
+    /// The last record's mark.
+    pub mark: Option<Mark>,
+    /// Bytes of a torn record that were cut off.
+    pub torn_bytes: u64,
+}
+
+impl Journal {
+    /// Opens the file, or begins it, and reads what it holds.
+    ///
+    /// # Errors
+    /// When the file cannot be read or written, or is of another format: it is
+    /// left as it is then.
+    pub fn open(path: &Path, capacity: usize) -> io::Result<Recovered> {
+        let mut replay = Replay::new(capacity);
+        let mut mark = None;
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)?;
+        let length = file.metadata()?.len();
+        let mut records = 0;
+        if length < MAGIC.len() as u64 {
+            file.set_len(0)?;
+            file.write_all(MAGIC)?;
+        } else {
+            let mut reader = BufReader::with_capacity(1 << 20, &file);
+            let mut magic = [0; MAGIC.len()];
+            reader.read_exact(&mut magic)?;
+            if magic != *MAGIC {
+                return Err(io::Error::new(
+                    io::ErrorKind::InvalidData,
+                    "is no replay of this version; move it away to begin a new one",
+                ));
+            }
+            let mut record = [0; RECORD];
+            while reader.read_exact(&mut record).is_ok() {
+                let Some((ring, transition, at)) = decode(&record) else {
+                    break;
+                };
+                replay.push(ring, transition);
+                mark = Some(at);
+                records += 1;
+            }
+        }
+        let whole = MAGIC.len() as u64 + records * RECORD as u64;
+        let torn_bytes = length.saturating_sub(whole);
+        file.set_len(whole)?;
+        drop(file);
+        let journal = Journal {
+            path: path.into(),
+            file: BufWriter::new(OpenOptions::new().append(true).open(path)?),
+            records,
+        };
+        Ok(Recovered {
+            journal,
+            replay,
+            mark,
+            torn_bytes,
+        })
+    }
+
+    /// Appends a transition.
+    ///
+    /// # Errors
+    /// When the file cannot be written: the disk is full.
+    pub fn append(
+        &mut self,
+        ring: Ring,
+        transition: &Transition,
+        mark: &Mark,
+    ) -> io::Result<()> {
+        self.records += 1;
+        self.file.write_all(&encode(ring, transition, mark))
+    }
+
+    /// Hands everything to the kernel: from now on a kill loses nothing of it.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+
+    /// Writes the file anew when it holds much more than the replay does.
+    ///
+    /// # Errors
+    /// When the new file cannot be written; the old one stays.
+    pub fn compact(&mut self, replay: &Replay, mark: &Mark) -> io::Result<()> {
+        let held = Ring::ALL.len() * replay.capacity();
+        if self.records <= SLACK * held as u64 {
+            return Ok(());
+        }
+        let folder = self.path.parent().unwrap_or(Path::new("."));
+        let mut new = BufWriter::new(tempfile::NamedTempFile::new_in(folder)?);
+        new.write_all(MAGIC)?;
+        let mut records = 0;
+        for ring in Ring::ALL {
+            for transition in replay.iter(ring) {
+                new.write_all(&encode(ring, transition, mark))?;
+                records += 1;
+            }
+        }
+        let new = new.into_inner().map_err(io::IntoInnerError::into_error)?;
+        new.as_file().sync_all()?;
+        new.persist(&self.path).map_err(|error| error.error)?;
+        self.file = BufWriter::new(OpenOptions::new().append(true).open(&self.path)?);
+        self.records = records;
+        Ok(())
+    }
+}
+
+fn counters(mark: &Mark) -> [u64; COUNTERS] {
+    let counts = &mark.counts;
+    [
+        counts.steps,
+        counts.lost,
+        counts.unseen,
+        counts.cut,
+        counts.expert,
+        counts.policy,
+        counts.unlabelled,
+        counts.interventions,
+        u64::from(mark.producer),
+        mark.sequence,
+        mark.updates,
+    ]
+}
+
+fn encode(ring: Ring, transition: &Transition, mark: &Mark) -> [u8; RECORD] {
+    let mut record = [0; RECORD];
+    let (body, sum) = record.split_at_mut(RECORD - 4);
+    let (numbers, rest) = body.split_at_mut(4 * NUMBERS);
+    let values = [&transition.state[..], &transition.next]
+        .into_iter()
+        .chain([
+            &transition.applied[..],
+            &transition.policy,
+            &transition.expert,
+        ])
+        .flatten();
+    for (bytes, value) in numbers.chunks_exact_mut(4).zip(values) {
+        bytes.copy_from_slice(&value.to_le_bytes());
+    }
+    rest[0] = ring as u8;
+    rest[1] = match transition.label {
+        Label::None => 0,
+        Label::Expert => 1,
+        Label::Policy => 2,
+    };
+    rest[2] = match transition.then {
+        Then::Unknown => 0,
+        Then::On => 1,
+        Then::End => 2,
+    };
+    for (bytes, count) in rest[CODES..].chunks_exact_mut(8).zip(counters(mark)) {
+        bytes.copy_from_slice(&count.to_le_bytes());
+    }
+    let crc = crc32fast::hash(body);
+    sum.copy_from_slice(&crc.to_le_bytes());
+    record
+}
+
+/// `None` when the checksum or a code is wrong.
+fn decode(record: &[u8; RECORD]) -> Option<(Ring, Transition, Mark)> {
+    let (body, sum) = record.split_at(RECORD - 4);
+    if crc32fast::hash(body).to_le_bytes() != sum {
+        return None;
+    }
+    let (numbers, rest) = body.split_at(4 * NUMBERS);
+    let mut numbers = numbers
+        .chunks_exact(4)
+        .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
+    let mut state = [0.0; FEATURES];
+    let mut next = [0.0; FEATURES];
+    let mut actions = [[0.0; ACTIONS]; 3];
+    let places = state
+        .iter_mut()
+        .chain(&mut next)
+        .chain(actions.iter_mut().flatten());
+    for place in places {
+        *place = numbers.next()?;
+    }
+    let [applied, policy, expert] = actions;
+    let ring = Ring::ALL.into_iter().find(|&ring| ring as u8 == rest[0])?;
+    let label = match rest[1] {
+        0 => Label::None,
+        1 => Label::Expert,
+        2 => Label::Policy,
+        _ => return None,
+    };
+    let then = match rest[2] {
+        0 => Then::Unknown,
+        1 => Then::On,
+        2 => Then::End,
+        _ => return None,
+    };
+    let mut words = rest[CODES..].chunks_exact(8).map(|bytes| {
+        let mut word = [0; 8];
+        word.copy_from_slice(bytes);
+        u64::from_le_bytes(word)
+    });
+    let mut word = || words.next();
+    let counts = Counts {
+        steps: word()?,
+        lost: word()?,
+        unseen: word()?,
+        cut: word()?,
+        expert: word()?,
+        policy: word()?,
+        unlabelled: word()?,
+        interventions: word()?,
+    };
+    let mark = Mark {
+        counts,
+        producer: word()? as u32,
+        sequence: word()?,
+        updates: word()?,
+    };
+    let transition = Transition {
+        state,
+        next,
+        applied,
+        policy,
+        expert,
+        label,
+        then,
+    };
+    Some((ring, transition, mark))
+}

@@ -1,0 +1,13 @@
+//! Steps to weights: what the car lived through becomes a better driver.
+
+pub mod adam;
+pub mod algorithm;
+pub mod assembler;
+pub mod elsewhere;
+pub mod journal;
+mod matrix;
+pub mod network;
+pub mod replay;
+
+pub use adam::Adam;
+pub use network::{Network, Tape};

@@ -1,0 +1,90 @@
+//! The one place that hands slices to the matrix library.
+
+use gemm::Parallelism;
+
+/// A matrix in a slice: element `(r, c)` is `data[r * row_stride + c * column_stride]`.
+#[derive(Clone, Copy)]
+pub struct View<'a> {
+    data: &'a [f32],
+    rows: usize,
+    columns: usize,
+    row_stride: usize,
+    column_stride: usize,
+}
+
+impl<'a> View<'a> {
+    /// Rows one after the other.
+    ///
+    /// # Panics
+    /// When the slice is not of that size.
+    pub fn new(data: &'a [f32], rows: usize, columns: usize) -> Self {
+        assert_eq!(data.len(), rows * columns, "a matrix of another size");
+        Self {
+            data,
+            rows,
+            columns,
+            row_stride: columns,
+            column_stride: 1,
+        }
+    }
+
+    /// The same numbers, mirrored at the diagonal.
+    pub fn transposed(self) -> Self {
+        Self {
+            rows: self.columns,
+            columns: self.rows,
+            row_stride: self.column_stride,
+            column_stride: self.row_stride,
+            ..self
+        }
+    }
+}
+
+/// What becomes of the numbers that are there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Old {
+    /// They are overwritten.
+    Replace,
+    /// The product is added to them.
+    Add,
+}
+
+/// `out = a b`, or `out += a b`; `out` has its rows one after the other.
+///
+/// # Panics
+/// When the sizes do not fit.
+pub fn product(out: &mut [f32], old: Old, a: View, b: View, threads: usize) {
+    assert_eq!(a.columns, b.rows, "inner sizes differ");
+    assert_eq!(out.len(), a.rows * b.columns, "a result of another size");
+    let parallelism = match threads {
+        0 | 1 => Parallelism::None,
+        threads => Parallelism::Rayon(threads),
+    };
+    // SAFETY: `View::new` and `transposed` keep every (row, column) within the
+    // slice, the asserts above keep the sizes equal, and `out` is borrowed
+    // mutably, so nothing else reads or writes it.
+    #[allow(unsafe_code)]
+    unsafe {
+        gemm::gemm(
+            a.rows,
+            b.columns,
+            a.columns,
+            out.as_mut_ptr(),
+            1,
+            b.columns as isize,
+            old == Old::Add,
+            a.data.as_ptr(),
+            a.column_stride as isize,
+            a.row_stride as isize,
+            b.data.as_ptr(),
+            b.column_stride as isize,
+            b.row_stride as isize,
+            1.0,
+            1.0,
+            false,
+            false,
+            false,
+            parallelism,
+        );
+    }
+}
