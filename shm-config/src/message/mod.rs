@@ -15,7 +15,10 @@ pub use advice::{Advice, Judge, Preference};
 pub use command::{Command, Driver, Reason};
 pub use frame::{Camera, FRAME_BYTES_MAX, Frame, PixelFormat, View};
 pub use health::{Grant, Health, HealthState, Histogram, Timing};
-pub use observation::{BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, FEATURES, Observation, Road};
+pub use observation::{
+    BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT,
+    Observation, Road,
+};
 pub use plan::{PLANNED_MAX, Plan, PlanOutcome, PlannedAction, WAYPOINTS_MAX, Waypoint};
 pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 pub use progress::{Episode, Outcome, Progress};

@@ -1,4 +1,5 @@
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
+use crate::layout::{FNV_BASIS, fnv1a};
 
 /// Most lidar beams a world may have.
 pub const BEAMS_MAX: usize = 512;
@@ -6,6 +7,16 @@ pub const BEAMS_MAX: usize = 512;
 pub const CHECKPOINTS: usize = 2;
 /// Length of the policy's input for 240 beams.
 pub const FEATURES: usize = 259;
+/// What [`Observation::features`] means, as a number. To be raised whenever a
+/// feature changes its meaning, scale or place: weights trained for another
+/// number are refused. A test pins the features of one observation.
+pub const FEATURES_VERSION: u32 = 1;
+/// The observation layout that weights are trained for: count and meaning of
+/// the policy's input in one number.
+pub const OBSERVATION_LAYOUT: u64 = fnv1a(
+    fnv1a(FNV_BASIS, &(FEATURES as u64).to_le_bytes()),
+    &FEATURES_VERSION.to_le_bytes(),
+);
 
 /// No position of a run is further from its origin than this, m.
 const POSITION_LIMIT_M: f64 = 1e6;

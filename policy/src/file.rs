@@ -1,0 +1,321 @@
+use prost::Message;
+use sha2::{Digest, Sha256};
+use shm_config::message::{FEATURES, WEIGHTS_BYTES_MAX};
+
+use crate::metadata::{self, Probe, Provenance};
+use crate::mlp::{ACTIONS, all_finite};
+use crate::onnx::{
+    ATTRIBUTE_INT, Attribute, Dimension, FLOAT, Graph, Model, Node, OperatorSet, Shape, Tensor,
+    TensorType, Type, ValueInfo,
+};
+use crate::{Activation, Layer, Mlp, Refusal, graph, scan};
+
+/// How far a probe's answer may be off, where nobody says otherwise: a hundred
+/// times what two orders of summation differ by, a hundredth of what a driver
+/// would notice.
+pub const TOLERANCE: f32 = 1e-4;
+/// Inputs that every net must answer with numbers, on top of the file's own
+/// probes: all features at their ends and in the middle.
+const CONSTANT_INPUTS: [f32; 3] = [0.0, 0.5, 1.0];
+
+/// A policy file that passed every check which does not need to run it
+/// elsewhere than here.
+#[derive(Debug, Clone)]
+pub struct PolicyFile {
+    /// What is to be run.
+    pub net: Net,
+    /// Who made it and how; `None` for a plain ONNX file.
+    pub provenance: Option<Provenance>,
+    /// Inputs and the outputs that the file says they have; empty for plain files.
+    pub probes: Vec<Probe>,
+    /// Of the whole file.
+    pub sha256: [u8; 32],
+}
+
+/// What is to be run.
+#[derive(Debug, Clone)]
+pub enum Net {
+    /// A chain of layers: the native runtime runs it.
+    Mlp(Box<Mlp>),
+    /// Another graph of allowed operators: only ONNX Runtime runs it.
+    Graph(Names),
+}
+
+/// What a graph calls its input and output.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Names {
+    /// The features.
+    pub input: String,
+    /// Elements of the input: [1, 259] or [259].
+    pub input_shape: Vec<i64>,
+    /// The actions.
+    pub output: String,
+}
+
+/// SHA-256 of a file.
+pub fn sha256(bytes: &[u8]) -> [u8; 32] {
+    Sha256::digest(bytes).into()
+}
+
+/// The first 8 bytes, as steps and statuses carry them; never 0, which means
+/// that there are no weights.
+pub fn short_hash(sha256: &[u8; 32]) -> u64 {
+    let [first, ..] = sha256.as_chunks::<8>().0 else {
+        return 1;
+    };
+    u64::from_be_bytes(*first).max(1)
+}
+
+/// The bytes are those that somebody hashed.
+///
+/// # Errors
+/// [`Refusal::WrongHash`] when they are not.
+pub fn check_hash(bytes: &[u8], claimed: &[u8; 32]) -> Result<(), Refusal> {
+    let actual = sha256(bytes);
+    match actual == *claimed {
+        true => Ok(()),
+        false => Err(Refusal::WrongHash {
+            claimed: format!("{:016x}", short_hash(claimed)),
+            actual: format!("{:016x}", short_hash(&actual)),
+        }),
+    }
+}
+
+/// Reads a policy file and makes every check that needs no foreign runtime: size,
+/// format, layout, operators, shapes, finite weights, and for chains of layers
+/// that the net answers its probes as the file says, within [`TOLERANCE`].
+///
+/// # Errors
+/// The first check that fails.
+pub fn decode(bytes: &[u8]) -> Result<PolicyFile, Refusal> {
+    decode_within(bytes, TOLERANCE)
+}
+
+/// The same with a tolerance of the caller's.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal> {
+    if bytes.is_empty() {
+        return Err(Refusal::Empty);
+    }
+    if bytes.len() > WEIGHTS_BYTES_MAX {
+        return Err(Refusal::TooLarge {
+            bytes: bytes.len() as u64,
+            limit: WEIGHTS_BYTES_MAX as u64,
+        });
+    }
+    scan::scan(bytes)?;
+    let model = Model::decode(bytes).map_err(|_| Refusal::NotOnnx("a field is broken"))?;
+    let Some(graph) = &model.graph else {
+        return Err(match model.ir_version {
+            0 => Refusal::NotOnnx("it has neither a version nor a graph"),
+            _ => Refusal::Truncated("its head: no graph follows"),
+        });
+    };
+    let (provenance, probes) = match metadata::read(&model.metadata_props)? {
+        Some((provenance, probes)) => (Some(provenance), probes),
+        None => (None, Vec::new()),
+    };
+    if !model.functions.is_empty() {
+        return Err(Refusal::UnknownOperator(
+            "a function of the file's own".into(),
+        ));
+    }
+    graph::check(graph)?;
+    let net = match graph::layers(graph)? {
+        Some(layers) => {
+            let mut mlp = Mlp::new(layers)?;
+            check_answers(&probes, tolerance, |features| mlp.infer(features))?;
+            Net::Mlp(Box::new(mlp))
+        }
+        None => Net::Graph(names(graph)),
+    };
+    Ok(PolicyFile {
+        net,
+        provenance,
+        probes,
+        sha256: sha256(bytes),
+    })
+}
+
+/// A net answers with numbers, and its probes as the file says. For the caller
+/// who runs a [`Net::Graph`]; [`decode`] has done it for the others.
+///
+/// # Errors
+/// [`Refusal::NotFinite`] or [`Refusal::ProbeMismatch`].
+pub fn check_answers(
+    probes: &[Probe],
+    tolerance: f32,
+    mut infer: impl FnMut(&[f32]) -> [f32; ACTIONS],
+) -> Result<(), Refusal> {
+    for value in CONSTANT_INPUTS {
+        if !all_finite(&infer(&[value; FEATURES])) {
+            return Err(Refusal::NotFinite(format!(
+                "the answer to features that are all {value}"
+            )));
+        }
+    }
+    for (k, probe) in probes.iter().enumerate() {
+        let answered = infer(&probe.features);
+        // Written so that NaN is off, too.
+        let is_near = |k: usize| (answered[k] - probe.action[k]).abs() <= tolerance;
+        if !(is_near(0) && is_near(1)) {
+            return Err(Refusal::ProbeMismatch {
+                probe: k,
+                answered,
+                expected: probe.action,
+                tolerance,
+            });
+        }
+    }
+    Ok(())
+}
+
+fn names(graph: &Graph) -> Names {
+    let input = graph::inputs(graph)[0];
+    let shape = input
+        .r#type
+        .as_ref()
+        .and_then(|t| t.tensor_type.as_ref())
+        .and_then(|tensor| tensor.shape.as_ref());
+    let is_flat = shape.is_some_and(|shape| shape.dim.len() == 1);
+    Names {
+        input: input.name.clone(),
+        input_shape: match is_flat {
+            true => vec![FEATURES as i64],
+            false => vec![1, FEATURES as i64],
+        },
+        output: graph.output[0].name.clone(),
+    }
+}
+
+/// IR version 8 with operator set 13: read by everything since 2021.
+const IR_VERSION: i64 = 8;
+const OPERATOR_SET: i64 = 13;
+
+/// A policy file of a net: ONNX with the metadata of
+/// [`Provenance`], and these probes with the answers of the native runtime. A
+/// probe of other than [`FEATURES`] features is filled with zeros or cut.
+///
+/// The graph stands last, behind the metadata: a file that is cut off anywhere
+/// has no whole graph, and can never pass for one without metadata.
+pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8> {
+    let mut runtime = mlp.clone();
+    let probes: Vec<Probe> = probes
+        .iter()
+        .map(|features| {
+            let mut features = features.clone();
+            features.resize(FEATURES, 0.0);
+            let action = runtime.infer(&features);
+            Probe { features, action }
+        })
+        .collect();
+    let head = Model {
+        ir_version: IR_VERSION,
+        producer_name: "vlaps".into(),
+        producer_version: env!("CARGO_PKG_VERSION").into(),
+        opset_import: vec![OperatorSet {
+            domain: String::new(),
+            version: OPERATOR_SET,
+        }],
+        metadata_props: metadata::write(provenance, &probes),
+        ..Model::default()
+    };
+    let tail = Model {
+        graph: Some(graph_of(mlp.layers())),
+        ..Model::default()
+    };
+    // Messages that follow each other are one message.
+    let mut bytes = head.encode_to_vec();
+    bytes.extend(tail.encode_to_vec());
+    bytes
+}
+
+fn graph_of(layers: &[Layer]) -> Graph {
+    let mut graph = Graph {
+        name: "policy".into(),
+        input: vec![row("features", FEATURES)],
+        output: vec![row("action", ACTIONS)],
+        ..Graph::default()
+    };
+    let mut current = "features".to_string();
+    let last = layers.len() - 1;
+    for (k, layer) in layers.iter().enumerate() {
+        let name = |what: &str, is_end: bool| match is_end && k == last {
+            true => "action".into(),
+            false => format!("layer{k}.{what}"),
+        };
+        let activation = match layer.activation {
+            Activation::None => None,
+            Activation::Relu => Some("Relu"),
+            Activation::Tanh => Some("Tanh"),
+        };
+        let (weights, bias) = (format!("layer{k}.weight"), format!("layer{k}.bias"));
+        let sums = name("sums", activation.is_none());
+        graph.node.push(Node {
+            input: vec![current, weights.clone(), bias.clone()],
+            output: vec![sums.clone()],
+            op_type: "Gemm".into(),
+            attribute: vec![Attribute {
+                name: "transB".into(),
+                i: 1,
+                kind: ATTRIBUTE_INT,
+                ..Attribute::default()
+            }],
+            ..Node::default()
+        });
+        let dims = [layer.outputs as i64, layer.inputs as i64];
+        graph
+            .initializer
+            .push(tensor(weights, &dims, &layer.weights));
+        graph
+            .initializer
+            .push(tensor(bias, &dims[..1], &layer.bias));
+        current = match activation {
+            None => sums,
+            Some(operator) => {
+                let output = name("output", true);
+                graph.node.push(Node {
+                    input: vec![sums],
+                    output: vec![output.clone()],
+                    op_type: operator.into(),
+                    ..Node::default()
+                });
+                output
+            }
+        };
+    }
+    graph
+}
+
+fn tensor(name: String, dims: &[i64], values: &[f32]) -> Tensor {
+    Tensor {
+        dims: dims.to_vec(),
+        data_type: FLOAT,
+        name,
+        raw_data: values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect(),
+        ..Tensor::default()
+    }
+}
+
+fn row(name: &str, width: usize) -> ValueInfo {
+    let dim = |value: i64| Dimension {
+        dim_value: Some(value),
+        dim_param: None,
+    };
+    ValueInfo {
+        name: name.into(),
+        r#type: Some(Type {
+            tensor_type: Some(TensorType {
+                elem_type: FLOAT,
+                shape: Some(Shape {
+                    dim: vec![dim(1), dim(width as i64)],
+                }),
+            }),
+        }),
+    }
+}

@@ -1,0 +1,40 @@
+//! Policy files: what they are, whether they may be trusted, and the runtime
+//! that answers in the tick.
+//!
+//! A policy file is an ONNX file of at most 8 MB with one input of 259 floats,
+//! the features of `Observation::features`, and one output of two, steering and
+//! pedal, each within [-1, 1] (what is beyond is clamped by who drives). It may
+//! use the operators of [`OPERATORS`] and no others. Eight metadata keys tell
+//! where it comes from and how it must answer:
+//!
+//! | key | value |
+//! |---|---|
+//! | `vlaps.format` | [`FORMAT_VERSION`] |
+//! | `vlaps.observation_layout` | `shm_config::message::OBSERVATION_LAYOUT`, 16 hex digits |
+//! | `vlaps.algorithm` `vlaps.seed` `vlaps.steps` `vlaps.commit` | [`Provenance`] |
+//! | `vlaps.probe_inputs` | rows of 259 numbers: `,` between numbers, `;` between rows |
+//! | `vlaps.probe_outputs` | a row of two numbers for each |
+//!
+//! A file without any of them is a plain one: PyTorch's exporters write such.
+//! Whether its features are those of this build, nobody can tell then.
+//!
+//! [`decode`] makes every check and gives a [`Net`]: a chain of layers runs in
+//! the native runtime [`Mlp`], anything else needs ONNX Runtime. Arithmetic
+//! only: no clock, no files, no threads.
+
+mod file;
+mod graph;
+mod metadata;
+mod mlp;
+mod onnx;
+mod refusal;
+mod scan;
+
+pub use file::{
+    Names, Net, PolicyFile, TOLERANCE, check_answers, check_hash, decode, decode_within, encode,
+    sha256, short_hash,
+};
+pub use graph::OPERATORS;
+pub use metadata::{FORMAT_VERSION, PROBES_MAX, Probe, Provenance};
+pub use mlp::{ACTIONS, Activation, LAYERS_MAX, Layer, Mlp, WIDTH_MAX};
+pub use refusal::Refusal;

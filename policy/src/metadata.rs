@@ -1,0 +1,162 @@
+use shm_config::message::{FEATURES, OBSERVATION_LAYOUT};
+
+use crate::Refusal;
+use crate::mlp::{ACTIONS, all_finite};
+use crate::onnx::Entry;
+
+/// The format that this crate writes, and the only one it reads.
+pub const FORMAT_VERSION: u32 = 1;
+/// Most probes of a file.
+pub const PROBES_MAX: usize = 64;
+
+/// What all keys begin with; other keys are the exporter's business.
+const PREFIX: &str = "vlaps.";
+
+/// Who made a net, and how.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Provenance {
+    /// Such as `pvp` or `bc`.
+    pub algorithm: String,
+    /// Of the training.
+    pub seed: u64,
+    /// Steps driven in training.
+    pub steps: u64,
+    /// Commit of the program that trained.
+    pub commit: String,
+}
+
+/// An input with the output that the file says it has.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Probe {
+    /// [`FEATURES`] features.
+    pub features: Vec<f32>,
+    /// Steering and pedal.
+    pub action: [f32; ACTIONS],
+}
+
+/// The metadata of a file.
+pub fn write(provenance: &Provenance, probes: &[Probe]) -> Vec<Entry> {
+    let entry = |key: &str, value: String| Entry {
+        key: format!("{PREFIX}{key}"),
+        value,
+    };
+    let rows = |row: fn(&Probe) -> &[f32]| {
+        let rows = probes.iter().map(|probe| {
+            let numbers: Vec<_> = row(probe).iter().map(f32::to_string).collect();
+            numbers.join(",")
+        });
+        rows.collect::<Vec<_>>().join(";")
+    };
+    vec![
+        entry("format", FORMAT_VERSION.to_string()),
+        entry("observation_layout", layout_word(OBSERVATION_LAYOUT)),
+        entry("algorithm", provenance.algorithm.clone()),
+        entry("seed", provenance.seed.to_string()),
+        entry("steps", provenance.steps.to_string()),
+        entry("commit", provenance.commit.clone()),
+        entry("probe_inputs", rows(|probe| &probe.features)),
+        entry("probe_outputs", rows(|probe| &probe.action)),
+    ]
+}
+
+fn layout_word(layout: u64) -> String {
+    format!("{layout:016x}")
+}
+
+/// What a file says of itself; `None` when it has no key of ours.
+///
+/// # Errors
+/// When it has one and not all, or one that cannot be read, or is of another
+/// format or observation layout.
+pub fn read(entries: &[Entry]) -> Result<Option<(Provenance, Vec<Probe>)>, Refusal> {
+    if !entries.iter().any(|entry| entry.key.starts_with(PREFIX)) {
+        return Ok(None);
+    }
+    let format = number(entries, "format")?;
+    if format != u64::from(FORMAT_VERSION) {
+        return Err(broken(
+            "format",
+            &format!("format {format}, this build reads {FORMAT_VERSION}"),
+        ));
+    }
+    let theirs = text(entries, "observation_layout")?;
+    let ours = layout_word(OBSERVATION_LAYOUT);
+    if theirs != ours {
+        return Err(Refusal::WrongLayout {
+            theirs: short(theirs),
+            ours,
+        });
+    }
+    let provenance = Provenance {
+        algorithm: text(entries, "algorithm")?.into(),
+        seed: number(entries, "seed")?,
+        steps: number(entries, "steps")?,
+        commit: text(entries, "commit")?.into(),
+    };
+    let inputs = rows(entries, "probe_inputs", FEATURES)?;
+    let outputs = rows(entries, "probe_outputs", ACTIONS)?;
+    if inputs.len() != outputs.len() {
+        return Err(broken(
+            "probe_outputs",
+            &format!("{} probes, but {} inputs", outputs.len(), inputs.len()),
+        ));
+    }
+    let probes = inputs.into_iter().zip(outputs).map(|(features, output)| {
+        let mut action = [0.0; ACTIONS];
+        action.copy_from_slice(&output);
+        Probe { features, action }
+    });
+    Ok(Some((provenance, probes.collect())))
+}
+
+fn short(text: &str) -> String {
+    text.chars().take(40).collect()
+}
+
+fn broken(key: &str, what: &str) -> Refusal {
+    Refusal::Metadata {
+        key: format!("{PREFIX}{key}"),
+        what: what.into(),
+    }
+}
+
+fn text<'a>(entries: &'a [Entry], key: &str) -> Result<&'a str, Refusal> {
+    let entry = entries
+        .iter()
+        .find(|entry| entry.key.strip_prefix(PREFIX) == Some(key));
+    entry
+        .map(|entry| entry.value.as_str())
+        .ok_or_else(|| broken(key, "is missing"))
+}
+
+fn number(entries: &[Entry], key: &str) -> Result<u64, Refusal> {
+    let text = text(entries, key)?;
+    text.parse()
+        .map_err(|_| broken(key, &format!("{:?} is no whole number", short(text))))
+}
+
+/// Rows of `width` finite numbers.
+fn rows(entries: &[Entry], key: &str, width: usize) -> Result<Vec<Vec<f32>>, Refusal> {
+    let text = text(entries, key)?;
+    if text.is_empty() {
+        return Ok(Vec::new());
+    }
+    let count = text.split(';').count();
+    if count > PROBES_MAX {
+        return Err(Refusal::TooMany {
+            what: "probes",
+            count,
+            limit: PROBES_MAX,
+        });
+    }
+    let row = |text: &str| {
+        let numbers: Result<Vec<f32>, _> = text.split(',').map(str::parse).collect();
+        let numbers = numbers.map_err(|_| broken(key, "holds something else than numbers"))?;
+        if numbers.len() != width || !all_finite(&numbers) {
+            let what = format!("a row must be {width} finite numbers");
+            return Err(broken(key, &what));
+        }
+        Ok(numbers)
+    };
+    text.split(';').map(row).collect()
+}

@@ -1,0 +1,108 @@
+use std::fmt;
+
+/// Why weights are not used. The publisher reads it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// No byte.
+    #[error("the file is empty")]
+    Empty,
+    /// More bytes than a message carries.
+    #[error("{bytes} bytes are over the limit of {limit}")]
+    TooLarge {
+        /// How many.
+        bytes: u64,
+        /// How many may be.
+        limit: u64,
+    },
+    /// The bytes are not those that were sent.
+    #[error("wrong hash: the offer says SHA-256 {claimed}, its bytes have {actual}")]
+    WrongHash {
+        /// First 8 bytes, in hex.
+        claimed: String,
+        /// First 8 bytes, in hex.
+        actual: String,
+    },
+    /// Something else than an ONNX model.
+    #[error("not an ONNX file: {0}")]
+    NotOnnx(&'static str),
+    /// Begins as an ONNX model and ends too soon.
+    #[error("truncated: the file ends within {0}")]
+    Truncated(&'static str),
+    /// A number of messages, nodes or values no policy needs.
+    #[error("{what}: {count} are over the limit of {limit}")]
+    TooMany {
+        /// Of what.
+        what: &'static str,
+        /// How many.
+        count: usize,
+        /// How many may be.
+        limit: usize,
+    },
+    /// Metadata of a format of later days, or broken.
+    #[error("metadata {key}: {what}")]
+    Metadata {
+        /// The key.
+        key: String,
+        /// What is wrong.
+        what: String,
+    },
+    /// Trained for other features.
+    #[error(
+        "wrong observation layout: trained for {theirs}, this build has {ours}; train again, \
+         or use the build that it was trained with"
+    )]
+    WrongLayout {
+        /// The file's.
+        theirs: String,
+        /// This build's.
+        ours: String,
+    },
+    /// Does not take the features or does not answer with two numbers.
+    #[error("wrong shape: {what} has {found}, expected {expected}")]
+    WrongShape {
+        /// Of what.
+        what: String,
+        /// What it has.
+        found: String,
+        /// What it must have.
+        expected: String,
+    },
+    /// An operator outside the closed list.
+    #[error("unknown operator {0}: it is not on the list of operators that a policy may use")]
+    UnknownOperator(String),
+    /// Weights that are not numbers.
+    #[error("{0} is not finite")]
+    NotFinite(String),
+    /// The graph cannot be understood.
+    #[error("graph: {0}")]
+    Graph(String),
+    /// The net answers otherwise than the file says.
+    #[error(
+        "probe {probe} answers {answered:?}, the file says {expected:?}: off by {}, more than {tolerance}",
+        Off(*answered, *expected)
+    )]
+    ProbeMismatch {
+        /// Which, from 0.
+        probe: usize,
+        /// What this runtime answers.
+        answered: [f32; 2],
+        /// What the file says.
+        expected: [f32; 2],
+        /// What would be let pass.
+        tolerance: f32,
+    },
+    /// Valid, but no back end here can run it.
+    #[error("{0}")]
+    NoBackEnd(String),
+}
+
+struct Off([f32; 2], [f32; 2]);
+
+impl fmt::Display for Off {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let off = (self.0[0] - self.1[0])
+            .abs()
+            .max((self.0[1] - self.1[1]).abs());
+        write!(f, "{off:.2e}")
+    }
+}

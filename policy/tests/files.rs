@@ -1,0 +1,225 @@
+//! What is read, and what is refused and why.
+
+mod bad;
+
+use bad::{bad, good, net, patched};
+use policy::{Activation, Layer, Mlp, Net, Refusal, check_hash, decode, sha256};
+use proptest::prelude::*;
+use shm_config::message::WEIGHTS_BYTES_MAX;
+
+fn reason(bytes: &[u8]) -> String {
+    decode(bytes).expect_err("refused").to_string()
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let bytes = good(32, 7);
+    let file = decode(&bytes).expect("a good file");
+    let provenance = file.provenance.expect("ours");
+    assert_eq!(provenance.algorithm, "test");
+    assert_eq!((provenance.seed, provenance.steps), (7, 1000));
+    assert_eq!(file.probes.len(), 2);
+    assert_eq!(file.sha256, sha256(&bytes));
+    let Net::Mlp(mut read) = file.net else {
+        panic!("a chain of layers");
+    };
+    let mut written = net(32, 7);
+    assert_eq!(*read, written);
+    assert_eq!(read.infer(&[0.3; 259]), written.infer(&[0.3; 259]));
+}
+
+#[test]
+fn each_kind_of_bad_file_has_a_reason_of_its_own() {
+    let good = good(32, 1);
+    let mut reasons: Vec<String> = bad(&good)
+        .into_iter()
+        .map(|(kind, bytes, word)| {
+            let reason = reason(&bytes);
+            assert!(reason.contains(word), "{kind}: {reason}");
+            println!("{kind}: {reason}");
+            reason
+        })
+        .collect();
+    let large = reason(&vec![0x08; WEIGHTS_BYTES_MAX + 1]);
+    assert!(large.contains("over the limit"), "{large}");
+    reasons.push(large);
+    let wrong_hash = check_hash(&good, &[3; 32])
+        .expect_err("refused")
+        .to_string();
+    assert!(wrong_hash.contains("wrong hash"), "{wrong_hash}");
+    reasons.push(wrong_hash);
+    assert_eq!(reasons.len(), 10);
+    reasons.sort();
+    reasons.dedup();
+    assert_eq!(reasons.len(), 10, "{reasons:?}");
+    assert_eq!(check_hash(&good, &sha256(&good)), Ok(()));
+}
+
+#[test]
+fn a_file_cut_anywhere_is_refused_and_never_taken_for_a_plain_one() {
+    let good = good(8, 1);
+    for length in 0..good.len() {
+        assert!(decode(&good[..length]).is_err(), "cut to {length} bytes");
+    }
+}
+
+#[test]
+fn metadata_is_whole_or_absent() {
+    let good = good(8, 1);
+    for (key, other) in [
+        ("vlaps.format", "vlaps.farmat"),
+        ("vlaps.commit", "vlaps.commot"),
+        ("vlaps.probe_inputs", "vlaps.probe_unputs"),
+    ] {
+        let reason = reason(&patched(&good, key.as_bytes(), other.as_bytes()));
+        assert!(
+            reason.contains(key) && reason.contains("missing"),
+            "{reason}"
+        );
+    }
+    let plain = patched(&good, b"vlaps.", b"other.");
+    let file = decode(&plain).expect("a plain file");
+    assert_eq!((file.provenance, file.probes.len()), (None, 0));
+}
+
+#[test]
+fn layers_must_fit_each_other() {
+    let layer = |inputs, outputs| Layer {
+        weights: vec![0.1; inputs * outputs],
+        bias: vec![0.0; outputs],
+        inputs,
+        outputs,
+        activation: Activation::None,
+    };
+    for layers in [
+        vec![],
+        vec![layer(258, 2)],
+        vec![layer(259, 3)],
+        vec![layer(259, 4), layer(5, 2)],
+    ] {
+        let refusal = Mlp::new(layers).expect_err("refused");
+        assert!(matches!(refusal, Refusal::WrongShape { .. }), "{refusal}");
+    }
+    let mut bad = layer(259, 2);
+    bad.bias[1] = f32::INFINITY;
+    let refusal = Mlp::new(vec![bad]).expect_err("refused");
+    assert_eq!(refusal.to_string(), "a bias of layer 0 is not finite");
+}
+
+#[test]
+fn a_net_that_overflows_is_refused() {
+    let layer = |inputs, outputs| Layer {
+        weights: vec![1e38; inputs * outputs],
+        bias: vec![0.0; outputs],
+        inputs,
+        outputs,
+        activation: Activation::None,
+    };
+    let mlp = Mlp::new(vec![layer(259, 4), layer(4, 2)]).expect("finite weights");
+    let reason = reason(&policy::encode(&mlp, &policy::Provenance::default(), &[]));
+    assert!(
+        reason.contains("answer") && reason.contains("not finite"),
+        "{reason}"
+    );
+}
+
+/// The definition, output by output, in double precision.
+fn by_definition(mlp: &Mlp, features: &[f32]) -> Vec<f64> {
+    let mut x: Vec<f64> = features.iter().map(|&f| f64::from(f)).collect();
+    for layer in mlp.layers() {
+        let rows = layer.weights.chunks_exact(layer.inputs);
+        let sums = rows.zip(&layer.bias).map(|(row, &bias)| {
+            let products = row.iter().zip(&x).map(|(&w, x)| f64::from(w) * x);
+            f64::from(bias) + products.sum::<f64>()
+        });
+        x = sums
+            .map(|sum| match layer.activation {
+                Activation::None => sum,
+                Activation::Relu => sum.max(0.0),
+                Activation::Tanh => sum.tanh(),
+            })
+            .collect();
+    }
+    x
+}
+
+#[test]
+fn files_made_by_pytorch_are_taken() {
+    for (name, bytes) in [
+        ("dynamo", &include_bytes!("data/torch_dynamo.onnx")[..]),
+        ("torchscript", &include_bytes!("data/torch_script.onnx")[..]),
+    ] {
+        let file = decode(bytes).unwrap_or_else(|refusal| panic!("{name}: {refusal}"));
+        assert_eq!(file.provenance, None, "{name}: a plain file");
+        let Net::Mlp(mut mlp) = file.net else {
+            panic!("{name}: the native runtime takes it");
+        };
+        // As `data/export.py` printed them.
+        for line in include_str!("data/expected.txt").lines() {
+            let numbers: Vec<f32> = line
+                .split(' ')
+                .map(|number| number.parse().expect("a number"))
+                .collect();
+            let features: Vec<f32> = (0..259)
+                .map(|k| (k as f32 * numbers[0]).sin().abs())
+                .collect();
+            let answer = mlp.infer(&features);
+            for k in 0..2 {
+                let off = (answer[k] - numbers[1 + k]).abs();
+                assert!(off < 1e-5, "{name}: {answer:?}, PyTorch {numbers:?}");
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn the_runtime_answers_as_defined(
+        hidden in 1_usize..150, seed in any::<u64>(),
+        features in prop::collection::vec(0.0_f32..=1.0, 259),
+    ) {
+        let mut mlp = net(hidden, seed);
+        let expected = by_definition(&mlp, &features);
+        let answer = mlp.infer(&features);
+        for k in 0..2 {
+            prop_assert!((f64::from(answer[k]) - expected[k]).abs() < 1e-4, "{answer:?} {expected:?}");
+        }
+    }
+
+    #[test]
+    fn random_bytes_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..4096)) {
+        prop_assert!(decode(&bytes).is_err());
+    }
+
+    #[test]
+    fn spoilt_files_never_panic(
+        seed in 0_u64..4,
+        spoils in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
+        length in any::<prop::sample::Index>(),
+        cut in any::<bool>(),
+    ) {
+        let mut bytes = good(4, seed);
+        for (at, byte) in spoils {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+        }
+        if cut {
+            bytes.truncate(length.index(bytes.len()));
+        }
+        if let Ok(PolicyAnswer(answer)) = answer(&bytes) {
+            prop_assert!(answer.iter().all(|value| value.is_finite()));
+        }
+    }
+}
+
+struct PolicyAnswer([f32; 2]);
+
+/// What lets itself be read must let itself be run.
+fn answer(bytes: &[u8]) -> Result<PolicyAnswer, Refusal> {
+    match decode(bytes)?.net {
+        Net::Mlp(mut mlp) => Ok(PolicyAnswer(mlp.infer(&[0.5; 259]))),
+        Net::Graph(_) => Ok(PolicyAnswer([0.0; 2])),
+    }
+}
