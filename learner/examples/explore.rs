@@ -103,6 +103,7 @@ fn label(step: &Step, brake: bool) -> Option<Action> {
 }
 fn evaluate(net: &Network, config: &Config, n: u64, mode: usize, verbose: bool) -> (f64, f64, f64, f64, f64, f64) {
     let next = AtomicU64::new(0);
+    let first: u64 = if n == 50 { 100 } else { 1000 };
     let eps: Vec<_> = std::thread::scope(|s| {
         let hs: Vec<_> = (0..2).map(|_| {
             let next = &next;
@@ -115,8 +116,8 @@ fn evaluate(net: &Network, config: &Config, n: u64, mode: usize, verbose: bool) 
                 loop {
                     let k = next.fetch_add(1, Ordering::Relaxed);
                     if k >= n { return out; }
-                    world.reset(1000 + k).unwrap();
-                    let mut score = Score::new(1000 + k);
+                    world.reset(first + k).unwrap();
+                    let mut score = Score::new(first + k);
                     let mut t = 0u64;
                     let cmd = Step::default().command;
                     while !world.last_step().has_ended() {
@@ -144,6 +145,7 @@ fn evaluate(net: &Network, config: &Config, n: u64, mode: usize, verbose: bool) 
         fails.sort();
         for f in fails.iter().take(60) { println!("   {f:?}"); }
     }
+    println!("   veh {:.3} obj {:.3} maxstep {:.3}", m(&|e| (e.vehicle_contacts > 0) as u8 as f64), m(&|e| (e.object_contacts > 0) as u8 as f64), m(&|e| (e.outcome() == Outcome::MaxStep) as u8 as f64));
     (m(&|e| (e.outcome() == Outcome::Arrived) as u8 as f64), m(&|e| e.is_strict_success() as u8 as f64), m(&|e| (e.outcome() == Outcome::OutOfRoad) as u8 as f64), m(&|e| (e.vehicle_contacts + e.object_contacts > 0) as u8 as f64), m(&|e| e.completion), m(&|e| e.ticks as f64))
 }
 fn main() {
@@ -163,6 +165,10 @@ fn main() {
     config.run.clock = shm_config::config::Clock::Lockstep;
     config.planner.method = match env("EXPERT", "informed".to_string()).as_str() { "mpc" => Method::Mpc, "rrt" => Method::RrtStar, "kino" => Method::Kinodynamic, _ => Method::Informed };
     config.gate.mode = match who.as_str() { "expert" => GateMode::Expert, "policy" => GateMode::Policy, _ => GateMode::Rules };
+    config.informed.inflation_m = env("INFL", 1.2);
+    config.mpc.clearance_m = env("CLEAR", 1.2);
+    config.mpc.speed_mps = env("SPEED", 5.0);
+    config.mpc.steps = env("MPCSTEPS", 8);
     config.gate.period_s = env("PERIOD", 10.0);
     config.gate.hold_s = config.gate.period_s + 2.0;
     let imagined: usize = env("IMAGINE", 0);
@@ -173,6 +179,7 @@ fn main() {
     let mut adam = Adam::new(net.borrow().0.parameters().len(), lr);
     let mut grad = vec![0f32; net.borrow().0.parameters().len()];
     let mut tape = Tape::default();
+    let mut tape2 = Tape::default();
     let mut controller = Controller::new(config.clone(), PolicySlot::new(Some(Box::new(Shared(net.clone(), mode)))));
     let mut planner = Planner::new(&config).unwrap();
     let mut counsel = Counsel::new(&config.gate, Docket::immediate(Rules::new(config.vehicle, config.judge)));
@@ -193,9 +200,11 @@ fn main() {
     let mut lossavg = 0.0;
     let mirrored = env("MIRROR", 0) == 1;
     let ema_share: f32 = env("EMA", 1.0);
+    let steerw: f32 = env("STEERW", 1.0);
+    let mut sls = 0.0f32;
     let mut ema = net.borrow().0.clone();
     let mut update = |ema: &mut Network, n: usize, xs: &Vec<f32>, ys: &Vec<[f32; 2]>, adam: &mut Adam, random: &mut Random| {
-        let mut avg = 0.0;
+        let mut avg = 0.0; let mut sl = 0.0;
         for _ in 0..n {
             bx.clear(); by.clear();
             for _ in 0..batch {
@@ -212,7 +221,7 @@ fn main() {
             delta.clear();
             let mut loss = 0.0;
             for (o, y) in out.chunks(2).zip(&by) {
-                for k in 0..2 { let d = o[k] - y[k]; loss += d * d; delta.push(2.0 * d / batch as f32); }
+                for k in 0..2 { let w = if k == 0 { steerw } else { 1.0 }; let d = o[k] - y[k]; loss += d * d; delta.push(2.0 * w * d / batch as f32); if k == 0 { sl += d * d; } }
             }
             avg += loss / batch as f32;
             grad.fill(0.0);
@@ -220,6 +229,8 @@ fn main() {
             adam.step(net.parameters_mut(), &grad);
             ema.follow(net, ema_share);
         }
+        sls = sl / (n.max(1) * batch) as f32;
+        if n > 1000 { println!("steer rms {:.4}", sls.sqrt()); }
         avg / n.max(1) as f32
     };
     for step_no in 0..steps {
@@ -269,5 +280,27 @@ fn main() {
         for k in 0..4 { adam.rate = lr * [0.3, 0.1, 0.03, 0.01][k]; lossavg = update(&mut ema, final_updates / 4, &xs, &ys, &mut adam, &mut random); }
     }
     let e = evaluate(&ema, &config, evals, mode, env("VERBOSE", 0) == 1);
+    if let Ok(sd) = std::env::var("TRACE") {
+        let sd: u64 = sd.parse().unwrap();
+        world.reset(sd).unwrap();
+        let mut last = 0;
+        while !world.last_step().has_ended() && world.ticks() < 1200 {
+            world.observe(&mut obs);
+            let x = obs.features(&mut f).unwrap().to_vec();
+            let mut xp = x.clone(); prep(&mut xp, mode);
+            let o = ema.forward(&xp, 1, &mut tape2).to_vec();
+            let r = obs.ranges();
+            let (mut best, mut bk) = (99.0f32, 0i32);
+            for d in -25..=25i32 { let k = d.rem_euclid(240) as usize; if r[k] < best { best = r[k]; bk = d; } }
+            *there = *obs;
+            let y = oracle.ask(&mut there);
+            let st = *oracle.controller.step();
+            if best < 14.0 && world.ticks() % 2 == 0 { println!("t {} v {:.1} near {:.1} m at {:.1} deg  policy {:+.2} {:+.2}  expert {:+.2} {:+.2} {:?} veto {} clear {:.2}", world.ticks(), obs.ego.speed_mps, best, bk as f32 * 1.5, o[0], o[1], y[0], y[1], st.reason(), st.expert_assessment.is_vetoed(), st.expert_assessment.clearance_m); }
+            let out = world.step(Action { steer: o[0] as f64, pedal: o[1] as f64 });
+            if out.touch.object && last == 0 { println!("TOUCH object"); last = 1; }
+        }
+    }
+    let t = evaluate(&ema, &config, 50, mode, true);
+    println!("TRAINSEEDS success {:.3} strict {:.3} contact {:.3}", t.0, t.1, t.3);
     println!("END {} steps {:.0} s loss {lossavg:.4} drivers {drivers:?} ends {outcomes:?}: success {:.3} strict {:.3} out {:.3} contact {:.3} compl {:.3} len {:.0}", steps, begun.elapsed().as_secs_f32(), e.0, e.1, e.2, e.3, e.4, e.5);
 }

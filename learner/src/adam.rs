@@ -1,5 +1,7 @@
 //! Adam, as in PyTorch: Kingma and Ba, 2015, Algorithm 1.
 
+use serde::{Deserialize, Serialize};
+
 /// Exponential decay of the first moment.
 const BETA_1: f64 = 0.9;
 /// Exponential decay of the second moment.
@@ -8,13 +10,13 @@ const BETA_2: f64 = 0.999;
 const EPSILON: f32 = 1e-8;
 
 /// The optimiser of one network.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Adam {
     /// Length of a step.
     pub rate: f32,
-    pub(crate) first: Vec<f32>,
-    pub(crate) second: Vec<f32>,
-    pub(crate) steps: u64,
+    first: Vec<f32>,
+    second: Vec<f32>,
+    steps: u64,
 }
 
 impl Adam {

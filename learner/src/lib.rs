@@ -7,6 +7,7 @@ pub mod elsewhere;
 pub mod journal;
 mod matrix;
 pub mod network;
+pub mod oracle;
 pub mod replay;
 
 pub use adam::Adam;

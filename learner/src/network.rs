@@ -5,11 +5,12 @@
 //! `tests/gradients.rs` compares every gradient with finite differences.
 
 use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
 
 use crate::matrix::{Old, View, product};
 
 /// What the last layer ends with; the others end with a ReLU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Head {
     /// Nothing: a value.
     Linear,
@@ -18,7 +19,7 @@ pub enum Head {
 }
 
 /// Sizes of one layer, and where its parameters begin.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Dense {
     inputs: usize,
     outputs: usize,
@@ -38,7 +39,7 @@ impl Dense {
 }
 
 /// A perceptron. All parameters lie in one slice, for the optimiser and the disk.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Network {
     layers: Vec<Dense>,
     head: Head,

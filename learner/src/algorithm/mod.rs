@@ -1,29 +1,32 @@
 //! The ways to learn, one file each, hyper-parameters at the top with their
 //! source.
 //!
-//! | | learns from | loss |
+//! | algorithm | learns from | loss |
 //! |---|---|---|
-//! | [`bc`] | steps that the expert was preferred at | squared error |
-//! | [`hg_dagger`] | the same, while the policy drives where it may | squared error |
-//! | [`dagger`] | every step: the expert is a program and answers everywhere | squared error |
-//! | [`pvp`] | preferences and what followed | twin critics, Eq. 1 and 2 |
-//! | [`ppl`] | preferences at the predicted states of rejected rollouts | preference pairs |
+//! | `bc` | the expert's own driving ([`regression`]) | squared error |
+//! | `hg-dagger` | the steps at which the expert was preferred ([`regression`]) | squared error |
+//! | `dagger` | every step: the expert is a program and answers everywhere ([`regression`]) | squared error |
+//! | `pvp` | preferences and what followed ([`pvp`]) | twin critics, Eq. 1 and 2 |
+//! | `ppl` | preferences, at predicted states, too ([`ppl`]) | squared error and pairs |
 
+pub mod ppl;
 pub mod pvp;
-mod regression;
+pub mod regression;
 
 use rand::Rng;
+use serde::{Deserialize, Serialize};
+use shm_config::message::FEATURES;
 
 use crate::Adam;
 use crate::network::{Head, Network};
 use crate::replay::{ACTIONS, Replay};
-use shm_config::message::FEATURES;
 
+pub use ppl::Ppl;
 pub use pvp::Pvp;
 pub use regression::{Regression, Source};
 
 /// What the algorithms have in common.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Size {
     /// Neurons of each of the two hidden layers.
     pub hidden: usize,
@@ -45,7 +48,7 @@ pub struct Losses {
 }
 
 /// A network and its optimiser.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Learned {
     /// The network.
     pub network: Network,
@@ -80,14 +83,33 @@ pub fn actor(size: Size, rate: f32, random: &mut impl Rng) -> Learned {
     Learned::new(&sizes, Head::Tanh, rate, random)
 }
 
-/// A way to learn.
-pub trait Algorithm {
+/// Who learns: networks, optimisers and what else outlives an update.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Student {
+    /// By imitation.
+    Regression(Regression),
+    /// By proxy values.
+    Pvp(Pvp),
+    /// By pairs at predicted states.
+    Ppl(Ppl),
+}
+
+impl Student {
     /// One update from the replay; nothing when it holds nothing to learn from.
-    fn update(&mut self, replay: &Replay, random: &mut dyn Rng) -> Losses;
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+        match self {
+            Student::Regression(student) => student.update(replay, random),
+            Student::Pvp(student) => student.update(replay, random),
+            Student::Ppl(student) => student.update(replay, random),
+        }
+    }
 
     /// The policy as it is now.
-    fn policy(&self) -> &Network;
-
-    /// Everything that a resumed learner needs.
-    fn parts(&mut self) -> Vec<&mut Learned>;
+    pub fn policy(&self) -> &Network {
+        match self {
+            Student::Regression(student) => student.policy(),
+            Student::Pvp(student) => student.policy(),
+            Student::Ppl(student) => student.policy(),
+        }
+    }
 }

@@ -4,11 +4,12 @@
 //! After PVP4Real, whose numbers stand where the paper gives none.
 
 use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+use shm_config::message::FEATURES;
 
-use super::{Algorithm, Learned, Losses, Size, actor};
+use super::{Learned, Losses, Size, actor};
 use crate::network::{Head, Network, Tape};
 use crate::replay::{ACTIONS, Batch, Replay};
-use shm_config::message::FEATURES;
 
 /// Discount; PVP4Real.
 const GAMMA: f32 = 0.99;
@@ -26,7 +27,7 @@ const VALUE_BOUND: f32 = 1.0;
 const FEW: f32 = 1e-5;
 
 /// The hyper-parameters that the configuration may change.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Length of Adam's steps for all networks; PVP4Real has 1e-4.
     pub rate: f32,
@@ -35,6 +36,7 @@ pub struct Settings {
 }
 
 /// Twin critics and an actor.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Pvp {
     settings: Settings,
     size: Size,
@@ -43,12 +45,14 @@ pub struct Pvp {
     actor_target: Network,
     critic_targets: [Network; 2],
     updates: u64,
+    #[serde(skip)]
     last_actor: Losses,
+    #[serde(skip)]
     room: Room,
 }
 
 /// What an update writes to, kept from one to the next.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 struct Room {
     batch: Batch,
     tape: Tape,
@@ -197,13 +201,14 @@ impl Pvp {
     }
 }
 
-impl Algorithm for Pvp {
-    fn update(&mut self, replay: &Replay, mut random: &mut dyn Rng) -> Losses {
-        replay.sample_evenly(self.size.batch, &mut random, &mut self.room.batch);
+impl Pvp {
+    /// One update of the critics, every second time one of the actor.
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+        replay.sample_evenly(self.size.batch, random, &mut self.room.batch);
         if self.room.batch.is_empty() {
             return Losses::default();
         }
-        self.targets(&mut random);
+        self.targets(random);
         let critic = self.update_critics();
         self.updates += 1;
         if self.updates % POLICY_DELAY == 0 {
@@ -219,13 +224,9 @@ impl Algorithm for Pvp {
         }
     }
 
-    fn policy(&self) -> &Network {
+    /// The policy as it is now.
+    pub fn policy(&self) -> &Network {
         &self.actor.network
-    }
-
-    fn parts(&mut self) -> Vec<&mut Learned> {
-        let [first, second] = &mut self.critics;
-        vec![&mut self.actor, first, second]
     }
 }
 

@@ -2,12 +2,14 @@
 
 use rand::Rng;
 
-use super::{Algorithm, Learned, Losses, Size, actor};
+use serde::{Deserialize, Serialize};
+
+use super::{Learned, Losses, Size, actor};
 use crate::network::{Network, Tape};
 use crate::replay::{ACTIONS, Batch, Replay, Ring};
 
 /// Which steps are imitated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
     /// Those at which the judge preferred the expert.
     Preferred,
@@ -15,11 +17,18 @@ pub enum Source {
     All,
 }
 
-/// Behaviour cloning on one ring or both.
+/// Behaviour cloning of what the expert would have done.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Regression {
     actor: Learned,
     source: Source,
     size: Size,
+    #[serde(skip)]
+    room: Room,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Room {
     batch: Batch,
     tape: Tape,
     delta: Vec<f32>,
@@ -32,30 +41,28 @@ impl Regression {
             actor: actor(size, rate, random),
             source,
             size,
-            batch: Batch::default(),
-            tape: Tape::default(),
-            delta: Vec::new(),
+            room: Room::default(),
         }
     }
-}
 
-impl Algorithm for Regression {
-    fn update(&mut self, replay: &Replay, mut random: &mut dyn Rng) -> Losses {
+    /// One update; none when there is nothing to imitate.
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
         let rings: &[Ring] = match self.source {
             Source::Preferred => &[Ring::Expert],
             Source::All => &Ring::ALL,
         };
-        replay.sample(rings, self.size.batch, &mut random, &mut self.batch);
-        if self.batch.is_empty() {
+        let Room { batch, tape, delta } = &mut self.room;
+        replay.sample(rings, self.size.batch, random, batch);
+        if batch.is_empty() {
             return Losses::default();
         }
         let threads = self.size.threads;
         let network = &self.actor.network;
-        let actions = network.forward(&self.batch.states, threads, &mut self.tape);
-        let imitation = imitate(actions, &self.batch.expert, &mut self.delta);
-        let pass = (&self.batch.states[..], &self.delta[..]);
+        let actions = network.forward(&batch.states, threads, tape);
+        let imitation = imitate(actions, &batch.expert, delta);
+        let pass = (&batch.states[..], &delta[..]);
         let gradient = Some(&mut self.actor.gradient[..]);
-        network.backward(pass, threads, &mut self.tape, gradient, None);
+        network.backward(pass, threads, tape, gradient, None);
         self.actor.step();
         Losses {
             actor: imitation,
@@ -64,17 +71,14 @@ impl Algorithm for Regression {
         }
     }
 
-    fn policy(&self) -> &Network {
+    /// The policy as it is now.
+    pub fn policy(&self) -> &Network {
         &self.actor.network
-    }
-
-    fn parts(&mut self) -> Vec<&mut Learned> {
-        vec![&mut self.actor]
     }
 }
 
 /// Eq. 1: the mean over the batch of the squared distance, and its gradient.
-fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
+pub(super) fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
     let batch = (actions.len() / ACTIONS) as f32;
     delta.clear();
     let mut loss = 0.0;

@@ -1,0 +1,107 @@
+//! Predictive preference learning: where the judge prefers the expert, the
+//! rejected action is followed into the future it would have led to, and the
+//! expert is preferred there, too. So the policy learns to recover before it was
+//! ever in danger.
+//!
+//! After PPL (NeurIPS 2025), with one change: it copies the intervener's action
+//! to the predicted states; our expert is a program and is asked there
+//! (`predictions.rs`).
+
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+
+use super::regression::imitate;
+use super::{Learned, Losses, Size, actor};
+use crate::network::{Network, Tape};
+use crate::replay::{ACTIONS, Batch, Replay, Ring};
+
+/// Standard deviation of the policy seen as a normal distribution around its
+/// action: with it a preference is a statement about squared distances.
+const SPREAD: f32 = 0.5;
+/// Sharpness of a preference, `beta` of the paper.
+const SHARPNESS: f32 = 1.0;
+/// Weight of the preferences beside the imitation at the same states.
+const PREFERENCE_WEIGHT: f32 = 0.1;
+
+/// An actor, taught by pairs.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Ppl {
+    actor: Learned,
+    size: Size,
+    #[serde(skip)]
+    room: Room,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Room {
+    batch: Batch,
+    tape: Tape,
+    delta: Vec<f32>,
+}
+
+impl Ppl {
+    /// With a fresh actor.
+    pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Ppl {
+        Ppl {
+            actor: actor(size, rate, random),
+            size,
+            room: Room::default(),
+        }
+    }
+
+    /// One update: steps whose label prefers the expert, and predicted states.
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+        let rings = [Ring::Expert, Ring::Predicted];
+        let Room { batch, tape, delta } = &mut self.room;
+        replay.sample(&rings, self.size.batch, random, batch);
+        if batch.is_empty() {
+            return Losses::default();
+        }
+        let threads = self.size.threads;
+        let network = &self.actor.network;
+        let actions = network.forward(&batch.states, threads, tape);
+        let imitation = imitate(actions, &batch.expert, delta);
+        let preference = prefer(actions, &batch.expert, &batch.policy, delta);
+        let pass = (&batch.states[..], &delta[..]);
+        let gradient = Some(&mut self.actor.gradient[..]);
+        network.backward(pass, threads, tape, gradient, None);
+        self.actor.step();
+        Losses {
+            actor: imitation + PREFERENCE_WEIGHT * preference,
+            imitation,
+            critic: 0.0,
+        }
+    }
+
+    /// The policy as it is now.
+    pub fn policy(&self) -> &Network {
+        &self.actor.network
+    }
+}
+
+/// `-log sigmoid(beta (log pi(a+) - log pi(a-)))`, the mean over the batch; its
+/// weighted gradient is added to `delta`.
+fn prefer(actions: &[f32], preferred: &[f32], rejected: &[f32], delta: &mut [f32]) -> f32 {
+    let batch = (actions.len() / ACTIONS) as f32;
+    let scale = SHARPNESS / (2.0 * SPREAD * SPREAD);
+    let mut loss = 0.0;
+    let rows = actions
+        .chunks_exact(ACTIONS)
+        .zip(preferred.chunks_exact(ACTIONS))
+        .zip(rejected.chunks_exact(ACTIONS))
+        .zip(delta.chunks_exact_mut(ACTIONS));
+    for (((action, preferred), rejected), delta) in rows {
+        let square = |other: &[f32]| -> f32 {
+            let pairs = action.iter().zip(other);
+            pairs.map(|(a, b)| (a - b) * (a - b)).sum()
+        };
+        let margin = scale * (square(rejected) - square(preferred));
+        loss += (-margin).exp().ln_1p() / batch;
+        let doubt = 1.0 / (1.0 + margin.exp());
+        let weight = PREFERENCE_WEIGHT * doubt * 2.0 * scale / batch;
+        for (delta, (preferred, rejected)) in delta.iter_mut().zip(preferred.iter().zip(rejected)) {
+            *delta += weight * (rejected - preferred);
+        }
+    }
+    loss
+}
