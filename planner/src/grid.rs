@@ -12,6 +12,8 @@ mod road;
 
 /// Most points of the body that are protected at the start.
 pub(crate) const STARTS_MAX: usize = 4;
+/// A line that is not in the open is looked at in pieces of so many rows.
+const BAND_ROWS: usize = 8;
 /// Cells in a word.
 const WORD: usize = u64::BITS as usize;
 
@@ -46,7 +48,6 @@ pub struct Grid {
     columns: usize,
     /// Rows on either side of the x axis.
     half_rows: usize,
-    words_per_row: usize,
     lane_margin_m: f64,
     /// Inflation radius squared, in cells, with room for the rounding of
     /// radius / cell.
@@ -58,7 +59,8 @@ pub struct Grid {
     /// Columns of the cells on either side of the x axis that are never
     /// occupied: the car's.
     starts: heapless::Vec<i64, STARTS_MAX>,
-    /// Row after row, 64 columns a word, the lowest bit nearest to the car.
+    /// 64 columns a word, the lowest bit nearest to the car. All rows of the first
+    /// 64 columns, then of the next: the rows of a rectangle lie side by side.
     words: Box<[u64]>,
 }
 
@@ -69,7 +71,6 @@ impl Grid {
         // A millionth of a cell: 30 / 0.05 must not become 601.
         let cells = |length_m: f64| (length_m * cells_per_m - 1e-6).ceil().max(1.0) as usize;
         let (columns, half_rows) = (cells(config.x_max_m), cells(config.y_max_m));
-        let words_per_row = columns.div_ceil(WORD);
         let radius_cells = config.inflation_m * cells_per_m;
         let disc_squared = (radius_cells * radius_cells + 1e-6).floor() as i64;
         Self {
@@ -77,7 +78,6 @@ impl Grid {
             cells_per_m,
             columns,
             half_rows,
-            words_per_row,
             lane_margin_m: config.lane_margin_m,
             disc_squared,
             disc: (0..=disc_squared.isqrt().min(DISC_CELLS_MAX as i64))
@@ -89,7 +89,7 @@ impl Grid {
                 left_m: 0.0,
             },
             starts: heapless::Vec::from_array([0]),
-            words: vec![!0; words_per_row * 2 * half_rows].into_boxed_slice(),
+            words: vec![!0; columns.div_ceil(WORD) * 2 * half_rows].into_boxed_slice(),
         }
     }
 
@@ -127,11 +127,14 @@ impl Grid {
     pub fn fill(&mut self, observation: &Observation) {
         self.corridor = Corridor::lane(&observation.road, self.lane_margin_m, self.y_max_m())
             .with_start(self.cell_m);
-        for row in 0..self.rows() {
-            let y_m = self.row_middle_m(row);
-            let free = (self.corridor.right_m..=self.corridor.left_m).contains(&y_m);
-            let start = row * self.words_per_row;
-            self.words[start..start + self.words_per_row].fill(if free { 0 } else { !0 });
+        let rows = self.rows();
+        let is_right = |row: &usize| self.row_middle_m(*row) < self.corridor.right_m;
+        let first = (0..rows).take_while(is_right).count();
+        let is_free = |row: &usize| self.row_middle_m(*row) <= self.corridor.left_m;
+        let free = first..first + (first..rows).take_while(is_free).count();
+        self.words.fill(!0);
+        for words in self.words.chunks_exact_mut(rows) {
+            words[free.clone()].fill(0);
         }
         self.stamp_returns(observation);
     }
@@ -209,33 +212,27 @@ impl Grid {
         }
         let first = first.max(0) as usize;
         let last = (last as usize).min(self.columns - 1);
-        let (from_first, to_last) = (from_column(first), to_column(last));
-        let start = row * self.words_per_row;
-        let words = &mut self.words[start + first / WORD..=start + last / WORD];
-        match words {
-            [] => {}
-            [word] => *word |= from_first & to_last,
-            [head, middle @ .., tail] => {
-                *head |= from_first;
-                middle.fill(!0);
-                *tail |= to_last;
-            }
+        for (start, mask) in self.words_of(first, last) {
+            self.words[start + row] |= mask;
         }
+    }
+
+    /// The words that hold some columns: where those of all rows start, and
+    /// the columns' bits in each.
+    fn words_of(&self, first: usize, last: usize) -> impl Iterator<Item = (usize, u64)> + use<> {
+        let rows = self.rows();
+        let (head, tail) = (first / WORD, last / WORD);
+        (head..=tail).map(move |word| {
+            let from_first = if word == head { from_column(first) } else { !0 };
+            let to_last = if word == tail { to_column(last) } else { !0 };
+            (word * rows, from_first & to_last)
+        })
     }
 
     /// Whether any cell of a run is occupied.
     fn any(&self, run: Run) -> bool {
-        let start = run.row * self.words_per_row;
-        let (from_first, to_last) = (from_column(run.first), to_column(run.last));
-        match &self.words[start + run.first / WORD..=start + run.last / WORD] {
-            [] => true,
-            [word] => word & from_first & to_last != 0,
-            [head, middle @ .., tail] => {
-                head & from_first != 0
-                    || tail & to_last != 0
-                    || middle.iter().any(|&word| word != 0)
-            }
-        }
+        self.words_of(run.first, run.last)
+            .any(|(start, mask)| self.words[start + run.row] & mask != 0)
     }
 
     /// Whether a cell is occupied; everything outside the grid is.
@@ -243,7 +240,7 @@ impl Grid {
         if cell.column >= self.columns || cell.row >= self.rows() {
             return true;
         }
-        let word = self.words[cell.row * self.words_per_row + cell.column / WORD];
+        let word = self.words[cell.column / WORD * self.rows() + cell.row];
         word >> (cell.column % WORD) & 1 != 0
     }
 
@@ -294,32 +291,30 @@ impl Grid {
             return false;
         }
         let segment = Segment::new(from, to, self.columns - 1, self.rows() - 1);
+        let rows = segment.rows();
         // Most lines are in the open: the rectangle around them is looked at first.
-        self.is_rectangle_free(&segment) || segment.runs().all(|run| !self.any(run))
+        if self.is_rectangle_free(rows, segment.columns()) {
+            return true;
+        }
+        // Of most others pieces are.
+        let (first, last) = rows;
+        let columns_in = segment.columns_in();
+        (first..=last).step_by(BAND_ROWS).all(|row| {
+            let band = (row, last.min(row + BAND_ROWS - 1));
+            self.is_rectangle_free(band, columns_in(band))
+                || (band.0..=band.1).all(|row| {
+                    let (first, last) = columns_in((row, row));
+                    !self.any(Run { row, first, last })
+                })
+        })
     }
 
-    /// Whether the rectangle of cells around a line is free; may say no when it
-    /// is wider than two words.
-    fn is_rectangle_free(&self, segment: &Segment) -> bool {
-        let (first, last) = segment.columns();
-        let rows = segment.rows();
-        let word = first / WORD;
-        let (rows_before, rows_through) = (*rows.start(), *rows.end() + 1);
-        let words =
-            &self.words[rows_before * self.words_per_row..rows_through * self.words_per_row];
-        let mut heads = 0;
-        if last / WORD == word {
-            for row in words.chunks_exact(self.words_per_row) {
-                heads |= row[word];
-            }
-            return heads & from_column(first) & to_column(last) == 0;
-        }
-        let mut tails = 0;
-        for row in words.chunks_exact(self.words_per_row) {
-            heads |= row[word];
-            tails |= row[word + 1];
-        }
-        last / WORD == word + 1 && heads & from_column(first) == 0 && tails & to_column(last) == 0
+    /// Whether the cells of some rows and columns, first to last, are free.
+    fn is_rectangle_free(&self, rows: (usize, usize), columns: (usize, usize)) -> bool {
+        self.words_of(columns.0, columns.1).all(|(start, mask)| {
+            let words = &self.words[start + rows.0..=start + rows.1];
+            words.iter().fold(0, |all, word| all | word) & mask == 0
+        })
     }
 }
 

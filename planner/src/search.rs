@@ -3,45 +3,42 @@ use vehicle::Point;
 use crate::PlannerConfig;
 use crate::grid::Grid;
 use crate::sampler::{Region, Sampler};
-use crate::tree::{Edge, Tree};
-use shm_config::config::planner::NODES_MAX;
+use crate::tree::{CHUNKS_MAX, Edge, LANES, Tree, lane_of, least_chunk};
 
 /// A sample this close to a node is that node, m; a tree of equal points would
 /// have edges of no length.
 const SAME_M: f64 = 1e-6;
 
-/// A node within the rewire radius of the new one.
-#[derive(Debug, Clone, Copy, Default)]
+/// What the nodes of a chunk are to a new node; infinite outside the rewire
+/// radius.
+#[derive(Debug, Clone, Copy)]
 struct Near {
-    index: usize,
-    distance_m: f64,
-    /// Cost of the new node with this one as its parent, m; infinite once the
-    /// edge turned out to be blocked.
-    cost_via_m: f64,
+    distance_m: [f64; LANES],
+    /// Cost of the new node with each as its parent, m; infinite once the edge
+    /// turned out to be blocked.
+    cost_via_m: [f64; LANES],
 }
 
 /// RRT* of Sec. 4.1.1 with all its memory.
 #[derive(Debug)]
 pub(crate) struct Search {
     pub(crate) tree: Tree,
-    /// The first `near_count` are near the new node.
-    near: [Near; NODES_MAX],
+    /// As many count as the tree had chunks before the new node.
+    near: [Near; CHUNKS_MAX],
     near_count: usize,
-    /// Squared distance of each node to the new one, m²; scratch.
-    squares: [f64; NODES_MAX],
-    /// Indices of the nodes inside the radius; scratch.
-    inside: [u16; NODES_MAX],
 }
 
 impl Search {
     /// An empty tree.
     pub(crate) fn new() -> Self {
+        let none = Near {
+            distance_m: [f64::INFINITY; LANES],
+            cost_via_m: [f64::INFINITY; LANES],
+        };
         Self {
             tree: Tree::default(),
-            near: [Near::default(); NODES_MAX],
+            near: [none; CHUNKS_MAX],
             near_count: 0,
-            squares: [0.0; NODES_MAX],
-            inside: [0; NODES_MAX],
         }
     }
 
@@ -104,10 +101,11 @@ impl Search {
         if !grid.is_segment_free(from_body, point_body) {
             return None;
         }
-        self.find_near(point_body, config.rewire_radius_m);
+        let least = self.find_near(point_body, config.rewire_radius_m);
         let edge = self.choose_parent(
             grid,
             point_body,
+            least,
             Edge {
                 parent: from,
                 // Of the points as they are, not the step: costs are then exact sums.
@@ -119,55 +117,60 @@ impl Search {
         Some(index)
     }
 
-    /// Collects the nodes within the radius.
+    /// Measures the way from every node within the radius; the chunk with the
+    /// cheapest parent, and the new node's cost with that one, m.
     ///
-    /// Passes over all nodes: at the paper's 200 iterations they are cheaper than
-    /// keeping buckets. The distances are a loop of vectors; then each index is
-    /// written down and the count moves on only for those inside, because a
-    /// branch would be guessed wrong too often.
-    fn find_near(&mut self, point_body: Point, radius_m: f64) {
+    /// Passes over all nodes, those outside too: at the paper's 200 iterations a
+    /// loop of vectors over all is cheaper than to pick out who is inside, and
+    /// than keeping buckets.
+    fn find_near(&mut self, point_body: Point, radius_m: f64) -> (usize, f64) {
         let limit = radius_m * radius_m;
-        let squares = self.tree.write_squares(point_body, &mut self.squares);
-        let mut count = 0;
-        for (index, &square) in squares.iter().enumerate() {
-            self.inside[count] = index as u16;
-            count += usize::from(square <= limit);
-        }
-        self.near_count = count;
-        for (near, &index) in self.near.iter_mut().zip(&self.inside[..count]) {
-            let index = usize::from(index);
-            let distance_m = squares[index].sqrt();
-            *near = Near {
-                index,
-                distance_m,
-                cost_via_m: self.tree.cost_m(index) + distance_m,
-            };
-        }
+        let chunks = self.tree.chunks();
+        self.near_count = chunks.len();
+        least_chunk(self.near.iter_mut().zip(chunks).map(|(near, chunk)| {
+            let squares = chunk.squares(point_body);
+            for (lane, &square) in squares.iter().enumerate() {
+                let distance_m = square.sqrt();
+                let distance_m = if square <= limit {
+                    distance_m
+                } else {
+                    f64::INFINITY
+                };
+                near.distance_m[lane] = distance_m;
+                near.cost_via_m[lane] = chunk.cost_m[lane] + distance_m;
+            }
+            near.cost_via_m
+        }))
     }
 
     /// The cheapest parent with a free edge. The nearest node, whose edge is
     /// known to be free, is the fallback; so only cheaper ones are looked at,
     /// the cheapest first, and most searches test a single edge.
-    fn choose_parent(&mut self, grid: &Grid, point_body: Point, nearest: Edge) -> Edge {
+    fn choose_parent(
+        &mut self,
+        grid: &Grid,
+        point_body: Point,
+        mut least: (usize, f64),
+        nearest: Edge,
+    ) -> Edge {
         let limit_m = self.tree.cost_m(nearest.parent) + nearest.length_m;
+        let near = &mut self.near[..self.near_count];
         loop {
-            let mut best: Option<&mut Near> = None;
-            for near in &mut self.near[..self.near_count] {
-                let least_m = best.as_ref().map_or(limit_m, |best| best.cost_via_m);
-                if near.cost_via_m < least_m {
-                    best = Some(near);
-                }
-            }
-            let Some(best) = best else {
+            let (at, cost_m) = least;
+            if cost_m >= limit_m {
                 return nearest;
-            };
-            if grid.is_segment_free(self.tree.point(best.index), point_body) {
+            }
+            let chunk = &mut near[at];
+            let lane = lane_of(&chunk.cost_via_m, cost_m);
+            let parent = at * LANES + lane;
+            if grid.is_segment_free(self.tree.point(parent), point_body) {
                 return Edge {
-                    parent: best.index,
-                    length_m: best.distance_m,
+                    parent,
+                    length_m: chunk.distance_m[lane],
                 };
             }
-            best.cost_via_m = f64::INFINITY;
+            chunk.cost_via_m[lane] = f64::INFINITY;
+            least = least_chunk(near.iter().map(|near| near.cost_via_m));
         }
     }
 
@@ -175,14 +178,28 @@ impl Search {
     fn rewire(&mut self, grid: &Grid, index: usize) {
         let point_body = self.tree.point(index);
         let cost_m = self.tree.cost_m(index);
-        for near in &self.near[..self.near_count] {
-            let cheaper = cost_m + near.distance_m < self.tree.cost_m(near.index);
-            if cheaper && grid.is_segment_free(point_body, self.tree.point(near.index)) {
-                let edge = Edge {
-                    parent: index,
-                    length_m: near.distance_m,
-                };
-                self.tree.rewire(near.index, edge);
+        for (chunk, near) in self.near[..self.near_count].iter().enumerate() {
+            let costs_m = self.tree.chunks()[chunk].cost_m;
+            let mut any = false;
+            for (distance_m, old_m) in near.distance_m.iter().zip(costs_m) {
+                any |= cost_m + distance_m < old_m;
+            }
+            if !any {
+                continue;
+            }
+            for (lane, &distance_m) in near.distance_m.iter().enumerate() {
+                let other = chunk * LANES + lane;
+                // Rewiring makes others cheaper, never dearer; so none that the
+                // look at the whole chunk left out would be one now.
+                if cost_m + distance_m < self.tree.cost_m(other)
+                    && grid.is_segment_free(point_body, self.tree.point(other))
+                {
+                    let edge = Edge {
+                        parent: index,
+                        length_m: distance_m,
+                    };
+                    self.tree.rewire(other, edge);
+                }
             }
         }
     }

@@ -1,5 +1,3 @@
-use std::ops::RangeInclusive;
-
 use vehicle::Point;
 
 /// How near a line must come to a cell to touch it, in cells. Coordinates of at
@@ -43,10 +41,9 @@ impl Segment {
         }
     }
 
-    /// All rows that it touches.
-    pub(crate) fn rows(&self) -> RangeInclusive<usize> {
-        let (first, last) = cells(self.from.y, self.to.y, self.last_row);
-        first..=last
+    /// First and last row of all that it touches.
+    pub(crate) fn rows(&self) -> (usize, usize) {
+        cells(self.from.y, self.to.y, self.last_row)
     }
 
     /// First and last column of all that it touches.
@@ -55,29 +52,24 @@ impl Segment {
         cells(low, high, self.last_column)
     }
 
-    /// All cells that it touches, row by row: in each the columns between where
-    /// it enters and where it leaves.
-    pub(crate) fn runs(self) -> impl Iterator<Item = Run> {
-        let Self { from, to, .. } = self;
-        let (low, high) = (from.x.min(to.x), from.x.max(to.x));
+    /// The first and last column that it touches in some of its rows, given first
+    /// to last: between where it enters and where it leaves them.
+    pub(crate) fn columns_in(&self) -> impl Fn((usize, usize)) -> (usize, usize) {
+        let Self { from, to, .. } = *self;
         let rise = to.y - from.y;
-        // Within a touch of one height it may be anywhere along x in its rows.
-        let columns_per_row = if rise > TOUCH {
-            (to.x - from.x) / rise
-        } else {
-            0.0
-        };
-        let level = rise <= TOUCH;
+        let is_level = rise <= TOUCH;
+        let columns_per_row = (to.x - from.x) / rise;
+        let (all, last_column) = (self.columns(), self.last_column);
         let x_at = move |y: f64| from.x + (y.max(from.y).min(to.y) - from.y) * columns_per_row;
-        self.rows().map(move |row| {
-            let (enter, leave) = if level {
-                (low, high)
-            } else {
-                (x_at(row as f64 - TOUCH), x_at(row as f64 + 1.0 + TOUCH))
-            };
-            let (first, last) = cells(enter.min(leave), enter.max(leave), self.last_column);
-            Run { row, first, last }
-        })
+        move |(first, last)| {
+            // Within a touch of one height it may be anywhere along x.
+            if is_level {
+                return all;
+            }
+            let enter = x_at(first as f64 - TOUCH);
+            let leave = x_at(last as f64 + 1.0 + TOUCH);
+            cells(enter.min(leave), enter.max(leave), last_column)
+        }
     }
 }
 

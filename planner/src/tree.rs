@@ -4,8 +4,37 @@ use shm_config::config::planner::NODES_MAX;
 
 /// Stands for "no node" among indices.
 const NONE: u16 = u16::MAX;
-/// Nodes compared at a time.
-const LANES: usize = 4;
+/// Nodes looked at together: loops over this many become loops of vectors.
+pub(crate) const LANES: usize = 8;
+/// Chunks of a full tree.
+pub(crate) const CHUNKS_MAX: usize = NODES_MAX.div_ceil(LANES);
+
+/// Neighbours by index. Places behind the last node are infinitely far away, so
+/// that whoever passes over all nodes need not end within a chunk.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Chunk {
+    x_m: [f64; LANES],
+    y_m: [f64; LANES],
+    pub(crate) cost_m: [f64; LANES],
+}
+
+impl Chunk {
+    const EMPTY: Self = Self {
+        x_m: [f64::INFINITY; LANES],
+        y_m: [f64::INFINITY; LANES],
+        cost_m: [f64::INFINITY; LANES],
+    };
+
+    /// Squared distances to a point, m².
+    pub(crate) fn squares(&self, point_body: Point) -> [f64; LANES] {
+        let mut squares = [0.0; LANES];
+        for (lane, square) in squares.iter_mut().enumerate() {
+            let (dx_m, dy_m) = (self.x_m[lane] - point_body.x, self.y_m[lane] - point_body.y);
+            *square = dx_m * dx_m + dy_m * dy_m;
+        }
+        squares
+    }
+}
 
 /// One node of the tree.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,9 +51,7 @@ pub struct Node {
 /// index from the iteration that made it on.
 #[derive(Debug, Default)]
 pub struct Tree {
-    x_m: heapless::Vec<f64, NODES_MAX>,
-    y_m: heapless::Vec<f64, NODES_MAX>,
-    cost_m: heapless::Vec<f64, NODES_MAX>,
+    chunks: heapless::Vec<Chunk, CHUNKS_MAX>,
     links: heapless::Vec<Links, NODES_MAX>,
 }
 
@@ -62,7 +89,7 @@ impl Tree {
         Some(Node {
             point_body: self.point(index),
             parent: (links.parent != NONE).then_some(links.parent as usize),
-            cost_m: self.cost_m[index],
+            cost_m: self.cost_m(index),
         })
     }
 
@@ -80,11 +107,21 @@ impl Tree {
     }
 
     pub(crate) fn point(&self, index: usize) -> Point {
-        Point::new(self.x_m[index], self.y_m[index])
+        let (chunk, lane) = (&self.chunks[index / LANES], index % LANES);
+        Point::new(chunk.x_m[lane], chunk.y_m[lane])
     }
 
     pub(crate) fn cost_m(&self, index: usize) -> f64 {
-        self.cost_m[index]
+        self.chunks[index / LANES].cost_m[index % LANES]
+    }
+
+    fn set_cost_m(&mut self, index: usize, cost_m: f64) {
+        self.chunks[index / LANES].cost_m[index % LANES] = cost_m;
+    }
+
+    /// All nodes, chunk by chunk.
+    pub(crate) fn chunks(&self) -> &[Chunk] {
+        &self.chunks
     }
 
     /// Writes the squared distance of each node to a point, m², into the
@@ -92,62 +129,25 @@ impl Tree {
     pub(crate) fn write_squares<'a>(
         &self,
         point_body: Point,
-        squares: &'a mut [f64; NODES_MAX],
+        squares: &'a mut [[f64; LANES]; CHUNKS_MAX],
     ) -> &'a [f64] {
-        // Three slices of one length: the loop becomes one of vectors.
-        let squares = &mut squares[..self.len()];
-        let (x_m, y_m) = (&self.x_m[..squares.len()], &self.y_m[..squares.len()]);
-        for (index, square) in squares.iter_mut().enumerate() {
-            let (dx_m, dy_m) = (x_m[index] - point_body.x, y_m[index] - point_body.y);
-            *square = dx_m * dx_m + dy_m * dy_m;
+        for (squares, chunk) in squares.iter_mut().zip(&self.chunks) {
+            *squares = chunk.squares(point_body);
         }
-        squares
+        &squares.as_flattened()[..self.len()]
     }
 
     /// The nearest node and its squared distance, m²; of equals the first.
     pub(crate) fn nearest(&self, point_body: Point) -> (usize, f64) {
-        // Lanes make the loop one of vectors; a single running minimum is a
-        // chain of dependent comparisons.
-        let Point { coords } = point_body;
-        let (x_lanes, x_rest) = self.x_m.as_chunks::<LANES>();
-        let (y_lanes, y_rest) = self.y_m.as_chunks::<LANES>();
-        let mut least = [f64::INFINITY; LANES];
-        // Counts chunks; of the same width as the distances, so that both are
-        // selected by one comparison.
-        let mut at = [0.0; LANES];
-        for (chunk, (x_m, y_m)) in x_lanes.iter().zip(y_lanes).enumerate() {
-            let chunk = chunk as f64;
-            for lane in 0..LANES {
-                let (dx_m, dy_m) = (x_m[lane] - coords.x, y_m[lane] - coords.y);
-                let square = dx_m * dx_m + dy_m * dy_m;
-                let nearer = square < least[lane];
-                least[lane] = if nearer { square } else { least[lane] };
-                at[lane] = if nearer { chunk } else { at[lane] };
-            }
-        }
-        let mut best = (0, f64::INFINITY);
-        for lane in 0..LANES {
-            let index = at[lane] as usize * LANES + lane;
-            if least[lane] < best.1 || (least[lane] == best.1 && index < best.0) {
-                best = (index, least[lane]);
-            }
-        }
-        let rest = self.len() - x_rest.len();
-        for (offset, (x_m, y_m)) in x_rest.iter().zip(y_rest).enumerate() {
-            let (dx_m, dy_m) = (x_m - coords.x, y_m - coords.y);
-            let square = dx_m * dx_m + dy_m * dy_m;
-            if square < best.1 {
-                best = (rest + offset, square);
-            }
-        }
-        best
+        let (at, square) = least_chunk(self.chunks.iter().map(|chunk| chunk.squares(point_body)));
+        let chunk = self.chunks.get(at);
+        let lane = chunk.map_or(0, |chunk| lane_of(&chunk.squares(point_body), square));
+        (at * LANES + lane, square)
     }
 
     /// Only the start is left, at this point.
     pub(crate) fn restart(&mut self, start_body: Point) {
-        self.x_m.clear();
-        self.y_m.clear();
-        self.cost_m.clear();
+        self.chunks.clear();
         self.links.clear();
         self.add(start_body, 0.0, 0.0, NONE);
     }
@@ -155,7 +155,7 @@ impl Tree {
     /// A new node; its index, or `None` when the tree is full.
     pub(crate) fn push(&mut self, point_body: Point, edge: Edge) -> Option<usize> {
         let index = self.len();
-        let cost_m = self.cost_m[edge.parent] + edge.length_m;
+        let cost_m = self.cost_m(edge.parent) + edge.length_m;
         if !self.add(point_body, cost_m, edge.length_m, NONE) {
             return None;
         }
@@ -170,10 +170,17 @@ impl Tree {
             next_sibling: NONE,
             edge_m,
         };
-        self.x_m.push(point_body.x).is_ok()
-            && self.y_m.push(point_body.y).is_ok()
-            && self.cost_m.push(cost_m).is_ok()
-            && self.links.push(links).is_ok()
+        let lane = self.len() % LANES;
+        if self.links.push(links).is_err() || (lane == 0 && self.chunks.push(Chunk::EMPTY).is_err())
+        {
+            return false;
+        }
+        if let Some(chunk) = self.chunks.last_mut() {
+            chunk.x_m[lane] = point_body.x;
+            chunk.y_m[lane] = point_body.y;
+            chunk.cost_m[lane] = cost_m;
+        }
+        true
     }
 
     /// Makes a node the first child of a parent.
@@ -213,7 +220,7 @@ impl Tree {
         let mut at = top;
         loop {
             let links = self.links[at];
-            self.cost_m[at] = self.cost_m[links.parent as usize] + links.edge_m;
+            self.set_cost_m(at, self.cost_m(links.parent as usize) + links.edge_m);
             if links.first_child != NONE {
                 at = links.first_child as usize;
                 continue;
@@ -227,4 +234,29 @@ impl Tree {
             at = self.links[at].next_sibling as usize;
         }
     }
+}
+
+/// The chunk with the least of all numbers, and that number; of equals the
+/// first. Infinity in chunk 0 when there is none.
+///
+/// The least of each chunk first: a single running minimum would be a chain of
+/// dependent comparisons.
+#[inline]
+pub(crate) fn least_chunk(chunks: impl Iterator<Item = [f64; LANES]>) -> (usize, f64) {
+    let less = |a: f64, b: f64| if a < b { a } else { b };
+    let (mut at, mut least) = (0, f64::INFINITY);
+    for (index, [a, b, c, d, e, f, g, h]) in chunks.enumerate() {
+        let (ae, bf, cg, dh) = (less(a, e), less(b, f), less(c, g), less(d, h));
+        let own = less(less(ae, cg), less(bf, dh));
+        let is_less = own < least;
+        at = if is_less { index } else { at };
+        least = if is_less { own } else { least };
+    }
+    (at, least)
+}
+
+/// The first place of a number in a chunk; the first of all when it is not there.
+pub(crate) fn lane_of(chunk: &[f64; LANES], number: f64) -> usize {
+    let lane = chunk.iter().position(|&other| other == number);
+    lane.unwrap_or(0)
 }

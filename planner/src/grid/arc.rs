@@ -79,10 +79,9 @@ impl Grid {
         let (last_column, last_row) = (self.columns - 1, self.rows() - 1);
         let (low, high) = quarter.corners();
         let around = Segment::new(low, high, last_column, last_row);
-        self.is_rectangle_free(&around)
-            || around
-                .rows()
-                .all(|row| !self.any(quarter.run(row, last_column)))
+        let (first, last) = around.rows();
+        self.is_rectangle_free((first, last), around.columns())
+            || (first..=last).all(|row| !self.any(quarter.run(row, last_column)))
     }
 
     /// The single cell of a point in cells, as a run.

@@ -1,7 +1,7 @@
 use shm_config::message::Observation;
 use vehicle::Point;
 
-use super::{Grid, STARTS_MAX, WORD, from_column, to_column};
+use super::{Grid, STARTS_MAX};
 use crate::centre_line::CentreLine;
 use crate::corridor::Corridor;
 
@@ -138,16 +138,8 @@ impl Grid {
 
     /// Frees the columns `first..=last` of a row of the grid.
     fn clear(&mut self, row: usize, first: usize, last: usize) {
-        let start = row * self.words_per_row;
-        let (from_first, to_last) = (from_column(first), to_column(last));
-        match &mut self.words[start + first / WORD..=start + last / WORD] {
-            [] => {}
-            [word] => *word &= !(from_first & to_last),
-            [head, middle @ .., tail] => {
-                *head &= !from_first;
-                middle.fill(0);
-                *tail &= !to_last;
-            }
+        for (start, mask) in self.words_of(first, last) {
+            self.words[start + row] &= !mask;
         }
     }
 }

@@ -6,7 +6,7 @@ use vehicle::{Point, Pose, Vector};
 use super::body::Body;
 use crate::dubins::Dubins;
 use crate::grid::Grid;
-use crate::tree::{Edge, Tree};
+use crate::tree::{CHUNKS_MAX, Edge, LANES, Tree};
 
 /// A curve shorter than this leads nowhere, m.
 const SAME_M: f64 = 1e-6;
@@ -55,7 +55,7 @@ pub(super) struct Search {
     /// The node at the goal, once there is one.
     pub(super) goal: Option<usize>,
     candidates: heapless::Vec<Candidate, NODES_MAX>,
-    squares: [f64; NODES_MAX],
+    squares: [[f64; LANES]; CHUNKS_MAX],
 }
 
 impl Search {
@@ -66,7 +66,7 @@ impl Search {
             headings_rad: heapless::Vec::new(),
             goal: None,
             candidates: heapless::Vec::new(),
-            squares: [0.0; NODES_MAX],
+            squares: [[0.0; LANES]; CHUNKS_MAX],
         }
     }
 
@@ -225,7 +225,7 @@ impl Search {
         for at in 0..self.candidates.len() {
             let other = self.candidates[at].index;
             let turn_rad = self.headings_rad[other] - self.headings_rad[index];
-            let square = self.squares[other];
+            let square = self.squares.as_flattened()[other];
             let least_m = cost_m + Self::least_m(square, turn_rad, question.radius_m);
             if least_m < self.tree.cost_m(other) - EQUAL_M {
                 self.hang_if_cheaper(grid, question, (index, &from), other);

@@ -73,8 +73,21 @@ struct Memory {
     header: Header,
     ego: EgoFilter,
     path_world: heapless::Vec<Point, { lattice::STATIONS + 1 }>,
-    /// The answer that is followed when there is none, and how much of it was.
+    /// What the solver answered last; nothing when it never did.
     actions: heapless::Vec<PlannedAction, PLANNED_MAX>,
+    /// When what that answer was for was seen.
+    answered_ns: u64,
+}
+
+impl Memory {
+    /// What of the last answer is still to come: by the time that has passed,
+    /// whatever number of plans there were in it.
+    fn actions_left(&self, now_ns: u64, step_s: f64) -> &[PlannedAction] {
+        let passed_s = now_ns.saturating_sub(self.answered_ns) as f64 * 1e-9;
+        // As `Plan::action_at` counts.
+        let passed = (passed_s / step_s + 1e-6) as usize;
+        self.actions.get(passed..).unwrap_or_default()
+    }
 }
 
 impl Mpc {
@@ -284,10 +297,9 @@ impl Mpc {
     fn answer(&self, ego: &EgoFilter, line: &Line, solution: Option<Solution>, out: &mut Plan) {
         out.action_step_s = self.settings.step_s;
         let Some(solution) = solution else {
-            let left = self
-                .memory
-                .as_ref()
-                .map_or(&[][..], |memory| &memory.actions[1..]);
+            let left = self.memory.as_ref().map_or(&[][..], |memory| {
+                memory.actions_left(out.header.taken_ns, out.action_step_s)
+            });
             for (action, &kept) in out.actions.iter_mut().zip(left) {
                 *action = kept;
             }
@@ -345,6 +357,14 @@ impl Mpc {
         out: &Plan,
     ) {
         let world_from_body = world_from_body(observation);
+        let (actions, answered_ns) = match self.memory.take() {
+            _ if self.problem.effort().is_solved => (
+                out.actions().iter().copied().collect(),
+                observation.header.taken_ns,
+            ),
+            Some(memory) => (memory.actions, memory.answered_ns),
+            None => Default::default(),
+        };
         self.memory = Some(Memory {
             header: observation.header,
             ego,
@@ -352,7 +372,8 @@ impl Mpc {
                 .places()
                 .map(|place| world_from_body * line.point_body(place))
                 .collect(),
-            actions: out.actions().iter().copied().collect(),
+            actions,
+            answered_ns,
         });
     }
 }

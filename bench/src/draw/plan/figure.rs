@@ -1,7 +1,7 @@
 //! The figure of a plan, in the body frame: x forward to the right, y left
 //! upwards, metres.
 
-use planner::{Grid, Tree};
+use planner::Grid;
 use shm_config::message::{Observation, Plan};
 use svg::Document;
 use svg::node::element::{
@@ -11,7 +11,7 @@ use vehicle::{Point, Pose, Vehicle, pose};
 
 use super::axes::{axes, colour_bar};
 use super::view::{AXIS_PX, LEFT_PX, RIGHT_PX, View, WIDTH_PX};
-use super::{Planned, cells};
+use super::{Planned, branches, cells};
 use crate::draw::canvas::{HEAD_PX, px};
 use crate::draw::frame::{self, ROW_PX, Symbol, key, legend, star};
 use crate::draw::palette;
@@ -19,8 +19,6 @@ use crate::seat::DriverKind;
 
 /// From one predicted footprint to the next, m: they overlap, yet each is seen.
 const FOOTPRINTS_M: f64 = 1.5;
-/// Colours of the tree: edges of nearly the same cost share one path.
-const SHADES: usize = 24;
 
 /// The whole picture.
 pub(super) fn svg(planned: &Planned) -> String {
@@ -36,7 +34,7 @@ pub(super) fn svg(planned: &Planned) -> String {
     own.fill(observation);
     let grid = planner.grid().unwrap_or(&own);
     let tree = match plan.actions().is_empty() {
-        true => planner.tree(),
+        true => branches::of(planner),
         false => None,
     };
     let view = View::of(grid, plan);
@@ -49,9 +47,9 @@ pub(super) fn svg(planned: &Planned) -> String {
     let mut around = frame::head(&planned.title, &facts(planned))
         .add(axes(&view))
         .add(keys(planned, &view));
-    if let Some(tree) = tree {
-        let greatest_m = greatest_cost_m(tree);
-        ground = ground.add(branches(&view, tree, greatest_m));
+    if let Some(tree) = &tree {
+        let greatest_m = branches::greatest_cost_m(tree);
+        ground = ground.add(branches::draw(&view, tree, greatest_m));
         around = around.add(colour_bar(&view, greatest_m));
     }
     ground = ground.add(returns(&view, observation));
@@ -202,40 +200,12 @@ fn returns(view: &View, observation: &Observation) -> Group {
     group
 }
 
-fn disc([x, y]: [f64; 2], radius_px: f64) -> Circle {
+/// A disc by its middle and radius, px.
+pub(super) fn disc([x, y]: [f64; 2], radius_px: f64) -> Circle {
     Circle::new()
         .set("cx", px(x))
         .set("cy", px(y))
         .set("r", px(radius_px))
-}
-
-fn greatest_cost_m(tree: &Tree) -> f64 {
-    let costs = tree.nodes().map(|node| node.cost_m);
-    costs.fold(f64::MIN_POSITIVE, f64::max)
-}
-
-/// The tree: edges and nodes by cost-to-come.
-fn branches(view: &View, tree: &Tree, greatest_m: f64) -> Group {
-    let mut shades = vec![String::new(); SHADES];
-    let mut nodes = Group::new();
-    for node in tree.nodes() {
-        let share = node.cost_m / greatest_m;
-        let parent = node.parent.and_then(|index| tree.node(index));
-        if let Some(parent) = parent {
-            let shade = ((share * SHADES as f64) as usize).min(SHADES - 1);
-            shades[shade] += &view.data(&[parent.point_body, node.point_body], "");
-        }
-        let color = palette::cost(share);
-        nodes = nodes.add(disc(view.at(node.point_body), 3.0).set("fill", color));
-    }
-    let mut group = Group::new().set("fill", "none").set("stroke-width", 1.8);
-    for (shade, data) in shades.into_iter().enumerate() {
-        if !data.is_empty() {
-            let color = palette::cost((shade as f64 + 0.5) / SHADES as f64);
-            group = group.add(Path::new().set("d", data).set("stroke", color));
-        }
-    }
-    Group::new().add(group).add(nodes)
 }
 
 fn keys(planned: &Planned, view: &View) -> Group {

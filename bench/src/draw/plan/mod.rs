@@ -1,6 +1,7 @@
 //! One plan, as in the paper's Figure 3: grid, tree, path, goal.
 
 mod axes;
+mod branches;
 mod cells;
 mod figure;
 mod source;
@@ -42,6 +43,7 @@ pub fn plan(arguments: &DrawPlan, clock: Clock) -> anyhow::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use shm_config::config::planner::Method;
     use shm_config::message::{PlanOutcome, Waypoint};
 
     use super::*;
@@ -75,6 +77,28 @@ mod tests {
             observation: scene.observation,
             plan,
         }
+    }
+
+    #[test]
+    fn a_tree_over_poses_is_drawn_with_its_curves() {
+        let scene = scene::checked_in().expect("the scenes").swap_remove(174);
+        let mut config = Config::default();
+        config.planner.method = Method::Kinodynamic;
+        let mut planner = Planner::new(&config).expect("the planner");
+        let mut plan = Box::<Plan>::default();
+        planner.plan(&scene.observation, &mut plan);
+        assert!(plan.nodes > 1, "a tree");
+        let branches = branches::of(&planner).expect("a tree");
+        assert_eq!(branches.len(), plan.nodes as usize);
+        let text = figure::svg(&Planned {
+            title: "A tree".into(),
+            name: "tree".into(),
+            config,
+            planner,
+            observation: scene.observation,
+            plan,
+        });
+        assert!(text.contains("cost-to-come"), "the scale of its costs");
     }
 
     #[test]
