@@ -3,7 +3,11 @@
 pub mod adam;
 pub mod algorithm;
 pub mod assembler;
+pub mod checkpoint;
 pub mod elsewhere;
+pub mod export;
+pub mod features;
+pub mod imagine;
 pub mod journal;
 mod matrix;
 pub mod network;

@@ -99,6 +99,11 @@ impl Network {
         self.layers[self.layers.len() - 1].outputs
     }
 
+    /// What the last layer ends with.
+    pub fn head(&self) -> Head {
+        self.head
+    }
+
     /// All weights and biases, layer after layer.
     pub fn parameters(&self) -> &[f32] {
         &self.parameters

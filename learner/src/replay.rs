@@ -8,6 +8,8 @@
 use rand::{Rng, RngExt};
 use shm_config::message::FEATURES;
 
+use crate::features;
+
 /// Numbers of an action: steering, pedal.
 pub const ACTIONS: usize = 2;
 
@@ -88,7 +90,25 @@ pub struct Replay {
     counts: [u64; 3],
 }
 
-/// Transitions drawn for one update; rows one after the other.
+/// How a transition is looked at: driving is the same in a mirror, which doubles
+/// what there is to learn from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seen {
+    Plainly,
+    Mirrored,
+}
+
+impl Seen {
+    fn draw(random: &mut impl Rng) -> Seen {
+        match random.random() {
+            true => Seen::Mirrored,
+            false => Seen::Plainly,
+        }
+    }
+}
+
+/// Transitions drawn for one update, each as it was or in the mirror; rows one
+/// after the other, states as the networks get them ([`features::prepare`]).
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
     /// `batch x FEATURES`.
@@ -131,12 +151,28 @@ impl Batch {
         self.is_known.clear();
     }
 
-    fn push(&mut self, transition: &Transition) {
-        self.states.extend_from_slice(&transition.state);
-        self.nexts.extend_from_slice(&transition.next);
-        self.applied.extend_from_slice(&transition.applied);
-        self.policy.extend_from_slice(&transition.policy);
-        self.expert.extend_from_slice(&transition.expert);
+    /// Appends a transition, as it is or in the mirror.
+    fn push(&mut self, transition: &Transition, seen: Seen) {
+        for (states, mut state) in [
+            (&mut self.states, transition.state),
+            (&mut self.nexts, transition.next),
+        ] {
+            if seen == Seen::Mirrored {
+                features::mirror(&mut state);
+            }
+            features::prepare(&mut state);
+            states.extend_from_slice(&state);
+        }
+        for (actions, mut action) in [
+            (&mut self.applied, transition.applied),
+            (&mut self.policy, transition.policy),
+            (&mut self.expert, transition.expert),
+        ] {
+            if seen == Seen::Mirrored {
+                features::mirror_action(&mut action);
+            }
+            actions.extend_from_slice(&action);
+        }
         let one_if = |condition| if condition { 1.0 } else { 0.0 };
         self.is_preferred
             .push(one_if(transition.label == Label::Expert));
@@ -204,7 +240,8 @@ impl Replay {
         for (ring, share) in [(Ring::Expert, expert), (Ring::Learner, size - expert)] {
             let held = &self.rings[ring as usize];
             for _ in 0..share {
-                batch.push(&held[random.random_range(0..held.len())]);
+                let transition = &held[random.random_range(0..held.len())];
+                batch.push(transition, Seen::draw(random));
             }
         }
     }
@@ -222,7 +259,7 @@ impl Replay {
             for &ring in rings {
                 match self.rings[ring as usize].get(k) {
                     Some(transition) => {
-                        batch.push(transition);
+                        batch.push(transition, Seen::draw(random));
                         break;
                     }
                     None => k -= self.len(ring),

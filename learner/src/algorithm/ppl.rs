@@ -10,7 +10,7 @@
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
-use super::regression::imitate;
+use super::regression::{AVERAGED, imitate};
 use super::{Learned, Losses, Size, actor};
 use crate::network::{Network, Tape};
 use crate::replay::{ACTIONS, Batch, Replay, Ring};
@@ -27,6 +27,7 @@ const PREFERENCE_WEIGHT: f32 = 0.1;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Ppl {
     actor: Learned,
+    average: Network,
     size: Size,
     #[serde(skip)]
     room: Room,
@@ -42,8 +43,10 @@ struct Room {
 impl Ppl {
     /// With a fresh actor.
     pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Ppl {
+        let actor = actor(size, rate, random);
         Ppl {
-            actor: actor(size, rate, random),
+            average: actor.network.clone(),
+            actor,
             size,
             room: Room::default(),
         }
@@ -66,6 +69,7 @@ impl Ppl {
         let gradient = Some(&mut self.actor.gradient[..]);
         network.backward(pass, threads, tape, gradient, None);
         self.actor.step();
+        self.average.follow(&self.actor.network, 1.0 / AVERAGED);
         Losses {
             actor: imitation + PREFERENCE_WEIGHT * preference,
             imitation,
@@ -75,7 +79,7 @@ impl Ppl {
 
     /// The policy as it is now.
     pub fn policy(&self) -> &Network {
-        &self.actor.network
+        &self.average
     }
 }
 

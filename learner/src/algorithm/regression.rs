@@ -8,6 +8,13 @@ use super::{Learned, Losses, Size, actor};
 use crate::network::{Network, Tape};
 use crate::replay::{ACTIONS, Batch, Replay, Ring};
 
+/// The policy is the average of the actors of about this many updates: single
+/// ones wobble by more than the car has room beside an obstacle.
+pub(super) const AVERAGED: f32 = 200.0;
+/// An error of the steering counts as much as one of the pedal this many times
+/// as large squared: steering is smaller, and what a crash depends on.
+const STEER_WEIGHT: f32 = 10.0;
+
 /// Which steps are imitated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
@@ -21,6 +28,7 @@ pub enum Source {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Regression {
     actor: Learned,
+    average: Network,
     source: Source,
     size: Size,
     #[serde(skip)]
@@ -37,8 +45,10 @@ struct Room {
 impl Regression {
     /// With a fresh actor.
     pub fn new(source: Source, size: Size, rate: f32, random: &mut impl Rng) -> Regression {
+        let actor = actor(size, rate, random);
         Regression {
-            actor: actor(size, rate, random),
+            average: actor.network.clone(),
+            actor,
             source,
             size,
             room: Room::default(),
@@ -64,6 +74,7 @@ impl Regression {
         let gradient = Some(&mut self.actor.gradient[..]);
         network.backward(pass, threads, tape, gradient, None);
         self.actor.step();
+        self.average.follow(&self.actor.network, 1.0 / AVERAGED);
         Losses {
             actor: imitation,
             imitation,
@@ -73,19 +84,24 @@ impl Regression {
 
     /// The policy as it is now.
     pub fn policy(&self) -> &Network {
-        &self.actor.network
+        &self.average
     }
 }
 
-/// Eq. 1: the mean over the batch of the squared distance, and its gradient.
+/// Eq. 1 with a weight for the steering: the mean over the batch of the squared
+/// distance, and its gradient.
 pub(super) fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
     let batch = (actions.len() / ACTIONS) as f32;
     delta.clear();
     let mut loss = 0.0;
-    for (action, expert) in actions.iter().zip(expert) {
+    for (k, (action, expert)) in actions.iter().zip(expert).enumerate() {
+        let weight = match k % ACTIONS {
+            0 => STEER_WEIGHT / batch,
+            _ => 1.0 / batch,
+        };
         let error = action - expert;
-        loss += error * error / batch;
-        delta.push(2.0 * error / batch);
+        loss += weight * error * error;
+        delta.push(2.0 * weight * error);
     }
     loss
 }

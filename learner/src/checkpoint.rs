@@ -1,0 +1,80 @@
+//! What a learner knows, on disk: written whole or not at all.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use rand_xoshiro::Xoshiro256PlusPlus;
+use serde::{Deserialize, Serialize};
+
+use crate::algorithm::Student;
+
+/// First bytes of the file: name and version of the format.
+const MAGIC: &[u8; 8] = b"VLLRNR01";
+
+/// Everything but the replay, which is in the journal.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// The algorithm's name, as configured.
+    pub algorithm: String,
+    /// Networks and optimisers.
+    pub student: Student,
+    /// State of the random numbers.
+    pub random: Xoshiro256PlusPlus,
+    /// Steps considered when the last block ended.
+    pub steps: u64,
+    /// Updates made.
+    pub updates: u64,
+    /// Blocks ended.
+    pub blocks: u64,
+}
+
+impl Checkpoint {
+    /// Writes the file, in place of the one before.
+    ///
+    /// # Errors
+    /// When it cannot be written; the one before stays.
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        let body = postcard::to_stdvec(self).map_err(io::Error::other)?;
+        let mut bytes = Vec::with_capacity(MAGIC.len() + 4 + body.len());
+        bytes.extend_from_slice(MAGIC);
+        bytes.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
+        bytes.extend_from_slice(&body);
+        write_whole(path, &bytes)
+    }
+
+    /// Reads the file; `None` when there is none.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is damaged or of another version.
+    pub fn read(path: &Path) -> io::Result<Option<Checkpoint>> {
+        let bytes = match fs::read(path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let damaged = || {
+            let what = "is damaged or of another version; move it away to begin anew";
+            io::Error::new(io::ErrorKind::InvalidData, what)
+        };
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(damaged)?;
+        let (sum, body) = rest.split_at_checked(4).ok_or_else(damaged)?;
+        if crc32fast::hash(body).to_le_bytes() != sum {
+            return Err(damaged());
+        }
+        postcard::from_bytes(body).map(Some).map_err(|_| damaged())
+    }
+}
+
+/// Writes a file that is there whole or not at all, whatever kills the process.
+///
+/// # Errors
+/// When it cannot be written; a file of that name stays as it was.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(folder)?;
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    file.persist(path).map_err(|error| error.error)?;
+    Ok(())
+}

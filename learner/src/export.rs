@@ -1,0 +1,53 @@
+//! A network becomes a policy file.
+
+use policy::{Activation, Layer, Mlp, Provenance, Refusal};
+
+use crate::features::scaling;
+use crate::network::{Head, Network};
+
+/// The runtime's net: it takes the plain features, so the change that the
+/// networks learn with is folded into the first layer.
+///
+/// # Errors
+/// When a number is not finite, or the sizes are not those of a policy.
+pub fn mlp(network: &Network) -> Result<Mlp, Refusal> {
+    let count = network.layers().len();
+    let layers = network.layers().enumerate().map(|(k, layer)| {
+        let (inputs, outputs, weights, bias) = layer;
+        let activation = match (k + 1 == count, network.head()) {
+            (false, _) => Activation::Relu,
+            (true, Head::Tanh) => Activation::Tanh,
+            (true, Head::Linear) => Activation::None,
+        };
+        let (mut weights, mut bias) = (weights.to_vec(), bias.to_vec());
+        if k == 0 {
+            for (row, bias) in weights.chunks_exact_mut(inputs).zip(&mut bias) {
+                for (feature, weight) in row.iter_mut().enumerate() {
+                    let (scale, shift) = scaling(feature);
+                    *bias += *weight * shift;
+                    *weight *= scale;
+                }
+            }
+        }
+        Layer {
+            weights,
+            bias,
+            inputs,
+            outputs,
+            activation,
+        }
+    });
+    Mlp::new(layers.collect())
+}
+
+/// The bytes of a policy file, with these plain features as probes.
+///
+/// # Errors
+/// As [`mlp`].
+pub fn encode(
+    network: &Network,
+    provenance: &Provenance,
+    probes: &[Vec<f32>],
+) -> Result<Vec<u8>, Refusal> {
+    Ok(policy::encode(&mlp(network)?, provenance, probes))
+}
