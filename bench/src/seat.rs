@@ -1,13 +1,13 @@
 //! Who sits at the wheel of an episode.
 
-use clap::ValueEnum;
-use controller::{Controller, Inputs, Intent, PolicySlot};
+use anyhow::Context;
+use controller::{Controller, Inputs, Intent, Policy, PolicySlot, Terms};
 use hdrhistogram::Histogram;
 use planner::Planner;
 use shm_config::Instant;
 use shm_config::config::planner::Method;
-use shm_config::config::{Config, GateMode, OutOfRange};
-use shm_config::message::{Bend, Command, Driver, Header, Observation, Plan, Reason};
+use shm_config::config::{Config, GateMode};
+use shm_config::message::{BEAMS_MAX, Bend, Command, Driver, Header, Observation, Plan, Reason};
 use sim::World;
 use sim::idm::Idm;
 use vehicle::Action;
@@ -27,7 +27,7 @@ const BRAKE: Action = Action {
 };
 
 /// The drivers that can be asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DriverKind {
     /// Planner and controller of this stack, with the judge in the tick; plans
     /// as `planner.method` says.
@@ -44,6 +44,37 @@ pub enum DriverKind {
     Lane,
     /// MetaDrive's driver of the other cars, which sees everything.
     Idm,
+    /// The policy of this file alone: no expert, no judge, no brake beside it.
+    /// The name lives as long as the program, as all of its arguments do.
+    Policy(&'static str),
+}
+
+/// Those with a name of their own.
+const NAMED: [DriverKind; 7] = [
+    DriverKind::Expert,
+    DriverKind::RrtStar,
+    DriverKind::Informed,
+    DriverKind::Kinodynamic,
+    DriverKind::Mpc,
+    DriverKind::Lane,
+    DriverKind::Idm,
+];
+
+impl std::str::FromStr for DriverKind {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<DriverKind, String> {
+        if let Some(named) = NAMED.into_iter().find(|kind| kind.word() == text) {
+            return Ok(named);
+        }
+        if text.ends_with(".onnx") {
+            return Ok(DriverKind::Policy(text.to_string().leak()));
+        }
+        let words = NAMED.map(DriverKind::word).join(", ");
+        Err(format!(
+            "must be {words}, or the name of a policy file, FILE.onnx"
+        ))
+    }
 }
 
 impl DriverKind {
@@ -57,7 +88,16 @@ impl DriverKind {
             DriverKind::Mpc => "mpc",
             DriverKind::Lane => "lane",
             DriverKind::Idm => "idm",
+            DriverKind::Policy(file) => file,
         }
+    }
+
+    /// To be part of a file's name.
+    pub fn file_word(self) -> &'static str {
+        let path = std::path::Path::new(self.word());
+        path.file_stem()
+            .and_then(|stem| stem.to_str())
+            .unwrap_or("policy")
     }
 
     /// The planning method it stands for; none when the configuration says it,
@@ -68,7 +108,7 @@ impl DriverKind {
             DriverKind::Informed => Some(Method::Informed),
             DriverKind::Kinodynamic => Some(Method::Kinodynamic),
             DriverKind::Mpc => Some(Method::Mpc),
-            DriverKind::Expert | DriverKind::Lane | DriverKind::Idm => None,
+            DriverKind::Expert | DriverKind::Lane | DriverKind::Idm | DriverKind::Policy(_) => None,
         }
     }
 
@@ -104,6 +144,13 @@ enum Seated {
     Expert(Box<Stack>),
     Lane,
     Idm(Idm),
+    Policy(Box<Alone>),
+}
+
+/// A policy with nobody beside it, and the room for its features.
+struct Alone {
+    policy: Box<dyn Policy>,
+    features: [f32; 19 + BEAMS_MAX],
 }
 
 /// Planner and controller without their processes.
@@ -119,8 +166,9 @@ impl Seat {
     /// always the expert's, as with `./vlaps up --gate expert`.
     ///
     /// # Errors
-    /// When the planner's configuration is out of range.
-    pub fn new(kind: DriverKind, config: &Config, clock: Clock) -> Result<Seat, OutOfRange> {
+    /// When the planner's configuration is out of range, or the policy's file is
+    /// refused.
+    pub fn new(kind: DriverKind, config: &Config, clock: Clock) -> anyhow::Result<Seat> {
         let mut config = kind.configure(config);
         config.gate.mode = GateMode::Expert;
         // Nothing may depend on how fast this machine is now.
@@ -138,6 +186,19 @@ impl Seat {
             })),
             DriverKind::Lane => Seated::Lane,
             DriverKind::Idm => Seated::Idm(Idm::new(0, 0)),
+            DriverKind::Policy(file) => {
+                let bytes = std::fs::read(file).with_context(|| file.to_string())?;
+                let terms = Terms {
+                    config: &config,
+                    version: 1,
+                    clock,
+                };
+                let policy = controller::build(&bytes, &terms).with_context(|| file.to_string())?;
+                Seated::Policy(Box::new(Alone {
+                    policy,
+                    features: [0.0; 19 + BEAMS_MAX],
+                }))
+            }
         };
         Ok(Seat {
             config,
@@ -155,7 +216,7 @@ impl Seat {
                 stack.controller = Controller::new(self.config.clone(), PolicySlot::new(None));
                 stack.planner.forget();
             }
-            Seated::Lane => {}
+            Seated::Lane | Seated::Policy(_) => {}
             Seated::Idm(idm) => {
                 *idm = Idm::new((seed.wrapping_mul(31) % LANE_CHANGE_STEPS) as u32, seed);
             }
@@ -197,6 +258,10 @@ impl Seat {
             }
             Seated::Lane => scripted(keep_lane(observation)),
             Seated::Idm(idm) => scripted(advise(idm)),
+            Seated::Policy(alone) => Command {
+                driver: Driver::Policy.code(),
+                ..scripted(alone.action(observation))
+            },
         }
     }
 
@@ -204,7 +269,7 @@ impl Seat {
     pub fn plan(&self) -> Option<&Plan> {
         match &self.driver {
             Seated::Expert(stack) => Some(&stack.plan),
-            Seated::Lane | Seated::Idm(_) => None,
+            Seated::Lane | Seated::Idm(_) | Seated::Policy(_) => None,
         }
     }
 
@@ -219,6 +284,16 @@ pub fn planning_histogram() -> Histogram<u64> {
     // The bounds are constants that the library accepts; a test would not start
     // otherwise.
     Histogram::new_with_bounds(1, PLANNING_MAX_US, 3).expect("valid bounds")
+}
+
+impl Alone {
+    /// The policy's action, clamped; the brake where it has none.
+    fn action(&mut self, observation: &Observation) -> Action {
+        let features = observation.features(&mut self.features);
+        let action = features.and_then(|features| self.policy.infer(features));
+        let action = action.filter(|action| action.is_finite());
+        action.map_or(BRAKE, |action| action.clamped())
+    }
 }
 
 impl Stack {

@@ -3,7 +3,12 @@
 //! [`Controller::tick`] is the hot path, on one screen: admit, propose twice,
 //! judge, choose, clamp, record. It always answers, and it neither allocates,
 //! locks, logs nor reads a clock. `main.rs` gives it messages and the time.
+//!
+//! New weights are checked, built and warmed by the [`Loader`] in a thread of its
+//! own, change hands over an [`Exchange`], and are tried and turned between two
+//! ticks ([`Controller::try_policies`]).
 
+mod between;
 mod choose;
 mod pd;
 mod policy;
@@ -12,6 +17,9 @@ mod tick;
 
 pub use choose::{Choice, Intent, Standing, choose};
 pub use pd::Pd;
-pub use policy::{Policy, PolicySlot};
+pub use policy::{
+    Begin, Exchange, Fault, Hand, Loader, Look, NativePolicy, News, Offer, OrtPolicy, OrtSession,
+    Policy, PolicySlot, Terms, Turn, build, library,
+};
 pub use slots::{Slot, Slots};
 pub use tick::{Controller, Inputs};

@@ -1,5 +1,7 @@
 //! The controller process: a command for every tick, whatever happens.
 
+mod handover;
+
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -11,6 +13,8 @@ use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
 use shm_config::{Instant, PlanTurns, config::Config};
+
+use handover::Handover;
 
 /// Answers every observation with a command, and records who drove and why
 #[derive(Parser)]
@@ -193,6 +197,8 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut ports = Ports::open(&member)?;
     let mut pulse = Pulse::start(&member)?;
     let mut controller = Controller::new(member.config.clone(), PolicySlot::new(None));
+    let mut handover = Handover::open(&member, handover::start(&member)?)?;
+    handover.begin(&mut controller, &member, &mut pulse)?;
     let mut waiting = Waiting::new(&member.config);
     member.claim_rights();
     pulse.set_rights(&member.rights);
@@ -209,6 +215,7 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
         }
         pulse.beat(now);
         ports.tend();
+        handover.look(&mut controller);
         // Nobody is left to brake when no world has spoken for so long.
         let alone = now.since_ns(seen) > blind_ns;
         if stop_until.is_some_and(|until| now >= until || alone) {
@@ -235,6 +242,8 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
         if intent == Intent::Stop && stands {
             break;
         }
+        handover.after_tick(&mut controller);
+        handover.await_learner(&mut controller, &member, &mut pulse, &ports.bell);
     }
     pulse.enter(HealthState::Finished, monotonic());
     Ok(())

@@ -19,14 +19,14 @@ pub struct Inputs {
 
 /// The controller without its ports: inputs in, step out.
 pub struct Controller {
-    config: Config,
+    pub(crate) config: Config,
     pd: Pd,
-    policy: PolicySlot,
+    pub(crate) policy: PolicySlot,
     has_observation: bool,
     has_plan: bool,
     has_advice: bool,
     /// The record of the last tick; also holds the last admitted inputs.
-    step: Step,
+    pub(crate) step: Step,
 }
 
 impl Controller {
@@ -121,8 +121,12 @@ impl Controller {
         }
     }
 
-    /// The judge in the tick, on both proposals.
-    fn judge(&self, sees: bool, proposals: [Option<Action>; 2]) -> [Assessment; 2] {
+    /// The judge in the tick, on these proposals.
+    pub(crate) fn judge<const N: usize>(
+        &self,
+        sees: bool,
+        proposals: [Option<Action>; N],
+    ) -> [Assessment; N] {
         if !sees {
             return proposals.map(|_| Assessment::default());
         }

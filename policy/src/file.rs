@@ -35,8 +35,13 @@ pub struct PolicyFile {
 /// What is to be run.
 #[derive(Debug, Clone)]
 pub enum Net {
-    /// A chain of layers: the native runtime runs it.
-    Mlp(Box<Mlp>),
+    /// A chain of layers: the native runtime runs it, and ONNX Runtime could.
+    Mlp {
+        /// For the native runtime.
+        mlp: Box<Mlp>,
+        /// For ONNX Runtime.
+        names: Names,
+    },
     /// Another graph of allowed operators: only ONNX Runtime runs it.
     Graph(Names),
 }
@@ -127,7 +132,10 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
         Some(layers) => {
             let mut mlp = Mlp::new(layers)?;
             check_answers(&probes, tolerance, |features| mlp.infer(features))?;
-            Net::Mlp(Box::new(mlp))
+            Net::Mlp {
+                mlp: Box::new(mlp),
+                names: names(graph),
+            }
         }
         None => Net::Graph(names(graph)),
     };

@@ -91,6 +91,17 @@ pub enum Refusal {
         /// What would be let pass.
         tolerance: f32,
     },
+    /// Takes too long for a tick.
+    #[error(
+        "too slow: half of the answers in the warm-up took {median_us:.0} us or more, \
+         policy.inference_max_us is {limit_us:.0}"
+    )]
+    TooSlow {
+        /// Median of the warm-up, us.
+        median_us: f64,
+        /// The limit, us.
+        limit_us: f64,
+    },
     /// Valid, but no back end here can run it.
     #[error("{0}")]
     NoBackEnd(String),

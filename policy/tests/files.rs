@@ -20,7 +20,7 @@ fn what_is_written_is_read_again() {
     assert_eq!((provenance.seed, provenance.steps), (7, 1000));
     assert_eq!(file.probes.len(), 2);
     assert_eq!(file.sha256, sha256(&bytes));
-    let Net::Mlp(mut read) = file.net else {
+    let Net::Mlp { mlp: mut read, .. } = file.net else {
         panic!("a chain of layers");
     };
     let mut written = net(32, 7);
@@ -151,7 +151,7 @@ fn files_made_by_pytorch_are_taken() {
     ] {
         let file = decode(bytes).unwrap_or_else(|refusal| panic!("{name}: {refusal}"));
         assert_eq!(file.provenance, None, "{name}: a plain file");
-        let Net::Mlp(mut mlp) = file.net else {
+        let Net::Mlp { mut mlp, .. } = file.net else {
             panic!("{name}: the native runtime takes it");
         };
         // As `data/export.py` printed them.
@@ -219,7 +219,7 @@ struct PolicyAnswer([f32; 2]);
 /// What lets itself be read must let itself be run.
 fn answer(bytes: &[u8]) -> Result<PolicyAnswer, Refusal> {
     match decode(bytes)?.net {
-        Net::Mlp(mut mlp) => Ok(PolicyAnswer(mlp.infer(&[0.5; 259]))),
+        Net::Mlp { mut mlp, .. } => Ok(PolicyAnswer(mlp.infer(&[0.5; 259]))),
         Net::Graph(_) => Ok(PolicyAnswer([0.0; 2])),
     }
 }

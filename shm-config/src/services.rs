@@ -8,7 +8,8 @@
 //! | `step` | controller | gate, learner, supervisor | the record of one tick; a queue |
 //! | `advice` | gate | controller | who should drive, until when |
 //! | `frame` | world | gate | a picture of the scene, on demand |
-//! | `weights` | learner | controller | a policy file offered for adoption |
+//! | `weights` | learner, `swap` | controller | a policy file offered for adoption; wakes nobody: a thread beside the tick looks for it |
+//! | `learning` | learner | controller | how far the learner is |
 //! | `policy_status` | controller | learner, supervisor | what became of it |
 //! | `progress` | world | supervisor | how the episode goes |
 //! | `episode` | world | supervisor | how an episode ended; a queue |
@@ -18,8 +19,8 @@
 use std::marker::PhantomData;
 
 use crate::message::{
-    Advice, Command, Episode, Frame, Health, Observation, Plan, PolicyStatus, Progress, Step,
-    Timing, Weights,
+    Advice, Command, Episode, Frame, Health, Learning, Observation, Plan, PolicyStatus, Progress,
+    Step, Timing, Weights,
 };
 
 crate::word_list! {
@@ -125,9 +126,12 @@ pub const STEP: Service<Step> = Service::custom(
 pub const ADVICE: Service<Advice> = Service::custom("advice", P::Gate, &[P::Controller], Latest);
 /// A picture of the scene.
 pub const FRAME: Service<Frame> = Service::custom("frame", P::World, &[P::Gate], Latest);
-/// A policy file offered for adoption.
-pub const WEIGHTS: Service<Weights> =
-    Service::custom("weights", P::Learner, &[P::Controller], Latest);
+/// A policy file offered for adoption. No bell rings: it would wake the tick's
+/// thread, and the loader beside it looks every few milliseconds.
+pub const WEIGHTS: Service<Weights> = Service::custom("weights", P::Learner, &[], Latest);
+/// How far the learner is.
+pub const LEARNING: Service<Learning> =
+    Service::custom("learning", P::Learner, &[P::Controller], Latest);
 /// What became of an offered policy.
 pub const POLICY_STATUS: Service<PolicyStatus> =
     Service::custom("policy_status", P::Controller, &[P::Learner], Latest);

@@ -14,7 +14,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
-use crate::message::Message;
+use crate::message::{Header, Message, WEIGHTS_BYTES_MAX, Weights};
 use crate::run::{LIBRARY_DIR, RunError, RunLock, RunName, RunPaths};
 use crate::services::{Process, Service};
 
@@ -350,6 +350,47 @@ impl<M: Message> Publisher<M> {
     }
 }
 
+impl Publisher<Weights> {
+    /// Publishes a policy file, written where it will be read: 8 MB do not
+    /// belong on a stack. Returns whether it went out; it does not when it is
+    /// over [`WEIGHTS_BYTES_MAX`] or shared memory is exhausted.
+    pub fn offer(&mut self, version: u64, sha256: [u8; 32], file: &[u8]) -> bool {
+        if file.len() > WEIGHTS_BYTES_MAX {
+            return false;
+        }
+        self.sequence += 1;
+        let header = Header {
+            sequence: self.sequence,
+            producer: self.producer,
+            ..Header::default()
+        };
+        let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
+        let Some(mut room) = room else {
+            return false;
+        };
+        // SAFETY: the pointer is to the room's payload, which is ours alone until
+        // it is sent; `Weights` is made of integers and arrays of them, so all
+        // zeros are one, and the rest is written over it.
+        #[allow(unsafe_code)]
+        let room = unsafe {
+            let payload = room.payload_mut().as_mut_ptr();
+            payload.write_bytes(0, 1);
+            let weights = &mut *payload;
+            weights.header = header;
+            weights.version = version;
+            weights.byte_count = file.len() as u64;
+            weights.sha256 = sha256;
+            weights.bytes[..file.len()].copy_from_slice(file);
+            room.assume_init()
+        };
+        let sent = room.send().is_ok();
+        for bell in &self.bells {
+            let _ = bell.notify();
+        }
+        sent
+    }
+}
+
 impl<M: Message> Subscriber<M> {
     /// The next message of the queue, not yet admitted; `None` when there is none.
     pub fn receive(&mut self) -> Option<M> {
@@ -361,6 +402,13 @@ impl<M: Message> Subscriber<M> {
         }
         (self.producer, self.sequence) = (producer, sequence);
         Some(message)
+    }
+
+    /// Looks at the next message of the queue where it lies, not yet admitted;
+    /// for messages too large for a stack. `None` when there is none.
+    pub fn visit<R>(&mut self, look: impl FnOnce(&M) -> R) -> Option<R> {
+        let sample = self.port.receive().ok()??;
+        Some(look(sample.payload()))
     }
 
     /// The newest message since the last look, not yet admitted; `None` when

@@ -202,6 +202,7 @@ fn steps_progress_episodes_health_and_policy_status() {
         refused(Health::default(), |h| h.state = 5),
         Refusal::UnknownCode { .. }
     ));
+    assert_eq!(Learning::default().check(), Ok(()));
     assert!(matches!(
         refused(Health::default(), |h| h.memory = 3),
         Refusal::UnknownCode { .. }

@@ -91,7 +91,11 @@ class Session:
             raise SetUpError(f"MetaDrive refuses this configuration: {error!r}") from None
         self.photographer = Photographer(self.world, self.ports.frames, self.member.period_ns)
         self.command_age_ns = int(config["limits"]["command_age_ms"] * 1e6)
-        self.wait_ns = int(config["limits"]["lockstep_wait_s"] * 1e9)
+        # Where the controller may be waiting for the learner, that comes on top.
+        wait_s = config["limits"]["lockstep_wait_s"]
+        if config["learner"]["enabled"]:
+            wait_s += config["learner"]["lockstep_wait_s"]
+        self.wait_ns = int(wait_s * 1e9)
         self.observation = layout.Observation()
         self.command = None
         self.episode = arguments.first_episode

@@ -352,7 +352,7 @@ impl Session {
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn await_command(&mut self) {
         let asked = self.told;
-        let wait_ns = (self.member.config.limits.lockstep_wait_s * 1e9) as u64;
+        let wait_ns = self.member.config.world_wait_ns();
         let until = monotonic().after_ns(wait_ns);
         loop {
             if let Some(command) = self.ports.commands.newest() {

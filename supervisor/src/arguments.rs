@@ -19,6 +19,7 @@ use shm_config::run::RunName;
         ./vlaps up --episodes 1 --seed 3          drive one episode in real time\n  \
         ./vlaps up --lockstep --episodes 5        as fast as the processes answer\n  \
         ./vlaps status                            who is alive, on time, in charge\n  \
+        ./vlaps swap policy.onnx                  new weights for a running set\n  \
         ./vlaps eval --driver expert              1000 episodes: success, contacts, completion\n  \
         ./vlaps draw episode --seed 1000          an episode from above\n  \
         ./vlaps doctor                            what this machine grants"
@@ -38,6 +39,8 @@ pub enum Command {
     Down(Down),
     /// Show who is alive, on time and in charge.
     Status(Status),
+    /// Offer policy weights to a running set; exit code 0 when they are adopted.
+    Swap(Swap),
     /// Show what this machine grants, and how to grant what is missing.
     Doctor,
     /// Remove what killed runs left behind; living runs are not touched.
@@ -101,6 +104,9 @@ pub struct Up {
     /// Who decides who drives.
     #[arg(long, value_name = "WHO")]
     pub gate: Option<GateChoice>,
+    /// Policy to begin with; it drives where --gate lets it, after its probation.
+    #[arg(long, value_name = "FILE.onnx")]
+    pub policy: Option<PathBuf>,
     /// Ticks per second.
     #[arg(long, value_name = "HZ")]
     pub rate: Option<f64>,
@@ -193,6 +199,7 @@ impl From<WorldChoice> for Simulator {
         bench alike.\n\n\
         Examples:\n  \
         ./vlaps setup metadrive\n  \
+        ./vlaps setup onnxruntime\n  \
         VLAPS_METADRIVE=$HOME/md-c29 ./vlaps setup metadrive --checkout ../metadrive"
 )]
 pub struct Setup {
@@ -216,6 +223,8 @@ pub struct Setup {
 pub enum Part {
     /// The real MetaDrive as world: a Python environment of about 1 GB.
     Metadrive,
+    /// ONNX Runtime, for policies that are no chain of layers: 60 MB.
+    Onnxruntime,
 }
 
 /// Stop a running set.
@@ -225,6 +234,28 @@ pub struct Down {
     /// Name of the run; may be left out when only one runs.
     #[arg(long, value_name = "NAME")]
     pub run: Option<RunName>,
+}
+
+/// Offer policy weights to a running set; exit code 0 when they are adopted.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "The set checks size, hash, format, observation layout, operators, shapes, \
+        weights and probes, warms the net, and adopts it between two ticks. It then proposes in \
+        shadow for policy.probation_ticks before it may drive. Exit code 1: refused, or nothing \
+        runs; 2: the file cannot be read.\n\n\
+        Examples:\n  \
+        ./vlaps swap policy.onnx\n  \
+        ./vlaps swap policy.onnx --run second --wait-ready"
+)]
+pub struct Swap {
+    /// The policy file: ONNX, 259 features in, 2 actions out, at most 8 MB.
+    pub file: PathBuf,
+    /// Name of the run; may be left out when only one runs.
+    #[arg(long, value_name = "NAME")]
+    pub run: Option<RunName>,
+    /// Wait for the end of the probation, too; exit code 1 when it is not passed.
+    #[arg(long)]
+    pub wait_ready: bool,
 }
 
 /// Show who is alive, on time and in charge.

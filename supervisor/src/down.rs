@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
-use shm_config::run::RunPaths;
+use shm_config::run::{RunName, RunPaths};
 
 use crate::arguments::Down;
 use crate::failure::Failure;
@@ -21,7 +21,8 @@ const LOOKS_MAX: u32 = 400;
 /// # Errors
 /// When several runs are alive and none is named, or it does not end.
 pub fn down(arguments: &Down) -> Result<(), Failure> {
-    let Some(paths) = choose(arguments)? else {
+    let Some(paths) = choose(arguments.run.as_ref())? else {
+        say("nothing runs");
         return Ok(());
     };
     let name = paths.name();
@@ -58,17 +59,18 @@ pub fn down(arguments: &Down) -> Result<(), Failure> {
     )))
 }
 
-/// The run that is meant: the named one, or the only one alive.
-fn choose(arguments: &Down) -> Result<Option<RunPaths>, Failure> {
-    if let Some(name) = &arguments.run {
+/// The run that is meant: the named one, or the only one alive; `None` when none
+/// is.
+///
+/// # Errors
+/// When several are alive and none is named.
+pub fn choose(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
+    if let Some(name) = name {
         return Ok(Some(RunPaths::new(name.clone())));
     }
     let mut alive = living_runs();
     match alive.len() {
-        0 => {
-            say("nothing runs");
-            Ok(None)
-        }
+        0 => Ok(None),
         1 => Ok(alive.pop()),
         _ => {
             let names: Vec<_> = alive.iter().map(|paths| paths.name().to_string()).collect();

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 use shm_config::config::Config;
-use shm_config::message::{HealthState, Outcome};
+use shm_config::message::{HealthState, Outcome, PolicyStatus};
 use shm_config::services::Process;
 
 use crate::member::Phase;
@@ -26,10 +26,27 @@ pub struct View {
     pub episode: Option<EpisodeView>,
     /// Who drives, and why; `None` before the first step.
     pub driver: Option<(&'static str, &'static str)>,
+    /// The policy's weights; `None` when none were ever offered.
+    pub policy: Option<PolicyView>,
     /// Finished episodes by outcome.
     pub outcomes: Vec<(&'static str, usize)>,
     /// Each process.
     pub processes: Vec<ProcessView>,
+}
+
+/// The policy's weights.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PolicyView {
+    /// Version in charge; 0 for none.
+    pub version: u64,
+    /// First 8 bytes of its SHA-256, hex.
+    pub hash: String,
+    /// Version last offered.
+    pub offered_version: u64,
+    /// What became of it.
+    pub state: &'static str,
+    /// Why it was refused or rolled back; empty else.
+    pub reason: String,
 }
 
 /// The current episode.
@@ -129,6 +146,7 @@ impl View {
                 .steps
                 .newest
                 .map(|(driver, reason)| (driver.word(), reason.word())),
+            policy: tally.policy.as_ref().and_then(PolicyView::of),
             outcomes: Outcome::ALL
                 .iter()
                 .filter(|outcome| **outcome != Outcome::Driving)
@@ -162,7 +180,11 @@ impl View {
     pub fn drive_line(&self) -> String {
         let speed_mps = self.episode.map_or(0.0, |episode| episode.speed_mps);
         match self.driver {
-            Some((driver, reason)) => format!("{driver} drives ({reason}), {speed_mps:.1} m/s"),
+            Some((driver, reason)) => {
+                let policy = self.policy.as_ref();
+                let policy = policy.map_or(String::new(), |policy| format!("; {policy}"));
+                format!("{driver} drives ({reason}), {speed_mps:.1} m/s{policy}")
+            }
             None => "nobody drives yet".into(),
         }
     }
@@ -221,6 +243,33 @@ impl View {
             sum(|row| row.late),
             sum(|row| u64::from(row.restarts.unwrap_or(0))),
         )
+    }
+}
+
+impl PolicyView {
+    /// What the controller says; `None` when it was never offered anything.
+    pub fn of(status: &PolicyStatus) -> Option<Self> {
+        (status.offered_version > 0).then(|| Self {
+            version: status.version,
+            hash: format!("{:016x}", status.hash),
+            offered_version: status.offered_version,
+            state: status.state().word(),
+            reason: status.refusal().into_owned(),
+        })
+    }
+}
+
+impl std::fmt::Display for PolicyView {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.version {
+            0 => write!(f, "no weights in charge")?,
+            version => write!(f, "weights {version} ({})", &self.hash[..8])?,
+        }
+        match (self.offered_version == self.version, self.reason.as_str()) {
+            (true, _) => Ok(()),
+            (false, "") => write!(f, ", {} {}", self.offered_version, self.state),
+            (false, reason) => write!(f, ", {} {}: {reason}", self.offered_version, self.state),
+        }
     }
 }
 

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use shm_config::time::monotonic;
 use supervisor::arguments::{Arguments, Command};
-use supervisor::{Clock, clean, doctor, down, hand_over, keys, setup, status, up};
+use supervisor::{Clock, clean, doctor, down, hand_over, keys, setup, status, swap, up};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -16,6 +16,7 @@ fn main() -> ExitCode {
         Command::Up(arguments) => up::up(arguments, clock),
         Command::Down(arguments) => down::down(arguments),
         Command::Status(arguments) => status::status(arguments, clock),
+        Command::Swap(arguments) => swap::swap(arguments, clock),
         Command::Doctor => doctor::doctor(),
         Command::Clean(arguments) => clean::clean(arguments),
         Command::Setup(arguments) => setup::setup(arguments),

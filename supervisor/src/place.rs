@@ -9,8 +9,9 @@ use crate::failure::Failure;
 use crate::signals::pause;
 
 /// Shared memory that a run needs, bytes: the step queue's samples and one
-/// sample for each reader of everything else, with room for restarts.
-pub const SHARED_MEMORY_NEED_BYTES: u64 = 64 << 20;
+/// sample for each reader of everything else, with room for restarts; and of the
+/// largest message, a policy file of 8 MB, four.
+pub const SHARED_MEMORY_NEED_BYTES: u64 = 96 << 20;
 /// Where it is.
 pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 

@@ -2,7 +2,7 @@
 
 use shm_config::Message;
 use shm_config::config::Config;
-use shm_config::message::{Episode, Health, HealthState, Progress, Step, Timing};
+use shm_config::message::{Episode, Health, HealthState, PolicyStatus, Progress, Step, Timing};
 use shm_config::services::{self, Process, STEP_QUEUE};
 use shm_config::wire::{Subscriber, Wire, WireError};
 
@@ -25,6 +25,7 @@ pub struct Ports {
     watches: Vec<Watch>,
     progress: Subscriber<Progress>,
     episodes: Subscriber<Episode>,
+    policies: Subscriber<PolicyStatus>,
     steps: Subscriber<Step>,
 }
 
@@ -68,6 +69,7 @@ impl Ports {
             watches,
             progress: wire.subscriber(services::PROGRESS)?,
             episodes: wire.subscriber(services::EPISODE)?,
+            policies: wire.subscriber(services::POLICY_STATUS)?,
             steps: match depth {
                 Depth::All => wire.subscriber(services::STEP)?,
                 Depth::Newest => wire.latest(services::STEP)?,
@@ -99,6 +101,9 @@ impl Ports {
         }
         for episode in pending(&mut self.episodes, services::EPISODE_QUEUE) {
             tally.count_episode(episode);
+        }
+        for status in pending(&mut self.policies, PENDING_MAX) {
+            tally.count_policy(status);
         }
         // Bounded by the queue: a producer that is faster than this loop cannot
         // hold it.

@@ -109,6 +109,8 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
         .transpose()
         .map_err(|error| Failure::Usage(format!("--world: {error}")))?;
     push("--world", "world.simulator", world);
+    let policy = arguments.policy.as_deref().map(policy_file).transpose()?;
+    push("--policy", "policy.file", policy.map(Value::from));
     push("--rate", "run.rate_hz", arguments.rate.map(Value::Float));
     let name = arguments.run.as_ref().map(|name| name.to_string().into());
     push("--run", "run.name", name);
@@ -124,6 +126,18 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
         push(&format!("--set {text}"), key.trim(), Some(value));
     }
     Ok(overrides)
+}
+
+/// The whole path: the processes of a run need not share the folder.
+fn policy_file(path: &Path) -> Result<String, Failure> {
+    let whole = path
+        .canonicalize()
+        .map_err(|error| Failure::Usage(format!("--policy {}: {error}", path.display())))?;
+    let text = whole.to_str().filter(|_| whole.is_file());
+    text.map(String::from).ok_or_else(|| {
+        let path = path.display();
+        Failure::Usage(format!("--policy {path}: not a file with a name in UTF-8"))
+    })
 }
 
 /// A TOML value; what is none, such as a bare word, is a string.

@@ -8,6 +8,7 @@ use crate::arguments::{Part, Setup};
 use crate::checkout::{Checkout, installed};
 use crate::failure::Failure;
 use crate::metadrive::{home, python, sources};
+use crate::onnxruntime;
 use crate::screen::say;
 
 /// In the environment's folder: what was installed, as required then, and from
@@ -29,6 +30,7 @@ pub fn setup(arguments: &Setup) -> Result<(), Failure> {
         Part::Metadrive => {
             setup_metadrive(arguments.python.as_deref(), arguments.checkout.as_deref())
         }
+        Part::Onnxruntime => onnxruntime::setup(arguments.python.as_deref()),
     }
 }
 
@@ -178,7 +180,7 @@ fn version_of(python: &Path) -> Option<String> {
     Some(version.trim().to_string()).filter(|version| !version.is_empty())
 }
 
-fn output_of(command: &mut Command) -> Result<Output, Failure> {
+pub(crate) fn output_of(command: &mut Command) -> Result<Output, Failure> {
     let program = PathBuf::from(command.get_program());
     command
         .output()
@@ -186,7 +188,7 @@ fn output_of(command: &mut Command) -> Result<Output, Failure> {
 }
 
 /// The last line of the errors, which is what Python and pip put the reason into.
-fn last_line(output: &Output) -> String {
+pub(crate) fn last_line(output: &Output) -> String {
     let errors = String::from_utf8_lossy(&output.stderr);
     let lines = || {
         errors

@@ -12,6 +12,7 @@ use shm_config::config::Config;
 use shm_config::message::{Driver, Episode, Grant, Outcome};
 use shm_config::services::Process;
 
+use crate::live::PolicyView;
 use crate::set::ProcessSet;
 use crate::tally::{Quantiles, Tally, Totals};
 
@@ -54,6 +55,8 @@ pub struct Summary {
     pub braked: u64,
     /// Greatest age of a command that the car obeyed, ms.
     pub oldest_obeyed_ms: f64,
+    /// The policy's weights at the end; `None` when none were ever offered.
+    pub policy: Option<PolicyView>,
     /// Each process.
     pub processes: BTreeMap<&'static str, ProcessRow>,
 }
@@ -230,6 +233,7 @@ impl Summary {
             lost_steps: tally.steps.lost(),
             reasons,
             braked: tally.episodes.values().map(|episode| episode.braked).sum(),
+            policy: tally.policy.as_ref().and_then(PolicyView::of),
             oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
             processes,
         }
@@ -345,6 +349,9 @@ impl Summary {
                 .map(|(reason, count)| format!("{reason} {count}"))
                 .collect();
             writeln!(f, "  {driver}: {}", list.join(", "))?;
+        }
+        if let Some(policy) = &self.policy {
+            writeln!(f, "policy: {policy}")?;
         }
         let digest = self.command_digest.as_deref().unwrap_or("none");
         writeln!(f, "command digest {digest}")

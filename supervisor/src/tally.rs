@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use shm_config::Message;
 use shm_config::message::{
-    Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, Progress, Reason, Step, Timing,
+    Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, PolicyStatus, Progress,
+    Reason, Step, Timing,
 };
 use shm_config::services::Process;
 
@@ -23,6 +24,8 @@ pub struct Tally {
     pub episodes: BTreeMap<u32, Episode>,
     /// How the current episode goes.
     pub progress: Option<Progress>,
+    /// What the controller says of its weights.
+    pub policy: Option<PolicyStatus>,
     /// Greatest age of a command that the car obeyed, ns.
     pub oldest_obeyed_ns: u64,
     /// Messages whose content made no sense.
@@ -114,6 +117,14 @@ impl Tally {
             Ok(()) => {
                 self.episodes.insert(episode.header.episode, episode);
             }
+            Err(_) => self.refused += 1,
+        }
+    }
+
+    /// Takes the controller's word on its weights in.
+    pub fn count_policy(&mut self, status: PolicyStatus) {
+        match status.check() {
+            Ok(()) => self.policy = Some(status),
             Err(_) => self.refused += 1,
         }
     }

@@ -11,7 +11,11 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("process", &["shm-config"]),
     ("planner", &["vehicle", "shm-config", "process"]),
     ("gate", &["vehicle", "shm-config", "process"]),
-    ("controller", &["vehicle", "shm-config", "process", "gate"]),
+    ("policy", &["shm-config"]),
+    (
+        "controller",
+        &["vehicle", "shm-config", "process", "gate", "policy"],
+    ),
     ("sim", &["vehicle", "shm-config", "process"]),
     ("supervisor", &["vehicle", "shm-config"]),
 ];

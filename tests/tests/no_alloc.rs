@@ -29,14 +29,14 @@ const PERIOD_NS: u64 = 100_000_000;
 struct LaneKeeper;
 
 impl Policy for LaneKeeper {
-    fn infer(&mut self, features: &[f32]) -> Action {
+    fn infer(&mut self, features: &[f32]) -> Option<Action> {
         let heading_rad = 1.0 - 2.0 * f64::from(features[2]);
         let offset_left_m = (0.5 - f64::from(features[8])) * 4.5;
         let speed_mps = (f64::from(features[3]) * 81.0 - 1.0) / 3.6;
-        Action {
+        Some(Action {
             steer: -0.8 * heading_rad - 0.15 * offset_left_m,
             pedal: 0.3 * (5.0 - speed_mps),
-        }
+        })
     }
     fn version(&self) -> u64 {
         1

@@ -52,7 +52,11 @@ pub fn episode(arguments: &DrawEpisode, clock: Clock) -> anyhow::Result<()> {
     let task = (arguments.seed, config.run.period_ns());
     let episode = drive(&mut world, &mut seat, task, |tick| ride.watch(tick))?;
     let who = arguments.driver.word();
-    let file = format!("episode-{}-{who}.svg", arguments.seed);
+    let file = format!(
+        "episode-{}-{}.svg",
+        arguments.seed,
+        arguments.driver.file_word()
+    );
     write(
         arguments.out.clone(),
         &file,

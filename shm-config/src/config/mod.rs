@@ -8,9 +8,11 @@ mod controller;
 mod gate;
 mod informed;
 mod kinodynamic;
+mod learner;
 mod load;
 mod mpc;
 pub mod planner;
+mod policy;
 mod rates;
 mod run;
 mod world;
@@ -22,9 +24,11 @@ pub use controller::{Controller, JudgeLimits};
 pub use gate::{Gate, GateMode};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
+pub use learner::Learner;
 pub use load::{ConfigError, from_toml, load};
 pub use mpc::Mpc;
 pub use planner::Planner;
+pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Supervisor};
 pub use world::{Simulator, World};
@@ -55,6 +59,10 @@ pub struct Config {
     pub judge: JudgeLimits,
     /// The gate process.
     pub gate: Gate,
+    /// The policy: which weights, who runs them, and when they are given up.
+    pub policy: Policy,
+    /// The learner process.
+    pub learner: Learner,
     /// Restarts and real-time rights.
     pub supervisor: Supervisor,
 }
@@ -93,8 +101,21 @@ impl Config {
         self.controller.check()?;
         self.judge.check()?;
         self.gate.check()?;
+        self.policy.check()?;
+        self.learner.check()?;
         self.supervisor.check()?;
         Ok(self)
+    }
+
+    /// In lockstep: how long the world waits for a command before the car
+    /// brakes, ns on the machine's clock. Where the controller may be waiting
+    /// for the learner, that comes on top.
+    pub fn world_wait_ns(&self) -> u64 {
+        let learner_s = match self.learner.enabled {
+            true => self.learner.lockstep_wait_s,
+            false => 0.0,
+        };
+        ((self.limits.lockstep_wait_s + learner_s) * 1e9) as u64
     }
 }
 

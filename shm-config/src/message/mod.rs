@@ -5,6 +5,7 @@ mod advice;
 mod command;
 mod frame;
 mod health;
+mod learning;
 mod observation;
 mod plan;
 mod policy;
@@ -15,6 +16,7 @@ pub use advice::{Advice, Judge, Preference};
 pub use command::{Command, Driver, Reason};
 pub use frame::{Camera, FRAME_BYTES_MAX, Frame, PixelFormat, View};
 pub use health::{Grant, Health, HealthState, Histogram, Timing};
+pub use learning::Learning;
 pub use observation::{
     BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT,
     Observation, Road,

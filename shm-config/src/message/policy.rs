@@ -24,40 +24,90 @@ crate::message! {
 const _: () = assert!(WEIGHTS_BYTES_MAX == 8_388_608, "as the message declares");
 
 crate::word_list! {
-    /// What became of a policy.
+    /// What became of the weights last offered.
     pub enum PolicyState {
-        /// None is loaded.
+        /// None were ever offered.
         Empty = 0 "empty",
         /// Adopted, proposes in shadow, may not drive yet.
         Shadow = 1 "shadow",
         /// Adopted and allowed to drive.
         Ready = 2 "ready",
-        /// The last offer was refused; the one before stays.
+        /// Refused; those in charge stay.
         Refused = 3 "refused",
-        /// Adopted, then given up for the one before.
+        /// Adopted, then given up for those before.
         RolledBack = 4 "rolled_back",
     }
 }
 
 crate::message! {
     /// What the controller says of the weights it has and was offered.
-    pub struct PolicyStatus: 240 bytes, nested [Header] {
-        /// When.
+    pub struct PolicyStatus: 328 bytes, nested [Header] {
+        /// Its tick is that at which `state` began.
         pub header: Header,
-        /// Version in use; 0 for none.
+        /// Version in charge: that which may drive; 0 for none.
         pub version: u64,
         /// First 8 bytes of its SHA-256; 0 for none.
         pub hash: u64,
         /// Version last offered; 0 for none.
         pub offered_version: u64,
-        /// The tick at which the version in use was adopted.
+        /// First 8 bytes of its SHA-256; 0 for none.
+        pub offered_hash: u64,
+        /// The tick at which the weights last adopted were taken up: from it on
+        /// they propose, in shadow first.
         pub adopted_tick: u64,
-        /// A [`PolicyState`].
+        /// A [`PolicyState`]: what became of the weights last offered.
         pub state: u32,
         /// Valid bytes of `refusal`.
         pub refusal_bytes: u32,
-        /// Why the last offer was refused, UTF-8.
-        pub refusal: [u8; 168],
+        /// Why they were refused or rolled back, UTF-8; empty else.
+        pub refusal: [u8; 248],
+    }
+}
+
+impl PolicyStatus {
+    /// The state; an unknown code reads as refused.
+    pub fn state(&self) -> PolicyState {
+        PolicyState::from_code(self.state).unwrap_or(PolicyState::Refused)
+    }
+
+    /// Why the last offer was refused or rolled back.
+    pub fn refusal(&self) -> std::borrow::Cow<'_, str> {
+        let count = (self.refusal_bytes as usize).min(self.refusal.len());
+        String::from_utf8_lossy(&self.refusal[..count])
+    }
+
+    /// Writes the reason down, cut to what fits.
+    pub fn set_refusal(&mut self, reason: &str) {
+        let mut count = reason.len().min(self.refusal.len());
+        while !reason.is_char_boundary(count) {
+            count -= 1;
+        }
+        self.refusal = [0; 248];
+        self.refusal[..count].copy_from_slice(&reason.as_bytes()[..count]);
+        self.refusal_bytes = count as u32;
+    }
+}
+
+impl Default for PolicyStatus {
+    fn default() -> Self {
+        Self {
+            header: Header::default(),
+            version: 0,
+            hash: 0,
+            offered_version: 0,
+            offered_hash: 0,
+            adopted_tick: 0,
+            state: PolicyState::Empty.code(),
+            refusal_bytes: 0,
+            refusal: [0; 248],
+        }
+    }
+}
+
+impl Weights {
+    /// The file, as far as it is said to reach and fits.
+    pub fn file(&self) -> &[u8] {
+        &self.bytes[..(self.byte_count as usize).min(WEIGHTS_BYTES_MAX)]
     }
 }
 

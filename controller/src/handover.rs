@@ -1,0 +1,173 @@
+//! What the process does about policies between two ticks: over the desk and
+//! back, and in lockstep the wait for the learner.
+
+use std::time::Duration;
+
+use controller::{Controller, Hand, Loader, Look};
+use process::{Member, Pulse, SetUpError};
+use shm_config::Instant;
+use shm_config::message::Learning;
+use shm_config::services::LEARNING;
+use shm_config::time::monotonic;
+use shm_config::wire::{Doorbell, Subscriber};
+
+/// From look to look at the learner and the loader, in lockstep.
+const NAP: Duration = Duration::from_millis(2);
+/// How long what the run begins with may take to be loaded, ns: ONNX Runtime's
+/// library takes a quarter of a second on an idle machine.
+const BEGIN_NS: u64 = 60_000_000_000;
+
+/// The process's side of the loader.
+pub struct Handover {
+    loader: Loader,
+    hand: Hand,
+    learning: Option<Learner>,
+    has_ticked: bool,
+}
+
+/// A learner that is waited for.
+struct Learner {
+    port: Subscriber<Learning>,
+    newest: Learning,
+    steps: u64,
+    block_steps: u64,
+    wait_ns: u64,
+    is_silent: bool,
+}
+
+impl Handover {
+    /// Opens what is needed, with the loader at work already.
+    pub fn open(member: &Member, loader: Loader) -> Result<Self, SetUpError> {
+        let learner = &member.config.learner;
+        let learning = match member.config.run.is_lockstep() && learner.enabled {
+            false => None,
+            true => Some(Learner {
+                port: member.wire.subscriber(LEARNING)?,
+                newest: Learning::default(),
+                steps: 0,
+                block_steps: u64::from(learner.block_steps),
+                wait_ns: (learner.lockstep_wait_s * 1e9) as u64,
+                is_silent: false,
+            }),
+        };
+        Ok(Self {
+            loader,
+            hand: Hand::default(),
+            learning,
+            has_ticked: false,
+        })
+    }
+
+    /// Waits until what the run begins with is loaded, and adopts it: the first
+    /// tick has it.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    pub fn begin(
+        &mut self,
+        controller: &mut Controller,
+        member: &Member,
+        pulse: &mut Pulse,
+    ) -> Result<(), SetUpError> {
+        let until = monotonic().after_ns(BEGIN_NS);
+        while !member.is_stopping() {
+            pulse.beat(monotonic());
+            match self.loader.begun(NAP) {
+                Some(Ok(())) => {
+                    self.take(controller);
+                    return Ok(());
+                }
+                Some(Err(why)) => return Err(SetUpError::Own(why)),
+                None if monotonic() >= until => {
+                    return Err(SetUpError::Own("the policy takes too long to load".into()));
+                }
+                None => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes up what lies on the desk, if nobody holds it now. Never waits.
+    pub fn look(&mut self, controller: &mut Controller) -> bool {
+        match self.hand.look(self.loader.exchange()) {
+            Look::Taken => false,
+            Look::Seen(None) => true,
+            Look::Seen(Some(offer)) => {
+                let tick = match self.has_ticked {
+                    true => controller.step().header.tick + 1,
+                    false => 0,
+                };
+                controller.adopt(offer, tick, &mut self.hand);
+                true
+            }
+        }
+    }
+
+    /// The same where there is time: the desk is held for moving pointers only.
+    fn take(&mut self, controller: &mut Controller) {
+        while !self.look(controller) {
+            std::thread::yield_now();
+        }
+    }
+
+    /// After the tick's command is out: the shadow's turn.
+    pub fn after_tick(&mut self, controller: &mut Controller) {
+        self.has_ticked = true;
+        controller.try_policies(&mut self.hand);
+    }
+
+    /// In lockstep with a learner, at the end of a block: waits until it has
+    /// considered the last step, and until the loader has decided about what it
+    /// published. So adoption happens at the same tick in every run.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    pub fn await_learner(
+        &mut self,
+        controller: &mut Controller,
+        member: &Member,
+        pulse: &mut Pulse,
+        bell: &Doorbell,
+    ) {
+        let Some(learner) = &mut self.learning else {
+            return;
+        };
+        learner.steps += 1;
+        learner.hear();
+        if !learner.steps.is_multiple_of(learner.block_steps) || learner.is_silent {
+            return;
+        }
+        let tick = controller.step().header.tick;
+        let until = monotonic().after_ns(learner.wait_ns);
+        while !member.is_stopping() {
+            learner.hear();
+            let newest = &learner.newest;
+            let is_considered = newest.header.sequence > 0 && newest.header.tick >= tick;
+            if is_considered && newest.version <= self.loader.exchange().decided() {
+                break;
+            }
+            let now = monotonic();
+            if now >= until {
+                learner.is_silent = true;
+                break;
+            }
+            pulse.beat(now);
+            bell.wait(NAP.min(Duration::from_nanos(until.since_ns(now))));
+        }
+        self.take(controller);
+    }
+}
+
+impl Learner {
+    fn hear(&mut self) {
+        self.port.tend();
+        if let Some(learning) = self.port.newest() {
+            self.newest = learning;
+            self.is_silent = false;
+        }
+    }
+}
+
+/// Starts the loader, before the process claims real-time rights.
+#[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+pub fn start(member: &Member) -> Result<Loader, SetUpError> {
+    let clock: fn() -> Instant = monotonic;
+    Loader::start(&member.config, clock)
+        .map_err(|error| SetUpError::Own(format!("cannot start the loader's thread: {error}")))
+}

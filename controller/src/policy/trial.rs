@@ -1,0 +1,125 @@
+use std::fmt;
+
+use shm_config::config;
+use vehicle::Action;
+
+/// Ticks before a rate says anything, where the probation is shorter: with
+/// fewer, one bend taken badly would be a rate.
+const EVIDENCE_TICKS: u32 = 10;
+
+/// When weights are promoted, settled, and given up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Ticks in shadow.
+    pub probation_ticks: u32,
+    /// Ticks in charge with those before at hand.
+    pub watch_ticks: u32,
+    /// Share of ticks with a veto, [0, 1].
+    pub veto_rate_max: f64,
+    /// Mean change of the action from tick to tick, normalised.
+    pub jump_max: f64,
+}
+
+impl From<&config::Policy> for Limits {
+    fn from(policy: &config::Policy) -> Self {
+        Self {
+            probation_ticks: policy.probation_ticks,
+            watch_ticks: policy.watch_ticks,
+            veto_rate_max: policy.veto_rate_max,
+            jump_max: policy.jump_max,
+        }
+    }
+}
+
+/// Why weights are given up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Fault {
+    /// The judge vetoed too many proposals.
+    Vetoed {
+        /// So many.
+        vetoed: u32,
+        /// Of so many.
+        ticks: u32,
+    },
+    /// The proposals jump.
+    Jumps {
+        /// Mean change from tick to tick.
+        mean: f64,
+    },
+    /// An answer was NaN or infinite.
+    NoNumber,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Vetoed { vetoed, ticks } => write!(
+                f,
+                "the judge vetoed {vetoed} of {ticks} proposals, over policy.veto_rate_max"
+            ),
+            Self::Jumps { mean } => write!(
+                f,
+                "the action jumps by {mean:.2} from tick to tick on average, over policy.jump_max"
+            ),
+            Self::NoNumber => write!(f, "an answer was not finite"),
+        }
+    }
+}
+
+/// How weights did so far.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Trial {
+    /// Ticks with a proposal.
+    ticks: u32,
+    vetoed: u32,
+    jumps: u32,
+    jumped: f64,
+    last: Option<(Action, u32)>,
+    has_no_number: bool,
+}
+
+impl Trial {
+    /// Counts one tick. Ticks without a proposal, as those of a car that does not
+    /// see, say nothing of the weights.
+    pub fn count(&mut self, proposal: Option<Action>, is_vetoed: bool, episode: u32) {
+        let Some(action) = proposal else {
+            self.last = None;
+            return;
+        };
+        self.ticks = self.ticks.saturating_add(1);
+        self.vetoed += u32::from(is_vetoed);
+        // Where an episode begins, the scene jumps, not the policy.
+        if let Some((last, _)) = self.last.filter(|(_, of)| *of == episode) {
+            let steer = (action.steer - last.steer).abs();
+            self.jumped += steer.max((action.pedal - last.pedal).abs());
+            self.jumps = self.jumps.saturating_add(1);
+        }
+        self.last = Some((action, episode));
+    }
+
+    /// An answer was NaN or infinite.
+    pub fn count_no_number(&mut self) {
+        self.has_no_number = true;
+    }
+
+    /// Ticks with a proposal.
+    pub fn ticks(&self) -> u32 {
+        self.ticks
+    }
+
+    /// Why the weights are to be given up; `None` as long as they are not.
+    pub fn fault(&self, limits: &Limits) -> Option<Fault> {
+        if self.has_no_number {
+            return Some(Fault::NoNumber);
+        }
+        if self.ticks < limits.probation_ticks.max(EVIDENCE_TICKS) {
+            return None;
+        }
+        let (vetoed, ticks) = (self.vetoed, self.ticks);
+        if f64::from(vetoed) > limits.veto_rate_max * f64::from(ticks) {
+            return Some(Fault::Vetoed { vetoed, ticks });
+        }
+        let mean = self.jumped / f64::from(self.jumps.max(1));
+        (mean > limits.jump_max).then_some(Fault::Jumps { mean })
+    }
+}
