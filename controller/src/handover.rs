@@ -129,14 +129,18 @@ impl Handover {
             return;
         };
         learner.steps += 1;
-        learner.hear();
+        // A successor that came before has nothing to say of this wait.
+        let _ = learner.hear();
         if !learner.steps.is_multiple_of(learner.block_steps) || learner.is_silent {
             return;
         }
         let tick = controller.step().header.tick;
         let until = monotonic().after_ns(learner.wait_ns);
         while !member.is_stopping() {
-            learner.hear();
+            // It never saw the step that is waited for: it would wait for ever.
+            if learner.hear() == Heard::Successor {
+                break;
+            }
             let newest = &learner.newest;
             let is_considered = newest.header.sequence > 0 && newest.header.tick >= tick;
             if is_considered && newest.version <= self.loader.exchange().decided() {
@@ -154,12 +158,26 @@ impl Handover {
     }
 }
 
+/// Who was heard.
+#[derive(PartialEq, Eq)]
+enum Heard {
+    /// Nobody new.
+    Same,
+    /// A learner that was started in place of the one before.
+    Successor,
+}
+
 impl Learner {
-    fn hear(&mut self) {
+    fn hear(&mut self) -> Heard {
         self.port.tend();
-        if let Some(learning) = self.port.newest() {
-            self.newest = learning;
-            self.is_silent = false;
+        let Some(learning) = self.port.newest() else {
+            return Heard::Same;
+        };
+        let before = std::mem::replace(&mut self.newest, learning).header.producer;
+        self.is_silent = false;
+        match before != 0 && before != learning.header.producer {
+            true => Heard::Successor,
+            false => Heard::Same,
         }
     }
 }

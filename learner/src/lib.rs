@@ -1,4 +1,16 @@
 //! Steps to weights: what the car lived through becomes a better driver.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`assembler`] | steps to transitions, with the label of their question |
+//! | [`replay`], [`journal`] | the rings of transitions, in memory and on disk |
+//! | [`algorithm`] | the ways to learn, a file each |
+//! | [`network`], [`adam`], `matrix` | perceptrons, their gradients, their optimiser |
+//! | [`features`], [`export`] | the networks' input; a network becomes a policy file |
+//! | [`elsewhere`], [`oracle`], [`imagine`] | what would be seen and done where nobody was |
+//! | [`session`], [`checkpoint`], [`metrics`] | a learner's life, on disk after every block |
+//!
+//! `main.rs` is the process; it does the talking.
 
 pub mod adam;
 pub mod algorithm;
@@ -10,9 +22,11 @@ pub mod features;
 pub mod imagine;
 pub mod journal;
 mod matrix;
+pub mod metrics;
 pub mod network;
 pub mod oracle;
 pub mod replay;
+pub mod session;
 
 pub use adam::Adam;
 pub use network::{Network, Tape};

@@ -19,6 +19,21 @@ PHYSICS_HZ = 10.0
 NAP_NS = 20_000_000
 
 
+MASK = (1 << 64) - 1
+
+
+def episode_seed(run, episode):
+    """Seed of an episode of the run, as `Run::episode_seed` draws it."""
+    if run["seeds"] == 0:
+        return run["seed"] + episode
+    if run["shuffle"] == 0:
+        return run["seed"] + episode % run["seeds"]
+    z = (run["shuffle"] + episode) * 0x9E3779B97F4A7C15 & MASK
+    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & MASK
+    z = (z ^ z >> 27) * 0x94D049BB133111EB & MASK
+    return run["seed"] + (z ^ z >> 31) % run["seeds"]
+
+
 class Grid:
     """The instants at which the world ticks."""
 
@@ -111,7 +126,7 @@ class Session:
         self.grid = Grid(self.member.lockstep, self.member.period_ns, first_ns)
 
     def _reset(self):
-        seed = self.member.config["run"]["seed"] + self.episode
+        seed = episode_seed(self.member.config["run"], self.episode)
         try:
             self.world.reset(seed)
         except ValueError as error:

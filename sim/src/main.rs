@@ -107,7 +107,7 @@ impl Session {
         let mut world =
             World::new(WorldConfig::from(&member.config.world)).map_err(|error| own(&error))?;
         let episode = cli.first_episode;
-        let seed = member.config.run.seed.wrapping_add(u64::from(episode));
+        let seed = member.config.run.episode_seed(episode);
         world.reset(seed).map_err(|error| own(&error))?;
         member.claim_rights();
         pulse.set_rights(&member.rights);
@@ -294,12 +294,7 @@ impl Session {
 
     fn open_episode(&mut self) -> Result<(), SetUpError> {
         self.episode += 1;
-        let seed = self
-            .member
-            .config
-            .run
-            .seed
-            .wrapping_add(u64::from(self.episode));
+        let seed = self.member.config.run.episode_seed(self.episode);
         self.world
             .reset(seed)
             .map_err(|error| SetUpError::Own(format!("seed {seed}: {error}")))?;

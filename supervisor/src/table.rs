@@ -78,21 +78,32 @@ pub const TABLE: &[Row] = &[
         after: Some(Process::Controller),
     },
     Row {
+        process: Process::Learner,
+        binary: "vlaps-learner",
+        core: Core::Any,
+        // It takes what the others leave.
+        priority: 0,
+        restart: Restart::Again,
+        after: Some(Process::Gate),
+    },
+    Row {
         process: Process::World,
         binary: "vlaps-world",
         core: Core::FromLast(2),
         priority: 48,
         restart: Restart::AtEpisode,
-        after: Some(Process::Gate),
+        after: Some(Process::Learner),
     },
 ];
 
 /// The rows that are part of a run.
 pub fn rows(config: &Config) -> impl Iterator<Item = &'static Row> {
-    let gate = config.gate.has_process();
-    TABLE
-        .iter()
-        .filter(move |row| row.process != Process::Gate || gate)
+    let (gate, learner) = (config.gate.has_process(), config.learner.enabled);
+    TABLE.iter().filter(move |row| match row.process {
+        Process::Gate => gate,
+        Process::Learner => learner,
+        Process::Supervisor | Process::World | Process::Planner | Process::Controller => true,
+    })
 }
 
 /// What a run asks for on one machine.

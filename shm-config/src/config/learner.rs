@@ -2,18 +2,73 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
+/// How the learner learns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Algorithm {
+    /// The paper's: proxy values from preferences, and imitation.
+    Pvp,
+    /// Preferences at predicted states.
+    Ppl,
+    /// Imitation of the expert's own driving.
+    Bc,
+    /// Imitation where the expert was preferred.
+    HgDagger,
+    /// Imitation everywhere: the expert is a program.
+    Dagger,
+}
+
+impl Algorithm {
+    /// As in the configuration.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Pvp => "pvp",
+            Self::Ppl => "ppl",
+            Self::Bc => "bc",
+            Self::HgDagger => "hg-dagger",
+            Self::Dagger => "dagger",
+        }
+    }
+}
+
 /// The learner process.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Learner {
     /// A learner is part of the run.
     pub enabled: bool,
-    /// In lockstep: after so many steps the controller waits until the learner
-    /// has considered them all, and until what it published is adopted or
-    /// refused.
+    /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
+    pub algorithm: Algorithm,
+    /// Seed of the networks and of what is drawn from the replay.
+    pub seed: u64,
+    /// Steps from one block of updates to the next (Sec. 5). In lockstep the
+    /// controller waits at the end of each until the learner has considered all
+    /// its steps, and until what it published is adopted or refused.
     pub block_steps: u32,
-    /// In lockstep: how long the controller waits for it, s on the machine's
-    /// clock; then a silent learner is not waited for until it speaks again.
+    /// Updates of a block: one for each step, as PVP4Real has it.
+    pub updates: u32,
+    /// Transitions of an update. PVP4Real has 1024, PVP 128.
+    pub batch: u32,
+    /// Neurons of each of the two hidden layers; PVP4Real.
+    pub hidden: u32,
+    /// Length of Adam's steps; 0 for the algorithm's own: 1e-4 (PVP4Real) for
+    /// pvp, 1e-3 for the others.
+    pub rate: f64,
+    /// Weight of the imitation beside the value: lambda_BC of Eq. 2; PVP4Real.
+    pub imitation_weight: f64,
+    /// Transitions that each ring of the replay holds; PVP4Real.
+    pub capacity: u32,
+    /// States that a rejected action is followed for, of ppl: 0.2 s apart.
+    pub predicted_states: u32,
+    /// Scenes beside each one seen that the expert is asked about, of dagger and
+    /// ppl.
+    pub imagined_scenes: u32,
+    /// How long a step waits for the answer to its question, s; then it has no
+    /// label.
+    pub label_wait_s: f64,
+    /// In lockstep: how long the controller waits for the learner, s on the
+    /// machine's clock; then a silent learner is not waited for until it speaks
+    /// again.
     pub lockstep_wait_s: f64,
 }
 
@@ -21,8 +76,18 @@ impl Default for Learner {
     fn default() -> Self {
         Self {
             enabled: false,
-            // 20 s of driving at the paper's 10 Hz.
+            algorithm: Algorithm::Pvp,
+            seed: 0,
             block_steps: 200,
+            updates: 200,
+            batch: 256,
+            hidden: 256,
+            rate: 0.0,
+            imitation_weight: 1.0,
+            capacity: 50_000,
+            predicted_states: 4,
+            imagined_scenes: 2,
+            label_wait_s: 35.0,
             // A block of updates takes seconds; a busy machine, ten times that.
             lockstep_wait_s: 120.0,
         }
@@ -31,7 +96,21 @@ impl Default for Learner {
 
 impl Learner {
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        in_range("learner.block_steps", self.block_steps, 1..=1_000_000)?;
+        let counts = [
+            ("learner.block_steps", self.block_steps, 1..=1_000_000),
+            ("learner.updates", self.updates, 0..=1_000_000),
+            ("learner.batch", self.batch, 2..=65_536),
+            ("learner.hidden", self.hidden, 1..=1024),
+            ("learner.capacity", self.capacity, 1..=1_000_000),
+            ("learner.predicted_states", self.predicted_states, 0..=50),
+            ("learner.imagined_scenes", self.imagined_scenes, 0..=50),
+        ];
+        for (key, value, range) in counts {
+            in_range(key, value, range)?;
+        }
+        in_range("learner.rate", self.rate, 0.0..=1.0)?;
+        in_range("learner.imitation_weight", self.imitation_weight, 0.0..=1e3)?;
+        in_range("learner.label_wait_s", self.label_wait_s, 0.0..=3600.0)?;
         in_range(
             "learner.lockstep_wait_s",
             self.lockstep_wait_s,

@@ -24,7 +24,7 @@ pub use controller::{Controller, JudgeLimits};
 pub use gate::{Gate, GateMode};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
-pub use learner::Learner;
+pub use learner::{Algorithm, Learner};
 pub use load::{ConfigError, from_toml, load};
 pub use mpc::Mpc;
 pub use planner::Planner;

@@ -26,6 +26,10 @@ pub struct Run {
     pub rate_hz: f64,
     /// Seed of the first episode; each further episode adds one.
     pub seed: u64,
+    /// Different seeds to drive, from the first one on; 0 for no end.
+    pub seeds: u32,
+    /// In which order those are drawn, again and again; 0 for one after the other.
+    pub shuffle: u64,
     /// Episodes to drive; 0 for no end.
     pub episodes: u32,
     /// Seconds to drive on the run's clock; 0 for no end.
@@ -41,6 +45,8 @@ impl Default for Run {
             clock: Clock::RealTime,
             rate_hz: 10.0,
             seed: 1000,
+            seeds: 0,
+            shuffle: 0,
             episodes: 0,
             duration_s: 0.0,
             folder: "runs/default".into(),
@@ -52,6 +58,18 @@ impl Run {
     /// Time from tick to tick, ns.
     pub fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz).round() as u64
+    }
+
+    /// Seed of an episode of the run.
+    pub fn episode_seed(&self, episode: u32) -> u64 {
+        let episode = u64::from(episode);
+        let ahead = match (self.seeds, self.shuffle) {
+            (0, _) => episode,
+            (seeds, 0) => episode % u64::from(seeds),
+            // The world in Python draws the same (`world.py`).
+            (seeds, shuffle) => mixed(shuffle.wrapping_add(episode)) % u64::from(seeds),
+        };
+        self.seed.wrapping_add(ahead)
     }
 
     /// The clock is the simulated one.
@@ -73,6 +91,14 @@ impl Run {
         in_range("run.episodes", self.episodes, 0..=1_000_000)?;
         in_range("run.duration_s", self.duration_s, 0.0..=1e7)
     }
+}
+
+/// The finaliser of SplitMix64: neighbours become strangers.
+fn mixed(number: u64) -> u64 {
+    let mut z = number.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
 }
 
 /// Age limits and waiting times: silence means stop.

@@ -1,0 +1,204 @@
+//! The learner process: reads steps, learns, publishes policies.
+
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Parser;
+use learner::session::{Block, Session};
+use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use shm_config::message::{HealthState, Learning, Message, PolicyState, PolicyStatus, Step, Weights};
+use shm_config::services::{LEARNING, POLICY_STATUS, Process, STEP, WEIGHTS};
+use shm_config::time::monotonic;
+use shm_config::wire::{Doorbell, Publisher, Subscriber};
+
+/// Learns from every step of a run, and offers the controller better weights
+#[derive(Parser)]
+#[command(name = "vlaps-learner", version)]
+struct Cli {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+/// How long the learner sleeps at most before it says how it does.
+const NAP: Duration = Duration::from_millis(20);
+
+fn main() -> ExitCode {
+    exit_code(Process::Learner, learn(&Cli::parse().arguments))
+}
+
+struct Ports {
+    bell: Doorbell,
+    steps: Subscriber<Step>,
+    statuses: Subscriber<PolicyStatus>,
+    weights: Publisher<Weights>,
+    learning: Publisher<Learning>,
+}
+
+impl Ports {
+    fn open(member: &Member) -> Result<Self, SetUpError> {
+        let wire = &member.wire;
+        Ok(Self {
+            bell: wire.doorbell(Process::Learner)?,
+            steps: wire.subscriber(STEP)?,
+            statuses: wire.subscriber(POLICY_STATUS)?,
+            weights: wire.publisher(WEIGHTS)?,
+            learning: wire.publisher(LEARNING)?,
+        })
+    }
+
+    fn tend(&mut self) {
+        self.steps.tend();
+        self.statuses.tend();
+        self.learning.tend();
+    }
+}
+
+/// The process between its ports and what learns.
+struct Learner {
+    ports: Ports,
+    session: Session,
+    /// What was last said of how far it is.
+    said: Learning,
+    /// The highest version that anybody has offered.
+    offered: u64,
+}
+
+#[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
+    let mut member = Member::join(Process::Learner, arguments)?;
+    let folder = Path::new(&member.config.run.folder).join("learner");
+    let session = Session::open(&member.config, &folder)
+        .map_err(|error| SetUpError::Own(error.to_string()))?;
+    let mut learner = Learner {
+        ports: Ports::open(&member)?,
+        session,
+        said: Learning {
+            block_steps: u64::from(member.config.learner.block_steps),
+            ..Learning::default()
+        },
+        offered: 0,
+    };
+    let mut pulse = Pulse::start(&member)?;
+    member.claim_rights();
+    pulse.set_rights(&member.rights);
+    tracing::info!(
+        algorithm = member.config.learner.algorithm.word(),
+        steps = learner.session.steps(),
+        folder = %folder.display(),
+        "learns"
+    );
+    learner.ports.tend();
+    learner.begin();
+    pulse.enter(HealthState::Ready, monotonic());
+    while !member.is_stopping() {
+        learner.ports.bell.wait(NAP);
+        pulse.beat(monotonic());
+        learner.ports.tend();
+        learner.hear();
+        while let Some(step) = learner.ports.steps.receive() {
+            let begun = monotonic();
+            match step.check() {
+                Ok(()) => learner.consider(&step),
+                Err(refusal) => {
+                    pulse.health.refused += 1;
+                    tracing::warn!(%refusal, "step refused");
+                }
+            }
+            pulse.health.state = HealthState::Running.code();
+            pulse.health.header.tick = step.header.tick;
+            let waited_ns = begun.0.saturating_sub(step.timings.commanded_ns);
+            pulse.count_tick(waited_ns, monotonic().since_ns(begun));
+            pulse.beat(monotonic());
+        }
+    }
+    // The last steps of the run may still be on their way.
+    while let Some(step) = learner.ports.steps.receive() {
+        if step.check().is_ok() {
+            learner.session.push(&step);
+        }
+    }
+    learner.session.finish();
+    let counts = learner.session.counts();
+    tracing::info!(steps = counts.steps, lost = counts.lost, "ends");
+    pulse.enter(HealthState::Finished, monotonic());
+    Ok(())
+}
+
+impl Learner {
+    /// Says that it is there, and offers what it knew when it was last here: a
+    /// learner of a run that goes on is not waited for in vain.
+    fn begin(&mut self) {
+        self.said.steps = self.session.steps();
+        self.hear();
+        if self.session.steps() > 0 {
+            match self.session.policy_file() {
+                Ok(policy) => self.offer(&policy),
+                Err(refusal) => tracing::error!(%refusal, "no policy to begin with"),
+            }
+        }
+        self.ports.learning.send(&mut self.said);
+    }
+
+    /// Takes in what the controller says of the offers.
+    fn hear(&mut self) {
+        let Some(status) = self.ports.statuses.newest() else {
+            return;
+        };
+        if status.check().is_err() {
+            return;
+        }
+        self.offered = self.offered.max(status.offered_version);
+        let reason = status.refusal();
+        match status.state() {
+            PolicyState::Refused => {
+                tracing::warn!(version = status.offered_version, %reason, "refused");
+            }
+            PolicyState::RolledBack => {
+                tracing::warn!(version = status.offered_version, %reason, "rolled back");
+            }
+            PolicyState::Empty | PolicyState::Shadow | PolicyState::Ready => {}
+        }
+    }
+
+    fn consider(&mut self, step: &Step) {
+        self.session.push(step);
+        self.said.header.tick = step.header.tick;
+        self.said.header.episode = step.header.episode;
+        self.said.header.taken_ns = step.header.taken_ns;
+        self.said.steps = self.session.steps();
+        if !self.session.is_due() {
+            self.ports.learning.send_quietly(&mut self.said);
+            return;
+        }
+        match self.session.learn() {
+            Ok(block) => self.publish(&block),
+            Err(refusal) => tracing::error!(%refusal, "the block's policy is not published"),
+        }
+        self.ports.learning.send(&mut self.said);
+    }
+
+    fn publish(&mut self, block: &Block) {
+        let losses = &block.losses;
+        tracing::info!(
+            steps = block.steps,
+            actor = losses.actor,
+            imitation = losses.imitation,
+            critic = losses.critic,
+            "block"
+        );
+        self.offer(&block.policy);
+    }
+
+    fn offer(&mut self, policy: &[u8]) {
+        self.hear();
+        let version = self.offered.max(self.said.version) + 1;
+        self.ports.weights.tend();
+        if self.ports.weights.offer(version, policy::sha256(policy), policy) {
+            self.said.version = version;
+            self.offered = version;
+        } else {
+            tracing::error!(bytes = policy.len(), "shared memory has no room for the policy");
+        }
+    }
+}

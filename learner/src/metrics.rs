@@ -1,0 +1,110 @@
+//! A row for each block, as CSV.
+
+use std::fs;
+use std::io::{self, BufRead, BufReader};
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::assembler::Counts;
+use crate::checkpoint::write_whole;
+
+/// What is known at the end of a block. Losses are means over its updates,
+/// everything else is counted from the start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Row {
+    /// Steps considered.
+    pub steps: u64,
+    /// Updates made.
+    pub updates: u64,
+    /// What became of the steps.
+    pub counts: Counts,
+    /// Transitions in the ring of steps that prefer the expert.
+    pub expert_ring: u64,
+    /// Transitions in the ring of all other steps.
+    pub learner_ring: u64,
+    /// Predicted states.
+    pub predicted_ring: u64,
+    /// Loss of the actor.
+    pub actor_loss: f32,
+    /// Loss of the imitation.
+    pub imitation_loss: f32,
+    /// Loss of the critics.
+    pub critic_loss: f32,
+}
+
+/// A row as it stands in the file.
+#[derive(Serialize)]
+struct Line {
+    steps: u64,
+    updates: u64,
+    lost: u64,
+    interventions: u64,
+    labels_expert: u64,
+    labels_policy: u64,
+    unlabelled: u64,
+    cut: u64,
+    unseen: u64,
+    expert_ring: u64,
+    learner_ring: u64,
+    predicted_ring: u64,
+    actor_loss: f32,
+    imitation_loss: f32,
+    critic_loss: f32,
+}
+
+/// The file, open for more.
+pub struct Metrics {
+    writer: csv::Writer<fs::File>,
+}
+
+impl Metrics {
+    /// Goes on after this many rows; what stands behind them is of blocks that
+    /// were never finished.
+    ///
+    /// # Errors
+    /// When the file cannot be read or written.
+    pub fn open(path: &Path, rows: u64) -> io::Result<Metrics> {
+        let mut kept = Vec::new();
+        if let Ok(file) = fs::File::open(path) {
+            let lines = BufReader::new(file).lines();
+            // The header stands before the rows.
+            for line in lines.take(rows as usize + usize::from(rows > 0)) {
+                kept.extend_from_slice(line?.as_bytes());
+                kept.push(b'\n');
+            }
+        }
+        write_whole(path, &kept)?;
+        let file = fs::OpenOptions::new().append(true).open(path)?;
+        let writer = csv::WriterBuilder::new()
+            .has_headers(kept.is_empty())
+            .from_writer(file);
+        Ok(Metrics { writer })
+    }
+
+    /// Writes a row.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&mut self, row: &Row) -> io::Result<()> {
+        let counts = &row.counts;
+        self.writer.serialize(Line {
+            steps: row.steps,
+            updates: row.updates,
+            lost: counts.lost,
+            interventions: counts.interventions,
+            labels_expert: counts.expert,
+            labels_policy: counts.policy,
+            unlabelled: counts.unlabelled,
+            cut: counts.cut,
+            unseen: counts.unseen,
+            expert_ring: row.expert_ring,
+            learner_ring: row.learner_ring,
+            predicted_ring: row.predicted_ring,
+            actor_loss: row.actor_loss,
+            imitation_loss: row.imitation_loss,
+            critic_loss: row.critic_loss,
+        })?;
+        self.writer.flush()
+    }
+}

@@ -1,0 +1,340 @@
+//! The learner without its ports: steps in, policies out.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use policy::Provenance;
+use rand::SeedableRng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use shm_config::config::{Algorithm, Config};
+use shm_config::message::{Driver, FEATURES, Step};
+use vehicle::Action;
+
+use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
+use crate::assembler::{Assembler, Labelling};
+use crate::checkpoint::{Checkpoint, write_whole};
+use crate::export;
+use crate::imagine::Imagination;
+use crate::journal::{Journal, Mark, Recovered};
+use crate::metrics::{Metrics, Row};
+use crate::replay::{Replay, Ring, Transition};
+
+/// Length of Adam's steps of what imitates, unless it is configured.
+const IMITATION_RATE: f32 = 1e-3;
+/// Length of Adam's steps of `pvp`; PVP4Real.
+const VALUE_RATE: f32 = 1e-4;
+/// States of the replay whose answers a policy file promises.
+const PROBES: usize = 4;
+
+/// Everything that learns, and what it has learnt from.
+pub struct Session {
+    config: Config,
+    folder: PathBuf,
+    assembler: Assembler,
+    imagination: Option<Imagination>,
+    replay: Replay,
+    journal: Journal,
+    metrics: Metrics,
+    state: Checkpoint,
+    /// A disk that refuses is told of once; learning goes on without it.
+    disk_failed: bool,
+}
+
+/// What a block of updates brought.
+pub struct Block {
+    /// Steps considered.
+    pub steps: u64,
+    /// The policy file.
+    pub policy: Vec<u8>,
+    /// Means over the block.
+    pub losses: Losses,
+}
+
+impl Session {
+    /// Goes on where a learner in this folder ended, or begins.
+    ///
+    /// # Errors
+    /// When the folder cannot be written, or holds what another algorithm or
+    /// version has left.
+    pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
+        fs::create_dir_all(folder.join("policies"))?;
+        let settings = &config.learner;
+        let name = |error: io::Error, file: &Path| {
+            io::Error::new(error.kind(), format!("{}: {error}", file.display()))
+        };
+        let path = checkpoint_path(folder);
+        let state = match Checkpoint::read(&path).map_err(|error| name(error, &path))? {
+            Some(state) if state.algorithm == settings.algorithm.word() => state,
+            Some(state) => {
+                let what = format!(
+                    "{}: was left by {}, and {} is configured; move the folder away to begin anew",
+                    path.display(),
+                    state.algorithm,
+                    settings.algorithm.word()
+                );
+                return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+            }
+            None => begin(config),
+        };
+        let path = folder.join("replay.bin");
+        let Recovered {
+            journal,
+            replay,
+            mark,
+            torn_bytes,
+        } = Journal::open(&path, settings.capacity as usize).map_err(|error| name(error, &path))?;
+        if torn_bytes > 0 {
+            tracing::warn!(torn_bytes, "the end of the replay was torn and is cut off");
+        }
+        let labelling = Labelling {
+            mode: config.gate.mode,
+            window_ns: (config.gate.period_s * 1e9) as u64,
+            wait_ns: (settings.label_wait_s * 1e9) as u64,
+        };
+        let mark = mark.unwrap_or_default();
+        let mut assembler = Assembler::new(labelling, mark.counts);
+        if mark.sequence > 0 {
+            assembler.follows((mark.producer, mark.sequence));
+        }
+        let asks = match settings.algorithm {
+            Algorithm::Ppl => settings.predicted_states + settings.imagined_scenes > 0,
+            Algorithm::Dagger => settings.imagined_scenes > 0,
+            Algorithm::Pvp | Algorithm::Bc | Algorithm::HgDagger => false,
+        };
+        let imagination = match asks {
+            true => Some(Imagination::new(config).map_err(io::Error::other)?),
+            false => None,
+        };
+        Ok(Session {
+            metrics: Metrics::open(&folder.join("blocks.csv"), state.blocks)?,
+            config: config.clone(),
+            folder: folder.into(),
+            assembler,
+            imagination,
+            replay,
+            journal,
+            state,
+            disk_failed: false,
+        })
+    }
+
+    /// Considers one step that was checked at the door.
+    pub fn push(&mut self, step: &Step) {
+        let mut made = Vec::new();
+        self.assembler.push(step, |transition| made.push(transition));
+        for transition in made {
+            self.keep(transition.ring(), transition);
+        }
+        self.imagine(step);
+    }
+
+    /// Steps considered since the learner first began.
+    pub fn steps(&self) -> u64 {
+        self.assembler.counts().steps
+    }
+
+    /// What became of the steps.
+    pub fn counts(&self) -> crate::assembler::Counts {
+        self.assembler.counts()
+    }
+
+    /// A block of steps is complete that no updates were made for.
+    pub fn is_due(&self) -> bool {
+        let block_steps = u64::from(self.config.learner.block_steps);
+        self.steps() / block_steps > self.state.steps / block_steps
+    }
+
+    /// The updates of a block, written down before anybody hears of them.
+    ///
+    /// # Errors
+    /// When the policy cannot be exported: its numbers are not finite. The state
+    /// before the block stays on disk.
+    pub fn learn(&mut self) -> Result<Block, policy::Refusal> {
+        let updates = self.config.learner.updates;
+        let mut sum = Losses::default();
+        for _ in 0..updates {
+            let state = &mut self.state;
+            let losses = state.student.update(&self.replay, &mut state.random);
+            sum.actor += losses.actor;
+            sum.imitation += losses.imitation;
+            sum.critic += losses.critic;
+        }
+        let count = updates.max(1) as f32;
+        let losses = Losses {
+            actor: sum.actor / count,
+            imitation: sum.imitation / count,
+            critic: sum.critic / count,
+        };
+        self.state.steps = self.steps();
+        self.state.updates += u64::from(updates);
+        self.state.blocks += 1;
+        let policy = self.policy_file()?;
+        let done = self.write_down(&policy, &losses);
+        self.tell(done);
+        Ok(Block {
+            steps: self.state.steps,
+            policy,
+            losses,
+        })
+    }
+
+    /// The policy as it is now, as a file.
+    ///
+    /// # Errors
+    /// When its numbers are not finite.
+    pub fn policy_file(&self) -> Result<Vec<u8>, policy::Refusal> {
+        let provenance = Provenance {
+            algorithm: self.state.algorithm.clone(),
+            seed: self.config.learner.seed,
+            steps: self.state.steps,
+            commit: option_env!("VLAPS_COMMIT").unwrap_or_default().into(),
+        };
+        let rings = Ring::ALL.into_iter();
+        let states = rings.flat_map(|ring| self.replay.iter(ring));
+        let probes: Vec<Vec<f32>> = states
+            .take(PROBES)
+            .map(|transition| transition.state.to_vec())
+            .collect();
+        export::encode(self.state.student.policy(), &provenance, &probes)
+    }
+
+    /// Ends the run: what waits for a label is kept without, and written down.
+    pub fn finish(&mut self) {
+        let mut made = Vec::new();
+        self.assembler.finish(|transition| made.push(transition));
+        for transition in made {
+            self.keep(transition.ring(), transition);
+        }
+        let done = self.journal.flush();
+        self.tell(done);
+    }
+
+    /// States that were never visited, of algorithms that ask about them.
+    fn imagine(&mut self, step: &Step) {
+        let Some(mut imagination) = self.imagination.take() else {
+            return;
+        };
+        let settings = self.config.learner;
+        let observation = &step.observation;
+        let mut made = Vec::new();
+        let sees = step.observation_age_ns != u64::MAX
+            && observation.feature_count() == FEATURES;
+        if sees {
+            for _ in 0..settings.imagined_scenes {
+                made.push(imagination.disturb(observation, &mut self.state.random));
+            }
+            if let Some(rejected) = self.rejected(step) {
+                let states = settings.predicted_states as usize;
+                imagination.predict(observation, (rejected, states), |made_up| {
+                    made.push(made_up);
+                });
+            }
+        }
+        self.imagination = Some(imagination);
+        for transition in made {
+            self.keep(Ring::Predicted, transition);
+        }
+    }
+
+    /// What the policy proposed and did not get to do.
+    fn rejected(&self, step: &Step) -> Option<Action> {
+        let is_ppl = self.config.learner.algorithm == Algorithm::Ppl;
+        let rejected = is_ppl && step.driver() != Driver::Policy;
+        rejected.then(|| step.policy.action()).flatten()
+    }
+
+    fn keep(&mut self, ring: Ring, transition: Transition) {
+        let mark = self.mark();
+        let done = self.journal.append(ring, &transition, &mark);
+        let done = done.and_then(|()| self.journal.flush());
+        self.tell(done);
+        self.replay.push(ring, transition);
+    }
+
+    fn mark(&self) -> Mark {
+        let (producer, sequence) = self.assembler.heard().unwrap_or_default();
+        Mark {
+            counts: self.assembler.counts(),
+            producer,
+            sequence,
+            updates: self.state.updates,
+        }
+    }
+
+    fn write_down(&mut self, policy: &[u8], losses: &Losses) -> io::Result<()> {
+        let mark = self.mark();
+        self.journal.compact(&self.replay, &mark)?;
+        let file = format!("policies/{:08}.onnx", self.state.steps);
+        write_whole(&self.folder.join(file), policy)?;
+        self.metrics.write(&Row {
+            steps: self.state.steps,
+            updates: self.state.updates,
+            counts: mark.counts,
+            expert_ring: self.replay.len(Ring::Expert) as u64,
+            learner_ring: self.replay.len(Ring::Learner) as u64,
+            predicted_ring: self.replay.len(Ring::Predicted) as u64,
+            actor_loss: losses.actor,
+            imitation_loss: losses.imitation,
+            critic_loss: losses.critic,
+        })?;
+        self.state.write(&checkpoint_path(&self.folder))
+    }
+
+    fn tell(&mut self, done: io::Result<()>) {
+        if let Err(error) = done
+            && !self.disk_failed
+        {
+            self.disk_failed = true;
+            let folder = self.folder.display();
+            tracing::error!(%folder, %error, "cannot write; learning goes on, unsaved");
+        }
+    }
+}
+
+fn checkpoint_path(folder: &Path) -> PathBuf {
+    folder.join("learner.bin")
+}
+
+/// A learner that knows nothing yet.
+fn begin(config: &Config) -> Checkpoint {
+    let settings = &config.learner;
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(settings.seed);
+    let size = Size {
+        hidden: settings.hidden as usize,
+        batch: settings.batch as usize,
+        // One thread: results repeat, and the other cores drive and evaluate.
+        threads: 1,
+    };
+    let rate = |own: f32| match settings.rate > 0.0 {
+        true => settings.rate as f32,
+        false => own,
+    };
+    let imitation_rate = rate(IMITATION_RATE);
+    let student = match settings.algorithm {
+        Algorithm::Pvp => {
+            let settings = pvp::Settings {
+                rate: rate(VALUE_RATE),
+                imitation_weight: settings.imitation_weight as f32,
+            };
+            Student::Pvp(Pvp::new(settings, size, &mut random))
+        }
+        Algorithm::Ppl => Student::Ppl(Ppl::new(size, imitation_rate, &mut random)),
+        Algorithm::Bc | Algorithm::HgDagger => {
+            let source = Source::Preferred;
+            Student::Regression(Regression::new(source, size, imitation_rate, &mut random))
+        }
+        Algorithm::Dagger => {
+            let source = Source::All;
+            Student::Regression(Regression::new(source, size, imitation_rate, &mut random))
+        }
+    };
+    Checkpoint {
+        algorithm: settings.algorithm.word().into(),
+        student,
+        random,
+        steps: 0,
+        updates: 0,
+        blocks: 0,
+    }
+}
