@@ -108,8 +108,14 @@ fn good_weights_drive_after_their_probation_and_no_tick_sooner() {
     assert_eq!(
         news,
         [
-            News::Adopted { version: 1, tick: 1 },
-            News::Promoted { version: 1, tick: 21 }
+            News::Adopted {
+                version: 1,
+                tick: 1
+            },
+            News::Promoted {
+                version: 1,
+                tick: 21
+            }
         ]
     );
     car.drive(1);
@@ -125,7 +131,14 @@ fn weights_that_jump_are_given_up_in_shadow_and_those_before_drive_on() {
     car.adopt(offer(2, [-1.0, 1.0]));
     let news = car.drive(20);
     assert!(
-        matches!(news[1], News::RolledBack { version: 2, charged: (1, 1), .. }),
+        matches!(
+            news[1],
+            News::RolledBack {
+                version: 2,
+                charged: (1, 1),
+                ..
+            }
+        ),
         "{news:?}"
     );
     car.drive(1);
@@ -165,7 +178,15 @@ fn watched_weights_are_rolled_back_to_those_before() {
     car.drive(21);
     assert_eq!(car.version(), 9, "the probation is passed");
     let news = car.drive(11);
-    let [News::RolledBack { version: 9, charged: (1, 1), fault, .. }] = news[..] else {
+    let [
+        News::RolledBack {
+            version: 9,
+            charged: (1, 1),
+            fault,
+            ..
+        },
+    ] = news[..]
+    else {
         panic!("{news:?}");
     };
     assert_eq!(fault.to_string(), "an answer was not finite");

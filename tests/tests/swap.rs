@@ -67,7 +67,10 @@ fn weights_are_adopted_or_refused_while_the_set_drives() {
         let output = supervisor(&set, &["swap", &file]);
         let said = text(&output);
         assert_eq!(output.status.code(), Some(1), "{kind}: {said}");
-        assert!(said.contains("refused") && said.contains(word), "{kind}: {said}");
+        assert!(
+            said.contains("refused") && said.contains(word),
+            "{kind}: {said}"
+        );
         assert_eq!(in_charge(&set), (1, hash.clone()), "{kind} changed nothing");
         reasons.push(said);
     }
@@ -93,7 +96,9 @@ fn weights_are_adopted_or_refused_while_the_set_drives() {
 
     // The controller dies and comes back with what it had.
     set.signal_program("vlaps-controller", Signal::KILL);
-    until("the weights are back", || in_charge(&set) == (version, second.clone()));
+    until("the weights are back", || {
+        in_charge(&set) == (version, second.clone())
+    });
     set.signal(Signal::INT);
     assert_eq!(set.wait(), Some(0), "{}", set.logs());
     let json = set.json();
@@ -101,7 +106,9 @@ fn weights_are_adopted_or_refused_while_the_set_drives() {
 
     // And so does the run of the same name.
     start(&mut set, &[]);
-    until("the weights are back", || in_charge(&set) == (version, second.clone()));
+    until("the weights are back", || {
+        in_charge(&set) == (version, second.clone())
+    });
 }
 
 /// An offer whose hash is of something else; the reason.
@@ -141,7 +148,10 @@ fn a_bad_policy_at_the_start_ends_the_run_with_its_reason() {
     let output = set.run(&["--lockstep", "--duration", "5", "--policy", "bad.onnx"]);
     let said = text(&output);
     assert!(!output.status.success(), "{said}");
-    assert!(said.contains("bad.onnx") && !said.contains("panicked"), "{said}");
+    assert!(
+        said.contains("bad.onnx") && !said.contains("panicked"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -149,7 +159,15 @@ fn a_policy_drives_in_lockstep_the_same_each_time() {
     let drive = |label: &str| {
         let set = Set::new(label);
         fs::write(set.folder().join("policy.onnx"), bad::good(32, 1)).expect("a file");
-        let words = ["--lockstep", "--seed", "3", "--duration", "20", "--gate", "policy"];
+        let words = [
+            "--lockstep",
+            "--seed",
+            "3",
+            "--duration",
+            "20",
+            "--gate",
+            "policy",
+        ];
         let output = set.run(&[&words[..], &LENIENT[..], &["--policy", "policy.onnx"]].concat());
         assert!(output.status.success(), "{}\n{}", text(&output), set.logs());
         set.json()
