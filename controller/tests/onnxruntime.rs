@@ -51,7 +51,9 @@ fn it_answers_as_pytorch_does() {
             .split(' ')
             .map(|number| number.parse().expect("a number"))
             .collect();
-        let features: Vec<f32> = (0..259).map(|k| (k as f32 * numbers[0]).sin().abs()).collect();
+        let features: Vec<f32> = (0..259)
+            .map(|k| (k as f32 * numbers[0]).sin().abs())
+            .collect();
         let Action { steer, pedal } = policy.infer(&features).expect("an answer in time");
         let off = (steer - f64::from(numbers[1])).abs() + (pedal - f64::from(numbers[2])).abs();
         assert!(off < 1e-5, "{steer} {pedal}, PyTorch {numbers:?}");
