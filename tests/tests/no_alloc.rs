@@ -19,7 +19,6 @@ use shm_config::wire::{Publisher, Subscriber, Wire};
 use shm_config::{Instant, Message};
 use sim::{World, WorldConfig};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
-use vehicle::Action;
 
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
