@@ -45,11 +45,13 @@ pub enum Command {
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
         ./vlaps eval --driver mpc --episodes 200\n  \
+        ./vlaps eval --driver policy.onnx --episodes 200\n  \
         ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
         ./vlaps eval --driver expert --world metadrive --episodes 50"
 )]
 pub struct Eval {
-    /// Who drives.
+    /// Who drives: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or
+    /// the policy of a file, FILE.onnx, alone.
     #[arg(long, value_name = "WHO", default_value = "expert")]
     pub driver: DriverKind,
     /// How many episodes.
@@ -123,6 +125,64 @@ pub enum Bench {
     Planner(BenchPlanner),
     /// Drive the model-predictive expert for long, disturbed: does it answer in time?
     Mpc(Soak),
+    /// Measure how long the policy's net takes to answer, by back end.
+    Policy(BenchPolicy),
+    /// Measure whether a running set notices that its weights are swapped.
+    Swap(BenchSwap),
+}
+
+/// Measure how long the policy's net takes to answer, by back end.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Rows: the bare product of the same size (the limit), the native runtime, ONNX \
+        Runtime (after ./vlaps setup onnxruntime), and PyTorch where the Python has it.\n\n\
+        Examples:\n  \
+        ./vlaps bench policy\n  \
+        ./vlaps bench policy --python torch/bin/python --json policy.json"
+)]
+pub struct BenchPolicy {
+    /// Answers to measure of each.
+    #[arg(long, value_name = "N", default_value_t = 20_000,
+          value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+    pub runs: u32,
+    /// libonnxruntime.so or its folder, if not that of ./vlaps setup onnxruntime.
+    #[arg(long, value_name = "FILE")]
+    pub onnxruntime: Option<PathBuf>,
+    /// A Python with PyTorch; without it, python3.
+    #[arg(long, value_name = "FILE")]
+    pub python: Option<PathBuf>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Measure whether a running set notices that its weights are swapped.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "For each rate the whole set drives twice: without swaps, and with new weights \
+        every second.\n\n\
+        Examples:\n  \
+        ./vlaps bench swap\n  \
+        ./vlaps bench swap --seconds 300 --rate 10,100 --json swap.json"
+)]
+pub struct BenchSwap {
+    /// Seconds for each row.
+    #[arg(long, value_name = "S", default_value_t = 30.0, value_parser = seconds)]
+    pub seconds: f64,
+    /// Ticks per second, one or more.
+    #[arg(
+        long,
+        value_name = "HZ",
+        value_delimiter = ',',
+        default_value = "10,100"
+    )]
+    pub rate: Vec<f64>,
+    /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 /// Drive the model-predictive expert for long, disturbed: does it answer in time?

@@ -15,6 +15,8 @@
 //! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
 //! | [`scene`] | recorded scenes and their files |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
+//! | [`inference`] | how long a policy takes to answer, by back end |
+//! | [`swapping`] | a running set whose weights are swapped |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
@@ -22,6 +24,7 @@ pub mod draw;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;
+pub mod inference;
 pub mod metadrive;
 pub mod outside;
 pub mod parity;
@@ -33,6 +36,7 @@ pub mod settings;
 pub mod soak;
 pub mod speed;
 pub mod statistics;
+pub mod swapping;
 
 /// How a library function of this crate reads the clock: it is handed one by
 /// `main.rs`.

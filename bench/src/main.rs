@@ -11,7 +11,7 @@ use bench::evaluation::Evaluation;
 use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
-use bench::{draw, parity, planning, settings, soak, speed};
+use bench::{draw, inference, parity, planning, settings, soak, speed, swapping};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
@@ -35,6 +35,12 @@ fn main() -> ExitCode {
         }
         Command::Bench(Bench::Mpc(arguments)) => {
             soak::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Policy(arguments)) => {
+            inference::bench(arguments, clock, allocations).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Swap(arguments)) => {
+            swapping::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {
@@ -73,6 +79,12 @@ fn gauges(clock: Clock) -> Gauges {
 fn core_time() -> Duration {
     let now = clock_gettime(ClockId::ThreadCPUTime);
     Duration::new(now.tv_sec.unsigned_abs(), now.tv_nsec.unsigned_abs() as u32)
+}
+
+/// Allocations and reallocations so far.
+fn allocations() -> usize {
+    let stats = ALLOCATOR.stats();
+    stats.allocations + stats.reallocations
 }
 
 /// Bytes of the heap in use.

@@ -174,3 +174,25 @@ fn pictures_hold_what_happened() {
         "all numbers are finite"
     );
 }
+
+#[test]
+fn a_policy_file_is_a_driver() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../policy/tests/data/torch_dynamo.onnx");
+    let (driver, path) = (file.display().to_string(), scratch("eval-policy.json"));
+    let json_file = path.display().to_string();
+    let words = ["eval", "--episodes", "2", "--driver"];
+    let output = bench(&[&words[..], &[&driver, "--json", &json_file]].concat());
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(json(&path)["driver"], driver.as_str());
+    assert_eq!(
+        json(&path)["planning_p99_us"],
+        Value::Null,
+        "nothing is planned"
+    );
+    let output = bench(&[&words[..], &["nowhere.onnx"]].concat());
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(
+        !output.status.success() && text.contains("nowhere.onnx"),
+        "{text}"
+    );
+}

@@ -233,7 +233,7 @@ impl Bench {
     /// What the run begins with: the weights that were good, for a controller
     /// that was restarted or a run that resumes, else those of `policy.file`.
     fn begin(&mut self) -> Result<(), String> {
-        self.publish(PolicyState::Empty);
+        self.publish();
         let chosen = &self.config.policy;
         let resumes = chosen.resume && chosen.file.is_empty() && !self.config.run.is_lockstep();
         let good = match resumes || self.good.is_of_this_run() {
@@ -270,6 +270,9 @@ impl Bench {
         )?;
         self.status.offered_version = weights.version;
         self.status.offered_hash = policy.hash();
+        // Until the tick has taken it up.
+        self.status.state = PolicyState::Empty.code();
+        self.status.set_refusal("");
         self.known.retain(|known| known.version != weights.version);
         self.known.push(weights.clone());
         let before = match self.exchange.desk.lock() {
@@ -303,18 +306,14 @@ impl Bench {
         let decided = self.exchange.decided();
         let hash = short_hash(&offer.sha256);
         if offer.version <= decided {
-            let is_known = self.status.offered_version == offer.version
-                && self.status.offered_hash == hash
-                || self.status.version == offer.version && self.status.hash == hash;
-            // A publisher's last message comes again to whoever is restarted.
-            if !is_known {
-                let text = format!(
-                    "version {} is not newer than {decided}, the last one offered: offer again \
-                     with a greater one",
-                    offer.version
-                );
-                self.refuse((offer.version, hash), &text);
-            }
+            // A publisher's last message comes again to whoever is restarted. A
+            // publisher whose number another took first sees that in the status.
+            tracing::info!(
+                version = offer.version,
+                decided,
+                "an offer that is not newer"
+            );
+            self.publish();
             return;
         }
         let weights = Good {
@@ -339,8 +338,9 @@ impl Bench {
         tracing::warn!(version, reason, "weights refused");
         self.status.offered_version = version;
         self.status.offered_hash = hash;
+        self.status.state = PolicyState::Refused.code();
         self.status.set_refusal(reason);
-        self.publish(PolicyState::Refused);
+        self.publish();
     }
 
     /// Drops what came back and tells what was said.
@@ -364,14 +364,13 @@ impl Bench {
                 tracing::info!(version, tick, "weights adopted");
                 self.status.header.tick = tick;
                 self.status.adopted_tick = tick;
-                self.status.set_refusal("");
-                self.publish(PolicyState::Shadow);
+                self.enter(version, PolicyState::Shadow, "");
             }
             News::Promoted { version, tick } => {
                 tracing::info!(version, tick, "weights may drive");
                 self.charge(version);
                 self.status.header.tick = tick;
-                self.publish(PolicyState::Ready);
+                self.enter(version, PolicyState::Ready, "");
                 // What is older than those before cannot come back.
                 let count = self.known.len();
                 self.known.drain(..count.saturating_sub(3));
@@ -387,8 +386,7 @@ impl Bench {
                 self.known.retain(|known| known.version != version);
                 self.charge(charged);
                 self.status.header.tick = tick;
-                self.status.set_refusal(&reason);
-                self.publish(PolicyState::RolledBack);
+                self.enter(version, PolicyState::RolledBack, &reason);
             }
         }
     }
@@ -403,8 +401,17 @@ impl Bench {
         }
     }
 
-    fn publish(&mut self, state: PolicyState) {
-        self.status.state = state.code();
+    /// The state is that of the last offer; others may come into charge or go
+    /// while it waits.
+    fn enter(&mut self, version: u64, state: PolicyState, reason: &str) {
+        if version == self.status.offered_version {
+            self.status.state = state.code();
+            self.status.set_refusal(reason);
+        }
+        self.publish();
+    }
+
+    fn publish(&mut self) {
         self.status.header.taken_ns = (self.clock)().0;
         self.ports.status.send(&mut self.status);
     }

@@ -26,7 +26,7 @@ const _: () = assert!(WEIGHTS_BYTES_MAX == 8_388_608, "as the message declares")
 crate::word_list! {
     /// What became of the weights last offered.
     pub enum PolicyState {
-        /// None were ever offered.
+        /// None were ever offered, or the last ones are not decided about yet.
         Empty = 0 "empty",
         /// Adopted, proposes in shadow, may not drive yet.
         Shadow = 1 "shadow",

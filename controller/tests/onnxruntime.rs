@@ -1,0 +1,61 @@
+//! Policies that are no chain of layers run in ONNX Runtime, where it is.
+
+use controller::{Policy, Terms, build, library};
+use shm_config::config::Config;
+use shm_config::time::monotonic;
+use vehicle::Action;
+
+const GATED: &[u8] = include_bytes!("../../policy/tests/data/torch_gated.onnx");
+
+fn config() -> Config {
+    let mut config = Config::default();
+    // A test asserts no maximum run time.
+    config.policy.inference_max_us = 1e6;
+    config.policy.ort_wait_us = 1e5;
+    config
+}
+
+#[allow(clippy::disallowed_methods)] // a test is an entry point
+fn built(config: &Config) -> Result<Box<dyn Policy>, policy::Refusal> {
+    let terms = Terms {
+        config,
+        version: 3,
+        clock: monotonic,
+    };
+    build(GATED, &terms)
+}
+
+#[test]
+fn without_the_library_it_is_refused_and_told_what_to_do() {
+    let mut config = config();
+    config.policy.onnxruntime = "/nowhere".into();
+    let refusal = built(&config).err().expect("refused").to_string();
+    assert!(refusal.contains("./vlaps setup onnxruntime"), "{refusal}");
+    config.policy.backend = shm_config::config::Backend::Native;
+    let refusal = built(&config).err().expect("refused").to_string();
+    assert!(refusal.contains("policy.backend is native"), "{refusal}");
+}
+
+#[test]
+fn it_answers_as_pytorch_does() {
+    if let Err(refusal) = library("") {
+        use std::io::Write;
+        // Past the capture of test output: a skipped test must not look passed.
+        let _ = writeln!(std::io::stderr(), "skipped: {refusal}");
+        return;
+    }
+    let mut policy = built(&config()).expect("a graph of allowed operators");
+    assert_eq!(policy.version(), 3);
+    for line in include_str!("../../policy/tests/data/expected_gated.txt").lines() {
+        let numbers: Vec<f32> = line
+            .split(' ')
+            .map(|number| number.parse().expect("a number"))
+            .collect();
+        let features: Vec<f32> = (0..259)
+            .map(|k| (k as f32 * numbers[0]).sin().abs())
+            .collect();
+        let Action { steer, pedal } = policy.infer(&features).expect("an answer in time");
+        let off = (steer - f64::from(numbers[1])).abs() + (pedal - f64::from(numbers[2])).abs();
+        assert!(off < 1e-5, "{steer} {pedal}, PyTorch {numbers:?}");
+    }
+}
