@@ -115,7 +115,7 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
     // The last steps of the run may still be on their way.
     while let Some(step) = learner.ports.steps.receive() {
         if step.check().is_ok() {
-            learner.session.push(&step);
+            learner.consider(&step);
         }
     }
     learner.session.finish();
