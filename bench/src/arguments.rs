@@ -4,6 +4,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use shm_config::config::Algorithm;
 use shm_config::run::RunName;
 
 use crate::seat::DriverKind;
@@ -33,6 +34,105 @@ pub enum Command {
     /// Draw a map, an episode or a plan from above, as SVG.
     #[command(subcommand, arg_required_else_help = true)]
     Draw(Draw),
+    /// Train a policy while the process set drives: the paper's experiment.
+    Train(Train),
+}
+
+/// Train a policy while the process set drives: the paper's experiment.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "The process set drives in lockstep on seeds 100 to 149; after every 200 steps \
+        the learner updates the policy, which is adopted at the next tick and evaluated on seeds \
+        1000 to 1049 without intervention (Sec. 5). The same seed gives the same policies. \
+        Ctrl-C stops, --resume goes on.\n\n\
+        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; ARCHITECTURE.md compares \
+        them.\n\n\
+        Examples:\n  \
+        ./vlaps train --algorithm dagger --steps 10000\n  \
+        ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
+        ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp --resume\n  \
+        ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
+)]
+pub struct Train {
+    /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
+    #[arg(long, value_name = "HOW", default_value = "pvp", value_parser = algorithm)]
+    pub algorithm: Algorithm,
+    /// Steps to train for.
+    #[arg(long, value_name = "N", default_value_t = 50_000,
+          value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+    pub steps: u64,
+    /// Episodes of the evaluation after every block.
+    #[arg(long, value_name = "N", default_value_t = 50,
+          value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    pub eval_episodes: u64,
+    /// Episodes of the evaluation of the last policy; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = 1000,
+          value_parser = clap::value_parser!(u64).range(0..=1_000_000))]
+    pub final_episodes: u64,
+    /// Seed of networks, replay and the order of episodes.
+    #[arg(long, value_name = "N", default_value_t = 0,
+          value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
+    pub seed: u64,
+    /// Train this many times, each with the next seed.
+    #[arg(long, value_name = "N", default_value_t = 1,
+          value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub seeds: u32,
+    /// The expert that is learnt from.
+    #[arg(long, value_name = "WHO", default_value = "mpc")]
+    pub expert: ExpertChoice,
+    /// In which world is trained.
+    #[arg(long, value_name = "WORLD", default_value = "sim")]
+    pub world: WorldChoice,
+    /// Folder of the experiment; without it, runs/train-HOW.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Go on with the experiment that the folder holds, or only report it.
+    #[arg(long)]
+    pub resume: bool,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// The experts that can be learnt from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ExpertChoice {
+    /// The paper's RRT* and PD.
+    RrtStar,
+    /// RRT* that remembers its last path, and PD.
+    Informed,
+    /// RRT* over curves the car can drive, and PD.
+    Kinodynamic,
+    /// Model-predictive control.
+    Mpc,
+}
+
+impl ExpertChoice {
+    /// As `planner.method` has it.
+    pub fn key(self) -> &'static str {
+        match self {
+            ExpertChoice::RrtStar => "rrt_star",
+            ExpertChoice::Informed => "informed",
+            ExpertChoice::Kinodynamic => "kinodynamic",
+            ExpertChoice::Mpc => "mpc",
+        }
+    }
+}
+
+fn algorithm(text: &str) -> Result<Algorithm, String> {
+    let all = [
+        Algorithm::Pvp,
+        Algorithm::Ppl,
+        Algorithm::Bc,
+        Algorithm::HgDagger,
+        Algorithm::Dagger,
+    ];
+    let found = all.into_iter().find(|algorithm| algorithm.word() == text);
+    let words = all.map(Algorithm::word).join(", ");
+    found.ok_or_else(|| format!("must be one of {words}"))
 }
 
 /// Drive many episodes and print success, contacts and completion.

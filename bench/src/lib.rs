@@ -17,6 +17,7 @@
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`swapping`] | a running set whose weights are swapped |
+//! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
@@ -37,6 +38,7 @@ pub mod soak;
 pub mod speed;
 pub mod statistics;
 pub mod swapping;
+pub mod train;
 
 /// How a library function of this crate reads the clock: it is handed one by
 /// `main.rs`.

@@ -11,7 +11,7 @@ use bench::evaluation::Evaluation;
 use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
-use bench::{draw, inference, parity, planning, settings, soak, speed, swapping};
+use bench::{draw, inference, parity, planning, settings, soak, speed, swapping, train};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
@@ -49,6 +49,7 @@ fn main() -> ExitCode {
             };
             planning::bench(arguments, clocks).map(|()| ExitCode::SUCCESS)
         }
+        Command::Train(arguments) => train::train(arguments, clock).map(|()| ExitCode::SUCCESS),
         Command::Draw(Draw::Map(arguments)) => draw::map(arguments).map(|()| ExitCode::SUCCESS),
         Command::Draw(Draw::Episode(arguments)) => {
             draw::episode(arguments, clock).map(|()| ExitCode::SUCCESS)

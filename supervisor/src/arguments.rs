@@ -58,6 +58,9 @@ pub enum Command {
     /// Draw a map, an episode or a plan from above, as SVG.
     #[command(disable_help_flag = true)]
     Draw(HandedOver),
+    /// Train a policy while the process set drives: the paper's experiment.
+    #[command(disable_help_flag = true)]
+    Train(HandedOver),
 }
 
 /// What another program of the build does: it reads the words itself.

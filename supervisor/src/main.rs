@@ -24,6 +24,7 @@ fn main() -> ExitCode {
         Command::Eval(words) => hand_over::to_bench("eval", words),
         Command::Bench(words) => hand_over::to_bench("bench", words),
         Command::Draw(words) => hand_over::to_bench("draw", words),
+        Command::Train(words) => hand_over::to_bench("train", words),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -45,7 +45,8 @@ pub struct Learner {
     /// controller waits at the end of each until the learner has considered all
     /// its steps, and until what it published is adopted or refused.
     pub block_steps: u32,
-    /// Updates of a block: one for each step, as PVP4Real has it.
+    /// Updates of a block. PVP4Real has one for each step; half as many again
+    /// learn what else is in the replay.
     pub updates: u32,
     /// Transitions of an update. PVP4Real has 1024, PVP 128.
     pub batch: u32,
@@ -79,14 +80,14 @@ impl Default for Learner {
             algorithm: Algorithm::Pvp,
             seed: 0,
             block_steps: 200,
-            updates: 200,
+            updates: 300,
             batch: 256,
             hidden: 256,
             rate: 0.0,
             imitation_weight: 1.0,
             capacity: 50_000,
             predicted_states: 4,
-            imagined_scenes: 2,
+            imagined_scenes: 3,
             label_wait_s: 35.0,
             // A block of updates takes seconds; a busy machine, ten times that.
             lockstep_wait_s: 120.0,

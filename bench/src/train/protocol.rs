@@ -1,0 +1,95 @@
+//! The experiment's numbers, as configuration of a run.
+
+use std::path::{Path, PathBuf};
+
+use shm_config::config::{Algorithm, Config};
+
+use crate::arguments::{Train, WorldChoice};
+use crate::settings;
+
+/// Seeds that are trained on: 100 to 149.
+const TRAINING_SEED: u64 = 100;
+/// How many of them.
+const TRAINING_SEEDS: u32 = 50;
+/// First seed that is evaluated on: 1000 to 1049.
+pub const EVALUATION_SEED: u64 = 1000;
+/// Length of a step, s.
+pub const STEP_S: f64 = 0.1;
+
+/// One training of the experiment.
+#[derive(Clone, Debug)]
+pub struct Protocol {
+    /// Its seed.
+    pub seed: u64,
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Steps to train for.
+    pub steps: u64,
+    /// Episodes after each block.
+    pub episodes: u64,
+    /// In which world is trained; evaluated is in the built-in one, which is
+    /// fast enough for an evaluation after every block.
+    pub world: WorldChoice,
+    /// The run's configuration, without its length.
+    pub config: Config,
+}
+
+impl Protocol {
+    /// The training of this seed.
+    ///
+    /// # Errors
+    /// When the configuration or an override is wrong.
+    pub fn new(arguments: &Train, seed: u64, out: &Path) -> anyhow::Result<Protocol> {
+        let folder = out.join(format!("seed-{seed}"));
+        let chosen = &arguments.configuration;
+        let mut overrides = preset(arguments, seed);
+        overrides.extend(chosen.overrides.iter().cloned());
+        let mut config = settings::config(chosen.config.as_deref(), &overrides)?;
+        config.run.folder = folder.display().to_string();
+        Ok(Protocol {
+            seed,
+            folder,
+            steps: arguments.steps,
+            episodes: arguments.eval_episodes,
+            world: arguments.world,
+            config,
+        })
+    }
+}
+
+/// What the experiment sets, before the user's own overrides.
+fn preset(arguments: &Train, seed: u64) -> Vec<String> {
+    // Of an expert's own driving nothing but the expert's own driving is learnt.
+    let gate = match arguments.algorithm {
+        Algorithm::Bc => "expert",
+        Algorithm::Pvp | Algorithm::Ppl | Algorithm::HgDagger | Algorithm::Dagger => "rules",
+    };
+    let mut keys = vec![
+        format!("run.name=train-{}-{seed}", arguments.algorithm.word()),
+        format!("run.seed={TRAINING_SEED}"),
+        format!("run.seeds={TRAINING_SEEDS}"),
+        // 0 is no order at all.
+        format!("run.shuffle={}", seed + 1),
+        format!("gate.mode={gate}"),
+        "learner.enabled=true".into(),
+        format!("learner.algorithm={}", arguments.algorithm.word()),
+        format!("learner.seed={seed}"),
+        // A policy that learns may fail; the judge in the tick protects the car.
+        "policy.probation_ticks=0".into(),
+        "policy.watch_ticks=0".into(),
+        // Whoever waits for the controller waits for the learner with it.
+        "limits.lockstep_wait_s=150.0".into(),
+        format!("planner.method={}", arguments.expert.key()),
+        // A teacher keeps more distance than a driver must, because a pupil does
+        // not repeat it to the decimetre (ARCHITECTURE.md): 0.6 m and 1.2 m are
+        // what they drive with alone.
+        "mpc.clearance_m=1.2".into(),
+        "mpc.speed_mps=5.0".into(),
+        "mpc.steps=8".into(),
+        "informed.inflation_m=2.0".into(),
+    ];
+    if arguments.world == WorldChoice::Metadrive {
+        keys.push("world.simulator=metadrive".into());
+    }
+    keys
+}

@@ -1,0 +1,240 @@
+//! What an experiment's folders hold.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use serde::{Deserialize, Serialize};
+
+/// An evaluation after a block: shares and means over its episodes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Exam {
+    /// Steps trained for.
+    pub steps: u64,
+    /// Arrived, whatever was touched.
+    pub success: f64,
+    /// Arrived without having touched anything.
+    pub strict_success: f64,
+    /// Touched a vehicle or an object at any tick.
+    pub contact: f64,
+    /// Touching something at the last tick: the paper's crash.
+    pub crash_last_step: f64,
+    /// Left the road.
+    pub out_of_road: f64,
+    /// Ran out of steps.
+    pub max_step: f64,
+    /// Share of the route driven.
+    pub completion: f64,
+    /// Ticks of an episode.
+    pub mean_length: f64,
+    /// Length driven by time, m/s.
+    pub mean_speed_mps: f64,
+}
+
+/// A block, as the learner has written it down.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct Block {
+    /// Steps trained for.
+    pub steps: u64,
+    /// Updates made.
+    pub updates: u64,
+    /// Steps at which the policy did not drive, from the start.
+    pub interventions: u64,
+    /// Loss of the actor.
+    pub actor_loss: f64,
+    /// Loss of the imitation.
+    pub imitation_loss: f64,
+    /// Loss of the critics.
+    pub critic_loss: f64,
+}
+
+/// The last policy on many episodes.
+#[derive(Clone, Debug)]
+pub struct Final {
+    /// Steps it was trained for.
+    pub steps: u64,
+    /// As `./vlaps eval --json` has it.
+    pub evaluation: serde_json::Value,
+}
+
+/// One training.
+#[derive(Clone, Debug)]
+pub struct Seed {
+    /// Its seed.
+    pub seed: u64,
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Its blocks.
+    pub blocks: Vec<Block>,
+    /// Their evaluations.
+    pub exams: Vec<Exam>,
+    /// The last policy, if it was evaluated on many episodes.
+    pub last: Option<Final>,
+}
+
+/// All trainings of an experiment.
+#[derive(Clone, Debug)]
+pub struct Results {
+    /// By seed.
+    pub seeds: Vec<Seed>,
+}
+
+impl Results {
+    /// Reads an experiment's folder; trainings without a block are left out.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn read(out: &Path) -> anyhow::Result<Results> {
+        let mut seeds = Vec::new();
+        for entry in fs::read_dir(out).with_context(|| out.display().to_string())? {
+            let folder = entry?.path();
+            let name = folder.file_name().and_then(|name| name.to_str());
+            let number = name.and_then(|name| name.strip_prefix("seed-")?.parse().ok());
+            let Some(seed) = number else {
+                continue;
+            };
+            let seed = Seed {
+                seed,
+                blocks: rows(&blocks_path(&folder))?,
+                exams: exams(&folder)?,
+                last: last(&folder)?,
+                folder,
+            };
+            if !seed.blocks.is_empty() {
+                seeds.push(seed);
+            }
+        }
+        seeds.sort_by_key(|seed| seed.seed);
+        Ok(Results { seeds })
+    }
+
+    /// The policy file of the best evaluation: the most untouched arrivals, then
+    /// the farthest completion, then the latest.
+    pub fn best(&self) -> Option<PathBuf> {
+        let all = self
+            .seeds
+            .iter()
+            .flat_map(|seed| seed.exams.iter().map(move |exam| (seed, exam)));
+        let best = all.max_by(|(_, a), (_, b)| {
+            let key = |exam: &Exam| (exam.strict_success, exam.success, exam.completion);
+            let by_figures = key(a).partial_cmp(&key(b));
+            by_figures
+                .unwrap_or(std::cmp::Ordering::Equal)
+                .then(a.steps.cmp(&b.steps))
+        });
+        best.map(|(seed, exam)| policy_path(&seed.folder, exam.steps))
+    }
+
+    /// The JSON object of `--json`.
+    pub fn summary(&self) -> serde_json::Value {
+        let seeds = self.seeds.iter().map(|seed| {
+            serde_json::json!({
+                "seed": seed.seed,
+                "steps": seed.blocks.last().map(|block| block.steps),
+                "interventions": seed.blocks.last().map(|block| block.interventions),
+                "last_exam": seed.exams.last(),
+                "final": seed.last.as_ref().map(|last| &last.evaluation),
+            })
+        });
+        serde_json::json!({ "seeds": seeds.collect::<Vec<_>>() })
+    }
+}
+
+/// Steps that a training has considered; 0 before its first block.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn steps(folder: &Path) -> anyhow::Result<u64> {
+    let blocks: Vec<Block> = rows(&blocks_path(folder))?;
+    Ok(blocks.last().map_or(0, |block| block.steps))
+}
+
+/// A training's policies with their steps, the first ones first.
+///
+/// # Errors
+/// When the folder cannot be read; one that is not there yet is empty.
+pub fn policies(folder: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
+    let path = folder.join("learner").join("policies");
+    let entries = match fs::read_dir(&path) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(error).with_context(|| path.display().to_string()),
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let file = entry?.path();
+        let stem = file.file_stem().and_then(|stem| stem.to_str());
+        let is_policy = file.extension().is_some_and(|end| end == "onnx");
+        if let (true, Some(Ok(steps))) = (is_policy, stem.map(str::parse)) {
+            found.push((steps, file));
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+fn policy_path(folder: &Path, steps: u64) -> PathBuf {
+    folder.join(format!("learner/policies/{steps:08}.onnx"))
+}
+
+fn blocks_path(folder: &Path) -> PathBuf {
+    folder.join("learner").join("blocks.csv")
+}
+
+fn exams_path(folder: &Path) -> PathBuf {
+    folder.join("evaluations.csv")
+}
+
+/// The evaluations after a training's blocks.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn exams(folder: &Path) -> anyhow::Result<Vec<Exam>> {
+    rows(&exams_path(folder))
+}
+
+/// Appends an evaluation.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn append_exam(folder: &Path, exam: &Exam) -> anyhow::Result<()> {
+    let path = exams_path(folder);
+    let named = || path.display().to_string();
+    let is_new = !path.exists();
+    let file = fs::OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(&path)
+        .with_context(named)?;
+    let mut writer = csv::WriterBuilder::new()
+        .has_headers(is_new)
+        .from_writer(file);
+    writer.serialize(exam).with_context(named)?;
+    writer.flush().with_context(named)
+}
+
+/// The rows of a CSV file; none of one that is not there. A last row that is
+/// being written is left out.
+fn rows<T: for<'de> Deserialize<'de>>(path: &Path) -> anyhow::Result<Vec<T>> {
+    let text = match fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(error).with_context(|| path.display().to_string()),
+    };
+    let whole = text.rfind('\n').map_or("", |end| &text[..=end]);
+    csv::Reader::from_reader(whole.as_bytes())
+        .deserialize()
+        .collect::<Result<_, _>>()
+        .with_context(|| path.display().to_string())
+}
+
+fn last(folder: &Path) -> anyhow::Result<Option<Final>> {
+    let path = folder.join("final.json");
+    let Ok(text) = fs::read_to_string(&path) else {
+        return Ok(None);
+    };
+    let evaluation: serde_json::Value =
+        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    let steps = evaluation["steps"].as_u64().unwrap_or_default();
+    Ok(Some(Final { steps, evaluation }))
+}
