@@ -1,8 +1,9 @@
 //! ONNX Runtime as back end, for nets that are no chain of layers.
 //!
-//! Its call allocates: the Rust wrapper five times a run as it
-//! is called here (`./vlaps bench policy` counts them), and the library behind it builds a frame of execution on the C
-//! heap each time, which no binding can keep it from. So it never runs in the
+//! Its call allocates: the Rust wrapper five times a run as it is called here
+//! (`./vlaps bench policy` counts them), and the library behind it builds a frame
+//! of execution on the C heap each time, which no binding can keep it from. So it
+//! never runs in the
 //! tick's thread. A thread of its own holds the session; the tick hands it the
 //! features, sleeps until the answer or `policy.ort_wait_us`, and without an
 //! answer has no proposal: the expert drives, an old action is never repeated.
