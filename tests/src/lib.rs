@@ -189,7 +189,10 @@ impl Drop for Set {
                 self.pids("").is_empty()
             });
         }
-        let _ = self.paths().clean_if_dead();
+        // A process is out of the list before its last thread has let go.
+        until("the run is dead", || {
+            !matches!(self.paths().clean_if_dead(), Ok(None))
+        });
         self.paths().remove_dir();
         let _ = fs::remove_dir_all(&self.folder);
     }

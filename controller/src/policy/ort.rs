@@ -1,8 +1,9 @@
 //! ONNX Runtime as back end, for nets that are no chain of layers.
 //!
-//! Its call allocates: the Rust wrapper twice a run (`./vlaps bench policy`
-//! counts them), and the library behind it builds a frame of execution on the C
-//! heap each time, which no binding can keep it from. So it never runs in the
+//! Its call allocates: the Rust wrapper five times a run as it is called here
+//! (`./vlaps bench policy` counts them), and the library behind it builds a frame
+//! of execution on the C heap each time, which no binding can keep it from. So it
+//! never runs in the
 //! tick's thread. A thread of its own holds the session; the tick hands it the
 //! features, sleeps until the answer or `policy.ort_wait_us`, and without an
 //! answer has no proposal: the expert drives, an old action is never repeated.
@@ -117,11 +118,14 @@ impl OrtSession {
         let environment = environment(library)?;
         let refused = |error: ort::Error| failed("refuses the file", &error);
         let builder = Session::builder(&environment).map_err(refused)?;
+        let option = |error: &dyn std::fmt::Display| failed("refuses an option", error);
         let session = builder
             .with_optimization_level(GraphOptimizationLevel::Level3)
-            .and_then(|builder| builder.with_intra_threads(1))
-            .and_then(|builder| builder.with_inter_threads(1))
-            .map_err(|error| failed("refuses an option", &error))?
+            .map_err(|error| option(&error))?
+            .with_intra_threads(1)
+            .map_err(|error| option(&error))?
+            .with_inter_threads(1)
+            .map_err(|error| option(&error))?
             .commit_from_memory(bytes)
             .map_err(refused)?;
         Ok(Self {
