@@ -1,12 +1,21 @@
+use std::collections::VecDeque;
+
 use shm_config::config::Gate;
 use shm_config::message::{Advice, Preference, Step};
 use shm_config::{Instant, Message};
 
-use crate::{Answer, Docket, Question};
+use crate::{Answer, Docket, Flaws, Question, Ruling};
+
+/// Answers that may be on their way: of a judge that is asked once a second and
+/// heard a minute later. The oldest is lost when there are more.
+const LATE_MAX: usize = 64;
 
 /// The gate process without its ports: steps in, advice out.
 pub struct Counsel {
     docket: Docket,
+    flaws: Flaws,
+    /// Answers that are not to be heard yet, the oldest first.
+    late: VecDeque<(Question, Ruling)>,
     period_ns: u64,
     hold_ns: u64,
     asked: Option<Asked>,
@@ -25,6 +34,8 @@ impl Counsel {
     pub fn new(config: &Gate, docket: Docket) -> Self {
         Self {
             docket,
+            flaws: Flaws::new(config),
+            late: VecDeque::with_capacity(LATE_MAX),
             period_ns: (config.period_s * 1e9) as u64,
             hold_ns: (config.hold_s * 1e9) as u64,
             asked: None,
@@ -72,7 +83,18 @@ impl Counsel {
 
     /// Takes in an answer when there is one.
     fn hear(&mut self, now: Instant) {
-        let Some((question, ruling)) = self.docket.take() else {
+        if let Some((question, ruling)) = self.docket.take() {
+            if self.late.len() == LATE_MAX {
+                self.late.pop_front();
+            }
+            let ruling = self.flaws.apply(&question, ruling);
+            self.late.push_back((question, ruling));
+        }
+        let is_due = |(question, _): &(Question, Ruling)| now >= self.flaws.due(question);
+        if !self.late.front().is_some_and(is_due) {
+            return;
+        }
+        let Some((question, ruling)) = self.late.pop_front() else {
             return;
         };
         self.cost_usd += ruling.cost_usd;

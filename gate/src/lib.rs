@@ -9,12 +9,14 @@
 mod assess;
 mod counsel;
 mod docket;
+mod flaws;
 mod road;
 mod rules;
 
 pub use assess::{CLEARANCE_MAX_M, Scene, assess};
 pub use counsel::Counsel;
 pub use docket::Docket;
+pub use flaws::Flaws;
 pub use road::RoadAhead;
 pub use rules::Rules;
 

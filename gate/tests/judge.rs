@@ -278,3 +278,83 @@ fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
         "a dead judge neither"
     );
 }
+
+/// A judge that always prefers the policy.
+struct Content;
+
+impl Judge for Content {
+    fn kind(&self) -> Kind {
+        Kind::Rules
+    }
+
+    fn ask(&mut self, _question: &Question) -> Ruling {
+        Ruling {
+            answer: Answer::Policy,
+            cost_usd: 0.0,
+        }
+    }
+}
+
+/// Preferences that are heard of 2,000 questions, a second apart.
+fn heard(config: &Gate) -> Vec<Preference> {
+    let mut counsel = Counsel::new(config, Docket::immediate(Content));
+    let answers = (1..=2000u64).map(|k| {
+        let mut step = Step::default();
+        step.observation = observation(5.0);
+        step.observation.header.tick = 10 * k;
+        step.observation.header.taken_ns = k * 1_000_000_000;
+        let now = Instant(k * 1_000_000_000);
+        let advice = counsel.consider(&step, now);
+        (advice.answers, advice.preference())
+    });
+    let mut last = 0;
+    let mut heard = Vec::new();
+    for (answers, preference) in answers {
+        if answers > last {
+            heard.push(preference);
+        }
+        last = answers;
+    }
+    heard
+}
+
+#[test]
+fn noise_turns_and_abstention_withholds_as_many_answers_as_configured() {
+    let config = Gate {
+        period_s: 1.0,
+        noise: 0.3,
+        abstention: 0.2,
+        ..Gate::default()
+    };
+    let answers = heard(&config);
+    assert_eq!(answers.len(), 2000);
+    let share = |wanted| {
+        let count = answers.iter().filter(|&&preference| preference == wanted);
+        count.count() as f64 / 2000.0
+    };
+    // Four standard deviations of a share of 2,000.
+    assert!((share(Preference::Abstain) - 0.2).abs() < 0.04);
+    assert!((share(Preference::Expert) - 0.8 * 0.3).abs() < 0.04);
+    assert_eq!(answers, heard(&config), "the same seed, the same flaws");
+    let other = Gate { seed: 1, ..config };
+    assert_ne!(answers, heard(&other), "another seed, other flaws");
+}
+
+#[test]
+fn a_late_answer_is_heard_late_and_keeps_its_question() {
+    let config = Gate {
+        period_s: 1.0,
+        delay_s: 30.0,
+        ..Gate::default()
+    };
+    let mut counsel = Counsel::new(&config, Docket::immediate(Content));
+    for k in 1..=60u64 {
+        let mut step = Step::default();
+        step.observation = observation(5.0);
+        step.observation.header.taken_ns = k * 1_000_000_000;
+        let advice = counsel.consider(&step, Instant(k * 1_000_000_000));
+        let about = k.saturating_sub(30);
+        assert_eq!(advice.answers, about, "after {k} s");
+        assert_eq!(advice.question_taken_ns, about * 1_000_000_000);
+    }
+}

@@ -188,7 +188,7 @@ impl Session {
             algorithm: self.state.algorithm.clone(),
             seed: self.config.learner.seed,
             steps: self.state.steps,
-            commit: option_env!("VLAPS_COMMIT").unwrap_or_default().into(),
+            commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
         };
         let rings = Ring::ALL.into_iter();
         let states = rings.flat_map(|ring| self.replay.iter(ring));

@@ -25,6 +25,14 @@ pub struct Gate {
     /// How long advice holds, s, from the observation it is about. A little over
     /// one period, so that an answer in time leaves no gap.
     pub hold_s: f64,
+    /// For experiments: share of the answers that are turned round.
+    pub noise: f64,
+    /// For experiments: share of the answers that are withheld.
+    pub abstention: f64,
+    /// For experiments: how long after its question an answer is heard, s.
+    pub delay_s: f64,
+    /// Which answers those are.
+    pub seed: u64,
 }
 
 impl Default for Gate {
@@ -33,6 +41,10 @@ impl Default for Gate {
             mode: GateMode::Rules,
             period_s: 10.0,
             hold_s: 12.0,
+            noise: 0.0,
+            abstention: 0.0,
+            delay_s: 0.0,
+            seed: 0,
         }
     }
 }
@@ -40,7 +52,10 @@ impl Default for Gate {
 impl Gate {
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
         in_range("gate.period_s", self.period_s, 0.001..=3600.0)?;
-        in_range("gate.hold_s", self.hold_s, 0.001..=7200.0)
+        in_range("gate.hold_s", self.hold_s, 0.001..=7200.0)?;
+        in_range("gate.noise", self.noise, 0.0..=1.0)?;
+        in_range("gate.abstention", self.abstention, 0.0..=1.0)?;
+        in_range("gate.delay_s", self.delay_s, 0.0..=600.0)
     }
 
     /// The mode has a process that gives advice.
