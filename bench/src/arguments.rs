@@ -171,6 +171,10 @@ pub struct Eval {
     /// its own.
     #[arg(long, value_name = "N")]
     pub threads: Option<NonZeroUsize>,
+    /// Draw the failures into this folder, at most 50, as they go in the built-in
+    /// world.
+    #[arg(long, value_name = "DIR")]
+    pub draw: Option<PathBuf>,
     /// Write the figures to this file, too.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

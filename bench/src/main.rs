@@ -96,6 +96,9 @@ fn bytes_held() -> usize {
         .saturating_sub(stats.bytes_deallocated)
 }
 
+/// Most failures of an evaluation that are drawn.
+const DRAWN_MAX: usize = 50;
+
 fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
     let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
@@ -131,6 +134,15 @@ fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
     if let Some(failures) = evaluation.failure_table() {
         say("failures by the strict metric, with their seeds:");
         say(failures);
+    }
+    if let Some(folder) = &arguments.draw {
+        let seeds: Vec<u64> = evaluation
+            .failures
+            .iter()
+            .map(|failure| failure.seed)
+            .collect();
+        let drawn = (&seeds[..], task.driver);
+        draw::failures((folder, DRAWN_MAX), drawn, &config, clock)?;
     }
     match &arguments.json {
         Some(path) => write_json(path, &evaluation),

@@ -33,9 +33,7 @@ pub struct Labelling {
 }
 
 /// What became of the steps.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize,
-)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Counts {
     /// Steps received.
     pub steps: u64,
@@ -142,7 +140,9 @@ impl Assembler {
         let seen = self.see(step);
         let last = self.last.take();
         if let Some(mut last) = last {
-            let then = seen.as_ref().map_or(Then::Unknown, |seen| follows(&last, seen));
+            let then = seen
+                .as_ref()
+                .map_or(Then::Unknown, |seen| follows(&last, seen));
             if let (Then::On, Some(seen)) = (then, &seen) {
                 last.transition.next = seen.transition.state;
             }
@@ -173,7 +173,10 @@ impl Assembler {
             None => header.sequence,
         };
         self.counts.lost += header.sequence.saturating_sub(expected);
-        if self.heard.is_some_and(|(producer, _)| producer != header.producer) {
+        if self
+            .heard
+            .is_some_and(|(producer, _)| producer != header.producer)
+        {
             self.answers = 0;
         }
         self.heard = Some((header.producer, header.sequence));
@@ -292,7 +295,11 @@ impl Assembler {
             window.from_ns >= seen.begun_ns
                 && (window.from_ns..window.to_ns).contains(&seen.taken_ns)
         };
-        self.windows.iter().rev().find(covers).map(|window| window.label)
+        self.windows
+            .iter()
+            .rev()
+            .find(covers)
+            .map(|window| window.label)
     }
 }
 

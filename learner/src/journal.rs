@@ -120,12 +120,7 @@ impl Journal {
     ///
     /// # Errors
     /// When the file cannot be written: the disk is full.
-    pub fn append(
-        &mut self,
-        ring: Ring,
-        transition: &Transition,
-        mark: &Mark,
-    ) -> io::Result<()> {
+    pub fn append(&mut self, ring: Ring, transition: &Transition, mark: &Mark) -> io::Result<()> {
         self.records += 1;
         self.file.write_all(&encode(ring, transition, mark))
     }

@@ -8,9 +8,10 @@ mod ride;
 mod roads;
 mod tracks;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use shm_config::config::Config;
 use shm_config::message::{Episode, Observation, Outcome};
 use sim::observe::TICK_S;
 use sim::{World, WorldConfig};
@@ -18,7 +19,7 @@ use sim::{World, WorldConfig};
 use crate::arguments::{DrawEpisode, DrawMap};
 use crate::episode::drive;
 use crate::report::say;
-use crate::seat::Seat;
+use crate::seat::{DriverKind, Seat};
 use crate::{Clock, settings};
 use canvas::Canvas;
 pub use plan::plan;
@@ -45,23 +46,43 @@ pub fn map(arguments: &DrawMap) -> anyhow::Result<()> {
 pub fn episode(arguments: &DrawEpisode, clock: Clock) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
     let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+    let file = episode_file(arguments.seed, arguments.driver);
+    let picture = driven(arguments.seed, arguments.driver, &config, clock)?;
+    write(arguments.out.clone(), &file, &picture)
+}
+
+/// Draws the failures of an evaluation into a folder, at most this many.
+///
+/// # Errors
+/// As [`map`].
+pub fn failures(
+    (folder, most): (&Path, usize),
+    (seeds, driver): (&[u64], DriverKind),
+    config: &Config,
+    clock: Clock,
+) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    for &seed in seeds.iter().take(most) {
+        let picture = driven(seed, driver, config, clock)?;
+        let path = folder.join(episode_file(seed, driver));
+        write(Some(path), "", &picture)?;
+    }
+    Ok(())
+}
+
+fn episode_file(seed: u64, driver: DriverKind) -> String {
+    format!("episode-{seed}-{}.svg", driver.file_word())
+}
+
+/// Drives an episode and draws it.
+fn driven(seed: u64, driver: DriverKind, config: &Config, clock: Clock) -> anyhow::Result<String> {
     let mut world = World::new(WorldConfig::from(&config.world))?;
-    let mut seat = Seat::new(arguments.driver, &config, clock)?;
-    world.reset(arguments.seed)?;
+    let mut seat = Seat::new(driver, config, clock)?;
+    world.reset(seed)?;
     let mut ride = Ride::begin(&world);
-    let task = (arguments.seed, config.run.period_ns());
+    let task = (seed, config.run.period_ns());
     let episode = drive(&mut world, &mut seat, task, |tick| ride.watch(tick))?;
-    let who = arguments.driver.word();
-    let file = format!(
-        "episode-{}-{}.svg",
-        arguments.seed,
-        arguments.driver.file_word()
-    );
-    write(
-        arguments.out.clone(),
-        &file,
-        &episode_svg(&world, &ride, &episode, who),
-    )
+    Ok(episode_svg(&world, &ride, &episode, driver.word()))
 }
 
 fn write(out: Option<PathBuf>, default: &str, text: &str) -> anyhow::Result<()> {

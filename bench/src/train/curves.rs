@@ -47,18 +47,18 @@ pub fn draw(results: &Results, algorithm: &str, out: &Path) -> anyhow::Result<()
     panels(results, algorithm, &root).with_context(|| png.display().to_string())
 }
 
-fn panels<B>(
-    results: &Results,
-    algorithm: &str,
-    root: &DrawingArea<B, Shift>,
-) -> anyhow::Result<()>
+fn panels<B>(results: &Results, algorithm: &str, root: &DrawingArea<B, Shift>) -> anyhow::Result<()>
 where
     B: DrawingBackend,
     B::ErrorType: 'static,
 {
     root.fill(&WHITE)?;
     let count = results.seeds.len();
-    let seeds = if count == 1 { "1 seed" } else { &format!("{count} seeds") };
+    let seeds = if count == 1 {
+        "1 seed"
+    } else {
+        &format!("{count} seeds")
+    };
     let title = format!("{algorithm}, {seeds}: evaluation without intervention after every block");
     let root = root.titled(&title, (FACE, 22))?;
     let areas = root.split_evenly((2, 2));
@@ -129,9 +129,8 @@ where
         })
         .draw()?;
     for curve in curves {
-        let band = |sign: f64| {
-            move |&(x, mean, half): &Point| (x, (mean + sign * half).clamp(0.0, top))
-        };
+        let band =
+            |sign: f64| move |&(x, mean, half): &Point| (x, (mean + sign * half).clamp(0.0, top));
         let mut outline: Vec<(f64, f64)> = curve.points.iter().map(band(1.0)).collect();
         outline.extend(curve.points.iter().rev().map(band(-1.0)));
         chart.draw_series([Polygon::new(outline, curve.colour.mix(0.18))])?;
@@ -140,9 +139,7 @@ where
         chart
             .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
             .label(curve.name)
-            .legend(move |(x, y)| {
-                PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2))
-            });
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
     }
     chart
         .configure_series_labels()
@@ -159,7 +156,10 @@ where
 
 fn exam_points(results: &Results, of: fn(&Exam) -> f64) -> Vec<Point> {
     points(results, |seed| {
-        seed.exams.iter().map(|exam| (exam.steps, of(exam))).collect()
+        seed.exams
+            .iter()
+            .map(|exam| (exam.steps, of(exam)))
+            .collect()
     })
 }
 

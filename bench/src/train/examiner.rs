@@ -1,6 +1,5 @@
 //! Episodes without intervention after every block, beside the training.
 
-
 use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Arc;
@@ -205,4 +204,3 @@ pub fn examine_finals(
 fn driver(path: &Path) -> DriverKind {
     DriverKind::Policy(path.display().to_string().leak())
 }
-

@@ -83,8 +83,7 @@ fn report(arguments: &Train, out: &Path) -> anyhow::Result<Results> {
     tensorboard::write(&results, out)?;
     fs::write(out.join("table.md"), table::markdown(&results)).context("table.md")?;
     if let Some(best) = results.best() {
-        fs::copy(&best, out.join("policy.onnx"))
-            .with_context(|| format!("{}", best.display()))?;
+        fs::copy(&best, out.join("policy.onnx")).with_context(|| format!("{}", best.display()))?;
     }
     Ok(results)
 }

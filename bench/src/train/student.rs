@@ -148,4 +148,3 @@ fn supervisor_path() -> anyhow::Result<PathBuf> {
     }
     Ok(path)
 }
-

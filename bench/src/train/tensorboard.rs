@@ -116,5 +116,7 @@ fn record(event: &Event, bytes: &mut Vec<u8>) {
 /// A checksum of a record that holds checksums itself would be weak; so
 /// TensorFlow rotates it and adds a number.
 fn masked(bytes: &[u8]) -> u32 {
-    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)
+    crc32c::crc32c(bytes)
+        .rotate_right(15)
+        .wrapping_add(0xa282_ead8)
 }
