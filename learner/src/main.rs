@@ -101,7 +101,7 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
         while let Some(step) = learner.ports.steps.receive() {
             let begun = monotonic();
             match step.check() {
-                Ok(()) => learner.consider(&step),
+                Ok(()) => learner.consider(&step, &mut pulse),
                 Err(refusal) => {
                     pulse.health.refused += 1;
                     tracing::warn!(%refusal, "step refused");
@@ -117,7 +117,7 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
     // The last steps of the run may still be on their way.
     while let Some(step) = learner.ports.steps.receive() {
         if step.check().is_ok() {
-            learner.consider(&step);
+            learner.consider(&step, &mut pulse);
         }
     }
     learner.session.finish();
@@ -163,7 +163,8 @@ impl Learner {
         }
     }
 
-    fn consider(&mut self, step: &Step) {
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn consider(&mut self, step: &Step, pulse: &mut Pulse) {
         self.session.push(step);
         self.said.header.tick = step.header.tick;
         self.said.header.episode = step.header.episode;
@@ -173,7 +174,7 @@ impl Learner {
             self.ports.learning.send_quietly(&mut self.said);
             return;
         }
-        match self.session.learn() {
+        match self.session.learn(|| pulse.beat(monotonic())) {
             Ok(block) => self.publish(&block),
             Err(refusal) => tracing::error!(%refusal, "the block's policy is not published"),
         }

@@ -146,15 +146,17 @@ impl Session {
         self.steps() / block_steps > self.state.steps / block_steps
     }
 
-    /// The updates of a block, written down before anybody hears of them.
+    /// The updates of a block, written down before anybody hears of them; `beat`
+    /// is called between them, for who watches that this goes on.
     ///
     /// # Errors
     /// When the policy cannot be exported: its numbers are not finite. The state
     /// before the block stays on disk.
-    pub fn learn(&mut self) -> Result<Block, policy::Refusal> {
+    pub fn learn(&mut self, mut beat: impl FnMut()) -> Result<Block, policy::Refusal> {
         let updates = self.config.learner.updates;
         let mut sum = Losses::default();
         for _ in 0..updates {
+            beat();
             let state = &mut self.state;
             let losses = state.student.update(&self.replay, &mut state.random);
             sum.actor += losses.actor;
@@ -171,8 +173,10 @@ impl Session {
         self.state.updates += u64::from(updates);
         self.state.blocks += 1;
         let policy = self.policy_file()?;
+        beat();
         let done = self.write_down(&policy, &losses);
         self.tell(done);
+        beat();
         Ok(Block {
             steps: self.state.steps,
             policy,

@@ -43,6 +43,7 @@ impl Protocol {
         let folder = out.join(format!("seed-{seed}"));
         let chosen = &arguments.configuration;
         let mut overrides = preset(arguments, seed);
+        overrides.push(format!("run.name={}", run_name(out, seed)));
         overrides.extend(chosen.overrides.iter().cloned());
         let mut config = settings::config(chosen.config.as_deref(), &overrides)?;
         config.run.folder = folder.display().to_string();
@@ -57,6 +58,19 @@ impl Protocol {
     }
 }
 
+/// Longest part of a run's name that is from the folder's.
+const NAME_MAX: usize = 24;
+
+/// The folder's name and the seed: experiments run side by side.
+fn run_name(out: &Path, seed: u64) -> String {
+    let folder = out.file_name().unwrap_or_default().to_string_lossy();
+    let name = folder.chars().map(|c| match c.is_ascii_alphanumeric() {
+        true => c,
+        false => '-',
+    });
+    format!("{}-{seed}", name.take(NAME_MAX).collect::<String>())
+}
+
 /// What the experiment sets, before the user's own overrides.
 fn preset(arguments: &Train, seed: u64) -> Vec<String> {
     // Of an expert's own driving nothing but the expert's own driving is learnt.
@@ -65,7 +79,6 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         Algorithm::Pvp | Algorithm::Ppl | Algorithm::HgDagger | Algorithm::Dagger => "rules",
     };
     let mut keys = vec![
-        format!("run.name=train-{}-{seed}", arguments.algorithm.word()),
         format!("run.seed={TRAINING_SEED}"),
         format!("run.seeds={TRAINING_SEEDS}"),
         // 0 is no order at all.
