@@ -1,6 +1,7 @@
 //! One training: the process set in lockstep, as `./vlaps up` starts it.
 
 use std::fs::{self, File};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -64,7 +65,12 @@ pub fn train(protocol: &Protocol, clock: Clock) -> anyhow::Result<End> {
         }
         let ended = match &mut set {
             None => Some(true),
-            Some(set) => set.ended()?,
+            Some(set) => {
+                if stop.load(Ordering::Relaxed) {
+                    set.stop();
+                }
+                set.ended()?
+            }
         };
         if let Some(success) = ended {
             break success;
@@ -97,6 +103,7 @@ const DRIVE_LOG: &str = "drive.log";
 /// `./vlaps up`, as a child.
 struct ProcessSet {
     child: Child,
+    is_stopping: bool,
 }
 
 impl ProcessSet {
@@ -117,9 +124,26 @@ impl ProcessSet {
             .stdin(Stdio::null())
             .stdout(output.try_clone()?)
             .stderr(output)
+            // Ctrl-C in the terminal is ours to pass on: twice would kill.
+            .process_group(0)
             .spawn()
             .context("the process set")?;
-        Ok(ProcessSet { child })
+        Ok(ProcessSet {
+            child,
+            is_stopping: false,
+        })
+    }
+
+    /// Asks it to end in order, once: a second time would kill.
+    fn stop(&mut self) {
+        if !self.is_stopping {
+            self.is_stopping = true;
+            let id = i32::try_from(self.child.id()).ok();
+            if let Some(id) = id.and_then(rustix::process::Pid::from_raw) {
+                // It may have ended meanwhile.
+                let _ = rustix::process::kill_process(id, rustix::process::Signal::TERM);
+            }
+        }
     }
 
     /// Whether it ended well, once it has ended.
