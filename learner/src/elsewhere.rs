@@ -57,8 +57,8 @@ fn move_road(from: &Observation, body_from_there: &Pose, out: &mut Observation) 
         Bend::Left => to_leftmost_m + checkpoint.bend_radius_m,
         Bend::Right => to_leftmost_m - checkpoint.bend_radius_m,
     };
-    let place_road = vehicle::pose(0.0, 0.0, road.heading_rad)
-        * Point::from(body_from_there.translation.vector);
+    let place_road =
+        vehicle::pose(0.0, 0.0, road.heading_rad) * Point::from(body_from_there.translation.vector);
     let (offset_m, turned_rad) = match centre_y_m.is_finite() && centre_y_m.abs() > CENTRE_MIN_M {
         false => (place_road.y, 0.0),
         true => {
@@ -100,7 +100,13 @@ fn scan(from: &Observation, there_from_body: &Pose, out: &mut Observation) {
             continue;
         };
         let next = points[(k + 1) % beams].filter(|next| (next - point).norm() < JOINED_M);
-        fill(point, next.unwrap_or(point), spacing_rad, &mut out.ranges_m[..beams], max_m);
+        fill(
+            point,
+            next.unwrap_or(point),
+            spacing_rad,
+            &mut out.ranges_m[..beams],
+            max_m,
+        );
     }
 }
 

@@ -103,7 +103,8 @@ impl Imagination {
         // Steps with another number of beams are refused before they come here.
         self.there.features(&mut state);
         let expert = self.oracle.ask(&mut self.there);
-        let pair = |action: Action| -> [f32; ACTIONS] { [action.steer as f32, action.pedal as f32] };
+        let pair =
+            |action: Action| -> [f32; ACTIONS] { [action.steer as f32, action.pedal as f32] };
         Transition {
             state,
             next: state,
@@ -129,12 +130,11 @@ fn place(observation: &mut Observation, random: &mut impl Rng) {
     let right_m = road.right_m.max(0.1);
     let aside_m = random.random_range(-right_m..road.left_m.max(0.1));
     let (half_length_m, half_width_m) = BODIES_M[random.random_range(0..BODIES_M.len())];
-    let across_m =
-        aside_m - ahead_m * road.heading_rad.sin() + 0.5 * curvature * ahead_m * ahead_m;
+    let across_m = aside_m - ahead_m * road.heading_rad.sin() + 0.5 * curvature * ahead_m * ahead_m;
     let heading_rad = curvature * ahead_m - road.heading_rad + 0.2 * normal(random);
     let [ahead_clear_m, aside_clear_m] = CLEAR_M;
-    let in_the_car = ahead_m - half_length_m < ahead_clear_m
-        && across_m.abs() - half_width_m < aside_clear_m;
+    let in_the_car =
+        ahead_m - half_length_m < ahead_clear_m && across_m.abs() - half_width_m < aside_clear_m;
     if !in_the_car {
         let body_from_box = vehicle::pose(ahead_m, across_m, heading_rad);
         let outline = outline(&body_from_box, half_length_m, half_width_m);

@@ -7,7 +7,9 @@ use std::time::Duration;
 use clap::Parser;
 use learner::session::{Block, Session};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
-use shm_config::message::{HealthState, Learning, Message, PolicyState, PolicyStatus, Step, Weights};
+use shm_config::message::{
+    HealthState, Learning, Message, PolicyState, PolicyStatus, Step, Weights,
+};
 use shm_config::services::{LEARNING, POLICY_STATUS, Process, STEP, WEIGHTS};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
@@ -194,11 +196,18 @@ impl Learner {
         self.hear();
         let version = self.offered.max(self.said.version) + 1;
         self.ports.weights.tend();
-        if self.ports.weights.offer(version, policy::sha256(policy), policy) {
+        if self
+            .ports
+            .weights
+            .offer(version, policy::sha256(policy), policy)
+        {
             self.said.version = version;
             self.offered = version;
         } else {
-            tracing::error!(bytes = policy.len(), "shared memory has no room for the policy");
+            tracing::error!(
+                bytes = policy.len(),
+                "shared memory has no room for the policy"
+            );
         }
     }
 }

@@ -193,7 +193,10 @@ impl Replay {
 
     /// Puts a transition into a ring, in place of the oldest of a full one.
     pub fn push(&mut self, ring: Ring, transition: Transition) {
-        let (held, count) = (&mut self.rings[ring as usize], &mut self.counts[ring as usize]);
+        let (held, count) = (
+            &mut self.rings[ring as usize],
+            &mut self.counts[ring as usize],
+        );
         match held.len() < self.capacity {
             true => held.push(transition),
             false => held[(*count % self.capacity as u64) as usize] = transition,

@@ -122,7 +122,8 @@ impl Session {
     /// Considers one step that was checked at the door.
     pub fn push(&mut self, step: &Step) {
         let mut made = Vec::new();
-        self.assembler.push(step, |transition| made.push(transition));
+        self.assembler
+            .push(step, |transition| made.push(transition));
         for transition in made {
             self.keep(transition.ring(), transition);
         }
@@ -218,8 +219,7 @@ impl Session {
         let settings = self.config.learner;
         let observation = &step.observation;
         let mut made = Vec::new();
-        let sees = step.observation_age_ns != u64::MAX
-            && observation.feature_count() == FEATURES;
+        let sees = step.observation_age_ns != u64::MAX && observation.feature_count() == FEATURES;
         if sees {
             for _ in 0..settings.imagined_scenes {
                 made.push(imagination.disturb(observation, &mut self.state.random));

@@ -69,8 +69,7 @@ impl Pvp {
     pub fn new(settings: Settings, size: Size, random: &mut impl Rng) -> Pvp {
         let actor = actor(size, settings.rate, random);
         let sizes = [FEATURES + ACTIONS, size.hidden, size.hidden, 1];
-        let critics =
-            [(), ()].map(|()| Learned::new(&sizes, Head::Linear, settings.rate, random));
+        let critics = [(), ()].map(|()| Learned::new(&sizes, Head::Linear, settings.rate, random));
         Pvp {
             settings,
             size,
@@ -98,7 +97,8 @@ impl Pvp {
         actions.clear();
         actions.extend_from_slice(self.actor_target.forward(&batch.nexts, threads, tape));
         for action in actions.iter_mut() {
-            let noise = (TARGET_NOISE * normal(random)).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
+            let noise =
+                (TARGET_NOISE * normal(random)).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
             *action = (*action + noise).clamp(-1.0, 1.0);
         }
         join(&batch.nexts, actions, inputs);
@@ -138,7 +138,9 @@ impl Pvp {
                 delta.push(2.0 * share * (known * td + preferred * margin));
             }
             let gradient = Some(&mut critic.gradient[..]);
-            critic.network.backward((inputs, delta), threads, tape, gradient, None);
+            critic
+                .network
+                .backward((inputs, delta), threads, tape, gradient, None);
             let refused = critic.network.forward(rejected, threads, critic_tape);
             delta.clear();
             for (&value, preferred) in refused.iter().zip(&batch.is_preferred) {
@@ -148,7 +150,9 @@ impl Pvp {
             }
             let gradient = Some(&mut critic.gradient[..]);
             let pass = (&rejected[..], &delta[..]);
-            critic.network.backward(pass, threads, critic_tape, gradient, None);
+            critic
+                .network
+                .backward(pass, threads, critic_tape, gradient, None);
             critic.step();
         }
         loss
@@ -191,7 +195,9 @@ impl Pvp {
         }
         let pass = (&batch.states[..], &delta[..]);
         let gradient = Some(&mut self.actor.gradient[..]);
-        self.actor.network.backward(pass, threads, tape, gradient, None);
+        self.actor
+            .network
+            .backward(pass, threads, tape, gradient, None);
         self.actor.step();
         Losses {
             actor: self.settings.imitation_weight * imitation - value,
