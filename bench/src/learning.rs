@@ -99,7 +99,12 @@ pub fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
                     threads,
                 };
                 let theirs = torch.as_mut().ok();
-                rows.push(row((kind, size), &replay, theirs, (arguments.seconds, clock))?);
+                rows.push(row(
+                    (kind, size),
+                    &replay,
+                    theirs,
+                    (arguments.seconds, clock),
+                )?);
             }
         }
     }
@@ -253,7 +258,9 @@ impl Torch {
 
     fn answer(&mut self) -> anyhow::Result<String> {
         let mut line = String::new();
-        self.paces.read_line(&mut line).context("PyTorch's script")?;
+        self.paces
+            .read_line(&mut line)
+            .context("PyTorch's script")?;
         anyhow::ensure!(line.ends_with('\n'), "PyTorch's script broke off");
         Ok(line.trim_end().to_string())
     }
@@ -288,7 +295,14 @@ impl Drop for Torch {
 }
 
 fn print(learnt: &Learnt) {
-    let header = ["", "batch", "threads", "steps/s", "PyTorch steps/s", "ratio"];
+    let header = [
+        "",
+        "batch",
+        "threads",
+        "steps/s",
+        "PyTorch steps/s",
+        "ratio",
+    ];
     let mut table = table(&header);
     for row in &learnt.rows {
         let number = |value: Option<f64>, digits: usize| {

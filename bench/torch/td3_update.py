@@ -32,7 +32,7 @@ def follow(target, network, share):
 
 
 class Replay:
-    """Two rings in tensors; half of a batch comes from each, and half is mirrored."""
+    """Two rings in tensors; half of a batch comes from each."""
 
     def __init__(self):
         self.states = torch.rand(2 * HELD, FEATURES)
@@ -70,12 +70,14 @@ class Pvp:
             inputs = torch.cat([nexts, actions], 1)
             values = torch.minimum(*(target(inputs) for target in self.critic_targets))
             values = GAMMA * goes_on * values
-        taken, refused = torch.cat([states, applied], 1), torch.cat([states, policy], 1)
+        # The first half of the batch is from the ring of those that are preferred.
+        half = batch // 2
+        taken, refused = torch.cat([states, applied], 1), torch.cat([states[:half], policy[:half]], 1)
         loss = 0.0
         for critic in self.critics:
             value = critic(taken)
             loss = loss + ((value - values) ** 2 + preferred * (value - 1) ** 2).mean()
-            loss = loss + (preferred * (critic(refused) + 1) ** 2).mean()
+            loss = loss + ((critic(refused) + 1) ** 2).sum() / batch
         self.critic_adam.zero_grad()
         loss.backward()
         self.critic_adam.step()
