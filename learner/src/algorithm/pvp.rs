@@ -126,7 +126,8 @@ impl Pvp {
         let threads = self.size.threads;
         let share = 1.0 / batch.len() as f32;
         join(&batch.states, &batch.applied, inputs);
-        join(&batch.states, &batch.policy, rejected);
+        // Only half of the rows: the others have no part in the last term.
+        join_preferred(batch, rejected);
         let mut loss = 0.0;
         for critic in &mut self.critics {
             let taken = critic.network.forward(inputs, threads, tape);
@@ -143,10 +144,10 @@ impl Pvp {
                 .backward((inputs, delta), threads, tape, gradient, None);
             let refused = critic.network.forward(rejected, threads, critic_tape);
             delta.clear();
-            for (&value, preferred) in refused.iter().zip(&batch.is_preferred) {
+            for &value in refused {
                 let margin = value + VALUE_BOUND;
-                loss += share * preferred * margin * margin;
-                delta.push(2.0 * share * preferred * margin);
+                loss += share * margin * margin;
+                delta.push(2.0 * share * margin);
             }
             let gradient = Some(&mut critic.gradient[..]);
             let pass = (&rejected[..], &delta[..]);
@@ -243,6 +244,20 @@ fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
     for (state, action) in rows.zip(actions.chunks_exact(ACTIONS)) {
         out.extend_from_slice(state);
         out.extend_from_slice(action);
+    }
+}
+
+/// The same of the rows whose label prefers the expert, with what the policy
+/// proposed there.
+fn join_preferred(batch: &Batch, out: &mut Vec<f32>) {
+    out.clear();
+    let rows = batch.states.chunks_exact(FEATURES);
+    let rows = rows.zip(batch.policy.chunks_exact(ACTIONS));
+    for ((state, action), &preferred) in rows.zip(&batch.is_preferred) {
+        if preferred > 0.0 {
+            out.extend_from_slice(state);
+            out.extend_from_slice(action);
+        }
     }
 }
 
@@ -365,6 +380,36 @@ mod tests {
         for seed in 0..4 {
             assert_gradient(seed, |pvp| &mut pvp.actor, |pvp| pvp.judge_actor().actor);
         }
+    }
+
+    #[test]
+    fn a_replay_without_preferences_is_learnt_from_all_the_same() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
+        let mut pvp = drawn(3);
+        let mut replay = Replay::new(10);
+        let transition = Transition {
+            state: [0.5; FEATURES],
+            next: [0.4; FEATURES],
+            applied: [0.1, 0.2],
+            policy: [0.3, 0.4],
+            expert: [0.5, 0.6],
+            label: Label::None,
+            then: Then::On,
+        };
+        replay.push(transition.ring(), transition);
+        for _ in 0..10 {
+            let losses = pvp.update(&replay, &mut random);
+            assert!(
+                losses.critic.is_finite() && losses.actor.is_finite(),
+                "{losses:?}"
+            );
+        }
+        assert!(
+            pvp.policy()
+                .parameters()
+                .iter()
+                .all(|value| value.is_finite())
+        );
     }
 
     #[test]
