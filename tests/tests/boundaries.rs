@@ -17,14 +17,27 @@ const ARROWS: &[(&str, &[&str])] = &[
         &["vehicle", "shm-config", "process", "gate", "policy"],
     ),
     ("sim", &["vehicle", "shm-config", "process"]),
+    (
+        "learner",
+        &[
+            "vehicle",
+            "shm-config",
+            "process",
+            "planner",
+            "policy",
+            "controller",
+        ],
+    ),
     ("supervisor", &["vehicle", "shm-config"]),
 ];
 
-/// Files that may hold `unsafe`: the wire and the real-time system calls.
+/// Files that may hold `unsafe`: the wire, the real-time system calls, and the
+/// matrix library that the learner hands slices to.
 const UNSAFE_HOMES: &[&str] = &[
     "shm-config/src/layout.rs",
     "shm-config/src/wire.rs",
     "process/src/realtime.rs",
+    "learner/src/matrix.rs",
 ];
 
 /// Lines of the longest source file.
