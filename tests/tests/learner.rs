@@ -24,7 +24,10 @@ fn folder(set: &Set) -> PathBuf {
 
 /// `--set` for each of these.
 fn overrides<'a>(settings: &[&'a str]) -> Vec<&'a str> {
-    settings.iter().flat_map(|setting| ["--set", setting]).collect()
+    settings
+        .iter()
+        .flat_map(|setting| ["--set", setting])
+        .collect()
 }
 
 fn journal_bytes(set: &Set) -> u64 {
@@ -54,7 +57,11 @@ fn policies(set: &Set) -> Vec<(String, Vec<u8>)> {
 }
 
 /// Everything that was published was considered or is counted as lost.
-fn assert_accounts(Mark { counts, sequence, .. }: &Mark) {
+fn assert_accounts(
+    Mark {
+        counts, sequence, ..
+    }: &Mark,
+) {
     assert_eq!(counts.steps + counts.lost, *sequence, "{counts:?}");
 }
 
@@ -74,7 +81,15 @@ fn in_lockstep_the_same_seed_teaches_the_same_policies() {
             "policy.veto_rate_max=1.0",
             "policy.probation_ticks=3",
         ]);
-        let words = ["--lockstep", "--seed", "3", "--duration", "20", "--gate", "policy"];
+        let words = [
+            "--lockstep",
+            "--seed",
+            "3",
+            "--duration",
+            "20",
+            "--gate",
+            "policy",
+        ];
         let output = set.run(&[&words[..], &settings].concat());
         assert!(output.status.success(), "{output:?}\n{}", set.logs());
         let (_, mark) = recovered(&set);
@@ -90,7 +105,11 @@ fn in_lockstep_the_same_seed_teaches_the_same_policies() {
     assert_eq!(a.2, b.2, "seed 3");
     assert!(a.1.len() >= 3, "a policy for each block: {}", a.1.len());
     assert!(a.1 == b.1, "seed 3: the policies differ");
-    assert!(a.0["share"]["policy"].as_f64() > Some(0.01), "it drove: {}", a.0);
+    assert!(
+        a.0["share"]["policy"].as_f64() > Some(0.01),
+        "it drove: {}",
+        a.0
+    );
 }
 
 #[test]
@@ -110,7 +129,15 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
         // A busy machine may hold any process up for a while.
         "limits.command_age_ms=2000",
     ]);
-    let words = ["--seed", "3", "--no-realtime", "--rate", "100", "--gate", "expert"];
+    let words = [
+        "--seed",
+        "3",
+        "--no-realtime",
+        "--rate",
+        "100",
+        "--gate",
+        "expert",
+    ];
     set.start(&[&words[..], &settings].concat());
     let mut random = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let mut killed = Vec::new();
@@ -123,7 +150,10 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
         let more = random.random_range(0..60) * RECORD_BYTES;
         let from = journal_bytes(&set);
         let grown = || journal_bytes(&set) >= from + more;
-        until(&format!("{more} bytes more, seed {SEED}, round {round}"), grown);
+        until(
+            &format!("{more} bytes more, seed {SEED}, round {round}"),
+            grown,
+        );
         killed.extend(set.pids("vlaps-learner"));
         assert_eq!(set.signal_program("vlaps-learner", Signal::KILL), 1);
     }
@@ -146,10 +176,16 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
     assert_eq!(found.torn_bytes, 0, "the last one ended in order");
     assert_accounts(&mark);
     let counts: Counts = mark.counts;
-    let held: u64 = Ring::ALL.iter().map(|&ring| found.replay.len(ring) as u64).sum();
+    let held: u64 = Ring::ALL
+        .iter()
+        .map(|&ring| found.replay.len(ring) as u64)
+        .sum();
     assert_eq!(held, counts.transitions(), "seed {SEED}: {counts:?}");
     let published = json["processes"]["controller"]["ticks"].as_u64();
-    println!("{counts:?}, {published:?} published, heard up to {}", mark.sequence);
+    println!(
+        "{counts:?}, {published:?} published, heard up to {}",
+        mark.sequence
+    );
 }
 
 #[test]
@@ -165,7 +201,15 @@ fn in_lockstep_a_run_outlives_the_learner_it_waits_for() {
         "learner.batch=256",
         "supervisor.restarts_max=10",
     ]);
-    let words = ["--lockstep", "--seed", "3", "--duration", "16", "--gate", "expert"];
+    let words = [
+        "--lockstep",
+        "--seed",
+        "3",
+        "--duration",
+        "16",
+        "--gate",
+        "expert",
+    ];
     set.start(&[&words[..], &settings].concat());
     // All of the block is on disk but the step whose successor is waited for.
     until("the block is full", || {
