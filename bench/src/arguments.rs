@@ -231,6 +231,8 @@ pub enum Bench {
     Mpc(Soak),
     /// Measure how long the policy's net takes to answer, by back end.
     Policy(BenchPolicy),
+    /// Measure gradient steps per second, beside PyTorch.
+    Learner(BenchLearner),
     /// Measure whether a running set notices that its weights are swapped.
     Swap(BenchSwap),
 }
@@ -252,6 +254,28 @@ pub struct BenchPolicy {
     /// libonnxruntime.so or its folder, if not that of ./vlaps setup onnxruntime.
     #[arg(long, value_name = "FILE")]
     pub onnxruntime: Option<PathBuf>,
+    /// A Python with PyTorch; without it, python3.
+    #[arg(long, value_name = "FILE")]
+    pub python: Option<PathBuf>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Measure gradient steps per second, beside PyTorch.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "The update of pvp (twin critics, the actor every second time, Adam, targets \
+        that follow) and that of the imitations, 2 x 256 neurons, on one thread and two; \
+        PyTorch makes the same updates by turns where the Python has it.\n\n\
+        Examples:\n  \
+        ./vlaps bench learner\n  \
+        ./vlaps bench learner --python torch/bin/python --json learner.json"
+)]
+pub struct BenchLearner {
+    /// Seconds for each side of a row.
+    #[arg(long, value_name = "S", default_value_t = 6.0, value_parser = seconds)]
+    pub seconds: f64,
     /// A Python with PyTorch; without it, python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,

@@ -16,6 +16,7 @@
 //! | [`scene`] | recorded scenes and their files |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
+//! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
@@ -26,6 +27,7 @@ pub mod episode;
 pub mod eval;
 pub mod evaluation;
 pub mod inference;
+pub mod learning;
 pub mod metadrive;
 pub mod outside;
 pub mod parity;

@@ -67,6 +67,15 @@ struct Origin {
     world: u32,
 }
 
+/// The newest observation that was seen, and when its episode began here.
+#[derive(Clone, Copy, Debug)]
+struct Newest {
+    world: u32,
+    episode: u32,
+    tick: u64,
+    begun_ns: u64,
+}
+
 /// One step, seen.
 #[derive(Clone, Debug)]
 struct Seen {
@@ -96,6 +105,9 @@ pub struct Assembler {
     /// The sequence number of the last step, and who published it.
     heard: Option<(u32, u64)>,
     answers: u64,
+    /// When the last step was taken, ns.
+    now_ns: u64,
+    newest: Option<Newest>,
     last: Option<Seen>,
     /// Complete, but for the label; the oldest first.
     waiting: VecDeque<Seen>,
@@ -110,6 +122,8 @@ impl Assembler {
             counts,
             heard: None,
             answers: 0,
+            now_ns: 0,
+            newest: None,
             last: None,
             waiting: VecDeque::new(),
             windows: VecDeque::with_capacity(WINDOWS_MAX),
@@ -132,9 +146,22 @@ impl Assembler {
         self.heard
     }
 
+    /// Steps that will be transitions when it is known what followed and whom
+    /// the judge preferred.
+    pub fn waiting(&self) -> u64 {
+        self.waiting.len() as u64 + u64::from(self.last.is_some())
+    }
+
     /// Takes in a step that was checked at the door; `out` gets the transitions
     /// that are complete now, the oldest first.
     pub fn push(&mut self, step: &Step, mut out: impl FnMut(Transition)) {
+        // A clock that ran backwards is that of another run.
+        if step.header.taken_ns < self.now_ns {
+            self.finish(&mut out);
+            self.windows.clear();
+            self.newest = None;
+        }
+        self.now_ns = step.header.taken_ns;
         self.count(step);
         self.learn_answer(step);
         let seen = self.see(step);
@@ -169,8 +196,7 @@ impl Assembler {
         // A new publisher counts from 1; what it published unheard is lost too.
         let expected = match self.heard {
             Some((producer, sequence)) if producer == header.producer => sequence + 1,
-            Some(_) => 1,
-            None => header.sequence,
+            Some(_) | None => 1,
         };
         self.counts.lost += header.sequence.saturating_sub(expected);
         if self
@@ -219,10 +245,9 @@ impl Assembler {
             world: header.producer,
         };
         let before = self
-            .last
-            .as_ref()
-            .filter(|last| last.origin == origin && last.episode == header.episode);
-        let is_old = before.is_some_and(|last| header.tick <= last.tick);
+            .newest
+            .filter(|newest| newest.world == origin.world && newest.episode == header.episode);
+        let is_old = before.is_some_and(|newest| header.tick <= newest.tick);
         let mut state = [0.0; FEATURES];
         let sees = step.reason() != Some(Reason::Blind)
             && step.observation_age_ns != u64::MAX
@@ -231,6 +256,13 @@ impl Assembler {
             self.counts.unseen += 1;
             return None;
         }
+        let begun_ns = before.map_or(header.taken_ns, |newest| newest.begun_ns);
+        self.newest = Some(Newest {
+            world: origin.world,
+            episode: header.episode,
+            tick: header.tick,
+            begun_ns,
+        });
         let applied = pair(Action {
             steer: step.command.steer,
             pedal: step.command.pedal,
@@ -240,7 +272,7 @@ impl Assembler {
             episode: header.episode,
             tick: header.tick,
             taken_ns: header.taken_ns,
-            begun_ns: before.map_or(header.taken_ns, |last| last.begun_ns),
+            begun_ns,
             known: self.known_label(step),
             transition: Transition {
                 state,
@@ -272,8 +304,7 @@ impl Assembler {
             let waited_ns = now_ns.saturating_sub(seen.taken_ns);
             let label = match seen.known.or_else(|| self.answered(seen)) {
                 Some(label) => label,
-                // A clock that ran backwards is that of another run.
-                None if waited_ns > self.labelling.wait_ns || now_ns < seen.taken_ns => Label::None,
+                None if waited_ns > self.labelling.wait_ns => Label::None,
                 None => return,
             };
             let Some(mut seen) = self.waiting.pop_front() else {

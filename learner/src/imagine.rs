@@ -10,7 +10,7 @@ use std::f64::consts::FRAC_PI_2;
 use rand::{Rng, RngExt};
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Bend, FEATURES, Observation};
-use vehicle::{Action, Point, Pose, State, Vehicle};
+use vehicle::{Action, Point, Pose, State, Vehicle, wrap_rad};
 
 use crate::elsewhere;
 use crate::oracle::Oracle;
@@ -72,11 +72,14 @@ impl Imagination {
         let control = rejected.control(&self.vehicle);
         let step_s = STRIDE_S / STRIDE_STEPS as f64;
         for _ in 0..states {
+            let before_rad = state.heading_rad;
             for _ in 0..STRIDE_STEPS {
                 state = vehicle::step(&self.vehicle, &state, control, step_s);
             }
             let obeyed = (rejected.steer, rejected.pedal);
             elsewhere::observe(observation, &state, obeyed, &mut self.there);
+            let turned_rad = wrap_rad(state.heading_rad - before_rad);
+            self.there.ego.yaw_rate_radps = turned_rad / STRIDE_S;
             out(self.ask(rejected));
         }
     }

@@ -6,7 +6,7 @@
 //! do, it is written anew, whole or not at all.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use shm_config::message::FEATURES;
@@ -76,21 +76,19 @@ impl Journal {
             .open(path)?;
         let length = file.metadata()?.len();
         let mut records = 0;
-        if length < MAGIC.len() as u64 {
-            file.set_len(0)?;
-            file.write_all(MAGIC)?;
-        } else {
-            let mut reader = BufReader::with_capacity(1 << 20, &file);
-            let mut magic = [0; MAGIC.len()];
-            reader.read_exact(&mut magic)?;
-            if magic != *MAGIC {
-                return Err(io::Error::new(
-                    io::ErrorKind::InvalidData,
-                    "is no replay of this version; move it away to begin a new one",
-                ));
-            }
+        let mut reader = BufReader::with_capacity(1 << 20, &file);
+        let mut magic = Vec::with_capacity(MAGIC.len());
+        let mut first = reader.by_ref().take(MAGIC.len() as u64);
+        first.read_to_end(&mut magic)?;
+        if !MAGIC.starts_with(&magic) {
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "is no replay of this version; move it away to begin a new one",
+            ));
+        }
+        if magic.len() == MAGIC.len() {
             let mut record = [0; RECORD];
-            while reader.read_exact(&mut record).is_ok() {
+            while let Whole::Yes = read_record(&mut reader, &mut record)? {
                 let Some((ring, transition, at)) = decode(&record) else {
                     break;
                 };
@@ -98,6 +96,11 @@ impl Journal {
                 mark = Some(at);
                 records += 1;
             }
+        } else {
+            // Killed while it began the file.
+            file.set_len(0)?;
+            file.rewind()?;
+            file.write_all(MAGIC)?;
         }
         let whole = MAGIC.len() as u64 + records * RECORD as u64;
         let torn_bytes = length.saturating_sub(whole);
@@ -158,6 +161,21 @@ impl Journal {
         self.file = BufWriter::new(OpenOptions::new().append(true).open(&self.path)?);
         self.records = records;
         Ok(())
+    }
+}
+
+/// Whether a record was there to its end.
+enum Whole {
+    Yes,
+    No,
+}
+
+/// A disk that cannot be read is no end of the file: nothing is cut off then.
+fn read_record(reader: &mut impl Read, record: &mut [u8; RECORD]) -> io::Result<Whole> {
+    match reader.read_exact(record) {
+        Ok(()) => Ok(Whole::Yes),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(Whole::No),
+        Err(error) => Err(error),
     }
 }
 

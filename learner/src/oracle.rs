@@ -38,17 +38,20 @@ impl Oracle {
     }
 
     /// What the expert would command here, knowing nothing of what was before.
+    /// The planner's random numbers are those of the observation's tick and
+    /// episode, so that the answer depends on the observation alone.
     pub fn ask(&mut self, observation: &mut Observation) -> Action {
+        self.planner.forget();
+        self.planner.plan(observation, &mut self.plan);
         self.asked = self.asked.wrapping_add(1);
         let tick = u64::from(self.asked);
-        observation.header = Header {
+        let header = Header {
             tick,
             taken_ns: tick * APART_NS,
             episode: self.asked,
             ..Header::default()
         };
-        self.planner.forget();
-        self.planner.plan(observation, &mut self.plan);
+        (observation.header, self.plan.header) = (header, header);
         let inputs = Inputs {
             observation: Some(*observation),
             plan: Some(*self.plan),

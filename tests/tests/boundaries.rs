@@ -31,8 +31,8 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("supervisor", &["vehicle", "shm-config"]),
 ];
 
-/// Files that may hold `unsafe`: the wire, the real-time system calls, the call of
-/// the matrix library.
+/// Files that may hold `unsafe`: the wire, the real-time system calls, and the
+/// matrix library that the learner hands slices to.
 const UNSAFE_HOMES: &[&str] = &[
     "shm-config/src/layout.rs",
     "shm-config/src/wire.rs",

@@ -113,3 +113,24 @@ impl Student {
         }
     }
 }
+
+/// Compares slopes with central differences of a loss, which is given back with
+/// number k moved by a little.
+#[cfg(test)]
+fn assert_slopes(slopes: &[f32], what: &str, mut loss: impl FnMut(usize, f32) -> f32) {
+    const EPSILON: f32 = 5e-3;
+    /// Of the largest slope: what f32 and the curvature leave.
+    const TOLERANCE: f32 = 5e-3;
+    let largest = slopes
+        .iter()
+        .fold(0.0_f32, |most, slope| most.max(slope.abs()));
+    assert!(largest > 0.0, "{what}: no slope at all");
+    for (k, &slope) in slopes.iter().enumerate() {
+        let difference = (loss(k, EPSILON) - loss(k, -EPSILON)) / (2.0 * EPSILON);
+        let error = (difference - slope).abs() / largest;
+        assert!(
+            error < TOLERANCE,
+            "{what}, number {k}: {slope}, by differences {difference}"
+        );
+    }
+}

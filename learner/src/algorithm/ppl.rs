@@ -109,3 +109,36 @@ fn prefer(actions: &[f32], preferred: &[f32], rejected: &[f32], delta: &mut [f32
     }
     loss
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{PREFERENCE_WEIGHT, prefer};
+    use crate::algorithm::assert_slopes;
+
+    #[test]
+    fn the_slopes_of_a_pair_are_those_of_finite_differences() {
+        let mut actions = [0.3, -0.6, 0.9, 0.1, -0.2, 0.0_f32];
+        let preferred = [0.1, -0.5, -0.9, 0.1, 0.2, 1.0];
+        let rejected = [0.5, -0.4, 0.8, 0.3, 0.2, -1.0];
+        let mut delta = vec![0.0; 6];
+        prefer(&actions, &preferred, &rejected, &mut delta);
+        let slopes = delta.clone();
+        assert_slopes(&slopes, "the pairs", |k, by| {
+            actions[k] += by;
+            let loss = prefer(&actions, &preferred, &rejected, &mut delta);
+            actions[k] -= by;
+            PREFERENCE_WEIGHT * loss
+        });
+    }
+
+    #[test]
+    fn a_pair_pulls_from_the_rejected_to_the_preferred_action() {
+        let mut delta = vec![0.0; 2];
+        let loss = prefer(&[0.0, 0.0], &[0.5, 0.0], &[-0.5, 0.0], &mut delta);
+        // As near to the one as to the other: the doubt is one half.
+        assert!((loss - 2.0_f32.ln()).abs() < 1e-6, "{loss}");
+        assert!(delta[0] < 0.0 && delta[1] == 0.0, "{delta:?}");
+        let near = prefer(&[0.4, 0.0], &[0.5, 0.0], &[-0.5, 0.0], &mut delta);
+        assert!(near < loss);
+    }
+}

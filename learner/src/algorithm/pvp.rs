@@ -111,8 +111,8 @@ impl Pvp {
     }
 
     /// For each critic `[Q(s, a) - y]^2 + I [Q(s, a_applied) - 1]^2
-    /// + I [Q(s, a_policy) + 1]^2`, means over the batch.
-    fn update_critics(&mut self) -> f32 {
+    /// + I [Q(s, a_policy) + 1]^2`, means over the batch, and its gradient.
+    fn judge_critics(&mut self) -> f32 {
         let Room {
             batch,
             tape,
@@ -126,7 +126,8 @@ impl Pvp {
         let threads = self.size.threads;
         let share = 1.0 / batch.len() as f32;
         join(&batch.states, &batch.applied, inputs);
-        join(&batch.states, &batch.policy, rejected);
+        // Only half of the rows: the others have no part in the last term.
+        join_preferred(batch, rejected);
         let mut loss = 0.0;
         for critic in &mut self.critics {
             let taken = critic.network.forward(inputs, threads, tape);
@@ -143,23 +144,22 @@ impl Pvp {
                 .backward((inputs, delta), threads, tape, gradient, None);
             let refused = critic.network.forward(rejected, threads, critic_tape);
             delta.clear();
-            for (&value, preferred) in refused.iter().zip(&batch.is_preferred) {
+            for &value in refused {
                 let margin = value + VALUE_BOUND;
-                loss += share * preferred * margin * margin;
-                delta.push(2.0 * share * preferred * margin);
+                loss += share * margin * margin;
+                delta.push(2.0 * share * margin);
             }
             let gradient = Some(&mut critic.gradient[..]);
             let pass = (&rejected[..], &delta[..]);
             critic
                 .network
                 .backward(pass, threads, critic_tape, gradient, None);
-            critic.step();
         }
         loss
     }
 
-    /// Eq. 2: `-mean Q(s, mu(s)) + lambda_BC` times Eq. 1.
-    fn update_actor(&mut self) -> Losses {
+    /// Eq. 2: `-mean Q(s, mu(s)) + lambda_BC` times Eq. 1, and its gradient.
+    fn judge_actor(&mut self) -> Losses {
         let Room {
             batch,
             tape,
@@ -198,7 +198,6 @@ impl Pvp {
         self.actor
             .network
             .backward(pass, threads, tape, gradient, None);
-        self.actor.step();
         Losses {
             actor: self.settings.imitation_weight * imitation - value,
             imitation,
@@ -215,10 +214,12 @@ impl Pvp {
             return Losses::default();
         }
         self.targets(random);
-        let critic = self.update_critics();
+        let critic = self.judge_critics();
+        self.critics.iter_mut().for_each(Learned::step);
         self.updates += 1;
         if self.updates % POLICY_DELAY == 0 {
-            self.last_actor = self.update_actor();
+            self.last_actor = self.judge_actor();
+            self.actor.step();
             self.actor_target.follow(&self.actor.network, TAU);
             for (target, critic) in self.critic_targets.iter_mut().zip(&self.critics) {
                 target.follow(&critic.network, TAU);
@@ -246,8 +247,184 @@ fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
     }
 }
 
+/// The same of the rows whose label prefers the expert, with what the policy
+/// proposed there.
+fn join_preferred(batch: &Batch, out: &mut Vec<f32>) {
+    out.clear();
+    let rows = batch.states.chunks_exact(FEATURES);
+    let rows = rows.zip(batch.policy.chunks_exact(ACTIONS));
+    for ((state, action), &preferred) in rows.zip(&batch.is_preferred) {
+        if preferred > 0.0 {
+            out.extend_from_slice(state);
+            out.extend_from_slice(action);
+        }
+    }
+}
+
 /// A normal number, by Box and Muller.
 fn normal(random: &mut impl Rng) -> f32 {
     let radius = (-2.0 * (1.0 - random.random::<f32>()).ln()).sqrt();
     radius * (std::f32::consts::TAU * random.random::<f32>()).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+    use shm_config::message::FEATURES;
+
+    use super::{Pvp, Settings};
+    use crate::algorithm::{Learned, Size};
+    use crate::replay::{ACTIONS, Label, Replay, Then, Transition};
+
+    /// Directions in the space of the parameters that are tried.
+    const DIRECTIONS: usize = 20;
+    const EPSILON: f32 = 4e-3;
+    /// Of the slope: what f32, the curvature and the turns of ReLUs leave.
+    const TOLERANCE: f64 = 0.05;
+
+    /// A learner with a batch drawn, all kinds of transitions in it.
+    fn drawn(seed: u64) -> Pvp {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let mut replay = Replay::new(100);
+        for k in 0..60 {
+            let mut numbers = |scale: f32| -> [f32; FEATURES] {
+                std::array::from_fn(|_| 0.5 + scale * random.random_range(-0.5..0.5))
+            };
+            let (state, next) = (numbers(0.5), numbers(0.5));
+            let mut pair = || {
+                [
+                    random.random_range(-1.0..1.0),
+                    random.random_range(-1.0..1.0),
+                ]
+            };
+            let transition = Transition {
+                state,
+                next,
+                applied: pair(),
+                policy: pair(),
+                expert: pair(),
+                label: [Label::Expert, Label::Policy, Label::None][k % 3],
+                then: [Then::On, Then::On, Then::End, Then::Unknown][k % 4],
+            };
+            replay.push(transition.ring(), transition);
+        }
+        let size = Size {
+            hidden: 12,
+            batch: 32,
+            threads: 1,
+        };
+        let settings = Settings {
+            rate: 1e-3,
+            imitation_weight: 0.7,
+        };
+        let mut pvp = Pvp::new(settings, size, &mut random);
+        replay.sample_evenly(size.batch, &mut random, &mut pvp.room.batch);
+        pvp.targets(&mut random);
+        pvp
+    }
+
+    /// Compares the gradient of one network with central differences of the
+    /// loss in random directions.
+    fn assert_gradient(
+        seed: u64,
+        network: impl Fn(&mut Pvp) -> &mut Learned,
+        loss: impl Fn(&mut Pvp) -> f32,
+    ) {
+        let mut pvp = drawn(seed);
+        loss(&mut pvp);
+        let gradient = network(&mut pvp).gradient.clone();
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed ^ 1);
+        for k in 0..DIRECTIONS {
+            // Along the gradient, and a little aside.
+            let direction: Vec<f32> = gradient
+                .iter()
+                .map(|slope| slope.signum() * random.random_range(-0.2..1.0_f32))
+                .collect();
+            let length = direction.iter().map(|d| d * d).sum::<f32>().sqrt();
+            let mut at = |by: f32| {
+                let parameters = network(&mut pvp).network.parameters_mut();
+                let before = parameters.to_vec();
+                for (parameter, d) in parameters.iter_mut().zip(&direction) {
+                    *parameter += by * d / length;
+                }
+                let value = f64::from(loss(&mut pvp));
+                network(&mut pvp)
+                    .network
+                    .parameters_mut()
+                    .copy_from_slice(&before);
+                value
+            };
+            let difference = (at(EPSILON) - at(-EPSILON)) / (2.0 * f64::from(EPSILON));
+            let pairs = gradient.iter().zip(&direction);
+            let slope: f64 = pairs.map(|(g, d)| f64::from(g * d / length)).sum();
+            let error = (difference - slope).abs() / slope.abs();
+            assert!(
+                error < TOLERANCE,
+                "seed {seed}, direction {k}: {slope}, by differences {difference}"
+            );
+        }
+    }
+
+    #[test]
+    fn the_critics_gradients_are_those_of_finite_differences() {
+        for seed in 0..4 {
+            for k in 0..2 {
+                assert_gradient(seed, |pvp| &mut pvp.critics[k], Pvp::judge_critics);
+            }
+        }
+    }
+
+    #[test]
+    fn the_actors_gradient_is_that_of_finite_differences() {
+        for seed in 0..4 {
+            assert_gradient(seed, |pvp| &mut pvp.actor, |pvp| pvp.judge_actor().actor);
+        }
+    }
+
+    #[test]
+    fn a_replay_without_preferences_is_learnt_from_all_the_same() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
+        let mut pvp = drawn(3);
+        let mut replay = Replay::new(10);
+        let transition = Transition {
+            state: [0.5; FEATURES],
+            next: [0.4; FEATURES],
+            applied: [0.1, 0.2],
+            policy: [0.3, 0.4],
+            expert: [0.5, 0.6],
+            label: Label::None,
+            then: Then::On,
+        };
+        replay.push(transition.ring(), transition);
+        for _ in 0..10 {
+            let losses = pvp.update(&replay, &mut random);
+            assert!(
+                losses.critic.is_finite() && losses.actor.is_finite(),
+                "{losses:?}"
+            );
+        }
+        assert!(
+            pvp.policy()
+                .parameters()
+                .iter()
+                .all(|value| value.is_finite())
+        );
+    }
+
+    #[test]
+    fn targets_end_with_the_episode_and_are_the_lesser_of_two() {
+        let mut pvp = drawn(9);
+        let values = pvp.room.values.clone();
+        assert_eq!(values.len(), 32);
+        for (value, goes_on) in values.iter().zip(&pvp.room.batch.goes_on) {
+            assert_eq!(*value == 0.0, *goes_on == 0.0, "{value}");
+        }
+        // With one target far above, the other one counts.
+        let last = pvp.critic_targets[0].parameters().len() - 1;
+        pvp.critic_targets[0].parameters_mut()[last] += 100.0;
+        pvp.targets(&mut Xoshiro256PlusPlus::seed_from_u64(1));
+        assert!(pvp.room.values.iter().all(|value| value.abs() < 10.0));
+        assert_eq!(ACTIONS * 32, pvp.room.actions.len());
+    }
 }

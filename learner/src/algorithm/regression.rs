@@ -105,3 +105,27 @@ pub(super) fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> 
     }
     loss
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{STEER_WEIGHT, imitate};
+    use crate::algorithm::assert_slopes;
+
+    #[test]
+    fn the_slopes_of_the_imitation_are_those_of_finite_differences() {
+        let mut actions = [0.3, -0.6, 0.9, 0.1, -0.2, 0.0_f32];
+        let expert = [0.1, -0.5, -0.9, 0.1, 0.2, 1.0];
+        let mut delta = Vec::new();
+        imitate(&actions, &expert, &mut delta);
+        let slopes = delta.clone();
+        assert_slopes(&slopes, "the imitation", |k, by| {
+            actions[k] += by;
+            let loss = imitate(&actions, &expert, &mut delta);
+            actions[k] -= by;
+            loss
+        });
+        // One error of 1 in one of three rows.
+        let loss = imitate(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], &[0.0; 6], &mut delta);
+        assert!((loss - STEER_WEIGHT / 3.0).abs() < 1e-6, "{loss}");
+    }
+}

@@ -1,0 +1,335 @@
+//! `bench learner`: gradient steps per second, beside PyTorch on the same cores.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use anyhow::Context;
+use learner::algorithm::{Pvp, Regression, Size, Source, Student, pvp};
+use learner::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use serde::Serialize;
+
+use crate::Clock;
+use crate::arguments::BenchLearner;
+use crate::report::{Machine, say, table, write_json};
+
+/// Neurons of each of the two hidden layers: those of the experiment.
+const HIDDEN: usize = 256;
+/// Transitions of an update: that of the configuration, and PVP4Real's.
+const BATCHES: [usize; 2] = [256, 1024];
+/// Threads of the matrix products.
+const THREADS: [usize; 2] = [1, 2];
+/// Transitions in each ring that batches are drawn from.
+const HELD: usize = 20_000;
+/// Ours and PyTorch's take turns this often, so that both meet the same load.
+const TURNS: u32 = 6;
+/// At least this many updates a turn, those before the first one not counted.
+const STEPS_MIN: u32 = 5;
+/// How many times as fast as PyTorch PVP has to be at the first batch size.
+const BAR: f64 = 1.5;
+/// Length of Adam's steps; it does not matter here.
+const RATE: f32 = 1e-4;
+
+/// The same update in PyTorch.
+const SCRIPT: &str = include_str!("../torch/td3_update.py");
+
+/// What is updated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Kind {
+    /// Twin critics, an actor every second time, targets that follow.
+    Pvp,
+    /// The actor alone.
+    Regression,
+}
+
+impl Kind {
+    fn word(self) -> &'static str {
+        match self {
+            Kind::Pvp => "pvp",
+            Kind::Regression => "regression",
+        }
+    }
+}
+
+/// One kind of update at one size.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    kind: Kind,
+    batch: usize,
+    threads: usize,
+    /// Gradient steps per second, ours; drawing the batch included.
+    steps_per_s: f64,
+    /// PyTorch's; none where there is none.
+    torch_steps_per_s: Option<f64>,
+    /// How many times as fast ours is.
+    ratio: Option<f64>,
+}
+
+/// All rows of a run.
+#[derive(Clone, Debug, Serialize)]
+struct Learnt {
+    rows: Vec<Row>,
+    /// Version of PyTorch, or why there is none.
+    torch: String,
+    /// Seconds measured of each side of a row.
+    seconds: f64,
+    /// The bar at the first batch size; none without PyTorch.
+    is_met: Option<bool>,
+    conditions: Machine,
+}
+
+/// `./vlaps bench learner`.
+///
+/// # Errors
+/// When PyTorch's script breaks off, or a file cannot be written.
+pub fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
+    let conditions = Machine::here()?;
+    let replay = replay(HELD);
+    let mut torch = Torch::start(arguments);
+    let mut rows = Vec::new();
+    for kind in [Kind::Pvp, Kind::Regression] {
+        for batch in BATCHES {
+            for threads in THREADS {
+                let size = Size {
+                    hidden: HIDDEN,
+                    batch,
+                    threads,
+                };
+                let theirs = torch.as_mut().ok();
+                rows.push(row(
+                    (kind, size),
+                    &replay,
+                    theirs,
+                    (arguments.seconds, clock),
+                )?);
+            }
+        }
+    }
+    let torch = match &torch {
+        Ok(torch) => torch.version.clone(),
+        Err(note) => note.clone(),
+    };
+    let judged = |row: &&Row| row.kind == Kind::Pvp && row.batch == BATCHES[0];
+    let ratios: Option<Vec<f64>> = rows.iter().filter(judged).map(|row| row.ratio).collect();
+    let learnt = Learnt {
+        is_met: ratios.map(|ratios| ratios.iter().all(|&ratio| ratio >= BAR)),
+        rows,
+        torch,
+        seconds: arguments.seconds,
+        conditions,
+    };
+    print(&learnt);
+    match &arguments.json {
+        Some(path) => write_json(path, &learnt),
+        None => Ok(()),
+    }
+}
+
+/// Full rings of transitions that mean nothing.
+fn replay(held: usize) -> Replay {
+    let mut dice = Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut unit = move || (dice.next_u64() >> 40) as f32 / (1_u64 << 24) as f32;
+    let mut replay = Replay::new(held);
+    for k in 0..2 * held {
+        let mut action = || -> [f32; ACTIONS] { [2.0 * unit() - 1.0, 2.0 * unit() - 1.0] };
+        let (applied, policy, expert) = (action(), action(), action());
+        let transition = Transition {
+            state: std::array::from_fn(|_| unit()),
+            next: std::array::from_fn(|_| unit()),
+            applied,
+            policy,
+            expert,
+            label: [Label::Expert, Label::Policy][k % 2],
+            then: [Then::On, Then::End][usize::from(k % 500 < 2)],
+        };
+        replay.push([Ring::Expert, Ring::Learner][k % 2], transition);
+    }
+    replay
+}
+
+fn row(
+    (kind, size): (Kind, Size),
+    replay: &Replay,
+    mut torch: Option<&mut Torch>,
+    (seconds, clock): (f64, Clock),
+) -> anyhow::Result<Row> {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
+    let mut student = match kind {
+        Kind::Pvp => {
+            let settings = pvp::Settings {
+                rate: RATE,
+                imitation_weight: 1.0,
+            };
+            Student::Pvp(Pvp::new(settings, size, &mut random))
+        }
+        Kind::Regression => {
+            Student::Regression(Regression::new(Source::All, size, RATE, &mut random))
+        }
+    };
+    let turn_s = seconds / f64::from(TURNS);
+    let (mut ours, mut theirs) = (Pace::default(), Pace::default());
+    // The first turn warms up: memory is touched, kernels are chosen.
+    for turn in 0..=TURNS {
+        let mut pace = Pace::default();
+        let begun = clock();
+        while pace.steps < STEPS_MIN || pace.seconds < turn_s {
+            student.update(replay, &mut random);
+            pace.steps += 1;
+            pace.seconds = clock().since_ns(begun) as f64 * 1e-9;
+        }
+        let their_pace = match &mut torch {
+            Some(torch) => torch.measure((kind, size), turn_s)?,
+            None => Pace::default(),
+        };
+        if turn > 0 {
+            ours.add(pace);
+            theirs.add(their_pace);
+        }
+    }
+    let torch_steps_per_s = torch.map(|_| theirs.steps_per_s());
+    Ok(Row {
+        kind,
+        batch: size.batch,
+        threads: size.threads,
+        steps_per_s: ours.steps_per_s(),
+        torch_steps_per_s,
+        ratio: torch_steps_per_s.map(|theirs| ours.steps_per_s() / theirs),
+    })
+}
+
+/// Updates, and how long they took together.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pace {
+    steps: u32,
+    seconds: f64,
+}
+
+impl Pace {
+    fn add(&mut self, other: Pace) {
+        self.steps += other.steps;
+        self.seconds += other.seconds;
+    }
+
+    fn steps_per_s(self) -> f64 {
+        f64::from(self.steps) / self.seconds
+    }
+}
+
+/// A Python that waits for its turn.
+struct Torch {
+    child: Child,
+    turns: ChildStdin,
+    paces: BufReader<ChildStdout>,
+    version: String,
+}
+
+impl Torch {
+    /// Why there is none is a note below the table.
+    fn start(arguments: &BenchLearner) -> Result<Torch, String> {
+        let python = arguments.python.clone();
+        let python = python.unwrap_or_else(|| PathBuf::from("python3"));
+        let mut child = Command::new(&python)
+            .args(["-c", SCRIPT])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|_| format!("{} does not start", python.display()))?;
+        let (Some(turns), Some(paces)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(format!("{} has no pipes", python.display()));
+        };
+        let mut torch = Torch {
+            child,
+            turns,
+            paces: BufReader::new(paces),
+            version: String::new(),
+        };
+        match torch.answer() {
+            Ok(line) if line.starts_with("torch ") => {
+                torch.version = line;
+                Ok(torch)
+            }
+            _ => Err(format!("PyTorch is not installed in {}", python.display())),
+        }
+    }
+
+    fn answer(&mut self) -> anyhow::Result<String> {
+        let mut line = String::new();
+        self.paces
+            .read_line(&mut line)
+            .context("PyTorch's script")?;
+        anyhow::ensure!(line.ends_with('\n'), "PyTorch's script broke off");
+        Ok(line.trim_end().to_string())
+    }
+
+    fn measure(&mut self, (kind, size): (Kind, Size), seconds: f64) -> anyhow::Result<Pace> {
+        let Size {
+            hidden,
+            batch,
+            threads,
+        } = size;
+        writeln!(
+            self.turns,
+            "{} {hidden} {batch} {threads} {seconds} {STEPS_MIN}",
+            kind.word()
+        )
+        .context("PyTorch's script")?;
+        let line = self.answer()?;
+        let (steps, seconds) = line.split_once(' ').context("PyTorch's answer")?;
+        Ok(Pace {
+            steps: steps.parse().context("PyTorch's answer")?,
+            seconds: seconds.parse().context("PyTorch's answer")?,
+        })
+    }
+}
+
+impl Drop for Torch {
+    fn drop(&mut self) {
+        // It holds nothing that is worth an orderly end.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn print(learnt: &Learnt) {
+    let header = [
+        "",
+        "batch",
+        "threads",
+        "steps/s",
+        "PyTorch steps/s",
+        "ratio",
+    ];
+    let mut table = table(&header);
+    for row in &learnt.rows {
+        let number = |value: Option<f64>, digits: usize| {
+            value.map_or("-".into(), |value| format!("{value:.digits$}"))
+        };
+        table.add_row([
+            row.kind.word().into(),
+            row.batch.to_string(),
+            row.threads.to_string(),
+            number(Some(row.steps_per_s), 1),
+            number(row.torch_steps_per_s, 1),
+            number(row.ratio, 2),
+        ]);
+    }
+    say(table);
+    let batch = BATCHES[0];
+    match learnt.is_met {
+        Some(true) => say(format_args!(
+            "bar met: pvp at batch {batch} is at least {BAR} times as fast as PyTorch"
+        )),
+        Some(false) => say(format_args!(
+            "bar missed: pvp at batch {batch} has to be at least {BAR} times as fast as PyTorch"
+        )),
+        None => {}
+    }
+    say(format_args!(
+        "2 x {HIDDEN} neurons, {} s each by turns after a warm-up, no real-time priority, {}, {}",
+        learnt.seconds, learnt.torch, learnt.conditions
+    ));
+}

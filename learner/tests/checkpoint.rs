@@ -1,0 +1,190 @@
+//! A learner that stops and comes back is the one it was.
+
+mod steps;
+
+use std::fs;
+use std::path::Path;
+
+use learner::session::Session;
+use shm_config::config::{Algorithm, Config, GateMode};
+use steps::{step, vetoed};
+use tempfile::TempDir;
+
+const BLOCK: u64 = 20;
+const ALGORITHMS: [Algorithm; 5] = [
+    Algorithm::Pvp,
+    Algorithm::Ppl,
+    Algorithm::Bc,
+    Algorithm::HgDagger,
+    Algorithm::Dagger,
+];
+
+fn config(algorithm: Algorithm) -> Config {
+    let mut config = Config::default();
+    // Vetoes give labels at once, all other steps have none.
+    config.gate.mode = GateMode::Policy;
+    let learner = &mut config.learner;
+    learner.algorithm = algorithm;
+    learner.block_steps = BLOCK as u32;
+    learner.updates = 5;
+    learner.batch = 16;
+    learner.hidden = 16;
+    learner.capacity = 64;
+    learner.predicted_states = 1;
+    learner.imagined_scenes = 1;
+    config
+}
+
+/// Considers the steps of these ticks, and learns at the end of each block;
+/// the last policy.
+fn drive(session: &mut Session, ticks: std::ops::Range<u64>) -> Vec<u8> {
+    let mut policy = Vec::new();
+    for tick in ticks {
+        session.push(&match tick % 3 {
+            0 => vetoed(step(tick)),
+            _ => step(tick),
+        });
+        if session.is_due() {
+            policy = session.learn().expect("finite numbers").policy;
+        }
+    }
+    policy
+}
+
+fn open(config: &Config, folder: &Path) -> Session {
+    Session::open(config, folder).expect("a session")
+}
+
+#[test]
+fn a_learner_that_was_stopped_learns_what_one_that_went_on_does() {
+    for algorithm in ALGORITHMS {
+        let config = config(algorithm);
+        let [through, stopped] = [(), ()].map(|()| TempDir::new().expect("a folder"));
+        // The step between the two halves is lost to both.
+        let halves = [0..BLOCK, BLOCK + 1..3 * BLOCK + 1];
+        let mut session = open(&config, through.path());
+        let first = drive(&mut session, halves[0].clone());
+        let last = drive(&mut session, halves[1].clone());
+        let counts = session.counts();
+        session.finish();
+
+        let mut session = open(&config, stopped.path());
+        assert_eq!(
+            drive(&mut session, halves[0].clone()),
+            first,
+            "{algorithm:?}"
+        );
+        session.finish();
+        drop(session);
+        let mut session = open(&config, stopped.path());
+        assert_eq!(
+            session.policy_file().expect("finite numbers"),
+            first,
+            "{algorithm:?}"
+        );
+        let again = drive(&mut session, halves[1].clone());
+        assert!(
+            !last.is_empty() && last != first,
+            "{algorithm:?} learnt nothing"
+        );
+        assert!(
+            again == last,
+            "{algorithm:?} learnt something else after the stop"
+        );
+        assert_eq!(session.counts(), counts, "{algorithm:?}");
+        session.finish();
+        drop(session);
+        for file in ["blocks.csv", "learner.bin"] {
+            let [a, b] = [&through, &stopped].map(|folder| fs::read(folder.path().join(file)));
+            let (a, b) = (a.expect("the file"), b.expect("the file"));
+            assert!(a == b, "{algorithm:?}: {file} differs");
+        }
+    }
+}
+
+#[test]
+fn a_learner_that_was_killed_goes_on_from_its_last_block() {
+    for algorithm in [Algorithm::Pvp, Algorithm::HgDagger] {
+        let config = config(algorithm);
+        let folder = TempDir::new().expect("a folder");
+        let mut session = open(&config, folder.path());
+        let first = drive(&mut session, 0..BLOCK + 7);
+        // Killed: nothing is finished.
+        drop(session);
+        let mut session = open(&config, folder.path());
+        assert_eq!(
+            session.policy_file().expect("finite numbers"),
+            first,
+            "{algorithm:?}"
+        );
+        drive(&mut session, BLOCK + 9..3 * BLOCK);
+        let counts = session.counts();
+        assert_eq!(
+            counts.steps + counts.lost,
+            3 * BLOCK,
+            "every step that was published is counted: {counts:?}"
+        );
+    }
+}
+
+#[test]
+fn a_damaged_checkpoint_is_refused_with_its_name() {
+    let config = config(Algorithm::Bc);
+    let folder = TempDir::new().expect("a folder");
+    drive(&mut open(&config, folder.path()), 0..BLOCK);
+    let path = folder.path().join("learner.bin");
+    let bytes = fs::read(&path).expect("a checkpoint");
+    let mut cases: Vec<(String, Vec<u8>)> = [0, 1, 7, 8, 11, 12, bytes.len() / 2, bytes.len() - 1]
+        .map(|length| (format!("cut to {length} bytes"), bytes[..length].to_vec()))
+        .into();
+    for offset in (0..bytes.len())
+        .step_by(997)
+        .chain([0, 8, 12, bytes.len() - 1])
+    {
+        let mut bad = bytes.clone();
+        bad[offset] ^= 0x04;
+        cases.push((format!("byte {offset} flipped"), bad));
+    }
+    for (what, bad) in cases {
+        fs::write(&path, &bad).expect("a file");
+        let error = Session::open(&config, folder.path()).err();
+        let said = error
+            .unwrap_or_else(|| panic!("{what}: accepted"))
+            .to_string();
+        let is_clear = said.contains("learner.bin") && said.contains("damaged");
+        assert!(is_clear && said.contains("move it away"), "{what}: {said}");
+        assert_eq!(
+            fs::read(&path).expect("the file"),
+            bad,
+            "{what}: left alone"
+        );
+    }
+    fs::write(&path, &bytes).expect("a file");
+    open(&config, folder.path());
+}
+
+#[test]
+fn a_folder_of_another_algorithm_is_refused_with_both_names() {
+    let folder = TempDir::new().expect("a folder");
+    drive(
+        &mut open(&config(Algorithm::HgDagger), folder.path()),
+        0..BLOCK,
+    );
+    let error = Session::open(&config(Algorithm::Pvp), folder.path()).err();
+    let said = error.expect("a refusal").to_string();
+    for word in ["hg-dagger", "pvp", "learner.bin", "move the folder away"] {
+        assert!(said.contains(word), "{word}: {said}");
+    }
+}
+
+#[test]
+fn a_journal_of_another_kind_is_refused_with_its_name() {
+    let folder = TempDir::new().expect("a folder");
+    fs::write(folder.path().join("replay.bin"), b"something else").expect("a file");
+    let error = Session::open(&config(Algorithm::Bc), folder.path()).err();
+    let said = error.expect("a refusal").to_string();
+    assert!(
+        said.contains("replay.bin") && said.contains("move it away"),
+        "{said}"
+    );
+}

@@ -1,0 +1,144 @@
+//! The networks' input: its mirror, and the change that a policy file undoes.
+
+use learner::export;
+use learner::features::{mirror, mirror_action, prepare};
+use learner::network::{Head, Network, Tape};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use shm_config::message::{Bend, FEATURES, Observation};
+
+/// Features are f32 in [0, 1], changed at most twice.
+const TOLERANCE: f32 = 1e-6;
+/// Width of a lane of the built-in world, m.
+const LANE_M: f64 = 3.5;
+
+fn assert_near(a: &[f32], b: &[f32], what: &str) {
+    for (feature, (a, b)) in a.iter().zip(b).enumerate() {
+        assert!(
+            (a - b).abs() <= TOLERANCE,
+            "{what}, feature {feature}: {a} and {b}"
+        );
+    }
+}
+
+/// A scene on a road of three lanes, out of a seed.
+fn scene(seed: u64) -> Observation {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let mut observation = Observation {
+        beam_count: 240,
+        ..Observation::default()
+    };
+    let left_m = random.random_range(1.0..9.5);
+    observation.road.left_m = left_m;
+    observation.road.right_m = 3.0 * LANE_M - left_m;
+    observation.road.heading_rad = random.random_range(-1.0..1.0);
+    observation.road.offset_m = random.random_range(-2.0..2.0);
+    observation.ego.speed_mps = random.random_range(0.0..20.0);
+    observation.ego.yaw_rate_radps = random.random_range(-0.9..0.9);
+    observation.ego.steer = random.random_range(-1.0..1.0);
+    observation.ego.pedal = random.random_range(-1.0..1.0);
+    for checkpoint in &mut observation.checkpoints {
+        checkpoint.x_body_m = random.random_range(-60.0..60.0);
+        checkpoint.y_body_m = random.random_range(-60.0..60.0);
+        let bend = [Bend::Straight, Bend::Left, Bend::Right][random.random_range(0..3)];
+        checkpoint.bend = bend.code();
+        if bend != Bend::Straight {
+            // Of the leftmost lane, the outermost one of a bend to the right.
+            let inner_m = random.random_range(25.0..60.0);
+            let across_m = if bend == Bend::Right {
+                2.0 * LANE_M
+            } else {
+                0.0
+            };
+            checkpoint.bend_radius_m = inner_m + across_m;
+            checkpoint.bend_angle_rad = random.random_range(0.3..2.0);
+        }
+    }
+    for range_m in &mut observation.ranges_m[..240] {
+        *range_m = random.random_range(0.0..50.0);
+    }
+    observation
+}
+
+/// The same scene with left and right exchanged.
+fn mirrored(scene: &Observation) -> Observation {
+    let mut mirrored = *scene;
+    mirrored.road.left_m = scene.road.right_m;
+    mirrored.road.right_m = scene.road.left_m;
+    mirrored.road.heading_rad = -scene.road.heading_rad;
+    mirrored.road.offset_m = -scene.road.offset_m;
+    mirrored.ego.yaw_rate_radps = -scene.ego.yaw_rate_radps;
+    mirrored.ego.steer = -scene.ego.steer;
+    for checkpoint in &mut mirrored.checkpoints {
+        checkpoint.y_body_m = -checkpoint.y_body_m;
+        // What was the rightmost lane is the leftmost one.
+        let (bend, across_m) = match checkpoint.bend() {
+            Bend::Straight => (Bend::Straight, 0.0),
+            Bend::Left => (Bend::Right, 2.0 * LANE_M),
+            Bend::Right => (Bend::Left, -2.0 * LANE_M),
+        };
+        checkpoint.bend = bend.code();
+        checkpoint.bend_radius_m += across_m;
+    }
+    for beam in 1..240 {
+        mirrored.ranges_m[beam] = scene.ranges_m[240 - beam];
+    }
+    mirrored
+}
+
+fn features(observation: &Observation) -> [f32; FEATURES] {
+    let mut features = [0.0; FEATURES];
+    observation.features(&mut features).expect("240 beams");
+    features
+}
+
+#[test]
+fn mirrored_features_are_those_of_the_mirrored_scene() {
+    for seed in 0..200 {
+        let scene = scene(seed);
+        let mut row = features(&scene);
+        mirror(&mut row);
+        assert_near(&row, &features(&mirrored(&scene)), &format!("seed {seed}"));
+    }
+}
+
+#[test]
+fn the_mirror_of_the_mirror_is_the_scene() {
+    for seed in 0..200 {
+        let row = features(&scene(seed));
+        let mut twice = row;
+        mirror(&mut twice);
+        assert_ne!(twice, row, "seed {seed}: the mirror does nothing");
+        mirror(&mut twice);
+        assert_near(&twice, &row, &format!("seed {seed}"));
+    }
+    let mut action = [0.25, -0.5];
+    mirror_action(&mut action);
+    assert_eq!(action, [-0.25, -0.5]);
+    mirror_action(&mut action);
+    assert_eq!(action, [0.25, -0.5]);
+}
+
+#[test]
+fn a_policy_file_answers_on_plain_features_what_the_network_does_on_prepared_ones() {
+    for (seed, head) in [(1, Head::Tanh), (2, Head::Linear), (3, Head::Tanh)] {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let network = Network::new(&[FEATURES, 64, 32, 2], head, &mut random);
+        let mut mlp = export::mlp(&network).expect("a net of that size");
+        for scene_seed in 0..50 {
+            let plain = features(&scene(scene_seed));
+            let mut prepared = plain;
+            prepare(&mut prepared);
+            assert_ne!(prepared, plain);
+            let mut tape = Tape::default();
+            let expected = network.forward(&prepared, 1, &mut tape);
+            let given = mlp.infer(&plain);
+            for (given, expected) in given.iter().zip(expected) {
+                assert!(
+                    (given - expected).abs() < 1e-5,
+                    "net {seed}, scene {scene_seed}: {given} and {expected}"
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! Every gradient of a network, against finite differences.
+//!
+//! Those of the losses are tested beside them, in `src/algorithm`.
+
+use learner::network::{Head, Network, Tape};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+const SIZES: [usize; 4] = [5, 8, 7, 3];
+const BATCH: usize = 6;
+/// Short enough that few ReLUs turn within it, long enough for f32.
+const EPSILON: f32 = 2e-3;
+/// Of the largest slope: what f32 and the curvature leave.
+const TOLERANCE: f64 = 5e-3;
+/// Slopes that a ReLU turns within epsilon, at most this share.
+const KINKS: f64 = 0.1;
+
+struct Case {
+    network: Network,
+    inputs: Vec<f32>,
+    /// The loss is the sum of the outputs with these weights.
+    weights: Vec<f32>,
+}
+
+impl Case {
+    fn new(head: Head, seed: u64) -> Case {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let network = Network::new(&SIZES, head, &mut random);
+        let mut numbers = |count: usize| -> Vec<f32> {
+            (0..count).map(|_| random.random_range(-1.0..1.0)).collect()
+        };
+        Case {
+            network,
+            inputs: numbers(BATCH * SIZES[0]),
+            weights: numbers(BATCH * SIZES[3]),
+        }
+    }
+
+    fn loss(&self) -> f64 {
+        let mut tape = Tape::default();
+        let outputs = self.network.forward(&self.inputs, 1, &mut tape);
+        let terms = outputs.iter().zip(&self.weights);
+        terms.map(|(&y, &w)| f64::from(y) * f64::from(w)).sum()
+    }
+
+    /// Slopes of the parameters and of the inputs, with this many threads.
+    fn slopes(&self, threads: usize) -> (Vec<f32>, Vec<f32>) {
+        let mut tape = Tape::default();
+        self.network.forward(&self.inputs, threads, &mut tape);
+        let mut parameters = vec![0.0; self.network.parameters().len()];
+        let mut inputs = Vec::new();
+        self.network.backward(
+            (&self.inputs, &self.weights),
+            threads,
+            &mut tape,
+            Some(&mut parameters),
+            Some(&mut inputs),
+        );
+        (parameters, inputs)
+    }
+}
+
+/// Compares slopes with finite differences; `change` moves number k by a little.
+fn assert_slopes(
+    slopes: &[f32],
+    case: &mut Case,
+    change: impl Fn(&mut Case, usize, f32),
+    what: &str,
+) {
+    let largest = slopes
+        .iter()
+        .fold(0.0_f32, |largest, slope| largest.max(slope.abs()));
+    assert!(largest > 0.0, "{what}: no slope at all");
+    let mut wrong = Vec::new();
+    for (k, &slope) in slopes.iter().enumerate() {
+        change(case, k, EPSILON);
+        let above = case.loss();
+        change(case, k, -2.0 * EPSILON);
+        let below = case.loss();
+        change(case, k, EPSILON);
+        let difference = (above - below) / (2.0 * f64::from(EPSILON));
+        let error = (difference - f64::from(slope)).abs();
+        if error > TOLERANCE * f64::from(largest) {
+            wrong.push((k, slope, difference));
+        }
+    }
+    let share = wrong.len() as f64 / slopes.len() as f64;
+    assert!(
+        share <= KINKS,
+        "{what}: (number, slope, finite difference) {wrong:?}"
+    );
+}
+
+#[test]
+fn slopes_of_parameters_and_inputs_are_those_of_finite_differences() {
+    for head in [Head::Linear, Head::Tanh] {
+        for seed in 0..5 {
+            let mut case = Case::new(head, seed);
+            let (parameters, inputs) = case.slopes(1);
+            let what = format!("{head:?}, seed {seed}");
+            assert_slopes(
+                &parameters,
+                &mut case,
+                |case, k, by| case.network.parameters_mut()[k] += by,
+                &format!("{what}, parameters"),
+            );
+            assert_slopes(
+                &inputs,
+                &mut case,
+                |case, k, by| case.inputs[k] += by,
+                &format!("{what}, inputs"),
+            );
+        }
+    }
+}
+
+#[test]
+fn a_pass_back_adds_to_the_gradient_that_is_there() {
+    let case = Case::new(Head::Tanh, 1);
+    let (once, _) = case.slopes(1);
+    let mut tape = Tape::default();
+    case.network.forward(&case.inputs, 1, &mut tape);
+    let mut twice = once.clone();
+    let pass = (&case.inputs[..], &case.weights[..]);
+    case.network
+        .backward(pass, 1, &mut tape, Some(&mut twice), None);
+    for (twice, once) in twice.iter().zip(&once) {
+        assert!((twice - 2.0 * once).abs() <= 1e-5 * (1.0 + once.abs()));
+    }
+}
+
+#[test]
+fn slopes_of_the_inputs_do_not_need_those_of_the_parameters() {
+    let case = Case::new(Head::Linear, 2);
+    let (_, expected) = case.slopes(1);
+    let mut tape = Tape::default();
+    case.network.forward(&case.inputs, 1, &mut tape);
+    let mut inputs = Vec::new();
+    let pass = (&case.inputs[..], &case.weights[..]);
+    case.network
+        .backward(pass, 1, &mut tape, None, Some(&mut inputs));
+    assert_eq!(inputs, expected);
+}
+
+#[test]
+fn two_threads_give_the_slopes_of_one() {
+    let case = Case::new(Head::Tanh, 3);
+    let (one, two) = (case.slopes(1), case.slopes(2));
+    for (one, two) in one.0.iter().zip(&two.0).chain(one.1.iter().zip(&two.1)) {
+        assert!((one - two).abs() <= 1e-5, "{one} and {two}");
+    }
+}
+
+#[test]
+fn a_tape_may_be_used_again_for_a_batch_of_another_size() {
+    let case = Case::new(Head::Tanh, 4);
+    let (expected, _) = case.slopes(1);
+    let mut tape = Tape::default();
+    let larger = [&case.inputs[..], &case.inputs, &case.inputs].concat();
+    case.network.forward(&larger, 1, &mut tape);
+    let weights = [&case.weights[..], &case.weights, &case.weights].concat();
+    let mut gradient = vec![0.0; expected.len()];
+    case.network
+        .backward((&larger, &weights), 1, &mut tape, Some(&mut gradient), None);
+    case.network.forward(&case.inputs, 1, &mut tape);
+    gradient.fill(0.0);
+    let pass = (&case.inputs[..], &case.weights[..]);
+    case.network
+        .backward(pass, 1, &mut tape, Some(&mut gradient), None);
+    assert_eq!(gradient, expected);
+}

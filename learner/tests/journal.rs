@@ -1,0 +1,339 @@
+//! The replay on disk survives what its process does not.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use learner::assembler::Counts;
+use learner::journal::{Journal, Mark, Recovered};
+use learner::replay::{Label, Replay, Ring, Then, Transition};
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use shm_config::message::FEATURES;
+use tempfile::TempDir;
+
+/// Bytes before the first record.
+const MAGIC: usize = 8;
+/// Where a child of this test finds its file.
+const CHILD: &str = "VLAPS_TEST_JOURNAL";
+/// Transitions that each ring holds here.
+const CAPACITY: usize = 4;
+
+/// A transition out of a number, which its first feature says.
+fn numbered(number: u64) -> Transition {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(number);
+    let mut pair = || {
+        [
+            random.random_range(-1.0..1.0),
+            random.random_range(-1.0..1.0),
+        ]
+    };
+    let (applied, policy, expert) = (pair(), pair(), pair());
+    let mut state = [0.0; FEATURES];
+    let mut next = [0.0; FEATURES];
+    for value in state.iter_mut().chain(&mut next) {
+        *value = random.random();
+    }
+    state[0] = number as f32;
+    Transition {
+        state,
+        next,
+        applied,
+        policy,
+        expert,
+        label: [Label::None, Label::Expert, Label::Policy][number as usize % 3],
+        then: [Then::On, Then::End, Then::Unknown][number as usize / 3 % 3],
+    }
+}
+
+fn ring(number: u64) -> Ring {
+    match number % 5 {
+        4 => Ring::Predicted,
+        _ => numbered(number).ring(),
+    }
+}
+
+fn mark(number: u64) -> Mark {
+    Mark {
+        counts: Counts {
+            steps: number,
+            lost: 2 * number,
+            unseen: 3 * number,
+            cut: 4 * number,
+            expert: 5 * number,
+            policy: 6 * number,
+            unlabelled: 7 * number,
+            interventions: 8 * number,
+        },
+        producer: 9 + number as u32,
+        sequence: 10 * number,
+        updates: 11 * number,
+    }
+}
+
+fn append(journal: &mut Journal, replay: &mut Replay, number: u64) {
+    let transition = numbered(number);
+    let done = journal.append(ring(number), &transition, &mark(number));
+    done.expect("room on the disk");
+    replay.push(ring(number), transition);
+}
+
+fn open(path: &Path) -> Recovered {
+    Journal::open(path, CAPACITY).expect("a journal")
+}
+
+/// A file with these many transitions; its bytes.
+fn written(path: &Path, count: u64) -> Vec<u8> {
+    let mut journal = open(path).journal;
+    let mut replay = Replay::new(CAPACITY);
+    for number in 0..count {
+        append(&mut journal, &mut replay, number);
+    }
+    journal.flush().expect("room on the disk");
+    drop(journal);
+    fs::read(path).expect("the file")
+}
+
+fn assert_holds(replay: &Replay, count: u64, what: &str) {
+    let mut expected = Replay::new(CAPACITY);
+    for number in 0..count {
+        expected.push(ring(number), numbered(number));
+    }
+    assert_same(replay, &expected, what);
+}
+
+fn assert_same(replay: &Replay, expected: &Replay, what: &str) {
+    for ring in Ring::ALL {
+        let equal = replay.iter(ring).eq(expected.iter(ring));
+        assert!(equal, "{what}: {ring:?} differs");
+    }
+}
+
+#[test]
+fn a_file_gives_back_what_was_written() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let first = open(&path);
+    assert!(first.mark.is_none() && first.replay.is_empty() && first.torn_bytes == 0);
+    drop(first);
+    for count in [1, 3, 30] {
+        let _ = fs::remove_file(&path);
+        written(&path, count);
+        let found = open(&path);
+        assert_holds(&found.replay, count, "reopened");
+        assert_eq!(found.mark, Some(mark(count - 1)));
+        assert_eq!(found.torn_bytes, 0);
+    }
+}
+
+#[test]
+fn appending_goes_on_after_reopening() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    for number in 0..12 {
+        let Recovered {
+            mut journal,
+            mut replay,
+            ..
+        } = open(&path);
+        assert_holds(&replay, number, "before");
+        append(&mut journal, &mut replay, number);
+        // Dropped, not flushed: an orderly end writes all the same.
+    }
+    assert_holds(&open(&path).replay, 12, "after");
+}
+
+#[test]
+fn a_record_torn_anywhere_is_cut_off_and_the_rest_kept() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let bytes = written(&path, 3);
+    let record = (bytes.len() - MAGIC) / 3;
+    assert_eq!(MAGIC + 3 * record, bytes.len());
+    for kept in 0..record {
+        let length = MAGIC + 2 * record + kept;
+        fs::write(&path, &bytes[..length]).expect("a file");
+        let what = format!("{kept} bytes of the last record");
+        let found = open(&path);
+        assert_eq!(found.torn_bytes, kept as u64, "{what}");
+        assert_eq!(found.mark, Some(mark(1)), "{what}");
+        assert_holds(&found.replay, 2, &what);
+        let Recovered {
+            mut journal,
+            mut replay,
+            ..
+        } = found;
+        append(&mut journal, &mut replay, 2);
+        drop(journal);
+        assert_eq!(fs::read(&path).expect("the file"), bytes, "{what}");
+    }
+}
+
+#[test]
+fn a_flipped_byte_ends_the_file_there() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let bytes = written(&path, 3);
+    let record = (bytes.len() - MAGIC) / 3;
+    let offsets = (0..record).step_by(13).chain(record - 110..record);
+    for offset in offsets {
+        let mut bad = bytes.clone();
+        bad[MAGIC + record + offset] ^= 0x10;
+        fs::write(&path, &bad).expect("a file");
+        let what = format!("byte {offset} of the second record");
+        let found = open(&path);
+        assert_holds(&found.replay, 1, &what);
+        assert_eq!(found.mark, Some(mark(0)), "{what}");
+        assert_eq!(found.torn_bytes, 2 * record as u64, "{what}");
+        drop(found);
+        assert_eq!(
+            fs::metadata(&path).expect("the file").len(),
+            (MAGIC + record) as u64
+        );
+    }
+}
+
+#[test]
+fn a_file_of_another_kind_is_refused_and_left_alone() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let mut other_version = written(&path, 2);
+    other_version[MAGIC - 1] ^= 1;
+    for foreign in [
+        &b"hello"[..],
+        b"VLX",
+        b"a text that is longer",
+        &other_version,
+    ] {
+        fs::write(&path, foreign).expect("a file");
+        let error = Journal::open(&path, CAPACITY).err().expect("a refusal");
+        assert!(
+            error.to_string().contains("no replay of this version"),
+            "{error}"
+        );
+        assert_eq!(fs::read(&path).expect("the file"), foreign);
+    }
+}
+
+#[test]
+fn a_file_whose_beginning_was_torn_begins_anew() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let bytes = written(&path, 0);
+    assert_eq!(bytes.len(), MAGIC);
+    for length in 0..MAGIC {
+        fs::write(&path, &bytes[..length]).expect("a file");
+        drop(open(&path));
+        assert_eq!(fs::read(&path).expect("the file"), bytes, "{length} bytes");
+    }
+}
+
+#[test]
+fn compaction_keeps_what_the_rings_hold() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let Recovered {
+        mut journal,
+        mut replay,
+        ..
+    } = open(&path);
+    let mut lengths = Vec::new();
+    for number in 0..200 {
+        append(&mut journal, &mut replay, number);
+        journal.flush().expect("room on the disk");
+        journal
+            .compact(&replay, &mark(number))
+            .expect("room on the disk");
+        lengths.push(fs::metadata(&path).expect("the file").len());
+        let found = Journal::open(&path, CAPACITY).expect("a journal");
+        assert_same(&found.replay, &replay, &format!("after {number}"));
+        assert_eq!(found.mark, Some(mark(number)));
+    }
+    let shorter = lengths.windows(2).filter(|pair| pair[1] < pair[0]).count();
+    assert!(shorter > 3, "it was never written anew: {lengths:?}");
+    let names = fs::read_dir(folder.path()).expect("the folder").count();
+    assert_eq!(names, 1, "nothing else is left in the folder");
+}
+
+#[test]
+fn compaction_that_fails_leaves_the_file() {
+    let folder = TempDir::new().expect("a folder");
+    let inner = folder.path().join("inner");
+    fs::create_dir(&inner).expect("a folder");
+    let path = inner.join("replay.bin");
+    let Recovered {
+        mut journal,
+        mut replay,
+        ..
+    } = open(&path);
+    for number in 0..60 {
+        append(&mut journal, &mut replay, number);
+    }
+    journal.flush().expect("room on the disk");
+    // Nobody can make a file where there is no folder.
+    let aside = folder.path().join("aside");
+    fs::rename(&inner, &aside).expect("moved");
+    journal.compact(&replay, &mark(59)).expect_err("no folder");
+    append(&mut journal, &mut replay, 60);
+    drop(journal);
+    let found = open(&aside.join("replay.bin"));
+    assert_same(&found.replay, &replay, "the old file, open still");
+    assert_eq!(found.mark, Some(mark(60)));
+}
+
+/// Appends and compacts for ever, and says after each how far it is.
+#[test]
+#[ignore = "the child that the next test kills"]
+fn child_that_compacts() {
+    let Some(path) = std::env::var_os(CHILD) else {
+        return;
+    };
+    let Recovered {
+        mut journal,
+        mut replay,
+        ..
+    } = open(Path::new(&path));
+    let mut said = std::io::stderr();
+    for number in 0.. {
+        append(&mut journal, &mut replay, number);
+        journal.flush().expect("room on the disk");
+        journal
+            .compact(&replay, &mark(number))
+            .expect("room on the disk");
+        writeln!(said, "{number}").expect("somebody listens");
+    }
+}
+
+#[test]
+fn a_process_killed_at_any_instant_leaves_a_whole_file() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
+    for round in 0..12 {
+        let _ = fs::remove_file(&path);
+        // Every 25th append compacts: around one of these it is killed.
+        let until: u64 = 22 + 21 * random.random_range(0..4) + random.random_range(0..5);
+        let mut child = Command::new(std::env::current_exe().expect("this test"))
+            .args(["--exact", "child_that_compacts", "--ignored", "--nocapture"])
+            .env(CHILD, &path)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("a child");
+        let mut lines = BufReader::new(child.stderr.take().expect("a pipe")).lines();
+        let heard = lines.by_ref().find_map(|line| {
+            let number: u64 = line.ok()?.parse().ok()?;
+            (number >= until).then_some(number)
+        });
+        child.kill().expect("it lives");
+        child.wait().expect("it ends");
+        let what = format!("seed 5, round {round}, killed after {until}");
+        let heard = heard.unwrap_or_else(|| panic!("{what}: the child ended by itself"));
+        let found = open(&path);
+        // Everything that was said to be handed over, and perhaps more.
+        let reached = found.mark.expect("a mark").counts.steps;
+        assert!(reached >= heard, "{what}: {reached} of {heard}");
+        assert_holds(&found.replay, reached + 1, &what);
+    }
+}

@@ -1,0 +1,79 @@
+//! Steps as a run would publish them, without a run.
+#![allow(dead_code)]
+
+use shm_config::message::{Driver, FEATURES, Judge, Preference, Proposal, Reason, Step};
+use vehicle::Action;
+
+/// From tick to tick, ns: 10 Hz.
+pub const PERIOD_NS: u64 = 100_000_000;
+/// The processes that publish, until a test restarts one.
+pub const CONTROLLER: u32 = 100;
+pub const WORLD: u32 = 200;
+
+/// The step of a tick of the first episode; the policy drives. What is seen
+/// differs from tick to tick.
+pub fn step(tick: u64) -> Step {
+    let mut step = Step::default();
+    step.header.tick = tick;
+    step.header.taken_ns = tick * PERIOD_NS;
+    step.header.sequence = tick + 1;
+    step.header.producer = CONTROLLER;
+    let observation = &mut step.observation;
+    observation.header = step.header;
+    observation.header.producer = WORLD;
+    observation.beam_count = 240;
+    observation.lidar_max_m = 50.0;
+    observation.ranges_m[..240].fill(50.0);
+    observation.ranges_m[(tick % 240) as usize] = 5.0 + (tick % 40) as f32;
+    observation.ego.speed_mps = 0.1 * (tick % 200) as f64;
+    observation.road.left_m = 3.0 + (tick as f64).sin();
+    observation.road.right_m = 7.5 - (tick as f64).sin();
+    step.observation_age_ns = 0;
+    let part = (tick as f64 * 0.7).sin();
+    let [expert, policy] =
+        [(0.5 * part, 0.3), (-0.5 * part, 0.6)].map(|(steer, pedal)| Action { steer, pedal });
+    step.expert = Proposal::new(Some(expert));
+    step.policy = Proposal::new(Some(policy));
+    step.command.steer = policy.steer;
+    step.command.pedal = policy.pedal;
+    step.command.driver = Driver::Policy.code();
+    step.command.reason = Reason::Advised.code();
+    step
+}
+
+/// The same step, with the expert at the wheel because the judge in the tick
+/// refused the policy.
+pub fn vetoed(mut step: Step) -> Step {
+    step.command.steer = step.expert.steer;
+    step.command.pedal = step.expert.pedal;
+    step.command.driver = Driver::Expert.code();
+    step.command.reason = Reason::Vetoed.code();
+    step.policy_assessment.veto = 1;
+    step
+}
+
+/// The same step, which knows this answer to the question of a tick.
+pub fn advised(mut step: Step, (answers, tick): (u64, u64), preference: Preference) -> Step {
+    step.advice.header = step.header;
+    step.advice.answers = answers;
+    step.advice.question_tick = tick;
+    step.advice.question_taken_ns = tick * PERIOD_NS;
+    step.advice.answered_ns = step.header.taken_ns;
+    step.advice.preference = preference.code();
+    step.advice.judge = Judge::Rules.code();
+    step
+}
+
+/// The same step in another episode.
+pub fn of_episode(mut step: Step, episode: u32) -> Step {
+    step.header.episode = episode;
+    step.observation.header.episode = episode;
+    step
+}
+
+/// The policy's input at a step.
+pub fn state(step: &Step) -> [f32; FEATURES] {
+    let mut state = [0.0; FEATURES];
+    step.observation.features(&mut state).expect("240 beams");
+    state
+}

@@ -1,0 +1,236 @@
+//! A learner in a real process set: it repeats, and its death costs the run
+//! nothing.
+
+use std::fs;
+use std::path::PathBuf;
+
+use learner::assembler::Counts;
+use learner::journal::{Journal, Mark, Recovered};
+use learner::replay::Ring;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rustix::process::Signal;
+use vlaps_tests::{Set, until};
+
+/// The journal's magic number.
+const MAGIC_BYTES: u64 = 8;
+/// About a record of the journal.
+const RECORD_BYTES: u64 = 2200;
+
+fn folder(set: &Set) -> PathBuf {
+    let run = set.folder().join("runs").join(set.name().to_string());
+    run.join("learner")
+}
+
+/// `--set` for each of these.
+fn overrides<'a>(settings: &[&'a str]) -> Vec<&'a str> {
+    settings
+        .iter()
+        .flat_map(|setting| ["--set", setting])
+        .collect()
+}
+
+fn journal_bytes(set: &Set) -> u64 {
+    fs::metadata(folder(set).join("replay.bin")).map_or(0, |file| file.len())
+}
+
+/// The journal after the run, and how far its last record says the steps came.
+fn recovered(set: &Set) -> (Recovered, Mark) {
+    let path = folder(set).join("replay.bin");
+    let found = Journal::open(&path, 50_000).expect("a journal");
+    let mark = found.mark.expect("a record at least");
+    (found, mark)
+}
+
+/// What the policies are called and hold.
+fn policies(set: &Set) -> Vec<(String, Vec<u8>)> {
+    let entries = fs::read_dir(folder(set).join("policies")).expect("policies");
+    let mut policies: Vec<(String, Vec<u8>)> = entries
+        .map(|entry| {
+            let path = entry.expect("an entry").path();
+            let name = path.file_name().expect("a name").display().to_string();
+            (name, fs::read(&path).expect("a policy"))
+        })
+        .collect();
+    policies.sort();
+    policies
+}
+
+/// Everything that was published was considered or is counted as lost.
+fn assert_accounts(
+    Mark {
+        counts, sequence, ..
+    }: &Mark,
+) {
+    assert_eq!(counts.steps + counts.lost, *sequence, "{counts:?}");
+}
+
+#[test]
+fn in_lockstep_the_same_seed_teaches_the_same_policies() {
+    let drive = |label: &str| {
+        let set = Set::new(label);
+        let settings = overrides(&[
+            "learner.enabled=true",
+            "learner.algorithm=dagger",
+            "learner.block_steps=50",
+            "learner.updates=20",
+            "learner.batch=32",
+            "learner.hidden=32",
+            "learner.imagined_scenes=1",
+            // Any weights pass: what is tested is not how they drive.
+            "policy.veto_rate_max=1.0",
+            "policy.probation_ticks=3",
+        ]);
+        let words = [
+            "--lockstep",
+            "--seed",
+            "3",
+            "--duration",
+            "20",
+            "--gate",
+            "policy",
+        ];
+        let output = set.run(&[&words[..], &settings].concat());
+        assert!(output.status.success(), "{output:?}\n{}", set.logs());
+        let (_, mark) = recovered(&set);
+        assert_accounts(&mark);
+        assert_eq!(mark.counts.lost, 0, "seed 3: {}", set.logs());
+        (set.json(), policies(&set), mark.counts)
+    };
+    // At once: nothing may depend on the machine's load.
+    let runs = ["learna", "learnb"].map(|label| std::thread::spawn(move || drive(label)));
+    let [a, b] = runs.map(|run| run.join().expect("a run"));
+    assert_eq!(a.0["command_digest"], b.0["command_digest"], "seed 3");
+    assert_eq!(a.0["reasons"], b.0["reasons"], "seed 3");
+    assert_eq!(a.2, b.2, "seed 3");
+    assert!(a.1.len() >= 3, "a policy for each block: {}", a.1.len());
+    assert!(a.1 == b.1, "seed 3: the policies differ");
+    assert!(
+        a.0["share"]["policy"].as_f64() > Some(0.01),
+        "it drove: {}",
+        a.0
+    );
+}
+
+#[test]
+fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
+    const SEED: u64 = 7;
+    const KILLS: u64 = 20;
+    let mut set = Set::new("learnkill");
+    let settings = overrides(&[
+        "learner.enabled=true",
+        "learner.algorithm=hg-dagger",
+        "learner.block_steps=100",
+        "learner.updates=10",
+        "learner.batch=32",
+        "learner.hidden=32",
+        "supervisor.restarts_max=1000",
+        "supervisor.backoff_max_ms=20",
+        // A busy machine may hold any process up for a while.
+        "limits.command_age_ms=2000",
+    ]);
+    let words = [
+        "--seed",
+        "3",
+        "--no-realtime",
+        "--rate",
+        "100",
+        "--gate",
+        "expert",
+    ];
+    set.start(&[&words[..], &settings].concat());
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(SEED);
+    let mut killed = Vec::new();
+    for round in 0..KILLS {
+        until("the learner lives", || {
+            let pids = set.pids("vlaps-learner");
+            pids.len() == 1 && !killed.contains(&pids[0])
+        });
+        // From the first instant of its life to a block or so later.
+        let more = random.random_range(0..60) * RECORD_BYTES;
+        let from = journal_bytes(&set);
+        let grown = || journal_bytes(&set) >= from + more;
+        until(
+            &format!("{more} bytes more, seed {SEED}, round {round}"),
+            grown,
+        );
+        killed.extend(set.pids("vlaps-learner"));
+        assert_eq!(set.signal_program("vlaps-learner", Signal::KILL), 1);
+    }
+    let from = journal_bytes(&set);
+    until("the last learner learns", || {
+        journal_bytes(&set) > from + 20 * RECORD_BYTES
+    });
+    set.signal(Signal::INT);
+    assert_eq!(set.wait(), Some(0), "seed {SEED}: {}", set.logs());
+
+    let json = set.json();
+    assert_eq!(json["processes"]["learner"]["restarts"], KILLS, "{json}");
+    assert_eq!(json["restarts"], KILLS, "nobody else died: {json}");
+    assert_eq!(json["braked"], 0, "there always was a command: {json}");
+    let number = |key: &str| json[key].as_f64().expect(key);
+    let instants = (number("elapsed_s") / number("period_s")).round();
+    assert_eq!(instants, number("ticks") + number("skipped"), "{json}");
+
+    let (found, mark) = recovered(&set);
+    assert_eq!(found.torn_bytes, 0, "the last one ended in order");
+    assert_accounts(&mark);
+    let counts: Counts = mark.counts;
+    let held: u64 = Ring::ALL
+        .iter()
+        .map(|&ring| found.replay.len(ring) as u64)
+        .sum();
+    assert_eq!(held, counts.transitions(), "seed {SEED}: {counts:?}");
+    let published = json["processes"]["controller"]["ticks"].as_u64();
+    println!(
+        "{counts:?}, {published:?} published, heard up to {}",
+        mark.sequence
+    );
+}
+
+#[test]
+fn in_lockstep_a_run_outlives_the_learner_it_waits_for() {
+    const BLOCK: u64 = 50;
+    let mut set = Set::new("learnwait");
+    let settings = overrides(&[
+        "learner.enabled=true",
+        "learner.algorithm=hg-dagger",
+        "learner.block_steps=50",
+        // Seconds: the controller waits that long at the end of each block.
+        "learner.updates=600",
+        "learner.batch=256",
+        "supervisor.restarts_max=10",
+    ]);
+    let words = [
+        "--lockstep",
+        "--seed",
+        "3",
+        "--duration",
+        "16",
+        "--gate",
+        "expert",
+    ];
+    set.start(&[&words[..], &settings].concat());
+    // All of the block is on disk but the step whose successor is waited for.
+    until("the block is full", || {
+        journal_bytes(&set) > MAGIC_BYTES + (BLOCK - 3) * RECORD_BYTES
+    });
+    let (mut before, mut still) = (0, 0);
+    until("nothing moves but the learner's updates", || {
+        let now = journal_bytes(&set);
+        still = if now == before { still + 1 } else { 0 };
+        before = now;
+        still == 5
+    });
+    assert_eq!(set.signal_program("vlaps-learner", Signal::KILL), 1);
+    assert_eq!(set.wait(), Some(0), "{}", set.logs());
+    let json = set.json();
+    assert_eq!(json["processes"]["learner"]["restarts"], 1, "{json}");
+    assert_eq!(json["restarts"], 1, "{json}");
+    assert_eq!(json["skipped"], 0, "{json}");
+    assert_eq!(json["braked"], 0, "{json}");
+    assert_eq!(json["ticks"], 160, "{json}");
+    let (_, mark) = recovered(&set);
+    assert_accounts(&mark);
+    assert!(!policies(&set).is_empty(), "the successor learnt");
+}
