@@ -80,7 +80,7 @@ impl Imagination {
             elsewhere::observe(observation, &state, obeyed, &mut self.there);
             let turned_rad = wrap_rad(state.heading_rad - before_rad);
             self.there.ego.yaw_rate_radps = turned_rad / STRIDE_S;
-            out(self.ask(rejected));
+            out(self.ask(Some(rejected)));
         }
     }
 
@@ -98,14 +98,17 @@ impl Imagination {
         for _ in 0..BODY_COUNTS[random.random_range(0..BODY_COUNTS.len())] {
             place(&mut self.there, random);
         }
-        self.ask(Action::default())
+        self.ask(None)
     }
 
-    fn ask(&mut self, rejected: Action) -> Transition {
+    /// The state there, with the expert's answer; where nothing was rejected,
+    /// nothing is preferred to the answer.
+    fn ask(&mut self, rejected: Option<Action>) -> Transition {
         let mut state = [0.0; FEATURES];
         // Steps with another number of beams are refused before they come here.
         self.there.features(&mut state);
         let expert = self.oracle.ask(&mut self.there);
+        let rejected = rejected.unwrap_or(expert);
         let pair =
             |action: Action| -> [f32; ACTIONS] { [action.steer as f32, action.pedal as f32] };
         Transition {

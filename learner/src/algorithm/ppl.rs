@@ -10,10 +10,10 @@
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 
-use super::regression::{AVERAGED, imitate};
-use super::{Learned, Losses, Size, actor};
-use crate::network::{Network, Tape};
-use crate::replay::{ACTIONS, Batch, Replay, Ring};
+use super::regression::Imitator;
+use super::{Losses, Size};
+use crate::network::Network;
+use crate::replay::{ACTIONS, Replay, Ring};
 
 /// Standard deviation of the policy seen as a normal distribution around its
 /// action: with it a preference is a statement about squared distances.
@@ -25,61 +25,26 @@ const PREFERENCE_WEIGHT: f32 = 0.1;
 
 /// An actor, taught by pairs.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Ppl {
-    actor: Learned,
-    average: Network,
-    size: Size,
-    #[serde(skip)]
-    room: Room,
-}
-
-#[derive(Clone, Debug, Default)]
-struct Room {
-    batch: Batch,
-    tape: Tape,
-    delta: Vec<f32>,
-}
+pub struct Ppl(Imitator);
 
 impl Ppl {
     /// With a fresh actor.
     pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Ppl {
-        let actor = actor(size, rate, random);
-        Ppl {
-            average: actor.network.clone(),
-            actor,
-            size,
-            room: Room::default(),
-        }
+        Ppl(Imitator::new(size, rate, random))
     }
 
     /// One update: steps whose label prefers the expert, and predicted states.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
         let rings = [Ring::Expert, Ring::Predicted];
-        let Room { batch, tape, delta } = &mut self.room;
-        replay.sample(&rings, self.size.batch, random, batch);
-        if batch.is_empty() {
-            return Losses::default();
-        }
-        let threads = self.size.threads;
-        let network = &self.actor.network;
-        let actions = network.forward(&batch.states, threads, tape);
-        let imitation = imitate(actions, &batch.expert, delta);
-        let preference = prefer(actions, &batch.expert, &batch.policy, delta);
-        let pass = (&batch.states[..], &delta[..]);
-        let gradient = Some(&mut self.actor.gradient[..]);
-        network.backward(pass, threads, tape, gradient, None);
-        self.actor.step();
-        self.average.follow(&self.actor.network, 1.0 / AVERAGED);
-        Losses {
-            actor: imitation + PREFERENCE_WEIGHT * preference,
-            imitation,
-            critic: 0.0,
-        }
+        self.0
+            .update((replay, &rings), random, |actions, batch, delta| {
+                PREFERENCE_WEIGHT * prefer(actions, &batch.expert, &batch.policy, delta)
+            })
     }
 
     /// The policy as it is now.
     pub fn policy(&self) -> &Network {
-        &self.average
+        self.0.policy()
     }
 }
 

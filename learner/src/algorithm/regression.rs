@@ -10,7 +10,7 @@ use crate::replay::{ACTIONS, Batch, Replay, Ring};
 
 /// The policy is the average of the actors of about this many updates: single
 /// ones wobble by more than the car has room beside an obstacle.
-pub(super) const AVERAGED: f32 = 200.0;
+const AVERAGED: f32 = 200.0;
 /// An error of the steering counts as much as one of the pedal this many times
 /// as large squared: steering is smaller, and what a crash depends on.
 const STEER_WEIGHT: f32 = 10.0;
@@ -27,9 +27,39 @@ pub enum Source {
 /// Behaviour cloning of what the expert would have done.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Regression {
+    imitator: Imitator,
+    source: Source,
+}
+
+impl Regression {
+    /// With a fresh actor.
+    pub fn new(source: Source, size: Size, rate: f32, random: &mut impl Rng) -> Regression {
+        Regression {
+            imitator: Imitator::new(size, rate, random),
+            source,
+        }
+    }
+
+    /// One update; none when there is nothing to imitate.
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+        let rings: &[Ring] = match self.source {
+            Source::Preferred => &[Ring::Expert],
+            Source::All => &Ring::ALL,
+        };
+        self.imitator.update((replay, rings), random, |_, _, _| 0.0)
+    }
+
+    /// The policy as it is now.
+    pub fn policy(&self) -> &Network {
+        self.imitator.policy()
+    }
+}
+
+/// An actor that imitates, and its average.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Imitator {
     actor: Learned,
     average: Network,
-    source: Source,
     size: Size,
     #[serde(skip)]
     room: Room,
@@ -42,25 +72,26 @@ struct Room {
     delta: Vec<f32>,
 }
 
-impl Regression {
+impl Imitator {
     /// With a fresh actor.
-    pub fn new(source: Source, size: Size, rate: f32, random: &mut impl Rng) -> Regression {
+    pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Imitator {
         let actor = actor(size, rate, random);
-        Regression {
+        Imitator {
             average: actor.network.clone(),
             actor,
-            source,
             size,
             room: Room::default(),
         }
     }
 
-    /// One update; none when there is nothing to imitate.
-    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
-        let rings: &[Ring] = match self.source {
-            Source::Preferred => &[Ring::Expert],
-            Source::All => &Ring::ALL,
-        };
+    /// One update from these rings; `also` adds the gradient of another loss of
+    /// the actions to that of Eq. 1, and returns it.
+    pub fn update(
+        &mut self,
+        (replay, rings): (&Replay, &[Ring]),
+        random: &mut impl Rng,
+        also: impl FnOnce(&[f32], &Batch, &mut [f32]) -> f32,
+    ) -> Losses {
         let Room { batch, tape, delta } = &mut self.room;
         replay.sample(rings, self.size.batch, random, batch);
         if batch.is_empty() {
@@ -70,13 +101,14 @@ impl Regression {
         let network = &self.actor.network;
         let actions = network.forward(&batch.states, threads, tape);
         let imitation = imitate(actions, &batch.expert, delta);
+        let other = also(actions, batch, delta);
         let pass = (&batch.states[..], &delta[..]);
         let gradient = Some(&mut self.actor.gradient[..]);
         network.backward(pass, threads, tape, gradient, None);
         self.actor.step();
         self.average.follow(&self.actor.network, 1.0 / AVERAGED);
         Losses {
-            actor: imitation,
+            actor: imitation + other,
             imitation,
             critic: 0.0,
         }
@@ -90,7 +122,7 @@ impl Regression {
 
 /// Eq. 1 with a weight for the steering: the mean over the batch of the squared
 /// distance, and its gradient.
-pub(super) fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
+fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
     let batch = (actions.len() / ACTIONS) as f32;
     delta.clear();
     let mut loss = 0.0;
