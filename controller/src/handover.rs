@@ -173,7 +173,9 @@ impl Learner {
         let Some(learning) = self.port.newest() else {
             return Heard::Same;
         };
-        let before = std::mem::replace(&mut self.newest, learning).header.producer;
+        let before = std::mem::replace(&mut self.newest, learning)
+            .header
+            .producer;
         self.is_silent = false;
         match before != 0 && before != learning.header.producer {
             true => Heard::Successor,

@@ -127,8 +127,7 @@ pub const STEP: Service<Step> = Service::custom(
 pub const ADVICE: Service<Advice> = Service::custom("advice", P::Gate, &[P::Controller], Latest);
 /// What a person at the keys wants. No bell rings: a tick takes the newest, and
 /// has no use for being woken twenty times a second.
-pub const TAKEOVER: Service<Takeover> =
-    Service::custom("takeover", P::Supervisor, &[], Latest);
+pub const TAKEOVER: Service<Takeover> = Service::custom("takeover", P::Supervisor, &[], Latest);
 /// A picture of the scene.
 pub const FRAME: Service<Frame> = Service::custom("frame", P::World, &[P::Gate], Latest);
 /// A policy file offered for adoption. No bell rings: it would wake the tick's

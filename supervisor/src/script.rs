@@ -65,7 +65,8 @@ impl Script {
 
     /// The next key that is due, with its time; `None` when none is.
     pub fn due(&mut self, passed_ns: u64) -> Option<(u64, Key)> {
-        self.presses.pop_front_if(|(time_ns, _)| *time_ns <= passed_ns)
+        self.presses
+            .pop_front_if(|(time_ns, _)| *time_ns <= passed_ns)
     }
 }
 

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use shm_config::{Instant, Message};
 use shm_config::message::{
     Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, PolicyStatus, Progress,
     Reason, Step, Timing,
 };
 use shm_config::services::Process;
+use shm_config::{Instant, Message};
 
 use crate::child::Resume;
 

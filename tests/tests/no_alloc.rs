@@ -65,6 +65,7 @@ struct Ports {
     plan_in: Subscriber<Plan>,
     advice_out: Publisher<Advice>,
     advice_in: Subscriber<Advice>,
+    takeover_out: Publisher<Takeover>,
     takeover_in: Subscriber<Takeover>,
     command_out: Publisher<Command>,
     command_in: Subscriber<Command>,
@@ -83,6 +84,7 @@ impl Ports {
             plan_in: wire.subscriber(PLAN).expect(failed),
             advice_out: wire.publisher(ADVICE).expect(failed),
             advice_in: wire.subscriber(ADVICE).expect(failed),
+            takeover_out: wire.publisher(TAKEOVER).expect(failed),
             takeover_in: wire.subscriber(TAKEOVER).expect(failed),
             command_out: wire.publisher(COMMAND).expect(failed),
             command_in: wire.subscriber(COMMAND).expect(failed),
@@ -175,6 +177,10 @@ fn ten_thousand_ticks_allocate_nothing() {
             answers: 1,
             holds_until_ns: u64::MAX,
             ..Advice::default()
+        });
+        ports.takeover_out.send(&mut Takeover {
+            header: observation.header,
+            ..Takeover::default()
         });
 
         // What the loader's thread does: an offer now and then.
