@@ -28,6 +28,8 @@ pub struct Standing<'a> {
     pub advice: Option<&'a Advice>,
     /// A policy is loaded.
     pub policy_loaded: bool,
+    /// What a person wants who has taken over, said not long ago.
+    pub takeover: Option<Action>,
     /// What the expert proposed.
     pub expert: Option<Action>,
     /// What the policy proposed.
@@ -51,13 +53,21 @@ pub struct Choice {
 
 /// The switch law: `a = (1 - z) a_policy + z a_expert` (Sec. 4.2), with `z` from
 /// valid advice, the expert when in doubt, and the brake when there is no safe
-/// proposal. Total: every standing has an answer.
+/// proposal. A person who takes over goes before all but blindness and the end of
+/// the run. Total: every standing has an answer.
 pub fn choose(standing: &Standing) -> Choice {
     if standing.intent == Intent::Stop {
         return brake(standing, Reason::Stopping);
     }
     if !standing.sees {
         return brake(standing, Reason::Blind);
+    }
+    if let (GateMode::Human, Some(action)) = (standing.mode, standing.takeover) {
+        // The judge is asked, its answer recorded, and no veto made of it: people
+        // take over where judge and policy are wrong, and a demonstration that the
+        // judge cuts short teaches the judge's fear instead. A person needs no plan
+        // either. What the car can do bounds a person like everybody.
+        return answer(Driver::Expert, Reason::Takeover, action);
     }
     let (wanted, reason) = wanted(standing);
     let (driver, reason) = match wanted {
@@ -78,7 +88,8 @@ pub fn choose(standing: &Standing) -> Choice {
 fn wanted(standing: &Standing) -> (Driver, Reason) {
     match standing.mode {
         GateMode::Expert => return (Driver::Expert, Reason::Configured),
-        GateMode::Policy => return (Driver::Policy, Reason::Configured),
+        // Of a person only who has not taken over comes here.
+        GateMode::Policy | GateMode::Human => return (Driver::Policy, Reason::Configured),
         GateMode::Rules => {}
     }
     if !standing.policy_loaded {

@@ -8,8 +8,8 @@ use std::time::Duration;
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
-use shm_config::message::{Advice, Command, HealthState, Observation, Plan, Step};
-use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP};
+use shm_config::message::{Advice, Command, HealthState, Observation, Plan, Step, Takeover};
+use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
 use shm_config::{Instant, PlanTurns, config::Config};
@@ -40,6 +40,7 @@ struct Ports {
     observations: Subscriber<Observation>,
     plans: Subscriber<Plan>,
     advices: Subscriber<Advice>,
+    takeovers: Subscriber<Takeover>,
     commands: Publisher<Command>,
     steps: Publisher<Step>,
 }
@@ -52,6 +53,7 @@ impl Ports {
             observations: wire.subscriber(OBSERVATION)?,
             plans: wire.subscriber(PLAN)?,
             advices: wire.subscriber(ADVICE)?,
+            takeovers: wire.subscriber(TAKEOVER)?,
             commands: wire.publisher(COMMAND)?,
             steps: wire.publisher(STEP)?,
         })
@@ -62,6 +64,7 @@ impl Ports {
         self.observations.tend();
         self.plans.tend();
         self.advices.tend();
+        self.takeovers.tend();
         self.commands.tend();
         self.steps.tend();
     }
@@ -263,6 +266,7 @@ fn tick(
     let started = monotonic();
     let released_ns = inputs.observation.map_or(0, |o| o.released_ns);
     waiting.peers(ports, inputs, &slot);
+    inputs.takeover = ports.takeovers.newest();
     let planned = monotonic();
     let now = match (waiting.lockstep, &inputs.observation) {
         (true, Some(observation)) => observation.header.taken(),

@@ -1,6 +1,8 @@
 use gate::{Scene, assess};
-use shm_config::config::Config;
-use shm_config::message::{Advice, Assessment, Command, Observation, Plan, Proposal, Step};
+use shm_config::config::{Config, GateMode};
+use shm_config::message::{
+    Advice, Assessment, Command, Observation, Plan, Proposal, Step, Takeover,
+};
 use shm_config::{Instant, Message};
 use vehicle::Action;
 
@@ -15,6 +17,8 @@ pub struct Inputs {
     pub plan: Option<Plan>,
     /// The newest advice.
     pub advice: Option<Advice>,
+    /// The newest word of a person.
+    pub takeover: Option<Takeover>,
 }
 
 /// The controller without its ports: inputs in, step out.
@@ -56,10 +60,13 @@ impl Controller {
             && self.step.plan.header.episode == observation.header.episode;
 
         let plan = has_plan.then_some(&self.step.plan);
-        let expert = plan.and_then(|plan| match plan.actions() {
+        let planned = plan.and_then(|plan| match plan.actions() {
             [] => self.pd.propose(plan, observation),
             _ => plan.action_at(plan_age_ns),
         });
+        // A person who has taken over is the expert of the tick.
+        let takeover = self.takeover(now);
+        let expert = takeover.or(planned);
         let policy = sees.then(|| self.policy.propose(observation)).flatten();
         let [expert_assessment, policy_assessment] = self.judge(sees, [expert, policy]);
 
@@ -71,6 +78,7 @@ impl Controller {
             plan,
             advice: self.has_advice.then_some(&self.step.advice),
             policy_loaded: self.policy.is_loaded(),
+            takeover,
             expert,
             policy,
             expert_assessment: &expert_assessment,
@@ -119,6 +127,22 @@ impl Controller {
                 Err(_) => self.step.refused += 1,
             }
         }
+        if let Some(takeover) = &inputs.takeover {
+            match takeover.admit(now, limits.takeover_age_ns()) {
+                Ok(()) => self.step.takeover = *takeover,
+                Err(_) => self.step.refused += 1,
+            }
+        }
+    }
+
+    /// What a person wants who has taken over; `None` when nobody has, or the
+    /// last word is too old.
+    fn takeover(&self, now: Instant) -> Option<Action> {
+        let takeover = &self.step.takeover;
+        let age_ns = now.since_ns(takeover.header.taken());
+        let holds = self.config.gate.mode == GateMode::Human
+            && age_ns <= self.config.limits.takeover_age_ns();
+        takeover.action().filter(|_| holds)
     }
 
     /// The judge in the tick, on these proposals.

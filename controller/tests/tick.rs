@@ -76,7 +76,7 @@ fn inputs() -> Inputs {
     Inputs {
         observation: Some(observation(NOW)),
         plan: Some(plan(NOW)),
-        advice: None,
+        ..Inputs::default()
     }
 }
 
@@ -346,7 +346,7 @@ fn derivatives_do_not_kick_on_the_first_tick_or_a_new_goal() {
     let next = Inputs {
         observation: Some(faster),
         plan: Some(plan(later)),
-        advice: None,
+        ..Inputs::default()
     };
     let step = *controller.tick(&next, 6, later, Intent::Drive);
     let expected = 0.1 * 4.8 + 0.05 * (4.8 - 5.0) / 0.1;
@@ -361,7 +361,7 @@ fn derivatives_do_not_kick_on_the_first_tick_or_a_new_goal() {
     let next = Inputs {
         observation: Some(fastest),
         plan: Some(elsewhere),
-        advice: None,
+        ..Inputs::default()
     };
     let step = *controller.tick(&next, 7, latest, Intent::Drive);
     assert!((step.command.pedal - 0.1 * 4.6).abs() < 1e-12);
@@ -376,7 +376,7 @@ fn an_older_plan_is_moved_into_the_body_frame_of_now() {
     let inputs = Inputs {
         observation: Some(moved),
         plan: Some(plan(NOW)),
-        advice: None,
+        ..Inputs::default()
     };
     let step = *controller(GateMode::Expert, None).tick(&inputs, 6, later, Intent::Drive);
     let expected = 2.0 * (0.6f64.atan2(3.0) - 0.2);
@@ -403,7 +403,7 @@ fn an_older_plan_is_moved_by_the_egos_motion_since_it_was_made() {
     let inputs = Inputs {
         observation: Some(moved),
         plan: Some(older),
-        advice: None,
+        ..Inputs::default()
     };
     let step = *controller.tick(&inputs, 5, NOW, Intent::Drive);
     // From (2, 1) the waypoint is 4 m along x and 1 m along y of the world.
@@ -447,7 +447,7 @@ fn actions_of_an_older_plan_are_taken_by_its_age() {
         let inputs = Inputs {
             observation: Some(observation(now)),
             plan: given.take(),
-            advice: None,
+            ..Inputs::default()
         };
         let step = controller.tick(&inputs, tick, now, Intent::Drive);
         let expected = 0.1 * (tick / 10 + 1) as f64;

@@ -287,12 +287,18 @@ impl Assembler {
     }
 
     /// The label of a step that needs no answer: the judge in the tick refused
-    /// the policy, or the configuration leaves no choice.
+    /// the policy, a person took over, or the configuration leaves no choice. Where
+    /// a person watched and let the policy drive, that is no label: nobody can say
+    /// whether they agreed or had not looked up yet (HG-DAgger and PVP take no
+    /// preference from it either).
     fn known_label(&self, step: &Step) -> Option<Label> {
         match (self.labelling.mode, step.reason()) {
             (GateMode::Expert, _) => Some(Label::Expert),
-            (GateMode::Policy | GateMode::Rules, Some(Reason::Vetoed)) => Some(Label::Expert),
-            (GateMode::Policy, _) => Some(Label::None),
+            (GateMode::Human, Some(Reason::Takeover)) => Some(Label::Expert),
+            (GateMode::Policy | GateMode::Rules | GateMode::Human, Some(Reason::Vetoed)) => {
+                Some(Label::Expert)
+            }
+            (GateMode::Policy | GateMode::Human, _) => Some(Label::None),
             // Nobody can prefer a policy that proposed nothing.
             (GateMode::Rules, Some(Reason::Unloaded | Reason::Faulty)) => Some(Label::None),
             (GateMode::Rules, _) => None,
@@ -336,12 +342,13 @@ impl Assembler {
 
 /// What the expert would have commanded: its proposal, with the brake where the
 /// judge in the tick vetoes it, as [`controller::choose`] has it. No proposal is
-/// the brake, too.
+/// the brake, too. A person is not vetoed.
 ///
 /// [`controller::choose`]: ../../controller/fn.choose.html
 pub fn expert_command(step: &Step) -> Action {
     match step.expert.action() {
         None => Action::BRAKE,
+        Some(action) if step.reason() == Some(Reason::Takeover) => action,
         Some(action) if step.expert_assessment.is_vetoed() => Action {
             steer: action.steer,
             ..Action::BRAKE

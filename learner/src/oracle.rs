@@ -55,7 +55,7 @@ impl Oracle {
         let inputs = Inputs {
             observation: Some(*observation),
             plan: Some(*self.plan),
-            advice: None,
+            ..Inputs::default()
         };
         let now = observation.header.taken();
         let step = self.controller.tick(&inputs, tick, now, Intent::Drive);

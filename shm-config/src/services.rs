@@ -7,6 +7,7 @@
 //! | `command` | controller | world | what the car shall do |
 //! | `step` | controller | gate, learner, supervisor | the record of one tick; a queue |
 //! | `advice` | gate | controller | who should drive, until when |
+//! | `takeover` | supervisor | controller | what a person at the keys wants, at 20 Hz; wakes nobody: a tick takes the newest |
 //! | `frame` | world | gate | a picture of the scene, on demand |
 //! | `weights` | learner, `swap` | controller | a policy file offered for adoption; wakes nobody: a thread beside the tick looks for it |
 //! | `learning` | learner | controller | how far the learner is |
@@ -20,7 +21,7 @@ use std::marker::PhantomData;
 
 use crate::message::{
     Advice, Command, Episode, Frame, Health, Learning, Observation, Plan, PolicyStatus, Progress,
-    Step, Timing, Weights,
+    Step, Takeover, Timing, Weights,
 };
 
 crate::word_list! {
@@ -124,6 +125,9 @@ pub const STEP: Service<Step> = Service::custom(
 );
 /// Who should drive, until when.
 pub const ADVICE: Service<Advice> = Service::custom("advice", P::Gate, &[P::Controller], Latest);
+/// What a person at the keys wants. No bell rings: a tick takes the newest, and
+/// has no use for being woken twenty times a second.
+pub const TAKEOVER: Service<Takeover> = Service::custom("takeover", P::Supervisor, &[], Latest);
 /// A picture of the scene.
 pub const FRAME: Service<Frame> = Service::custom("frame", P::World, &[P::Gate], Latest);
 /// A policy file offered for adoption. No bell rings: it would wake the tick's

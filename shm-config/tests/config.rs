@@ -91,6 +91,13 @@ fn types_ranges_and_syntax_are_told_with_their_place() {
         text.contains("limits.command_age_ms = 100: must be within 150"),
         "{text}"
     );
+    let text = error("[run]\nclock = \"lockstep\"\n[gate]\nmode = \"human\"\n");
+    assert!(
+        text.contains("gate.mode = human") && text.contains("a person cannot keep up"),
+        "{text}"
+    );
+    let text = error("[limits]\ntakeover_age_ms = 50.0\n");
+    assert!(text.contains("limits.takeover_age_ms = 50"), "{text}");
     let text = error("[run]\nname = \"../etc\"\n");
     assert!(text.contains("run.name"), "{text}");
     let text = error("[vehicle]\nwheelbase_m = -1.0\n");

@@ -91,7 +91,7 @@ fn observations() {
 }
 
 #[test]
-fn plans_commands_and_advice() {
+fn plans_commands_advice_and_takeovers() {
     let mut plan = Plan {
         waypoint_count: 2,
         ..Plan::default()
@@ -164,6 +164,33 @@ fn plans_commands_and_advice() {
         refused(Advice::default(), |a| a.judge = 77),
         Refusal::UnknownCode { .. }
     ));
+
+    for active in [0, 1] {
+        let takeover = Takeover {
+            active,
+            ..Takeover::default()
+        };
+        for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let field = "steer";
+            let refusal = refused(takeover, |t| t.steer = value);
+            assert_eq!(refusal, Refusal::NotFinite { field });
+            let field = "pedal";
+            let refusal = refused(takeover, |t| t.pedal = value);
+            assert_eq!(refusal, Refusal::NotFinite { field });
+        }
+        assert!(matches!(
+            refused(takeover, |t| t.steer = 1.0 + 1e-9),
+            Refusal::OutOfRange { field: "steer", .. }
+        ));
+        assert!(matches!(
+            refused(takeover, |t| t.pedal = -1.5),
+            Refusal::OutOfRange { field: "pedal", .. }
+        ));
+        let refusal = refused(takeover, |t| t.active = 2);
+        let (field, code) = ("active", 2);
+        assert_eq!(refusal, Refusal::UnknownCode { field, code });
+        assert_eq!(takeover.action().is_some(), active == 1);
+    }
 }
 
 #[test]
@@ -176,6 +203,10 @@ fn steps_progress_episodes_health_and_policy_status() {
     assert!(matches!(
         refused(step, |s| s.plan.waypoint_count = 9999),
         Refusal::OverCapacity { .. }
+    ));
+    assert!(matches!(
+        refused(step, |s| s.takeover.steer = f64::NAN),
+        Refusal::NotFinite { .. }
     ));
     assert!(matches!(
         refused(step, |s| s.policy.steer = f64::NAN),

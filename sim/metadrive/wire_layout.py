@@ -76,7 +76,8 @@ class Reason:
     UNPLANNED = 9
     BLIND = 10
     STOPPING = 11
-    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping"}
+    TAKEOVER = 12
+    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover"}
 
 
 class Bend:

@@ -80,8 +80,14 @@ pub struct HandedOver {
 #[command(
     after_help = "Without --episodes and --duration it drives until it is stopped: \
         Ctrl-C brakes the car to a stand, a second Ctrl-C kills.\n\n\
+        With --gate human the keys of this terminal drive: Space takes over and gives back, \
+        arrows or WASD steer and pedal meanwhile, Esc or q gives back. --keys FILE reads them \
+        from lines TIME_S KEY instead, such as `2.5 space`: seconds from the run's first tick, \
+        and one of space, left, right, up, down, w, a, s, d, esc, q. A key counts as held for \
+        0.5 s, each repetition for 0.15 s more.\n\n\
         Examples:\n  \
         ./vlaps up --episodes 1 --seed 3\n  \
+        ./vlaps up --gate human --policy policy.onnx\n  \
         ./vlaps up --lockstep --episodes 5 --seed 3 --json a.json\n  \
         ./vlaps up --rate 20 --run second --set world.traffic_density=0.1"
 )]
@@ -107,6 +113,9 @@ pub struct Up {
     /// Who decides who drives.
     #[arg(long, value_name = "WHO")]
     pub gate: Option<GateChoice>,
+    /// Keys of --gate human from this file in place of the terminal.
+    #[arg(long, value_name = "FILE")]
+    pub keys: Option<PathBuf>,
     /// Policy to begin with; it drives where --gate lets it, after its probation.
     #[arg(long, value_name = "FILE.onnx")]
     pub policy: Option<PathBuf>,
@@ -163,6 +172,8 @@ pub enum GateChoice {
     Expert,
     /// Always the policy, if one is loaded; no gate process.
     Policy,
+    /// The policy, until a person at the keys takes over; no gate process.
+    Human,
 }
 
 impl From<GateChoice> for GateMode {
@@ -171,6 +182,7 @@ impl From<GateChoice> for GateMode {
             GateChoice::Rules => Self::Rules,
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,
+            GateChoice::Human => Self::Human,
         }
     }
 }

@@ -39,7 +39,9 @@
 //! The loop runs at 20 Hz, or at once when a child dies or a signal comes. It
 //! only ever looks: at ports, at exit statuses, at the clock it is given.
 //! Output goes through a thread of its own, so that a terminal that takes no
-//! more text cannot hold the loop.
+//! more text cannot hold the loop. With `--gate human` it also reads the keys and
+//! says what the person wants ([`seat`]); should it hang, its last word gets old
+//! (`limits.takeover_age_ms`) and nobody has taken over.
 
 pub mod arguments;
 pub mod backoff;
@@ -51,15 +53,19 @@ pub mod down;
 pub mod event;
 pub mod failure;
 pub mod hand_over;
+pub mod keyboard;
 pub mod keys;
 pub mod live;
 pub mod log;
 pub mod member;
 pub mod metadrive;
 pub mod onnxruntime;
+pub mod person;
 pub mod place;
 pub mod ports;
 pub mod screen;
+pub mod script;
+pub mod seat;
 pub mod set;
 pub mod settings;
 pub mod setup;

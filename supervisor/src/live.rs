@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 use shm_config::config::Config;
-use shm_config::message::{HealthState, Outcome, PolicyStatus};
+use shm_config::message::{HealthState, Outcome, PolicyStatus, Reason};
 use shm_config::services::Process;
 
 use crate::member::Phase;
@@ -32,6 +32,9 @@ pub struct View {
     pub outcomes: Vec<(&'static str, usize)>,
     /// Each process.
     pub processes: Vec<ProcessView>,
+    /// What the keys do, for the person at them.
+    #[serde(skip)]
+    pub help: Option<String>,
 }
 
 /// The policy's weights.
@@ -153,6 +156,7 @@ impl View {
                 .map(|outcome| (outcome.word(), tally.outcome_count(*outcome)))
                 .collect(),
             processes,
+            help: None,
         }
     }
 
@@ -183,7 +187,13 @@ impl View {
             Some((driver, reason)) => {
                 let policy = self.policy.as_ref();
                 let policy = policy.map_or(String::new(), |policy| format!("; {policy}"));
-                format!("{driver} drives ({reason}), {speed_mps:.1} m/s{policy}")
+                let takes_over = reason == Reason::Takeover.word();
+                let who = match (takes_over, &self.help) {
+                    (true, Some(_)) => "you drive".into(),
+                    (true, None) => "a person drives".into(),
+                    (false, _) => format!("{driver} drives"),
+                };
+                format!("{who} ({reason}), {speed_mps:.1} m/s{policy}")
             }
             None => "nobody drives yet".into(),
         }

@@ -76,12 +76,16 @@ fn draw(inbox: &Receiver<Note>) {
             Note::Line(text) => bar.println(text),
             Note::View(view) => {
                 let completion = view.episode.map_or(0.0, |episode| episode.completion);
-                let text = format!(
+                let mut text = format!(
                     "{}\n{}\n  {}",
                     view.headline(),
                     view.table(),
                     view.drive_line()
                 );
+                if let Some(help) = &view.help {
+                    text.push_str("\n  ");
+                    text.push_str(help);
+                }
                 bar.set_prefix(cut(&text, columns()));
                 bar.set_message(format!(
                     "{:>3.0} %; {}",

@@ -7,13 +7,14 @@ use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
-use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 use signal_hook::low_level::pipe;
 
 /// The signals that concern the supervisor.
 #[derive(Debug)]
 pub struct Signals {
     stop: UnixStream,
+    stop_sender: UnixStream,
     child: UnixStream,
 }
 
@@ -34,7 +35,21 @@ impl Signals {
             }
         }
         pipe::register(SIGCHLD, child_sender)?;
-        Ok(Self { stop, child })
+        Ok(Self {
+            stop,
+            stop_sender,
+            child,
+        })
+    }
+
+    /// SIGQUIT (Ctrl-\) asks to stop, too: whoever has changed the terminal must
+    /// live to put it back.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn stop_on_quit(&self) -> io::Result<()> {
+        pipe::register(SIGQUIT, self.stop_sender.try_clone()?)?;
+        Ok(())
     }
 
     /// Sleeps until a signal comes or `timeout_ns` has passed. May return early.

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use shm_config::Message;
 use shm_config::message::{
     Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, PolicyStatus, Progress,
     Reason, Step, Timing,
 };
 use shm_config::services::Process;
+use shm_config::{Instant, Message};
 
 use crate::child::Resume;
 
@@ -38,6 +38,8 @@ pub struct Tally {
 pub struct StepTally {
     /// Steps read.
     pub received: u64,
+    /// When the first one was taken, on the run's clock.
+    pub begun: Option<Instant>,
     /// The newest driver and reason.
     pub newest: Option<(Driver, Reason)>,
     counts: BTreeMap<(u32, u32), u64>,
@@ -186,6 +188,7 @@ impl StepTally {
     fn count(&mut self, step: &Step) {
         self.received += 1;
         let header = &step.header;
+        self.begun.get_or_insert(header.taken());
         self.last_sequence.insert(header.producer, header.sequence);
         let (driver, reason) = (step.driver(), step.reason());
         let reason_code = reason.map_or(u32::MAX, Reason::code);

@@ -1,12 +1,12 @@
 //! `up`: start, watch, restart, stop, add up.
 
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use shm_config::Instant;
-use shm_config::config::{Config, Simulator};
-use shm_config::services::Process;
+use shm_config::config::{Config, GateMode, Simulator};
+use shm_config::services::{Process, TAKEOVER};
 use shm_config::wire::Wire;
 
 use crate::Clock;
@@ -20,6 +20,7 @@ use crate::metadrive;
 use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
 use crate::screen::{Screen, say};
+use crate::seat::{Keys, Seat};
 use crate::set::ProcessSet;
 use crate::settings;
 use crate::signals::Signals;
@@ -59,8 +60,14 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     if let Some(path) = &arguments.json {
         check_writable(path)?;
     }
-    let signals = Signals::install()
-        .map_err(|error| Failure::GivenUp(format!("cannot take over signals: {error}")))?;
+    let no_signals =
+        |error: io::Error| Failure::GivenUp(format!("cannot take over signals: {error}"));
+    let signals = Signals::install().map_err(no_signals)?;
+    if config.gate.mode == GateMode::Human {
+        signals.stop_on_quit().map_err(no_signals)?;
+    }
+    // Its terminal is put back however this function is left.
+    let keys = Keys::of(&config, arguments.keys.as_deref())?;
     let name = config
         .run
         .name
@@ -77,7 +84,7 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
     check_shared_memory(shared_memory()?.0)?;
     let folder = prepare_folder(&config, &place)?;
-    let (end, summary) = drive(&config, &place, &folder, signals, clock)?;
+    let (end, summary) = drive((&config, &place, &folder), keys, signals, clock)?;
     drop(place);
     if summary.ticks > 0 {
         say(format_args!("\n{summary}"));
@@ -146,9 +153,8 @@ fn prepare_folder(config: &Config, place: &Place) -> Result<PathBuf, Failure> {
 }
 
 fn drive(
-    config: &Config,
-    place: &Place,
-    folder: &Path,
+    (config, place, folder): (&Config, &Place, &Path),
+    keys: Option<Keys>,
     signals: Signals,
     clock: Clock,
 ) -> Result<(End, Summary), Failure> {
@@ -170,10 +176,15 @@ fn drive(
     let set = ProcessSet::new(config, launch, &logs)?;
     let wire = Wire::join(place.paths().name(), Process::Supervisor)?;
     let ports = Ports::open(&wire, config, Depth::All)?;
+    let seat = match keys {
+        Some(keys) => Some(Seat::new(keys, wire.publisher(TAKEOVER)?)),
+        None => None,
+    };
     let now = clock();
     let mut run = Run {
         config,
         ports,
+        seat,
         wire,
         set,
         tally: Tally::default(),
@@ -225,7 +236,7 @@ struct Journal {
 
 impl Journal {
     fn open(dir: &Path, config: &Config, now: Instant) -> Result<Self, Failure> {
-        let failed = |error: std::io::Error| {
+        let failed = |error: io::Error| {
             Failure::GivenUp(format!("{}: cannot keep a log: {error}", dir.display()))
         };
         let limit_bytes = u64::from(config.supervisor.log_mb) << 20;
@@ -251,6 +262,7 @@ impl Journal {
 struct Run<'a> {
     config: &'a Config,
     ports: Ports,
+    seat: Option<Seat>,
     wire: Wire,
     set: ProcessSet,
     tally: Tally,
@@ -268,6 +280,7 @@ impl Run<'_> {
         loop {
             let now = clock();
             self.look(now);
+            self.sit(now);
             self.stops_asked += signals.take_stops();
             let turn = match self.ending {
                 None => self.act(now),
@@ -301,6 +314,14 @@ impl Run<'_> {
         if died && self.ending.is_none() {
             // Their successors find the places of the dead free.
             self.wire.sweep();
+        }
+    }
+
+    /// Passes on what the person wants, when there is one.
+    fn sit(&mut self, now: Instant) {
+        let seat = self.seat.as_mut();
+        if let Some(change) = seat.and_then(|seat| seat.tend(&self.tally, now)) {
+            self.journal.line(now, change);
         }
     }
 
@@ -361,7 +382,10 @@ impl Run<'_> {
         if now.since_ns(self.shown) >= SHOW_NS {
             self.shown = now;
             let view = View::from_inside(self.config, &self.tally, &self.set);
-            self.screen.show(view);
+            self.screen.show(View {
+                help: self.seat.as_ref().and_then(Seat::help),
+                ..view
+            });
         }
         if now.since_ns(self.logs_tended) >= LOGS_NS {
             self.logs_tended = now;

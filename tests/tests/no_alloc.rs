@@ -11,10 +11,11 @@ use planner::{PlannerConfig, RrtStar};
 use policy::{Activation, Layer, Mlp};
 use shm_config::config::Config;
 use shm_config::message::{
-    Advice, Command, Driver, FEATURES, Observation, Plan, PlanOutcome, Preference, Step, Verdict,
+    Advice, Command, Driver, FEATURES, Observation, Plan, PlanOutcome, Preference, Step, Takeover,
+    Verdict,
 };
 use shm_config::run::{RunName, RunPaths};
-use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP};
+use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::wire::{Publisher, Subscriber, Wire};
 use shm_config::{Instant, Message};
 use sim::{World, WorldConfig};
@@ -64,6 +65,8 @@ struct Ports {
     plan_in: Subscriber<Plan>,
     advice_out: Publisher<Advice>,
     advice_in: Subscriber<Advice>,
+    takeover_out: Publisher<Takeover>,
+    takeover_in: Subscriber<Takeover>,
     command_out: Publisher<Command>,
     command_in: Subscriber<Command>,
     step_out: Publisher<Step>,
@@ -81,6 +84,8 @@ impl Ports {
             plan_in: wire.subscriber(PLAN).expect(failed),
             advice_out: wire.publisher(ADVICE).expect(failed),
             advice_in: wire.subscriber(ADVICE).expect(failed),
+            takeover_out: wire.publisher(TAKEOVER).expect(failed),
+            takeover_in: wire.subscriber(TAKEOVER).expect(failed),
             command_out: wire.publisher(COMMAND).expect(failed),
             command_in: wire.subscriber(COMMAND).expect(failed),
             step_out: wire.publisher(STEP).expect(failed),
@@ -123,6 +128,7 @@ fn controller_tick(ports: &mut Ports, controller: &mut Controller, tick: u64, no
         observation: ports.controller_in.newest(),
         plan: ports.plan_in.newest(),
         advice: ports.advice_in.newest(),
+        takeover: ports.takeover_in.newest(),
     };
     controller.tick(&inputs, tick, now, Intent::Drive);
     let step = controller.step_mut();
@@ -171,6 +177,10 @@ fn ten_thousand_ticks_allocate_nothing() {
             answers: 1,
             holds_until_ns: u64::MAX,
             ..Advice::default()
+        });
+        ports.takeover_out.send(&mut Takeover {
+            header: observation.header,
+            ..Takeover::default()
         });
 
         // What the loader's thread does: an offer now and then.

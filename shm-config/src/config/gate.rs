@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::{OutOfRange, in_range};
+use super::{OutOfRange, Run, in_range};
 
 /// Who decides who drives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -12,6 +12,8 @@ pub enum GateMode {
     Expert,
     /// Always the policy, if one is loaded; no gate process.
     Policy,
+    /// The policy until a person takes over; no gate process.
+    Human,
 }
 
 /// The gate process.
@@ -50,7 +52,16 @@ impl Default for Gate {
 }
 
 impl Gate {
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+    pub(super) fn check(&self, run: &Run) -> Result<(), OutOfRange> {
+        if self.mode == GateMode::Human && run.is_lockstep() {
+            return Err(OutOfRange {
+                key: "gate.mode".into(),
+                value: "human".into(),
+                expected: "rules, expert or policy in lockstep, which is as fast as the \
+                           processes answer: a person cannot keep up"
+                    .into(),
+            });
+        }
         in_range("gate.period_s", self.period_s, 0.001..=3600.0)?;
         in_range("gate.hold_s", self.hold_s, 0.001..=7200.0)?;
         in_range("gate.noise", self.noise, 0.0..=1.0)?;
@@ -62,7 +73,7 @@ impl Gate {
     pub fn has_process(&self) -> bool {
         match self.mode {
             GateMode::Rules => true,
-            GateMode::Expert | GateMode::Policy => false,
+            GateMode::Expert | GateMode::Policy | GateMode::Human => false,
         }
     }
 }

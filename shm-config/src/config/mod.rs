@@ -100,7 +100,7 @@ impl Config {
         self.mpc.check()?;
         self.controller.check()?;
         self.judge.check()?;
-        self.gate.check()?;
+        self.gate.check(&self.run)?;
         self.policy.check()?;
         self.learner.check()?;
         self.supervisor.check()?;

@@ -112,6 +112,8 @@ pub struct Limits {
     pub plan_age_ms: f64,
     /// Older commands are not obeyed: the world brakes, ms.
     pub command_age_ms: f64,
+    /// With an older word of the person who took over, nobody has taken over, ms.
+    pub takeover_age_ms: f64,
     /// How long the controller waits for the plan of its observation, where the
     /// planner makes one, before it follows the one before, as a share of the
     /// controller's period.
@@ -132,6 +134,8 @@ impl Default for Limits {
             observation_age_ms: 250.0,
             plan_age_ms: 0.0,
             command_age_ms: 250.0,
+            // The keys are read at 20 Hz: five words may be late in a row.
+            takeover_age_ms: 300.0,
             plan_wait: 0.5,
             observation_wait: 0.5,
             lockstep_wait_s: 1.0,
@@ -152,6 +156,13 @@ impl Limits {
         for (key, value) in ages {
             in_range(key, value, least_ms..=10_000.0)?;
         }
+        // Two of the supervisor's periods: under that, one late look would take the
+        // wheel out of the person's hands.
+        in_range(
+            "limits.takeover_age_ms",
+            self.takeover_age_ms,
+            100.0..=10_000.0,
+        )?;
         if self.plan_age_ms != 0.0 {
             let least_ms = 1.5e3 / config.planner_rate_hz();
             in_range("limits.plan_age_ms", self.plan_age_ms, least_ms..=10_000.0)?;
@@ -169,6 +180,11 @@ impl Limits {
     /// As nanoseconds.
     pub fn command_age_ns(&self) -> u64 {
         (self.command_age_ms * 1e6) as u64
+    }
+
+    /// As nanoseconds.
+    pub fn takeover_age_ns(&self) -> u64 {
+        (self.takeover_age_ms * 1e6) as u64
     }
 }
 

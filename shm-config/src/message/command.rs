@@ -41,6 +41,8 @@ crate::word_list! {
         Blind = 10 "blind",
         /// The run is being stopped: the brake.
         Stopping = 11 "stopping",
+        /// A person has taken over, in the expert's place.
+        Takeover = 12 "takeover",
     }
 }
 

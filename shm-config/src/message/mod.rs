@@ -11,6 +11,7 @@ mod plan;
 mod policy;
 mod progress;
 mod step;
+mod takeover;
 
 pub use advice::{Advice, Judge, Preference};
 pub use command::{Command, Driver, Reason};
@@ -25,6 +26,7 @@ pub use plan::{PLANNED_MAX, Plan, PlanOutcome, PlannedAction, WAYPOINTS_MAX, Way
 pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 pub use progress::{Episode, Outcome, Progress};
 pub use step::{Assessment, Proposal, Step, Timings, Verdict};
+pub use takeover::Takeover;
 
 use crate::layout::Layout;
 use crate::time::Instant;

@@ -1,8 +1,8 @@
 use vehicle::Action;
 
 use super::{
-    Advice, Command, Driver, Header, Message, Observation, Plan, Reason, Refusal, header_accessors,
-    known, within,
+    Advice, Command, Driver, Header, Message, Observation, Plan, Reason, Refusal, Takeover,
+    header_accessors, known, within,
 };
 
 crate::word_list! {
@@ -79,8 +79,10 @@ crate::message! {
 crate::message! {
     /// The record of one tick of the controller: everything it knew and decided.
     /// With it a tick can be recomputed bit by bit.
-    pub struct Step: 4848 bytes,
-        nested [Header, Observation, Plan, Advice, Proposal, Assessment, Command, Timings]
+    pub struct Step: 4904 bytes,
+        nested [
+            Header, Observation, Plan, Advice, Takeover, Proposal, Assessment, Command, Timings
+        ]
     {
         /// The controller's tick; taken when it began.
         pub header: Header,
@@ -90,7 +92,9 @@ crate::message! {
         pub plan: Plan,
         /// The advice in force.
         pub advice: Advice,
-        /// What the expert proposed.
+        /// What a person at the keys said last.
+        pub takeover: Takeover,
+        /// What the expert proposed; what the person did who took its place.
         pub expert: Proposal,
         /// What the policy proposed.
         pub policy: Proposal,
@@ -188,6 +192,7 @@ impl Default for Step {
             observation: Observation::default(),
             plan: Plan::default(),
             advice: Advice::default(),
+            takeover: Takeover::default(),
             expert: Proposal::default(),
             policy: Proposal::default(),
             expert_assessment: Assessment::default(),
@@ -219,6 +224,7 @@ impl Message for Step {
         self.observation.check()?;
         self.plan.check()?;
         self.advice.check()?;
+        self.takeover.check()?;
         self.expert.check("expert")?;
         self.policy.check("policy")?;
         self.expert_assessment.check("expert_assessment")?;

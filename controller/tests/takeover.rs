@@ -1,0 +1,261 @@
+//! A person takes over: who drives then, and when nobody has taken over.
+
+use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
+use shm_config::Instant;
+use shm_config::config::{Config, GateMode};
+use shm_config::message::{
+    Driver, Observation, Plan, PlanOutcome, Reason, Step, Takeover, Waypoint,
+};
+use vehicle::Action;
+
+const NOW: Instant = Instant(100_000_000_000);
+const TICK_NS: u64 = 100_000_000;
+
+const POLICY: Action = Action {
+    steer: 0.1,
+    pedal: -0.2,
+};
+const PERSON: Action = Action {
+    steer: -0.4,
+    pedal: 0.3,
+};
+
+struct Fixed;
+
+impl Policy for Fixed {
+    fn infer(&mut self, _: &[f32]) -> Option<Action> {
+        Some(POLICY)
+    }
+    fn version(&self) -> u64 {
+        7
+    }
+    fn hash(&self) -> u64 {
+        0xABCD
+    }
+}
+
+/// A straight, empty road.
+fn observation(now: Instant) -> Observation {
+    let mut observation = Observation {
+        beam_count: 240,
+        ..Observation::default()
+    };
+    observation.header.taken_ns = now.0;
+    observation.ranges_m.fill(50.0);
+    (observation.road.left_m, observation.road.right_m) = (5.25, 5.25);
+    observation.ego.speed_mps = 5.0;
+    for checkpoint in &mut observation.checkpoints {
+        checkpoint.x_body_m = 40.0;
+    }
+    observation
+}
+
+/// The same with a wall of returns just before the bumper.
+fn wall(now: Instant) -> Observation {
+    let mut observation = observation(now);
+    for beam in (0..4).chain(237..240) {
+        observation.ranges_m[beam] = 4.2;
+    }
+    observation
+}
+
+fn plan(now: Instant) -> Plan {
+    let mut plan = Plan {
+        outcome: PlanOutcome::Reached.code(),
+        waypoint_count: 4,
+        ..Plan::default()
+    };
+    plan.header.taken_ns = now.0;
+    for (k, waypoint) in plan.waypoints.iter_mut().take(4).enumerate() {
+        *waypoint = Waypoint {
+            x_body_m: 1.5 * k as f64,
+            y_body_m: 0.0,
+            speed_mps: 5.0,
+        };
+    }
+    plan
+}
+
+fn takeover(active: u32, taken: Instant) -> Takeover {
+    let mut takeover = Takeover {
+        steer: PERSON.steer,
+        pedal: PERSON.pedal,
+        active,
+        ..Takeover::default()
+    };
+    takeover.header.taken_ns = taken.0;
+    takeover
+}
+
+struct Seat {
+    controller: Controller,
+    now: Instant,
+}
+
+impl Seat {
+    fn new(mode: GateMode, has_policy: bool) -> Self {
+        let mut config = Config::default();
+        config.gate.mode = mode;
+        let policy = has_policy.then(|| Box::new(Fixed) as Box<dyn Policy>);
+        Self {
+            controller: Controller::new(config, PolicySlot::new(policy)),
+            now: NOW,
+        }
+    }
+
+    /// One tick later, with everything fresh, and what the person said of late.
+    fn tick(&mut self, takeover: Option<Takeover>) -> Step {
+        let inputs = Inputs {
+            observation: Some(observation(self.now)),
+            plan: Some(plan(self.now)),
+            takeover,
+            ..Inputs::default()
+        };
+        self.tick_on(&inputs, Intent::Drive)
+    }
+
+    fn tick_on(&mut self, inputs: &Inputs, intent: Intent) -> Step {
+        let step = *self.controller.tick(inputs, 5, self.now, intent);
+        self.now = self.now.after_ns(TICK_NS);
+        step
+    }
+}
+
+#[track_caller]
+fn assert_drove(step: &Step, driver: Driver, reason: Reason) {
+    assert_eq!((step.driver(), step.reason()), (driver, Some(reason)));
+}
+
+#[test]
+fn the_policy_drives_until_a_person_takes_over_and_again_when_they_give_back() {
+    let mut seat = Seat::new(GateMode::Human, true);
+    assert_drove(&seat.tick(None), Driver::Policy, Reason::Configured);
+    let idle = takeover(0, seat.now);
+    assert_drove(&seat.tick(Some(idle)), Driver::Policy, Reason::Configured);
+
+    let step = seat.tick(Some(takeover(1, seat.now)));
+    assert_drove(&step, Driver::Expert, Reason::Takeover);
+    assert_eq!(step.command.action(), PERSON);
+    assert_eq!(step.expert.action(), Some(PERSON), "what is imitated");
+    assert_eq!(step.policy.action(), Some(POLICY), "asked all the same");
+    assert_eq!(step.takeover.action(), Some(PERSON));
+
+    let step = seat.tick(Some(takeover(0, seat.now)));
+    assert_drove(&step, Driver::Policy, Reason::Configured);
+    assert_ne!(step.expert.action(), Some(PERSON), "the plan's again");
+}
+
+#[test]
+fn an_old_word_is_no_takeover() {
+    let mut seat = Seat::new(GateMode::Human, true);
+    let said = NOW;
+    assert_drove(
+        &seat.tick(Some(takeover(1, said))),
+        Driver::Expert,
+        Reason::Takeover,
+    );
+    // 300 ms: the ticks at 100, 200 and 300 ms still go by it, that at 400 does not.
+    for _ in 0..3 {
+        assert_drove(&seat.tick(None), Driver::Expert, Reason::Takeover);
+    }
+    assert_drove(&seat.tick(None), Driver::Policy, Reason::Configured);
+    // Nor does it help to say the old word again, and it is counted.
+    let step = seat.tick(Some(takeover(1, said)));
+    assert_drove(&step, Driver::Policy, Reason::Configured);
+    assert_eq!(step.refused, 1);
+}
+
+#[test]
+fn a_word_that_makes_no_sense_is_refused_and_the_last_good_one_stays() {
+    let spoils: [fn(&mut Takeover); 4] = [
+        |word| word.steer = f64::NAN,
+        |word| word.pedal = f64::NEG_INFINITY,
+        |word| word.steer = 1.5,
+        |word| word.active = 2,
+    ];
+    for (case, spoil) in spoils.iter().enumerate() {
+        let mut seat = Seat::new(GateMode::Human, true);
+        let mut bad = takeover(1, seat.now);
+        spoil(&mut bad);
+        let step = seat.tick(Some(bad));
+        assert_drove(&step, Driver::Policy, Reason::Configured);
+        assert_eq!(step.refused, 1, "case {case}");
+        seat.tick(Some(takeover(1, seat.now)));
+        bad.header.taken_ns = seat.now.0;
+        let step = seat.tick(Some(bad));
+        assert_drove(&step, Driver::Expert, Reason::Takeover);
+        assert_eq!(step.command.action(), PERSON, "case {case}");
+    }
+}
+
+#[test]
+fn without_a_policy_the_planned_expert_drives_between_takeovers() {
+    let mut seat = Seat::new(GateMode::Human, false);
+    assert_drove(&seat.tick(None), Driver::Expert, Reason::Unloaded);
+    let step = seat.tick(Some(takeover(1, seat.now)));
+    assert_drove(&step, Driver::Expert, Reason::Takeover);
+    assert_drove(
+        &seat.tick(Some(takeover(0, seat.now))),
+        Driver::Expert,
+        Reason::Unloaded,
+    );
+}
+
+#[test]
+fn the_judge_vetoes_the_policy_and_not_the_person_but_judges_both() {
+    let mut seat = Seat::new(GateMode::Human, true);
+    let mut inputs = Inputs {
+        observation: Some(wall(seat.now)),
+        plan: Some(plan(seat.now)),
+        ..Inputs::default()
+    };
+    let step = seat.tick_on(&inputs, Intent::Drive);
+    assert!(step.policy_assessment.is_vetoed());
+    assert_ne!(step.driver(), Driver::Policy);
+
+    inputs.observation = Some(wall(seat.now));
+    inputs.takeover = Some(takeover(1, seat.now));
+    let step = seat.tick_on(&inputs, Intent::Drive);
+    assert!(step.expert_assessment.is_vetoed(), "it is recorded");
+    assert_drove(&step, Driver::Expert, Reason::Takeover);
+    assert_eq!(step.command.action(), PERSON);
+}
+
+#[test]
+fn a_person_needs_no_plan_but_does_not_drive_blind_nor_past_the_end() {
+    let mut seat = Seat::new(GateMode::Human, true);
+    let unplanned = Inputs {
+        observation: Some(observation(seat.now)),
+        takeover: Some(takeover(1, seat.now)),
+        ..Inputs::default()
+    };
+    let step = seat.tick_on(&unplanned, Intent::Drive);
+    assert_drove(&step, Driver::Expert, Reason::Takeover);
+
+    let ending = Inputs {
+        observation: Some(observation(seat.now)),
+        takeover: Some(takeover(1, seat.now)),
+        ..Inputs::default()
+    };
+    let step = seat.tick_on(&ending, Intent::Stop);
+    assert_drove(&step, Driver::Brake, Reason::Stopping);
+    assert_eq!(step.command.steer, PERSON.steer, "the person still steers");
+
+    seat.now = seat.now.after_ns(10 * TICK_NS);
+    let blind = Inputs {
+        takeover: Some(takeover(1, seat.now)),
+        ..Inputs::default()
+    };
+    let step = seat.tick_on(&blind, Intent::Drive);
+    assert_drove(&step, Driver::Brake, Reason::Blind);
+}
+
+#[test]
+fn nobody_takes_over_where_no_person_is_configured() {
+    for mode in [GateMode::Rules, GateMode::Expert, GateMode::Policy] {
+        let mut seat = Seat::new(mode, true);
+        let step = seat.tick(Some(takeover(1, seat.now)));
+        assert_ne!(step.reason(), Some(Reason::Takeover), "{mode:?}");
+        assert_ne!(step.expert.action(), Some(PERSON), "{mode:?}");
+    }
+}

@@ -1,0 +1,71 @@
+//! A person's driving is what is learned from; that they let the policy drive
+//! is no preference.
+
+use learner::assembler::{Assembler, Counts, Labelling, expert_command};
+use learner::replay::{Label, Transition};
+use shm_config::config::GateMode;
+use shm_config::message::{Driver, Proposal, Reason, Step};
+use vehicle::Action;
+
+const PERSON: Action = Action {
+    steer: -0.5,
+    pedal: 0.25,
+};
+
+/// The step of one tick; the judge would have vetoed what stands in the expert's
+/// place.
+fn step(tick: u64, driver: Driver, reason: Reason) -> Step {
+    let mut step = Step::default();
+    step.header.sequence = tick;
+    step.header.tick = tick;
+    step.header.taken_ns = tick * 100_000_000;
+    step.observation_age_ns = 0;
+    let observation = &mut step.observation;
+    (observation.header.tick, observation.beam_count) = (tick, 240);
+    observation.header.taken_ns = step.header.taken_ns;
+    step.expert = Proposal::new(Some(PERSON));
+    step.expert_assessment.veto = 1;
+    step.policy = Proposal::new(Some(Action::BRAKE));
+    (step.command.steer, step.command.pedal) = (PERSON.steer, PERSON.pedal);
+    (step.command.driver, step.command.reason) = (driver.code(), reason.code());
+    step
+}
+
+#[test]
+fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
+    let labelling = Labelling {
+        mode: GateMode::Human,
+        window_ns: 10_000_000_000,
+        wait_ns: 0,
+    };
+    let rows = [
+        (Driver::Policy, Reason::Configured, Label::None),
+        (Driver::Expert, Reason::Takeover, Label::Expert),
+        (Driver::Expert, Reason::Vetoed, Label::Expert),
+        (Driver::Expert, Reason::Unloaded, Label::None),
+        (Driver::Expert, Reason::Faulty, Label::None),
+        (Driver::Policy, Reason::Configured, Label::None),
+    ];
+    let mut assembler = Assembler::new(labelling, Counts::default());
+    let mut made: Vec<Transition> = Vec::new();
+    for (tick, (driver, reason, _)) in (1..).zip(rows) {
+        assembler.push(&step(tick, driver, reason), |one| made.push(one));
+    }
+    assembler.finish(|one| made.push(one));
+    let labels: Vec<Label> = made.iter().map(|one| one.label).collect();
+    assert_eq!(labels, rows.map(|(_, _, label)| label));
+    let person = [PERSON.steer as f32, PERSON.pedal as f32];
+    assert_eq!(made[1].expert, person, "a person is not vetoed");
+    assert_eq!(made[1].applied, person);
+    assert_ne!(made[2].expert, person, "the planned expert is");
+    let counts = assembler.counts();
+    assert_eq!((counts.expert, counts.interventions), (2, 4));
+}
+
+#[test]
+fn only_a_persons_command_is_not_braked_by_the_judge() {
+    let taken_over = step(1, Driver::Expert, Reason::Takeover);
+    assert_eq!(expert_command(&taken_over), PERSON);
+    let planned = step(1, Driver::Expert, Reason::Configured);
+    assert_eq!(expert_command(&planned).pedal, Action::BRAKE.pedal);
+}
