@@ -182,10 +182,11 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
         .sum();
     assert_eq!(held, counts.transitions(), "seed {SEED}: {counts:?}");
     let published = json["processes"]["controller"]["ticks"].as_u64();
-    println!(
-        "{counts:?}, {published:?} published, heard up to {}",
-        mark.sequence
+    assert!(
+        Some(mark.sequence) <= published,
+        "{counts:?}, {published:?} published"
     );
+    assert!(counts.lost > 0, "it was never away: {counts:?}");
 }
 
 #[test]

@@ -279,9 +279,14 @@ mod tests {
 
     /// Directions in the space of the parameters that are tried.
     const DIRECTIONS: usize = 20;
-    const EPSILON: f32 = 4e-3;
-    /// Of the slope: what f32, the curvature and the turns of ReLUs leave.
-    const TOLERANCE: f64 = 0.05;
+    /// Shorter, and f32 rounds the difference away; longer, and more ReLUs turn.
+    const CRITIC_EPSILON: f32 = 4e-3;
+    /// The same for the actor, whose loss is smaller and bends more.
+    const ACTOR_EPSILON: f32 = 1e-3;
+    /// Of the slope, of most directions: what f32 and the curvature leave.
+    const TOLERANCE: f64 = 0.03;
+    /// Of the slope, where ReLUs turn within epsilon.
+    const KINKED: f64 = 0.15;
 
     /// A learner with a batch drawn, all kinds of transitions in it.
     fn drawn(seed: u64) -> Pvp {
@@ -327,9 +332,10 @@ mod tests {
     /// Compares the gradient of one network with central differences of the
     /// loss in random directions.
     fn assert_gradient(
-        seed: u64,
+        (seed, epsilon): (u64, f32),
         network: impl Fn(&mut Pvp) -> &mut Learned,
         loss: impl Fn(&mut Pvp) -> f32,
+        errors: &mut Vec<f64>,
     ) {
         let mut pvp = drawn(seed);
         loss(&mut pvp);
@@ -355,31 +361,53 @@ mod tests {
                     .copy_from_slice(&before);
                 value
             };
-            let difference = (at(EPSILON) - at(-EPSILON)) / (2.0 * f64::from(EPSILON));
+            let difference = (at(epsilon) - at(-epsilon)) / (2.0 * f64::from(epsilon));
             let pairs = gradient.iter().zip(&direction);
             let slope: f64 = pairs.map(|(g, d)| f64::from(g * d / length)).sum();
             let error = (difference - slope).abs() / slope.abs();
             assert!(
-                error < TOLERANCE,
+                error < KINKED,
                 "seed {seed}, direction {k}: {slope}, by differences {difference}"
             );
+            errors.push(error);
         }
+    }
+
+    fn assert_median(mut errors: Vec<f64>) {
+        errors.sort_by(f64::total_cmp);
+        let median = errors[errors.len() / 2];
+        assert!(median < TOLERANCE, "{median}, all of them: {errors:.3?}");
     }
 
     #[test]
     fn the_critics_gradients_are_those_of_finite_differences() {
+        let mut errors = Vec::new();
         for seed in 0..4 {
             for k in 0..2 {
-                assert_gradient(seed, |pvp| &mut pvp.critics[k], Pvp::judge_critics);
+                assert_gradient(
+                    (seed, CRITIC_EPSILON),
+                    |pvp| &mut pvp.critics[k],
+                    Pvp::judge_critics,
+                    &mut errors,
+                );
             }
         }
+        assert_median(errors);
     }
 
     #[test]
     fn the_actors_gradient_is_that_of_finite_differences() {
+        let mut errors = Vec::new();
         for seed in 0..4 {
-            assert_gradient(seed, |pvp| &mut pvp.actor, |pvp| pvp.judge_actor().actor);
+            let loss = |pvp: &mut Pvp| pvp.judge_actor().actor;
+            assert_gradient(
+                (seed, ACTOR_EPSILON),
+                |pvp| &mut pvp.actor,
+                loss,
+                &mut errors,
+            );
         }
+        assert_median(errors);
     }
 
     #[test]
