@@ -121,7 +121,9 @@ pub struct Batch {
     pub policy: Vec<f32>,
     /// `batch x ACTIONS`.
     pub expert: Vec<f32>,
-    /// 1 where the label prefers the expert, else 0.
+    /// 1 where the label prefers the expert, and it drove, else 0: of an answer
+    /// that came when the policy had driven already, the preferred action was
+    /// never taken.
     pub is_preferred: Vec<f32>,
     /// 1 where the episode went on, 0 where it ended.
     pub goes_on: Vec<f32>,
@@ -174,8 +176,9 @@ impl Batch {
             actions.extend_from_slice(&action);
         }
         let one_if = |condition| if condition { 1.0 } else { 0.0 };
+        let obeyed = transition.applied != transition.policy;
         self.is_preferred
-            .push(one_if(transition.label == Label::Expert));
+            .push(one_if(transition.label == Label::Expert && obeyed));
         self.goes_on.push(one_if(transition.then == Then::On));
         self.is_known.push(one_if(transition.then != Then::Unknown));
     }

@@ -11,6 +11,10 @@ use crate::set::ProcessSet;
 /// They only write their last numbers; a second is a hundred times that.
 const NO_CAR_NS: u64 = 1_000_000_000;
 
+/// How long a learner may take that nobody waits for any more, ns: it ends the
+/// block it is at, seconds on a busy machine, and writes down what it knows.
+const LEARNER_NS: u64 = 60_000_000_000;
+
 /// Who is asked to end first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
@@ -67,7 +71,18 @@ impl Stop {
             self.others_asked = true;
             set.signal_all(Signal::TERM);
         }
-        if passed_ns >= self.limit_ns {
+        let driving = [
+            Process::World,
+            Process::Planner,
+            Process::Controller,
+            Process::Gate,
+        ];
+        let only_learner = !driving.into_iter().any(|process| set.lives(process));
+        let limit_ns = match only_learner && set.lives(Process::Learner) {
+            true => self.limit_ns.max(LEARNER_NS),
+            false => self.limit_ns,
+        };
+        if passed_ns >= limit_ns {
             self.kill(set);
         }
     }
