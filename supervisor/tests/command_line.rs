@@ -341,7 +341,7 @@ fn the_printed_configuration_is_valid_and_every_key_is_explained() {
         before = line;
     }
     check(&bench, &text, 0);
-    check(&bench, "[run]\nseeds = 1\n", 2);
+    check(&bench, "[run]\nsed = 1\n", 2);
 }
 
 fn check(bench: &Bench, text: &str, code: i32) {

@@ -217,7 +217,7 @@ impl Pvp {
         let critic = self.judge_critics();
         self.critics.iter_mut().for_each(Learned::step);
         self.updates += 1;
-        if self.updates % POLICY_DELAY == 0 {
+        if self.updates.is_multiple_of(POLICY_DELAY) {
             self.last_actor = self.judge_actor();
             self.actor.step();
             self.actor_target.follow(&self.actor.network, TAU);
