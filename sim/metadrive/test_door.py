@@ -38,7 +38,7 @@ class Door(unittest.TestCase):
             command(steer=1.0 + 1e-12),
             command(pedal=-1.5),
             command(driver=3),
-            command(reason=12),
+            command(reason=99),
         ]
         for refused in bad:
             self.assertFalse(is_admitted(refused, NOW_NS, LIMIT_NS), refused)

@@ -7,7 +7,8 @@
 //! | planner | `vlaps-planner` | last but one | 45 | restarted | |
 //! | controller | `vlaps-controller` | last | 50 | restarted | planner |
 //! | gate | `vlaps-gate` | any | 0 | restarted | controller |
-//! | world | `vlaps-world` | last but two | 48 | restarted at the episode it died in; exit 0 ends the run | gate |
+//! | learner | `vlaps-learner` | any | 0 | restarted; goes on where it was | gate |
+//! | world | `vlaps-world` | last but two | 48 | restarted at the episode it died in; exit 0 ends the run | learner |
 //!
 //! The world starts last: it owns the clock, and when its first tick comes
 //! everybody who answers is ready. [`table::TABLE`] is this table; a test
@@ -33,6 +34,7 @@
 //! | planner | follows the last plan up to `limits.plan_age_ms`, then the controller brakes (*unplanned*) |
 //! | controller | the world obeys the last command up to `limits.command_age_ms`, then brakes |
 //! | gate | goes on; when the last advice has expired, the expert drives (*expired*) |
+//! | learner | goes on; the weights in charge stay. In lockstep the controller waits for its successor, `learner.lockstep_wait_s` at most |
 //! | world | is gone with it; the controller brakes (*blind*) until the world is back, at the beginning of its episode |
 //! | supervisor | all processes end at once with it; the next `up` or `clean` removes what they left |
 //!

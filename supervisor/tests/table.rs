@@ -103,12 +103,16 @@ fn cores_are_asked_for_only_where_there_are_enough() {
 }
 
 #[test]
-fn the_gate_has_a_process_only_when_somebody_must_think() {
+fn gate_and_learner_have_a_process_only_when_there_is_work_for_them() {
     let mut config = Config::default();
+    config.learner.enabled = true;
     assert_eq!(rows(&config).count(), TABLE.len());
     config.gate.mode = GateMode::Expert;
     assert!(rows(&config).all(|row| row.process != Process::Gate));
     assert_eq!(rows(&config).count(), TABLE.len() - 1);
+    config.learner.enabled = false;
+    assert!(rows(&config).all(|row| row.process != Process::Learner));
+    assert_eq!(rows(&config).count(), TABLE.len() - 2);
 }
 
 fn limits() -> Supervisor {
