@@ -163,7 +163,7 @@ fn row(
                 rate: RATE,
                 imitation_weight: 1.0,
             };
-            Student::Pvp(Pvp::new(settings, size, &mut random))
+            Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }
         Kind::Regression => {
             Student::Regression(Regression::new(Source::All, size, RATE, &mut random))

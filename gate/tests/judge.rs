@@ -299,8 +299,10 @@ impl Judge for Content {
 fn heard(config: &Gate) -> Vec<Preference> {
     let mut counsel = Counsel::new(config, Docket::immediate(Content));
     let answers = (1..=2000u64).map(|k| {
-        let mut step = Step::default();
-        step.observation = observation(5.0);
+        let mut step = Step {
+            observation: observation(5.0),
+            ..Step::default()
+        };
         step.observation.header.tick = 10 * k;
         step.observation.header.taken_ns = k * 1_000_000_000;
         let now = Instant(k * 1_000_000_000);
@@ -349,8 +351,10 @@ fn a_late_answer_is_heard_late_and_keeps_its_question() {
     };
     let mut counsel = Counsel::new(&config, Docket::immediate(Content));
     for k in 1..=60u64 {
-        let mut step = Step::default();
-        step.observation = observation(5.0);
+        let mut step = Step {
+            observation: observation(5.0),
+            ..Step::default()
+        };
         step.observation.header.taken_ns = k * 1_000_000_000;
         let advice = counsel.consider(&step, Instant(k * 1_000_000_000));
         let about = k.saturating_sub(30);

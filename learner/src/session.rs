@@ -321,7 +321,7 @@ fn begin(config: &Config) -> Checkpoint {
                 rate: rate(VALUE_RATE),
                 imitation_weight: settings.imitation_weight as f32,
             };
-            Student::Pvp(Pvp::new(settings, size, &mut random))
+            Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }
         Algorithm::Ppl => Student::Ppl(Ppl::new(size, imitation_rate, &mut random)),
         Algorithm::Bc | Algorithm::HgDagger => {

@@ -19,6 +19,7 @@ use crate::eval::{Task, evaluate};
 use crate::evaluation::Evaluation;
 use crate::report::write_json;
 use crate::seat::DriverKind;
+use supervisor::signals::pause;
 
 /// From look to look at new policies.
 const LOOK: Duration = Duration::from_millis(100);
@@ -119,7 +120,7 @@ fn watch(
             if now == FINISH {
                 return Ok(());
             }
-            std::thread::sleep(LOOK);
+            pause(LOOK);
             continue;
         };
         // While it drives, the other cores are the training's.

@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use supervisor::signals::pause;
 
 use super::examiner::Examiner;
 use super::protocol::{Protocol, STEP_S};
@@ -58,7 +59,7 @@ pub fn train(protocol: &Protocol, clock: Clock) -> anyhow::Result<End> {
         false => None,
     };
     let ended = loop {
-        std::thread::sleep(LOOK);
+        pause(LOOK);
         bar.set_position(results::steps(&protocol.folder)?);
         if let Some(exam) = examiner.news()? {
             bar.set_message(format!("success {:.2}", exam));

@@ -89,7 +89,7 @@ pub enum Student {
     /// By imitation.
     Regression(Regression),
     /// By proxy values.
-    Pvp(Pvp),
+    Pvp(Box<Pvp>),
     /// By pairs at predicted states.
     Ppl(Ppl),
 }
