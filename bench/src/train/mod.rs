@@ -102,6 +102,12 @@ fn folder(arguments: &Train) -> anyhow::Result<PathBuf> {
             out.display()
         );
     }
+    if arguments.resume && !out.exists() {
+        bail!(
+            "{}: there is nothing to go on with; without --resume an experiment begins there",
+            out.display()
+        );
+    }
     fs::create_dir_all(&out).with_context(|| format!("{}", out.display()))?;
     Ok(out)
 }

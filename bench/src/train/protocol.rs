@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use shm_config::config::{Algorithm, Config};
+use anyhow::bail;
+use shm_config::config::{Algorithm, Config, load};
 
 use crate::arguments::{Train, WorldChoice};
 use crate::settings;
@@ -47,14 +48,48 @@ impl Protocol {
         overrides.extend(chosen.overrides.iter().cloned());
         let mut config = settings::config(chosen.config.as_deref(), &overrides)?;
         config.run.folder = folder.display().to_string();
-        Ok(Protocol {
+        let block_steps = u64::from(config.learner.block_steps);
+        if !arguments.steps.is_multiple_of(block_steps) {
+            bail!(
+                "--steps {}: must be a multiple of learner.block_steps, {block_steps}",
+                arguments.steps
+            );
+        }
+        let protocol = Protocol {
             seed,
             folder,
             steps: arguments.steps,
             episodes: arguments.eval_episodes,
             world: arguments.world,
             config,
-        })
+        };
+        protocol.check_same()?;
+        Ok(protocol)
+    }
+
+    /// The file that a training's process set is configured with.
+    pub fn file(&self) -> PathBuf {
+        self.folder.join("train.toml")
+    }
+
+    /// A training that is gone on with has the algorithm and the expert that it
+    /// began with.
+    fn check_same(&self) -> anyhow::Result<()> {
+        let file = self.file();
+        if !file.exists() {
+            return Ok(());
+        }
+        let begun = load(&file)?;
+        let same = begun.learner.algorithm == self.config.learner.algorithm
+            && begun.planner.method == self.config.planner.method
+            && begun.world.simulator == self.config.world.simulator;
+        if !same {
+            bail!(
+                "{}: is of another algorithm, expert or world; --out DIR begins another experiment",
+                file.display()
+            );
+        }
+        Ok(())
     }
 }
 

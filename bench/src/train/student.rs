@@ -81,8 +81,12 @@ pub fn train(protocol: &Protocol, clock: Clock) -> anyhow::Result<End> {
     let steps = results::steps(&protocol.folder)?;
     if !ended && !stopped {
         let log = protocol.folder.join(DRIVE_LOG);
+        let text = fs::read_to_string(&log).unwrap_or_default();
+        let last = text.lines().rev().find(|line| !line.trim().is_empty());
         bail!(
-            "the process set gave up after {steps} steps; its last lines are in {}",
+            "the process set ended after {steps} steps: {} ({})",
+            last.unwrap_or("without a word")
+                .trim_start_matches("error: "),
             log.display()
         );
     }
@@ -113,7 +117,7 @@ impl ProcessSet {
         config.run.duration_s = (protocol.steps - begun) as f64 * STEP_S;
         // Another order of the training seeds, not the same first ones again.
         config.run.shuffle = config.run.shuffle.wrapping_add(begun);
-        let file = protocol.folder.join("train.toml");
+        let file = protocol.file();
         fs::write(&file, toml::to_string(&config)?).with_context(|| file.display().to_string())?;
         let log = protocol.folder.join(DRIVE_LOG);
         let output = File::create(&log).with_context(|| log.display().to_string())?;
