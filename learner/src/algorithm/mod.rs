@@ -5,9 +5,9 @@
 //! |---|---|---|
 //! | `bc` | the expert's own driving ([`regression`]) | squared error |
 //! | `hg-dagger` | the steps at which the expert was preferred ([`regression`]) | squared error |
-//! | `dagger` | every step: the expert is a program and answers everywhere ([`regression`]) | squared error |
+//! | `dagger` | every step and imagined scenes: the expert is a program and answers everywhere ([`regression`]) | squared error |
 //! | `pvp` | preferences and what followed ([`pvp`]) | twin critics, Eq. 1 and 2 |
-//! | `ppl` | preferences, at predicted states, too ([`ppl`]) | squared error and pairs |
+//! | `ppl` | preferences, at predicted states, too, and imagined scenes ([`ppl`]) | squared error and pairs |
 
 pub mod ppl;
 pub mod pvp;
