@@ -11,10 +11,6 @@ pub const CLEARANCE_MAX_M: f64 = 50.0;
 /// begins 0.2 m outside it.
 const SIDEWALK_M: f64 = 0.2;
 
-/// A clearance that is less by this is not less, m: beside a wall, one return or
-/// another is the nearest, each rounded as a range of 32 bits.
-const ROUNDING_M: f64 = 1e-5;
-
 /// What proposals are judged against: the lidar's returns and the road, in the
 /// body frame. Made once a tick, without allocation.
 pub struct Scene {
@@ -62,8 +58,7 @@ impl Scene {
 ///
 /// The rollout is the bicycle of Eq. 3 to 6 with the accurate step; the paper's
 /// single step of 1.5 s is a matter of the picture only. Obstacles are the lidar
-/// returns at rest; from closer than the margin to one, only coming closer counts
-/// as touching it. The proposal is vetoed when it would touch something, or
+/// returns at rest. The proposal is vetoed when it would touch something, or
 /// leave the road, sooner than the brake could still prevent it.
 pub fn assess(
     vehicle: &Vehicle,
@@ -81,10 +76,9 @@ pub fn assess(
     let steps = (limits.horizon_s / limits.step_s).ceil() as u32;
     let mut state = State::at_origin(scene.speed_mps);
     // Where the car stands now is nobody's proposal: only what it does next counts.
-    let clearance_now_m = clearance_m(vehicle, scene, &state);
     let edge_now_m = edge_m(vehicle, scene, &state);
     let mut measured = Assessment {
-        clearance_m: clearance_now_m,
+        clearance_m: clearance_m(vehicle, scene, &state),
         safe_s: limits.horizon_s,
         edge_m: edge_now_m,
         verdict: Verdict::Clear.code(),
@@ -98,8 +92,7 @@ pub fn assess(
         );
         measured.clearance_m = measured.clearance_m.min(clearance_m);
         measured.edge_m = measured.edge_m.min(edge_m);
-        let is_nearer = clearance_m < limits.margin_m.min(clearance_now_m - ROUNDING_M);
-        let found = if is_nearer && state.speed_mps > 0.0 {
+        let found = if clearance_m < limits.margin_m && state.speed_mps > 0.0 {
             Verdict::Hits
         } else if edge_m < (limits.edge_margin_m - SIDEWALK_M).min(edge_now_m) {
             Verdict::Leaves
