@@ -27,6 +27,7 @@ pub mod episode;
 pub mod eval;
 pub mod evaluation;
 pub mod inference;
+pub mod judging;
 pub mod learning;
 pub mod metadrive;
 pub mod outside;

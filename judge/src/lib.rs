@@ -5,9 +5,14 @@
 //! answer or a counted fault, never a guess. How the two proposals are shown is
 //! decided once, in a [`Showing`]: the picture is drawn and the prompt is worded
 //! from the same value, so they cannot disagree. Everything asked is kept as a
-//! [`record::Record`], to be audited and asked again.
+//! [`record::Record`] by a [`store::Store`], to be audited and asked again.
 
+pub mod audit;
+pub mod eyes;
+pub mod picture;
 pub mod record;
 mod showing;
+pub mod statistics;
+pub mod store;
 
 pub use showing::{Hue, Party, Reply, Showing, combine};

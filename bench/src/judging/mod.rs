@@ -1,0 +1,3 @@
+//! How often a judge is right, on scenes where the simulator knows.
+
+pub mod scenes;
