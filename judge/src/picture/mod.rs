@@ -216,8 +216,8 @@ pub fn draw(
 fn scene(photo: Photo, style: &Style) -> Result<RgbImage, PictureError> {
     let (width, height) = (photo.width, photo.height);
     let misfit = PictureError::Misfit { width, height };
-    let bytes = u64::from(width) * u64::from(height) * 3;
-    if bytes == 0 || bytes > photo.rgb.len() as u64 {
+    let bytes = u128::from(width) * u128::from(height) * 3;
+    if bytes == 0 || bytes > photo.rgb.len() as u128 {
         return Err(misfit);
     }
     let pixels = photo.rgb[..bytes as usize].to_vec();
