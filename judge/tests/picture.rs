@@ -1,7 +1,8 @@
 //! The picture of a question: where the paths lie, and what a swap changes.
 
-use judge::picture::{Encoding, Photo, PictureError, Proposals, Rollout, Style, draw, picture};
+use judge::picture::{Encoding, Photo, PictureError, Proposals, Style, draw, picture};
 use judge::{Hue, Party, Showing};
+use shm_config::config::Rollout;
 use shm_config::message::{Camera, View};
 use shm_config::palette;
 use vehicle::{Action, Vehicle};

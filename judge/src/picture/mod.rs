@@ -10,16 +10,15 @@ use gate::Question;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, RgbImage};
-use serde::{Deserialize, Serialize};
+use shm_config::config::{PictureFormat, Rollout, Vlm};
 use shm_config::message::{Camera, Frame};
 use vehicle::{Action, Vehicle};
 
 use crate::Showing;
-pub use rollout::{Rollout, roll_out};
+pub use rollout::roll_out;
 
 /// How the picture of a question is drawn and stored.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Style {
     /// How the paths are integrated.
     pub rollout: Rollout,
@@ -48,9 +47,27 @@ impl Default for Style {
     }
 }
 
+impl Style {
+    /// As the configuration says. Frames come in the configured size, so that only
+    /// those of a world with pictures of its own size are scaled.
+    pub fn of(vlm: &Vlm) -> Self {
+        Self {
+            rollout: vlm.rollout,
+            horizon_s: vlm.horizon_s,
+            size_px: Some([vlm.width_px, vlm.height_px]),
+            encoding: match vlm.format {
+                PictureFormat::Png => Encoding::Png,
+                PictureFormat::Jpeg => Encoding::Jpeg {
+                    quality: vlm.jpeg_quality,
+                },
+            },
+            ..Self::default()
+        }
+    }
+}
+
 /// How a picture is stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
     /// Without loss.
     Png,
@@ -224,6 +241,7 @@ fn scene(photo: Photo, style: &Style) -> Result<RgbImage, PictureError> {
     let image = RgbImage::from_raw(width, height, pixels).ok_or(misfit)?;
     match style.size_px {
         None => Ok(image),
+        Some(size_px) if size_px == [width, height] => Ok(image),
         Some([width, height]) => {
             let sides = 64..=4096;
             if !sides.contains(&width) || !sides.contains(&height) {

@@ -1,6 +1,6 @@
 //! Where the car goes when a proposal is held.
 
-use serde::{Deserialize, Serialize};
+use shm_config::config::Rollout;
 use vehicle::{Action, State, Vehicle, step};
 
 /// Step of the accurate rollout, s: the control period of Sec. 8.4.
@@ -8,37 +8,29 @@ const STEP_S: f64 = 0.1;
 /// Step of the paper's rollout, s: its `dt_vis` (Sec. 4.2).
 const PAPER_STEP_S: f64 = 1.5;
 
-/// How a rollout is integrated.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Rollout {
-    /// Steps of 0.1 s: where the bicycle truly goes.
-    Accurate,
-    /// Steps of 1.5 s, as the paper draws it: the first one goes straight ahead
-    /// whatever the wheels do, and the brake is felt 1.5 s late.
-    Paper,
-}
-
-/// The states of a car that holds an action until the horizon, the present one
-/// first, in the body frame of now; two at least. Eq. 3 to 6.
+/// The states of a car that holds an action, the present one first, in the body
+/// frame of now; two at least. Eq. 3 to 6.
+///
+/// Accurate are steps of 0.1 s until the horizon. The paper's is one step, whatever
+/// the horizon: it goes straight ahead whatever the wheels do, and the brake is felt
+/// after it only.
 pub fn roll_out(
     vehicle: &Vehicle,
     action: Action,
     speed_mps: f64,
     (rollout, horizon_s): (Rollout, f64),
 ) -> Vec<State> {
-    let step_s = match rollout {
-        Rollout::Accurate => STEP_S,
-        Rollout::Paper => PAPER_STEP_S,
+    let (step_s, steps) = match rollout {
+        // A horizon of 3 s is 30 steps, not 31 for a rounding.
+        Rollout::Accurate => (STEP_S, (horizon_s / STEP_S - 1e-9).ceil().max(1.0)),
+        Rollout::Paper => (PAPER_STEP_S, 1.0),
     };
-    // A horizon of 3 s is 30 steps, not 31 for a rounding.
-    let steps = (horizon_s / step_s - 1e-9).ceil().max(1.0) as usize;
     let control = action.control(vehicle);
     let begin = State::at_origin(speed_mps.max(0.0));
     std::iter::successors(Some(begin), |state| {
         Some(step(vehicle, state, control, step_s))
     })
-    .take(steps + 1)
+    .take(steps as usize + 1)
     .collect()
 }
 
@@ -73,7 +65,7 @@ mod tests {
             steer: 1.0,
             pedal: -1.0,
         };
-        let states = roll_out(&vehicle, action, 10.0, (Rollout::Paper, 1.5));
+        let states = roll_out(&vehicle, action, 10.0, (Rollout::Paper, 3.0));
         assert_eq!(states.len(), 2);
         let end = states[1].position;
         assert!((end.x - 15.0).abs() < 1e-12 && end.y == 0.0, "{end:?}");
