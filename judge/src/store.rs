@@ -196,9 +196,11 @@ impl Store {
     }
 
     fn write(&mut self, record: &Record) {
-        let Ok(mut line) = serde_json::to_vec(record) else {
+        let mut line = serde_json::to_vec(record).unwrap_or_default();
+        // JSON has no NaN: what is written for one cannot be read again.
+        if serde_json::from_slice::<Record>(&line).is_err() {
             return self.lose_line("a number that JSON cannot hold".into());
-        };
+        }
         line.push(b'\n');
         let size = line.len() as u64;
         if self.line_bytes + size > self.bytes_max / 4 {

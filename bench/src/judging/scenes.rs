@@ -3,11 +3,11 @@
 use anyhow::{Context, anyhow};
 use judge::Party;
 use judge::picture::{Photo, Proposals};
-use judge::record::Outlook;
+use judge::record::{Outlook, Proposed};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::config::Config;
-use shm_config::message::{Camera, Observation, View};
+use shm_config::message::{Camera, Observation, Proposal, View};
 use sim::photographer::{HORIZON_S, outlook};
 use sim::render::{Renderer, Shot};
 use sim::{World, WorldConfig};
@@ -34,10 +34,9 @@ pub struct Scene {
     pub tick: u64,
     /// Speed of the car, m/s.
     pub speed_mps: f64,
-    /// What the expert proposed.
-    pub expert: Action,
-    /// What a policy might have proposed.
-    pub policy: Action,
+    /// What the expert proposed, and what a policy might have, with what the judge
+    /// in the tick measures of them.
+    pub proposed: [Proposed; 2],
     /// What comes of holding each, the expert's first.
     pub outlooks: [Outlook; 2],
     /// The pictures, one for each view that was asked for.
@@ -72,8 +71,8 @@ impl Scene {
         Proposals {
             vehicle,
             speed_mps: self.speed_mps,
-            expert: self.expert,
-            policy: self.policy,
+            expert: action(&self.proposed[0]),
+            policy: action(&self.proposed[1]),
         }
     }
 
@@ -83,6 +82,13 @@ impl Scene {
             true => Party::Policy,
             false => Party::Expert,
         }
+    }
+}
+
+fn action(proposed: &Proposed) -> Action {
+    Action {
+        steer: proposed.steer,
+        pedal: proposed.pedal,
     }
 }
 
@@ -130,6 +136,7 @@ pub fn search(
         }
         let most = wanted.min(SCENES_OF_EPISODE);
         let mut drive = Drive {
+            config,
             world: &mut world,
             seat: &mut seat,
             chance: &mut chance,
@@ -140,6 +147,7 @@ pub fn search(
 }
 
 struct Drive<'a> {
+    config: &'a Config,
     world: &'a mut World,
     seat: &'a mut Seat,
     chance: &'a mut Chance,
@@ -186,17 +194,30 @@ impl Drive<'_> {
         expert: Action,
         observation: &Observation,
     ) -> Option<Scene> {
+        let (vehicle, limits) = (&self.config.vehicle, &self.config.judge);
+        let speed_mps = observation.ego.speed_mps;
+        let reach_m = gate::Scene::reach_m(vehicle, limits, speed_mps);
+        let seen = gate::Scene::new(observation, reach_m);
+        let proposed = |action: Action| {
+            let assessment = gate::assess(vehicle, limits, &seen, Some(action));
+            Proposed::new(&Proposal::new(Some(action)), &assessment)
+        };
         let expert_outlook = outlook_of(self.world, Party::Expert, expert);
         (0..TRIES).find_map(|_| {
             let policy = self.chance.policy(expert);
-            let policy_outlook = outlook_of(self.world, Party::Policy, policy);
-            (expert_outlook.is_accident() != policy_outlook.is_accident()).then(|| Scene {
+            let outlooks = [
+                expert_outlook,
+                outlook_of(self.world, Party::Policy, policy),
+            ];
+            if outlooks[0].is_accident() == outlooks[1].is_accident() {
+                return None;
+            }
+            Some(Scene {
                 seed,
                 tick,
-                speed_mps: observation.ego.speed_mps,
-                expert,
-                policy,
-                outlooks: [expert_outlook, policy_outlook],
+                speed_mps,
+                proposed: [proposed(expert)?, proposed(policy)?],
+                outlooks,
                 shots: Vec::new(),
             })
         })
