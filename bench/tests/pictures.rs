@@ -144,10 +144,16 @@ fn frames_are_what_the_camera_sees_at_the_tick() {
 fn mistakes_about_frames_are_named() {
     for (words, code, hint) in [
         (&["--seed", "3"][..], 2, "--tick"),
-        (&["--seed", "3", "--tick", "1", "--view", "side"], 2, "top_down"),
+        (
+            &["--seed", "3", "--tick", "1", "--view", "side"],
+            2,
+            "top_down",
+        ),
         (&["--seed", "3", "--tick", "1", "--width", "63"], 2, "64"),
         (
-            &["--seed", "3", "--tick", "1", "--width", "961", "--height", "720"],
+            &[
+                "--seed", "3", "--tick", "1", "--width", "961", "--height", "720",
+            ],
             1,
             "960 x 720",
         ),
