@@ -18,7 +18,8 @@ pub const LINE_BROKEN: Rgb = [186, 190, 196];
 pub const LINE_CENTRE: Rgb = [226, 208, 112];
 /// The car itself.
 pub const EGO: Rgb = [254, 254, 254];
-/// Every other car, broken down or not.
+/// Every other car, broken down or not. Its sides are darker than its top, see
+/// [`shaded`].
 pub const VEHICLE: Rgb = [200, 148, 104];
 /// Its windows.
 pub const VEHICLE_GLASS: Rgb = [112, 78, 54];
@@ -68,7 +69,8 @@ pub fn distance(a: Rgb, b: Rgb) -> f64 {
     (square(0) + square(1) + square(2)).sqrt()
 }
 
-/// A side of a body that is lit less, [0, 1].
+/// The colour of a side that is lit less, [0, 1]: those that stand upright are, by a
+/// fifth at most. From above only tops are seen.
 pub fn shaded(color: Rgb, light: f64) -> Rgb {
     color.map(|value| (f64::from(value) * light.clamp(0.0, 1.0)).round() as u8)
 }

@@ -30,6 +30,9 @@ LEAST_PX = 6.0
 SLACK_FACTOR = 2
 # What the first picture is taken to cost, ns.
 FIRST_COST_NS = 20_000_000
+# Share of the greatest cost that is remembered when a tick had no slack for it:
+# one slow picture must not be the last one.
+REMEMBERED = 0.9
 
 
 class _Shape:
@@ -79,7 +82,13 @@ class Photographer:
             self.declined += 1
             return
         if slack_ns is not None and slack_ns < SLACK_FACTOR * self._cost_ns:
+            self._cost_ns = max(self._cost_ns * REMEMBERED, FIRST_COST_NS)
             return
+        if not self._surveyed:
+            self._survey()
+            if slack_ns is not None:
+                # That was enough for one tick.
+                return
         begun_ns = monotonic_ns()
         self._request = None
         self._publish(header, Lens(request.width, request.height))
@@ -139,8 +148,6 @@ class Photographer:
         self._lines.append(_Shape(points, paint))
 
     def _draw(self, lens):
-        if not self._surveyed:
-            self._survey()
         ego = self._world.vehicle
         origin = np.asarray((ego.position[0], ego.position[1]))
         heading = ego.heading_theta

@@ -1,9 +1,8 @@
 //! Pictures show what is there, where the camera says.
 
-mod drivers;
-
 use shm_config::message::{Camera, View};
 use shm_config::palette::{self, Rgb};
+use sim::idm::Idm;
 use sim::lane::Lane;
 use sim::render::{Picture, Renderer, Shot};
 use sim::world::BodyKind;
@@ -16,20 +15,24 @@ const TICKS: [u64; 4] = [0, 60, 120, 180];
 /// How near to a border nothing is said of a point, m: lines are painted there.
 const BORDER_M: f64 = 0.5;
 
-/// Calls `look` with worlds under way.
+/// Calls `look` with worlds under way, in dense traffic.
 fn look_at_scenes(mut look: impl FnMut(&World, &mut Renderer)) {
-    let mut world = World::new(WorldConfig::default()).expect("a world");
-    let mut observation = Box::default();
+    let config = WorldConfig {
+        traffic_density: 0.4,
+        ..WorldConfig::default()
+    };
+    let mut world = World::new(config).expect("a world");
     let mut renderer = Renderer::default();
     for seed in SEEDS {
         world.reset(seed).expect("a map");
         renderer.begin(&world);
+        let mut idm = Idm::new(0, seed);
         for tick in 0..=TICKS[TICKS.len() - 1] {
             if TICKS.contains(&tick) {
                 look(&world, &mut renderer);
             }
-            world.observe(&mut observation);
-            world.step(drivers::keep_lane(&observation));
+            let action = world.advise(&mut idm);
+            world.step(action);
         }
     }
 }

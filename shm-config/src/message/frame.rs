@@ -64,7 +64,7 @@ crate::message! {
 }
 
 crate::message! {
-    /// What comes of holding one action.
+    /// What comes of holding one action, until the horizon or the episode's end.
     #[derive(Default)]
     pub struct Outlook: 24 bytes {
         /// Time until the end of the first tick in which a vehicle or an object is

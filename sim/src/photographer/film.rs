@@ -14,7 +14,7 @@ const QUEUE: usize = 1 << 16;
 /// ticks somebody may just be asking.
 const REELS: usize = 2;
 /// Instants and moves that are kept of an episode, each: six minutes at 1,000 Hz,
-/// ten megabytes. What comes later is lost.
+/// twelve megabytes. What comes later is lost.
 const REEL_ENTRIES: usize = 360_000;
 
 #[derive(Clone, Copy, Debug)]

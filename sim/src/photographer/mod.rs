@@ -164,7 +164,15 @@ impl Studio {
             Ok(()) => self.taken += 1,
             Err(why) => {
                 self.declined += 1;
-                tracing::debug!(tick, episode, declined = self.declined, %why, "no picture");
+                let declined = self.declined;
+                match why {
+                    Declined::Request(_) | Declined::Gone => {
+                        tracing::debug!(tick, episode, declined, %why, "no picture");
+                    }
+                    Declined::World(_) | Declined::Memory | Declined::Wire(_) => {
+                        tracing::warn!(tick, episode, declined, %why, "no picture");
+                    }
+                }
             }
         }
     }

@@ -16,7 +16,7 @@ use vehicle::{Point, Vector};
 use crate::World;
 use crate::contact::Placed;
 use canvas::{Canvas, Outline};
-use solids::{Face, Model};
+use solids::{Face, Model, Rim, Solid};
 use survey::{Layer, survey};
 
 /// What is farther is not drawn, m: a car is two pixels wide there.
@@ -259,26 +259,29 @@ fn enlarge(eye: &Eye, model: &mut Model) {
 }
 
 fn draw_model(canvas: &mut Canvas, eye: &Eye, model: &Model) {
-    let mut solids: Vec<(u32, f64, Vec<Face>)> = model
+    let mut solids: Vec<(f64, Solid)> = model
         .solids
         .iter()
         .map(|solid| {
-            let faces: Vec<Face> = solid
-                .faces
-                .iter()
-                .map(|face| placed(eye, model, face))
-                .collect();
-            (solid.level, eye.away_m2(middle(&faces)), faces)
+            let faces = solid.faces.iter().map(|face| placed(eye, model, face));
+            let solid = Solid {
+                faces: faces.collect(),
+                ..*solid
+            };
+            (eye.away_m2(middle(&solid.faces)), solid)
         })
         .collect();
-    solids.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+    solids.sort_by(|(a_m2, a), (b_m2, b)| a.level.cmp(&b.level).then(b_m2.total_cmp(a_m2)));
     let mut outline = Outline::new();
-    let faces = solids.iter().flat_map(|(_, _, faces)| faces);
-    for face in faces.filter(|face| eye.sees(&face.corners)) {
-        eye.camera.project_area(&face.corners, &mut outline);
-        canvas.fill([&outline], face.color, 1.0);
-        let rim_px = (RIM_M * eye.px_per_m(face.corners[0])).min(RIM_MAX_PX);
-        canvas.rim(&outline, palette::RIM, rim_px);
+    for (_, solid) in &solids {
+        for face in solid.faces.iter().filter(|face| eye.sees(&face.corners)) {
+            eye.camera.project_area(&face.corners, &mut outline);
+            canvas.fill([&outline], face.color, 1.0);
+            if solid.rim == Rim::Drawn {
+                let rim_px = (RIM_M * eye.px_per_m(face.corners[0])).min(RIM_MAX_PX);
+                canvas.rim(&outline, palette::RIM, rim_px);
+            }
+        }
     }
 }
 

@@ -29,10 +29,21 @@ pub struct Face {
     pub color: Rgb,
 }
 
-/// A convex solid: its faces.
+/// Whether the rims of a solid's faces are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rim {
+    /// They are: it tells a body from what is behind it.
+    Drawn,
+    /// They would cover the small faces of a round body.
+    Left,
+}
+
+/// A convex solid.
 pub struct Solid {
     /// Solids of a body are drawn level by level.
     pub level: u32,
+    /// Whether its faces have rims.
+    pub rim: Rim,
     /// Its faces.
     pub faces: Vec<Face>,
 }
@@ -179,7 +190,11 @@ fn solid(level: u32, rings: [&[[f64; 2]]; 2], [low_m, high_m]: [f64; 2], coat: C
         corners: top.collect(),
         color: coat.top,
     });
-    Solid { level, faces }
+    let rim = match count {
+        0..=4 => Rim::Drawn,
+        _ => Rim::Left,
+    };
+    Solid { level, rim, faces }
 }
 
 /// Wheels and shadow under a car.
@@ -232,12 +247,15 @@ fn truck(shape: &Shape, height_m: f64, livery: Livery) -> Vec<Solid> {
         sides: livery.glass,
         top: livery.body,
     };
+    // The windows belong to the cab: from behind, the box hides both.
+    let mut cab = solid(2, [&sill, &sill], [deck_m, hood_m], plain);
+    let windows = solid(2, [&sill, &roof], [hood_m, height_m * 0.85], glass);
+    cab.faces.extend(windows.faces);
     vec![
         chassis(half_x_m, half_y_m),
         solid(1, [&bed, &bed], [FLOOR_M, deck_m], plain),
         solid(2, [&cargo, &cargo], [deck_m, height_m], plain),
-        solid(2, [&sill, &sill], [deck_m, hood_m], plain),
-        solid(3, [&sill, &roof], [hood_m, height_m * 0.85], glass),
+        cab,
     ]
 }
 

@@ -18,6 +18,10 @@ const GAP_M: f64 = 4.0;
 const LINE_M: f64 = 0.2;
 const EDGE_M: f64 = 0.3;
 
+/// How far a lane's surface reaches over its rim on each side, m: the chords of two
+/// lanes of a bend do not meet, and ground would shine through between them.
+const OVERLAP_M: f64 = 0.04;
+
 /// A polygon of the world, counter-clockwise.
 pub struct Area {
     /// Its corners.
@@ -121,7 +125,8 @@ fn dashes(lane: &Lane, at_m: f64) -> Vec<Area> {
 }
 
 fn surface(lane: &Lane) -> Area {
-    strip(lane, [0.0, lane.length_m], [0.0, lane.width_m])
+    let ends_m = [-OVERLAP_M, lane.length_m + OVERLAP_M];
+    strip(lane, ends_m, [0.0, lane.width_m + 2.0 * OVERLAP_M])
 }
 
 /// A strip along a lane, from and to longitudinal coordinates, around a lateral
