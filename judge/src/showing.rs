@@ -93,6 +93,12 @@ impl Showing {
         hues: [Hue::Red, Hue::Blue],
     };
 
+    /// The paper's prompt: the expert first and green, the policy red (Sec. 8.5).
+    pub const PAPER_APPENDIX: Self = Self {
+        first: Party::Expert,
+        hues: [Hue::Green, Hue::Red],
+    };
+
     /// The same question with the paths in each other's place and colour: what
     /// a judge says of the places alone turns round.
     pub fn swapped(self) -> Self {
@@ -103,10 +109,10 @@ impl Showing {
     }
 
     /// What the first path and the second are called.
-    pub const LETTERS: [char; 2] = ['A', 'B'];
+    pub const LETTERS: [&'static str; 2] = ["A", "B"];
 
     /// What somebody's path is called.
-    pub fn letter(self, party: Party) -> char {
+    pub fn letter(self, party: Party) -> &'static str {
         match party == self.first {
             true => Self::LETTERS[0],
             false => Self::LETTERS[1],

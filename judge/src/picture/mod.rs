@@ -14,7 +14,7 @@ use shm_config::config::{PictureFormat, Rollout, Vlm};
 use shm_config::message::{Camera, Frame};
 use vehicle::{Action, Vehicle};
 
-use crate::Showing;
+use crate::{Picture, Showing};
 pub use rollout::roll_out;
 
 /// How the picture of a question is drawn and stored.
@@ -86,27 +86,6 @@ impl Encoding {
             Self::Jpeg { .. } => "image/jpeg",
         }
     }
-
-    /// How a file of it ends, without the dot.
-    pub fn extension(self) -> &'static str {
-        match self {
-            Self::Png => "png",
-            Self::Jpeg { .. } => "jpg",
-        }
-    }
-}
-
-/// A picture as it is stored and sent.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
-    /// The file's bytes.
-    pub bytes: Vec<u8>,
-    /// What kind of file.
-    pub encoding: Encoding,
-    /// Pixels across.
-    pub width: u32,
-    /// Pixels down.
-    pub height: u32,
 }
 
 /// Why there is no picture.
@@ -275,9 +254,9 @@ pub fn encode(image: &RgbImage, encoding: Encoding) -> Result<Picture, PictureEr
     match written {
         Ok(()) => Ok(Picture {
             bytes,
-            encoding,
-            width,
-            height,
+            mime: encoding.mime(),
+            width_px: width,
+            height_px: height,
         }),
         Err(_) => Err(PictureError::Encoder(encoding.mime())),
     }
