@@ -17,12 +17,14 @@
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
+//! | [`driven`] | a whole process set, driven for a measurement |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
 pub mod draw;
+pub mod driven;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;

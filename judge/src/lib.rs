@@ -7,7 +7,11 @@
 //! from the same value, so they cannot disagree. Everything asked is kept as a
 //! [`record::Record`], to be audited and asked again.
 
+mod clerk;
 pub mod record;
+mod recorded;
 mod showing;
 
+pub use clerk::{Clerk, Evidence, Filed};
+pub use recorded::Recorded;
 pub use showing::{Hue, Party, Reply, Showing, combine};

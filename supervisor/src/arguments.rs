@@ -168,6 +168,14 @@ impl From<DriverChoice> for Method {
 pub enum GateChoice {
     /// The gate process compares both rollouts by exact geometry.
     Rules,
+    /// The gate process asks a vision-language model (section vlm); never pauses the world.
+    Vlm,
+    /// As the paper did it: asks every 10 s, and the world waits. Implies --lockstep.
+    Paper,
+    /// Several judges and a quorum (gate.committee, gate.quorum).
+    Committee,
+    /// The answers of a recorded run (gate.recording).
+    Replay,
     /// Always the expert; no gate process.
     Expert,
     /// Always the policy, if one is loaded; no gate process.
@@ -180,6 +188,10 @@ impl From<GateChoice> for GateMode {
     fn from(choice: GateChoice) -> Self {
         match choice {
             GateChoice::Rules => Self::Rules,
+            GateChoice::Vlm => Self::Vlm,
+            GateChoice::Paper => Self::Paper,
+            GateChoice::Committee => Self::Committee,
+            GateChoice::Replay => Self::Replay,
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,
             GateChoice::Human => Self::Human,

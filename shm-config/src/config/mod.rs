@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
-pub use gate::{Gate, GateMode};
+pub use gate::{Gate, GateMode, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use gate::{Counsel, Docket, Rules};
+use gate::{AtOnce, Counsel, Rules};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{HealthState, Message};
 use shm_config::services::{ADVICE, Process, STEP};
@@ -34,7 +34,7 @@ fn advise(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut pulse = Pulse::start(&member)?;
     let config = &member.config;
     let rules = Rules::new(config.vehicle, config.judge);
-    let mut counsel = Counsel::new(&config.gate, Docket::immediate(rules));
+    let mut counsel = Counsel::new(&config.gate, Box::new(AtOnce::new(rules)));
     let lockstep = config.run.is_lockstep();
     member.claim_rights();
     pulse.set_rights(&member.rights);
