@@ -18,6 +18,7 @@
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`driven`] | a whole process set, driven for a measurement |
+//! | [`floor`] | how late the machine wakes a thread that does nothing else |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
@@ -28,6 +29,7 @@ pub mod driven;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;
+pub mod floor;
 pub mod inference;
 pub mod learning;
 pub mod metadrive;

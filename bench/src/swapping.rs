@@ -14,6 +14,7 @@ use supervisor::swap::{Answer, Offers};
 use crate::Clock;
 use crate::arguments::BenchSwap;
 use crate::driven::{Driven, Punctuality};
+use crate::floor::Floor;
 use crate::inference::net;
 use crate::report::{Machine, say, table, write_json};
 
@@ -42,6 +43,8 @@ pub struct Row {
     pub adopted_after_max_ms: Option<f64>,
     /// The controller.
     pub controller: Punctuality,
+    /// A thread beside it that only wakes up, at the same rate and priority.
+    pub floor: Punctuality,
 }
 
 /// All rows.
@@ -99,6 +102,7 @@ fn drive(
     for text in stay.map(String::from).iter().chain(&arguments.overrides) {
         up.extend(["--set".into(), text.clone()]);
     }
+    let floor = Floor::start(rate_hz, clock)?;
     let driven = Driven::start("swap", up)?;
     let mut row = Row {
         rate_hz,
@@ -113,6 +117,7 @@ fn drive(
         )?;
     }
     row.controller = Punctuality::of(&driven.finish()?, "controller");
+    row.floor = floor.finish()?;
     Ok(row)
 }
 
@@ -166,6 +171,9 @@ fn print(swapped: &Swapped) {
         "missed",
         "late p99 us",
         "max us",
+        "floor missed",
+        "p99 us",
+        "max us",
         "adopted",
         "after p50 ms",
         "max ms",
@@ -182,6 +190,9 @@ fn print(swapped: &Swapped) {
             row.controller.missed.to_string(),
             format!("{:.1}", row.controller.lateness_us.p99),
             format!("{:.1}", row.controller.lateness_us.max),
+            row.floor.missed.to_string(),
+            format!("{:.1}", row.floor.lateness_us.p99),
+            format!("{:.1}", row.floor.lateness_us.max),
             format!("{} of {}", row.adopted, row.offered),
             number(row.adopted_after_p50_ms),
             number(row.adopted_after_max_ms),
@@ -191,7 +202,8 @@ fn print(swapped: &Swapped) {
     let first = swapped.rows.first();
     let priority = first.map_or("unknown", |row| &row.controller.priority);
     say(format_args!(
-        "259-256-256-2, {} s each, whole process set, real-time priority {priority}, {}",
+        "259-256-256-2, {} s each, whole process set, real-time priority {priority}, {}; floor: a \
+         thread that only wakes up, at the same rate and priority in the same seconds",
         swapped.seconds, swapped.conditions
     ));
 }

@@ -61,6 +61,12 @@ pub enum Command {
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(HandedOver),
+    /// Audit what a judge was asked and said, or ask another model the same.
+    #[command(disable_help_flag = true)]
+    Judge(HandedOver),
+    /// Serve a stand-in for a vision-language model: it judges pixels, and is no model.
+    #[command(disable_help_flag = true)]
+    JudgeServer(HandedOver),
 }
 
 /// What another program of the build does: it reads the words itself.
