@@ -15,6 +15,7 @@ pub mod planner;
 mod policy;
 mod rates;
 mod run;
+mod vlm;
 mod world;
 
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,7 @@ pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Supervisor};
+pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, View, Vlm};
 pub use world::{Simulator, World};
 
 /// Everything a run is configured by.
@@ -59,6 +61,8 @@ pub struct Config {
     pub judge: JudgeLimits,
     /// The gate process.
     pub gate: Gate,
+    /// The vision-language model that the gate process asks.
+    pub vlm: Vlm,
     /// The policy: which weights, who runs them, and when they are given up.
     pub policy: Policy,
     /// The learner process.
@@ -101,6 +105,7 @@ impl Config {
         self.controller.check()?;
         self.judge.check()?;
         self.gate.check(&self.run)?;
+        self.vlm.check()?;
         self.policy.check()?;
         self.learner.check()?;
         self.supervisor.check()?;
