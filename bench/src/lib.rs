@@ -19,6 +19,7 @@
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`driven`] | a whole process set, driven for a measurement |
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
+//! | [`latency`] | how punctual the set is, whatever its judge does |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
@@ -31,6 +32,7 @@ pub mod eval;
 pub mod evaluation;
 pub mod floor;
 pub mod inference;
+pub mod latency;
 pub mod learning;
 pub mod metadrive;
 pub mod outside;

@@ -39,7 +39,7 @@ impl Controller {
     pub fn new(config: Config, policy: PolicySlot) -> Self {
         Self {
             pd: Pd::new(config.controller),
-            transfer: Transfer::new(&config.controller, config.run.period_ns() as f64 / 1e9),
+            transfer: Transfer::of(&config),
             config,
             policy,
             has_observation: false,

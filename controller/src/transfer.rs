@@ -1,4 +1,4 @@
-use shm_config::config::Controller as Gains;
+use shm_config::config::{Config, Controller as Gains, GateMode};
 use shm_config::message::{Driver, Reason};
 use vehicle::Action;
 
@@ -25,8 +25,19 @@ struct Last {
 }
 
 impl Transfer {
+    /// As configured. The paper's hand-overs jump (Sec. 4.2), and so does
+    /// `--gate paper`.
+    pub fn of(config: &Config) -> Self {
+        let mut gains = config.controller;
+        if config.gate.mode == GateMode::Paper {
+            (gains.handover_steer_per_s, gains.handover_pedal_per_s) = (0.0, 0.0);
+        }
+        Self::new(&gains, config.run.period_ns() as f64 / 1e9)
+    }
+
     /// With the configured rates, at one tick each `period_s`.
     pub fn new(gains: &Gains, period_s: f64) -> Self {
+        // A hand-over without a limit is one in a single step.
         let step = |per_s: f64| match per_s > 0.0 {
             true => per_s * period_s,
             false => f64::INFINITY,

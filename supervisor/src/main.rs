@@ -5,7 +5,8 @@ use std::process::ExitCode;
 use clap::Parser;
 use shm_config::time::monotonic;
 use supervisor::arguments::{Arguments, Command};
-use supervisor::{Clock, clean, doctor, down, hand_over, keys, setup, status, swap, up};
+use supervisor::hand_over::{BENCH, JUDGE, hand_over};
+use supervisor::{Clock, clean, doctor, down, keys, setup, status, swap, up};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
