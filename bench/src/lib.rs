@@ -13,6 +13,7 @@
 //! | [`report`] | rows of a table, on the screen and as JSON |
 //! | [`parity`] | the world against recordings of MetaDrive |
 //! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
+//! | [`photography`] | what a picture of the world costs |
 //! | [`scene`] | recorded scenes and their files |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
@@ -37,6 +38,7 @@ pub mod learning;
 pub mod metadrive;
 pub mod outside;
 pub mod parity;
+pub mod photography;
 pub mod planning;
 pub mod report;
 pub mod scene;

@@ -57,6 +57,9 @@ fn main() -> ExitCode {
         Command::Draw(Draw::Episode(arguments)) => {
             draw::episode(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+        Command::Draw(Draw::Frame(arguments)) => {
+            draw::frame(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
         Command::Draw(Draw::Plan(arguments)) => {
             draw::plan(arguments, clock).map(|()| ExitCode::SUCCESS)
         }

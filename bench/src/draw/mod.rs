@@ -1,8 +1,10 @@
-//! Pictures from above, as SVG: a map, an episode, or a plan.
+//! Pictures from above, as SVG: a map, an episode, or a plan; and what the world's
+//! camera sees, as PNG.
 
 mod canvas;
 mod frame;
 mod palette;
+mod photo;
 mod plan;
 mod ride;
 mod roads;
@@ -22,6 +24,7 @@ use crate::report::say;
 use crate::seat::{DriverKind, Seat};
 use crate::{Clock, settings};
 use canvas::Canvas;
+pub use photo::frame;
 pub use plan::plan;
 use ride::Ride;
 

@@ -147,7 +147,7 @@ impl Proposal {
         })
     }
 
-    fn check(&self, field: &'static str) -> Result<(), Refusal> {
+    pub(super) fn check(&self, field: &'static str) -> Result<(), Refusal> {
         within(field, self.steer, -1.0..=1.0)?;
         within(field, self.pedal, -1.0..=1.0)
     }
