@@ -6,12 +6,35 @@
 //! decided once, in a [`Showing`]: the picture is drawn and the prompt is worded
 //! from the same value, so they cannot disagree. Everything asked is kept as a
 //! [`record::Record`], to be audited and asked again.
+//!
+//! [`standin`] is a server for tests and offline work that speaks the same
+//! protocol. It is no model.
 
 mod clerk;
 pub mod record;
 mod recorded;
+mod answer;
+mod breaker;
+mod client;
+mod cost;
+mod dialect;
+mod fault;
+mod json;
+mod key;
+mod limits;
+mod prompt;
+pub mod record;
+mod retry;
 mod showing;
+pub mod standin;
+mod transport;
 
 pub use clerk::{Clerk, Evidence, Filed};
 pub use recorded::Recorded;
+pub use client::{Asked, Asker, AskerError, SAID_BYTES_MAX};
+pub use cost::Estimate;
+pub use dialect::{Picture, body};
+pub use fault::Fault;
+pub use key::KeyError;
+pub use prompt::{LETTERS, Prompt, SIMILAR, fixed_showing};
 pub use showing::{Hue, Party, Reply, Showing, combine};

@@ -93,6 +93,12 @@ impl Showing {
         hues: [Hue::Red, Hue::Blue],
     };
 
+    /// The paper's prompt: the expert first and green, the policy red (Sec. 8.5).
+    pub const PAPER_APPENDIX: Self = Self {
+        first: Party::Expert,
+        hues: [Hue::Green, Hue::Red],
+    };
+
     /// The same question with the paths in each other's place and colour: what
     /// a judge says of the places alone turns round.
     pub fn swapped(self) -> Self {
