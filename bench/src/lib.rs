@@ -34,6 +34,7 @@ pub mod evaluation;
 pub mod floor;
 pub mod inference;
 pub mod latency;
+pub mod judging;
 pub mod learning;
 pub mod metadrive;
 pub mod outside;
