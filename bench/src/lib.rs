@@ -18,16 +18,22 @@
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
+//! | [`driven`] | a whole process set, driven for a measurement |
+//! | [`floor`] | how late the machine wakes a thread that does nothing else |
+//! | [`latency`] | how punctual the set is, whatever its judge does |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
 pub mod draw;
+pub mod driven;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;
+pub mod floor;
 pub mod inference;
+pub mod latency;
 pub mod judging;
 pub mod learning;
 pub mod metadrive;

@@ -11,8 +11,11 @@
 //! protocol. It is no model.
 
 mod answer;
+mod archive;
 pub mod audit;
+mod bench;
 mod breaker;
+mod clerk;
 mod client;
 mod cost;
 mod dialect;
@@ -21,9 +24,11 @@ mod fault;
 mod json;
 mod key;
 mod limits;
+mod model;
 pub mod picture;
 mod prompt;
 pub mod record;
+mod recorded;
 mod retry;
 mod showing;
 pub mod standin;
@@ -31,10 +36,15 @@ pub mod statistics;
 pub mod store;
 mod transport;
 
+pub use archive::Archive;
+pub use bench::{Bench, BenchError, as_the_paper};
+pub use clerk::{Clerk, Evidence, Filed};
 pub use client::{Asked, Asker, AskerError, SAID_BYTES_MAX};
 pub use cost::Estimate;
 pub use dialect::{Picture, body};
 pub use fault::Fault;
 pub use key::KeyError;
+pub use model::model;
 pub use prompt::{LETTERS, Prompt, SIMILAR, fixed_showing};
+pub use recorded::Recorded;
 pub use showing::{Hue, Party, Reply, Showing, combine};
