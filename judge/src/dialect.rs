@@ -9,7 +9,7 @@ use shm_config::config::{Dialect, Vlm};
 use crate::Prompt;
 use crate::prompt::Schema;
 
-/// A picture as it is sent and kept.
+/// A picture as it is sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
     /// The file's bytes.

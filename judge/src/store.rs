@@ -17,7 +17,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use crate::Picture;
+use crate::picture::Picture;
 use crate::record::{Record, VERSION};
 
 /// The file of lines.
@@ -110,10 +110,7 @@ impl Store {
         record.question = self.last_question;
         let both = record.askings.iter_mut().zip(pictures);
         for ((asking, picture), letter) in both.zip('a'..) {
-            let ending = match picture.mime {
-                "image/jpeg" => "jpg",
-                _ => "png",
-            };
+            let ending = picture.encoding.extension();
             let name = format!("{:06}-{letter}.{ending}", record.question);
             asking.picture = self.keep_picture(name, &picture.bytes).unwrap_or_default();
         }

@@ -136,7 +136,7 @@ impl Court {
             let Vlm { view, horizon_s, .. } = self.vlm;
             let prompt = Prompt::new(self.vlm.prompt, showing, view, horizon_s);
             let deadline = Duration::from_secs_f64(self.vlm.deadline_s);
-            let asked = self.asker.ask(&prompt, &shown, deadline).await;
+            let asked = self.asker.ask(&prompt, &shown.sent(), deadline).await;
             if let Err(fault) = asked.reply
                 && fault.is_permanent()
             {

@@ -14,7 +14,7 @@ use shm_config::config::{PictureFormat, Rollout, Vlm};
 use shm_config::message::{Camera, Frame};
 use vehicle::{Action, Vehicle};
 
-use crate::{Picture, Showing};
+use crate::Showing;
 pub use rollout::roll_out;
 
 /// How the picture of a question is drawn and stored.
@@ -84,6 +84,39 @@ impl Encoding {
         match self {
             Self::Png => "image/png",
             Self::Jpeg { .. } => "image/jpeg",
+        }
+    }
+
+    /// How a file of it ends, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg { .. } => "jpg",
+        }
+    }
+}
+
+/// A picture as it is stored and sent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The file's bytes.
+    pub bytes: Vec<u8>,
+    /// What kind of file.
+    pub encoding: Encoding,
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+}
+
+impl Picture {
+    /// As it is sent to a model.
+    pub fn sent(&self) -> crate::Picture {
+        crate::Picture {
+            bytes: self.bytes.clone(),
+            mime: self.encoding.mime(),
+            width_px: self.width,
+            height_px: self.height,
         }
     }
 }
@@ -254,9 +287,9 @@ pub fn encode(image: &RgbImage, encoding: Encoding) -> Result<Picture, PictureEr
     match written {
         Ok(()) => Ok(Picture {
             bytes,
-            mime: encoding.mime(),
-            width_px: width,
-            height_px: height,
+            encoding,
+            width,
+            height,
         }),
         Err(_) => Err(PictureError::Encoder(encoding.mime())),
     }

@@ -1,8 +1,8 @@
 //! Records as tests need them.
 
-use judge::picture::{Encoding, encode};
+use judge::picture::{Encoding, Picture, encode};
 use judge::record::{Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict};
-use judge::{Hue, Party, Picture, Reply, Showing};
+use judge::{Hue, Party, Reply, Showing};
 
 /// Colours that are near no other.
 pub const SHOWING: Showing = Showing {
