@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use shm_config::config::Algorithm;
 use shm_config::run::RunName;
 
+use crate::judging::BenchJudge;
 use crate::seat::DriverKind;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
 
@@ -238,6 +239,8 @@ pub enum Bench {
     Learner(BenchLearner),
     /// Measure whether a running set notices that its weights are swapped.
     Swap(BenchSwap),
+    /// Measure how often a judge is right where the simulator knows, over HTTP.
+    Judge(BenchJudge),
 }
 
 /// Measure how long the policy's net takes to answer, by back end.

@@ -11,7 +11,7 @@ use bench::evaluation::Evaluation;
 use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
-use bench::{draw, inference, learning, parity, planning, settings, soak, speed, swapping, train};
+use bench::{draw, inference, judging, learning, parity, planning, settings, soak, speed, swapping, train};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
@@ -44,6 +44,9 @@ fn main() -> ExitCode {
         }
         Command::Bench(Bench::Swap(arguments)) => {
             swapping::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Judge(arguments)) => {
+            judging::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {
