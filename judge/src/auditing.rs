@@ -91,7 +91,9 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
 fn link(page: &Path, folder: &Path) -> PathBuf {
     let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
     let (page, folder) = (absolute(page), absolute(folder));
-    let beside = page.parent().and_then(|home| folder.strip_prefix(home).ok());
+    let beside = page
+        .parent()
+        .and_then(|home| folder.strip_prefix(home).ok());
     beside.map_or(folder.clone(), Path::to_path_buf)
 }
 
@@ -150,7 +152,9 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let vlm = config(arguments)?.vlm;
     let out = match &arguments.out {
         Some(out) => out.clone(),
-        None => records.folder.join(format!("replay-{}", file_word(vlm.model_name()))),
+        None => records
+            .folder
+            .join(format!("replay-{}", file_word(vlm.model_name()))),
     };
     let mut replay = Replay::new(&vlm, Asker::new(&vlm)?, &out)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -179,12 +183,17 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     if gone > 0 {
-        say(format_args!("{gone} questions have lost their pictures and were not asked"));
+        say(format_args!(
+            "{gone} questions have lost their pictures and were not asked"
+        ));
     }
     let lost = replay.lost();
     if lost.lines + lost.pictures > 0 {
         let (lines, pictures) = (lost.lines, lost.pictures);
-        say(format_args!("lost {lines} lines, {pictures} pictures: {}", lost.reason));
+        say(format_args!(
+            "lost {lines} lines, {pictures} pictures: {}",
+            lost.reason
+        ));
     }
     drop(replay);
     compare(&records, &read(&out)?);
@@ -194,13 +203,18 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
 fn compare(before: &Records, now: &Records) {
     let comparison = Comparison::of(before, now);
     say("\nrows: before; columns: now       expert   policy  abstain   failed");
-    for (name, row) in ["expert", "policy", "abstain", "failed"].iter().zip(comparison.counts) {
+    for (name, row) in ["expert", "policy", "abstain", "failed"]
+        .iter()
+        .zip(comparison.counts)
+    {
         let [a, b, c, d] = row;
         say(format_args!("{name:>30} {a:>8} {b:>8} {c:>8} {d:>8}"));
     }
     let kappa = comparison.kappa();
     let kappa = kappa.map_or("-".into(), |kappa| format!("{kappa:.2}"));
-    say(format_args!("Cohen's kappa of what both answered: {kappa}\n"));
+    say(format_args!(
+        "Cohen's kappa of what both answered: {kappa}\n"
+    ));
     for records in [before, now] {
         tell(records, &Figures::of(&records.questions));
     }
@@ -249,5 +263,7 @@ fn parsed(text: &str) -> Value {
 /// A name that can be part of a file's.
 fn file_word(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
-    name.chars().map(|c| if is_plain(c) { c } else { '-' }).collect()
+    name.chars()
+        .map(|c| if is_plain(c) { c } else { '-' })
+        .collect()
 }
