@@ -71,7 +71,11 @@ fn figures_are_those_counted_by_hand() {
 #[test]
 fn what_a_model_said_stays_text() {
     let evil = "</pre><script>alert(1)</script><img src=x onerror=alert(2)>\"'";
-    let mut record = pair([Reply::First, Reply::Second], Verdict::Expert, Party::Expert);
+    let mut record = pair(
+        [Reply::First, Reply::Second],
+        Verdict::Expert,
+        Party::Expert,
+    );
     record.fault = evil.into();
     record.model = evil.into();
     record.preset = evil.into();
@@ -89,7 +93,10 @@ fn what_a_model_said_stays_text() {
         is_torn: true,
     };
     let html = page(&records, 10, Path::new("."));
-    assert!(!html.contains("<script") && !html.contains("<img"), "{html}");
+    assert!(
+        !html.contains("<script") && !html.contains("<img"),
+        "{html}"
+    );
     assert!(!html.contains("onload=\"alert"));
     assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
     assert!(!html.contains("passwd"));
@@ -108,7 +115,10 @@ fn pictures_are_embedded_up_to_the_limit_and_linked_beyond() {
     let records = read(folder.path()).expect("reads");
     let html = page(&records, 2, Path::new("judge"));
     let embedded = html.matches("src=\"data:image/png;base64,").count();
-    assert_eq!((embedded, html.matches("href=\"judge/pictures/").count()), (2, 4));
+    assert_eq!(
+        (embedded, html.matches("href=\"judge/pictures/").count()),
+        (2, 4)
+    );
     // The wrong answer is what one looks for: its pictures come first.
     assert!(!html.contains("href=\"judge/pictures/000003-a.png"));
     std::fs::remove_dir_all(folder.path().join("pictures")).expect("removed");

@@ -90,9 +90,9 @@ fn a_turn_ends_where_the_circle_says() {
     );
     let near = |rgb: [u8; 3], left_m: f64| {
         let (u, v) = (240.0 - 8.0 * left_m, 360.0 - 8.0 * x_m);
-        image.enumerate_pixels().any(|(x, y, pixel)| {
-            pixel.0 == rgb && (f64::from(x) - u).hypot(f64::from(y) - v) < 6.0
-        })
+        image
+            .enumerate_pixels()
+            .any(|(x, y, pixel)| pixel.0 == rgb && (f64::from(x) - u).hypot(f64::from(y) - v) < 6.0)
     };
     assert!(near(Hue::Red.rgb(), y_m), "the expert to the left");
     assert!(near(Hue::Blue.rgb(), -y_m), "the policy to the right");
@@ -210,12 +210,19 @@ fn the_papers_step_is_straight_whatever_the_wheel_does() {
     };
     let rgb = asphalt();
     let image = draw(photo(&camera, &rgb), &both, Showing::PAPER, &style).expect("a picture");
-    let seen = |hue: Hue| image.enumerate_pixels().filter(move |(_, _, p)| p.0 == hue.rgb());
+    let seen = |hue: Hue| {
+        image
+            .enumerate_pixels()
+            .filter(move |(_, _, p)| p.0 == hue.rgb())
+    };
     // 12 m ahead, the two side by side: nothing is more than a line away.
     for hue in [Hue::Red, Hue::Blue] {
         let lines = seen(hue).filter(|(_, y, _)| (270..360).contains(y));
         assert!(lines.count() > 300, "{hue:?}");
-        assert!(seen(hue).all(|(x, _, _)| (200..280).contains(&x)), "{hue:?}");
+        assert!(
+            seen(hue).all(|(x, _, _)| (200..280).contains(&x)),
+            "{hue:?}"
+        );
     }
 }
 

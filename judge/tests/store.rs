@@ -28,7 +28,8 @@ fn keep(store: &mut Store, count: u8) {
 
 fn append(path: &Path, bytes: &[u8]) {
     let file = OpenOptions::new().append(true).open(path);
-    file.and_then(|mut file| file.write_all(bytes)).expect("written");
+    file.and_then(|mut file| file.write_all(bytes))
+        .expect("written");
 }
 
 fn size_of(folder: &Path) -> u64 {
@@ -49,7 +50,10 @@ fn what_was_written_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut store = Store::open(folder.path(), 1 << 20).expect("opens");
     let question = store.begin(some_record(), &[picture(1), picture(2)]);
-    assert!(read(folder.path()).is_err(), "nothing before it is complete");
+    assert!(
+        read(folder.path()).is_err(),
+        "nothing before it is complete"
+    );
     let open = store.record(question).expect("it waits");
     open.heard_tick = 77;
     store.complete(question);
@@ -75,7 +79,11 @@ fn the_end_of_a_run_writes_what_still_waits() {
     drop(store);
     // A run's folder is as good as the one in it.
     let records = read(folder.path()).expect("reads");
-    let numbers: Vec<u64> = records.questions.iter().map(|record| record.question).collect();
+    let numbers: Vec<u64> = records
+        .questions
+        .iter()
+        .map(|record| record.question)
+        .collect();
     assert_eq!((numbers, records.folder), (vec![1, 2], inner));
 }
 
@@ -89,7 +97,11 @@ fn a_torn_last_line_is_left_out_and_then_cut_off() {
     // A gate that is started again goes on with a line of its own and its number.
     keep(&mut Store::open(folder.path(), 1 << 20).expect("opens"), 1);
     let records = read(folder.path()).expect("reads");
-    let numbers: Vec<u64> = records.questions.iter().map(|record| record.question).collect();
+    let numbers: Vec<u64> = records
+        .questions
+        .iter()
+        .map(|record| record.question)
+        .collect();
     assert_eq!((numbers, records.is_torn), (vec![1, 2, 3], false));
 }
 
@@ -100,10 +112,16 @@ fn a_line_that_is_no_record_is_named_by_its_number() {
     let path = folder.path().join(QUESTIONS);
     append(&path, b"{\"version\": 1}\n");
     let error = read(folder.path()).expect_err("no record").to_string();
-    assert!(error.contains("questions.jsonl, line 3: missing field"), "{error}");
+    assert!(
+        error.contains("questions.jsonl, line 3: missing field"),
+        "{error}"
+    );
     fs::write(&path, "{\"version\": 2, \"news\": 1}\n").expect("written");
     let error = read(folder.path()).expect_err("newer").to_string();
-    assert!(error.contains("line 1: format 2, this program knows 1"), "{error}");
+    assert!(
+        error.contains("line 1: format 2, this program knows 1"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -111,7 +129,10 @@ fn no_record_is_a_clear_message() {
     let folder = tempfile::tempdir().expect("a folder");
     let error = read(folder.path()).expect_err("nothing there");
     assert!(matches!(error, ReadError::Nothing { .. }));
-    assert!(error.to_string().contains("no record of a judge here"), "{error}");
+    assert!(
+        error.to_string().contains("no record of a judge here"),
+        "{error}"
+    );
 }
 
 #[test]

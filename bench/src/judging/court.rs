@@ -133,7 +133,9 @@ impl Court {
             let style = Style::of(&self.vlm);
             let proposals = scene.proposals(&self.vehicle);
             let shown = picture(shot.photo(), &proposals, showing, &style)?;
-            let Vlm { view, horizon_s, .. } = self.vlm;
+            let Vlm {
+                view, horizon_s, ..
+            } = self.vlm;
             let prompt = Prompt::new(self.vlm.prompt, showing, view, horizon_s);
             let deadline = Duration::from_secs_f64(self.vlm.deadline_s);
             let asked = self.asker.ask(&prompt, &shown.sent(), deadline).await;
@@ -235,7 +237,10 @@ fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
         expert: Some(scene.proposed[0]),
         policy: Some(scene.proposed[1]),
         verdict: of_replies(&askings).0,
-        fault: askings.iter().find_map(|asking| asking.fault.clone()).unwrap_or_default(),
+        fault: askings
+            .iter()
+            .find_map(|asking| asking.fault.clone())
+            .unwrap_or_default(),
         latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
         cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),
         heard_tick: 0,

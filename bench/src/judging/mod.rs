@@ -97,7 +97,11 @@ pub fn measure(
             let record = arguments.record.as_ref();
             let folder = record.map(|folder| match (views.len(), names.len()) {
                 (1, 1) => folder.clone(),
-                _ => folder.join(format!("{}-{}", court::view_word(view), name.replace(' ', "-"))),
+                _ => folder.join(format!(
+                    "{}-{}",
+                    court::view_word(view),
+                    name.replace(' ', "-")
+                )),
             });
             let vlm = vlm(config, url, view);
             let bounds = (number, folder.as_deref());
