@@ -65,6 +65,11 @@ class Photographer:
         """The map has changed."""
         self._surveyed = False
 
+    @property
+    def needed_ns(self):
+        """Time until the next tick without which no picture is begun."""
+        return SLACK_FACTOR * self._cost_ns
+
     def take_if_asked(self, header, slack_ns):
         """Publishes a picture of the observation of `header`, from above whatever
         view is asked for: there is no other here, and the frame's camera says so.
@@ -81,7 +86,7 @@ class Photographer:
             self._request = None
             self.declined += 1
             return
-        if slack_ns is not None and slack_ns < SLACK_FACTOR * self._cost_ns:
+        if slack_ns is not None and slack_ns < self.needed_ns:
             self._cost_ns = max(self._cost_ns * REMEMBERED, FIRST_COST_NS)
             return
         if not self._surveyed:
