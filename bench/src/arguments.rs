@@ -7,7 +7,6 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use shm_config::config::Algorithm;
-use shm_config::run::RunName;
 
 use crate::seat::DriverKind;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
