@@ -116,6 +116,7 @@ fn drive(
         // Whatever the nets propose, they are charged at once and stay.
         .args(["--set", "policy.probation_ticks=0", "--set"])
         .args(["policy.veto_rate_max=1.0", "--set", "policy.jump_max=2.0"])
+        .args(["--parent", &std::process::id().to_string()])
         .arg("--json")
         .arg(&json)
         .current_dir(folder.path())

@@ -15,7 +15,7 @@ mod policy;
 mod slots;
 mod tick;
 
-pub use choose::{Choice, Intent, Standing, choose};
+pub use choose::{Choice, Intent, Stage, Standing, choose};
 pub use pd::Pd;
 pub use policy::{
     Begin, Exchange, Fault, Hand, Loader, Look, NativePolicy, News, Offer, OrtPolicy, OrtSession,

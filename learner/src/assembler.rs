@@ -58,6 +58,11 @@ impl Counts {
     pub fn transitions(&self) -> u64 {
         self.expert + self.policy + self.unlabelled
     }
+
+    /// Steps driven: received, and published while nobody listened.
+    pub fn driven(&self) -> u64 {
+        self.steps + self.lost
+    }
 }
 
 /// Who published a step, and the world it saw: both start anew when restarted.
@@ -300,7 +305,9 @@ impl Assembler {
             }
             (GateMode::Policy | GateMode::Human, _) => Some(Label::None),
             // Nobody can prefer a policy that proposed nothing.
-            (GateMode::Rules, Some(Reason::Unloaded | Reason::Faulty)) => Some(Label::None),
+            (GateMode::Rules, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty)) => {
+                Some(Label::None)
+            }
             (GateMode::Rules, _) => None,
         }
     }
