@@ -240,7 +240,8 @@ fn a_block_whose_updates_were_cut_short_is_due_at_the_next_start() {
 fn other_sizes_and_rates_are_refused_with_both_values() {
     let folder = TempDir::new().expect("a folder");
     drive(&mut open(&config(Algorithm::Pvp), folder.path()), 0..BLOCK);
-    let changes: [(&str, fn(&mut Config)); 4] = [
+    type Change = (&'static str, fn(&mut Config));
+    let changes: [Change; 4] = [
         ("learner.hidden = 16, and 32", |config| {
             config.learner.hidden = 32
         }),

@@ -1,6 +1,8 @@
 //! A straight, empty road, a plan along it, and a policy that always says the
 //! same.
 
+#![allow(dead_code)] // not every test file needs all of it
+
 use controller::Policy;
 use shm_config::Instant;
 use shm_config::message::{Observation, Plan, PlanOutcome, Waypoint};
