@@ -211,6 +211,7 @@ pub struct BenchSwap {
     #[arg(
         long,
         value_name = "HZ",
+        allow_negative_numbers = true,
         value_delimiter = ',',
         default_value = "10,100"
     )]

@@ -45,7 +45,6 @@ impl Experiment {
             ])
             .arg(&self.name)
             .args(["--eval-episodes", "1"])
-            .args(words)
             .current_dir(&self.folder)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -63,6 +62,7 @@ impl Experiment {
         for setting in settings {
             command.args(["--set".into(), setting]);
         }
+        command.args(words);
         command
     }
 

@@ -38,18 +38,25 @@ pub struct Labels {
 }
 
 impl Labels {
-    /// On a picture with this path.
-    pub fn beside(canvas: &Canvas, path_world: &[Point]) -> Labels {
+    /// On a picture with this path and rings of this radius around these points.
+    pub fn beside(
+        canvas: &Canvas,
+        path_world: &[Point],
+        (rings_world, radius_m): (&[Point], f64),
+    ) -> Labels {
         let [width, height] = canvas.size_px();
-        let strip = |point: &Point| {
+        let square = |point: &Point, half_px: f64| {
             let [x, y] = canvas.at(*point);
             Patch {
-                left: x - STRIP_PX,
-                top: y - STRIP_PX,
-                right: x + STRIP_PX,
-                bottom: y + STRIP_PX,
+                left: x - half_px,
+                top: y - half_px,
+                right: x + half_px,
+                bottom: y + half_px,
             }
         };
+        let radius_px = radius_m * canvas.scale_px_per_m();
+        let path = path_world.iter().map(|point| square(point, STRIP_PX));
+        let rings = rings_world.iter().map(|point| square(point, radius_px));
         Labels {
             picture: Patch {
                 left: 0.0,
@@ -57,7 +64,7 @@ impl Labels {
                 right: width,
                 bottom: HEAD_PX + height,
             },
-            taken: path_world.iter().map(strip).collect(),
+            taken: path.chain(rings).collect(),
         }
     }
 

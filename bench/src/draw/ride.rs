@@ -22,6 +22,8 @@ const LABEL_MARKS: usize = 2;
 /// Contacts nearer than this are one on the picture, m.
 const CONTACTS_APART_M: f64 = 8.0;
 
+/// Radius of the ring around a contact, m.
+const RING_M: f64 = 3.4;
 /// Where the word of a contact may stand, in the order of preference.
 const LABEL_DIRECTIONS: [[f64; 2]; 8] = [
     [0.0, 1.0],
@@ -109,9 +111,11 @@ impl Ride {
         !self.contacts.is_empty()
     }
 
-    /// Words keep off the path, and off each other.
+    /// Words keep off the path, off contacts, and off each other.
     pub fn labels(&self, canvas: &Canvas) -> Labels {
-        Labels::beside(canvas, &self.positions_world)
+        let contacts = self.contacts.iter().map(|&(at, _)| at);
+        let rings: Vec<Point> = contacts.collect();
+        Labels::beside(canvas, &self.positions_world, (&rings, RING_M))
     }
 
     /// The ego's path, a colour for each driver, a dot every five seconds.
@@ -173,8 +177,8 @@ impl Ride {
     pub fn draw_contacts(&self, canvas: &mut Canvas, labels: &mut Labels) {
         let size_px = (2.6 * canvas.scale_px_per_m()).max(10.0);
         for &(at, _) in &self.contacts {
-            canvas.ring(at, 3.4, Stroke::solid(palette::PAPER, 1.3));
-            canvas.ring(at, 3.4, Stroke::solid(palette::CONTACT, 0.8));
+            canvas.ring(at, RING_M, Stroke::solid(palette::PAPER, 1.3));
+            canvas.ring(at, RING_M, Stroke::solid(palette::CONTACT, 0.8));
         }
         for &(at, with) in &self.contacts {
             let word = match with {
@@ -185,7 +189,7 @@ impl Ride {
             // Above and below first, where words are nearest to their ring.
             let places = LABEL_DIRECTIONS.map(|[x, y]| {
                 let wide_m = 0.3 * word.len() as f64 * size_px / canvas.scale_px_per_m();
-                at + Vector::new(x * (4.2 + wide_m), y * 5.2)
+                at + Vector::new(x * (4.2 + wide_m), y * 5.6)
             });
             if let Some(place) = labels.take(canvas, &places, (word, size_px)) {
                 canvas.rimmed_label(place, word, (palette::CONTACT, size_px));

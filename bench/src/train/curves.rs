@@ -26,8 +26,6 @@ const GAP: u32 = 14;
 const SCALE: u32 = 62;
 /// Length of a legend's line, pixels.
 const SWATCH: i32 = 26;
-/// Width of a letter of a legend, pixels: on the wide side.
-const LETTER: f64 = 7.6;
 /// The face that everything is written in; the pictures need no font of the
 /// machine.
 const FACE: &str = "sans-serif";
@@ -258,8 +256,10 @@ where
     }
     for (name, style) in entries {
         head.draw(&PathElement::new([(x, y), (x + SWATCH, y)], style))?;
-        write(head, &name, (x + SWATCH + 8, y - 8), (16, INK))?;
-        x += SWATCH + 8 + (name.chars().count() as f64 * LETTER) as i32 + 22;
+        write(head, &name, (x + SWATCH + 8, y - 6), (16, INK))?;
+        let font = TextStyle::from((FACE, 16).into_font());
+        let (width, _) = head.estimate_text_size(&name, &font)?;
+        x += SWATCH + 8 + width as i32 + 26;
     }
     Ok(())
 }
