@@ -1,15 +1,16 @@
 //! The command line.
 
+mod draw;
+
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
-use clap::builder::{PathBufValueParser, TypedValueParser};
-use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
-use shm_config::run::RunName;
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
 use crate::seat::DriverKind;
 use crate::train::arguments::Train;
+pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
 
 /// Evaluates drivers, compares with other systems, draws pictures.
 #[derive(Debug, Parser)]
@@ -33,7 +34,7 @@ pub enum Command {
     /// Measure, and compare with other systems.
     #[command(subcommand, arg_required_else_help = true)]
     Bench(Bench),
-    /// Draw a map, an episode or a plan from above, as SVG.
+    /// Draw a map, an episode or a plan from above, or what the world's camera sees.
     #[command(subcommand, arg_required_else_help = true)]
     Draw(Draw),
     /// Train a policy while the process set drives: the paper's experiment.
@@ -346,106 +347,4 @@ fn seconds(text: &str) -> Result<f64, String> {
         true => Ok(seconds),
         false => Err("must be within 0.1 and 3600".into()),
     }
-}
-
-/// A picture's file. Its ending says what is in it, and pictures are SVG.
-fn svg_file() -> impl TypedValueParser<Value = PathBuf> {
-    PathBufValueParser::new().try_map(|path| {
-        match path
-            .extension()
-            .is_some_and(|end| end.eq_ignore_ascii_case("svg"))
-        {
-            true => Ok(path),
-            false => Err("pictures are SVG: name a file that ends in .svg"),
-        }
-    })
-}
-
-/// What to draw.
-#[derive(Debug, Subcommand)]
-pub enum Draw {
-    /// A map with its route, obstacles and waiting traffic.
-    Map(DrawMap),
-    /// An episode: who drove where, traffic, contacts, the last scan.
-    Episode(DrawEpisode),
-    /// A plan: the grid, the search tree, the path, the goal.
-    Plan(DrawPlan),
-}
-
-/// A map with its route, obstacles and waiting traffic.
-#[derive(Debug, Args)]
-#[command(after_help = "Example:\n  ./vlaps draw map --seed 1000 --set world.sequence=SCrRXTO")]
-pub struct DrawMap {
-    /// Its seed.
-    #[arg(long, value_name = "N", allow_negative_numbers = true,
-          value_parser = whole::<u64>(0..=u64::MAX))]
-    pub seed: u64,
-    /// The file to write; without it, map-N.svg.
-    #[arg(long, value_name = "FILE.svg", value_parser = svg_file())]
-    pub out: Option<PathBuf>,
-    /// Configuration and overrides.
-    #[command(flatten)]
-    pub configuration: Configuration,
-}
-
-/// An episode: who drove where, traffic, contacts, the last scan.
-#[derive(Debug, Args)]
-#[command(after_help = "Example:\n  ./vlaps draw episode --seed 1007 --driver idm --out drive.svg")]
-pub struct DrawEpisode {
-    /// Its seed.
-    #[arg(long, value_name = "N", allow_negative_numbers = true,
-          value_parser = whole::<u64>(0..=u64::MAX))]
-    pub seed: u64,
-    /// Who drives.
-    #[arg(long, value_name = "WHO", default_value = "expert")]
-    pub driver: DriverKind,
-    /// The file to write; without it, episode-N-WHO.svg.
-    #[arg(long, value_name = "FILE.svg", value_parser = svg_file())]
-    pub out: Option<PathBuf>,
-    /// Configuration and overrides.
-    #[command(flatten)]
-    pub configuration: Configuration,
-}
-
-/// A plan: the grid, the search tree, the path, the goal.
-#[derive(Debug, Args)]
-#[command(
-    group = ArgGroup::new("source").required(true).args(["seed", "scene", "run"]),
-    after_help = "From an episode that is driven up to a tick, from a recorded scene, or from a \
-        run that is alive: there the newest observation is planned for again, with the run's \
-        own configuration.\n\n\
-        Examples:\n  \
-        ./vlaps draw plan --seed 1000 --tick 120\n  \
-        ./vlaps draw plan --scene bench/scenes/built_in.jsonl.gz --index 17 --driver mpc\n  \
-        ./vlaps draw plan --run default"
-)]
-pub struct DrawPlan {
-    /// Seed of an episode to drive.
-    #[arg(long, value_name = "N", requires = "tick", allow_negative_numbers = true,
-          value_parser = whole::<u64>(0..=u64::MAX))]
-    pub seed: Option<u64>,
-    /// Its tick, from 0; of --seed only, a scene is named by --index.
-    #[arg(long, value_name = "T", requires = "seed", conflicts_with_all = ["scene", "run"],
-          allow_negative_numbers = true, value_parser = whole::<u64>(0..=u64::MAX))]
-    pub tick: Option<u64>,
-    /// A file of recorded scenes; bench/scenes/README.md describes it.
-    #[arg(long, value_name = "FILE")]
-    pub scene: Option<PathBuf>,
-    /// Which scene of the file, from 0.
-    #[arg(long, value_name = "I", default_value_t = 0, requires = "scene",
-          conflicts_with_all = ["seed", "run"], allow_negative_numbers = true,
-          value_parser = whole::<usize>(0..=u64::MAX))]
-    pub index: usize,
-    /// Name of a run that is alive; its configuration counts.
-    #[arg(long, value_name = "NAME", conflicts_with_all = ["driver", "config", "overrides"])]
-    pub run: Option<RunName>,
-    /// Who drives, and plans.
-    #[arg(long, value_name = "WHO", default_value = "expert")]
-    pub driver: DriverKind,
-    /// The file to write; without it, plan-SOURCE.svg.
-    #[arg(long, value_name = "FILE.svg", value_parser = svg_file())]
-    pub out: Option<PathBuf>,
-    /// Configuration and overrides.
-    #[command(flatten)]
-    pub configuration: Configuration,
 }

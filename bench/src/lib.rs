@@ -15,26 +15,35 @@
 //! | [`report`] | rows of a table, on the screen and as JSON |
 //! | [`parity`] | the world against recordings of MetaDrive |
 //! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
+//! | [`photography`] | what a picture of the world costs |
 //! | [`scene`] | recorded scenes and their files |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
+//! | [`driven`] | a whole process set, driven for a measurement |
+//! | [`floor`] | how late the machine wakes a thread that does nothing else |
+//! | [`latency`] | how punctual the set is, whatever its judge does |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
 pub mod draw;
+pub mod driven;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;
+pub mod floor;
 pub mod inference;
+pub mod judging;
+pub mod latency;
 pub mod learning;
 pub mod metadrive;
 pub mod metric;
 pub mod outputs;
 pub mod outside;
 pub mod parity;
+pub mod photography;
 pub mod planning;
 pub mod report;
 pub mod scene;

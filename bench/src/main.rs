@@ -74,6 +74,9 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         Command::Draw(Draw::Episode(arguments)) => {
             draw::episode(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+        Command::Draw(Draw::Frame(arguments)) => {
+            draw::frame(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
         Command::Draw(Draw::Plan(arguments)) => {
             draw::plan(arguments, clock).map(|()| ExitCode::SUCCESS)
         }

@@ -34,6 +34,7 @@ pub fn check(command: &Command) -> Result<(), Failure> {
         }
         Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),
         Command::Draw(Draw::Episode(arguments)) => ("--out", &arguments.out),
+        Command::Draw(Draw::Frame(arguments)) => ("--out", &arguments.out),
         Command::Draw(Draw::Plan(arguments)) => ("--out", &arguments.out),
     };
     match file {

@@ -112,7 +112,11 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
         GateMode::Expert => return (Driver::Expert, Reason::Configured),
         // Of a person only who has not taken over comes here.
         GateMode::Policy | GateMode::Human => return (Driver::Policy, Reason::Configured),
-        GateMode::Rules => {}
+        GateMode::Rules
+        | GateMode::Vlm
+        | GateMode::Paper
+        | GateMode::Committee
+        | GateMode::Replay => {}
     }
     if let Some(reason) = standing.stage.hindrance() {
         return (Driver::Expert, reason);

@@ -14,6 +14,7 @@ mod pd;
 mod policy;
 mod slots;
 mod tick;
+mod transfer;
 
 pub use choose::{Choice, Intent, Stage, Standing, choose};
 pub use pd::Pd;
@@ -23,3 +24,4 @@ pub use policy::{
 };
 pub use slots::{Slot, Slots};
 pub use tick::{Controller, Inputs};
+pub use transfer::Transfer;

@@ -86,7 +86,6 @@ impl Session {
         }
         let labelling = Labelling {
             mode: config.gate.mode,
-            window_ns: (config.gate.period_s * 1e9) as u64,
             wait_ns: (settings.label_wait_s * 1e9) as u64,
         };
         let mark = mark.unwrap_or_default();

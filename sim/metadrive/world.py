@@ -73,6 +73,7 @@ class Ports:
         self.observations = wire.publisher(layout.OBSERVATION)
         self.progress = wire.publisher(layout.PROGRESS)
         self.episodes = wire.publisher(layout.EPISODE)
+        self.frame_requests = wire.subscriber(layout.FRAME_REQUEST)
         self.frames = wire.publisher(layout.FRAME)
 
     def tend(self):
@@ -104,7 +105,8 @@ class Session:
             self.world = World(config["world"])
         except (AssertionError, KeyError, ValueError) as error:
             raise SetUpError(f"MetaDrive refuses this configuration: {error!r}") from None
-        self.photographer = Photographer(self.world, self.ports.frames, self.member.period_ns)
+        ports = (self.ports.frame_requests, self.ports.frames)
+        self.photographer = Photographer(self.world, ports, self.member.period_ns)
         self.command_age_ns = int(config["limits"]["command_age_ms"] * 1e6)
         # Where the controller may be waiting for the learner, that comes on top.
         wait_s = config["limits"]["lockstep_wait_s"]
@@ -174,7 +176,7 @@ class Session:
         self.pulse.beat(done_ns)
         self.ports.tend()
         slack_ns = None if grid.lockstep else grid.instant_ns(grid.tick) - monotonic_ns()
-        self.photographer.take_if_due(self.observation.header, slack_ns)
+        self.photographer.take_if_asked(self.observation.header, slack_ns)
 
     def _account(self):
         health = self.pulse.health

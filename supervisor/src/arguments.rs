@@ -63,6 +63,12 @@ pub enum Command {
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(HandedOver),
+    /// Audit what a judge was asked and said, or ask another model the same.
+    #[command(disable_help_flag = true)]
+    Judge(HandedOver),
+    /// Serve a stand-in for a vision-language model: it judges pixels, and is no model.
+    #[command(disable_help_flag = true)]
+    JudgeServer(HandedOver),
 }
 
 /// What another program of the build does: it reads the words itself.
@@ -175,6 +181,14 @@ impl From<DriverChoice> for Method {
 pub enum GateChoice {
     /// The gate process compares both rollouts by exact geometry.
     Rules,
+    /// The gate process asks a vision-language model (section vlm); never pauses the world.
+    Vlm,
+    /// As the paper did it: asks every 10 s, and the world waits. Implies --lockstep.
+    Paper,
+    /// Several judges and a quorum (gate.committee, gate.quorum).
+    Committee,
+    /// The answers of a recorded run (gate.recording).
+    Replay,
     /// Always the expert; no gate process.
     Expert,
     /// Always the policy, if one is loaded; no gate process.
@@ -187,6 +201,10 @@ impl From<GateChoice> for GateMode {
     fn from(choice: GateChoice) -> Self {
         match choice {
             GateChoice::Rules => Self::Rules,
+            GateChoice::Vlm => Self::Vlm,
+            GateChoice::Paper => Self::Paper,
+            GateChoice::Committee => Self::Committee,
+            GateChoice::Replay => Self::Replay,
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,
             GateChoice::Human => Self::Human,

@@ -6,7 +6,7 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load, text_of};
 use toml::{Table, Value};
 
-use crate::arguments::Up;
+use crate::arguments::{GateChoice, Up};
 use crate::failure::Failure;
 
 /// Read from the current folder when it is there and no other file is named.
@@ -90,7 +90,9 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     push("--episodes", "run.episodes", episodes);
     let duration = arguments.duration.map(Value::Float);
     push("--duration", "run.duration_s", duration);
-    let clock = arguments.lockstep.then(|| Value::from("lockstep"));
+    // The paper pauses the world for each question.
+    let is_lockstep = arguments.lockstep || arguments.gate == Some(GateChoice::Paper);
+    let clock = is_lockstep.then(|| Value::from("lockstep"));
     push("--lockstep", "run.clock", clock);
     let driver = arguments.driver.map(Method::from).map(Value::try_from);
     let driver = driver

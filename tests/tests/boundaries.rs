@@ -11,6 +11,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("process", &["shm-config"]),
     ("planner", &["vehicle", "shm-config", "process"]),
     ("gate", &["vehicle", "shm-config", "process"]),
+    ("judge", &["vehicle", "shm-config", "process", "gate"]),
     ("policy", &["shm-config"]),
     (
         "controller",

@@ -1,9 +1,11 @@
-//! Pictures from above, as SVG: a map, an episode, or a plan.
+//! Pictures from above, as SVG: a map, an episode, or a plan; and what the world's
+//! camera sees, as PNG.
 
 mod canvas;
 mod frame;
 mod labels;
 mod palette;
+mod photo;
 mod plan;
 mod ride;
 mod roads;
@@ -23,6 +25,7 @@ use crate::report::say;
 use crate::seat::{DriverKind, Seat};
 use crate::{Clock, settings};
 use canvas::Canvas;
+pub use photo::frame;
 pub use plan::plan;
 use ride::Ride;
 

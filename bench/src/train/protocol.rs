@@ -172,6 +172,10 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         // A policy that learns may fail; the judge in the tick protects the car.
         "policy.probation_ticks=0".into(),
         "policy.watch_ticks=0".into(),
+        // The paper's cadence, and its answers at once.
+        "gate.when=period".into(),
+        "gate.dwell_s=0".into(),
+        "gate.record=false".into(),
         // Whoever waits for the controller waits for the learner with it.
         "limits.lockstep_wait_s=150.0".into(),
         format!("planner.method={}", arguments.expert.key()),
