@@ -33,6 +33,8 @@ impl Driven {
         let child = Command::new(&supervisor)
             .args(["up", "--run", &name])
             .args(arguments.into_iter().map(Into::into))
+            // Nothing drives on for nobody when this process is killed.
+            .args(["--parent", &std::process::id().to_string()])
             .arg("--json")
             .arg(&json)
             .current_dir(folder.path())

@@ -4,11 +4,13 @@
 //! | module | holds |
 //! |---|---|
 //! | [`arguments`] | the command line |
+//! | [`outputs`], [`stop`] | files that cannot be written, and Ctrl-C |
 //! | [`settings`] | the run's configuration, as `./vlaps up` would make it |
 //! | [`seat`] | the drivers: the stack's expert, a lane keeper, MetaDrive's IDM |
 //! | [`episode`] | one episode in lockstep order |
 //! | [`eval`], [`evaluation`] | many episodes, and their table |
 //! | [`outside`] | the same in the real MetaDrive |
+//! | [`metric`] | keys and names of the figures |
 //! | [`statistics`] | means with 95 % intervals |
 //! | [`report`] | rows of a table, on the screen and as JSON |
 //! | [`parity`] | the world against recordings of MetaDrive |
@@ -34,10 +36,12 @@ pub mod eval;
 pub mod evaluation;
 pub mod floor;
 pub mod inference;
-pub mod latency;
 pub mod judging;
+pub mod latency;
 pub mod learning;
 pub mod metadrive;
+pub mod metric;
+pub mod outputs;
 pub mod outside;
 pub mod parity;
 pub mod photography;
@@ -49,6 +53,7 @@ pub mod settings;
 pub mod soak;
 pub mod speed;
 pub mod statistics;
+pub mod stop;
 pub mod swapping;
 pub mod train;
 

@@ -16,7 +16,7 @@ mod slots;
 mod tick;
 mod transfer;
 
-pub use choose::{Choice, Intent, Standing, choose};
+pub use choose::{Choice, Intent, Stage, Standing, choose};
 pub use pd::Pd;
 pub use policy::{
     Begin, Exchange, Fault, Hand, Loader, Look, NativePolicy, News, Offer, OrtPolicy, OrtSession,

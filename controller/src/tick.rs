@@ -79,7 +79,7 @@ impl Controller {
             sees,
             plan,
             advice: self.has_advice.then_some(&self.step.advice),
-            policy_loaded: self.policy.is_loaded(),
+            stage: self.policy.stage(),
             takeover,
             expert,
             policy,

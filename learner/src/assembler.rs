@@ -57,6 +57,11 @@ impl Counts {
     pub fn transitions(&self) -> u64 {
         self.expert + self.policy + self.unlabelled
     }
+
+    /// Steps driven: received, and published while nobody listened.
+    pub fn driven(&self) -> u64 {
+        self.steps + self.lost
+    }
 }
 
 /// Who published a step, and the world it saw: both start anew when restarted.
@@ -295,7 +300,7 @@ impl Assembler {
             (_, Some(Reason::Vetoed)) => Some(Label::Expert),
             (GateMode::Policy | GateMode::Human, _) => Some(Label::None),
             // Nobody can prefer a policy that proposed nothing.
-            (_, Some(Reason::Unloaded | Reason::Faulty)) => Some(Label::None),
+            (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty)) => Some(Label::None),
             (
                 GateMode::Rules
                 | GateMode::Vlm

@@ -21,7 +21,10 @@ pub fn hand_over(name: &str, command: &[&str], rest: &HandedOver) -> Result<(), 
     let folder = own_folder()
         .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
     let program = folder.join(name);
-    let error = Command::new(&program).args(command).args(&rest.words).exec();
+    let error = Command::new(&program)
+        .args(command)
+        .args(&rest.words)
+        .exec();
     Err(Failure::GivenUp(format!(
         "{}: {error}; build it with cargo build --release --workspace --bins",
         program.display()

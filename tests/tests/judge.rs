@@ -43,7 +43,7 @@ fn drive(set: &Set, server: &str, more: &[&str]) -> Value {
 fn records(set: &Set) -> Vec<Record> {
     let folder = set.folder().join("runs").join(set.name().to_string());
     let read = store::read(&folder.join("judge"));
-    read.expect("records of questions").records
+    read.expect("records of questions").questions
 }
 
 #[test]
@@ -122,7 +122,16 @@ fn in_real_time_a_judge_that_hangs_or_dies_costs_no_tick() {
         let mut set = Set::new("real-time");
         let (policy, url) = (policy(), format!("vlm.server={url}"));
         set.start(&[
-            "--seed", "1003", "--duration", "6", "--policy", &policy, "--gate", "vlm", "--set", &url,
+            "--seed",
+            "1003",
+            "--duration",
+            "6",
+            "--policy",
+            &policy,
+            "--gate",
+            "vlm",
+            "--set",
+            &url,
         ]);
         let asked = |server: &Option<Server>| server.as_ref().is_some_and(|s| s.requests() > 0);
         until("the judge is asked", || asked(&server));

@@ -28,13 +28,23 @@ use judges::Conduct;
 )]
 pub struct BenchLatency {
     /// What happens beside the set.
-    #[arg(long, value_name = "WHAT", value_delimiter = ',', default_value = "none,gate")]
+    #[arg(
+        long,
+        value_name = "WHAT",
+        value_delimiter = ',',
+        default_value = "none,gate"
+    )]
     pub load: Vec<Load>,
     /// Seconds for each row.
     #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = crate::arguments::seconds)]
     pub seconds: f64,
     /// Ticks per second, one or more.
-    #[arg(long, value_name = "HZ", value_delimiter = ',', default_value = "10,100")]
+    #[arg(
+        long,
+        value_name = "HZ",
+        value_delimiter = ',',
+        default_value = "10,100"
+    )]
     pub rate: Vec<f64>,
     /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]

@@ -26,7 +26,7 @@ pub use gate::{Gate, GateMode, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};
-pub use load::{ConfigError, from_toml, load};
+pub use load::{ConfigError, from_toml, load, text_of};
 pub use mpc::Mpc;
 pub use planner::Planner;
 pub use policy::{Backend, Policy};
