@@ -7,7 +7,8 @@ use judge::record::{Outlook, Proposed};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::config::Config;
-use shm_config::message::{Camera, Observation, Proposal, View};
+use shm_config::message::{Camera, Observation, Outcome, Proposal, View};
+use sim::observe::TICK_S;
 use sim::photographer::{HORIZON_S, outlook};
 use sim::render::{Renderer, Shot};
 use sim::{World, WorldConfig};
@@ -202,12 +203,12 @@ impl Drive<'_> {
             let assessment = gate::assess(vehicle, limits, &seen, Some(action));
             Proposed::new(&Proposal::new(Some(action)), &assessment)
         };
-        let expert_outlook = outlook_of(self.world, Party::Expert, expert);
+        let expert_outlook = outlook_of(self.world, Party::Expert, expert)?;
         (0..TRIES).find_map(|_| {
             let policy = self.chance.policy(expert);
             let outlooks = [
                 expert_outlook,
-                outlook_of(self.world, Party::Policy, policy),
+                outlook_of(self.world, Party::Policy, policy)?,
             ];
             if outlooks[0].is_accident() == outlooks[1].is_accident() {
                 return None;
@@ -224,14 +225,34 @@ impl Drive<'_> {
     }
 }
 
-fn outlook_of(world: &World, party: Party, action: Action) -> Outlook {
-    let seen = outlook(world, action);
-    Outlook {
+/// What comes of holding an action. `None` where the rules of the episode say other
+/// than what a picture can show: leaving the route's road on another one ends an
+/// episode, too, but no picture shows the route.
+fn outlook_of(world: &World, party: Party, action: Action) -> Option<Outlook> {
+    let by_rule = outlook(world, action);
+    let seen = Outlook {
         party,
         horizon_s: HORIZON_S,
-        contact_s: seen.contact_s,
-        out_s: seen.out_s,
-    }
+        contact_s: by_rule.contact_s,
+        out_s: by_rule.out_s,
+    };
+    let is_out = by_rule.out_s < HORIZON_S && by_rule.contact_s >= HORIZON_S;
+    (!is_out || leaves_pavement(world, action)).then_some(seen)
+}
+
+/// Whether the car comes off all lanes or onto a sidewalk when an action is held.
+fn leaves_pavement(world: &World, action: Action) -> bool {
+    let mut world = world.clone();
+    let ticks = (HORIZON_S / TICK_S).round() as u64;
+    (0..ticks).any(|_| {
+        let step = world.step(action);
+        step.on_sidewalk || (step.outcome == Outcome::OutOfRoad && is_off_lanes(&world))
+    })
+}
+
+/// No lane is under the car's middle.
+fn is_off_lanes(world: &World) -> bool {
+    !world.navigator().is_on_lane()
 }
 
 struct Photos<'a> {

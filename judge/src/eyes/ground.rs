@@ -26,6 +26,8 @@ const SIDEWALK_POINTS: usize = 2;
 /// Share of what is known under the car that lies beside the road when it has
 /// left it with its middle.
 const BESIDE_SHARE: f64 = 0.5;
+/// Just beside a drawn path, from its middle, m.
+const MIDDLE_M: [f64; 3] = [0.55, 0.7, 0.85];
 /// A centre line is followed within this distance of the path, m.
 const LINE_REACH_M: f64 = 1.5;
 
@@ -76,7 +78,7 @@ impl Ground {
             height,
             classes: raw,
         };
-        ground.drop_specks();
+        ground.drop_specks(view);
         match view {
             View::TopDown => {}
             View::Ego => ground.keep_feet(),
@@ -94,14 +96,20 @@ impl Ground {
     /// Rims of painted lines are blends that may look like anything; bodies are
     /// more than a pixel wide, and sidewalks and the ground beside them more than
     /// two.
-    fn drop_specks(&mut self) {
+    fn drop_specks(&mut self, view: View) {
+        // Of nine; from above a painted line is a blend of two pixels' width, from
+        // the seat strips far away are three pixels high.
+        let strip = match view {
+            View::TopDown => 7,
+            View::Ego => 6,
+        };
         let mut kept = self.classes.clone();
         for y in 0..self.height {
             for x in 0..self.width {
                 let class = self.at(x, y);
                 let least = match class {
                     Class::Body => 5,
-                    Class::Sidewalk | Class::Beside => 8,
+                    Class::Sidewalk | Class::Beside => strip,
                     Class::Unknown | Class::Road | Class::CentreLine => continue,
                 };
                 let around = (0..9).filter(|k| {
@@ -151,15 +159,26 @@ impl Ground {
                 let crossed = side.crosses(|offset_m| {
                     self.look(camera, place.point(0.0, offset_m)) == Class::CentreLine
                 });
+                let off_road = under.is_beside() || self.is_middle_beside(camera, &place);
                 let kind = if under.bodies >= BODY_POINTS {
                     Kind::Body
-                } else if under.sidewalks >= SIDEWALK_POINTS || under.is_beside() || crossed {
+                } else if under.sidewalks >= SIDEWALK_POINTS || off_road || crossed {
                     Kind::Edge
                 } else {
                     return None;
                 };
                 Some(Trouble { kind, at_m })
             })
+    }
+
+    /// Whether the car's middle is beside the road: the path hides what is under it,
+    /// but on both sides of it there is no road.
+    fn is_middle_beside(&self, camera: &Camera, place: &Place) -> bool {
+        [1.0, -1.0].into_iter().all(|side| {
+            let seen = MIDDLE_M.map(|left_m| self.look(camera, place.point(0.0, side * left_m)));
+            let known = seen.iter().filter(|class| **class != Class::Unknown);
+            seen.contains(&Class::Beside) && known.into_iter().all(|class| *class == Class::Beside)
+        })
     }
 
     fn look(&self, camera: &Camera, at: Point) -> Class {

@@ -26,9 +26,11 @@ pub use ground::{Kind, Trouble};
 /// only one of two paths is in trouble with it, that is the worse one. Negative
 /// rooms come first, since who runs deep into something is worse off than who
 /// brushes it, and a rollout is off by as much.
-const ROOMS_M: [f64; 5] = [-0.5, -0.25, 0.0, 0.3, 0.6];
-/// Rooms from this one on are doubtful: nothing is touched.
+const ROOMS_M: [f64; 7] = [-0.5, -0.25, 0.0, 0.3, 0.6, 1.0, 1.5];
+/// From this room on nothing is touched, and what is said is doubtful.
 const FREE: usize = 3;
+/// How much less sure one is of a path that touches nothing.
+const DOUBT: f64 = 0.2;
 /// Paths that end in trouble are alike when their shares of safe length differ by
 /// less than this.
 const ALIKE: f64 = 0.06;
@@ -77,16 +79,23 @@ pub fn look(image: &RgbImage, hues: [Hue; 2], view: View) -> Seen {
     let lines = hues.map(|hue| trace::trace(image, hue, &camera));
     let ground = Ground::of(image, view);
     let mut paths = lines.each_ref().map(|line| Sight {
-        length_m: trace::length_m(line),
+        length_m: trace::length_m(&line.points_body),
         trouble: None,
     });
     let mut doubt = 0.0;
     for (step, room_m) in ROOMS_M.into_iter().enumerate() {
         for (sight, line) in paths.iter_mut().zip(&lines) {
-            sight.trouble = ground.first_trouble(line, &camera, room_m);
+            sight.trouble = ground.first_trouble(&line.points_body, &camera, room_m);
+            // A sharp turn leaves the picture before it leaves the road.
+            if step == FREE && line.leaves_view && sight.trouble.is_none() {
+                sight.trouble = Some(Trouble {
+                    kind: Kind::Edge,
+                    at_m: sight.length_m,
+                });
+            }
         }
         if paths.iter().any(|path| path.trouble.is_some()) {
-            doubt = if step < FREE { 0.0 } else { 0.15 };
+            doubt = if step < FREE { 0.0 } else { DOUBT };
             break;
         }
     }

@@ -9,6 +9,7 @@ use shm_config::palette::distance;
 use vehicle::{Point, Vector};
 
 use crate::Hue;
+use crate::picture::LINE;
 
 /// A pixel is of a hue when its colour is this near: half of what the hues are
 /// apart, less a little; JPEG shifts the colours of thin lines.
@@ -18,20 +19,37 @@ const SPACING_M: f64 = 0.5;
 /// A line begins no further from the car than this share of the picture.
 const BEGIN_SHARE: f64 = 0.3;
 
-/// Where a hue's path leads on the ground, from the car outward, in the body
-/// frame; empty when it is not to be found.
-pub fn trace(image: &RgbImage, hue: Hue, camera: &Camera) -> Vec<Point> {
+/// A path as it was followed.
+#[derive(Debug, Default)]
+pub struct Line {
+    /// Where it leads on the ground, from the car outward, in the body frame; empty
+    /// when it is not to be found.
+    pub points_body: Vec<Point>,
+    /// It ends at the left or right rim of the picture: nobody sees where it leads.
+    pub leaves_view: bool,
+}
+
+/// Follows a hue's path from the car outward.
+pub fn trace(image: &RgbImage, hue: Hue, camera: &Camera) -> Line {
     let Some(body_from_pixel) = ground_from_pixel(camera) else {
-        return Vec::new();
+        return Line::default();
     };
     let layers = layers(image, hue, begin(image, camera));
+    let width = f64::from(image.width());
+    let rim_px = f64::from(LINE) * width;
+    let leaves_view = layers
+        .last()
+        .is_some_and(|[u, _]| *u < rim_px || *u > width - rim_px);
     let places = layers.into_iter().filter_map(|[u, v]| {
         let at = body_from_pixel * Vector3::new(u, v, 1.0);
         let place = Point::new(at.x / at.z, at.y / at.z);
         // Above the horizon there is no ground.
         (at.z.abs() > 1e-12 && camera.is_ahead([place.x, place.y, 0.0])).then_some(place)
     });
-    thin(places)
+    Line {
+        points_body: thin(places),
+        leaves_view,
+    }
 }
 
 /// Length of a line, m.
@@ -56,14 +74,34 @@ fn begin(image: &RgbImage, camera: &Camera) -> [f64; 2] {
     }
 }
 
+/// Pixels that are well inside a line of the hue, row by row. The car's outline at
+/// the end of a path has its colour, too; its strokes are half as wide, and nothing
+/// is left of them without their rim.
+fn mask(image: &RgbImage, hue: Hue) -> Vec<bool> {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let all: Vec<bool> = image
+        .pixels()
+        .map(|pixel| distance(pixel.0, hue.rgb()) < HUE_TOLERANCE)
+        .collect();
+    let line_px = LINE * width.min(height) as f32;
+    let rim = ((line_px - 1.0) / 3.0).max(1.0) as usize;
+    let inside = |x: usize, y: usize| {
+        let near = |at: usize, end: usize| at.saturating_sub(rim)..=(at + rim).min(end - 1);
+        near(y, height).all(|y| near(x, width).all(|x| all[y * width + x]))
+    };
+    let inner: Vec<bool> = (0..width * height)
+        .map(|at| all[at] && inside(at % width, at / width))
+        .collect();
+    // Lines of small pictures are rim through and through.
+    if inner.contains(&true) { inner } else { all }
+}
+
 /// The middles of the line's cross-sections, one pixel further each: pixels of
 /// the hue by how many steps they are from the one nearest to the car.
 fn layers(image: &RgbImage, hue: Hue, [begin_u, begin_v]: [f64; 2]) -> Vec<[f64; 2]> {
     let (width, height) = (image.width() as usize, image.height() as usize);
-    let is_hue = |x: usize, y: usize| {
-        let pixel = image.get_pixel(x as u32, y as u32);
-        distance(pixel.0, hue.rgb()) < HUE_TOLERANCE
-    };
+    let mask = mask(image, hue);
+    let is_hue = |x: usize, y: usize| mask[y * width + x];
     let away = |x: usize, y: usize| (x as f64 + 0.5 - begin_u).hypot(y as f64 + 0.5 - begin_v);
     let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
     let nearest = pixels

@@ -15,6 +15,7 @@ use shm_config::message::{Camera, Frame};
 use vehicle::{Action, Vehicle};
 
 use crate::Showing;
+pub(crate) use paths::LINE;
 pub use rollout::roll_out;
 
 /// How the picture of a question is drawn and stored.

@@ -12,7 +12,7 @@ const RIM: [u8; 3] = [16, 18, 22];
 /// Letters on dark hues and on the panel of the legend.
 const LIGHT: [u8; 3] = [255, 255, 255];
 /// Width of a line, as a share of the picture's shorter side.
-const LINE: f32 = 0.0105;
+pub const LINE: f32 = 0.0105;
 /// Narrowest line, px: below, JPEG leaves nothing of its colour.
 const LINE_MIN_PX: f32 = 3.0;
 /// Points of a line lie this far apart where two lines are kept apart, px.
