@@ -52,5 +52,6 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Policy(arguments) => &arguments.json,
         Bench::Learner(arguments) => &arguments.json,
         Bench::Swap(arguments) => &arguments.json,
+        Bench::Latency(arguments) => &arguments.json,
     }
 }
