@@ -6,6 +6,8 @@ use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use clap::{Args, Parser, Subcommand};
 use judge::standin::{Mishap, Options};
 
+use crate::auditing::{AuditArguments, ReplayArguments};
+
 /// What there is to do about judges apart from a run
 #[derive(Debug, Parser)]
 #[command(name = "vlaps-judge", version)]
@@ -18,6 +20,10 @@ pub struct Arguments {
 pub enum Command {
     /// Serve a stand-in for a vision-language model; it is no model
     Server(ServerArguments),
+    /// Make a page of what a judge was asked in a run, and how right it was
+    Audit(AuditArguments),
+    /// Ask another model what a judge was asked in a run
+    Replay(ReplayArguments),
 }
 
 /// Serve a stand-in for a vision-language model, for tests and offline work.
@@ -73,7 +79,7 @@ impl ServerArguments {
             mishap: self.fault,
             mishap_share: self.fault_share,
             seed: self.seed,
-            ..Options::default()
+            eyes: std::sync::Arc::new(judge::eyes::Sighted),
         }
     }
 }

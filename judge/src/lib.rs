@@ -28,6 +28,7 @@ mod model;
 pub mod picture;
 mod prompt;
 pub mod record;
+pub mod replay;
 mod recorded;
 mod retry;
 mod showing;
