@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
+use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
 use crate::train::arguments::Train;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
@@ -143,6 +144,8 @@ pub enum Bench {
     Learner(BenchLearner),
     /// Measure whether a running set notices that its weights are swapped.
     Swap(BenchSwap),
+    /// Measure how punctual a running set is, whatever its judge does.
+    Latency(BenchLatency),
 }
 
 /// Measure how long the policy's net takes to answer, by back end.
@@ -341,7 +344,7 @@ pub struct Sim {
     pub json: Option<PathBuf>,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text.parse().map_err(|_| "not a number".to_string())?;
     match (0.1..=3600.0).contains(&seconds) {
         true => Ok(seconds),

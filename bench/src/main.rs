@@ -62,6 +62,9 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         Command::Bench(Bench::Swap(arguments)) => {
             swapping::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+        Command::Bench(Bench::Latency(arguments)) => {
+            latency::bench(arguments).map(|()| ExitCode::SUCCESS)
+        }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {
                 wall: clock,

@@ -5,7 +5,7 @@ use std::thread::{self, JoinHandle};
 use shm_config::config::Config;
 
 use crate::Filed;
-use crate::store::{Store, StoreError};
+use crate::store::{Lost, Store, StoreError};
 
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
@@ -27,12 +27,17 @@ impl Archive {
         let mut store = Store::open(&folder, config.vlm.record_bytes_max)?;
         let (records, filed) = sync_channel::<Filed>(WAITING_MAX);
         let thread = thread::spawn(move || {
-            while let Ok(filed) = filed.recv() {
-                store.keep(filed);
+            while let Ok(Filed { record, pictures }) = filed.recv() {
+                let question = store.begin(record, &pictures);
+                store.complete(question);
             }
-            let lost = store.lost();
-            if lost > 0 {
-                tracing::warn!(lost, "the disk did not take all records of questions");
+            let Lost {
+                lines,
+                pictures,
+                reason,
+            } = store.lost();
+            if lines + pictures > 0 {
+                tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
             }
         });
         Ok(Self {

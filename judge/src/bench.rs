@@ -6,7 +6,7 @@ use shm_config::Instant;
 use shm_config::config::{Config, GateMode, Juror, PromptPreset, Rollout, When};
 
 use crate::model::model;
-use crate::store::{StoreError, read};
+use crate::store::{ReadError, read};
 use crate::{AskerError, Evidence, Recorded};
 
 /// Who sits in judgment, and what they leave for the record.
@@ -25,7 +25,7 @@ pub enum BenchError {
     Asker(#[from] AskerError),
     /// The recording cannot be read.
     #[error("gate.recording: {0}")]
-    Recording(#[from] StoreError),
+    Recording(#[from] ReadError),
 }
 
 impl Bench {
@@ -49,7 +49,7 @@ impl Bench {
             }
             GateMode::Replay => {
                 let records = read(Path::new(&gate.recording))?;
-                Box::new(Recorded::new(&records.records))
+                Box::new(Recorded::new(&records.questions))
             }
             // Of the last three nobody starts a gate.
             GateMode::Rules | GateMode::Expert | GateMode::Policy | GateMode::Human => {

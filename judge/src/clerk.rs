@@ -4,6 +4,7 @@ use gate::{Answer, CLEARANCE_MAX_M, Heard, Question};
 use shm_config::message::{Driver, Judge as JudgeKind, Reason, Step};
 use shm_config::{Instant, Message};
 
+use crate::picture::Picture;
 use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict};
 
 /// How long what follows a question is watched, ns.
@@ -23,8 +24,8 @@ pub struct Evidence {
     pub model: String,
     /// One asking, or two.
     pub askings: Vec<Asking>,
-    /// The pictures of the askings, encoded, in their order.
-    pub pictures: Vec<Vec<u8>>,
+    /// The pictures of the askings, in their order.
+    pub pictures: Vec<Picture>,
     /// Why there is no preference; empty when there is one.
     pub fault: String,
     /// From question to answer, s of the wall clock.
@@ -38,8 +39,8 @@ pub struct Evidence {
 pub struct Filed {
     /// The record.
     pub record: Record,
-    /// The pictures of its askings, encoded, in their order.
-    pub pictures: Vec<Vec<u8>>,
+    /// The pictures of its askings, in their order.
+    pub pictures: Vec<Picture>,
 }
 
 /// Keeps the file of every question: what was asked, said, and what followed.
@@ -53,7 +54,7 @@ pub struct Clerk {
 
 struct Case {
     record: Record,
-    pictures: Vec<Vec<u8>>,
+    pictures: Vec<Picture>,
     is_heard: bool,
     /// Evidence is still to come.
     awaits_evidence: bool,

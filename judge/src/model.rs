@@ -8,14 +8,16 @@ use std::time::Duration;
 use gate::{Answer, Failure, Question, Ruling, Threaded};
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
-use shm_config::config::{Config, Vlm};
-use shm_config::message::{Foresight, Frame, FrameRequest, Header, Judge as JudgeKind};
+use shm_config::config::{Config, View, Vlm};
+use shm_config::message::{
+    Foresight, Frame, FrameRequest, Header, Judge as JudgeKind, View as Seat,
+};
 use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST, Process};
 use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
 use shm_config::{Instant, Message};
 use tokio::task::LocalSet;
 
-use crate::picture::{Picture, Proposals, Style, picture};
+use crate::picture::{Photo, Picture, Proposals, Style, picture};
 use crate::prompt::fixed_showing;
 use crate::record::{Asking, Outlook};
 use crate::{Asked, Asker, Evidence, Hue, Party, Prompt, Showing, combine};
@@ -145,7 +147,11 @@ impl Ports {
                 episode: header.episode,
                 ..Header::default()
             },
-            view: vlm.view.message().code(),
+            view: match vlm.view {
+                View::Ego => Seat::Ego,
+                View::TopDown => Seat::TopDown,
+            }
+            .code(),
             width: vlm.width_px,
             height: vlm.height_px,
             proposals: [question.expert, question.policy],
@@ -170,9 +176,8 @@ impl Ports {
                 until = (court.clock)().after_ns(FORESIGHT_NS);
             }
             let foresight = self.foresights.newest();
-            let foresight = foresight.filter(|foresight| {
-                is_same(&foresight.header) && foresight.check().is_ok()
-            });
+            let foresight = foresight
+                .filter(|foresight| is_same(&foresight.header) && foresight.check().is_ok());
             seen.foresight = seen.foresight.or(foresight.as_ref().map(outlooks));
             tokio::time::sleep(LOOK).await;
         }
@@ -229,10 +234,8 @@ impl Court {
         };
         let asked = match pictures.as_slice() {
             [(first, picture), (second, swapped)] => {
-                let (first, second) = tokio::join!(
-                    self.show(*first, picture),
-                    self.show(*second, swapped)
-                );
+                let (first, second) =
+                    tokio::join!(self.show(*first, picture), self.show(*second, swapped));
                 vec![first, second]
             }
             [(first, picture)] => vec![self.show(*first, picture).await],
@@ -245,10 +248,7 @@ impl Court {
         });
         let replies: Vec<_> = replies.collect();
         evidence.askings = asked.iter().map(asking).collect();
-        evidence.pictures = pictures
-            .into_iter()
-            .map(|(_, picture)| picture.bytes)
-            .collect();
+        evidence.pictures = pictures.into_iter().map(|(_, picture)| picture).collect();
         if let Some(fault) = fault {
             evidence.fault = fault.word().into();
             return Answer::Failed(fault.failure());
@@ -267,7 +267,7 @@ impl Court {
         showing: Showing,
     ) -> Result<Vec<(Showing, Picture)>, crate::picture::PictureError> {
         let vlm = &self.config.vlm;
-        let style = Style::from(vlm);
+        let style = Style::of(vlm);
         let proposals = Proposals::of(question, &self.config.vehicle)?;
         let mut showings = vec![showing];
         if vlm.ask_twice {
@@ -275,7 +275,12 @@ impl Court {
         }
         showings
             .into_iter()
-            .map(|showing| Ok((showing, picture(frame, &proposals, showing, &style)?)))
+            .map(|showing| {
+                Ok((
+                    showing,
+                    picture(Photo::from(frame), &proposals, showing, &style)?,
+                ))
+            })
             .collect()
     }
 
@@ -283,7 +288,13 @@ impl Court {
         let vlm = &self.config.vlm;
         let prompt = Prompt::new(vlm.prompt, showing, vlm.view, vlm.horizon_s);
         let deadline = Duration::from_secs_f64(vlm.deadline_s);
-        let asked = self.asker.ask(&prompt, picture, deadline).await;
+        let sent = crate::Picture {
+            bytes: picture.bytes.clone(),
+            mime: picture.encoding.mime(),
+            width_px: picture.width,
+            height_px: picture.height,
+        };
+        let asked = self.asker.ask(&prompt, &sent, deadline).await;
         (prompt, asked)
     }
 }

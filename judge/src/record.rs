@@ -51,18 +51,7 @@ pub struct Record {
     pub heard_tick: u64,
     /// When the answer was heard, on the run's clock, ns.
     pub heard_ns: u64,
-    impl From<gate::Answer> for Verdict {
-    fn from(answer: gate::Answer) -> Self {
-        match answer {
-            gate::Answer::Expert => Self::Expert,
-            gate::Answer::Policy => Self::Policy,
-            gate::Answer::Abstain => Self::Abstain,
-            gate::Answer::Failed(_) => Self::Failed,
-        }
-    }
-}
-
-/// What the simulator says would have happened; `None` where nobody knows.
+    /// What the simulator says would have happened; `None` where nobody knows.
     pub foresight: Option<[Outlook; 2]>,
     /// What happened in the 3 s after the question; `None` when the run ended.
     pub aftermath: Option<Aftermath>,
@@ -154,6 +143,17 @@ pub enum Verdict {
     Abstain,
     /// No answer: never read as a preference.
     Failed,
+}
+
+impl From<gate::Answer> for Verdict {
+    fn from(answer: gate::Answer) -> Self {
+        match answer {
+            gate::Answer::Expert => Self::Expert,
+            gate::Answer::Policy => Self::Policy,
+            gate::Answer::Abstain => Self::Abstain,
+            gate::Answer::Failed(_) => Self::Failed,
+        }
+    }
 }
 
 /// What the simulator says would have happened had a proposal been held.

@@ -355,9 +355,8 @@ pub enum ReadError {
 /// last line is none.
 pub fn read(folder: &Path) -> Result<Records, ReadError> {
     let inner = folder.join("judge");
-    let holds = |folder: &Path| {
-        folder.join(QUESTIONS).is_file() || folder.join(QUESTIONS_BEFORE).is_file()
-    };
+    let holds =
+        |folder: &Path| folder.join(QUESTIONS).is_file() || folder.join(QUESTIONS_BEFORE).is_file();
     let folder = match holds(&inner) && !holds(folder) {
         true => inner,
         false => folder.into(),

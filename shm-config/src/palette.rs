@@ -70,7 +70,7 @@ pub fn distance(a: Rgb, b: Rgb) -> f64 {
 }
 
 /// The colour of a side that is lit less, [0, 1]: those that stand upright are, by a
-/// fifth at most. From above only tops are seen.
+/// fifth at most.
 pub fn shaded(color: Rgb, light: f64) -> Rgb {
     color.map(|value| (f64::from(value) * light.clamp(0.0, 1.0)).round() as u8)
 }

@@ -24,8 +24,8 @@ EDGE_STEP_M = 2.0
 GAP_M = 4.0
 # Width of a drawn line, m.
 LINE_M = 0.2
-# Nothing is drawn smaller than this across, pixels: a cone would not be seen.
-LEAST_PX = 6.0
+# Nothing is drawn thinner than this, pixels: a cone would not be seen.
+LEAST_PX = 5.0
 # A picture is begun only with this many times its greatest cost as slack.
 SLACK_FACTOR = 2
 # What the first picture is taken to cost, ns.
@@ -65,6 +65,11 @@ class Photographer:
         """The map has changed."""
         self._surveyed = False
 
+    @property
+    def needed_ns(self):
+        """Time until the next tick without which no picture is begun."""
+        return SLACK_FACTOR * self._cost_ns
+
     def take_if_asked(self, header, slack_ns):
         """Publishes a picture of the observation of `header`, from above whatever
         view is asked for: there is no other here, and the frame's camera says so.
@@ -81,7 +86,7 @@ class Photographer:
             self._request = None
             self.declined += 1
             return
-        if slack_ns is not None and slack_ns < SLACK_FACTOR * self._cost_ns:
+        if slack_ns is not None and slack_ns < self.needed_ns:
             self._cost_ns = max(self._cost_ns * REMEMBERED, FIRST_COST_NS)
             return
         if not self._surveyed:
@@ -188,7 +193,7 @@ class Photographer:
 
 
 def _corners(body, least_m):
-    """The corners of a body's box in the world frame, at least so long on one side;
+    """The corners of a body's box in the world frame, at least so thick;
     None for what has none."""
     try:
         half_length, half_width = body.LENGTH / 2, body.WIDTH / 2
@@ -196,8 +201,7 @@ def _corners(body, least_m):
         return None
     if not half_length > 0 or not half_width > 0:
         return None
-    times = max(least_m / 2 / max(half_length, half_width), 1.0)
-    half_length, half_width = half_length * times, half_width * times
+    half_length, half_width = max(half_length, least_m / 2), max(half_width, least_m / 2)
     heading = body.heading_theta
     forward = np.asarray((math.cos(heading), math.sin(heading))) * half_length
     left = np.asarray((-math.sin(heading), math.cos(heading))) * half_width

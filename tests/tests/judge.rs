@@ -43,7 +43,7 @@ fn drive(set: &Set, server: &str, more: &[&str]) -> Value {
 fn records(set: &Set) -> Vec<Record> {
     let folder = set.folder().join("runs").join(set.name().to_string());
     let read = store::read(&folder.join("judge"));
-    read.expect("records of questions").records
+    read.expect("records of questions").questions
 }
 
 #[test]

@@ -227,5 +227,8 @@ pub fn percent(share: Share) -> String {
 /// Its 95 % interval in words.
 pub fn interval(share: Share) -> String {
     let [low, high] = share.interval().map(|end| 100.0 * end);
-    format!("({low:.1} to {high:.1} %, {} of {})", share.hits, share.trials)
+    format!(
+        "({low:.1} to {high:.1} %, {} of {})",
+        share.hits, share.trials
+    )
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use gate::{Counsel, Heard};
-use judge::{Archive, Bench, Clerk, Evidence};
+use judge::{Archive, Bench, Clerk, Evidence, as_the_paper};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{Advice, HealthState, Message, Step};
 use shm_config::services::{ADVICE, Process, STEP};
@@ -55,6 +55,7 @@ impl Gate {
     fn open(arguments: &Arguments) -> Result<Self, SetUpError> {
         let mut member = Member::join(Process::Gate, arguments)?;
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
+        member.config = as_the_paper(member.config);
         let config = &member.config;
         let Bench { docket, evidence } =
             Bench::open(config, monotonic).map_err(|error| own(&error))?;

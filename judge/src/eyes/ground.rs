@@ -283,7 +283,10 @@ fn class(pixel: [u8; 3], view: View) -> Class {
 /// Whether a pixel is a colour in less light.
 fn is_shade(pixel: [u8; 3], color: palette::Rgb) -> bool {
     let dot = |a: [u8; 3], b: [u8; 3]| -> f64 {
-        a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(b)).sum()
+        a.iter()
+            .zip(b)
+            .map(|(a, b)| f64::from(*a) * f64::from(b))
+            .sum()
     };
     let light = dot(pixel, color) / dot(color, color);
     (DARKEST..1.0).contains(&light)

@@ -36,9 +36,7 @@ pub fn trace(image: &RgbImage, hue: Hue, camera: &Camera) -> Vec<Point> {
 
 /// Length of a line, m.
 pub fn length_m(line: &[Point]) -> f64 {
-    line.windows(2)
-        .map(|pair| (pair[1] - pair[0]).norm())
-        .sum()
+    line.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
 }
 
 /// The map from pixels to points of the ground in the body frame, homogeneous;
@@ -84,8 +82,21 @@ fn layers(image: &RgbImage, hue: Hue, [begin_u, begin_v]: [f64; 2]) -> Vec<[f64;
             sums.push([0.0; 3]);
         }
         let sum = &mut sums[steps];
-        *sum = [sum[0] + x as f64 + 0.5, sum[1] + y as f64 + 0.5, sum[2] + 1.0];
-        for (dx, dy) in [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)] {
+        *sum = [
+            sum[0] + x as f64 + 0.5,
+            sum[1] + y as f64 + 0.5,
+            sum[2] + 1.0,
+        ];
+        for (dx, dy) in [
+            (-1, -1),
+            (0, -1),
+            (1, -1),
+            (-1, 0),
+            (1, 0),
+            (-1, 1),
+            (0, 1),
+            (1, 1),
+        ] {
             let (Some(x), Some(y)) = (x.checked_add_signed(dx), y.checked_add_signed(dy)) else {
                 continue;
             };

@@ -109,7 +109,10 @@ impl Paths {
             both.flat_map(|shown| shown.parts.iter().map(move |part| (shown, part)))
         };
         let outlines = || {
-            let both = self.shown.iter().filter(|shown| !shown.footprint.is_empty());
+            let both = self
+                .shown
+                .iter()
+                .filter(|shown| !shown.footprint.is_empty());
             both.filter(|_| style.footprint)
         };
         let thin = 0.45 * measures.line;
@@ -165,9 +168,9 @@ impl Shown {
             [width - radius_px - 2.0, height - radius_px - 2.0],
         );
         let visible = self.parts.iter().rev().find_map(|part| {
-            let last = part.iter().rposition(|&[x, y]| {
-                (0.0..width).contains(&x) && (0.0..height).contains(&y)
-            })?;
+            let last = part
+                .iter()
+                .rposition(|&[x, y]| (0.0..width).contains(&x) && (0.0..height).contains(&y))?;
             Some((part[last], direction(part, last)))
         });
         let aside_px = self.side * (radius_px + 1.5 * measures.line);

@@ -26,9 +26,9 @@ const SHADOW: f64 = 0.4;
 /// Widest rim of a face, pixels, and its width on the body, m.
 const RIM_MAX_PX: f64 = 1.2;
 const RIM_M: f64 = 0.05;
-/// From above nothing is drawn smaller than this across, pixels: a cone of 0.4 m
-/// would be three.
-const LEAST_PX: f64 = 6.0;
+/// From above nothing is drawn thinner than this, pixels: a cone of 0.4 m would be
+/// three wide, a barrier two.
+const LEAST_PX: f64 = 5.0;
 
 /// What is to be taken.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -234,27 +234,26 @@ fn draw_bodies(canvas: &mut Canvas, eye: &Eye, world: &World) {
         canvas.fill([&outline], palette::RIM, SHADOW);
     }
     for (_, model) in &mut models {
-        enlarge(eye, model);
+        thicken(eye, model);
         draw_model(canvas, eye, model);
     }
 }
 
-/// From above, what is too small to be seen is drawn larger.
-fn enlarge(eye: &Eye, model: &mut Model) {
-    let reach_m = model
-        .footprint
-        .iter()
-        .map(|[x, y, _]| x.hypot(*y))
-        .fold(0.0, f64::max);
-    let across_px = 2.0 * reach_m * eye.px_per_m([0.0; 3]);
-    if eye.camera.orthographic == 0 || across_px >= LEAST_PX {
+/// From above, what is too thin to be seen is drawn thicker.
+fn thicken(eye: &Eye, model: &mut Model) {
+    if eye.camera.orthographic == 0 {
         return;
     }
-    let times = LEAST_PX / across_px;
+    let px_per_m = eye.px_per_m([0.0; 3]);
+    let times = [0, 1].map(|axis| {
+        let reaches_m = model.footprint.iter().map(|corner| corner[axis].abs());
+        let across_px = 2.0 * reaches_m.fold(0.0, f64::max) * px_per_m;
+        (LEAST_PX / across_px).max(1.0)
+    });
     let faces = model.solids.iter_mut().flat_map(|solid| &mut solid.faces);
     for corner in faces.flat_map(|face| &mut face.corners) {
-        corner[0] *= times;
-        corner[1] *= times;
+        corner[0] *= times[0];
+        corner[1] *= times[1];
     }
 }
 
