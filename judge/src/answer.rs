@@ -287,7 +287,10 @@ mod tests {
             ("{\"response\": -1}", Fault::OutOfRange),
             ("{\"response\": 18446744073709551616}", Fault::WrongType),
             ("{\"response\": 1}{\"response\": 0}", Fault::BothAnswers),
-            ("{\"response\": 0} or rather {\"response\": 1}", Fault::BothAnswers),
+            (
+                "{\"response\": 0} or rather {\"response\": 1}",
+                Fault::BothAnswers,
+            ),
             ("{\"response\": 0, \"response\": 1}", Fault::DuplicateKeys),
             ("{\"answer\": 1}", Fault::MissingField),
             ("{\"response\": 1, \"novice\": 0}", Fault::ExtraField),
@@ -298,7 +301,10 @@ mod tests {
             ("Sure: {\"response\": 1}", Fault::LeadingText),
             ("1", Fault::WrongType),
             ("I cannot say.", Fault::NotJson),
-            ("{\"response\": {\"a\": {\"b\": {\"c\": {\"d\": 1}}}}}", Fault::TooDeep),
+            (
+                "{\"response\": {\"a\": {\"b\": {\"c\": {\"d\": 1}}}}}",
+                Fault::TooDeep,
+            ),
             (" \n", Fault::NoContent),
         ] {
             for preset in [PromptPreset::Paper, PromptPreset::PaperAppendix] {
@@ -339,8 +345,14 @@ mod tests {
             (good.replace("0.5", "null"), Fault::WrongType),
             (good.replace("\"x\"", "[]"), Fault::WrongType),
             (good.replace("\"reason\"", "\"why\""), Fault::ExtraField),
-            ("{\"response\": \"A\", \"reason\": \"x\"}".into(), Fault::MissingField),
-            ("{\"response\": \"A\", \"confidence\": 1}".into(), Fault::MissingField),
+            (
+                "{\"response\": \"A\", \"reason\": \"x\"}".into(),
+                Fault::MissingField,
+            ),
+            (
+                "{\"response\": \"A\", \"confidence\": 1}".into(),
+                Fault::MissingField,
+            ),
         ] {
             assert_eq!(said(&text, PromptPreset::Blind), Err(fault), "{text}");
         }
@@ -366,10 +378,16 @@ mod tests {
                 Fault::BothAnswers,
             ),
             (|body| finish(body, json!("length")), Fault::Length),
-            (|body| finish(body, json!("content_filter")), Fault::ContentFilter),
+            (
+                |body| finish(body, json!("content_filter")),
+                Fault::ContentFilter,
+            ),
             (|body| finish(body, json!("tool_calls")), Fault::Unfinished),
             (|body| finish(body, Value::Null), Fault::Unfinished),
-            (|body| message(body)["content"] = Value::Null, Fault::NoContent),
+            (
+                |body| message(body)["content"] = Value::Null,
+                Fault::NoContent,
+            ),
             (|body| message(body)["content"] = json!([]), Fault::Envelope),
             (
                 |body| {

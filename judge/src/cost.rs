@@ -57,21 +57,51 @@ const RULES: &[(&str, Rule)] = &[
     ("gpt-5-mini", Rule::Patches { factor: 1.62 }),
     ("gpt-5-nano", Rule::Patches { factor: 2.46 }),
     ("o4-mini", Rule::Patches { factor: 1.72 }),
-    ("gpt-4o-mini", Rule::Tiles { base: 2833, tile: 5667 }),
-    ("gpt-5", Rule::Tiles { base: 70, tile: 140 }),
-    ("o1", Rule::Tiles { base: 75, tile: 150 }),
-    ("o3", Rule::Tiles { base: 75, tile: 150 }),
+    (
+        "gpt-4o-mini",
+        Rule::Tiles {
+            base: 2833,
+            tile: 5667,
+        },
+    ),
+    (
+        "gpt-5",
+        Rule::Tiles {
+            base: 70,
+            tile: 140,
+        },
+    ),
+    (
+        "o1",
+        Rule::Tiles {
+            base: 75,
+            tile: 150,
+        },
+    ),
+    (
+        "o3",
+        Rule::Tiles {
+            base: 75,
+            tile: 150,
+        },
+    ),
 ];
 
 /// That of gpt-4o, gpt-4.1 and gpt-4.5, and a guess for what is not known.
-const USUAL: Rule = Rule::Tiles { base: 85, tile: 170 };
+const USUAL: Rule = Rule::Tiles {
+    base: 85,
+    tile: 170,
+};
 
 /// Tokens of a picture of `size_px`.
 fn picture_tokens(vlm: &Vlm, size_px: [u32; 2]) -> u64 {
     if vlm.dialect != Dialect::Openai {
         // Open models differ; Qwen's patches of 28 pixels are a guess, which
         // costs nothing where the price is nothing.
-        return size_px.map(|px| u64::from(px.div_ceil(28))).iter().product();
+        return size_px
+            .map(|px| u64::from(px.div_ceil(28)))
+            .iter()
+            .product();
     }
     let name = vlm.model_name();
     let known = RULES.iter().find(|(begin, _)| name.starts_with(begin));

@@ -245,7 +245,11 @@ impl Fault {
     /// What a status other than 200 means. `code` is the server's own word for
     /// the error, where it gave one.
     pub(crate) fn of_status(status: u16, code: Option<&str>) -> Self {
-        let spent = ["insufficient_quota", "billing_hard_limit_reached", "billing_not_active"];
+        let spent = [
+            "insufficient_quota",
+            "billing_hard_limit_reached",
+            "billing_not_active",
+        ];
         let filtered = ["content_filter", "content_policy_violation"];
         match (status, code) {
             (429 | 403, Some(code)) if spent.contains(&code) => Self::Quota,

@@ -152,7 +152,10 @@ mod tests {
     fn what_is_wrong_has_a_name() {
         for (text, fault) in [
             ("{\"a\": 1, \"a\": 1}", Fault::DuplicateKeys),
-            ("[{\"x\": {\"a\": 1, \"b\": 2, \"a\": 3}}]", Fault::DuplicateKeys),
+            (
+                "[{\"x\": {\"a\": 1, \"b\": 2, \"a\": 3}}]",
+                Fault::DuplicateKeys,
+            ),
             ("[[[[1]]]]", Fault::TooDeep),
             ("{\"a\": [", Fault::Truncated),
             ("\"abc", Fault::Truncated),

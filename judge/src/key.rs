@@ -53,7 +53,9 @@ pub enum KeyError {
         mode: u32,
     },
     /// The file is somebody else's.
-    #[error("{path}: this key file belongs to user {owner}, not to you ({us}); make a copy of your own")]
+    #[error(
+        "{path}: this key file belongs to user {owner}, not to you ({us}); make a copy of your own"
+    )]
     Owner {
         /// The file.
         path: PathBuf,
@@ -242,7 +244,10 @@ mod tests {
         let set = [("OPENAI_API_KEY", SECRET)];
         let openai = at("https://api.openai.com/v1", &set).expect("a key");
         assert_eq!(openai.expect("a key").0.as_str(), SECRET);
-        for other in ["http://127.0.0.1:8080/v1", "https://api.openai.com.example/v1"] {
+        for other in [
+            "http://127.0.0.1:8080/v1",
+            "https://api.openai.com.example/v1",
+        ] {
             assert!(at(other, &set).expect("fine").is_none(), "{other}");
         }
         let error = at("https://api.openai.com/v1", &[]).expect_err("missing");
@@ -252,10 +257,19 @@ mod tests {
     #[test]
     fn no_key_travels_in_the_clear_unasked() {
         let set = [("VLAPS_VLM_KEY", SECRET)];
-        for server in ["http://127.0.0.1:1/v1", "http://[::1]:1", "http://localhost", "https://x"] {
+        for server in [
+            "http://127.0.0.1:1/v1",
+            "http://[::1]:1",
+            "http://localhost",
+            "https://x",
+        ] {
             assert!(at(server, &set).expect(server).is_some(), "{server}");
         }
-        for server in ["http://10.0.0.7:8000/v1", "http://gpu/v1", "http://localhost.example"] {
+        for server in [
+            "http://10.0.0.7:8000/v1",
+            "http://gpu/v1",
+            "http://localhost.example",
+        ] {
             let error = at(server, &set).expect_err(server).to_string();
             assert!(error.contains("vlm.key_over_http"), "{error}");
             assert!(at(server, &[]).expect("none, none sent").is_none());
@@ -264,7 +278,11 @@ mod tests {
             key_over_http: true,
             ..Vlm::default()
         };
-        assert!(find(&allowed, "http://gpu/v1", &set).expect("allowed").is_some());
+        assert!(
+            find(&allowed, "http://gpu/v1", &set)
+                .expect("allowed")
+                .is_some()
+        );
     }
 
     #[test]
@@ -290,7 +308,9 @@ mod tests {
         let long = "k".repeat(KEY_BYTES_MAX + 1);
         for text in ["", "\n", "two words", "line\nline", "clé", long.as_str()] {
             let vlm = file(folder.path(), text, 0o600);
-            let error = find(&vlm, "https://x/v1", &[]).expect_err("refused").to_string();
+            let error = find(&vlm, "https://x/v1", &[])
+                .expect_err("refused")
+                .to_string();
             assert!(error.contains("no key"), "{error}");
             assert!(text.trim().is_empty() || !error.contains(text), "{error}");
         }

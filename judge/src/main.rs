@@ -43,7 +43,9 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
     if let Some(mishap) = arguments.fault {
         let share = arguments.fault_share;
         let mishap = mishap.word();
-        say(format_args!("it breaks at a share of {share} of its questions: {mishap}"));
+        say(format_args!(
+            "it breaks at a share of {share} of its questions: {mishap}"
+        ));
     }
     stop.forever().next();
     say(format_args!("answered {} questions", server.requests()));

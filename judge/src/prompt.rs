@@ -217,7 +217,11 @@ mod tests {
 
     #[test]
     fn the_colours_named_are_the_showings_in_its_order() {
-        let presets = [PromptPreset::Blind, PromptPreset::Paper, PromptPreset::PaperAppendix];
+        let presets = [
+            PromptPreset::Blind,
+            PromptPreset::Paper,
+            PromptPreset::PaperAppendix,
+        ];
         for preset in presets {
             for showing in showings() {
                 let prompt = Prompt::new(preset, showing, View::Ego, 3.0);

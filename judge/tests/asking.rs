@@ -133,7 +133,11 @@ fn no_minute_has_more_requests_than_allowed() {
         ..vlm(server.url())
     });
     let faults: Vec<_> = (0..5)
-        .map(|_| ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S).reply.err())
+        .map(|_| {
+            ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S)
+                .reply
+                .err()
+        })
         .collect();
     let own = Some(Fault::OwnRate);
     assert_eq!(faults, [None, None, None, own, own]);
@@ -180,7 +184,7 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
     let asker = asker(&Vlm {
         attempts_max: 1,
         breaker_failures: 2,
-        breaker_open_s: 0.2,
+        breaker_open_s: 2.0,
         ..vlm(server.url())
     });
     let next = || {
@@ -193,6 +197,7 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
     let mut alone = 0;
     while next() == (Some(Fault::BreakerOpen), 0) {
         alone += 1;
+        runtime().block_on(async { tokio::time::sleep(Duration::from_millis(50)).await });
     }
     assert!(alone > 0, "left alone");
     assert_eq!(server.requests(), asked + 1, "one question tries it");
@@ -206,7 +211,11 @@ fn the_stand_in_says_429_when_it_is_asked_too_often() {
     });
     let asker = asker(&vlm(server.url()));
     for _ in 0..2 {
-        assert!(ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S).reply.is_ok());
+        assert!(
+            ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S)
+                .reply
+                .is_ok()
+        );
     }
     // A minute is longer than the deadline, so nobody waits for it.
     let asked = ask(&asker, &prompt(BLIND), &red_ahead(), 5.0);
@@ -245,13 +254,19 @@ fn flaws_have_the_share_they_were_given() {
         seed: 1,
         ..Options::default()
     });
-    assert!(near(second, 0.3) && first + second == 200, "{first} {second} {similar}");
+    assert!(
+        near(second, 0.3) && first + second == 200,
+        "{first} {second} {similar}"
+    );
     let [first, second, similar] = counts(Options {
         abstain: 0.4,
         seed: 2,
         ..Options::default()
     });
-    assert!(near(similar, 0.4) && second == 0, "{first} {second} {similar}");
+    assert!(
+        near(similar, 0.4) && second == 0,
+        "{first} {second} {similar}"
+    );
     // Eyes that see the second path as the safer one.
     let [first, second, similar] = counts(Options {
         noise: 1.0,
@@ -259,7 +274,10 @@ fn flaws_have_the_share_they_were_given() {
         seed: 3,
         ..Options::default()
     });
-    assert!(near(first, 0.72) && similar == 0, "{first} {second} {similar}");
+    assert!(
+        near(first, 0.72) && similar == 0,
+        "{first} {second} {similar}"
+    );
 }
 
 #[test]
@@ -280,7 +298,9 @@ fn it_breaks_at_its_share_of_the_questions() {
         })
         .collect();
     let good = replies.iter().filter(|reply| **reply == Ok(Reply::First));
-    let refused = replies.iter().filter(|reply| **reply == Err(Fault::Refused));
+    let refused = replies
+        .iter()
+        .filter(|reply| **reply == Err(Fault::Refused));
     let (good, refused) = (good.count(), refused.count());
     assert_eq!(good + refused, 60, "{replies:?}");
     assert!((15..=45).contains(&good), "{good} of 60");
@@ -299,7 +319,12 @@ fn it_says_that_it_is_no_model_and_ends_when_it_is_dropped() {
         let client = reqwest::Client::builder().no_proxy().tls_certs_only([]);
         runtime().block_on(async move {
             let _ = rustls::crypto::ring::default_provider().install_default();
-            let response = client.build().expect("a client").get(address).send().await?;
+            let response = client
+                .build()
+                .expect("a client")
+                .get(address)
+                .send()
+                .await?;
             response.text().await
         })
     };

@@ -83,7 +83,11 @@ fn a_negative_temperature_is_left_to_the_server() {
         temperature: -1.0,
         ..Vlm::default()
     };
-    let bytes = body(&vlm, &shared::prompt(PromptPreset::Blind), &shared::red_ahead());
+    let bytes = body(
+        &vlm,
+        &shared::prompt(PromptPreset::Blind),
+        &shared::red_ahead(),
+    );
     let body: Value = serde_json::from_slice(&bytes).expect("JSON");
     assert_eq!(body.get("temperature"), None);
     assert_eq!(body["model"], "gpt-4o-mini");

@@ -177,7 +177,12 @@ fn the_blind_prompt_is_as_strict() {
 
 fn ask_at(server: String) -> (Asker, judge::Asked) {
     let asker = asker(&vlm(server));
-    let asked = ask(&asker, &prompt(PromptPreset::Blind), &red_ahead(), PATIENCE_S);
+    let asked = ask(
+        &asker,
+        &prompt(PromptPreset::Blind),
+        &red_ahead(),
+        PATIENCE_S,
+    );
     (asker, asked)
 }
 
@@ -214,7 +219,10 @@ fn a_gigabyte_is_not_read() {
     assert_eq!(asked.reply, Err(Fault::TooLarge));
     // What was read, and what the kernel's buffers between both have taken.
     let sent = server.bytes_sent();
-    assert!(sent < 50_000_000, "{sent} bytes were taken of 1,000,000,000");
+    assert!(
+        sent < 50_000_000,
+        "{sent} bytes were taken of 1,000,000,000"
+    );
     let server = broken(Mishap::HugeLength);
     let (_, asked) = ask_at(server.url());
     assert_eq!(asked.reply, Err(Fault::TooLarge));
@@ -232,7 +240,8 @@ fn a_server_that_wants_an_hour_of_peace_has_it() {
 
 #[test]
 fn every_fault_has_a_word_of_its_own_and_is_never_an_answer() {
-    let words: std::collections::BTreeSet<_> = Fault::ALL.iter().map(|fault| fault.word()).collect();
+    let words: std::collections::BTreeSet<_> =
+        Fault::ALL.iter().map(|fault| fault.word()).collect();
     assert_eq!(words.len(), Fault::ALL.len());
     for fault in Fault::ALL {
         assert!(!fault.is_permanent() || !fault.is_retryable(), "{fault:?}");

@@ -50,15 +50,27 @@ fn no_log_line_and_no_record_holds_the_key() {
         .expect("started");
         let key = |name: &str| (name == "VLAPS_VLM_KEY").then(|| SECRET.to_string());
         let asker = Asker::with_environment(&vlm(server.url()), key).expect("usable");
-        let asked = ask(&asker, &prompt(PromptPreset::Blind), &red_ahead(), PATIENCE_S);
+        let asked = ask(
+            &asker,
+            &prompt(PromptPreset::Blind),
+            &red_ahead(),
+            PATIENCE_S,
+        );
         assert_eq!(asked.reply, Err(Fault::Unauthorized));
-        assert!(asked.said.contains("Bearer (key)"), "it was sent: {}", asked.said);
+        assert!(
+            asked.said.contains("Bearer (key)"),
+            "it was sent: {}",
+            asked.said
+        );
         format!("{asker:?} {asked:?}")
     });
     let log = String::from_utf8(log.0.lock().expect("whole").clone()).expect("UTF-8");
     assert!(log.contains("http_401"), "something was logged: {log}");
     for text in [seen, log] {
-        assert!(!text.contains(SECRET) && !text.contains("sk-test"), "{text}");
+        assert!(
+            !text.contains(SECRET) && !text.contains("sk-test"),
+            "{text}"
+        );
     }
 }
 
@@ -71,7 +83,12 @@ fn the_key_does_not_follow_a_redirect() {
     .expect("started");
     let key = |_: &str| Some(SECRET.to_string());
     let asker = Asker::with_environment(&vlm(server.url()), key).expect("usable");
-    let asked = ask(&asker, &prompt(PromptPreset::Blind), &red_ahead(), PATIENCE_S);
+    let asked = ask(
+        &asker,
+        &prompt(PromptPreset::Blind),
+        &red_ahead(),
+        PATIENCE_S,
+    );
     assert_eq!((asked.reply, asked.attempts), (Err(Fault::Redirect), 1));
     assert_eq!(server.requests(), 1, "nobody asked where it points");
 }

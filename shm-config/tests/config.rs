@@ -197,7 +197,14 @@ fn metadrive_has_one_rate() {
 
 #[test]
 fn a_models_server_is_an_address_and_holds_no_key() {
-    for server in ["", "127.0.0.1:8080", "ftp://x/v1", "http://", "http://a b/v1", "http://x/?a=1"] {
+    for server in [
+        "",
+        "127.0.0.1:8080",
+        "ftp://x/v1",
+        "http://",
+        "http://a b/v1",
+        "http://x/?a=1",
+    ] {
         let text = error(&format!("[vlm]\nserver = \"{server}\"\n"));
         assert!(text.contains("vlm.server"), "{text}");
     }

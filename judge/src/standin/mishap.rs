@@ -169,7 +169,9 @@ impl Mishap {
             return vec![Step::Send(ok(body.to_string().as_bytes()))];
         }
         let content = self.content(preset);
-        vec![Step::Send(ok(completion(&content, 100).to_string().as_bytes()))]
+        vec![Step::Send(ok(completion(&content, 100)
+            .to_string()
+            .as_bytes()))]
     }
 
     /// Those that are below HTTP, or about its body's bytes.
@@ -192,7 +194,11 @@ impl Mishap {
                 vec![Step::Send(ok(&bytes))]
             }
             Self::ContentType => {
-                vec![Step::Send(response("200 OK", "content-type: text/html\r\n", good))]
+                vec![Step::Send(response(
+                    "200 OK",
+                    "content-type: text/html\r\n",
+                    good,
+                ))]
             }
             Self::HugeBody => {
                 let head = format!("HTTP/1.1 200 OK\r\n{json}transfer-encoding: chunked\r\n\r\n");
@@ -220,7 +226,11 @@ impl Mishap {
         };
         let many = |headers: &str| plain("429 Too Many Requests", headers, "rate_limit_exceeded");
         match self {
-            Self::Redirect => plain("307 Temporary Redirect", "location: /v1/elsewhere\r\n", "moved"),
+            Self::Redirect => plain(
+                "307 Temporary Redirect",
+                "location: /v1/elsewhere\r\n",
+                "moved",
+            ),
             Self::BadRequest => plain("400 Bad Request", "", "invalid_request_error"),
             Self::Unauthorized => {
                 let why = format!("incorrect API key provided: {authorization}");
@@ -239,7 +249,11 @@ impl Mishap {
                 "date: Sun, 06 Nov 1994 08:49:37 GMT\r\nretry-after: Sun, 06 Nov 1994 08:49:38 GMT\r\n",
             ),
             Self::RetryAfterLong => many("retry-after: 3600\r\n"),
-            Self::Quota => plain("429 Too Many Requests", "retry-after: 1\r\n", "insufficient_quota"),
+            Self::Quota => plain(
+                "429 Too Many Requests",
+                "retry-after: 1\r\n",
+                "insufficient_quota",
+            ),
             Self::ServerError => plain("500 Internal Server Error", "", "server_error"),
             Self::BadGateway => Some(response(
                 "502 Bad Gateway",

@@ -102,7 +102,9 @@ impl Shared {
     fn new(options: Options) -> Self {
         Self {
             random: Mutex::new(Xoshiro256PlusPlus::seed_from_u64(options.seed)),
-            rate: options.rate_per_minute.map(|limit| Mutex::new(Rate::new(limit))),
+            rate: options
+                .rate_per_minute
+                .map(|limit| Mutex::new(Rate::new(limit))),
             begun: Instant::now(),
             requests: AtomicU64::new(0),
             bytes_sent: AtomicU64::new(0),

@@ -15,8 +15,8 @@ use shm_config::config::PromptPreset;
 
 use super::question::Question;
 use super::{NAME, Shared, Sighting};
-use crate::prompt::{LETTERS, SIMILAR};
 use crate::Reply;
+use crate::prompt::{LETTERS, SIMILAR};
 
 /// Longest request that is read.
 const REQUEST_BYTES_MAX: usize = 64 << 20;
@@ -91,8 +91,8 @@ fn answer(shared: &Shared, body: &[u8]) -> Result<Value, String> {
         .eyes
         .look(&question.picture, question.hues, question.view);
     // Always drawn, so that one flaw does not change what another hits.
-    let [turned, first, abstains] = [options.noise, options.first_bias, options.abstain]
-        .map(|share| shared.draw() < share);
+    let [turned, first, abstains] =
+        [options.noise, options.first_bias, options.abstain].map(|share| shared.draw() < share);
     let reply = match seen.reply {
         _ if abstains => Reply::Similar,
         _ if first => Reply::First,

@@ -42,7 +42,11 @@ pub fn asker(vlm: &Vlm) -> Asker {
 /// A red path straight ahead and a blue one that leaves to the right, or the
 /// other way round.
 pub fn picture(ahead: Hue, format: ImageFormat) -> Picture {
-    let aside = if ahead == Hue::Red { Hue::Blue } else { Hue::Red };
+    let aside = if ahead == Hue::Red {
+        Hue::Blue
+    } else {
+        Hue::Red
+    };
     let mut image = RgbImage::from_pixel(120, 100, Rgb([90, 92, 95]));
     for row in 10..100_u32 {
         let right = 60 + (100 - row) / 2;
@@ -58,7 +62,11 @@ pub fn picture(ahead: Hue, format: ImageFormat) -> Picture {
         .expect("encoded");
     Picture {
         bytes,
-        mime: if format == ImageFormat::Png { "image/png" } else { "image/jpeg" },
+        mime: if format == ImageFormat::Png {
+            "image/png"
+        } else {
+            "image/jpeg"
+        },
         width_px: 120,
         height_px: 100,
     }
