@@ -17,14 +17,16 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Serve a stand-in for a vision-language model; it is no model
+    ///
+    /// For tests and offline work: it speaks the OpenAI-compatible protocol over
+    /// HTTP, and judges by coloured pixels alone which of the two paths in the
+    /// picture is safer. Set vlm.server to http://127.0.0.1:PORT/v1 to have it
+    /// asked.
+    #[command(allow_negative_numbers = true)]
     Server(ServerArguments),
 }
 
-/// Serve a stand-in for a vision-language model, for tests and offline work.
-///
-/// It is no model: it speaks the OpenAI-compatible protocol over HTTP, and judges
-/// by coloured pixels alone which of the two paths in the picture is safer. Point
-/// vlm.server at http://127.0.0.1:PORT/v1 to have it asked.
+/// How the stand-in is.
 #[derive(Debug, Args)]
 pub struct ServerArguments {
     /// Where to listen, on this machine alone; 0 for any free port
