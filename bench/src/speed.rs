@@ -12,6 +12,7 @@ use vehicle::Action;
 
 use crate::arguments::Sim;
 use crate::metadrive::{Attempt, Measured, measure};
+use crate::photography;
 use crate::report::{say, table, write_json};
 use crate::seat::keep_lane;
 
@@ -62,6 +63,8 @@ pub struct Speed {
     pub rows: Vec<Row>,
     /// Bytes that one world holds with its observation.
     pub bytes_per_world: BytesPerWorld,
+    /// What a picture costs.
+    pub frames: Vec<photography::Row>,
     /// Ours on one core over MetaDrive's on one core; none when it was absent.
     pub times_metadrive: Option<f64>,
     /// How it was measured.
@@ -132,6 +135,7 @@ pub fn bench(arguments: &Sim, gauges: Gauges) -> anyhow::Result<()> {
     rows.push(batch(&world, task, cores, gauges)?);
     let speed = Speed {
         rows,
+        frames: photography::measure(&world, first_seed, gauges)?,
         bytes_per_world,
         times_metadrive,
         conditions,
@@ -198,6 +202,7 @@ fn print(speed: &Speed) {
         mean.div_ceil(1024),
         worst.div_ceil(1024)
     ));
+    say(photography::printed(&speed.frames));
 }
 
 /// The one-minute load, where the system tells.

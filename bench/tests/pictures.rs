@@ -1,11 +1,17 @@
-//! `draw plan`.
+//! `draw plan` and `draw frame`.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use shm_config::palette;
+
 fn draw(words: &[&str]) -> Output {
+    draw_what("plan", words)
+}
+
+fn draw_what(what: &str, words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
-        .args(["draw", "plan"])
+        .args(["draw", what])
         .args(words)
         .output()
         .expect("the program starts")
@@ -97,6 +103,67 @@ fn mistakes_are_named() {
         (&["--run", "nobody"], 1, no_run),
     ] {
         let output = draw(words);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{words:?}: {text}");
+        assert!(text.contains(hint), "{words:?}: {text}");
+    }
+}
+
+/// Draws what the camera sees; width, height and pixels of the file.
+fn frame(name: &str, words: &[&str]) -> (u32, u32, Vec<u8>) {
+    let path = scratch(name);
+    let file = path.display().to_string();
+    let output = draw_what("frame", &[words, &["--out", &file]].concat());
+    assert!(output.status.success(), "{words:?}: {output:?}");
+    let file = std::fs::File::open(&path).expect("the picture");
+    let mut reader = png::Decoder::new(std::io::BufReader::new(file))
+        .read_info()
+        .expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size()];
+    let info = reader.next_frame(&mut pixels).expect("its pixels");
+    (info.width, info.height, pixels)
+}
+
+#[test]
+fn frames_are_what_the_camera_sees_at_the_tick() {
+    let words = ["--seed", "103", "--driver", "lane", "--tick"];
+    let has = |pixels: &[u8], color: [u8; 3]| pixels.chunks_exact(3).any(|p| p == color);
+    let (width, height, above) = frame("above.png", &[&words[..], &["40"]].concat());
+    assert_eq!((width, height, above.len()), (480, 480, 480 * 480 * 3));
+    assert!(has(&above, palette::ROAD) && has(&above, palette::EGO));
+    assert!(!has(&above, palette::SKY), "from above there is none");
+    let ahead = [&words[..], &["40", "--view", "ego", "--width", "640"]].concat();
+    let (width, height, ahead) = frame("ahead.png", &ahead);
+    assert_eq!((width, height), (640, 480));
+    assert!(has(&ahead, palette::ROAD) && has(&ahead, palette::SKY));
+    let (_, _, later) = frame("later.png", &[&words[..], &["0"]].concat());
+    assert!(later != above, "another tick is another picture");
+}
+
+#[test]
+fn mistakes_about_frames_are_named() {
+    for (words, code, hint) in [
+        (&["--seed", "3"][..], 2, "--tick"),
+        (
+            &["--seed", "3", "--tick", "1", "--view", "side"],
+            2,
+            "top_down",
+        ),
+        (&["--seed", "3", "--tick", "1", "--width", "63"], 2, "64"),
+        (
+            &[
+                "--seed", "3", "--tick", "1", "--width", "961", "--height", "720",
+            ],
+            1,
+            "960 x 720",
+        ),
+        (
+            &["--seed", "103", "--tick", "999999", "--driver", "lane"],
+            1,
+            "ends at",
+        ),
+    ] {
+        let output = draw_what("frame", words);
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{words:?}: {text}");
         assert!(text.contains(hint), "{words:?}: {text}");

@@ -97,7 +97,7 @@ mod tests {
             }
             let within = |at: &Duration| {
                 let window = *at..*at + MINUTE;
-                made.iter().filter(|other| window.contains(other)).count()
+                made.iter().filter(|&other| window.contains(other)).count()
             };
             let most = made.iter().map(within).max().expect("requests");
             assert_eq!(most, per_minute as usize, "reached, never passed");

@@ -145,6 +145,17 @@ pub enum Verdict {
     Failed,
 }
 
+impl From<gate::Answer> for Verdict {
+    fn from(answer: gate::Answer) -> Self {
+        match answer {
+            gate::Answer::Expert => Self::Expert,
+            gate::Answer::Policy => Self::Policy,
+            gate::Answer::Abstain => Self::Abstain,
+            gate::Answer::Failed(_) => Self::Failed,
+        }
+    }
+}
+
 /// What the simulator says would have happened had a proposal been held.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Outlook {
@@ -178,7 +189,8 @@ pub struct Aftermath {
     pub brake: u32,
     /// Ticks in which the judge in the tick vetoed whose turn it was.
     pub vetoed: u32,
-    /// Least distance to a lidar return at the front of the car, m.
+    /// Least clearance that the judge in the tick measured of the rollout of
+    /// whoever drove, m; of the expert's while the brake did.
     pub clearance_m: f64,
     /// The episode ended meanwhile.
     pub ended: bool,

@@ -108,6 +108,17 @@ impl Showing {
         }
     }
 
+    /// What the first path and the second are called.
+    pub const LETTERS: [char; 2] = ['A', 'B'];
+
+    /// What somebody's path is called.
+    pub fn letter(self, party: Party) -> char {
+        match party == self.first {
+            true => Self::LETTERS[0],
+            false => Self::LETTERS[1],
+        }
+    }
+
     /// The colour of somebody's path.
     pub fn hue(self, party: Party) -> Hue {
         match party == self.first {

@@ -7,6 +7,7 @@ pub mod config;
 pub mod histogram;
 pub mod layout;
 pub mod message;
+pub mod palette;
 pub mod python;
 pub mod run;
 pub mod services;

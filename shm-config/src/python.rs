@@ -9,10 +9,12 @@ use std::fmt::Write;
 use crate::histogram::{BUCKETS, HALF_SHIFT, UNIT_SHIFT};
 use crate::layout::Layout;
 use crate::message::{
-    Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FUTURE_TOLERANCE_NS, Frame, Grant,
-    Header, Health, HealthState, Histogram, Observation, Outcome, PixelFormat, Progress, Reason,
-    Road, Timing, View,
+    Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FRAME_BYTES_MAX, FRAME_SIDES_PX,
+    FUTURE_TOLERANCE_NS, Frame, FrameRequest, Grant, Header, Health, HealthState, Histogram,
+    Observation, Outcome, PixelFormat, Progress, Proposal, Reason, Road, TOP_DOWN_ACROSS_M,
+    TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, Timing, View,
 };
+use crate::palette;
 use crate::run;
 use crate::services::{self, Process, Service};
 use crate::wire::{LAYOUT_KEY, NODES_MAX, PUBLISHERS_MAX, SUBSCRIBERS_MAX};
@@ -29,6 +31,7 @@ pub fn module() -> String {
     let mut out = String::from(TITLE);
     out.push_str("\nimport ctypes\nfrom collections import namedtuple\n");
     limits(&mut out);
+    colours(&mut out);
     word_list(
         &mut out,
         "Process",
@@ -75,11 +78,14 @@ pub fn module() -> String {
     message::<Timing>(&mut out);
     message::<Camera>(&mut out);
     message::<Frame>(&mut out);
+    message::<Proposal>(&mut out);
+    message::<FrameRequest>(&mut out);
     out.push_str(
         "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history\")\n\n",
     );
     service(&mut out, "OBSERVATION", &services::OBSERVATION);
     service(&mut out, "COMMAND", &services::COMMAND);
+    service(&mut out, "FRAME_REQUEST", &services::FRAME_REQUEST);
     service(&mut out, "FRAME", &services::FRAME);
     service(&mut out, "PROGRESS", &services::PROGRESS);
     service(&mut out, "EPISODE", &services::EPISODE);
@@ -103,6 +109,19 @@ fn limits(out: &mut String) {
     line("HISTOGRAM_UNIT_SHIFT", UNIT_SHIFT.to_string());
     line("HISTOGRAM_HALF_SHIFT", HALF_SHIFT.to_string());
     line("HISTOGRAM_BUCKETS", BUCKETS.to_string());
+    line("FRAME_BYTES_MAX", FRAME_BYTES_MAX.to_string());
+    line("FRAME_SIDE_MIN_PX", FRAME_SIDES_PX.start().to_string());
+    line("FRAME_SIDE_MAX_PX", FRAME_SIDES_PX.end().to_string());
+    line("TOP_DOWN_ACROSS_M", format!("{TOP_DOWN_ACROSS_M:?}"));
+    line("TOP_DOWN_AHEAD", format!("{TOP_DOWN_AHEAD:?}"));
+    line("TOP_DOWN_HEIGHT_M", format!("{TOP_DOWN_HEIGHT_M:?}"));
+}
+
+fn colours(out: &mut String) {
+    line(out, "\n\nclass Palette:");
+    for (name, [red, green, blue]) in palette::ALL {
+        line(out, &format!("    {name} = ({red}, {green}, {blue})"));
+    }
 }
 
 fn line(out: &mut String, text: &str) {

@@ -8,7 +8,9 @@
 //! | `step` | controller | gate, learner, supervisor | the record of one tick; a queue |
 //! | `advice` | gate | controller | who should drive, until when |
 //! | `takeover` | supervisor | controller | what a person at the keys wants, at 20 Hz; wakes nobody: a tick takes the newest |
+//! | `frame_request` | gate | world | which picture is wanted; wakes nobody: a thread beside the tick looks for it |
 //! | `frame` | world | gate | a picture of the scene, on demand |
+//! | `foresight` | world | gate | what holding either proposal would lead to; a simulator's, for the record alone |
 //! | `weights` | learner, `swap` | controller | a policy file offered for adoption; wakes nobody: a thread beside the tick looks for it |
 //! | `learning` | learner | controller | how far the learner is |
 //! | `policy_status` | controller | learner, supervisor | what became of it |
@@ -20,8 +22,8 @@
 use std::marker::PhantomData;
 
 use crate::message::{
-    Advice, Command, Episode, Frame, Health, Learning, Observation, Plan, PolicyStatus, Progress,
-    Step, Takeover, Timing, Weights,
+    Advice, Command, Episode, Foresight, Frame, FrameRequest, Health, Learning, Observation, Plan,
+    PolicyStatus, Progress, Step, Takeover, Timing, Weights,
 };
 
 crate::word_list! {
@@ -128,8 +130,15 @@ pub const ADVICE: Service<Advice> = Service::custom("advice", P::Gate, &[P::Cont
 /// What a person at the keys wants. No bell rings: a tick takes the newest, and
 /// has no use for being woken twenty times a second.
 pub const TAKEOVER: Service<Takeover> = Service::custom("takeover", P::Supervisor, &[], Latest);
+/// Which picture is wanted. No bell rings: it would wake the tick's thread, and the
+/// photographer beside it looks every few milliseconds.
+pub const FRAME_REQUEST: Service<FrameRequest> =
+    Service::custom("frame_request", P::Gate, &[], Latest);
 /// A picture of the scene.
 pub const FRAME: Service<Frame> = Service::custom("frame", P::World, &[P::Gate], Latest);
+/// What holding either proposal would lead to; for the record alone.
+pub const FORESIGHT: Service<Foresight> =
+    Service::custom("foresight", P::World, &[P::Gate], Latest);
 /// A policy file offered for adoption. No bell rings: it would wake the tick's
 /// thread, and the loader beside it looks every few milliseconds.
 pub const WEIGHTS: Service<Weights> = Service::custom("weights", P::Learner, &[], Latest);

@@ -14,7 +14,9 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 
-use crate::message::{Header, Message, WEIGHTS_BYTES_MAX, Weights};
+use crate::message::{
+    Camera, FRAME_BYTES_MAX, Frame, Header, Message, PixelFormat, WEIGHTS_BYTES_MAX, Weights,
+};
 use crate::run::{LIBRARY_DIR, RunError, RunLock, RunName, RunPaths};
 use crate::services::{Process, Service};
 
@@ -350,37 +352,30 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-impl Publisher<Weights> {
-    /// Publishes a policy file, written where it will be read: 8 MB do not
-    /// belong on a stack. Returns whether it went out; it does not when it is
-    /// over [`WEIGHTS_BYTES_MAX`] or shared memory is exhausted.
-    pub fn offer(&mut self, version: u64, sha256: [u8; 32], file: &[u8]) -> bool {
-        if file.len() > WEIGHTS_BYTES_MAX {
-            return false;
-        }
+impl<M: Message> Publisher<M> {
+    /// Publishes a message that is written where it will be read, over zeros:
+    /// megabytes do not belong on a stack. Returns whether it went out.
+    fn send_written(&mut self, write: impl FnOnce(&mut M)) -> bool
+    where
+        M: Numbers,
+    {
         self.sequence += 1;
-        let header = Header {
-            sequence: self.sequence,
-            producer: self.producer,
-            ..Header::default()
-        };
+        let (sequence, producer) = (self.sequence, self.producer);
         let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
         let Some(mut room) = room else {
             return false;
         };
         // SAFETY: the pointer is to the room's payload, which is ours alone until
-        // it is sent; `Weights` is made of integers and arrays of them, so all
-        // zeros are one, and the rest is written over it.
+        // it is sent; `Numbers` is only said of messages made of numbers and arrays
+        // of them, so all zeros are one, and the rest is written over it.
         #[allow(unsafe_code)]
         let room = unsafe {
             let payload = room.payload_mut().as_mut_ptr();
             payload.write_bytes(0, 1);
-            let weights = &mut *payload;
-            weights.header = header;
-            weights.version = version;
-            weights.byte_count = file.len() as u64;
-            weights.sha256 = sha256;
-            weights.bytes[..file.len()].copy_from_slice(file);
+            let message = &mut *payload;
+            write(message);
+            let header = message.header_mut();
+            (header.sequence, header.producer) = (sequence, producer);
             room.assume_init()
         };
         let sent = room.send().is_ok();
@@ -388,6 +383,43 @@ impl Publisher<Weights> {
             let _ = bell.notify();
         }
         sent
+    }
+}
+
+/// Messages of megabytes. They are made of numbers and arrays of them alone.
+trait Numbers {}
+impl Numbers for Weights {}
+impl Numbers for Frame {}
+
+impl Publisher<Weights> {
+    /// Publishes a policy file. Returns whether it went out; it does not when it is
+    /// over [`WEIGHTS_BYTES_MAX`] or shared memory is exhausted.
+    pub fn offer(&mut self, version: u64, sha256: [u8; 32], file: &[u8]) -> bool {
+        file.len() <= WEIGHTS_BYTES_MAX
+            && self.send_written(|weights| {
+                weights.version = version;
+                weights.byte_count = file.len() as u64;
+                weights.sha256 = sha256;
+                weights.bytes[..file.len()].copy_from_slice(file);
+            })
+    }
+}
+
+impl Publisher<Frame> {
+    /// Publishes a picture of that width, pixels row by row from the top, in three bytes a
+    /// pixel. Returns whether it went out; it does not when it is over
+    /// [`FRAME_BYTES_MAX`] or shared memory is exhausted.
+    pub fn show(&mut self, header: Header, camera: Camera, width: u32, rgb: &[u8]) -> bool {
+        let row_bytes = width as usize * 3;
+        row_bytes > 0
+            && rgb.len() <= FRAME_BYTES_MAX
+            && rgb.len().is_multiple_of(row_bytes)
+            && self.send_written(|frame| {
+                (frame.header, frame.camera) = (header, camera);
+                (frame.width, frame.height) = (width, (rgb.len() / row_bytes) as u32);
+                frame.format = PixelFormat::Rgb8.code();
+                frame.pixels[..rgb.len()].copy_from_slice(rgb);
+            })
     }
 }
 

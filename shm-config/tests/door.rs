@@ -260,6 +260,150 @@ fn age_and_future_are_judged_to_the_nanosecond() {
     }
 }
 
+fn frame_request() -> FrameRequest {
+    FrameRequest {
+        view: View::Ego.code(),
+        width: 960,
+        height: 720,
+        ..FrameRequest::default()
+    }
+}
+
+#[test]
+fn requests_for_frames() {
+    assert_eq!(frame_request().check(), Ok(()));
+    assert_eq!(frame_request().actions(), None, "no proposals, no actions");
+    for (width, height) in [(0, 480), (480, 0), (63, 480), (480, 2049), (u32::MAX, 1)] {
+        let refusal = refused(frame_request(), |r| (r.width, r.height) = (width, height));
+        assert!(
+            matches!(refusal, Refusal::OutOfRange { .. }),
+            "{width} x {height}"
+        );
+    }
+    let refusal = refused(frame_request(), |r| r.height = 721);
+    assert!(
+        matches!(refusal, Refusal::OverCapacity { .. }),
+        "one row too many: {refusal}"
+    );
+    assert_eq!(
+        refused(frame_request(), |r| r.view = 2),
+        Refusal::UnknownCode {
+            field: "view",
+            code: 2
+        }
+    );
+    assert_eq!(
+        refused(frame_request(), |r| r.proposals[1].steer = f64::NAN),
+        Refusal::NotFinite {
+            field: "proposals[1]"
+        }
+    );
+    assert!(matches!(
+        refused(frame_request(), |r| r.proposals[0].pedal = -1.5),
+        Refusal::OutOfRange { .. }
+    ));
+}
+
+#[test]
+fn foresight() {
+    let outlook = Outlook {
+        contact_s: 1.2,
+        out_s: 3.0,
+        completion: -0.01,
+    };
+    let good = Foresight {
+        horizon_s: 3.0,
+        outlooks: [outlook; 2],
+        ..Foresight::default()
+    };
+    type Set = fn(&mut Foresight, f64);
+    let fields: [(&str, Set); 4] = [
+        ("horizon_s", |f, v| f.horizon_s = v),
+        ("contact_s", |f, v| f.outlooks[0].contact_s = v),
+        ("out_s", |f, v| f.outlooks[1].out_s = v),
+        ("completion", |f, v| f.outlooks[1].completion = v),
+    ];
+    for (field, set) in fields {
+        for value in [f64::NAN, f64::INFINITY] {
+            let refusal = refused(good, |f| set(f, value));
+            assert_eq!(refusal, Refusal::NotFinite { field }, "{value}");
+        }
+        for value in [-1.1, 60.1] {
+            let refusal = refused(good, |f| set(f, value));
+            assert!(
+                matches!(refusal, Refusal::OutOfRange { field: f, .. } if f == field),
+                "{field} = {value}: {refusal}"
+            );
+        }
+    }
+    let refusal = refused(good, |f| f.outlooks[0].out_s = 3.1);
+    assert!(
+        matches!(refusal, Refusal::OutOfRange { .. }),
+        "later than the horizon"
+    );
+}
+
+#[test]
+fn cameras_of_frames() {
+    let refusal = |spoil: fn(&mut Camera)| {
+        let mut camera = Camera::top_down([480, 480]);
+        assert_eq!(camera.check(), Ok(()));
+        spoil(&mut camera);
+        camera.check().err()
+    };
+    assert_eq!(
+        refusal(|camera| camera.pixel_from_body[11] = f64::NAN),
+        Some(Refusal::NotFinite {
+            field: "camera.pixel_from_body"
+        })
+    );
+    assert_eq!(
+        refusal(|camera| camera.orthographic = 2),
+        Some(Refusal::UnknownCode {
+            field: "camera.orthographic",
+            code: 2
+        })
+    );
+    assert!(refusal(|camera| camera.near_m = -1.0).is_some());
+    assert!(refusal(|camera| camera.position_body_m[2] = f64::INFINITY).is_some());
+    assert!(refusal(|camera| camera.view = 9).is_some());
+}
+
+/// A frame is copied on the way, two megabytes each time.
+const STACK_BYTES: usize = 64 << 20;
+
+#[test]
+fn frames() {
+    let look = || {
+        let good = Frame {
+            header: Header::default(),
+            camera: Camera::top_down([960, 720]),
+            width: 960,
+            height: 720,
+            format: PixelFormat::Rgb8.code(),
+            reserved: 0,
+            pixels: [0; FRAME_BYTES_MAX],
+            end: 0,
+        };
+        assert_eq!(good.check(), Ok(()));
+        assert_eq!(good.rgb().len(), FRAME_BYTES_MAX);
+        let spoilt = |spoil: fn(&mut Frame)| {
+            let mut bad = good;
+            spoil(&mut bad);
+            assert!(bad.rgb().len() <= FRAME_BYTES_MAX);
+            bad.check().err()
+        };
+        let over = |refusal| matches!(refusal, Some(Refusal::OverCapacity { .. }));
+        assert!(over(spoilt(|f| f.height = 721)));
+        assert!(over(spoilt(|f| (f.width, f.height) = (u32::MAX, u32::MAX))));
+        assert!(spoilt(|f| f.format = 1).is_some());
+        assert!(spoilt(|f| f.camera.near_m = f64::NAN).is_some());
+    };
+    let thread = std::thread::Builder::new().stack_size(STACK_BYTES);
+    let thread = thread.spawn(look).expect("a thread");
+    thread.join().expect("all of it held");
+}
+
 proptest! {
     /// Whatever bytes a publisher writes, the door answers and what it lets
     /// through can be used without a panic.

@@ -1,4 +1,4 @@
-"""Pictures of the scene from above, heading up, for the judge.
+"""Pictures of the scene from above, heading up, for the judge: on request.
 
 Drawn with pygame on a surface in memory: no screen and no model files are needed.
 """
@@ -15,40 +15,24 @@ import pygame
 from metadrive.component.vehicle.base_vehicle import BaseVehicle
 
 import wire_layout as layout
+from lens import Lens, is_due, is_request
 from member import monotonic_ns
+from wire_layout import Palette
 
-# A picture a second: a vision-language model needs longer for one answer.
-FRAME_PERIOD_NS = 1_000_000_000
-# 60 m across at 8 pixels a metre; the car stands at three quarters of the height,
-# so 45 m ahead are seen, nearly the reach of the lidar.
-WIDTH = HEIGHT = 480
-PIXELS_PER_M = 8.0
-CENTRE_U, CENTRE_V = 240.0, 360.0
-# From the car to the farthest corner, m; what is beyond is not drawn.
-REACH_M = math.hypot(CENTRE_U, CENTRE_V) / PIXELS_PER_M
-# An orthographic camera sees the same from any height; above everything, m.
-CAMERA_HEIGHT_M = 50.0
-# From corner to corner of a drawn lane edge, m.
+# From corner to corner of a drawn lane edge, and dash and gap of a broken line, m.
 EDGE_STEP_M = 2.0
+GAP_M = 4.0
+# Width of a drawn line, m.
+LINE_M = 0.2
+# Nothing is drawn thinner than this, pixels: a cone would not be seen.
+LEAST_PX = 5.0
 # A picture is begun only with this many times its greatest cost as slack.
 SLACK_FACTOR = 2
 # What the first picture is taken to cost, ns.
 FIRST_COST_NS = 20_000_000
-
-GROUND = (60, 90, 60)
-ROAD = (70, 70, 75)
-SOLID = (235, 235, 235)
-BROKEN = (150, 150, 150)
-EGO = (240, 240, 240)
-VEHICLE = (230, 160, 40)
-OBJECT = (200, 60, 60)
-
-# Row-major 3 x 4 from homogeneous body coordinates to homogeneous pixels.
-PIXEL_FROM_BODY = (
-    *(0.0, -PIXELS_PER_M, 0.0, CENTRE_U),
-    *(-PIXELS_PER_M, 0.0, 0.0, CENTRE_V),
-    *(0.0, 0.0, 0.0, 1.0),
-)
+# Share of the greatest cost that is remembered when a tick had no slack for it:
+# one slow picture must not be the last one.
+REMEMBERED = 0.9
 
 
 class _Shape:
@@ -62,65 +46,113 @@ class _Shape:
 
 
 class Photographer:
-    """Takes a picture when one is due, somebody looks, and no tick is delayed."""
+    """Takes a picture when one is asked for and no tick is delayed by it."""
 
-    def __init__(self, world, port, period_ns):
+    def __init__(self, world, ports, period_ns):
         self._world = world
-        self._port = port
-        self._surface = pygame.Surface((WIDTH, HEIGHT), depth=24)
-        self._lanes, self._edges = [], []
+        self._requests, self._port = ports
+        self._period_ns = period_ns
+        self._request = None
+        self._surface = None
+        self._areas, self._lines, self._dashes = [], [], []
         self._surveyed = False
-        self._ticks = max(round(FRAME_PERIOD_NS / period_ns), 1)
-        self._due_tick = 0
         self._cost_ns = FIRST_COST_NS
-        self._frame = layout.Frame(
-            width=WIDTH, height=HEIGHT, format=layout.PixelFormat.RGB8
-        )
-        camera = self._frame.camera
-        camera.pixel_from_body[:] = PIXEL_FROM_BODY
-        camera.position_body_m[2] = CAMERA_HEIGHT_M
-        camera.near_m = 0.0
-        camera.view = layout.View.TOP_DOWN
-        camera.orthographic = 1
+        self._frame = layout.Frame(format=layout.PixelFormat.RGB8)
+        self.taken = 0
+        self.declined = 0
 
     def begin_episode(self):
         """The map has changed."""
         self._surveyed = False
 
-    def take_if_due(self, header, slack_ns):
-        """Publishes a picture of the observation of `header`; `slack_ns` is the
-        time until the next tick, None in lockstep, which has no deadline."""
-        if header.tick < self._due_tick or not self._port.has_readers():
-            return
-        if slack_ns is not None and slack_ns < SLACK_FACTOR * self._cost_ns:
-            return
-        begun_ns = monotonic_ns()
-        self._draw()
-        pixels = pygame.image.tobytes(self._surface, "RGB")
-        ctypes.memmove(self._frame.pixels, pixels, len(pixels))
-        self._frame.header = header
-        self._port.send(self._frame)
-        self._due_tick = header.tick + self._ticks
-        self._cost_ns = max(self._cost_ns, monotonic_ns() - begun_ns)
+    @property
+    def needed_ns(self):
+        """Time until the next tick without which no picture is begun."""
+        return SLACK_FACTOR * self._cost_ns
 
-    def _survey(self):
-        """The lanes of the episode's map; done when first looked at, not at reset."""
-        self._lanes, self._edges = [], []
-        for lane in self._world.env.current_map.road_network.get_all_lanes():
-            self._lanes.append(_Shape(lane.polygon, ROAD))
-            count = max(int(lane.length / EDGE_STEP_M), 1) + 1
-            alongs = np.linspace(0.0, lane.length, count)
-            for kind, side in zip(lane.line_types, (-1, 1)):
-                lateral = side * lane.width / 2
-                points = [lane.position(along, lateral) for along in alongs]
-                kind = str(kind).upper()
-                if "NONE" not in kind and "UNKNOWN" not in kind:
-                    self._edges.append(_Shape(points, BROKEN if "BROKEN" in kind else SOLID))
-        self._surveyed = True
-
-    def _draw(self):
+    def take_if_asked(self, header, slack_ns):
+        """Publishes a picture of the observation of `header`, from above whatever
+        view is asked for: there is no other here, and the frame's camera says so.
+        `slack_ns` is the time until the next tick, None in lockstep, which has no
+        deadline. A request waits for slack until it is too old."""
+        request = self._requests.newest(layout.FrameRequest)
+        if request is not None:
+            self.declined += self._request is not None
+            self._request = request
+        request = self._request
+        if request is None:
+            return
+        if not (is_request(request) and is_due(request, header, self._period_ns)):
+            self._request = None
+            self.declined += 1
+            return
+        if slack_ns is not None and slack_ns < self.needed_ns:
+            self._cost_ns = max(self._cost_ns * REMEMBERED, FIRST_COST_NS)
+            return
         if not self._surveyed:
             self._survey()
+            if slack_ns is not None:
+                # That was enough for one tick.
+                return
+        begun_ns = monotonic_ns()
+        self._request = None
+        self._publish(header, Lens(request.width, request.height))
+        self.taken += 1
+        self._cost_ns = max(self._cost_ns, monotonic_ns() - begun_ns)
+
+    def _publish(self, header, lens):
+        if self._surface is None or self._surface.get_size() != lens.size:
+            self._surface = pygame.Surface(lens.size, depth=24)
+        self._draw(lens)
+        pixels = pygame.image.tobytes(self._surface, "RGB")
+        ctypes.memmove(self._frame.pixels, pixels, len(pixels))
+        self._frame.width, self._frame.height = lens.size
+        lens.fill(self._frame.camera)
+        self._frame.header = header
+        self._port.send(self._frame)
+
+    def _survey(self):
+        """The ground of the episode's map; done when first looked at, not at reset."""
+        current = self._world.env.current_map
+        blocks = current.blocks
+        self._areas = [
+            _Shape(sidewalk["polygon"], Palette.SIDEWALK)
+            for block in blocks
+            for sidewalk in block.sidewalks.values()
+        ]
+        self._lines, self._dashes = [], []
+        for roads in current.road_network.graph.values():
+            for lanes in roads.values():
+                self._areas += [_Shape(lane.polygon, Palette.ROAD) for lane in lanes]
+                for lane in lanes:
+                    # A line on the right is only painted for a road's last lane.
+                    sides = (-1, 1) if lane is lanes[-1] else (-1,)
+                    for kind, colour, side in zip(lane.line_types, lane.line_colors, sides):
+                        self._survey_line(lane, str(kind).upper(), colour, side)
+        self._surveyed = True
+
+    def _survey_line(self, lane, kind, colour, side):
+        lateral = side * lane.width / 2
+        if "NONE" in kind or "UNKNOWN" in kind:
+            return
+        if "BROKEN" in kind:
+            begins = np.arange(GAP_M / 2, lane.length, EDGE_STEP_M + GAP_M)
+            ends = np.minimum(begins + EDGE_STEP_M, lane.length)
+            alongs = np.column_stack((begins, ends)).ravel()
+        else:
+            count = max(int(lane.length / EDGE_STEP_M), 1) + 1
+            alongs = np.linspace(0.0, lane.length, count)
+        points = [lane.position(along, lateral) for along in alongs]
+        if "BROKEN" in kind:
+            if points:
+                self._dashes.append(_Shape(points, Palette.LINE_BROKEN))
+            return
+        # Between the two directions lines are yellow: they lack blue.
+        is_centre = len(colour) > 2 and colour[2] < 0.5
+        paint = Palette.LINE_CENTRE if is_centre else Palette.LINE_SOLID
+        self._lines.append(_Shape(points, paint))
+
+    def _draw(self, lens):
         ego = self._world.vehicle
         origin = np.asarray((ego.position[0], ego.position[1]))
         heading = ego.heading_theta
@@ -129,32 +161,47 @@ class Photographer:
         )
 
         def pixels(points):
-            body = (points - origin) @ body_from_world.T
-            u = CENTRE_U - PIXELS_PER_M * body[:, 1]
-            v = CENTRE_V - PIXELS_PER_M * body[:, 0]
-            return np.floor(np.column_stack((u, v))).tolist()
+            forward, left = ((points - origin) @ body_from_world.T).T
+            return np.floor(np.column_stack(lens.pixel(forward, left))).tolist()
 
-        self._surface.fill(GROUND)
-        for shape in self._lanes:
-            if np.hypot(*(shape.centre - origin)) < REACH_M + shape.radius:
-                pygame.draw.polygon(self._surface, shape.colour, pixels(shape.points))
-        for shape in self._edges:
-            if np.hypot(*(shape.centre - origin)) < REACH_M + shape.radius:
-                pygame.draw.lines(self._surface, shape.colour, False, pixels(shape.points), 2)
+        def near(shapes):
+            return (
+                shape
+                for shape in shapes
+                if np.hypot(*(shape.centre - origin)) < lens.reach_m + shape.radius
+            )
+
+        width = max(round(LINE_M * lens.px_per_m), 1)
+        self._surface.fill(Palette.GROUND)
+        for shape in near(self._areas):
+            pygame.draw.polygon(self._surface, shape.colour, pixels(shape.points))
+        for shape in near(self._dashes):
+            ends = pixels(shape.points)
+            for begin, end in zip(ends[::2], ends[1::2]):
+                pygame.draw.line(self._surface, shape.colour, begin, end, width)
+        for shape in near(self._lines):
+            pygame.draw.lines(self._surface, shape.colour, False, pixels(shape.points), width)
+        least_m = LEAST_PX / lens.px_per_m
         for body in self._world.env.engine.get_objects().values():
-            corners = _corners(body)
-            if corners is not None and np.hypot(*(corners[0] - origin)) < 2 * REACH_M:
-                is_vehicle = isinstance(body, BaseVehicle)
-                colour = EGO if body is ego else VEHICLE if is_vehicle else OBJECT
-                pygame.draw.polygon(self._surface, colour, pixels(corners))
+            corners = _corners(body, least_m)
+            if corners is not None and np.hypot(*(corners[0] - origin)) < 2 * lens.reach_m:
+                colour = Palette.VEHICLE if isinstance(body, BaseVehicle) else Palette.OBJECT
+                colour = Palette.EGO if body is ego else colour
+                outline = pixels(corners)
+                pygame.draw.polygon(self._surface, colour, outline)
+                pygame.draw.polygon(self._surface, Palette.RIM, outline, 1)
 
 
-def _corners(body):
-    """The corners of a body's box in the world frame; None for what has none."""
+def _corners(body, least_m):
+    """The corners of a body's box in the world frame, at least so thick;
+    None for what has none."""
     try:
         half_length, half_width = body.LENGTH / 2, body.WIDTH / 2
     except (AttributeError, TypeError):
         return None
+    if not half_length > 0 or not half_width > 0:
+        return None
+    half_length, half_width = max(half_length, least_m / 2), max(half_width, least_m / 2)
     heading = body.heading_theta
     forward = np.asarray((math.cos(heading), math.sin(heading))) * half_length
     left = np.asarray((-math.sin(heading), math.cos(heading))) * half_width

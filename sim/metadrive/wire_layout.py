@@ -19,6 +19,27 @@ FUTURE_TOLERANCE_NS = 1000000
 HISTOGRAM_UNIT_SHIFT = 6
 HISTOGRAM_HALF_SHIFT = 7
 HISTOGRAM_BUCKETS = 2816
+FRAME_BYTES_MAX = 2073600
+FRAME_SIDE_MIN_PX = 64
+FRAME_SIDE_MAX_PX = 2048
+TOP_DOWN_ACROSS_M = 60.0
+TOP_DOWN_AHEAD = 0.75
+TOP_DOWN_HEIGHT_M = 50.0
+
+
+class Palette:
+    GROUND = (104, 122, 92)
+    SIDEWALK = (152, 158, 166)
+    ROAD = (60, 62, 68)
+    LINE_SOLID = (222, 224, 226)
+    LINE_BROKEN = (186, 190, 196)
+    LINE_CENTRE = (226, 208, 112)
+    EGO = (254, 254, 254)
+    VEHICLE = (200, 148, 104)
+    VEHICLE_GLASS = (112, 78, 54)
+    OBJECT = (240, 178, 178)
+    RIM = (26, 28, 32)
+    SKY = (150, 182, 214)
 
 
 class Process:
@@ -77,7 +98,8 @@ class Reason:
     BLIND = 10
     STOPPING = 11
     TAKEOVER = 12
-    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover"}
+    SHADOW = 13
+    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover", 13: "shadow"}
 
 
 class Bend:
@@ -459,10 +481,57 @@ assert Frame.pixels.offset == 184
 assert Frame.end.offset == 2073784
 
 
+class Proposal(ctypes.Structure):
+    LAYOUT = "825aad0d9b57a5e7"
+    _fields_ = [
+        ("steer", ctypes.c_double),
+        ("pedal", ctypes.c_double),
+        ("present", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "Proposal"
+
+
+assert ctypes.sizeof(Proposal) == 24
+assert Proposal.steer.offset == 0
+assert Proposal.pedal.offset == 8
+assert Proposal.present.offset == 16
+assert Proposal.reserved.offset == 20
+
+
+class FrameRequest(ctypes.Structure):
+    LAYOUT = "237d915d1c81e3f2"
+    _fields_ = [
+        ("header", Header),
+        ("proposals", Proposal * 2),
+        ("view", ctypes.c_uint32),
+        ("width", ctypes.c_uint32),
+        ("height", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "FrameRequest"
+
+
+assert ctypes.sizeof(FrameRequest) == 96
+assert FrameRequest.header.offset == 0
+assert FrameRequest.proposals.offset == 32
+assert FrameRequest.view.offset == 80
+assert FrameRequest.width.offset == 84
+assert FrameRequest.height.offset == 88
+assert FrameRequest.reserved.offset == 92
+
+
 Service = namedtuple("Service", "name message from_ to depth history")
 
 OBSERVATION = Service("observation", Observation, "world", ("planner", "controller",), 1, 1)
 COMMAND = Service("command", Command, "controller", ("world",), 1, 1)
+FRAME_REQUEST = Service("frame_request", FrameRequest, "gate", (), 1, 1)
 FRAME = Service("frame", Frame, "world", ("gate",), 1, 1)
 PROGRESS = Service("progress", Progress, "world", (), 1, 1)
 EPISODE = Service("episode", Episode, "world", (), 256, 0)

@@ -17,6 +17,8 @@ from wire import WireError
 PHYSICS_HZ = 10.0
 # How long the world sleeps at most before it says how it does, ns.
 NAP_NS = 20_000_000
+# From look to look at requests for pictures between two ticks, ns.
+LOOK_NS = 5_000_000
 
 
 MASK = (1 << 64) - 1
@@ -73,6 +75,7 @@ class Ports:
         self.observations = wire.publisher(layout.OBSERVATION)
         self.progress = wire.publisher(layout.PROGRESS)
         self.episodes = wire.publisher(layout.EPISODE)
+        self.frame_requests = wire.subscriber(layout.FRAME_REQUEST)
         self.frames = wire.publisher(layout.FRAME)
 
     def tend(self):
@@ -104,7 +107,8 @@ class Session:
             self.world = World(config["world"])
         except (AssertionError, KeyError, ValueError) as error:
             raise SetUpError(f"MetaDrive refuses this configuration: {error!r}") from None
-        self.photographer = Photographer(self.world, self.ports.frames, self.member.period_ns)
+        ports = (self.ports.frame_requests, self.ports.frames)
+        self.photographer = Photographer(self.world, ports, self.member.period_ns)
         self.command_age_ns = int(config["limits"]["command_age_ms"] * 1e6)
         # Where the controller may be waiting for the learner, that comes on top.
         wait_s = config["limits"]["lockstep_wait_s"]
@@ -173,8 +177,19 @@ class Session:
         self._account()
         self.pulse.beat(done_ns)
         self.ports.tend()
-        slack_ns = None if grid.lockstep else grid.instant_ns(grid.tick) - monotonic_ns()
-        self.photographer.take_if_due(self.observation.header, slack_ns)
+        self._take_pictures()
+
+    def _take_pictures(self):
+        """Answers requests until the next tick is near: a picture can only be of
+        what stands there now, so most are of the very tick that is asked for. In
+        lockstep, one look."""
+        grid, photographer = self.grid, self.photographer
+        while True:
+            slack_ns = None if grid.lockstep else grid.instant_ns(grid.tick) - monotonic_ns()
+            photographer.take_if_asked(self.observation.header, slack_ns)
+            if slack_ns is None or slack_ns < photographer.needed_ns + LOOK_NS:
+                return
+            member.sleep_until(monotonic_ns() + LOOK_NS)
 
     def _account(self):
         health = self.pulse.health

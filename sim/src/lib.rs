@@ -18,6 +18,8 @@
 //! | [`observe`] | state to observation |
 //! | [`score`] | the account of one episode |
 //! | [`world`], [`config`] | episodes by seed, tick by tick |
+//! | [`render`] | the world as a picture, with the camera that took it |
+//! | [`photographer`] | pictures on demand beside the tick, and what holding an action would lead to |
 //! | [`grid`] | the instants at which the world process moves |
 //! | [`batch`] | many worlds at once |
 
@@ -35,6 +37,8 @@ pub mod map;
 pub mod model;
 pub mod navigation;
 pub mod observe;
+pub mod photographer;
+pub mod render;
 pub mod rng;
 pub mod road;
 pub mod rules;

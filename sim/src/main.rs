@@ -12,6 +12,7 @@ use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
 use shm_config::{Instant, message::Episode};
 use sim::grid::Grid;
+use sim::photographer::{Move, Photographer, Recorder, Seen};
 use sim::{World, WorldConfig, score::Score};
 
 /// Drives the built-in world: maps, traffic and rules of MetaDrive
@@ -79,6 +80,8 @@ struct Session {
     ports: Ports,
     pulse: Pulse,
     world: World,
+    recorder: Recorder,
+    _photographer: Photographer,
     lockstep: bool,
     grid: Grid,
     score: Score,
@@ -109,6 +112,8 @@ impl Session {
         let episode = cli.first_episode;
         let seed = member.config.run.episode_seed(episode);
         world.reset(seed).map_err(|error| own(&error))?;
+        let (photographer, mut recorder) = Photographer::start(&member.config)?;
+        recorder.begin(episode, seed);
         member.claim_rights();
         pulse.set_rights(&member.rights);
         pulse.enter(HealthState::Ready, monotonic());
@@ -125,6 +130,8 @@ impl Session {
             ports,
             pulse,
             world,
+            recorder,
+            _photographer: photographer,
             observation: Box::default(),
             command: None,
             episode,
@@ -222,6 +229,7 @@ impl Session {
             .command
             .filter(|command| command.admit(now, limit_ns).is_ok());
         let action = self.score.obey(young.as_ref(), now);
+        self.recorder.moved(Move { action, substeps });
         for _ in 0..substeps {
             let Some(step) = self.world.substep(action) else {
                 continue;
@@ -298,6 +306,7 @@ impl Session {
         self.world
             .reset(seed)
             .map_err(|error| SetUpError::Own(format!("seed {seed}: {error}")))?;
+        self.recorder.begin(self.episode, seed);
         self.score = Score::new(seed);
         self.episode_skipped = self.skipped();
         self.command = None;
@@ -325,6 +334,11 @@ impl Session {
         self.observation.released_ns = released.0;
         match moment {
             Moment::Tick => {
+                self.recorder.saw(Seen {
+                    tick: self.grid.tick(),
+                    taken_ns: now.0,
+                    passed,
+                });
                 self.ports.observations.send(&mut self.observation);
                 self.publish_progress(now, Outcome::Driving);
             }

@@ -1,8 +1,11 @@
-//! Pictures from above, as SVG: a map, an episode, or a plan.
+//! Pictures from above, as SVG: a map, an episode, or a plan; and what the world's
+//! camera sees, as PNG.
 
 mod canvas;
 mod frame;
+mod labels;
 mod palette;
+mod photo;
 mod plan;
 mod ride;
 mod roads;
@@ -22,6 +25,7 @@ use crate::report::say;
 use crate::seat::{DriverKind, Seat};
 use crate::{Clock, settings};
 use canvas::Canvas;
+pub use photo::frame;
 pub use plan::plan;
 use ride::Ride;
 
@@ -142,9 +146,10 @@ pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> 
     ride.draw_scan(&mut canvas, &seen);
     ride.draw_traffic(&mut canvas);
     ride::draw_bodies(&mut canvas, world);
-    ride.draw_path(&mut canvas);
+    let mut labels = ride.labels(&canvas);
+    ride.draw_path(&mut canvas, &mut labels);
     ride::draw_ego(&mut canvas, world);
-    ride.draw_contacts(&mut canvas);
+    ride.draw_contacts(&mut canvas, &mut labels);
     let keys = frame::episode_keys(world, ride, who);
     frame::finish(canvas, &title, &facts, &keys)
 }

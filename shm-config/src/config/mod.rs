@@ -22,11 +22,11 @@ use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
-pub use gate::{Gate, GateMode};
+pub use gate::{Gate, GateMode, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};
-pub use load::{ConfigError, from_toml, load};
+pub use load::{ConfigError, from_toml, load, text_of};
 pub use mpc::Mpc;
 pub use planner::Planner;
 pub use policy::{Backend, Policy};
@@ -112,6 +112,19 @@ impl Config {
         Ok(self)
     }
 
+    /// In lockstep: how long the controller waits for the planner, and for a gate
+    /// whose judge takes its time, ns on the machine's clock.
+    pub fn peer_wait_ns(&self) -> u64 {
+        let model_s = match self.gate.asks_model() {
+            true => self.vlm.deadline_s + Self::PICTURE_S,
+            false => 0.0,
+        };
+        ((self.limits.lockstep_wait_s + model_s) * 1e9) as u64
+    }
+
+    /// What a question takes beside its deadline, s: the frame, two pictures.
+    const PICTURE_S: f64 = 3.0;
+
     /// In lockstep: how long the world waits for a command before the car
     /// brakes, ns on the machine's clock. Where the controller may be waiting
     /// for the learner, that comes on top.
@@ -120,7 +133,7 @@ impl Config {
             true => self.learner.lockstep_wait_s,
             false => 0.0,
         };
-        ((self.limits.lockstep_wait_s + learner_s) * 1e9) as u64
+        self.peer_wait_ns() + (learner_s * 1e9) as u64
     }
 }
 

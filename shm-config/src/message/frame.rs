@@ -1,41 +1,20 @@
-use super::{Header, Message, Refusal, fits, header_accessors, known, within};
+use vehicle::Action;
+
+use super::{
+    Camera, Header, Message, Proposal, Refusal, View, fits, header_accessors, known, within,
+};
 
 /// Bytes of the largest frame: 960 x 720 pixels of three bytes.
 pub const FRAME_BYTES_MAX: usize = 960 * 720 * 3;
-
-crate::word_list! {
-    /// From where a frame is seen.
-    pub enum View {
-        /// From the driver's seat.
-        Ego = 0 "ego",
-        /// From above, heading up.
-        TopDown = 1 "top_down",
-    }
-}
+/// Least and greatest width and height of a frame that can be asked for, pixels:
+/// a car is a dot in smaller ones, and narrower ones are no pictures of a road.
+pub const FRAME_SIDES_PX: std::ops::RangeInclusive<u32> = 64..=2048;
 
 crate::word_list! {
     /// How a pixel is stored.
     pub enum PixelFormat {
         /// Red, green, blue; a byte each.
         Rgb8 = 0 "rgb8",
-    }
-}
-
-crate::message! {
-    /// A pinhole or orthographic camera: where a point of the body frame is seen.
-    #[derive(Default)]
-    pub struct Camera: 136 bytes {
-        /// Row-major 3 x 4 matrix from homogeneous body coordinates (m; x forward,
-        /// y left, z up) to homogeneous pixels (u right, v down).
-        pub pixel_from_body: [f64; 12],
-        /// Position of the camera in the body frame, m.
-        pub position_body_m: [f64; 3],
-        /// Points nearer than this are not seen, m; for orthographic views 0.
-        pub near_m: f64,
-        /// A [`View`].
-        pub view: u32,
-        /// 1 for an orthographic projection, 0 for a pinhole.
-        pub orthographic: u32,
     }
 }
 
@@ -63,20 +42,128 @@ crate::message! {
 
 const _: () = assert!(FRAME_BYTES_MAX == 2_073_600, "as the message declares");
 
+crate::message! {
+    /// The wish for a picture. Who can still show that tick does; where it is
+    /// gone nothing comes, and who asked waits no longer than it likes.
+    #[derive(Default)]
+    pub struct FrameRequest: 96 bytes, nested [Header, Proposal] {
+        /// Tick and episode of the observation that the picture shall be of.
+        pub header: Header,
+        /// The proposals that the question is about, the expert's first, for
+        /// [`Foresight`]; where one is absent, only the picture is wanted.
+        pub proposals: [Proposal; 2],
+        /// A [`View`].
+        pub view: u32,
+        /// Pixels across.
+        pub width: u32,
+        /// Pixels down.
+        pub height: u32,
+        /// Not used.
+        pub reserved: u32,
+    }
+}
+
+crate::message! {
+    /// What comes of holding one action, until the horizon or the episode's end.
+    #[derive(Default)]
+    pub struct Outlook: 24 bytes {
+        /// Time until the end of the first tick in which a vehicle or an object is
+        /// touched, s; the horizon when none is.
+        pub contact_s: f64,
+        /// Time until the car is out of the road, s; the horizon when it stays.
+        /// That ends the episode: nothing is touched afterwards.
+        pub out_s: f64,
+        /// Share of the route gained, [-1, 1].
+        pub completion: f64,
+    }
+}
+
+crate::message! {
+    /// What would happen if the car held each of two proposals, by a simulator that
+    /// tries both out. Ground truth for the record of a judge, and for nothing else:
+    /// no robot has it, so nothing that decides may read it.
+    #[derive(Default)]
+    pub struct Foresight: 88 bytes, nested [Header, Outlook] {
+        /// Tick and episode of the question.
+        pub header: Header,
+        /// How long each is held, s.
+        pub horizon_s: f64,
+        /// What comes of them, the expert's first.
+        pub outlooks: [Outlook; 2],
+    }
+}
+
 impl Message for Frame {
     header_accessors!();
 
     fn check(&self) -> Result<(), Refusal> {
-        for value in self.camera.pixel_from_body {
-            within("camera.pixel_from_body", value, -1e9..=1e9)?;
-        }
-        for value in self.camera.position_body_m {
-            within("camera.position_body_m", value, -1e4..=1e4)?;
-        }
-        within("camera.near_m", self.camera.near_m, 0.0..=1e3)?;
-        known("camera.view", self.camera.view, View::from_code)?;
+        self.camera.check()?;
         known("format", self.format, PixelFormat::from_code)?;
-        let bytes = u64::from(self.width) * u64::from(self.height) * 3;
-        fits("width * height * 3", bytes, FRAME_BYTES_MAX)
+        fits(
+            "width * height * 3",
+            bytes(self.width, self.height),
+            FRAME_BYTES_MAX,
+        )
     }
+}
+
+impl Frame {
+    /// The pixels in use, row by row from the top, three bytes each.
+    pub fn rgb(&self) -> &[u8] {
+        let count = bytes(self.width, self.height).min(FRAME_BYTES_MAX as u64);
+        &self.pixels[..count as usize]
+    }
+}
+
+impl FrameRequest {
+    /// From where; an unknown code reads as from above.
+    pub fn view(&self) -> View {
+        View::from_code(self.view).unwrap_or(View::TopDown)
+    }
+
+    /// Width and height, pixels.
+    pub fn size_px(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// Both actions, the expert's first; `None` where one is absent.
+    pub fn actions(&self) -> Option<[Action; 2]> {
+        Some([self.proposals[0].action()?, self.proposals[1].action()?])
+    }
+}
+
+impl Message for FrameRequest {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        self.proposals[0].check("proposals[0]")?;
+        self.proposals[1].check("proposals[1]")?;
+        known("view", self.view, View::from_code)?;
+        let sides = f64::from(*FRAME_SIDES_PX.start())..=f64::from(*FRAME_SIDES_PX.end());
+        within("width", f64::from(self.width), sides.clone())?;
+        within("height", f64::from(self.height), sides)?;
+        fits(
+            "width * height * 3",
+            bytes(self.width, self.height),
+            FRAME_BYTES_MAX,
+        )
+    }
+}
+
+impl Message for Foresight {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        within("horizon_s", self.horizon_s, 0.0..=60.0)?;
+        for outlook in &self.outlooks {
+            within("contact_s", outlook.contact_s, 0.0..=self.horizon_s)?;
+            within("out_s", outlook.out_s, 0.0..=self.horizon_s)?;
+            within("completion", outlook.completion, -1.0..=1.0)?;
+        }
+        Ok(())
+    }
+}
+
+fn bytes(width: u32, height: u32) -> u64 {
+    (u64::from(width) * u64::from(height)).saturating_mul(3)
 }

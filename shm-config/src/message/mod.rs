@@ -2,6 +2,7 @@
 //! the door by `admit`.
 
 mod advice;
+mod camera;
 mod command;
 mod frame;
 mod health;
@@ -14,8 +15,11 @@ mod step;
 mod takeover;
 
 pub use advice::{Advice, Judge, Preference};
+pub use camera::{Camera, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, View};
 pub use command::{Command, Driver, Reason};
-pub use frame::{Camera, FRAME_BYTES_MAX, Frame, PixelFormat, View};
+pub use frame::{
+    FRAME_BYTES_MAX, FRAME_SIDES_PX, Foresight, Frame, FrameRequest, Outlook, PixelFormat,
+};
 pub use health::{Grant, Health, HealthState, Histogram, Timing};
 pub use learning::Learning;
 pub use observation::{

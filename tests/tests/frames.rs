@@ -1,0 +1,135 @@
+//! Pictures on request from a set that drives: of the tick that was asked for,
+//! at no cost to the drive.
+
+use std::time::Duration;
+
+use rustix::process::Signal;
+use serde_json::Value;
+use shm_config::Message;
+use shm_config::message::{FrameRequest, Header, Observation, Outlook, Proposal, View};
+use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST, OBSERVATION, Process};
+use shm_config::wire::Wire;
+use vehicle::Action;
+use vlaps_tests::{Set, until};
+
+/// Pictures that are asked for, one after the other.
+const PICTURES: u64 = 12;
+/// Every second one is of an observation that is so many older.
+const BEHIND: usize = 15;
+/// Looks of 2 ms that an answer is waited for before the next question.
+const LOOKS: u32 = 2_000;
+
+fn request(seen: &Header, view: View) -> FrameRequest {
+    let proposal = |pedal| Proposal::new(Some(Action { steer: 0.1, pedal }));
+    FrameRequest {
+        header: *seen,
+        proposals: [proposal(-1.0), proposal(1.0)],
+        view: view.code(),
+        width: 480,
+        height: 320,
+        ..FrameRequest::default()
+    }
+}
+
+/// Asks a running set like a gate; what was foreseen at each picture.
+fn ask(set: &Set) -> Vec<[Outlook; 2]> {
+    until("the set drives", || set.paths().supervisor_pid().is_some());
+    let wire = Wire::join(set.name(), Process::Gate).expect("the run");
+    let mut requests = wire.publisher(FRAME_REQUEST).expect("a port");
+    let mut observations = wire.subscriber(OBSERVATION).expect("a port");
+    let mut frames = wire.subscriber(FRAME).expect("a port");
+    let mut foresights = wire.subscriber(FORESIGHT).expect("a port");
+    let mut seen: Vec<Header> = Vec::new();
+    let mut foreseen = Vec::new();
+    while (foreseen.len() as u64) < PICTURES {
+        until("something new is observed", || {
+            observations.tend();
+            let newest: Option<Observation> = observations.newest();
+            seen.extend(newest.map(|observation| observation.header));
+            newest.is_some() && seen.len() > BEHIND
+        });
+        let (back, view) = match foreseen.len() % 2 {
+            0 => (1, View::TopDown),
+            _ => (BEHIND, View::Ego),
+        };
+        let of = seen[seen.len() - back];
+        requests.tend();
+        requests.send(&mut request(&of, view));
+        let mut header = None;
+        for _ in 0..LOOKS {
+            frames.tend();
+            foresights.tend();
+            header = frames.visit(|frame| {
+                assert_eq!(frame.check(), Ok(()));
+                assert_eq!((frame.width, frame.height), (480, 320));
+                assert_eq!(frame.camera.view, view.code());
+                assert!(frame.rgb().iter().any(|&byte| byte != frame.rgb()[0]));
+                frame.header
+            });
+            if header.is_some() {
+                break;
+            }
+            std::thread::park_timeout(Duration::from_millis(2));
+        }
+        let header = header.unwrap_or_else(|| panic!("no picture of {of:?}\n{}", set.logs()));
+        assert_eq!(
+            (header.tick, header.episode, header.taken_ns),
+            (of.tick, of.episode, of.taken_ns)
+        );
+        let mut foresight = None;
+        until("both proposals are foreseen", || {
+            foresight = foresights.newest();
+            foresight.is_some()
+        });
+        let foresight = foresight.expect("just seen");
+        assert_eq!(foresight.check(), Ok(()));
+        assert_eq!(foresight.header.tick, of.tick);
+        foreseen.push(foresight.outlooks);
+    }
+    foreseen
+}
+
+const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "150"];
+
+#[test]
+fn a_set_in_lockstep_drives_alike_whether_pictures_are_taken_or_not() {
+    let drive = |label: &str, watch: fn(&Set)| -> Value {
+        let mut set = Set::new(label);
+        set.start(&[&["--lockstep"], &LENGTH[..]].concat());
+        watch(&set);
+        assert_eq!(set.wait(), Some(0), "{}", set.logs());
+        set.json()
+    };
+    let asked = drive("asked", |set| {
+        let foreseen = ask(set);
+        let gained = |k: usize| -> f64 { foreseen.iter().map(|pair| pair[k].completion).sum() };
+        assert!(
+            gained(1) > gained(0),
+            "pedal {} over brake {}",
+            gained(1),
+            gained(0)
+        );
+    });
+    let alone = drive("alone", |_| ());
+    assert_eq!(asked["command_digest"], alone["command_digest"]);
+    assert_eq!(asked["episodes"], alone["episodes"]);
+    assert_eq!(asked["restarts"], 0);
+    assert_eq!(asked["skipped"], 0);
+}
+
+#[test]
+fn a_set_in_real_time_answers_too() {
+    let mut set = Set::new("real");
+    set.start(&[
+        "--seed",
+        "3",
+        "--duration",
+        "60",
+        "--set",
+        "world.rate_hz=50",
+    ]);
+    assert_eq!(ask(&set).len() as u64, PICTURES);
+    set.signal(Signal::TERM);
+    assert_eq!(set.wait(), Some(0), "{}", set.logs());
+    assert_eq!(set.json()["restarts"], 0);
+}
