@@ -12,9 +12,13 @@ use bench::metric::FOOTNOTE;
 use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
+<<<<<<< HEAD
 use bench::{
     draw, inference, learning, outputs, parity, planning, settings, soak, speed, swapping, train,
 };
+=======
+use bench::{draw, inference, judging, learning, parity, planning, settings, soak, speed, swapping, train};
+>>>>>>> f3b831cac1bf89655b84dd14738cf45aa2b557c6
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
@@ -62,8 +66,13 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         Command::Bench(Bench::Swap(arguments)) => {
             swapping::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+<<<<<<< HEAD
         Command::Bench(Bench::Latency(arguments)) => {
             latency::bench(arguments).map(|()| ExitCode::SUCCESS)
+=======
+        Command::Bench(Bench::Judge(arguments)) => {
+            judging::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+>>>>>>> f3b831cac1bf89655b84dd14738cf45aa2b557c6
         }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {

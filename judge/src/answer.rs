@@ -446,9 +446,7 @@ mod tests {
             assert!(reading.reply.is_ok());
             reading.tokens
         };
-        let usage = |tokens_in: Value, tokens_out: Value| {
-            json!({"prompt_tokens": tokens_in, "completion_tokens": tokens_out})
-        };
+        let usage = |tokens_in: Value, tokens_out: Value| json!({"prompt_tokens": tokens_in, "completion_tokens": tokens_out});
         assert_eq!(counted(usage(json!(7), json!(3))), Some([7, 3]));
         for usage in [
             usage(json!(u64::MAX), json!(3)),

@@ -1,10 +1,14 @@
 //! The command line of `vlaps-judge`.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use clap::{Args, Parser, Subcommand};
+use judge::eyes::Sighted;
 use judge::standin::{Mishap, Options};
+
+use crate::auditing::{AuditArguments, ReplayArguments};
 
 /// What there is to do about judges apart from a run
 #[derive(Debug, Parser)]
@@ -24,6 +28,10 @@ pub enum Command {
     /// asked.
     #[command(allow_negative_numbers = true)]
     Server(ServerArguments),
+    /// Make a page of what a judge was asked in a run, and how right it was
+    Audit(AuditArguments),
+    /// Ask another model what a judge was asked in a run
+    Replay(ReplayArguments),
 }
 
 /// How the stand-in is.
@@ -75,7 +83,7 @@ impl ServerArguments {
             mishap: self.fault,
             mishap_share: self.fault_share,
             seed: self.seed,
-            ..Options::default()
+            eyes: std::sync::Arc::new(judge::eyes::Sighted),
         }
     }
 }
