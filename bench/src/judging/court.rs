@@ -18,6 +18,9 @@ use vehicle::Vehicle;
 
 use super::scenes::Scene;
 
+/// How long is waited when the own limit of requests per minute is reached.
+const PACE: Duration = Duration::from_secs(1);
+
 /// One row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
@@ -138,9 +141,16 @@ impl Court {
             } = self.vlm;
             let prompt = Prompt::new(self.vlm.prompt, showing, view, horizon_s);
             let deadline = Duration::from_secs_f64(self.vlm.deadline_s);
-            let asked = self.asker.ask(&prompt, &shown.sent(), deadline).await;
+            let asked = loop {
+                let asked = self.asker.ask(&prompt, &shown.sent(), deadline).await;
+                match asked.reply {
+                    // Nobody is in a hurry here.
+                    Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
+                    Ok(_) | Err(_) => break asked,
+                }
+            };
             if let Err(fault) = asked.reply
-                && fault.is_permanent()
+                && (fault.is_permanent() || fault == Fault::Budget)
             {
                 return Err(anyhow!("{}: {}", fault.word(), fault.advice()));
             }

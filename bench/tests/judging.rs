@@ -1,0 +1,40 @@
+//! The stand-in over HTTP: it sees who is safer, and asking twice takes a
+//! preference for the first place from it.
+
+use bench::arguments::{Arguments, Bench, Command};
+use bench::judging::measure;
+use clap::Parser;
+use shm_config::Instant;
+use shm_config::config::Config;
+
+/// Nothing here is timed.
+fn no_clock() -> Instant {
+    Instant(0)
+}
+
+#[test]
+fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
+    let words = "vlaps bench judge --scenes 30 --view top_down --first-seed 1000";
+    let arguments = Arguments::try_parse_from(words.split(' ')).expect("a command");
+    let Command::Bench(Bench::Judge(arguments)) = arguments.command else {
+        panic!("no judge: {words}");
+    };
+    let rows = measure(&arguments, &Config::default(), no_clock, || {}).expect("measured");
+    let [once, twice, biased, mended] = rows.as_slice() else {
+        panic!("two servers, each asked once and twice: {rows:?}");
+    };
+    for row in &rows {
+        let asked: usize = row.confusion.iter().flatten().sum();
+        assert_eq!((asked, row.failed), (30, 0), "{row:?}");
+    }
+    let share = |row: &bench::judging::court::Row| row.right_of_answered.mean();
+    assert!(share(once) >= 0.9 && share(twice) >= 0.9, "{rows:#?}");
+    assert!(share(biased) < share(once), "a bias shows: {rows:#?}");
+    assert!(share(mended) > share(biased), "and is mended: {rows:#?}");
+    let off = |row: &bench::judging::court::Row| (row.first_place.mean() - 0.5).abs();
+    assert!(off(mended) < off(biased), "{rows:#?}");
+    assert!(
+        mended.abstained > twice.abstained,
+        "by abstaining: {rows:#?}"
+    );
+}
