@@ -89,10 +89,11 @@ pub fn measure(
         Views::TopDown => &[View::TopDown],
         Views::Both => &[View::TopDown, View::Ego],
     };
-    let (servers, names) = servers(arguments)?;
+    let panel = panel(arguments)?;
+    let names = &panel.names;
     let mut courts = Vec::new();
     for (number, &view) in views.iter().enumerate() {
-        for (name, url) in &names {
+        for (name, url) in names {
             // One folder holds one judge's record.
             let record = arguments.record.as_ref();
             let folder = record.map(|folder| match (views.len(), names.len()) {
@@ -127,14 +128,23 @@ pub fn measure(
         asked();
         Ok(())
     })?;
-    drop(servers);
     Ok(courts.into_iter().flat_map(Court::rows).collect())
 }
 
-/// The servers to ask: those that run here, and all by name and address.
-fn servers(arguments: &BenchJudge) -> anyhow::Result<(Vec<Server>, Vec<(String, String)>)> {
+/// Whom to ask.
+struct Panel {
+    /// Those that run here, as long as this lives.
+    _servers: Vec<Server>,
+    /// All of them: name and address.
+    names: Vec<(String, String)>,
+}
+
+fn panel(arguments: &BenchJudge) -> anyhow::Result<Panel> {
     if let Some(url) = &arguments.server {
-        return Ok((Vec::new(), vec![("server".into(), url.clone())]));
+        return Ok(Panel {
+            _servers: Vec::new(),
+            names: vec![("server".into(), url.clone())],
+        });
     }
     let mut servers = Vec::new();
     let mut names = Vec::new();
@@ -155,7 +165,10 @@ fn servers(arguments: &BenchJudge) -> anyhow::Result<(Vec<Server>, Vec<(String, 
         names.push((name, server.url()));
         servers.push(server);
     }
-    Ok((servers, names))
+    Ok(Panel {
+        _servers: servers,
+        names,
+    })
 }
 
 /// The configuration that a server is asked by.

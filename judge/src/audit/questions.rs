@@ -72,7 +72,8 @@ fn one_asking(asking: &Asking, pictures: &Pictures) -> Markup {
                     (format!(", confidence {confidence:.2}"))
                 }
                 span class="note" {
-                    " · " (seconds(asking.latency_s)) " · " (asking.attempts) " requests · "
+                    " · " (seconds(asking.latency_s)) " · " (asking.attempts)
+                    @if asking.attempts == 1 { " request · " } @else { " requests · " }
                     (asking.tokens_in) " + " (asking.tokens_out) " tokens"
                 }
             }
