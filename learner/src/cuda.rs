@@ -1,9 +1,9 @@
 //! Matrix products on a GPU: a build with `--features learner/cuda`.
 //!
 //! CUDA's libraries are loaded when the learner starts, so that the build needs
-//! none. Each product copies its operands to the GPU and its result back: at the
-//! experiment's sizes (256 x 259 by 259 x 256) the copies cost more than the
-//! product, and the processor is faster. It pays for larger nets and batches.
+//! none. Each product copies its operands to the GPU and its result back: of the
+//! experiment's sizes (256 x 259 by 259 x 256) little is to be gained. It is meant
+//! for larger nets and batches.
 
 use std::sync::{Arc, Mutex, OnceLock};
 
