@@ -1,7 +1,7 @@
 //! Matrix products on a GPU: a build with `--features learner/cuda`.
 //!
 //! CUDA's libraries are loaded when the learner starts, so that the build needs
-//! none. Each product copies its operands to the GPU and its result back: of the
+//! none. Each product copies its operands to the GPU and its result back: at the
 //! experiment's sizes (256 x 259 by 259 x 256) little is to be gained. It is meant
 //! for larger nets and batches.
 
