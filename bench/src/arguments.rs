@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
+use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
 use crate::train::arguments::Train;
@@ -144,6 +145,8 @@ pub enum Bench {
     Learner(BenchLearner),
     /// Measure whether a running set notices that its weights are swapped.
     Swap(BenchSwap),
+    /// Measure how often a judge is right where the simulator knows, over HTTP.
+    Judge(BenchJudge),
     /// Measure how punctual a running set is, whatever its judge does.
     Latency(BenchLatency),
 }

@@ -19,6 +19,7 @@
 //! | [`scene`] | recorded scenes and their files |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
+//! | [`judging`] | how often a judge is right where the simulator knows |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`driven`] | a whole process set, driven for a measurement |
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |

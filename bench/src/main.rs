@@ -13,7 +13,8 @@ use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
-    draw, inference, learning, outputs, parity, planning, settings, soak, speed, swapping, train,
+    draw, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
+    swapping, train,
 };
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -61,6 +62,9 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         }
         Command::Bench(Bench::Swap(arguments)) => {
             swapping::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Judge(arguments)) => {
+            judging::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Latency(arguments)) => {
             latency::bench(arguments).map(|()| ExitCode::SUCCESS)

@@ -14,6 +14,10 @@ const ENVELOPE_DEPTH_MAX: u32 = 32;
 /// Nesting of what the model says: one object, without anything inside.
 const CONTENT_DEPTH_MAX: u32 = 4;
 
+/// More tokens than any question has; a count beyond it is a server's mistake,
+/// which must not spend the budget.
+const TOKENS_MAX: u64 = 10_000_000;
+
 /// What came back with a 200.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
@@ -64,9 +68,12 @@ pub fn read(body: &[u8], prompt: &Prompt) -> Reading {
     }
 }
 
-/// Tokens in and out; `None` unless both are there.
+/// Tokens in and out; `None` unless both are there and can be.
 fn tokens(envelope: &Value) -> Option<[u64; 2]> {
-    let count = |key: &str| envelope.get("usage")?.get(key)?.as_u64();
+    let count = |key: &str| {
+        let count = envelope.get("usage")?.get(key)?.as_u64();
+        count.filter(|count| *count <= TOKENS_MAX)
+    };
     Some([count("prompt_tokens")?, count("completion_tokens")?])
 }
 
@@ -427,6 +434,28 @@ mod tests {
         ] {
             let reading = read(body, &prompt(PromptPreset::Blind));
             assert_eq!(reading.reply, Err(fault), "{}", reading.said);
+        }
+    }
+
+    #[test]
+    fn absurd_counts_of_tokens_are_unknown() {
+        let counted = |usage: Value| {
+            let mut body = completion("{\"response\": 1}".into());
+            body["usage"] = usage;
+            let reading = read(body.to_string().as_bytes(), &prompt(PromptPreset::Paper));
+            assert!(reading.reply.is_ok());
+            reading.tokens
+        };
+        let usage = |tokens_in: Value, tokens_out: Value| json!({"prompt_tokens": tokens_in, "completion_tokens": tokens_out});
+        assert_eq!(counted(usage(json!(7), json!(3))), Some([7, 3]));
+        for usage in [
+            usage(json!(u64::MAX), json!(3)),
+            usage(json!(7), json!(-3)),
+            usage(json!(7.5), json!(3)),
+            usage(json!(7), Value::Null),
+            Value::Null,
+        ] {
+            assert_eq!(counted(usage.clone()), None, "{usage}");
         }
     }
 

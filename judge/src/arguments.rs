@@ -1,10 +1,14 @@
 //! The command line of `vlaps-judge`.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use clap::{Args, Parser, Subcommand};
+use judge::eyes::Sighted;
 use judge::standin::{Mishap, Options};
+
+use crate::auditing::{AuditArguments, ReplayArguments};
 
 /// What there is to do about judges apart from a run
 #[derive(Debug, Parser)]
@@ -17,14 +21,20 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Serve a stand-in for a vision-language model; it is no model
+    ///
+    /// For tests and offline work: it speaks the OpenAI-compatible protocol over
+    /// HTTP, and judges by coloured pixels alone which of the two paths in the
+    /// picture is safer. Set vlm.server to http://127.0.0.1:PORT/v1 to have it
+    /// asked.
+    #[command(allow_negative_numbers = true)]
     Server(ServerArguments),
+    /// Make a page of what a judge was asked in a run, and how right it was
+    Audit(AuditArguments),
+    /// Ask another model what a judge was asked in a run
+    Replay(ReplayArguments),
 }
 
-/// Serve a stand-in for a vision-language model, for tests and offline work.
-///
-/// It is no model: it speaks the OpenAI-compatible protocol over HTTP, and judges
-/// by coloured pixels alone which of the two paths in the picture is safer. Point
-/// vlm.server at http://127.0.0.1:PORT/v1 to have it asked.
+/// How the stand-in is.
 #[derive(Debug, Args)]
 pub struct ServerArguments {
     /// Where to listen, on this machine alone; 0 for any free port
@@ -73,7 +83,7 @@ impl ServerArguments {
             mishap: self.fault,
             mishap_share: self.fault_share,
             seed: self.seed,
-            ..Options::default()
+            eyes: std::sync::Arc::new(judge::eyes::Sighted),
         }
     }
 }

@@ -275,7 +275,7 @@ impl Fault {
     }
 
     /// What to do about a permanent one.
-    pub(crate) fn advice(self) -> &'static str {
+    pub fn advice(self) -> &'static str {
         match self {
             Self::Unauthorized => "check the key (vlm.key_env, vlm.key_file)",
             Self::Forbidden => "ask for the right to use the model, or name another in vlm.model",

@@ -29,6 +29,7 @@ pub mod picture;
 mod prompt;
 pub mod record;
 mod recorded;
+pub mod replay;
 mod retry;
 mod showing;
 pub mod standin;

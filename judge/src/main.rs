@@ -1,6 +1,7 @@
 //! `vlaps-judge`: what there is to do about judges apart from a run.
 
 mod arguments;
+mod auditing;
 
 use std::fmt;
 use std::io::Write as _;
@@ -18,6 +19,8 @@ const EXIT_FAILED: u8 = 1;
 fn main() -> ExitCode {
     let done = match Arguments::parse().command {
         Command::Server(arguments) => server(&arguments),
+        Command::Audit(arguments) => auditing::audit(&arguments),
+        Command::Replay(arguments) => auditing::replay(&arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -53,6 +56,6 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
 }
 
 /// A line for people and scripts; a reader that has gone is no reason to stop.
-fn say(line: fmt::Arguments) {
+fn say(line: impl fmt::Display) {
     let _ = writeln!(std::io::stdout(), "{line}");
 }

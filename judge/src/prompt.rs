@@ -25,7 +25,7 @@ pub(crate) const fn view_words(view: View) -> &'static str {
 }
 
 /// The names of the two paths in the blind prompt.
-pub const LETTERS: [&str; 2] = ["A", "B"];
+pub const LETTERS: [&str; 2] = Showing::LETTERS;
 
 /// The blind prompt's word for "neither is clearly better".
 pub const SIMILAR: &str = "similar";

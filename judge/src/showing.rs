@@ -109,10 +109,10 @@ impl Showing {
     }
 
     /// What the first path and the second are called.
-    pub const LETTERS: [char; 2] = ['A', 'B'];
+    pub const LETTERS: [&'static str; 2] = ["A", "B"];
 
     /// What somebody's path is called.
-    pub fn letter(self, party: Party) -> char {
+    pub fn letter(self, party: Party) -> &'static str {
         match party == self.first {
             true => Self::LETTERS[0],
             false => Self::LETTERS[1],

@@ -184,7 +184,7 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
     let asker = asker(&Vlm {
         attempts_max: 1,
         breaker_failures: 2,
-        breaker_open_s: 0.2,
+        breaker_open_s: 2.0,
         ..vlm(server.url())
     });
     let next = || {
@@ -197,6 +197,7 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
     let mut alone = 0;
     while next() == (Some(Fault::BreakerOpen), 0) {
         alone += 1;
+        runtime().block_on(async { tokio::time::sleep(Duration::from_millis(50)).await });
     }
     assert!(alone > 0, "left alone");
     assert_eq!(server.requests(), asked + 1, "one question tries it");

@@ -144,7 +144,7 @@ fn servers(arguments: &BenchJudge) -> anyhow::Result<(Vec<Server>, Vec<(String, 
         let options = Options {
             first_bias,
             seed: arguments.first_seed,
-            eyes: Arc::new(judge::standin::sighted),
+            eyes: Arc::new(judge::eyes::Sighted),
             ..Options::default()
         };
         let server = Server::start(options).context("no port for the stand-in")?;

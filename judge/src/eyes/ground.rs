@@ -91,20 +91,24 @@ impl Ground {
         }
     }
 
-    /// Rims of painted lines are blends that may look like a body; a body is
-    /// more than a pixel wide.
+    /// Rims of painted lines are blends that may look like anything; bodies are
+    /// more than a pixel wide, and sidewalks and the ground beside them more than
+    /// two.
     fn drop_specks(&mut self) {
         let mut kept = self.classes.clone();
         for y in 0..self.height {
             for x in 0..self.width {
-                if self.at(x, y) != Class::Body {
-                    continue;
-                }
+                let class = self.at(x, y);
+                let least = match class {
+                    Class::Body => 5,
+                    Class::Sidewalk | Class::Beside => 8,
+                    Class::Unknown | Class::Road | Class::CentreLine => continue,
+                };
                 let around = (0..9).filter(|k| {
                     let (nx, ny) = ((x + k % 3).wrapping_sub(1), (y + k / 3).wrapping_sub(1));
-                    self.at(nx, ny) == Class::Body
+                    self.at(nx, ny) == class
                 });
-                if around.count() < 5 {
+                if around.count() < least {
                     kept[y * self.width + x] = Class::Unknown;
                 }
             }
@@ -260,7 +264,6 @@ fn class(pixel: [u8; 3], view: View) -> Class {
         (palette::LINE_SOLID, Class::Road),
         (palette::LINE_BROKEN, Class::Road),
         (palette::EGO, Class::Road),
-        (palette::LINE_CENTRE, Class::CentreLine),
         (palette::GROUND, Class::Beside),
         (palette::SIDEWALK, Class::Sidewalk),
         (palette::VEHICLE, Class::Body),
@@ -270,6 +273,9 @@ fn class(pixel: [u8; 3], view: View) -> Class {
     if let Some((_, class)) = flat.into_iter().find(|(color, _)| near(*color)) {
         return class;
     }
+    if is_yellow(pixel) {
+        return Class::CentreLine;
+    }
     let is_shaded = view == View::Ego
         && [palette::VEHICLE, palette::VEHICLE_GLASS, palette::OBJECT]
             .into_iter()
@@ -278,6 +284,13 @@ fn class(pixel: [u8; 3], view: View) -> Class {
         true => Class::Body,
         false => Class::Unknown,
     }
+}
+
+/// Whether a pixel is of the line between the directions, blended with the road
+/// or not: the line is about a pixel wide.
+fn is_yellow([red, green, blue]: [u8; 3]) -> bool {
+    let [red, green, blue] = [red, green, blue].map(i32::from);
+    (red - green).abs() <= 26 && red - blue >= 26 && green - blue >= 20 && red >= 85
 }
 
 /// Whether a pixel is a colour in less light.

@@ -7,38 +7,53 @@
 //! follows each path's pixels from the car outward, moves a car's rectangle along
 //! them, and looks at what lies under it.
 //!
-//! Assumed: the cameras of [`Camera::top_down`] and [`Camera::ego`] for a picture
-//! of that size, a car of 4.5 x 1.85 m, and that everything stands still.
+//! Assumed: the cameras of [`Camera::of`] for a picture of that size, a car of
+//! 4.5 x 1.85 m, and that everything stands still.
 
 mod ground;
 mod trace;
 
 use image::RgbImage;
+use shm_config::config;
 use shm_config::message::{Camera, View};
 
+use crate::standin::{Eyes, Sighting};
 use crate::{Hue, Reply};
-use ground::{Ground, Trouble};
+use ground::Ground;
+pub use ground::{Kind, Trouble};
 
-/// Room that a path is first judged with around the car, m, then with the next:
-/// where only one of two paths is that close to something, it is the worse one.
-const ROOMS_M: [f64; 3] = [0.0, 0.3, 0.6];
+/// Room around the car that a path is judged with, m, the first one first: where
+/// only one of two paths is in trouble with it, that is the worse one. Negative
+/// rooms come first, since who runs deep into something is worse off than who
+/// brushes it, and a rollout is off by as much.
+const ROOMS_M: [f64; 5] = [-0.5, -0.25, 0.0, 0.3, 0.6];
+/// Rooms from this one on are doubtful: nothing is touched.
+const FREE: usize = 3;
 /// Paths that end in trouble are alike when their shares of safe length differ by
 /// less than this.
-const ALIKE: f64 = 0.08;
+const ALIKE: f64 = 0.06;
+
+/// The eyes of the stand-in.
+#[derive(Debug, Clone, Copy)]
+pub struct Sighted;
+
+impl Eyes for Sighted {
+    fn look(&self, picture: &RgbImage, hues: [Hue; 2], view: config::View) -> Sighting {
+        look(picture, hues, view.into()).sighting
+    }
+}
 
 /// What was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
-    /// Which path is safer.
-    pub reply: Reply,
-    /// How sure that is, 0 to 1.
-    pub confidence: f64,
+pub struct Seen {
+    /// Which path is safer, and how sure that is.
+    pub sighting: Sighting,
     /// What each path was found to do, the first one's first.
     pub paths: [Sight; 2],
 }
 
 /// What was seen of one path.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sight {
     /// Its visible length on the ground, m; 0 when none was found.
     pub length_m: f64,
@@ -57,44 +72,43 @@ impl Sight {
 }
 
 /// Looks at a picture with a path in each of two hues.
-pub fn look(image: &RgbImage, hues: [Hue; 2], view: View) -> Sighting {
-    let size_px = [image.width(), image.height()];
-    let camera = Camera::of(view, size_px);
+pub fn look(image: &RgbImage, hues: [Hue; 2], view: View) -> Seen {
+    let camera = Camera::of(view, [image.width(), image.height()]);
     let lines = hues.map(|hue| trace::trace(image, hue, &camera));
     let ground = Ground::of(image, view);
-    let mut seen = [Sight {
-        length_m: 0.0,
+    let mut paths = lines.each_ref().map(|line| Sight {
+        length_m: trace::length_m(line),
         trouble: None,
-    }; 2];
+    });
+    let mut doubt = 0.0;
     for (step, room_m) in ROOMS_M.into_iter().enumerate() {
-        for (sight, line) in seen.iter_mut().zip(&lines) {
-            sight.length_m = trace::length_m(line);
+        for (sight, line) in paths.iter_mut().zip(&lines) {
             sight.trouble = ground.first_trouble(line, &camera, room_m);
         }
-        let [first, second] = seen.map(|sight| sight.trouble.is_some());
-        if first != second || first {
-            let doubt = 0.15 * step as f64;
-            return compare(seen, doubt);
+        if paths.iter().any(|path| path.trouble.is_some()) {
+            doubt = if step < FREE { 0.0 } else { 0.15 };
+            break;
         }
     }
-    compare(seen, 0.0)
+    let (reply, confidence) = compare(&paths);
+    Seen {
+        sighting: Sighting {
+            reply,
+            confidence: (confidence - doubt).max(0.5),
+        },
+        paths,
+    }
 }
 
-/// The safer of two paths; `doubt` is taken off the confidence.
-fn compare(paths: [Sight; 2], doubt: f64) -> Sighting {
+/// The safer of two paths, and how sure that is.
+fn compare(paths: &[Sight; 2]) -> (Reply, f64) {
     let [first, second] = paths.map(|path| path.safe_share());
-    let in_trouble = paths.map(|path| path.trouble.is_some());
-    let (reply, confidence) = match in_trouble {
+    match paths.map(|path| path.trouble.is_some()) {
         [false, false] => (Reply::Similar, 0.8),
-        [true, false] => (Reply::Second, 0.95 - 0.15 * first),
-        [false, true] => (Reply::First, 0.95 - 0.15 * second),
+        [true, false] => (Reply::Second, 0.98 - 0.1 * first),
+        [false, true] => (Reply::First, 0.98 - 0.1 * second),
         [true, true] if (first - second).abs() < ALIKE => (Reply::Similar, 0.6),
         [true, true] if first > second => (Reply::First, 0.6 + 0.3 * (first - second)),
         [true, true] => (Reply::Second, 0.6 + 0.3 * (second - first)),
-    };
-    Sighting {
-        reply,
-        confidence: (confidence - doubt).max(0.5),
-        paths,
     }
 }

@@ -28,7 +28,7 @@ pub struct Paths {
 /// One path in pixels.
 struct Shown {
     hue: Hue,
-    letter: char,
+    letter: &'static str,
     /// 1 when it keeps to the left of the other, -1 to the right.
     side: f32,
     /// What of it lies before the camera, from the car outward.
@@ -177,6 +177,11 @@ impl Shown {
         let [x, y] = match visible {
             Some(([x, y], along)) => {
                 let left = left_of(along);
+                let beyond_px = self.footprint.iter().map(|corner| {
+                    self.side * ((corner[0] - x) * left[0] + (corner[1] - y) * left[1])
+                });
+                let clear_px = beyond_px.fold(0.0, f32::max) + radius_px + measures.line;
+                let aside_px = self.side * clear_px.clamp(aside_px.abs(), 5.0 * radius_px);
                 let ahead_px = 0.8 * radius_px;
                 [
                     x + along[0] * ahead_px + left[0] * aside_px,
@@ -225,14 +230,14 @@ fn footprint(
 }
 
 /// A disc of the path's colour with its letter.
-fn label(pencil: &mut Pencil, at: Place, (hue, letter): (Hue, char), measures: Measures) {
+fn label(pencil: &mut Pencil, at: Place, (hue, letter): (Hue, &str), measures: Measures) {
     pencil.disc(at, measures.label + measures.rim, RIM);
     pencil.disc(at, measures.label, hue.rgb());
     let size_px = 1.7 * measures.label;
     // A letter of this face is 0.517 of its size wide.
     let left = at[0] - 0.257 * size_px;
     let base = at[1] + super::letters::capital_px(size_px) / 2.0;
-    pencil.word(&letter.to_string(), [left, base], (size_px, ink(hue)));
+    pencil.word(letter, [left, base], (size_px, ink(hue)));
 }
 
 /// Says in the left upper corner which letter has which colour.

@@ -53,6 +53,15 @@ pub enum View {
     TopDown,
 }
 
+impl From<View> for crate::message::View {
+    fn from(view: View) -> Self {
+        match view {
+            View::Ego => Self::Ego,
+            View::TopDown => Self::TopDown,
+        }
+    }
+}
+
 /// How the picture is packed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
