@@ -1,0 +1,111 @@
+//! A record's questions, asked again of the stand-in over HTTP.
+
+mod records;
+
+use std::sync::Arc;
+
+use judge::eyes::Sighted;
+use judge::picture::{Photo, Picture, Proposals, Style, picture};
+use judge::record::{Record, Verdict};
+use judge::replay::{Comparison, Replay, Step};
+use judge::standin::{Options, Server};
+use judge::store::{Store, read};
+use judge::{Asker, Party, Prompt, Reply, Showing};
+use records::{SHOWING, asking, record};
+use shm_config::config::{PromptPreset, View, Vlm};
+use shm_config::message::Camera;
+use shm_config::palette;
+use vehicle::{Action, Vehicle};
+
+const SIZE: [u32; 2] = [480, 480];
+
+/// A road of 12 m with ground on both sides; the expert goes straight on, the
+/// policy off to the right.
+fn shown(showing: Showing) -> Picture {
+    let [width, height] = SIZE;
+    let row = (0..width).flat_map(|x| match (192..288).contains(&x) {
+        true => palette::ROAD,
+        false => palette::GROUND,
+    });
+    let rgb = row.collect::<Vec<u8>>().repeat(height as usize);
+    let photo = Photo {
+        camera: &Camera::top_down(SIZE),
+        width,
+        height,
+        rgb: &rgb,
+    };
+    let action = |steer| Action { steer, pedal: 0.0 };
+    let proposals = Proposals {
+        vehicle: &Vehicle::default(),
+        speed_mps: 8.0,
+        expert: action(0.0),
+        policy: action(-0.3),
+    };
+    picture(photo, &proposals, showing, &Style::default()).expect("a picture")
+}
+
+/// A question that was answered wrongly, both times.
+fn mistaken(tick: u64) -> Record {
+    let showings = [SHOWING, SHOWING.swapped()];
+    let replies = [Reply::Second, Reply::First];
+    let askings = showings.iter().zip(replies).map(|(showing, reply)| {
+        let prompt = Prompt::new(PromptPreset::Blind, *showing, View::TopDown, 3.0);
+        let mut asking = asking(*showing, reply, 0.7);
+        (asking.system, asking.user) = (prompt.system, prompt.user);
+        asking
+    });
+    Record {
+        tick,
+        ..record(askings.collect(), Verdict::Policy, Party::Expert)
+    }
+}
+
+#[test]
+fn another_judge_is_asked_the_same_once_and_goes_on_where_it_ended() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut store = Store::open(folder.path(), 1 << 24).expect("opens");
+    let pictures = [SHOWING, SHOWING.swapped()].map(shown);
+    for tick in 0..3 {
+        store.begin(mistaken(tick), &pictures);
+    }
+    store.finish();
+    let records = read(folder.path()).expect("reads");
+    std::fs::remove_file(folder.path().join(&records.questions[1].askings[0].picture))
+        .expect("removed");
+    let server = Server::start(Options {
+        eyes: Arc::new(Sighted),
+        ..Options::default()
+    })
+    .expect("started");
+    let vlm = Vlm {
+        server: server.url(),
+        model: "another".into(),
+        key_env: String::new(),
+        ..Vlm::default()
+    };
+    let out = folder.path().join("again");
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("a runtime");
+    let steps = || -> Vec<Step> {
+        let asker = Asker::new(&vlm).expect("an asker");
+        let mut replay = Replay::new(&vlm, asker, &out).expect("opens");
+        let questions = records.questions.iter();
+        questions
+            .map(|record| runtime.block_on(replay.ask(&records, record)))
+            .collect()
+    };
+    assert_eq!(steps(), [Step::Asked, Step::Gone, Step::Asked]);
+    assert_eq!(server.requests(), 4);
+    assert_eq!(steps(), [Step::Before, Step::Gone, Step::Before]);
+    assert_eq!(server.requests(), 4, "nothing is asked twice");
+    let again = read(&out).expect("reads");
+    for record in &again.questions {
+        assert_eq!(record.verdict, Verdict::Expert, "{record:?}");
+        assert_eq!(record.model, "another");
+        assert!(out.join(&record.askings[1].picture).is_file());
+    }
+    let counts = Comparison::of(&records, &again).counts;
+    assert_eq!(counts[1], [2, 0, 0, 0], "policy before, expert now");
+}
