@@ -11,6 +11,7 @@ pub const SHOWING: Showing = Showing {
 };
 
 /// A picture of a few bytes.
+#[allow(dead_code)] // not every test keeps one
 pub fn picture(shade: u8) -> Picture {
     let image = image::RgbImage::from_pixel(64, 64, image::Rgb([shade, 80, 90]));
     encode(&image, Encoding::Png).expect("a picture")
