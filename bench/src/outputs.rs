@@ -52,5 +52,7 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Policy(arguments) => &arguments.json,
         Bench::Learner(arguments) => &arguments.json,
         Bench::Swap(arguments) => &arguments.json,
+        Bench::Judge(arguments) => &arguments.json,
+        Bench::Latency(arguments) => &arguments.json,
     }
 }

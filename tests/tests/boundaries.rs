@@ -33,11 +33,12 @@ const ARROWS: &[(&str, &[&str])] = &[
 ];
 
 /// Files that may hold `unsafe`: the wire, the real-time system calls, and the
-/// matrix library that the learner hands slices to.
+/// matrix libraries that the learner hands slices to.
 const UNSAFE_HOMES: &[&str] = &[
     "shm-config/src/layout.rs",
     "shm-config/src/wire.rs",
     "process/src/realtime.rs",
+    "learner/src/cuda.rs",
     "learner/src/matrix.rs",
 ];
 
