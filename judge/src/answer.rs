@@ -60,7 +60,7 @@ pub fn read(body: &[u8], prompt: &Prompt) -> Reading {
     let tokens = tokens(&envelope);
     let content = content(&envelope);
     let reply = content.and_then(|content| reply(content, prompt));
-    let said = content.map_or_else(|_| refusal(&envelope).unwrap_or(text), |content| content);
+    let said = content.unwrap_or_else(|_| refusal(&envelope).unwrap_or(text));
     Reading {
         reply,
         said: said.into(),

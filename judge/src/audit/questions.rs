@@ -143,11 +143,8 @@ fn measured(proposed: &Proposed) -> Markup {
 }
 
 fn foreseen(record: &Record, party: Party) -> String {
-    let outlooks = record.foresight.iter().flatten();
-    let Some(outlook) = outlooks
-        .filter(|outlook: &&Outlook| outlook.party == party)
-        .last()
-    else {
+    let mut outlooks = record.foresight.iter().flatten();
+    let Some(outlook) = outlooks.rfind(|outlook: &&Outlook| outlook.party == party) else {
         return "unknown".into();
     };
     let mut found = Vec::new();
