@@ -83,7 +83,7 @@ impl ServerArguments {
             mishap: self.fault,
             mishap_share: self.fault_share,
             seed: self.seed,
-            eyes: std::sync::Arc::new(judge::eyes::Sighted),
+            eyes: Arc::new(Sighted),
         }
     }
 }
