@@ -30,6 +30,11 @@ pub fn check(command: &Command) -> Result<(), Failure> {
             {
                 check_file("--record", file)?;
             }
+            if let Bench::Judge(arguments) = bench
+                && let Some(folder) = &arguments.record
+            {
+                check_folder("--record", folder)?;
+            }
             ("--json", json(bench))
         }
         Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),

@@ -1,11 +1,9 @@
 //! The command line of `vlaps-judge`.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use clap::{Args, Parser, Subcommand};
-use judge::eyes::Sighted;
 use judge::standin::{Mishap, Options};
 
 use crate::auditing::{AuditArguments, ReplayArguments};

@@ -10,7 +10,7 @@ use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::config::{Config, View, Vlm};
 use shm_config::message::{
-    Foresight, Frame, FrameRequest, Header, Judge as JudgeKind, View as Seat,
+    Camera, Foresight, Frame, FrameRequest, Header, Judge as JudgeKind, View as Seat,
 };
 use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST, Process};
 use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
@@ -131,8 +131,44 @@ async fn serve(court: Rc<Court>, mut ports: Ports, questions: Receiver<Question>
 
 /// The question's scene, as the world drew it.
 struct Seen {
-    frame: Option<Box<Frame>>,
+    shot: Option<Shot>,
     foresight: Option<[Outlook; 2]>,
+}
+
+/// A frame, out of shared memory.
+struct Shot {
+    camera: Camera,
+    width: u32,
+    height: u32,
+    rgb: Vec<u8>,
+}
+
+impl Shot {
+    fn of(frame: &Frame) -> Self {
+        Self {
+            camera: frame.camera,
+            width: frame.width,
+            height: frame.height,
+            rgb: frame.rgb().to_vec(),
+        }
+    }
+
+    fn photo(&self) -> Photo<'_> {
+        Photo {
+            camera: &self.camera,
+            width: self.width,
+            height: self.height,
+            rgb: &self.rgb,
+        }
+    }
+
+    /// From where it is seen, whatever was asked for: MetaDrive has one view.
+    fn view(&self) -> View {
+        match self.camera.orthographic {
+            0 => View::Ego,
+            _ => View::TopDown,
+        }
+    }
 }
 
 impl Ports {
@@ -161,18 +197,18 @@ impl Ports {
         self.requests.send(&mut request);
         let mut until = (court.clock)().after_ns(FRAME_NS);
         let mut seen = Seen {
-            frame: None,
+            shot: None,
             foresight: None,
         };
         let is_same = |other: &Header| (other.episode, other.tick) == question.key();
-        while (court.clock)() < until && (seen.frame.is_none() || seen.foresight.is_none()) {
+        while (court.clock)() < until && (seen.shot.is_none() || seen.foresight.is_none()) {
             self.tend();
-            let frame = self.frames.visit(|frame| {
-                let fits = is_same(&frame.header) && frame.check().is_ok();
-                fits.then(|| Box::new(*frame))
+            let shot = self.frames.visit(|frame| {
+                let fits = is_of(&frame.header, &header) && frame.check().is_ok();
+                fits.then(|| Shot::of(frame))
             });
-            if let Some(Some(frame)) = frame {
-                seen.frame = Some(frame);
+            if let Some(Some(shot)) = shot {
+                seen.shot = Some(shot);
                 until = (court.clock)().after_ns(FORESIGHT_NS);
             }
             let foresight = self.foresights.newest();
@@ -183,6 +219,14 @@ impl Ports {
         }
         seen
     }
+}
+
+/// The frame is of the question's scene: of its tick, or of one soon after where
+/// the world draws what is now, as MetaDrive does.
+fn is_of(frame: &Header, question: &Header) -> bool {
+    frame.episode == question.episode
+        && frame.tick >= question.tick
+        && frame.taken_ns.saturating_sub(question.taken_ns) <= FRAME_NS
 }
 
 fn outlooks(foresight: &Foresight) -> [Outlook; 2] {
@@ -205,12 +249,12 @@ impl Court {
             foresight: seen.foresight,
             ..Evidence::default()
         };
-        let answer = match &seen.frame {
+        let answer = match &seen.shot {
             None => {
                 evidence.fault = "no_frame".into();
                 Answer::Failed(Failure::Unavailable)
             }
-            Some(frame) => self.ask(question, frame, &mut evidence).await,
+            Some(shot) => self.ask(question, shot, &mut evidence).await,
         };
         evidence.latency_s = (self.clock)().since_ns(begun) as f64 / 1e9;
         let ruling = Ruling {
@@ -222,23 +266,26 @@ impl Court {
         let _ = self.rulings.try_send((*question, ruling));
     }
 
-    async fn ask(&self, question: &Question, frame: &Frame, evidence: &mut Evidence) -> Answer {
+    async fn ask(&self, question: &Question, shot: &Shot, evidence: &mut Evidence) -> Answer {
         let vlm = &self.config.vlm;
         let showing = showing(vlm, self.config.gate.seed, question);
-        let pictures = match self.pictures(question, frame, showing) {
+        let pictures = match self.pictures(question, shot, showing) {
             Ok(pictures) => pictures,
             Err(error) => {
                 evidence.fault = format!("picture: {error}");
                 return Answer::Failed(Failure::Unavailable);
             }
         };
+        let view = shot.view();
         let asked = match pictures.as_slice() {
             [(first, picture), (second, swapped)] => {
-                let (first, second) =
-                    tokio::join!(self.show(*first, picture), self.show(*second, swapped));
+                let (first, second) = tokio::join!(
+                    self.show(*first, (view, picture)),
+                    self.show(*second, (view, swapped))
+                );
                 vec![first, second]
             }
-            [(first, picture)] => vec![self.show(*first, picture).await],
+            [(first, picture)] => vec![self.show(*first, (view, picture)).await],
             _ => Vec::new(),
         };
         let fault = asked.iter().find_map(|(_, asked)| asked.reply.err());
@@ -263,7 +310,7 @@ impl Court {
     fn pictures(
         &self,
         question: &Question,
-        frame: &Frame,
+        shot: &Shot,
         showing: Showing,
     ) -> Result<Vec<(Showing, Picture)>, crate::picture::PictureError> {
         let vlm = &self.config.vlm;
@@ -275,26 +322,15 @@ impl Court {
         }
         showings
             .into_iter()
-            .map(|showing| {
-                Ok((
-                    showing,
-                    picture(Photo::from(frame), &proposals, showing, &style)?,
-                ))
-            })
+            .map(|showing| Ok((showing, picture(shot.photo(), &proposals, showing, &style)?)))
             .collect()
     }
 
-    async fn show(&self, showing: Showing, picture: &Picture) -> (Prompt, Asked) {
+    async fn show(&self, showing: Showing, (view, picture): (View, &Picture)) -> (Prompt, Asked) {
         let vlm = &self.config.vlm;
-        let prompt = Prompt::new(vlm.prompt, showing, vlm.view, vlm.horizon_s);
+        let prompt = Prompt::new(vlm.prompt, showing, view, vlm.horizon_s);
         let deadline = Duration::from_secs_f64(vlm.deadline_s);
-        let sent = crate::Picture {
-            bytes: picture.bytes.clone(),
-            mime: picture.encoding.mime(),
-            width_px: picture.width,
-            height_px: picture.height,
-        };
-        let asked = self.asker.ask(&prompt, &sent, deadline).await;
+        let asked = self.asker.ask(&prompt, &picture.sent(), deadline).await;
         (prompt, asked)
     }
 }

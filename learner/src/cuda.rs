@@ -2,8 +2,8 @@
 //!
 //! CUDA's libraries are loaded when the learner starts, so that the build needs
 //! none. Each product copies its operands to the GPU and its result back: at the
-//! experiment's sizes (256 x 259 by 259 x 256) the copies cost more than the
-//! product, and the processor is faster. It pays for larger nets and batches.
+//! experiment's sizes (256 x 259 by 259 x 256) little is to be gained. It is meant
+//! for larger nets and batches.
 
 use std::sync::{Arc, Mutex, OnceLock};
 
@@ -128,4 +128,57 @@ fn layout(view: &View) -> (cublasOperation_t, i32) {
 /// Sizes as cuBLAS counts them; nets and batches are limited far below.
 fn size(count: usize) -> i32 {
     i32::try_from(count).expect("a matrix of less than 2^31 rows")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::open;
+    use crate::matrix::{Old, View, product};
+
+    /// The definition, element by element; sizes are small enough for it.
+    fn by_definition(a: &[f32], b: &[f32], [rows, inner, columns]: [usize; 3]) -> Vec<f32> {
+        let element = |k: usize| {
+            let (row, column) = (k / columns, k % columns);
+            let terms = (0..inner).map(|i| a[row * inner + i] * b[i * columns + column]);
+            terms.sum()
+        };
+        (0..rows * columns).map(element).collect()
+    }
+
+    fn mirrored(data: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+        let element = |k: usize| data[k % rows * columns + k / rows];
+        (0..rows * columns).map(element).collect()
+    }
+
+    #[test]
+    fn products_are_as_defined_or_it_is_told_that_there_is_no_gpu() {
+        if let Err(why) = open() {
+            assert!(why.contains("no GPU to learn on"), "{why}");
+            assert!(why.contains("--features learner/cuda"), "{why}");
+            return;
+        }
+        for sizes in [[3, 4, 5], [1, 7, 2], [6, 5, 1], [1, 1, 1]] {
+            let [rows, inner, columns] = sizes;
+            let numbers = |count: usize| (0..count).map(|k| (k as f32).sin()).collect::<Vec<_>>();
+            let (a, b) = (numbers(rows * inner), numbers(inner * columns));
+            let expected = by_definition(&a, &b, sizes);
+            let (a_mirrored, b_mirrored) =
+                (mirrored(&a, rows, inner), mirrored(&b, inner, columns));
+            let views = [
+                (View::new(&a, rows, inner), View::new(&b, inner, columns)),
+                (
+                    View::new(&a_mirrored, inner, rows).transposed(),
+                    View::new(&b_mirrored, columns, inner).transposed(),
+                ),
+            ];
+            for (a, b) in views {
+                let mut out = vec![0.5; rows * columns];
+                product(&mut out, Old::Replace, a, b, 1);
+                product(&mut out, Old::Add, a, b, 1);
+                for (found, expected) in out.iter().zip(&expected) {
+                    assert!((found - 2.0 * expected).abs() < 1e-4, "{sizes:?}: {out:?}");
+                }
+            }
+        }
+    }
 }
