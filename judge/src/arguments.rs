@@ -81,7 +81,7 @@ impl ServerArguments {
             mishap: self.fault,
             mishap_share: self.fault_share,
             seed: self.seed,
-            eyes: Arc::new(Sighted),
+            eyes: std::sync::Arc::new(judge::eyes::Sighted),
         }
     }
 }
