@@ -11,6 +11,7 @@ use supervisor::numbers::whole;
 use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
+use crate::sweep::BenchSweep;
 use crate::train::arguments::Train;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
 
@@ -149,6 +150,8 @@ pub enum Bench {
     Judge(BenchJudge),
     /// Measure how punctual a running set is, whatever its judge does.
     Latency(BenchLatency),
+    /// Train under a judge that is wrong, silent or late: what does it cost?
+    Sweep(BenchSweep),
 }
 
 /// Measure how long the policy's net takes to answer, by back end.

@@ -25,6 +25,7 @@
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
 //! | [`latency`] | how punctual the set is, whatever its judge does |
 //! | [`swapping`] | a running set whose weights are swapped |
+//! | [`sweep`] | what a judge that is wrong, silent or late costs |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
@@ -55,6 +56,7 @@ pub mod speed;
 pub mod statistics;
 pub mod stop;
 pub mod swapping;
+pub mod sweep;
 pub mod train;
 
 /// How a library function of this crate reads the clock: it is handed one by

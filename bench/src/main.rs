@@ -14,7 +14,7 @@ use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
     draw, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
-    swapping, train,
+    swapping, sweep, train,
 };
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -65,6 +65,9 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         }
         Command::Bench(Bench::Judge(arguments)) => {
             judging::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Sweep(arguments)) => {
+            sweep::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Latency(arguments)) => {
             latency::bench(arguments).map(|()| ExitCode::SUCCESS)

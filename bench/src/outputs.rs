@@ -59,5 +59,6 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Swap(arguments) => &arguments.json,
         Bench::Judge(arguments) => &arguments.json,
         Bench::Latency(arguments) => &arguments.json,
+        Bench::Sweep(arguments) => &arguments.json,
     }
 }

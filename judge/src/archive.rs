@@ -1,3 +1,5 @@
+use std::fs;
+use std::io;
 use std::path::Path;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -10,6 +12,9 @@ use crate::store::{Lost, Store, StoreError};
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
 
+/// Which run the records are of.
+const RUN: &str = "run.txt";
+
 /// Writes records on a thread of its own: a disk that stalls holds up no advice.
 pub struct Archive {
     records: Option<SyncSender<Filed>>,
@@ -18,13 +23,18 @@ pub struct Archive {
 }
 
 impl Archive {
-    /// Of the run's folder, `judge` in it.
+    /// Of the run's folder, `judge` in it. The records of a run of the same name
+    /// before go to `judge-before`; those of this one are gone on with, when the
+    /// gate was restarted.
     ///
     /// # Errors
     /// When the folder cannot be made.
     pub fn open(config: &Config) -> Result<Self, StoreError> {
         let folder = Path::new(&config.run.folder).join("judge");
+        make_room(&folder);
         let mut store = Store::open(&folder, config.vlm.record_bytes_max)?;
+        // Without it the next gate of this run begins anew: no harm.
+        let _ = fs::write(folder.join(RUN), run_id());
         let (records, filed) = sync_channel::<Filed>(WAITING_MAX);
         let thread = thread::spawn(move || {
             while let Ok(Filed { record, pictures }) = filed.recv() {
@@ -69,5 +79,28 @@ impl Archive {
         if self.lost > 0 {
             tracing::warn!(lost = self.lost, "records of questions were lost");
         }
+    }
+}
+
+/// The supervisor's process, which outlives its gates.
+fn run_id() -> String {
+    std::os::unix::process::parent_id().to_string()
+}
+
+/// Moves the records of another run out of the way.
+fn make_room(folder: &Path) {
+    let is_ours = fs::read_to_string(folder.join(RUN)).is_ok_and(|run| run == run_id());
+    if is_ours || !folder.exists() {
+        return;
+    }
+    let before = folder.with_file_name("judge-before");
+    let moved = fs::remove_dir_all(&before)
+        .or_else(|error| match error.kind() {
+            io::ErrorKind::NotFound => Ok(()),
+            _ => Err(error),
+        })
+        .and_then(|()| fs::rename(folder, &before));
+    if let Err(error) = moved {
+        tracing::warn!(%error, "the records of the run before cannot be moved; those of this one follow them");
     }
 }

@@ -118,10 +118,14 @@ fn a_question_without_a_place_fails_at_once() {
         latency: Duration::from_millis(300),
         ..Options::default()
     });
-    let asked = at_once(asker(&vlm(server.url())), 5);
+    let two_places = Vlm {
+        in_flight_max: 2,
+        ..vlm(server.url())
+    };
+    let asked = at_once(asker(&two_places), 5);
     let busy = asked.iter().filter(|asked| asked.reply == Err(Fault::Busy));
     assert!(busy.clone().all(|asked| asked.attempts == 0));
-    assert_eq!(busy.count(), 3, "two places");
+    assert_eq!(busy.count(), 3);
     assert_eq!(server.requests(), 2);
 }
 

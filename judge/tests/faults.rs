@@ -11,16 +11,10 @@ use judge::{Asker, Fault};
 use shared::{PATIENCE_S, ask, asker, prompt, red_ahead, vlm};
 use shm_config::config::{PromptPreset, Vlm};
 
-/// What is expected of a mishap: `None` where the answer is good all the same.
-struct Row {
-    fault: Option<Fault>,
-    /// Requests, of two that may be made.
-    attempts: u32,
-}
-
-fn expected(mishap: Mishap, preset: PromptPreset) -> Row {
+/// What becomes of a mishap; `None` where the answer is good all the same.
+fn expected(mishap: Mishap, preset: PromptPreset) -> Option<Fault> {
     let is_blind = preset == PromptPreset::Blind;
-    let fault = match mishap {
+    Some(match mishap {
         Mishap::Hang => Fault::Timeout,
         Mishap::SlowDrip => Fault::SlowBody,
         Mishap::Reset | Mishap::ResetMidBody | Mishap::ShortBody => Fault::ConnectionReset,
@@ -49,12 +43,7 @@ fn expected(mishap: Mishap, preset: PromptPreset) -> Row {
         Mishap::LeadingText => Fault::LeadingText,
         Mishap::TrailingText if is_blind => Fault::TrailingText,
         // The paper's prompt asks for a sentence there.
-        Mishap::TrailingText => {
-            return Row {
-                fault: None,
-                attempts: 1,
-            };
-        }
+        Mishap::TrailingText => return None,
         // To the blind prompt, "1" is the name of a path that is not there, and
         // 2 is no name.
         Mishap::TypeString if is_blind => Fault::OutOfRange,
@@ -76,8 +65,12 @@ fn expected(mishap: Mishap, preset: PromptPreset) -> Row {
         Mishap::ContentType => Fault::ContentType,
         Mishap::InvalidUtf8 => Fault::InvalidUtf8,
         Mishap::HugeBody | Mishap::HugeLength => Fault::TooLarge,
-    };
-    let is_retried = matches!(
+    })
+}
+
+/// The server is asked a second time.
+fn is_retried(mishap: Mishap) -> bool {
+    matches!(
         mishap,
         Mishap::Hang
             | Mishap::SlowDrip
@@ -95,11 +88,7 @@ fn expected(mishap: Mishap, preset: PromptPreset) -> Row {
             | Mishap::ServiceUnavailable
             | Mishap::GatewayTimeout
             | Mishap::Overloaded
-    );
-    Row {
-        fault: Some(fault),
-        attempts: if is_retried { 2 } else { 1 },
-    }
+    )
 }
 
 /// Short where nothing else ends the attempt; the dripping server needs time to
@@ -122,7 +111,8 @@ fn broken(mishap: Mishap) -> Server {
 
 fn check(mishap: Mishap, preset: PromptPreset) {
     let at = format!("{} {}", mishap.word(), preset.word());
-    let row = expected(mishap, preset);
+    let fault = expected(mishap, preset);
+    let attempts = if is_retried(mishap) { 2 } else { 1 };
     let server = broken(mishap);
     let asker = asker(&Vlm {
         attempt_s: attempt_s(mishap),
@@ -130,10 +120,10 @@ fn check(mishap: Mishap, preset: PromptPreset) {
     });
     let (prompt, picture) = (prompt(preset), red_ahead());
     let asked = ask(&asker, &prompt, &picture, PATIENCE_S);
-    assert_eq!(asked.reply.err(), row.fault, "{at}: {}", asked.said);
-    assert_eq!(asked.attempts, row.attempts, "{at}");
-    assert_eq!(server.requests(), u64::from(row.attempts), "{at}");
-    let permanent = row.fault.filter(|fault| fault.is_permanent());
+    assert_eq!(asked.reply.err(), fault, "{at}: {}", asked.said);
+    assert_eq!(asked.attempts, attempts, "{at}");
+    assert_eq!(server.requests(), u64::from(attempts), "{at}");
+    let permanent = fault.filter(|fault| fault.is_permanent());
     assert_eq!(asker.closed(), permanent, "{at}");
     if let Some(fault) = permanent {
         let again = ask(&asker, &prompt, &picture, PATIENCE_S);

@@ -98,7 +98,7 @@ impl ExpertChoice {
     }
 }
 
-fn algorithm(text: &str) -> Result<Algorithm, String> {
+pub(crate) fn algorithm(text: &str) -> Result<Algorithm, String> {
     let all = [
         Algorithm::Pvp,
         Algorithm::Ppl,

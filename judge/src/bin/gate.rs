@@ -8,11 +8,12 @@ use clap::Parser;
 use gate::{Counsel, Heard};
 use judge::{Archive, Bench, Clerk, Evidence, as_the_paper};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use shm_config::Instant;
+use shm_config::config::{Config, GateMode};
 use shm_config::message::{Advice, HealthState, Message, Step};
 use shm_config::services::{ADVICE, Process, STEP};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
-use shm_config::{Instant, config::Config};
 
 /// Asks a judge which of two proposals is safer, and publishes its advice
 #[derive(Parser)]
@@ -59,9 +60,9 @@ impl Gate {
         let config = &member.config;
         let Bench { docket, evidence } =
             Bench::open(config, monotonic).map_err(|error| own(&error))?;
-        let archive = config
-            .gate
-            .record
+        // A replay has a record already.
+        let is_kept = config.gate.record && config.gate.mode != GateMode::Replay;
+        let archive = is_kept
             .then(|| Archive::open(config))
             .transpose()
             .map_err(|error| own(&error))?;

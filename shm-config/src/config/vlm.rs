@@ -165,7 +165,8 @@ pub struct Vlm {
     pub backoff_s: f64,
     /// Longest wait before any attempt, s, unless the server asks for more.
     pub backoff_max_s: f64,
-    /// Questions asked at once; one more fails at once.
+    /// Requests at once, of which a question that is asked twice makes two; one
+    /// more fails at once.
     pub in_flight_max: u32,
     /// Requests in any 60 s, attempts counted.
     pub per_minute_max: u32,
@@ -220,7 +221,8 @@ impl Default for Vlm {
             // As OpenAI's own clients.
             backoff_s: 0.5,
             backoff_max_s: 8.0,
-            in_flight_max: 2,
+            // Two questions (gate.in_flight), each asked twice.
+            in_flight_max: 4,
             per_minute_max: 60,
             budget_usd: 1.0,
             price_in_usd: -1.0,
