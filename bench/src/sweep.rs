@@ -302,7 +302,9 @@ fn print(rows: &[Row]) {
 }
 
 const SIZE: (u32, u32) = (1360, 460);
-const CURVES: [(&str, RGBColor, fn(&Row) -> f64); 3] = [
+/// Name, colour and height.
+type Curve = (&'static str, RGBColor, fn(&Row) -> f64);
+const CURVES: [Curve; 3] = [
     (
         "strict success of the last policy",
         RGBColor(31, 105, 178),
