@@ -144,7 +144,7 @@ impl Waiting {
     /// Waits for the plan of the new observation where the planner makes one, and
     /// in lockstep for the gate to have seen the step before.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
-    fn peers(&mut self, ports: &mut Ports, inputs: &mut Inputs, slot: &Slot) {
+    fn peers(&mut self, ports: &mut Ports, inputs: &mut Inputs, slot: &Slot, pulse: &mut Pulse) {
         let tick = inputs
             .observation
             .map(|observation| observation.header.tick);
@@ -181,6 +181,10 @@ impl Waiting {
                 self.planner_silent = self.lockstep && !planned;
                 self.gate_silent = !advised;
                 return;
+            }
+            // A model may think for longer than a silent process is let live.
+            if self.lockstep {
+                pulse.beat(now);
             }
             // A ring that got lost costs a nap, not the whole wait.
             let left = Duration::from_nanos(until.since_ns(now));
@@ -265,7 +269,7 @@ fn tick(
 ) -> bool {
     let started = monotonic();
     let released_ns = inputs.observation.map_or(0, |o| o.released_ns);
-    waiting.peers(ports, inputs, &slot);
+    waiting.peers(ports, inputs, &slot, pulse);
     inputs.takeover = ports.takeovers.newest();
     let planned = monotonic();
     let now = match (waiting.lockstep, &inputs.observation) {

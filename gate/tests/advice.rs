@@ -70,11 +70,11 @@ fn a_question_is_asked_when_it_matters_and_never_more_often_than_the_spacing() {
     let apart = Action { steer: 0.5, ..CALM };
     let rows = [
         (When::Period, step(5, apart, FAR), None),
-        (When::Matters, calm(15), None),
-        (When::Matters, step(15, apart, FAR), Some(Occasion::Differ)),
+        (When::Matters, calm(25), None),
+        (When::Matters, step(25, apart, FAR), Some(Occasion::Differ)),
         (
             When::Matters,
-            step(15, CALM, 0.2),
+            step(25, CALM, 0.2),
             Some(Occasion::Clearance),
         ),
         (When::Matters, step(5, apart, 0.2), None),

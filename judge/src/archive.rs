@@ -6,14 +6,17 @@ use std::thread::{self, JoinHandle};
 
 use shm_config::config::Config;
 
-use crate::Filed;
 use crate::store::{Lost, Store, StoreError};
+use crate::{Filed, Tally};
 
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
 
 /// Which run the records are of.
 const RUN: &str = "run.txt";
+
+/// What all of them come to, for the supervisor.
+const SUMMARY: &str = "summary.json";
 
 /// Writes records on a thread of its own: a disk that stalls holds up no advice.
 pub struct Archive {
@@ -36,10 +39,16 @@ impl Archive {
         // Without it the next gate of this run begins anew: no harm.
         let _ = fs::write(folder.join(RUN), run_id());
         let (records, filed) = sync_channel::<Filed>(WAITING_MAX);
+        let mut tally = Tally::new(config);
         let thread = thread::spawn(move || {
+            write_summary(&folder, &tally);
             while let Ok(Filed { record, pictures }) = filed.recv() {
+                tally.count(&record);
                 let question = store.begin(record, &pictures);
                 store.complete(question);
+                let lost = store.lost();
+                tally.lost = lost.lines + lost.pictures;
+                write_summary(&folder, &tally);
             }
             let Lost {
                 lines,
@@ -80,6 +89,14 @@ impl Archive {
             tracing::warn!(lost = self.lost, "records of questions were lost");
         }
     }
+}
+
+/// Whole or not at all; a disk that refuses is counted by the store.
+fn write_summary(folder: &Path, tally: &Tally) {
+    let text = serde_json::to_string(tally).unwrap_or_default();
+    let path = folder.join(SUMMARY);
+    let part = folder.join("summary.part");
+    let _ = fs::write(&part, text).and_then(|()| fs::rename(&part, &path));
 }
 
 /// The supervisor's process, which outlives its gates.

@@ -10,7 +10,7 @@ use crate::auditing::{AuditArguments, ReplayArguments};
 
 /// What there is to do about judges apart from a run
 #[derive(Debug, Parser)]
-#[command(name = "vlaps-judge", version)]
+#[command(name = "vlaps-judge", bin_name = "./vlaps judge", version)]
 pub struct Arguments {
     #[command(subcommand)]
     pub command: Command,

@@ -1,5 +1,6 @@
 //! `vlaps-judge audit` and `replay`.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -7,6 +8,7 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use judge::Asker;
 use judge::audit::{Figures, page};
+use judge::record::{Record, Verdict};
 use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
 use judge::store::{Records, read};
@@ -102,14 +104,15 @@ fn tell(records: &Records, figures: &Figures) {
         questions,
         expert,
         policy,
+        similar,
         abstained,
         failed,
         ..
     } = figures;
     let folder = records.folder.display();
     say(format_args!(
-        "{folder}: {questions} questions: expert {expert}, policy {policy}, abstained \
-         {abstained}, failed {failed}"
+        "{folder}: {questions} questions: expert {expert}, policy {policy} (of these \
+         similar {similar}), abstained {abstained}, failed {failed}"
     ));
     for (word, count) in &figures.faults {
         say(format_args!("  {count} x {word}"));
@@ -163,10 +166,11 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let bar = ProgressBar::new(records.questions.len() as u64);
     let style = "{elapsed_precise} {wide_bar} {pos}/{len} questions, {eta} left, {msg}";
     bar.set_style(ProgressStyle::with_template(style)?);
-    let mut gone = 0;
+    let (mut gone, mut before) = (0, 0);
     for record in &records.questions {
         match runtime.block_on(replay.ask(&records, record)) {
-            Step::Asked | Step::Before => {}
+            Step::Asked => {}
+            Step::Before => before += 1,
             Step::Gone => gone += 1,
             Step::Closed(fault) => {
                 bar.finish_and_clear();
@@ -182,6 +186,12 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    if before > 0 {
+        say(format_args!(
+            "{before} were answered before and not asked again: {}",
+            out.display()
+        ));
+    }
     if gone > 0 {
         say(format_args!(
             "{gone} questions have lost their pictures and were not asked"
@@ -196,8 +206,25 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
         ));
     }
     drop(replay);
-    compare(&records, &read(&out)?);
-    Ok(())
+    let mut now = read(&out)?;
+    keep_last(&mut now.questions);
+    compare(&records, &now);
+    match now
+        .questions
+        .iter()
+        .all(|record| record.verdict == Verdict::Failed)
+    {
+        true => bail!("nothing was answered; the same command asks again"),
+        false => Ok(()),
+    }
+}
+
+/// What failed before and was asked again stands twice: the last one counts.
+fn keep_last(records: &mut Vec<Record>) {
+    let mut seen = HashSet::new();
+    records.reverse();
+    records.retain(|record| seen.insert((record.episode, record.tick)));
+    records.reverse();
 }
 
 fn compare(before: &Records, now: &Records) {

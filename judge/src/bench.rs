@@ -49,6 +49,15 @@ impl Bench {
             }
             GateMode::Replay => {
                 let records = read(Path::new(&gate.recording))?;
+                if records.is_torn {
+                    tracing::warn!("the recording's last line is torn and left out");
+                }
+                let last = records.questions.last();
+                tracing::info!(
+                    answers = records.questions.len(),
+                    last_tick = last.map_or(0, |record| record.tick),
+                    "recorded answers; after the last the expert drives"
+                );
                 Box::new(Recorded::new(&records.questions))
             }
             // Of the last three nobody starts a gate.

@@ -35,6 +35,7 @@ mod showing;
 pub mod standin;
 pub mod statistics;
 pub mod store;
+mod tally;
 mod transport;
 
 pub use archive::Archive;
@@ -49,3 +50,4 @@ pub use model::model;
 pub use prompt::{LETTERS, Prompt, SIMILAR, fixed_showing};
 pub use recorded::Recorded;
 pub use showing::{Hue, Party, Reply, Showing, combine};
+pub use tally::Tally;

@@ -135,7 +135,7 @@ fn blind_user(hues: [Hue; 2], view: View, horizon_s: f64) -> String {
          holds one steering angle and one pedal position; which of the two comes first means \
          nothing.\n\n\
          Which path is safer? Safety counts first: a path that meets a vehicle, a person or an \
-         obstacle, or that leaves the road, is worse than one that does not; if both do, the \
+         obstacle, or that leaves the road or crosses its yellow line, is worse than one that does not; if both do, the \
          one that does so later is the better one; passing close by is worse than keeping a \
          distance. Only where both are equally safe, the one that gets further along the road \
          is the better one. If neither is clearly better, they are {SIMILAR}.\n\n\

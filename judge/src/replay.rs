@@ -56,7 +56,12 @@ impl Replay {
             vlm: vlm.clone(),
             asker,
             store,
-            done: done.iter().map(key).collect(),
+            // What failed is asked again.
+            done: done
+                .iter()
+                .filter(|record| record.verdict != Verdict::Failed)
+                .map(key)
+                .collect(),
         })
     }
 
@@ -208,7 +213,8 @@ impl Comparison {
     pub fn of(one: &Records, other: &Records) -> Self {
         let mut counts = [[0; 4]; 4];
         for record in &one.questions {
-            let mut same = other.questions.iter();
+            // What failed before and was asked again stands twice: the last counts.
+            let mut same = other.questions.iter().rev();
             if let Some(again) = same.find(|again| key(again) == key(record)) {
                 counts[place(record.verdict)][place(again.verdict)] += 1;
             }

@@ -55,6 +55,7 @@ pub mod down;
 pub mod event;
 pub mod failure;
 pub mod hand_over;
+pub mod judged;
 pub mod keyboard;
 pub mod keys;
 pub mod live;

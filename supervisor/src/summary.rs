@@ -12,6 +12,7 @@ use shm_config::config::Config;
 use shm_config::message::{Driver, Episode, Grant, Outcome};
 use shm_config::services::Process;
 
+use crate::judged::Judged;
 use crate::live::PolicyView;
 use crate::set::ProcessSet;
 use crate::tally::{Quantiles, Tally, Totals};
@@ -59,6 +60,8 @@ pub struct Summary {
     pub oldest_obeyed_ms: f64,
     /// The policy's weights at the end; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
+    /// What the judge was asked and said; `None` where nobody judges.
+    pub judge: Option<Judged>,
     /// Each process.
     pub processes: BTreeMap<&'static str, ProcessRow>,
 }
@@ -238,6 +241,7 @@ impl Summary {
             braked: tally.episodes.values().map(|episode| episode.braked).sum(),
             policy: tally.policy.as_ref().and_then(PolicyView::of),
             oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
+            judge: Judged::read(config, Path::new(&config.run.folder), std::process::id()),
             processes,
         }
     }
@@ -366,6 +370,9 @@ impl Summary {
         }
         if let Some(policy) = &self.policy {
             writeln!(f, "policy: {policy}")?;
+        }
+        if let Some(judge) = self.judge.as_ref().filter(|judge| judge.questions > 0) {
+            writeln!(f, "judge: {judge}")?;
         }
         let digest = self.command_digest.as_deref().unwrap_or("none");
         writeln!(f, "command digest {digest}")

@@ -45,7 +45,7 @@ impl Truth {
 }
 
 /// Answers against the simulator. Rows: who truly is safer (expert, policy);
-/// columns: who was said to be (expert, policy, abstained, failed).
+/// columns: who was said to be (expert, policy, neither, failed).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Agreement {
     /// The counts.
@@ -121,6 +121,8 @@ pub struct Figures {
     pub expert: usize,
     /// With a preference for the policy.
     pub policy: usize,
+    /// Of those for the policy: they said "similar", which lets it drive.
+    pub similar: usize,
     /// Without one: the askings disagree.
     pub abstained: usize,
     /// Without an answer.
@@ -176,11 +178,19 @@ impl Figures {
         for fault in askings().filter_map(|asking| asking.fault.as_ref()) {
             *faults.entry(fault.clone()).or_default() += 1;
         }
+        // Nothing was asked, or the run ended before the answer: no_frame, unheard.
+        let unasked = records
+            .iter()
+            .filter(|record| record.verdict == Verdict::Failed && record.askings.is_empty());
+        for record in unasked.filter(|record| !record.fault.is_empty()) {
+            *faults.entry(record.fault.clone()).or_default() += 1;
+        }
         let calibration = calibration(records);
         Self {
             questions: records.len(),
             expert: count(Verdict::Expert),
             policy: count(Verdict::Policy),
+            similar: records.iter().filter(|record| is_similar(record)).count(),
             abstained: count(Verdict::Abstain),
             failed,
             faults,
@@ -218,11 +228,26 @@ fn preferred(asking: &Asking) -> Option<Party> {
     }
 }
 
+/// What a judge preferred. "Similar" lets the policy drive, and prefers nobody: it
+/// must not count as right where the policy happens to be safer.
+fn preference(record: &Record) -> Verdict {
+    match is_similar(record) {
+        true => Verdict::Abstain,
+        false => record.verdict,
+    }
+}
+
+/// All replies say that neither is clearly safer.
+pub fn is_similar(record: &Record) -> bool {
+    let mut replies = record.askings.iter().map(|asking| asking.reply);
+    !record.askings.is_empty() && replies.all(|reply| reply == Some(Reply::Similar))
+}
+
 fn agreement(records: &[Record]) -> Agreement {
     let mut agreement = Agreement::default();
     for record in records {
         if let Truth::Safer(party) = Truth::of(record) {
-            agreement.count(party, record.verdict);
+            agreement.count(party, preference(record));
         }
     }
     agreement
@@ -238,8 +263,8 @@ fn asking_agreement(records: &[Record]) -> Agreement {
             let verdict = match (asking.reply, preferred(asking)) {
                 (None, _) => Verdict::Failed,
                 (Some(_), Some(Party::Expert)) => Verdict::Expert,
-                // "Similar" lets the policy drive.
-                (Some(_), Some(Party::Policy) | None) => Verdict::Policy,
+                (Some(_), Some(Party::Policy)) => Verdict::Policy,
+                (Some(_), None) => Verdict::Abstain,
             };
             agreement.count(party, verdict);
         }

@@ -70,8 +70,8 @@ fn tiles(figures: &Figures) -> Markup {
         (
             answered.to_string(),
             format!(
-                "answered: expert {}, policy {}",
-                figures.expert, figures.policy
+                "answered: expert {}, policy {} (similar {})",
+                figures.expert, figures.policy, figures.similar
             ),
         ),
         (figures.abstained.to_string(), "abstained".into()),
@@ -126,7 +126,7 @@ fn agreement(figures: &Figures) -> Markup {
 }
 
 fn matrix(title: &str, agreement: &Agreement) -> Markup {
-    let columns = ["expert", "policy", "abstained", "failed"];
+    let columns = ["expert", "policy", "neither", "failed"];
     let rows = ["the expert is safer", "the policy is safer"];
     let class = |row: usize, column: usize| match (agreement.counts[row][column], column) {
         (0, _) => "zero",

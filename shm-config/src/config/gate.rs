@@ -109,8 +109,8 @@ impl Default for Gate {
             mode: GateMode::Rules,
             when: When::Matters,
             period_s: 10.0,
-            // An accident is 1.5 s to 3 s ahead when it is first seen.
-            spacing_s: 1.0,
+            // Asked twice, that is vlm.per_minute_max.
+            spacing_s: 2.0,
             // Half of what a lane change takes, a tenth of the pedal's way.
             differ: 0.2,
             clearance_m: 0.5,
@@ -183,6 +183,14 @@ impl Gate {
                 if !(1..=JURORS_MAX).contains(&jurors) {
                     let expected = "a list of 1 to 9 of rules and vlm";
                     return refuse("gate.committee", format!("{jurors} judges"), expected);
+                }
+                let geometry = self
+                    .committee
+                    .iter()
+                    .filter(|juror| **juror == Juror::Rules);
+                if geometry.count() > 1 {
+                    let expected = "a list with rules once at most: geometry has one opinion";
+                    return refuse("gate.committee", "rules twice".into(), expected);
                 }
                 in_range("gate.quorum", self.quorum as usize, jurors / 2 + 1..=jurors)
             }
