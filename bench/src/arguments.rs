@@ -6,9 +6,12 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use shm_config::config::Algorithm;
+use supervisor::numbers::whole;
 
+use crate::judging::BenchJudge;
+use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
+use crate::train::arguments::Train;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
 
 /// Evaluates drivers, compares with other systems, draws pictures.
@@ -40,103 +43,6 @@ pub enum Command {
     Train(Train),
 }
 
-/// Train a policy while the process set drives: the paper's experiment.
-#[derive(Debug, Args)]
-#[command(
-    after_help = "The process set drives in lockstep on seeds 100 to 149; after every 200 steps \
-        the learner updates the policy, which is adopted at the next tick and evaluated on seeds \
-        1000 to 1049 without intervention (Sec. 5). The same seed gives the same policies. \
-        Ctrl-C stops, --resume goes on.\n\n\
-        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; ARCHITECTURE.md compares \
-        them.\n\n\
-        Examples:\n  \
-        ./vlaps train --algorithm dagger --steps 10000\n  \
-        ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
-        ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp --resume\n  \
-        ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
-)]
-pub struct Train {
-    /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
-    #[arg(long, value_name = "HOW", default_value = "pvp", value_parser = algorithm)]
-    pub algorithm: Algorithm,
-    /// Steps to train for.
-    #[arg(long, value_name = "N", default_value_t = 50_000,
-          value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
-    pub steps: u64,
-    /// Episodes of the evaluation after every block.
-    #[arg(long, value_name = "N", default_value_t = 50,
-          value_parser = clap::value_parser!(u64).range(1..=100_000))]
-    pub eval_episodes: u64,
-    /// Episodes of the evaluation of the last policy; 0 for none.
-    #[arg(long, value_name = "N", default_value_t = 1000,
-          value_parser = clap::value_parser!(u64).range(0..=1_000_000))]
-    pub final_episodes: u64,
-    /// Seed of networks, replay and the order of episodes.
-    #[arg(long, value_name = "N", default_value_t = 0,
-          value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
-    pub seed: u64,
-    /// Train this many times, each with the next seed.
-    #[arg(long, value_name = "N", default_value_t = 1,
-          value_parser = clap::value_parser!(u32).range(1..=1000))]
-    pub seeds: u32,
-    /// The expert that is learnt from.
-    #[arg(long, value_name = "WHO", default_value = "mpc")]
-    pub expert: ExpertChoice,
-    /// In which world is trained.
-    #[arg(long, value_name = "WORLD", default_value = "sim")]
-    pub world: WorldChoice,
-    /// Folder of the experiment; without it, runs/train-HOW.
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Go on with the experiment that the folder holds, or only report it.
-    #[arg(long)]
-    pub resume: bool,
-    /// Configuration and overrides.
-    #[command(flatten)]
-    pub configuration: Configuration,
-    /// Write the figures to this file, too.
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-}
-
-/// The experts that can be learnt from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ExpertChoice {
-    /// The paper's RRT* and PD.
-    RrtStar,
-    /// RRT* that remembers its last path, and PD.
-    Informed,
-    /// RRT* over curves the car can drive, and PD.
-    Kinodynamic,
-    /// Model-predictive control.
-    Mpc,
-}
-
-impl ExpertChoice {
-    /// As `planner.method` has it.
-    pub fn key(self) -> &'static str {
-        match self {
-            ExpertChoice::RrtStar => "rrt_star",
-            ExpertChoice::Informed => "informed",
-            ExpertChoice::Kinodynamic => "kinodynamic",
-            ExpertChoice::Mpc => "mpc",
-        }
-    }
-}
-
-fn algorithm(text: &str) -> Result<Algorithm, String> {
-    let all = [
-        Algorithm::Pvp,
-        Algorithm::Ppl,
-        Algorithm::Bc,
-        Algorithm::HgDagger,
-        Algorithm::Dagger,
-    ];
-    let found = all.into_iter().find(|algorithm| algorithm.word() == text);
-    let words = all.map(Algorithm::word).join(", ");
-    found.ok_or_else(|| format!("must be one of {words}"))
-}
-
 /// Drive many episodes and print success, contacts and completion.
 #[derive(Debug, Args)]
 #[command(
@@ -158,10 +64,12 @@ pub struct Eval {
     pub driver: DriverKind,
     /// How many episodes.
     #[arg(long, value_name = "N", default_value_t = 1000,
-          value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=1_000_000))]
     pub episodes: u64,
     /// Seed of the first episode; each further one adds one.
-    #[arg(long, value_name = "N", default_value_t = 1000)]
+    #[arg(long, value_name = "N", default_value_t = 1000, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
     pub first_seed: u64,
     /// In which world.
     #[arg(long, value_name = "WORLD", default_value = "sim")]
@@ -171,7 +79,7 @@ pub struct Eval {
     pub configuration: Configuration,
     /// Threads; without it, as many as there are cores. Each has a MetaDrive of
     /// its own.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub threads: Option<NonZeroUsize>,
     /// Draw the failures into this folder, at most 50, as they go in the built-in
     /// world.
@@ -237,6 +145,10 @@ pub enum Bench {
     Learner(BenchLearner),
     /// Measure whether a running set notices that its weights are swapped.
     Swap(BenchSwap),
+    /// Measure how often a judge is right where the simulator knows, over HTTP.
+    Judge(BenchJudge),
+    /// Measure how punctual a running set is, whatever its judge does.
+    Latency(BenchLatency),
 }
 
 /// Measure how long the policy's net takes to answer, by back end.
@@ -251,7 +163,8 @@ pub enum Bench {
 pub struct BenchPolicy {
     /// Answers to measure of each.
     #[arg(long, value_name = "N", default_value_t = 20_000,
-          value_parser = clap::value_parser!(u32).range(1..=10_000_000))]
+          allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=10_000_000))]
     pub runs: u32,
     /// libonnxruntime.so or its folder, if not that of ./vlaps setup onnxruntime.
     #[arg(long, value_name = "FILE")]
@@ -276,7 +189,8 @@ pub struct BenchPolicy {
 )]
 pub struct BenchLearner {
     /// Seconds for each side of a row.
-    #[arg(long, value_name = "S", default_value_t = 6.0, value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value_t = 6.0, allow_negative_numbers = true,
+          value_parser = seconds)]
     pub seconds: f64,
     /// A Python with PyTorch; without it, python3.
     #[arg(long, value_name = "FILE")]
@@ -297,12 +211,14 @@ pub struct BenchLearner {
 )]
 pub struct BenchSwap {
     /// Seconds for each row.
-    #[arg(long, value_name = "S", default_value_t = 30.0, value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value_t = 30.0, allow_negative_numbers = true,
+          value_parser = seconds)]
     pub seconds: f64,
     /// Ticks per second, one or more.
     #[arg(
         long,
         value_name = "HZ",
+        allow_negative_numbers = true,
         value_delimiter = ',',
         default_value = "10,100"
     )]
@@ -327,10 +243,12 @@ pub struct BenchSwap {
 pub struct Soak {
     /// How many ticks.
     #[arg(long, value_name = "N", default_value_t = 100_000,
-          value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=100_000_000))]
     pub ticks: u64,
     /// Seed of the first episode, and of the disturbances.
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
     pub first_seed: u64,
     /// Configuration and overrides.
     #[command(flatten)]
@@ -359,7 +277,8 @@ pub struct BenchPlanner {
     pub scenes: Option<PathBuf>,
     /// How often each scene is planned for.
     #[arg(long, value_name = "N", default_value_t = 10,
-          value_parser = clap::value_parser!(u32).range(1..=10_000))]
+          allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=10_000))]
     pub rounds: u32,
     /// Compare the paper's planner with OMPL's RRTstar, too.
     #[arg(long)]
@@ -368,15 +287,18 @@ pub struct BenchPlanner {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["scenes", "rounds", "ompl", "json"])]
     pub record: Option<PathBuf>,
     /// Seed of the first episode to record; each further one adds one.
-    #[arg(long, value_name = "N", default_value_t = 100, requires = "record")]
+    #[arg(long, value_name = "N", default_value_t = 100, requires = "record",
+          allow_negative_numbers = true, value_parser = whole::<u64>(0..=u64::MAX))]
     pub first_seed: u64,
     /// How many episodes to record.
     #[arg(long, value_name = "N", default_value_t = 50, requires = "record",
-          value_parser = clap::value_parser!(u64).range(1..=100_000))]
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=100_000))]
     pub episodes: u64,
     /// How many scenes to keep of them.
     #[arg(long, value_name = "N", default_value_t = 600, requires = "record",
-          value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+          allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=1_000_000))]
     pub keep: u32,
     /// Configuration and overrides.
     #[command(flatten)]
@@ -409,10 +331,12 @@ pub struct Parity {
 )]
 pub struct Sim {
     /// Seconds for each row.
-    #[arg(long, value_name = "S", default_value_t = 5.0, value_parser = seconds)]
+    #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true,
+          value_parser = seconds)]
     pub seconds: f64,
     /// Seed of the first episode.
-    #[arg(long, value_name = "N", default_value_t = 1000)]
+    #[arg(long, value_name = "N", default_value_t = 1000, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
     pub first_seed: u64,
     /// The virtual environment with MetaDrive, if not the one that
     /// `./vlaps setup metadrive` makes.
@@ -423,7 +347,7 @@ pub struct Sim {
     pub json: Option<PathBuf>,
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     let seconds: f64 = text.parse().map_err(|_| "not a number".to_string())?;
     match (0.1..=3600.0).contains(&seconds) {
         true => Ok(seconds),

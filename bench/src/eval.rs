@@ -15,6 +15,7 @@ use crate::arguments::WorldChoice;
 use crate::episode::drive;
 use crate::outside;
 use crate::seat::{DriverKind, Seat, planning_histogram};
+use crate::stop::Stop;
 
 /// Which episodes, and who drives them.
 #[derive(Clone, Debug)]
@@ -51,15 +52,20 @@ pub fn evaluate(
     done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
     match task.world {
-        WorldChoice::Sim => evaluate_inside(task, config, clock, done),
+        WorldChoice::Sim => evaluate_inside(task, config, (clock, &Stop::default()), done),
         WorldChoice::Metadrive => outside::evaluate(task, config, clock, done),
     }
 }
 
-fn evaluate_inside(
+/// The same in the built-in world, whatever the task says. When it is asked to
+/// stop, no other episode is begun: then fewer come back than there are.
+///
+/// # Errors
+/// When the configuration is out of range or a seed has no map.
+pub fn evaluate_inside(
     task: &Task,
     config: &Config,
-    clock: Clock,
+    (clock, stop): (Clock, &Stop),
     mut done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
     let next = AtomicU64::new(0);
@@ -69,7 +75,7 @@ fn evaluate_inside(
         let workers: Vec<_> = (0..threads)
             .map(|_| {
                 let (next, send) = (&next, send.clone());
-                scope.spawn(move || work(task, config, clock, next, &send))
+                scope.spawn(move || work((task, config), (clock, stop), next, &send))
             })
             .collect();
         drop(send);
@@ -96,9 +102,8 @@ fn evaluate_inside(
 
 /// Drives whatever episode is next, until there is none.
 fn work(
-    task: &Task,
-    config: &Config,
-    clock: Clock,
+    (task, config): (&Task, &Config),
+    (clock, stop): (Clock, &Stop),
     next: &AtomicU64,
     send: &mpsc::Sender<Episode>,
 ) -> anyhow::Result<Histogram<u64>> {
@@ -107,7 +112,7 @@ fn work(
     let period_ns = config.run.period_ns();
     loop {
         let index = next.fetch_add(1, Ordering::Relaxed);
-        if index >= task.episodes {
+        if index >= task.episodes || stop.is_asked() {
             return Ok(seat.planning_us().clone());
         }
         let seed = task.first_seed.wrapping_add(index);

@@ -6,6 +6,7 @@ use shm_config::message::{Episode, Outcome};
 use sim::observe::TICK_S;
 
 use crate::eval::{Cause, Drives, Task};
+use crate::metric::Metric;
 use crate::report::table;
 use crate::statistics::Estimate;
 
@@ -106,35 +107,37 @@ impl Evaluation {
 
     /// The table of figures.
     pub fn table(&self) -> Table {
-        let mut table = table(&["", "paper's metric", "95 %", "strict", "95 %"]);
-        let mut row = |name: &str, paper: Option<Estimate>, strict: Option<Estimate>, digits| {
-            let [paper, paper_interval] = cells(paper, digits);
-            let [strict, strict_interval] = cells(strict, digits);
-            table.add_row([name, &paper, &paper_interval, &strict, &strict_interval]);
+        let mut table = table(&["", "mean", "95 %"]);
+        let mut row = |name: &str, estimate, digits| {
+            let [mean, interval] = cells(estimate, digits);
+            table.add_row([name, &mean, &interval]);
         };
-        let (crash, contact) = (self.crash_last_step, self.contact);
-        row("success", Some(self.success), Some(self.strict_success), 3);
-        row("crash: last step | any step", Some(crash), Some(contact), 3);
-        row("  with a vehicle", None, Some(self.contact_vehicle), 3);
-        row("  with an object", None, Some(self.contact_object), 3);
-        row("out of road", Some(self.out_of_road), None, 3);
-        row("max step", Some(self.max_step), None, 3);
-        row("route completion", Some(self.completion), None, 3);
-        let of = |mean, [low, high]: [f64; 2]| Some(Estimate { mean, low, high });
-        let length = of(self.mean_length, self.mean_length_interval);
-        row("length, ticks", length, None, 0);
-        let speed = of(self.mean_speed_mps, self.mean_speed_mps_interval);
-        row("speed, m/s", speed, None, 2);
+        for metric in Metric::ALL {
+            row(metric.name(), self.estimate(metric), metric.digits());
+            if metric == Metric::Contact {
+                row("  with a vehicle", self.contact_vehicle, 3);
+                row("  with an object", self.contact_object, 3);
+            }
+        }
         if let Some(p99_us) = self.planning_p99_us {
-            table.add_row([
-                "planning p99, us (wall clock)",
-                &p99_us.to_string(),
-                "",
-                "",
-                "",
-            ]);
+            table.add_row(["planning p99, us (wall clock)", &p99_us.to_string(), ""]);
         }
         table
+    }
+
+    fn estimate(&self, metric: Metric) -> Estimate {
+        let of = |mean, [low, high]: [f64; 2]| Estimate { mean, low, high };
+        match metric {
+            Metric::Success => self.success,
+            Metric::StrictSuccess => self.strict_success,
+            Metric::CrashLastStep => self.crash_last_step,
+            Metric::Contact => self.contact,
+            Metric::OutOfRoad => self.out_of_road,
+            Metric::MaxStep => self.max_step,
+            Metric::Completion => self.completion,
+            Metric::MeanLength => of(self.mean_length, self.mean_length_interval),
+            Metric::MeanSpeed => of(self.mean_speed_mps, self.mean_speed_mps_interval),
+        }
     }
 
     /// The failures by cause, each with its seeds; `None` when there is none.
@@ -161,10 +164,7 @@ impl Evaluation {
     }
 }
 
-fn cells(estimate: Option<Estimate>, digits: usize) -> [String; 2] {
-    let Some(Estimate { mean, low, high }) = estimate else {
-        return [String::new(), String::new()];
-    };
+fn cells(Estimate { mean, low, high }: Estimate, digits: usize) -> [String; 2] {
     let interval = match low.is_finite() && high.is_finite() {
         true => format!("{low:.digits$} to {high:.digits$}"),
         false => "-".into(),

@@ -4,11 +4,13 @@
 //! | module | holds |
 //! |---|---|
 //! | [`arguments`] | the command line |
+//! | [`outputs`], [`stop`] | files that cannot be written, and Ctrl-C |
 //! | [`settings`] | the run's configuration, as `./vlaps up` would make it |
 //! | [`seat`] | the drivers: the stack's expert, a lane keeper, MetaDrive's IDM |
 //! | [`episode`] | one episode in lockstep order |
 //! | [`eval`], [`evaluation`] | many episodes, and their table |
 //! | [`outside`] | the same in the real MetaDrive |
+//! | [`metric`] | keys and names of the figures |
 //! | [`statistics`] | means with 95 % intervals |
 //! | [`report`] | rows of a table, on the screen and as JSON |
 //! | [`parity`] | the world against recordings of MetaDrive |
@@ -17,19 +19,29 @@
 //! | [`scene`] | recorded scenes and their files |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
+//! | [`judging`] | how often a judge is right where the simulator knows |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
+//! | [`driven`] | a whole process set, driven for a measurement |
+//! | [`floor`] | how late the machine wakes a thread that does nothing else |
+//! | [`latency`] | how punctual the set is, whatever its judge does |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
 pub mod draw;
+pub mod driven;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;
+pub mod floor;
 pub mod inference;
+pub mod judging;
+pub mod latency;
 pub mod learning;
 pub mod metadrive;
+pub mod metric;
+pub mod outputs;
 pub mod outside;
 pub mod parity;
 pub mod photography;
@@ -41,6 +53,7 @@ pub mod settings;
 pub mod soak;
 pub mod speed;
 pub mod statistics;
+pub mod stop;
 pub mod swapping;
 pub mod train;
 

@@ -8,10 +8,14 @@ use bench::Clock;
 use bench::arguments::{Arguments, Bench, Command, Draw, Eval};
 use bench::eval::{Task, evaluate};
 use bench::evaluation::Evaluation;
+use bench::metric::FOOTNOTE;
 use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
-use bench::{draw, inference, learning, parity, planning, settings, soak, speed, swapping, train};
+use bench::{
+    draw, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
+    swapping, train,
+};
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
@@ -27,7 +31,21 @@ fn main() -> ExitCode {
     // A process entry point: the clock is read nowhere else.
     #[allow(clippy::disallowed_methods)]
     let clock: Clock = monotonic;
-    let done = match &Arguments::parse().command {
+    let command = Arguments::parse().command;
+    let done = outputs::check(&command)
+        .map_err(anyhow::Error::from)
+        .and_then(|()| carry_out(&command, clock));
+    done.unwrap_or_else(|error| {
+        use std::io::Write;
+        // Nobody may be left to read it.
+        let _ = writeln!(std::io::stderr(), "error: {error:#}");
+        let failure = error.downcast_ref::<Failure>();
+        ExitCode::from(failure.map_or(EXIT_FAILED, Failure::exit_code))
+    })
+}
+
+fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
+    match command {
         Command::Eval(arguments) => eval(arguments, clock).map(|()| ExitCode::SUCCESS),
         Command::Bench(Bench::Parity(arguments)) => parity::bench(arguments),
         Command::Bench(Bench::Sim(arguments)) => {
@@ -44,6 +62,12 @@ fn main() -> ExitCode {
         }
         Command::Bench(Bench::Swap(arguments)) => {
             swapping::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Judge(arguments)) => {
+            judging::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Latency(arguments)) => {
+            latency::bench(arguments).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {
@@ -63,14 +87,7 @@ fn main() -> ExitCode {
         Command::Draw(Draw::Plan(arguments)) => {
             draw::plan(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
-    };
-    done.unwrap_or_else(|error| {
-        use std::io::Write;
-        // Nobody may be left to read it.
-        let _ = writeln!(std::io::stderr(), "error: {error:#}");
-        let failure = error.downcast_ref::<Failure>();
-        ExitCode::from(failure.map_or(EXIT_FAILED, Failure::exit_code))
-    })
+    }
 }
 
 fn gauges(clock: Clock) -> Gauges {
@@ -137,6 +154,7 @@ fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
         task.threads
     ));
     say(evaluation.table());
+    say(FOOTNOTE);
     if let Some(failures) = evaluation.failure_table() {
         say("failures by the strict metric, with their seeds:");
         say(failures);

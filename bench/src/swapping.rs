@@ -1,10 +1,8 @@
 //! `bench swap`: does a running set notice that its weights are swapped?
 
-use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use hdrhistogram::Histogram;
 use policy::{Provenance, encode};
 use serde::Serialize;
@@ -15,6 +13,8 @@ use supervisor::swap::{Answer, Offers};
 
 use crate::Clock;
 use crate::arguments::BenchSwap;
+use crate::driven::{Driven, Punctuality};
+use crate::floor::Floor;
 use crate::inference::net;
 use crate::report::{Machine, say, table, write_json};
 
@@ -37,20 +37,14 @@ pub struct Row {
     pub offered: u64,
     /// Of those, adopted.
     pub adopted: u64,
-    /// Ticks of the controller.
-    pub ticks: u64,
-    /// Ticks of the controller missed: skipped, or done after their deadline.
-    pub missed: u64,
-    /// Begin of the controller's tick after its instant, 99 % at most, us.
-    pub lateness_p99_us: f64,
-    /// The latest, us.
-    pub lateness_max_us: f64,
     /// From offering to knowing that it is adopted, median, ms.
     pub adopted_after_p50_ms: Option<f64>,
     /// The longest, ms.
     pub adopted_after_max_ms: Option<f64>,
-    /// What the kernel granted the controller: real-time priority.
-    pub priority: String,
+    /// The controller.
+    pub controller: Punctuality,
+    /// A thread beside it that only wakes up, at the same rate and priority.
+    pub floor: Punctuality,
 }
 
 /// All rows.
@@ -88,57 +82,42 @@ pub fn bench(arguments: &BenchSwap, clock: Clock) -> anyhow::Result<()> {
     }
 }
 
-/// A set that is killed should anything here fail.
-struct Driven(Child);
-
-impl Drop for Driven {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 fn drive(
     arguments: &BenchSwap,
     rate_hz: f64,
     every_ns: Option<u64>,
     clock: Clock,
 ) -> anyhow::Result<Row> {
-    let folder = tempfile::tempdir()?;
-    let name = format!("swap-{}", std::process::id());
-    let json = folder.path().join("up.json");
-    let supervisor = std::env::current_exe()?.with_file_name("vlaps-supervisor");
-    let mut command = Command::new(&supervisor);
-    command
-        .args(["up", "--run", &name, "--gate", "expert", "--seed", "3"])
-        .args(["--rate", &rate_hz.to_string()])
-        .args(["--duration", &arguments.seconds.to_string()])
+    let mut up: Vec<String> = ["--gate", "expert", "--seed", "3", "--rate"]
+        .map(String::from)
+        .to_vec();
+    up.extend([rate_hz.to_string(), "--duration".into()]);
+    up.push(arguments.seconds.to_string());
+    let stay = [
         // Whatever the nets propose, they are charged at once and stay.
-        .args(["--set", "policy.probation_ticks=0", "--set"])
-        .args(["policy.veto_rate_max=1.0", "--set", "policy.jump_max=2.0"])
-        .arg("--json")
-        .arg(&json)
-        .current_dir(folder.path())
-        .stdin(Stdio::null())
-        .stdout(Stdio::null());
-    for text in &arguments.overrides {
-        command.args(["--set", text]);
+        "policy.probation_ticks=0",
+        "policy.veto_rate_max=1.0",
+        "policy.jump_max=2.0",
+    ];
+    for text in stay.map(String::from).iter().chain(&arguments.overrides) {
+        up.extend(["--set".into(), text.clone()]);
     }
-    let child = command
-        .spawn()
-        .with_context(|| supervisor.display().to_string())?;
-    let mut driven = Driven(child);
+    let floor = Floor::start(rate_hz, clock)?;
+    let driven = Driven::start("swap", up)?;
     let mut row = Row {
         rate_hz,
         ..Row::default()
     };
     if let Some(every_ns) = every_ns {
-        offer(&name, &mut row, (arguments.seconds, every_ns), clock)?;
+        offer(
+            driven.name(),
+            &mut row,
+            (arguments.seconds, every_ns),
+            clock,
+        )?;
     }
-    if !driven.0.wait()?.success() {
-        bail!("run '{name}' failed; its errors are above");
-    }
-    read(&json, &mut row)?;
+    row.controller = Punctuality::of(&driven.finish()?, "controller");
+    row.floor = floor.finish()?;
     Ok(row)
 }
 
@@ -185,26 +164,15 @@ fn offer(
     Ok(())
 }
 
-fn read(json: &Path, row: &mut Row) -> anyhow::Result<()> {
-    let json: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(json)?)?;
-    let controller = &json["processes"]["controller"];
-    let count = |key: &str| controller[key].as_u64().unwrap_or(0);
-    let late_us = |key: &str| controller["release_lateness_us"][key].as_f64();
-    row.ticks = count("ticks");
-    row.missed = count("skipped") + count("late");
-    row.lateness_p99_us = late_us("p99").unwrap_or(f64::NAN);
-    row.lateness_max_us = late_us("max").unwrap_or(f64::NAN);
-    let priority = controller["realtime"]["priority"].as_str();
-    row.priority = priority.unwrap_or("unknown").into();
-    Ok(())
-}
-
 fn print(swapped: &Swapped) {
     let mut table = table(&[
         "",
         "ticks",
         "missed",
         "late p99 us",
+        "max us",
+        "floor missed",
+        "p99 us",
         "max us",
         "adopted",
         "after p50 ms",
@@ -218,19 +186,24 @@ fn print(swapped: &Swapped) {
         };
         table.add_row([
             format!("{} Hz, {swaps}", row.rate_hz),
-            row.ticks.to_string(),
-            row.missed.to_string(),
-            format!("{:.1}", row.lateness_p99_us),
-            format!("{:.1}", row.lateness_max_us),
+            row.controller.ticks.to_string(),
+            row.controller.missed.to_string(),
+            format!("{:.1}", row.controller.lateness_us.p99),
+            format!("{:.1}", row.controller.lateness_us.max),
+            row.floor.missed.to_string(),
+            format!("{:.1}", row.floor.lateness_us.p99),
+            format!("{:.1}", row.floor.lateness_us.max),
             format!("{} of {}", row.adopted, row.offered),
             number(row.adopted_after_p50_ms),
             number(row.adopted_after_max_ms),
         ]);
     }
     say(table);
-    let priority = swapped.rows.first().map_or("unknown", |row| &row.priority);
+    let first = swapped.rows.first();
+    let priority = first.map_or("unknown", |row| &row.controller.priority);
     say(format_args!(
-        "259-256-256-2, {} s each, whole process set, real-time priority {priority}, {}",
+        "259-256-256-2, {} s each, whole process set, real-time priority {priority}, {}; floor: a \
+         thread that only wakes up, at the same rate and priority in the same seconds",
         swapped.seconds, swapped.conditions
     ));
 }

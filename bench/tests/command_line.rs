@@ -120,6 +120,28 @@ fn mistakes_are_named_with_exit_code_2() {
             "--driver idm",
         ),
         (&["draw", "mapp"], "map"),
+        (&["draw", "map", "--seed", "3", "--out", "a.png"], ".svg"),
+        (&["draw", "map", "--seed", "-3"], "a whole number from 0"),
+        (&["draw", "plan", "--scene", "a", "--tick", "3"], "--tick"),
+        (
+            &["draw", "plan", "--seed", "3", "--tick", "3", "--index", "3"],
+            "--index",
+        ),
+        (&["eval", "--episodes", "-1"], "from 1 to 1000000"),
+        (
+            &["eval", "--json", "no/such/a.json"],
+            "--json no/such/a.json",
+        ),
+        (
+            &["eval", "--draw", "/proc/pictures"],
+            "--draw /proc/pictures",
+        ),
+        (&["bench", "sim", "--json", "."], "--json ."),
+        (&["train", "--seeds", "-1"], "from 1 to 1000"),
+        (
+            &["train", "--out", "/proc/experiment"],
+            "--out /proc/experiment",
+        ),
     ] {
         let output = bench(words);
         let text = String::from_utf8_lossy(&output.stderr);

@@ -12,6 +12,28 @@ pub enum Intent {
     Stop,
 }
 
+/// How far a policy is on its way to the wheel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// There is none.
+    Unloaded,
+    /// The only one there is proposes in shadow.
+    Shadow,
+    /// One may drive.
+    Charged,
+}
+
+impl Stage {
+    /// Why no policy drives; `None` when one may.
+    fn hindrance(self) -> Option<Reason> {
+        match self {
+            Stage::Unloaded => Some(Reason::Unloaded),
+            Stage::Shadow => Some(Reason::Shadow),
+            Stage::Charged => None,
+        }
+    }
+}
+
 /// Everything the switch law looks at.
 pub struct Standing<'a> {
     /// Whether the run goes on.
@@ -26,8 +48,8 @@ pub struct Standing<'a> {
     pub plan: Option<&'a Plan>,
     /// The advice, if any ever came.
     pub advice: Option<&'a Advice>,
-    /// A policy is loaded.
-    pub policy_loaded: bool,
+    /// How far the policy is.
+    pub stage: Stage,
     /// What a person wants who has taken over, said not long ago.
     pub takeover: Option<Action>,
     /// What the expert proposed.
@@ -90,10 +112,14 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
         GateMode::Expert => return (Driver::Expert, Reason::Configured),
         // Of a person only who has not taken over comes here.
         GateMode::Policy | GateMode::Human => return (Driver::Policy, Reason::Configured),
-        GateMode::Rules => {}
+        GateMode::Rules
+        | GateMode::Vlm
+        | GateMode::Paper
+        | GateMode::Committee
+        | GateMode::Replay => {}
     }
-    if !standing.policy_loaded {
-        return (Driver::Expert, Reason::Unloaded);
+    if let Some(reason) = standing.stage.hindrance() {
+        return (Driver::Expert, reason);
     }
     let Some(advice) = standing.advice.filter(|advice| advice.answers > 0) else {
         return (Driver::Expert, Reason::Unadvised);
@@ -110,8 +136,8 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
 
 /// The policy's turn is the policy's only if it can and may.
 fn may_policy(standing: &Standing, reason: Reason) -> (Driver, Reason) {
-    if !standing.policy_loaded {
-        (Driver::Expert, Reason::Unloaded)
+    if let Some(reason) = standing.stage.hindrance() {
+        (Driver::Expert, reason)
     } else if standing.policy.is_none() {
         (Driver::Expert, Reason::Faulty)
     } else if standing.policy_assessment.is_vetoed() {

@@ -29,7 +29,11 @@ pub struct Handover {
 struct Learner {
     port: Subscriber<Learning>,
     newest: Learning,
-    steps: u64,
+    /// Steps driven, in this run and in those that it goes on with; `None` until
+    /// the learner has said how many there were.
+    steps: Option<u64>,
+    /// Steps of this controller.
+    own_steps: u64,
     block_steps: u64,
     wait_ns: u64,
     is_silent: bool,
@@ -44,7 +48,8 @@ impl Handover {
             true => Some(Learner {
                 port: member.wire.subscriber(LEARNING)?,
                 newest: Learning::default(),
-                steps: 0,
+                steps: None,
+                own_steps: 0,
                 block_steps: u64::from(learner.block_steps),
                 wait_ns: (learner.lockstep_wait_s * 1e9) as u64,
                 is_silent: false,
@@ -128,22 +133,20 @@ impl Handover {
         let Some(learner) = &mut self.learning else {
             return;
         };
-        learner.steps += 1;
         // A successor that came before has nothing to say of this wait.
         let _ = learner.hear();
-        if !learner.steps.is_multiple_of(learner.block_steps) || learner.is_silent {
+        let tick = controller.step().header.tick;
+        let is_end = learner.count(tick);
+        if !is_end || learner.is_silent {
             return;
         }
-        let tick = controller.step().header.tick;
         let until = monotonic().after_ns(learner.wait_ns);
+        let mut is_successor = false;
         while !member.is_stopping() {
             // It never saw the step that is waited for: it would wait for ever.
-            if learner.hear() == Heard::Successor {
-                break;
-            }
-            let newest = &learner.newest;
-            let is_considered = newest.header.sequence > 0 && newest.header.tick >= tick;
-            if is_considered && newest.version <= self.loader.exchange().decided() {
+            is_successor |= learner.hear() == Heard::Successor;
+            let is_done = is_successor || learner.has_considered(tick);
+            if is_done && learner.newest.version <= self.loader.exchange().decided() {
                 break;
             }
             let now = monotonic();
@@ -168,6 +171,30 @@ enum Heard {
 }
 
 impl Learner {
+    /// Counts the step of this tick. Returns whether it ends a block, as the
+    /// learner counts them: a run that goes on may begin within one.
+    fn count(&mut self, tick: u64) -> bool {
+        self.own_steps += 1;
+        let header = &self.newest.header;
+        let steps = match (self.steps, header.sequence) {
+            (Some(steps), _) => steps + 1,
+            (None, 0) => return false,
+            // Its first word is said before it considers any step.
+            (None, 1) => self.newest.steps + self.own_steps,
+            (None, _) => {
+                let ahead = tick.saturating_sub(header.tick);
+                self.newest.steps + ahead.min(self.own_steps)
+            }
+        };
+        self.steps = Some(steps);
+        steps.is_multiple_of(self.block_steps)
+    }
+
+    /// The learner has considered the step of this tick; its first word is of none.
+    fn has_considered(&self, tick: u64) -> bool {
+        self.newest.header.sequence > 1 && self.newest.header.tick >= tick
+    }
+
     fn hear(&mut self) -> Heard {
         self.port.tend();
         let Some(learning) = self.port.newest() else {

@@ -14,8 +14,9 @@ mod pd;
 mod policy;
 mod slots;
 mod tick;
+mod transfer;
 
-pub use choose::{Choice, Intent, Standing, choose};
+pub use choose::{Choice, Intent, Stage, Standing, choose};
 pub use pd::Pd;
 pub use policy::{
     Begin, Exchange, Fault, Hand, Loader, Look, NativePolicy, News, Offer, OrtPolicy, OrtSession,
@@ -23,3 +24,4 @@ pub use policy::{
 };
 pub use slots::{Slot, Slots};
 pub use tick::{Controller, Inputs};
+pub use transfer::Transfer;

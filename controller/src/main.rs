@@ -99,7 +99,7 @@ impl Waiting {
             asks_gate: config.gate.has_process(),
             period_ns,
             plan_wait_ns: share(config.limits.plan_wait),
-            lockstep_wait_ns: (config.limits.lockstep_wait_s * 1e9) as u64,
+            lockstep_wait_ns: config.peer_wait_ns(),
             planner_silent: false,
             gate_silent: false,
             stepped: None,

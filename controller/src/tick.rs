@@ -6,7 +6,7 @@ use shm_config::message::{
 use shm_config::{Instant, Message};
 use vehicle::Action;
 
-use crate::{Choice, Intent, Pd, PolicySlot, Standing, choose};
+use crate::{Choice, Intent, Pd, PolicySlot, Standing, Transfer, choose};
 
 /// What came since the last tick, not yet admitted.
 #[derive(Debug, Clone, Copy, Default)]
@@ -26,6 +26,7 @@ pub struct Controller {
     pub(crate) config: Config,
     pd: Pd,
     pub(crate) policy: PolicySlot,
+    transfer: Transfer,
     has_observation: bool,
     has_plan: bool,
     has_advice: bool,
@@ -38,6 +39,7 @@ impl Controller {
     pub fn new(config: Config, policy: PolicySlot) -> Self {
         Self {
             pd: Pd::new(config.controller),
+            transfer: Transfer::of(&config),
             config,
             policy,
             has_observation: false,
@@ -70,20 +72,28 @@ impl Controller {
         let policy = sees.then(|| self.policy.propose(observation)).flatten();
         let [expert_assessment, policy_assessment] = self.judge(sees, [expert, policy]);
 
-        let choice = choose(&Standing {
+        let mut choice = choose(&Standing {
             intent,
             mode: self.config.gate.mode,
             now,
             sees,
             plan,
             advice: self.has_advice.then_some(&self.step.advice),
-            policy_loaded: self.policy.is_loaded(),
+            stage: self.policy.stage(),
             takeover,
             expert,
             policy,
             expert_assessment: &expert_assessment,
             policy_assessment: &policy_assessment,
         });
+
+        let mut transfer = self.transfer;
+        let episode = self.step.observation.header.episode;
+        choice.action = transfer.ease(&choice, episode, |eased| {
+            let [assessment] = self.judge(sees, [Some(eased)]);
+            !assessment.is_vetoed()
+        });
+        self.transfer = transfer;
 
         self.record(tick, now, choice);
         let step = &mut self.step;

@@ -1,5 +1,8 @@
 //! Policies that are no chain of layers run in ONNX Runtime, where it is.
 
+#[path = "../../policy/tests/torch/mod.rs"]
+mod torch;
+
 use controller::{Policy, Terms, build, library};
 use shm_config::config::Config;
 use shm_config::time::monotonic;
@@ -46,16 +49,10 @@ fn it_answers_as_pytorch_does() {
     }
     let mut policy = built(&config()).expect("a graph of allowed operators");
     assert_eq!(policy.version(), 3);
-    for line in include_str!("../../policy/tests/data/expected_gated.txt").lines() {
-        let numbers: Vec<f32> = line
-            .split(' ')
-            .map(|number| number.parse().expect("a number"))
-            .collect();
-        let features: Vec<f32> = (0..259)
-            .map(|k| (k as f32 * numbers[0]).sin().abs())
-            .collect();
-        let Action { steer, pedal } = policy.infer(&features).expect("an answer in time");
-        let off = (steer - f64::from(numbers[1])).abs() + (pedal - f64::from(numbers[2])).abs();
-        assert!(off < 1e-5, "{steer} {pedal}, PyTorch {numbers:?}");
+    for case in torch::cases(include_str!("../../policy/tests/data/expected_gated.txt")) {
+        let Action { steer, pedal } = policy.infer(&case.features).expect("an answer in time");
+        let [expected_steer, expected_pedal] = case.answer.map(f64::from);
+        let off = (steer - expected_steer).abs() + (pedal - expected_pedal).abs();
+        assert!(off < 1e-5, "{steer} {pedal}, PyTorch {:?}", case.answer);
     }
 }

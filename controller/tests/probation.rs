@@ -1,11 +1,13 @@
 //! New weights: in shadow, in charge and watched, settled; or given up.
 
+mod road;
+
 use controller::{
     Begin, Controller, Exchange, Hand, Inputs, Intent, Look, News, Offer, Policy, PolicySlot,
 };
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
-use shm_config::message::Observation;
+use shm_config::message::{Observation, Reason};
 use vehicle::Action;
 
 /// Answers alternately.
@@ -97,6 +99,31 @@ impl Car {
     fn version(&self) -> u64 {
         self.controller.step().weights_version
     }
+}
+
+/// Ticks once with all that the expert needs; why it drove who drove.
+fn reason(car: &mut Car) -> Option<Reason> {
+    let now = Instant(car.tick * 100_000_000);
+    let inputs = Inputs {
+        observation: Some(road::observation(now)),
+        plan: Some(road::plan(now, 0.0)),
+        ..Inputs::default()
+    };
+    car.controller.tick(&inputs, car.tick, now, Intent::Drive);
+    car.controller.try_policies(&mut car.hand);
+    car.tick += 1;
+    car.controller.step().reason()
+}
+
+#[test]
+fn that_the_only_weights_are_in_shadow_is_a_reason_of_its_own() {
+    let mut car = Car::new();
+    assert_eq!(reason(&mut car), Some(Reason::Unloaded));
+    car.adopt(offer(1, [0.0, 0.01]));
+    for _ in 0..20 {
+        assert_eq!(reason(&mut car), Some(Reason::Shadow));
+    }
+    assert_eq!(reason(&mut car), Some(Reason::Configured));
 }
 
 #[test]

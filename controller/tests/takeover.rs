@@ -1,12 +1,14 @@
 //! A person takes over: who drives then, and when nobody has taken over.
 
+mod road;
+
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
-use shm_config::message::{
-    Driver, Observation, Plan, PlanOutcome, Reason, Step, Takeover, Waypoint,
-};
+use shm_config::message::{Driver, Reason, Step, Takeover};
 use vehicle::Action;
+
+use road::{Fixed, observation, plan, wall};
 
 const NOW: Instant = Instant(100_000_000_000);
 const TICK_NS: u64 = 100_000_000;
@@ -19,62 +21,6 @@ const PERSON: Action = Action {
     steer: -0.4,
     pedal: 0.3,
 };
-
-struct Fixed;
-
-impl Policy for Fixed {
-    fn infer(&mut self, _: &[f32]) -> Option<Action> {
-        Some(POLICY)
-    }
-    fn version(&self) -> u64 {
-        7
-    }
-    fn hash(&self) -> u64 {
-        0xABCD
-    }
-}
-
-/// A straight, empty road.
-fn observation(now: Instant) -> Observation {
-    let mut observation = Observation {
-        beam_count: 240,
-        ..Observation::default()
-    };
-    observation.header.taken_ns = now.0;
-    observation.ranges_m.fill(50.0);
-    (observation.road.left_m, observation.road.right_m) = (5.25, 5.25);
-    observation.ego.speed_mps = 5.0;
-    for checkpoint in &mut observation.checkpoints {
-        checkpoint.x_body_m = 40.0;
-    }
-    observation
-}
-
-/// The same with a wall of returns just before the bumper.
-fn wall(now: Instant) -> Observation {
-    let mut observation = observation(now);
-    for beam in (0..4).chain(237..240) {
-        observation.ranges_m[beam] = 4.2;
-    }
-    observation
-}
-
-fn plan(now: Instant) -> Plan {
-    let mut plan = Plan {
-        outcome: PlanOutcome::Reached.code(),
-        waypoint_count: 4,
-        ..Plan::default()
-    };
-    plan.header.taken_ns = now.0;
-    for (k, waypoint) in plan.waypoints.iter_mut().take(4).enumerate() {
-        *waypoint = Waypoint {
-            x_body_m: 1.5 * k as f64,
-            y_body_m: 0.0,
-            speed_mps: 5.0,
-        };
-    }
-    plan
-}
 
 fn takeover(active: u32, taken: Instant) -> Takeover {
     let mut takeover = Takeover {
@@ -96,7 +42,7 @@ impl Seat {
     fn new(mode: GateMode, has_policy: bool) -> Self {
         let mut config = Config::default();
         config.gate.mode = mode;
-        let policy = has_policy.then(|| Box::new(Fixed) as Box<dyn Policy>);
+        let policy = has_policy.then(|| Box::new(Fixed(POLICY)) as Box<dyn Policy>);
         Self {
             controller: Controller::new(config, PolicySlot::new(policy)),
             now: NOW,
@@ -107,7 +53,7 @@ impl Seat {
     fn tick(&mut self, takeover: Option<Takeover>) -> Step {
         let inputs = Inputs {
             observation: Some(observation(self.now)),
-            plan: Some(plan(self.now)),
+            plan: Some(plan(self.now, 0.0)),
             takeover,
             ..Inputs::default()
         };
@@ -206,7 +152,7 @@ fn the_judge_vetoes_the_policy_and_not_the_person_but_judges_both() {
     let mut seat = Seat::new(GateMode::Human, true);
     let mut inputs = Inputs {
         observation: Some(wall(seat.now)),
-        plan: Some(plan(seat.now)),
+        plan: Some(plan(seat.now, 0.0)),
         ..Inputs::default()
     };
     let step = seat.tick_on(&inputs, Intent::Drive);

@@ -1,65 +1,23 @@
 //! The tick answers, whatever it is given, and says why.
 
+mod road;
+
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{
-    Advice, Driver, Observation, Plan, PlanOutcome, Preference, Reason, Step, Verdict, Waypoint,
+    Advice, Driver, Plan, PlanOutcome, Preference, Reason, Step, Verdict, Waypoint,
 };
 use vehicle::Action;
+
+use road::{Fixed, observation, wall};
 
 const SECOND: u64 = 1_000_000_000;
 const NOW: Instant = Instant(100 * SECOND);
 
-struct Fixed(Action);
-
-impl Policy for Fixed {
-    fn infer(&mut self, features: &[f32]) -> Option<Action> {
-        assert_eq!(features.len(), 259, "as the policy was trained");
-        Some(self.0)
-    }
-    fn version(&self) -> u64 {
-        7
-    }
-    fn hash(&self) -> u64 {
-        0xABCD
-    }
-}
-
-/// A straight road of 10.5 m with the car in its middle.
-fn observation(now: Instant) -> Observation {
-    let mut observation = Observation {
-        beam_count: 240,
-        ..Observation::default()
-    };
-    observation.header.taken_ns = now.0;
-    observation.header.tick = 5;
-    observation.ranges_m.fill(50.0);
-    observation.road.left_m = 5.25;
-    observation.road.right_m = 5.25;
-    observation.ego.speed_mps = 5.0;
-    for checkpoint in &mut observation.checkpoints {
-        checkpoint.x_body_m = 40.0;
-    }
-    observation
-}
-
+/// A plan that turns left a little.
 fn plan(now: Instant) -> Plan {
-    let mut plan = Plan {
-        outcome: PlanOutcome::Reached.code(),
-        waypoint_count: 4,
-        ..Plan::default()
-    };
-    plan.header.taken_ns = now.0;
-    plan.header.tick = 5;
-    for (k, waypoint) in plan.waypoints.iter_mut().take(4).enumerate() {
-        *waypoint = Waypoint {
-            x_body_m: 1.5 * k as f64,
-            y_body_m: 0.3 * k as f64,
-            speed_mps: 5.0,
-        };
-    }
-    plan
+    road::plan(now, 0.3)
 }
 
 fn advice(preference: Preference, until: Instant) -> Advice {
@@ -190,12 +148,10 @@ fn a_policy_that_is_not_finite_or_not_safe_does_not_drive() {
     );
 
     // A wall of returns two metres before the bumper: the policy holds its speed.
-    let mut inputs = inputs();
-    if let Some(observation) = &mut inputs.observation {
-        for beam in (0..4).chain(237..240) {
-            observation.ranges_m[beam] = 4.2;
-        }
-    }
+    let inputs = Inputs {
+        observation: Some(wall(NOW)),
+        ..inputs()
+    };
     let step = drive(&mut controller(GateMode::Policy, Some(AHEAD)), &inputs);
     assert_eq!(step.policy_assessment.verdict(), Verdict::Hits);
     assert!(step.policy_assessment.is_vetoed());

@@ -3,24 +3,29 @@
 //! The gate has two halves. [`assess`] is the judge in the tick: a pure function
 //! that rolls a proposal out with the bicycle model and measures it against the
 //! lidar returns and the road, by exact geometry; it may veto. The gate
-//! *process* asks a slower [`Judge`] at its own pace through a [`Docket`], and
-//! publishes advice that expires. Nothing the process does can delay a tick.
+//! *process* (`vlaps-gate`, in the crate `judge`) asks a slower judge at its own
+//! pace through a [`Docket`], and publishes advice that expires: [`Counsel`].
+//! Nothing the process does can delay a tick.
 
 mod assess;
 mod counsel;
 mod docket;
+mod dwell;
 mod flaws;
+mod occasion;
 mod road;
 mod rules;
 
 pub use assess::{CLEARANCE_MAX_M, Scene, assess};
-pub use counsel::Counsel;
-pub use docket::Docket;
+pub use counsel::{Counsel, Heard};
+pub use docket::{AtOnce, Committee, Docket, Serve, Threaded};
+pub use dwell::Dwell;
 pub use flaws::Flaws;
+pub use occasion::{Occasion, Occasions};
 pub use road::RoadAhead;
 pub use rules::Rules;
 
-use shm_config::message::{Judge as JudgeKind, Observation, Proposal};
+use shm_config::message::{Assessment, Judge as JudgeKind, Observation, Proposal, Step};
 
 /// One question: which of two proposals is safer here?
 #[derive(Debug, Clone, Copy)]
@@ -31,6 +36,33 @@ pub struct Question {
     pub expert: Proposal,
     /// What the policy proposed.
     pub policy: Proposal,
+    /// The judge in the tick on the expert's proposal.
+    pub expert_assessment: Assessment,
+    /// The judge in the tick on the policy's proposal.
+    pub policy_assessment: Assessment,
+}
+
+impl Question {
+    /// Which proposal of this step is safer.
+    pub fn about(step: &Step) -> Self {
+        Self {
+            observation: step.observation,
+            expert: step.expert,
+            policy: step.policy,
+            expert_assessment: step.expert_assessment,
+            policy_assessment: step.policy_assessment,
+        }
+    }
+
+    /// The run's episode.
+    pub fn episode(&self) -> u32 {
+        self.observation.header.episode
+    }
+
+    /// What tells the questions of a run apart: episode and tick.
+    pub fn key(&self) -> (u32, u64) {
+        (self.episode(), self.observation.header.tick)
+    }
 }
 
 /// Why a judge did not answer. None of these is ever read as a preference.
@@ -46,6 +78,19 @@ pub enum Failure {
     Refused,
     /// The budget is spent.
     Budget,
+}
+
+impl Failure {
+    /// One word for people and records.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Timeout => "timeout",
+            Self::Unavailable => "unavailable",
+            Self::Malformed => "malformed",
+            Self::Refused => "refused",
+            Self::Budget => "budget",
+        }
+    }
 }
 
 /// A judge's answer.
@@ -70,12 +115,22 @@ pub struct Ruling {
     pub cost_usd: f64,
 }
 
+impl Ruling {
+    /// No answer, at no cost.
+    pub fn failed(failure: Failure) -> Self {
+        Self {
+            answer: Answer::Failed(failure),
+            cost_usd: 0.0,
+        }
+    }
+}
+
 /// Somebody who compares two proposals, however slowly.
 pub trait Judge: Send {
     /// What kind of judge it is, for the record.
     fn kind(&self) -> JudgeKind;
 
-    /// Answers one question. May take as long as it likes: a [`Docket`] with a
-    /// thread keeps the gate process alive meanwhile.
+    /// Answers one question. May take as long as it likes on a thread of its own
+    /// ([`Threaded`]).
     fn ask(&mut self, question: &Question) -> Ruling;
 }

@@ -3,11 +3,12 @@
 use std::sync::mpsc;
 
 use gate::{
-    Answer, Counsel, Docket, Failure, Judge, Question, RoadAhead, Rules, Ruling, Scene, assess,
+    Answer, AtOnce, Counsel, Failure, Judge, Question, RoadAhead, Rules, Ruling, Scene, Threaded,
+    assess,
 };
 use proptest::prelude::*;
 use shm_config::Instant;
-use shm_config::config::{Gate, JudgeLimits};
+use shm_config::config::{Gate, JudgeLimits, When};
 use shm_config::message::{Bend, Judge as Kind, Observation, Preference, Proposal, Step, Verdict};
 use vehicle::{Action, Point, State, Vehicle, step};
 
@@ -114,7 +115,11 @@ const OFF_ROAD: Action = Action {
 
 fn rules() -> Counsel {
     let judge = Rules::new(Vehicle::default(), JudgeLimits::default());
-    Counsel::new(&Gate::default(), Docket::immediate(judge))
+    let config = Gate {
+        when: When::Period,
+        ..Gate::default()
+    };
+    Counsel::new(&config, Box::new(AtOnce::new(judge)))
 }
 
 #[test]
@@ -191,7 +196,10 @@ impl Judge for Slow {
 #[test]
 fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
     let (go, judge) = mpsc::channel();
-    let mut counsel = Counsel::new(&Gate::default(), Docket::threaded(Slow { go: judge }));
+    let mut counsel = Counsel::new(
+        &Gate::default(),
+        Box::new(Threaded::new(Slow { go: judge })),
+    );
     let mut taken_ns = SECOND;
     let mut consider = |counsel: &mut Counsel| {
         taken_ns += SECOND / 10;
@@ -256,7 +264,7 @@ impl Judge for Content {
 
 /// Preferences that are heard of 2,000 questions, a second apart.
 fn heard(config: &Gate) -> Vec<Preference> {
-    let mut counsel = Counsel::new(config, Docket::immediate(Content));
+    let mut counsel = Counsel::new(config, Box::new(AtOnce::new(Content)));
     let answers = (1..=2000u64).map(|k| {
         let mut step = Step {
             observation: observation(5.0),
@@ -266,7 +274,7 @@ fn heard(config: &Gate) -> Vec<Preference> {
         step.observation.header.taken_ns = k * 1_000_000_000;
         let now = Instant(k * 1_000_000_000);
         let advice = counsel.consider(&step, now);
-        (advice.answers, advice.preference())
+        (advice.answers, advice.label())
     });
     let mut last = 0;
     let mut heard = Vec::new();
@@ -308,7 +316,7 @@ fn a_late_answer_is_heard_late_and_keeps_its_question() {
         delay_s: 30.0,
         ..Gate::default()
     };
-    let mut counsel = Counsel::new(&config, Docket::immediate(Content));
+    let mut counsel = Counsel::new(&config, Box::new(AtOnce::new(Content)));
     for k in 1..=60u64 {
         let mut step = Step {
             observation: observation(5.0),

@@ -5,9 +5,10 @@
 //! a swap of worlds) it is not known what followed, and no run's state leaks
 //! into another.
 //!
-//! A label holds for the window its question was about: from the question's
+//! A label holds for the window that its advice names: from the question's
 //! observation for one period of asking, to the end of the episode at the
-//! latest. Answers come late, so transitions wait for theirs, for a limited time.
+//! latest, or until a later question's answer covers it. Answers come late, so
+//! transitions wait for theirs, for a limited time.
 
 use std::collections::VecDeque;
 
@@ -26,8 +27,6 @@ const WINDOWS_MAX: usize = 512;
 pub struct Labelling {
     /// Who decides who drives.
     pub mode: GateMode,
-    /// For how long an answer counts, ns: the time from question to question.
-    pub window_ns: u64,
     /// How long a transition waits for its answer, ns.
     pub wait_ns: u64,
 }
@@ -57,6 +56,11 @@ impl Counts {
     /// Transitions made.
     pub fn transitions(&self) -> u64 {
         self.expert + self.policy + self.unlabelled
+    }
+
+    /// Steps driven: received, and published while nobody listened.
+    pub fn driven(&self) -> u64 {
+        self.steps + self.lost
     }
 }
 
@@ -224,11 +228,9 @@ impl Assembler {
             self.windows.pop_front();
         }
         self.windows.push_back(Window {
-            from_ns: advice.question_taken_ns,
-            to_ns: advice
-                .question_taken_ns
-                .saturating_add(self.labelling.window_ns),
-            label: match advice.preference() {
+            from_ns: advice.label_from_ns,
+            to_ns: advice.label_until_ns,
+            label: match advice.label() {
                 Preference::Expert => Label::Expert,
                 Preference::Policy => Label::Policy,
                 Preference::Abstain => Label::None,
@@ -295,13 +297,18 @@ impl Assembler {
         match (self.labelling.mode, step.reason()) {
             (GateMode::Expert, _) => Some(Label::Expert),
             (GateMode::Human, Some(Reason::Takeover)) => Some(Label::Expert),
-            (GateMode::Policy | GateMode::Rules | GateMode::Human, Some(Reason::Vetoed)) => {
-                Some(Label::Expert)
-            }
+            (_, Some(Reason::Vetoed)) => Some(Label::Expert),
             (GateMode::Policy | GateMode::Human, _) => Some(Label::None),
             // Nobody can prefer a policy that proposed nothing.
-            (GateMode::Rules, Some(Reason::Unloaded | Reason::Faulty)) => Some(Label::None),
-            (GateMode::Rules, _) => None,
+            (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty)) => Some(Label::None),
+            (
+                GateMode::Rules
+                | GateMode::Vlm
+                | GateMode::Paper
+                | GateMode::Committee
+                | GateMode::Replay,
+                _,
+            ) => None,
         }
     }
 

@@ -13,6 +13,9 @@ use crate::algorithm::Student;
 /// First bytes of the file: name and version of the format.
 const MAGIC: &[u8; 8] = b"VLLRNR01";
 
+/// First letters of a file that is being written.
+pub const UNFINISHED: &str = ".tmp";
+
 /// Everything but the replay, which is in the journal.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Checkpoint {
@@ -22,7 +25,7 @@ pub struct Checkpoint {
     pub student: Student,
     /// State of the random numbers.
     pub random: Xoshiro256PlusPlus,
-    /// Steps considered when the last block ended.
+    /// Steps driven at the end of the last block.
     pub steps: u64,
     /// Updates made.
     pub updates: u64,
@@ -75,6 +78,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let folder = path.parent().unwrap_or(Path::new("."));
     // Others may read it, as they may every file of a run.
     let mut file = tempfile::Builder::new()
+        .prefix(UNFINISHED)
         .permissions(fs::Permissions::from_mode(0o644))
         .tempfile_in(folder)?;
     file.write_all(bytes)?;

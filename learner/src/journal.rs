@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use shm_config::message::FEATURES;
 
 use crate::assembler::Counts;
+use crate::checkpoint::UNFINISHED;
 use crate::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
 
 /// First bytes of the file: name and version of the format.
@@ -26,6 +27,9 @@ const CODES: usize = 3;
 const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
 /// The file is written anew at this many times what the rings can hold.
 const SLACK: u64 = 2;
+
+/// Records at the end of a file that are looked at for a whole one.
+const LOOK_BACK: u64 = 64;
 
 /// How far the steps had come when a record was written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -146,7 +150,7 @@ impl Journal {
             return Ok(());
         }
         let folder = self.path.parent().unwrap_or(Path::new("."));
-        let mut new = BufWriter::new(tempfile::NamedTempFile::new_in(folder)?);
+        let mut new = BufWriter::new(tempfile::NamedTempFile::with_prefix_in(UNFINISHED, folder)?);
         new.write_all(MAGIC)?;
         let mut records = 0;
         for ring in Ring::ALL {
@@ -162,6 +166,34 @@ impl Journal {
         self.records = records;
         Ok(())
     }
+}
+
+/// How far the steps had come when a file's last whole record was written; `None`
+/// of a file that is not there or holds none. It is only read, and may be in use.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn last_mark(path: &Path) -> io::Result<Option<Mark>> {
+    let mut file = match File::open(path) {
+        Ok(file) => file,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(error),
+    };
+    let body = file.metadata()?.len().saturating_sub(MAGIC.len() as u64);
+    let mut record = [0; RECORD];
+    // What a kill has torn stands at the end, and is less than a record or two.
+    for back in 1..=(body / RECORD as u64).min(LOOK_BACK) {
+        let index = body / RECORD as u64 - back;
+        file.seek(io::SeekFrom::Start(
+            MAGIC.len() as u64 + index * RECORD as u64,
+        ))?;
+        if let Whole::Yes = read_record(&mut file, &mut record)?
+            && let Some((_, _, mark)) = decode(&record)
+        {
+            return Ok(Some(mark));
+        }
+    }
+    Ok(None)
 }
 
 /// Whether a record was there to its end.

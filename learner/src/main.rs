@@ -69,6 +69,8 @@ struct Learner {
 #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
 fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut member = Member::join(Process::Learner, arguments)?;
+    #[cfg(feature = "cuda")]
+    learner::cuda::open().map_err(SetUpError::Own)?;
     let folder = Path::new(&member.config.run.folder).join("learner");
     let session = Session::open(&member.config, &folder)
         .map_err(|error| SetUpError::Own(error.to_string()))?;
@@ -86,13 +88,12 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
     pulse.set_rights(&member.rights);
     tracing::info!(
         algorithm = member.config.learner.algorithm.word(),
-        steps = learner.session.steps(),
+        steps = learner.session.driven(),
         folder = %folder.display(),
         "learns"
     );
     learner.ports.tend();
-    learner.begin();
-    pulse.enter(HealthState::Ready, monotonic());
+    learner.begin(&mut pulse);
     while !member.is_stopping() {
         learner.ports.bell.wait(NAP);
         pulse.beat(monotonic());
@@ -129,17 +130,24 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
 
 impl Learner {
     /// Says that it is there, and offers what it knew when it was last here: a
-    /// learner of a run that goes on is not waited for in vain.
-    fn begin(&mut self) {
-        self.said.steps = self.session.steps();
+    /// learner of a run that goes on is not waited for in vain. A block in whose
+    /// updates its predecessor was killed is learnt first.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn begin(&mut self, pulse: &mut Pulse) {
+        self.said.steps = self.session.driven();
         self.hear();
-        if self.session.steps() > 0 {
+        if self.session.is_due() {
+            // It is there, and updates may take longer than a start may.
+            pulse.enter(HealthState::Ready, monotonic());
+            self.learn(pulse);
+        } else if self.session.driven() > 0 {
             match self.session.policy_file() {
                 Ok(policy) => self.offer(&policy),
                 Err(refusal) => tracing::error!(%refusal, "no policy to begin with"),
             }
         }
         self.ports.learning.send(&mut self.said);
+        pulse.enter(HealthState::Ready, monotonic());
     }
 
     /// Takes in what the controller says of the offers.
@@ -163,22 +171,26 @@ impl Learner {
         }
     }
 
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn consider(&mut self, step: &Step, pulse: &mut Pulse) {
         self.session.push(step);
         self.said.header.tick = step.header.tick;
         self.said.header.episode = step.header.episode;
         self.said.header.taken_ns = step.header.taken_ns;
-        self.said.steps = self.session.steps();
+        self.said.steps = self.session.driven();
         if !self.session.is_due() {
             self.ports.learning.send_quietly(&mut self.said);
             return;
         }
+        self.learn(pulse);
+        self.ports.learning.send(&mut self.said);
+    }
+
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn learn(&mut self, pulse: &mut Pulse) {
         match self.session.learn(|| pulse.beat(monotonic())) {
             Ok(block) => self.publish(&block),
             Err(refusal) => tracing::error!(%refusal, "the block's policy is not published"),
         }
-        self.ports.learning.send(&mut self.said);
     }
 
     fn publish(&mut self, block: &Block) {

@@ -13,7 +13,7 @@ use crate::checkpoint::write_whole;
 /// everything else is counted from the start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Steps considered.
+    /// Steps driven at its end.
     pub steps: u64,
     /// Updates made.
     pub updates: u64,

@@ -13,7 +13,7 @@ use vehicle::Action;
 
 use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
 use crate::assembler::{Assembler, Labelling};
-use crate::checkpoint::{Checkpoint, write_whole};
+use crate::checkpoint::{Checkpoint, UNFINISHED, write_whole};
 use crate::export;
 use crate::imagine::Imagination;
 use crate::journal::{Journal, Mark, Recovered};
@@ -43,7 +43,7 @@ pub struct Session {
 
 /// What a block of updates brought.
 pub struct Block {
-    /// Steps considered.
+    /// Steps driven at its end.
     pub steps: u64,
     /// The policy file.
     pub policy: Vec<u8>,
@@ -55,25 +55,22 @@ impl Session {
     /// Goes on where a learner in this folder ended, or begins.
     ///
     /// # Errors
-    /// When the folder cannot be written, or holds what another algorithm or
-    /// version has left.
+    /// When the folder cannot be written, or holds what another algorithm, other
+    /// settings or another version have left.
     pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
         fs::create_dir_all(folder.join("policies"))?;
+        sweep(folder)?;
+        sweep(&folder.join("policies"))?;
         let settings = &config.learner;
         let name = |error: io::Error, file: &Path| {
             io::Error::new(error.kind(), format!("{}: {error}", file.display()))
         };
         let path = checkpoint_path(folder);
-        let state = match Checkpoint::read(&path).map_err(|error| name(error, &path))? {
-            Some(state) if state.algorithm == settings.algorithm.word() => state,
+        let left = Checkpoint::read(&path).map_err(|error| name(error, &path))?;
+        let state = match left {
             Some(state) => {
-                let what = format!(
-                    "{}: was left by {}, and {} is configured; move the folder away to begin anew",
-                    path.display(),
-                    state.algorithm,
-                    settings.algorithm.word()
-                );
-                return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+                check_same(&state, config).map_err(|error| name(error, &path))?;
+                state
             }
             None => begin(config),
         };
@@ -89,7 +86,6 @@ impl Session {
         }
         let labelling = Labelling {
             mode: config.gate.mode,
-            window_ns: (config.gate.period_s * 1e9) as u64,
             wait_ns: (settings.label_wait_s * 1e9) as u64,
         };
         let mark = mark.unwrap_or_default();
@@ -130,9 +126,10 @@ impl Session {
         self.imagine(step);
     }
 
-    /// Steps considered since the learner first began.
-    pub fn steps(&self) -> u64 {
-        self.assembler.counts().steps
+    /// Steps driven since the learner first began, those included that it missed:
+    /// blocks end where the controller counts them to end, whoever was away.
+    pub fn driven(&self) -> u64 {
+        self.assembler.counts().driven()
     }
 
     /// What became of the steps.
@@ -142,8 +139,13 @@ impl Session {
 
     /// A block of steps is complete that no updates were made for.
     pub fn is_due(&self) -> bool {
-        let block_steps = u64::from(self.config.learner.block_steps);
-        self.steps() / block_steps > self.state.steps / block_steps
+        self.block_end() > self.state.steps
+    }
+
+    /// Where the last complete block has ended.
+    fn block_end(&self) -> u64 {
+        let driven = self.driven();
+        driven - driven % u64::from(self.config.learner.block_steps)
     }
 
     /// The updates of a block, written down before anybody hears of them; `beat`
@@ -169,7 +171,8 @@ impl Session {
             imitation: sum.imitation / count,
             critic: sum.critic / count,
         };
-        self.state.steps = self.steps();
+        // Of a block whose last steps were missed, too: all runs have one grid.
+        self.state.steps = self.block_end();
         self.state.updates += u64::from(updates);
         self.state.blocks += 1;
         let policy = self.policy_file()?;
@@ -294,6 +297,41 @@ impl Session {
             tracing::error!(%folder, %error, "cannot write; learning goes on, unsaved");
         }
     }
+}
+
+/// A learner goes on as it was begun: its networks and optimisers have their size
+/// and their steps for good.
+fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
+    let word = config.learner.algorithm.word();
+    let refuse = |what: String| {
+        let what = format!("{what}; move the folder away to begin anew");
+        Err(io::Error::new(io::ErrorKind::InvalidData, what))
+    };
+    if state.algorithm != word {
+        let left = &state.algorithm;
+        return refuse(format!("was left by {left}, and {word} is configured"));
+    }
+    let now = begin(config).student.begun_with();
+    for ((key, begun), (_, now)) in state.student.begun_with().into_iter().zip(now) {
+        if begun != now {
+            return refuse(format!(
+                "was begun with {key} = {begun}, and {now} is configured"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Removes what was being written when a learner was killed.
+fn sweep(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default();
+        if name.to_string_lossy().starts_with(UNFINISHED) && path.is_file() {
+            fs::remove_file(path)?;
+        }
+    }
+    Ok(())
 }
 
 fn checkpoint_path(folder: &Path) -> PathBuf {

@@ -8,8 +8,7 @@ use shm_config::config::GateMode;
 use shm_config::message::{Preference, Reason, Step};
 use steps::{CONTROLLER, PERIOD_NS, WORLD, advised, of_episode, state, step, vetoed};
 
-/// A question each second, answers awaited for 3.5 s.
-const WINDOW: u64 = 10;
+/// Answers are awaited for 3.5 s.
 const WAIT: u64 = 35;
 
 /// An assembler, what it was given and what it made of it.
@@ -23,7 +22,6 @@ impl Bench {
     fn new(mode: GateMode) -> Bench {
         let labelling = Labelling {
             mode,
-            window_ns: WINDOW * PERIOD_NS,
             wait_ns: WAIT * PERIOD_NS,
         };
         Bench {

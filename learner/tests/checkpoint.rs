@@ -188,3 +188,96 @@ fn a_journal_of_another_kind_is_refused_with_its_name() {
         "{said}"
     );
 }
+
+#[test]
+fn blocks_end_on_the_grid_of_the_steps_driven_whatever_was_missed() {
+    let config = config(Algorithm::HgDagger);
+    let folder = TempDir::new().expect("a folder");
+    drive(&mut open(&config, folder.path()), 0..BLOCK + 7);
+    // Away for the end of the second block and of the third.
+    let mut session = open(&config, folder.path());
+    drive(&mut session, 3 * BLOCK + 5..5 * BLOCK);
+    let text = fs::read_to_string(folder.path().join("blocks.csv")).expect("the blocks");
+    let column = |name: &str| {
+        let at = text.lines().next().expect("a header");
+        let at = at
+            .split(',')
+            .position(|word| word == name)
+            .expect("the column");
+        let rows = text.lines().skip(1);
+        rows.map(|row| {
+            row.split(',')
+                .nth(at)
+                .expect("a field")
+                .parse()
+                .expect("a number")
+        })
+        .collect::<Vec<u64>>()
+    };
+    assert_eq!(column("steps"), [1, 3, 4, 5].map(|block| block * BLOCK));
+    let lost = column("lost");
+    assert!(lost[0] == 0 && lost[1] >= 2 * BLOCK - 3, "{lost:?}");
+    assert_eq!(session.driven(), 5 * BLOCK);
+}
+
+#[test]
+fn a_block_whose_updates_were_cut_short_is_due_at_the_next_start() {
+    let config = config(Algorithm::HgDagger);
+    let folder = TempDir::new().expect("a folder");
+    let mut session = open(&config, folder.path());
+    for tick in 0..=BLOCK {
+        session.push(&vetoed(step(tick)));
+    }
+    // Killed before the updates.
+    drop(session);
+    let mut session = open(&config, folder.path());
+    assert!(session.is_due());
+    assert_eq!(session.learn(|| {}).expect("finite numbers").steps, BLOCK);
+    assert!(!session.is_due());
+}
+
+#[test]
+fn other_sizes_and_rates_are_refused_with_both_values() {
+    let folder = TempDir::new().expect("a folder");
+    drive(&mut open(&config(Algorithm::Pvp), folder.path()), 0..BLOCK);
+    type Change = (&'static str, fn(&mut Config));
+    let changes: [Change; 4] = [
+        ("learner.hidden = 16, and 32", |config| {
+            config.learner.hidden = 32
+        }),
+        ("learner.batch = 16, and 64", |config| {
+            config.learner.batch = 64
+        }),
+        ("learner.rate = ", |config| config.learner.rate = 0.5),
+        ("learner.imitation_weight = 1, and 2", |config| {
+            config.learner.imitation_weight = 2.0;
+        }),
+    ];
+    for (words, change) in changes {
+        let mut config = config(Algorithm::Pvp);
+        change(&mut config);
+        let error = Session::open(&config, folder.path()).err();
+        let said = error.expect(words).to_string();
+        assert!(
+            said.contains(words) && said.contains("learner.bin"),
+            "{said}"
+        );
+    }
+    open(&config(Algorithm::Pvp), folder.path());
+}
+
+#[test]
+fn what_was_being_written_when_a_learner_was_killed_is_removed() {
+    let folder = TempDir::new().expect("a folder");
+    let config = config(Algorithm::Bc);
+    drive(&mut open(&config, folder.path()), 0..BLOCK);
+    let torn = [".tmpAbCdEf", "policies/.tmpGhIjKl"].map(|name| folder.path().join(name));
+    for path in &torn {
+        fs::write(path, b"half").expect("a file");
+    }
+    open(&config, folder.path());
+    for path in &torn {
+        assert!(!path.exists(), "{}", path.display());
+    }
+    assert!(folder.path().join("learner.bin").exists());
+}

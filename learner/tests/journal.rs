@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use learner::assembler::Counts;
-use learner::journal::{Journal, Mark, Recovered};
+use learner::journal::{Journal, Mark, Recovered, last_mark};
 use learner::replay::{Label, Replay, Ring, Then, Transition};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -125,6 +125,19 @@ fn a_file_gives_back_what_was_written() {
         assert_eq!(found.mark, Some(mark(count - 1)));
         assert_eq!(found.torn_bytes, 0);
     }
+}
+
+#[test]
+fn the_last_mark_is_read_past_what_a_kill_has_torn() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    assert_eq!(last_mark(&path).expect("no file is no mark"), None);
+    let bytes = written(&path, 3);
+    assert_eq!(last_mark(&path).expect("a file"), Some(mark(2)));
+    fs::write(&path, &bytes[..bytes.len() - 1]).expect("a file");
+    assert_eq!(last_mark(&path).expect("a file"), Some(mark(1)));
+    let length = fs::metadata(&path).expect("the file").len();
+    assert_eq!(length, bytes.len() as u64 - 1, "left as it is");
 }
 
 #[test]

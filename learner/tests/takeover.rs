@@ -35,7 +35,6 @@ fn step(tick: u64, driver: Driver, reason: Reason) -> Step {
 fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
     let labelling = Labelling {
         mode: GateMode::Human,
-        window_ns: 10_000_000_000,
         wait_ns: 0,
     };
     let rows = [

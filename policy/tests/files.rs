@@ -1,6 +1,7 @@
 //! What is read, and what is refused and why.
 
 mod bad;
+mod torch;
 
 use bad::{bad, good, net, patched};
 use policy::{Activation, Layer, Mlp, Net, Refusal, check_hash, decode, sha256};
@@ -154,19 +155,11 @@ fn files_made_by_pytorch_are_taken() {
         let Net::Mlp { mut mlp, .. } = file.net else {
             panic!("{name}: the native runtime takes it");
         };
-        // As `data/export.py` printed them.
-        for line in include_str!("data/expected.txt").lines() {
-            let numbers: Vec<f32> = line
-                .split(' ')
-                .map(|number| number.parse().expect("a number"))
-                .collect();
-            let features: Vec<f32> = (0..259)
-                .map(|k| (k as f32 * numbers[0]).sin().abs())
-                .collect();
-            let answer = mlp.infer(&features);
+        for case in torch::cases(include_str!("data/expected.txt")) {
+            let answer = mlp.infer(&case.features);
             for k in 0..2 {
-                let off = (answer[k] - numbers[1 + k]).abs();
-                assert!(off < 1e-5, "{name}: {answer:?}, PyTorch {numbers:?}");
+                let off = (answer[k] - case.answer[k]).abs();
+                assert!(off < 1e-5, "{name}: {answer:?}, PyTorch {:?}", case.answer);
             }
         }
     }

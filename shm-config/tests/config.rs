@@ -194,3 +194,37 @@ fn metadrive_has_one_rate() {
     let text = error(&format!("{metadrive}[run]\nrate_hz = 20.0\n"));
     assert!(text.contains("run.rate_hz = 20: must be 10"), "{text}");
 }
+
+#[test]
+fn a_models_server_is_an_address_and_holds_no_key() {
+    for server in [
+        "",
+        "127.0.0.1:8080",
+        "ftp://x/v1",
+        "http://",
+        "http://a b/v1",
+        "http://x/?a=1",
+    ] {
+        let text = error(&format!("[vlm]\nserver = \"{server}\"\n"));
+        assert!(text.contains("vlm.server"), "{text}");
+    }
+    for (key, value) in [
+        ("server", "https://me:sk-secret@api.openai.com/v1"),
+        ("key_env", "sk-secret"),
+    ] {
+        let text = error(&format!("[vlm]\n{key} = \"{value}\"\n"));
+        assert!(text.contains(&format!("vlm.{key}")), "{text}");
+        assert!(!text.contains("sk-secret"), "it may be a key: {text}");
+    }
+}
+
+#[test]
+fn a_server_of_ones_own_needs_a_models_name_and_costs_nothing() {
+    let text = error("[vlm]\ndialect = \"ollama\"\n");
+    assert!(text.contains("vlm.model"), "{text}");
+    let config = from_toml("[vlm]\ndialect = \"ollama\"\nmodel = \"qwen2.5vl\"\n", "x").unwrap();
+    assert_eq!(config.vlm.prices_usd(), [0.0, 0.0]);
+    assert_eq!(config.vlm.model_name(), "qwen2.5vl");
+    assert_eq!(Config::default().vlm.model_name(), "gpt-4o-mini");
+    assert_eq!(Config::default().vlm.prices_usd(), [0.15, 0.60]);
+}

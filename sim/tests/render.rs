@@ -202,7 +202,7 @@ fn a_picture_is_the_same_each_time_and_carries_its_camera() {
 
 #[test]
 fn the_horizon_is_level_and_above_the_middle() {
-    let camera: Camera = sim::render::camera(View::Ego, [640, 480]);
+    let camera = Camera::of(View::Ego, [640, 480]);
     let far = |heading_rad: f64| {
         let away = Vector::new(heading_rad.cos(), heading_rad.sin()) * 1e7;
         camera.project([away.x, away.y, 0.0]).expect("ahead")[1]

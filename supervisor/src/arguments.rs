@@ -8,6 +8,8 @@ use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
 
+use crate::numbers::whole;
+
 /// Drives a set of real-time processes that drive a car.
 #[derive(Debug, Parser)]
 #[command(
@@ -61,6 +63,12 @@ pub enum Command {
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(HandedOver),
+    /// Audit what a judge was asked and said, or ask another model the same.
+    #[command(disable_help_flag = true)]
+    Judge(HandedOver),
+    /// Serve a stand-in for a vision-language model: it judges pixels, and is no model.
+    #[command(disable_help_flag = true)]
+    JudgeServer(HandedOver),
 }
 
 /// What another program of the build does: it reads the words itself.
@@ -83,7 +91,7 @@ pub struct HandedOver {
         With --gate human the keys of this terminal drive: Space takes over and gives back, \
         arrows or WASD steer and pedal meanwhile, Esc or q gives back. --keys FILE reads them \
         from lines TIME_S KEY instead, such as `2.5 space`: seconds from the run's first tick, \
-        and one of space, left, right, up, down, w, a, s, d, esc, q. A key counts as held for \
+        and one of space, left, right, up, down, w, a, s, d, esc, q, in capitals or not. A key counts as held for \
         0.5 s, each repetition for 0.15 s more.\n\n\
         Examples:\n  \
         ./vlaps up --episodes 1 --seed 3\n  \
@@ -93,13 +101,15 @@ pub struct HandedOver {
 )]
 pub struct Up {
     /// Seed of the first episode; each further one adds one.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=i64::MAX as u64))]
     pub seed: Option<u64>,
     /// Episodes to drive; 0 for no end.
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u32>(0..=u64::from(u32::MAX)))]
     pub episodes: Option<u32>,
     /// Seconds to drive on the run's clock; 0 for no end.
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
@@ -120,7 +130,7 @@ pub struct Up {
     #[arg(long, value_name = "FILE.onnx")]
     pub policy: Option<PathBuf>,
     /// Ticks per second.
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     pub rate: Option<f64>,
     /// Configuration file; vlaps.toml of the current folder is read when present.
     #[arg(long, value_name = "FILE")]
@@ -137,6 +147,9 @@ pub struct Up {
     /// Ask for no real-time priority, cores or locked memory.
     #[arg(long)]
     pub no_realtime: bool,
+    /// End with the process of this id, which started this one.
+    #[arg(long, value_name = "PID", hide = true)]
+    pub parent: Option<u32>,
 }
 
 /// How the expert plans.
@@ -168,6 +181,14 @@ impl From<DriverChoice> for Method {
 pub enum GateChoice {
     /// The gate process compares both rollouts by exact geometry.
     Rules,
+    /// The gate process asks a vision-language model (section vlm); never pauses the world.
+    Vlm,
+    /// As the paper did it: asks every 10 s, and the world waits. Implies --lockstep.
+    Paper,
+    /// Several judges and a quorum (gate.committee, gate.quorum).
+    Committee,
+    /// The answers of a recorded run (gate.recording).
+    Replay,
     /// Always the expert; no gate process.
     Expert,
     /// Always the policy, if one is loaded; no gate process.
@@ -180,6 +201,10 @@ impl From<GateChoice> for GateMode {
     fn from(choice: GateChoice) -> Self {
         match choice {
             GateChoice::Rules => Self::Rules,
+            GateChoice::Vlm => Self::Vlm,
+            GateChoice::Paper => Self::Paper,
+            GateChoice::Committee => Self::Committee,
+            GateChoice::Replay => Self::Replay,
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,
             GateChoice::Human => Self::Human,

@@ -1,5 +1,7 @@
 //! `down`: asks a running set to stop and waits until it is gone.
 
+use std::fs;
+use std::path::Path;
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
@@ -68,7 +70,31 @@ pub fn choose(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
     if let Some(name) = name {
         return Ok(Some(RunPaths::new(name.clone())));
     }
-    let mut alive = living_runs();
+    only(living_runs())
+}
+
+/// The set that is meant: as [`choose`], but only process sets count, no runs that
+/// other programs make for themselves.
+///
+/// # Errors
+/// As [`choose`].
+pub fn choose_set(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
+    match name {
+        Some(_) => choose(name),
+        None => only(living_runs().into_iter().filter(is_set).collect()),
+    }
+}
+
+/// A supervisor drives it; evaluations hold runs of a world alone.
+fn is_set(paths: &RunPaths) -> bool {
+    let program = |pid| fs::read_link(format!("/proc/{pid}/exe")).ok();
+    let program = paths.supervisor_pid().and_then(program);
+    let name = program.as_deref().and_then(Path::file_name);
+    // Of a program that was built anew meanwhile, the kernel says so behind it.
+    name.is_some_and(|name| name.to_string_lossy().starts_with("vlaps-supervisor"))
+}
+
+fn only(mut alive: Vec<RunPaths>) -> Result<Option<RunPaths>, Failure> {
     match alive.len() {
         0 => Ok(None),
         1 => Ok(alive.pop()),

@@ -7,20 +7,24 @@ use crate::arguments::HandedOver;
 use crate::child::own_folder;
 use crate::failure::Failure;
 
-/// The program of `eval`, `bench` and `draw`. The supervisor does not link it:
-/// it brings the built-in world and all drivers along.
-const BENCH: &str = "vlaps-bench";
+/// The program of `eval`, `bench`, `draw` and `train`. The supervisor does not
+/// link it: it brings the built-in world and all drivers along.
+pub const BENCH: &str = "vlaps-bench";
+/// The program of `judge` and `judge-server`, with an HTTP client and a server.
+pub const JUDGE: &str = "vlaps-judge";
 
-/// Becomes the program of `eval`, `bench` and `draw`; only returns when it
-/// cannot.
+/// Becomes another program of the build; only returns when it cannot.
 ///
 /// # Errors
 /// When that program is not beside this one.
-pub fn to_bench(command: &str, rest: &HandedOver) -> Result<(), Failure> {
+pub fn hand_over(name: &str, command: &[&str], rest: &HandedOver) -> Result<(), Failure> {
     let folder = own_folder()
         .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
-    let program = folder.join(BENCH);
-    let error = Command::new(&program).arg(command).args(&rest.words).exec();
+    let program = folder.join(name);
+    let error = Command::new(&program)
+        .args(command)
+        .args(&rest.words)
+        .exec();
     Err(Failure::GivenUp(format!(
         "{}: {error}; build it with cargo build --release --workspace --bins",
         program.display()

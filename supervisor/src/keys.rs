@@ -21,6 +21,7 @@ const SOURCES: &[&str] = &[
     include_str!("../../shm-config/src/config/mpc.rs"),
     include_str!("../../shm-config/src/config/controller.rs"),
     include_str!("../../shm-config/src/config/gate.rs"),
+    include_str!("../../shm-config/src/config/vlm.rs"),
     include_str!("../../shm-config/src/config/policy.rs"),
     include_str!("../../shm-config/src/config/learner.rs"),
     include_str!("../../vehicle/src/parameters.rs"),

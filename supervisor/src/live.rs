@@ -10,6 +10,7 @@ use shm_config::services::Process;
 
 use crate::member::Phase;
 use crate::set::ProcessSet;
+use crate::summary::clock_word;
 use crate::table::rows;
 use crate::tally::{ProcessTally, Tally};
 
@@ -132,10 +133,7 @@ impl View {
     fn of(config: &Config, tally: &Tally, processes: Vec<ProcessView>) -> Self {
         Self {
             run: config.run.name.clone(),
-            clock: match config.run.is_lockstep() {
-                true => "lockstep",
-                false => "real time",
-            },
+            clock: clock_word(config),
             rate_hz: config.run.rate_hz,
             episode: tally.progress.map(|progress| EpisodeView {
                 number: progress.header.episode.saturating_add(1),

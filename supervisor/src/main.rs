@@ -5,7 +5,8 @@ use std::process::ExitCode;
 use clap::Parser;
 use shm_config::time::monotonic;
 use supervisor::arguments::{Arguments, Command};
-use supervisor::{Clock, clean, doctor, down, hand_over, keys, setup, status, swap, up};
+use supervisor::hand_over::{BENCH, JUDGE, hand_over};
+use supervisor::{Clock, clean, doctor, down, keys, setup, status, swap, up};
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -21,10 +22,12 @@ fn main() -> ExitCode {
         Command::Clean(arguments) => clean::clean(arguments),
         Command::Setup(arguments) => setup::setup(arguments),
         Command::Config(arguments) => keys::keys(arguments),
-        Command::Eval(words) => hand_over::to_bench("eval", words),
-        Command::Bench(words) => hand_over::to_bench("bench", words),
-        Command::Draw(words) => hand_over::to_bench("draw", words),
-        Command::Train(words) => hand_over::to_bench("train", words),
+        Command::Eval(words) => hand_over(BENCH, &["eval"], words),
+        Command::Bench(words) => hand_over(BENCH, &["bench"], words),
+        Command::Draw(words) => hand_over(BENCH, &["draw"], words),
+        Command::Judge(words) => hand_over(JUDGE, &[], words),
+        Command::JudgeServer(words) => hand_over(JUDGE, &["server"], words),
+        Command::Train(words) => hand_over(BENCH, &["train"], words),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

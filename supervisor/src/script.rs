@@ -29,10 +29,11 @@ impl Script {
             .map_err(|error| Failure::Usage(format!("--keys {}:{error}", path.display())))
     }
 
-    /// The same of a text. Lines may be empty, or a comment that begins with `#`.
+    /// The same of a text. Lines may be empty, or a comment that begins with `#`;
+    /// capitals are as good as small letters.
     ///
     /// # Errors
-    /// The number of the first line that is wrong, and why.
+    /// The number of the first line that is wrong, and why; or that there is none.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut presses = VecDeque::new();
         let mut last_ns = 0;
@@ -59,6 +60,11 @@ impl Script {
             }
             last_ns = time_ns;
             presses.push_back((time_ns, key));
+        }
+        if presses.is_empty() {
+            return Err(
+                "1: no key from here to the end; write lines TIME_S KEY, such as 2.5 space".into(),
+            );
         }
         Ok(Self { presses })
     }

@@ -32,13 +32,11 @@ impl Keys {
         match (config.gate.mode, file) {
             (GateMode::Human, Some(path)) => Ok(Some(Self::Script(Script::read(path)?))),
             (GateMode::Human, None) => Ok(Some(Self::Terminal(Keyboard::open()?))),
-            (GateMode::Rules | GateMode::Expert | GateMode::Policy, None) => Ok(None),
-            (GateMode::Rules | GateMode::Expert | GateMode::Policy, Some(path)) => {
-                Err(Failure::Usage(format!(
-                    "--keys {}: nobody can take over with this gate; add --gate human",
-                    path.display()
-                )))
-            }
+            (_, None) => Ok(None),
+            (_, Some(path)) => Err(Failure::Usage(format!(
+                "--keys {}: nobody can take over with this gate; add --gate human",
+                path.display()
+            ))),
         }
     }
 }

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use shm_config::config::planner::Method;
-use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load};
+use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load, text_of};
 use toml::{Table, Value};
 
-use crate::arguments::Up;
+use crate::arguments::{GateChoice, Up};
 use crate::failure::Failure;
 
 /// Read from the current folder when it is there and no other file is named.
@@ -56,7 +56,8 @@ fn file_of(arguments: &Up) -> Option<PathBuf> {
     arguments
         .config
         .clone()
-        .or_else(|| default.is_file().then(|| default.into()))
+        // Whatever it is: what cannot be read is told, not passed over.
+        .or_else(|| default.symlink_metadata().is_ok().then(|| default.into()))
 }
 
 /// The file's own table. Its keys, types and syntax are checked here, where
@@ -67,11 +68,8 @@ fn read(path: &Path) -> Result<Table, Failure> {
         Ok(_) | Err(ConfigError::OutOfRange { .. }) => {}
         Err(error) => return Err(error.into()),
     }
-    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
-        path: path.into(),
-        source,
-    })?;
-    text.parse()
+    text_of(path)?
+        .parse()
         .map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))
 }
 
@@ -92,7 +90,9 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     push("--episodes", "run.episodes", episodes);
     let duration = arguments.duration.map(Value::Float);
     push("--duration", "run.duration_s", duration);
-    let clock = arguments.lockstep.then(|| Value::from("lockstep"));
+    // The paper pauses the world for each question.
+    let is_lockstep = arguments.lockstep || arguments.gate == Some(GateChoice::Paper);
+    let clock = is_lockstep.then(|| Value::from("lockstep"));
     push("--lockstep", "run.clock", clock);
     let driver = arguments.driver.map(Method::from).map(Value::try_from);
     let driver = driver

@@ -16,6 +16,7 @@ use crate::clean::clean_run;
 use crate::down::living_runs;
 use crate::failure::Failure;
 use crate::live::View;
+use crate::outputs;
 use crate::ports::{Depth, Ports};
 use crate::screen::say;
 use crate::signals::pause;
@@ -48,6 +49,9 @@ struct Seen {
 /// # Errors
 /// When none is alive, or one cannot be looked at.
 pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
+    if let Some(path) = &arguments.json {
+        outputs::check_file("--json", path)?;
+    }
     let alive: Vec<_> = match &arguments.run {
         Some(name) => vec![RunPaths::new(name.clone())],
         None => living_runs(),

@@ -42,6 +42,8 @@ pub struct Summary {
 
     /// The run's name.
     pub run: String,
+    /// Its clock: real time or lockstep.
+    pub clock: &'static str,
     /// How the run ended: finished, stopped, or why it was given up.
     pub ended: String,
     /// Steps read.
@@ -228,6 +230,7 @@ impl Summary {
                 .get(Process::World.word())
                 .map_or_else(Quantiles::default, |world| world.release_lateness_us),
             run: config.run.name.clone(),
+            clock: clock_word(config),
             ended,
             steps: tally.steps.received,
             lost_steps: tally.steps.lost(),
@@ -268,6 +271,17 @@ pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
         .inspect_err(|_| {
             let _ = fs::remove_file(&beside);
         })
+}
+
+/// The word of a run's clock that nothing can be late on.
+const LOCKSTEP: &str = "lockstep";
+
+/// The word of a run's clock.
+pub fn clock_word(config: &Config) -> &'static str {
+    match config.run.is_lockstep() {
+        true => LOCKSTEP,
+        false => "real time",
+    }
 }
 
 /// Episodes listed one by one at each end of a long run.
@@ -378,6 +392,10 @@ impl Summary {
     }
 
     fn fmt_processes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // In lockstep nobody asks for any, and nothing can be late.
+        if self.clock == LOCKSTEP {
+            return self.fmt_restarts(f);
+        }
         writeln!(f, "\nreal-time rights")?;
         for (process, row) in &self.processes {
             let rights = &row.realtime;
@@ -407,5 +425,18 @@ impl Summary {
             )?;
         }
         Ok(())
+    }
+
+    fn fmt_restarts(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let restarted: Vec<_> = self
+            .processes
+            .iter()
+            .filter(|(_, row)| row.restarts > 0)
+            .map(|(process, row)| format!("{process} {}", row.restarts))
+            .collect();
+        match restarted.is_empty() {
+            true => Ok(()),
+            false => writeln!(f, "\nrestarts: {}", restarted.join(", ")),
+        }
     }
 }

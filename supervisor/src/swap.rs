@@ -14,7 +14,7 @@ use shm_config::wire::{Publisher, Subscriber, Wire};
 use crate::Clock;
 use crate::arguments::Swap;
 use crate::clean::clean_run;
-use crate::down::choose;
+use crate::down::choose_set;
 use crate::failure::Failure;
 use crate::screen::say;
 use crate::signals::pause;
@@ -63,7 +63,7 @@ pub struct Offers {
 pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
     let bytes = read(&arguments.file)?;
     let name = arguments.run.as_ref();
-    let alive = choose(name)?.filter(|paths| paths.supervisor_pid().is_some());
+    let alive = choose_set(name)?.filter(|paths| paths.supervisor_pid().is_some());
     let Some(paths) = alive else {
         return Err(Failure::GivenUp(match name {
             Some(name) => {
@@ -124,8 +124,15 @@ fn offer(paths: &RunPaths, arguments: &Swap, bytes: &[u8], clock: Clock) -> Resu
 /// The file, if an offer can carry it.
 fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     let failed = |error: std::io::Error| Failure::Usage(format!("{}: {error}", path.display()));
-    let bytes = fs::metadata(path).map_err(failed)?.len();
-    // Before it is read: it may be anything.
+    let metadata = fs::metadata(path).map_err(failed)?;
+    // Before it is opened: a pipe would wait for ever, a device has no end.
+    if !metadata.is_file() {
+        return Err(Failure::Usage(format!(
+            "{}: is no regular file; name a policy file, such as policy.onnx",
+            path.display()
+        )));
+    }
+    let bytes = metadata.len();
     if bytes > WEIGHTS_BYTES_MAX as u64 {
         return Err(Failure::GivenUp(format!(
             "{}: refused: {bytes} bytes are over the limit of {WEIGHTS_BYTES_MAX}",

@@ -17,6 +17,8 @@ use crate::live::View;
 use crate::log::LogFile;
 use crate::member::{Phase, Turn};
 use crate::metadrive;
+use crate::outputs;
+use crate::parent;
 use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
 use crate::screen::{Screen, say};
@@ -56,9 +58,12 @@ enum End {
 /// When the configuration is wrong, the run cannot start, or it had to be given
 /// up. Nothing of it is left in shared memory either way.
 pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
+    if let Some(parent) = arguments.parent {
+        parent::end_with(parent)?;
+    }
     let config = settings::resolve(arguments)?;
     if let Some(path) = &arguments.json {
-        check_writable(path)?;
+        outputs::check_file("--json", path)?;
     }
     let no_signals =
         |error: io::Error| Failure::GivenUp(format!("cannot take over signals: {error}"));
@@ -100,21 +105,6 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
             "killed by a second signal; the car was not brought to a stand".into(),
         )),
         End::GivenUp(reason) => Err(Failure::GivenUp(reason)),
-    }
-}
-
-/// Said before the drive rather than after it.
-fn check_writable(path: &Path) -> Result<(), Failure> {
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    match folder.is_dir() && !path.is_dir() {
-        true => Ok(()),
-        false => Err(Failure::Usage(format!(
-            "--json {}: cannot write there; name a file in an existing folder",
-            path.display()
-        ))),
     }
 }
 

@@ -129,31 +129,7 @@ impl Set {
 
     /// Process ids of the set's program, such as `vlaps-planner`.
     pub fn pids(&self, program: &str) -> Vec<i32> {
-        let mark = format!("{}/", self.folder.display());
-        let entries = fs::read_dir("/proc").expect("/proc");
-        let mut pids = Vec::new();
-        for entry in entries.flatten() {
-            let Some(pid) = entry
-                .file_name()
-                .to_str()
-                .and_then(|name| name.parse().ok())
-            else {
-                continue;
-            };
-            let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
-            let line = String::from_utf8_lossy(&line);
-            let folder = fs::read_link(entry.path().join("cwd")).unwrap_or_default();
-            let ours = folder == self.folder || line.contains(&mark);
-            if ours
-                && line
-                    .split('\0')
-                    .next()
-                    .is_some_and(|p| p.ends_with(program))
-            {
-                pids.push(pid);
-            }
-        }
-        pids
+        pids_within(&self.folder, program)
     }
 
     /// Sends a signal to the set's program; how many got it.
@@ -196,6 +172,36 @@ impl Drop for Set {
         self.paths().remove_dir();
         let _ = fs::remove_dir_all(&self.folder);
     }
+}
+
+/// Process ids of a program, such as `vlaps-planner`, that works in a folder or
+/// was told of it.
+pub fn pids_within(folder: &Path, program: &str) -> Vec<i32> {
+    let mark = format!("{}/", folder.display());
+    let entries = fs::read_dir("/proc").expect("/proc");
+    let mut pids = Vec::new();
+    for entry in entries.flatten() {
+        let Some(pid) = entry
+            .file_name()
+            .to_str()
+            .and_then(|name| name.parse().ok())
+        else {
+            continue;
+        };
+        let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        let line = String::from_utf8_lossy(&line);
+        let place = fs::read_link(entry.path().join("cwd")).unwrap_or_default();
+        let ours = place == folder || line.contains(&mark);
+        if ours
+            && line
+                .split('\0')
+                .next()
+                .is_some_and(|p| p.ends_with(program))
+        {
+            pids.push(pid);
+        }
+    }
+    pids
 }
 
 /// Polls until `condition` holds.

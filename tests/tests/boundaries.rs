@@ -11,6 +11,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("process", &["shm-config"]),
     ("planner", &["vehicle", "shm-config", "process"]),
     ("gate", &["vehicle", "shm-config", "process"]),
+    ("judge", &["vehicle", "shm-config", "process", "gate"]),
     ("policy", &["shm-config"]),
     (
         "controller",
@@ -32,11 +33,12 @@ const ARROWS: &[(&str, &[&str])] = &[
 ];
 
 /// Files that may hold `unsafe`: the wire, the real-time system calls, and the
-/// matrix library that the learner hands slices to.
+/// matrix libraries that the learner hands slices to.
 const UNSAFE_HOMES: &[&str] = &[
     "shm-config/src/layout.rs",
     "shm-config/src/wire.rs",
     "process/src/realtime.rs",
+    "learner/src/cuda.rs",
     "learner/src/matrix.rs",
 ];
 

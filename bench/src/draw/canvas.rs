@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use sim::Bounds;
 use sim::road::Network;
-use svg::node::element::{Circle, ClipPath, Definitions, Element, Group, Path, Rectangle};
+use svg::node::element::{Circle, ClipPath, Definitions, Element, Group, Path, Rectangle, Text};
 use svg::{Document, Node};
 use vehicle::{Point, Vector};
 
@@ -181,16 +181,31 @@ impl Canvas {
     }
 
     /// A word centred on a point.
-    pub fn label(&mut self, at_world: Point, text: &str, (color, size_px): (&str, f64)) {
+    pub fn label(&mut self, at_world: Point, text: &str, look: (&str, f64)) {
+        let label = self.words(at_world, text, look);
+        self.add(label);
+    }
+
+    /// The same with a light rim, which is read on any ground.
+    pub fn rimmed_label(&mut self, at_world: Point, text: &str, (color, size_px): (&str, f64)) {
+        let label = self
+            .words(at_world, text, (color, size_px))
+            .set("stroke", palette::PAPER)
+            .set("stroke-width", px(size_px * 0.22))
+            .set("stroke-linejoin", "round")
+            .set("paint-order", "stroke");
+        self.add(label);
+    }
+
+    fn words(&self, at_world: Point, text: &str, (color, size_px): (&str, f64)) -> Text {
         let [x, y] = self.at(at_world);
-        let label = svg::node::element::Text::new(text)
+        Text::new(text)
             .set("x", px(x))
             .set("y", px(y + size_px * 0.36))
             .set("font-size", px(size_px))
             .set("font-weight", 600)
             .set("text-anchor", "middle")
-            .set("fill", color);
-        self.add(label);
+            .set("fill", color)
     }
 
     fn add(&mut self, element: impl Into<Element>) {

@@ -3,6 +3,7 @@
 
 mod canvas;
 mod frame;
+mod labels;
 mod palette;
 mod photo;
 mod plan;
@@ -145,9 +146,10 @@ pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> 
     ride.draw_scan(&mut canvas, &seen);
     ride.draw_traffic(&mut canvas);
     ride::draw_bodies(&mut canvas, world);
-    ride.draw_path(&mut canvas);
+    let mut labels = ride.labels(&canvas);
+    ride.draw_path(&mut canvas, &mut labels);
     ride::draw_ego(&mut canvas, world);
-    ride.draw_contacts(&mut canvas);
+    ride.draw_contacts(&mut canvas, &mut labels);
     let keys = frame::episode_keys(world, ride, who);
     frame::finish(canvas, &title, &facts, &keys)
 }

@@ -43,6 +43,8 @@ pub const FREE: &str = "#ffffff";
 pub const OCCUPIED: &str = "#15181d";
 /// The planned path and its goal.
 pub const PATH: &str = "#1fb35b";
+/// A predicted car, [`PATH`] seen through.
+pub const FOOTPRINT: &str = "#e3f5ea";
 /// The car of a plan.
 pub const CAR: &str = "#8fa3bd";
 

@@ -9,6 +9,7 @@ use sim::world::{Body, BodyKind};
 use vehicle::{Point, Vector, pose};
 
 use super::canvas::{Canvas, Stroke};
+use super::labels::Labels;
 use super::palette;
 use super::tracks::Tracks;
 use crate::episode::Tick;
@@ -20,6 +21,20 @@ const LABEL_MARKS: usize = 2;
 
 /// Contacts nearer than this are one on the picture, m.
 const CONTACTS_APART_M: f64 = 8.0;
+
+/// Radius of the ring around a contact, m.
+const RING_M: f64 = 3.4;
+/// Where the word of a contact may stand, in the order of preference.
+const LABEL_DIRECTIONS: [[f64; 2]; 8] = [
+    [0.0, 1.0],
+    [0.0, -1.0],
+    [1.0, 0.0],
+    [-1.0, 0.0],
+    [1.0, 1.0],
+    [-1.0, 1.0],
+    [1.0, -1.0],
+    [-1.0, -1.0],
+];
 
 /// What a contact was with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,8 +111,15 @@ impl Ride {
         !self.contacts.is_empty()
     }
 
+    /// Words keep off the path, off contacts, and off each other.
+    pub fn labels(&self, canvas: &Canvas) -> Labels {
+        let contacts = self.contacts.iter().map(|&(at, _)| at);
+        let rings: Vec<Point> = contacts.collect();
+        Labels::beside(canvas, &self.positions_world, (&rings, RING_M))
+    }
+
     /// The ego's path, a colour for each driver, a dot every five seconds.
-    pub fn draw_path(&self, canvas: &mut Canvas) {
+    pub fn draw_path(&self, canvas: &mut Canvas, labels: &mut Labels) {
         canvas.line(&self.positions_world, Stroke::solid(palette::INK, 1.5));
         let mut begin = 0;
         for run in self.drivers.chunk_by(|a, b| a == b) {
@@ -119,9 +141,12 @@ impl Ride {
             canvas.disc(at, 0.4, palette::EGO);
             if count % LABEL_MARKS == 0 {
                 let size_px = (2.3 * canvas.scale_px_per_m()).max(9.0);
-                let beside = at + self.left_of(tick) * 3.2;
+                let left = self.left_of(tick);
                 let text = format!("{} s", tick / 10);
-                canvas.label(beside, &text, (palette::WHITE_LINE, size_px));
+                let places = [3.2, -3.2, 4.6, -4.6].map(|beside_m| at + left * beside_m);
+                if let Some(place) = labels.take(canvas, &places, (&text, size_px)) {
+                    canvas.label(place, &text, (palette::WHITE_LINE, size_px));
+                }
             }
         }
     }
@@ -149,21 +174,26 @@ impl Ride {
     }
 
     /// Where contacts began.
-    pub fn draw_contacts(&self, canvas: &mut Canvas) {
+    pub fn draw_contacts(&self, canvas: &mut Canvas, labels: &mut Labels) {
+        let size_px = (2.6 * canvas.scale_px_per_m()).max(10.0);
+        for &(at, _) in &self.contacts {
+            canvas.ring(at, RING_M, Stroke::solid(palette::PAPER, 1.3));
+            canvas.ring(at, RING_M, Stroke::solid(palette::CONTACT, 0.8));
+        }
         for &(at, with) in &self.contacts {
-            canvas.ring(at, 3.4, Stroke::solid(palette::PAPER, 1.3));
-            canvas.ring(at, 3.4, Stroke::solid(palette::CONTACT, 0.8));
-            let size_px = (2.6 * canvas.scale_px_per_m()).max(10.0);
             let word = match with {
                 With::Vehicle => "vehicle",
                 With::Object => "object",
                 With::Sidewalk => "sidewalk",
             };
-            canvas.label(
-                at + Vector::new(0.0, 5.2),
-                word,
-                (palette::CONTACT, size_px),
-            );
+            // Above and below first, where words are nearest to their ring.
+            let places = LABEL_DIRECTIONS.map(|[x, y]| {
+                let wide_m = 0.3 * word.len() as f64 * size_px / canvas.scale_px_per_m();
+                at + Vector::new(x * (4.2 + wide_m), y * 5.6)
+            });
+            if let Some(place) = labels.take(canvas, &places, (word, size_px)) {
+                canvas.rimmed_label(place, word, (palette::CONTACT, size_px));
+            }
         }
     }
 

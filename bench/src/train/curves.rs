@@ -5,33 +5,62 @@ use std::sync::OnceLock;
 
 use anyhow::{Context, anyhow};
 use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::register_font;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::results::{Exam, Results, Seed};
-use super::table::over_seeds;
+use super::results::{Results, Seed};
+use super::table::count_of_seeds;
+use crate::metric::Metric;
 
 /// Size of the picture, pixels.
-const SIZE: (u32, u32) = (1200, 800);
+const SIZE: (u32, u32) = (1360, 960);
+/// Room above the panels for title and explanation, pixels.
+const HEAD: u32 = 92;
+/// Room above a panel's axes for its name and legend, pixels.
+const PANEL_HEAD: u32 = 72;
+/// From a panel to its neighbours, pixels.
+const GAP: u32 = 14;
+/// Width of a panel's scale, pixels; its legend begins where its axes do.
+const SCALE: u32 = 62;
+/// Length of a legend's line, pixels.
+const SWATCH: i32 = 26;
 /// The face that everything is written in; the pictures need no font of the
 /// machine.
 const FACE: &str = "sans-serif";
 
-/// A point of a curve: steps, mean over seeds, half its 95 % interval.
-type Point = (f64, f64, f64);
+const INK: RGBColor = RGBColor(34, 40, 49);
+const FAINT: RGBColor = RGBColor(110, 118, 129);
+const GRID: RGBColor = RGBColor(228, 231, 235);
+const BLUE: RGBColor = RGBColor(31, 105, 178);
+const ORANGE: RGBColor = RGBColor(211, 84, 0);
+
+/// Steps and a value.
+type Point = (f64, f64);
 
 /// One curve of a panel.
 struct Curve {
     name: &'static str,
     colour: RGBColor,
-    points: Vec<Point>,
+    seeds: Vec<Vec<Point>>,
+}
+
+/// One of the four charts.
+struct Panel {
+    title: &'static str,
+    curves: Vec<Curve>,
+    /// Upper end of the scale; none for as high as the curves go.
+    top: Option<f64>,
+    /// What the paper has at its end (Table 1).
+    paper: Option<f64>,
 }
 
 /// Draws `curves.svg` and `curves.png` into the folder.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn draw(results: &Results, algorithm: &str, out: &Path) -> anyhow::Result<()> {
+pub fn draw(results: &Results, out: &Path) -> anyhow::Result<()> {
     static FONT: OnceLock<bool> = OnceLock::new();
     let known = FONT.get_or_init(|| {
         register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok()
@@ -41,151 +70,250 @@ pub fn draw(results: &Results, algorithm: &str, out: &Path) -> anyhow::Result<()
     }
     let svg = out.join("curves.svg");
     let root = SVGBackend::new(&svg, SIZE).into_drawing_area();
-    panels(results, algorithm, &root).with_context(|| svg.display().to_string())?;
+    picture(results, &root).with_context(|| svg.display().to_string())?;
     let png = out.join("curves.png");
     let root = BitMapBackend::new(&png, SIZE).into_drawing_area();
-    panels(results, algorithm, &root).with_context(|| png.display().to_string())
+    picture(results, &root).with_context(|| png.display().to_string())
 }
 
-fn panels<B>(results: &Results, algorithm: &str, root: &DrawingArea<B, Shift>) -> anyhow::Result<()>
+fn panels(results: &Results) -> [Panel; 4] {
+    let share = |metric: Metric, colour| Curve {
+        name: metric.name(),
+        colour,
+        seeds: each(results, |seed| {
+            let exams = seed.exams.iter();
+            exams
+                .map(|exam| (exam.steps as f64, exam.of(metric)))
+                .collect()
+        }),
+    };
+    let interventions = Curve {
+        name: "steps that the policy did not drive",
+        colour: BLUE,
+        seeds: each(results, |seed| {
+            let blocks = seed.blocks.iter();
+            blocks
+                .map(|block| (block.steps as f64, block.interventions as f64))
+                .collect()
+        }),
+    };
+    let panel = |title, curves, paper| Panel {
+        title,
+        curves,
+        top: Some(1.0),
+        paper,
+    };
+    [
+        panel(
+            "Success",
+            vec![
+                share(Metric::Success, BLUE),
+                share(Metric::StrictSuccess, ORANGE),
+            ],
+            Some(0.86),
+        ),
+        panel(
+            "Crash",
+            vec![
+                share(Metric::CrashLastStep, BLUE),
+                share(Metric::Contact, ORANGE),
+            ],
+            Some(0.0),
+        ),
+        panel(
+            "Other ends",
+            vec![
+                share(Metric::OutOfRoad, BLUE),
+                share(Metric::MaxStep, ORANGE),
+            ],
+            None,
+        ),
+        Panel {
+            title: "Interventions so far",
+            curves: vec![interventions],
+            top: None,
+            paper: None,
+        },
+    ]
+}
+
+fn picture<B>(results: &Results, root: &DrawingArea<B, Shift>) -> anyhow::Result<()>
 where
     B: DrawingBackend,
     B::ErrorType: 'static,
 {
     root.fill(&WHITE)?;
+    let (head, body) = root.split_vertically(HEAD);
     let count = results.seeds.len();
-    let seeds = if count == 1 {
-        "1 seed"
-    } else {
-        &format!("{count} seeds")
+    let title = format!("{}, {}", results.algorithm(), count_of_seeds(count));
+    let left = (GAP + SCALE) as i32;
+    write(&head, &title, (left, 22), (28, INK))?;
+    let explained = match count {
+        1 => "evaluated without intervention after every block",
+        _ => {
+            "evaluated without intervention after every block; thin: each seed, thick: their mean \
+             where all have come"
+        }
     };
-    let title = format!("{algorithm}, {seeds}: evaluation without intervention after every block");
-    let root = root.titled(&title, (FACE, 22))?;
-    let areas = root.split_evenly((2, 2));
-    let share = |name, colour, of: fn(&Exam) -> f64| Curve {
-        name,
-        colour,
-        points: exam_points(results, of),
-    };
-    let blue = RGBColor(31, 119, 180);
-    let orange = RGBColor(214, 95, 14);
-    let success = [
-        share("success", blue, |exam| exam.success),
-        share("and nothing touched", orange, |exam| exam.strict_success),
-    ];
-    let crash = [
-        share("touching at the last step", blue, |exam| {
-            exam.crash_last_step
-        }),
-        share("touched at any step", orange, |exam| exam.contact),
-    ];
-    let out_of_road = [
-        share("out of road", blue, |exam| exam.out_of_road),
-        share("out of time", orange, |exam| exam.max_step),
-    ];
-    let interventions = [Curve {
-        name: "steps that the policy did not drive",
-        colour: blue,
-        points: intervention_points(results),
-    }];
-    panel(&areas[0], "success rate", &success, Some(1.0))?;
-    panel(&areas[1], "crash rate", &crash, Some(1.0))?;
-    panel(&areas[2], "out-of-road rate", &out_of_road, Some(1.0))?;
-    panel(&areas[3], "cumulative interventions", &interventions, None)?;
+    write(&head, explained, (left, 60), (17, FAINT))?;
+    for (area, panel) in body.split_evenly((2, 2)).iter().zip(panels(results)) {
+        draw_panel(&area.margin(GAP / 2, GAP / 2, GAP, GAP), &panel)?;
+    }
     root.present()?;
     Ok(())
 }
 
-fn panel<B>(
-    area: &DrawingArea<B, Shift>,
-    title: &str,
-    curves: &[Curve],
-    top: Option<f64>,
+fn draw_panel<B>(area: &DrawingArea<B, Shift>, panel: &Panel) -> anyhow::Result<()>
+where
+    B: DrawingBackend,
+    B::ErrorType: 'static,
+{
+    let (head, body) = area.split_vertically(PANEL_HEAD);
+    write(&head, panel.title, (SCALE as i32, 10), (20, INK))?;
+    legend(&head, panel)?;
+    let all = || {
+        panel
+            .curves
+            .iter()
+            .flat_map(|curve| curve.seeds.iter().flatten())
+    };
+    let end = all().map(|point| point.0).fold(1.0, f64::max);
+    let highest = all().map(|point| point.1).fold(1.0, f64::max);
+    // A line along the upper end is seen whole.
+    let top = 1.03 * panel.top.unwrap_or(highest);
+    let mut chart = ChartBuilder::on(&body)
+        .margin_right(16)
+        .x_label_area_size(46)
+        .y_label_area_size(SCALE)
+        .build_cartesian_2d(0.0..end, 0.0..top)?;
+    let is_share = panel.top.is_some();
+    chart
+        .configure_mesh()
+        .x_desc("training steps")
+        .axis_desc_style((FACE, 15).into_font().color(&FAINT))
+        .label_style((FACE, 15).into_font().color(&INK))
+        .axis_style(FAINT)
+        .bold_line_style(GRID)
+        .light_line_style(WHITE)
+        .x_labels(6)
+        .y_labels(6)
+        .x_label_formatter(&|x| format!("{x:.0}"))
+        .y_label_formatter(&|y| match is_share {
+            true => format!("{y:.1}"),
+            false => format!("{y:.0}"),
+        })
+        .draw()?;
+    if let Some(paper) = panel.paper {
+        let line = DashedLineSeries::new([(0.0, paper), (end, paper)], 6, 5, FAINT.stroke_width(1));
+        chart.draw_series(line)?;
+    }
+    for curve in &panel.curves {
+        draw_curve(&mut chart, curve)?;
+    }
+    Ok(())
+}
+
+fn draw_curve<B>(
+    chart: &mut ChartContext<B, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
+    curve: &Curve,
 ) -> anyhow::Result<()>
 where
     B: DrawingBackend,
     B::ErrorType: 'static,
 {
-    let all = || curves.iter().flat_map(|curve| &curve.points);
-    let end = all().map(|point| point.0).fold(1.0, f64::max);
-    let highest = all().map(|point| point.1 + point.2).fold(1.0, f64::max);
-    let top = top.map_or(1.05 * highest, |top| 1.02 * top);
-    let mut chart = ChartBuilder::on(area)
-        .caption(title, (FACE, 18))
-        .margin(12)
-        .x_label_area_size(36)
-        .y_label_area_size(60)
-        .build_cartesian_2d(0.0..end, 0.0..top)?;
-    chart
-        .configure_mesh()
-        .x_desc("training steps")
-        .label_style((FACE, 14))
-        .light_line_style(WHITE)
-        .x_labels(6)
-        .x_label_formatter(&|x| format!("{x:.0}"))
-        .y_label_formatter(&|y| match top > 2.0 {
-            true => format!("{y:.0}"),
-            false => format!("{y:.1}"),
-        })
-        .draw()?;
-    for curve in curves {
-        let band =
-            |sign: f64| move |&(x, mean, half): &Point| (x, (mean + sign * half).clamp(0.0, top));
-        let mut outline: Vec<(f64, f64)> = curve.points.iter().map(band(1.0)).collect();
-        outline.extend(curve.points.iter().rev().map(band(-1.0)));
-        chart.draw_series([Polygon::new(outline, curve.colour.mix(0.18))])?;
-        let line = curve.points.iter().map(|&(x, mean, _)| (x, mean));
-        let colour = curve.colour;
-        chart
-            .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
-            .label(curve.name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+    if curve.seeds.len() > 1 {
+        for seed in &curve.seeds {
+            let faint = curve.colour.mix(0.35).stroke_width(1);
+            chart.draw_series(LineSeries::new(seed.iter().copied(), faint))?;
+        }
     }
-    chart
-        .configure_series_labels()
-        .label_font((FACE, 14))
-        .border_style(BLACK.mix(0.3))
-        .background_style(WHITE.mix(0.8))
-        .position(match top > 2.0 {
-            true => SeriesLabelPosition::LowerRight,
-            false => SeriesLabelPosition::MiddleRight,
-        })
-        .draw()?;
+    let mean = mean(&curve.seeds);
+    chart.draw_series(LineSeries::new(mean.clone(), curve.colour.stroke_width(3)))?;
+    // One evaluation makes no line.
+    if let [only] = mean[..] {
+        chart.draw_series([Circle::new(only, 4, curve.colour.filled())])?;
+    }
     Ok(())
 }
 
-fn exam_points(results: &Results, of: fn(&Exam) -> f64) -> Vec<Point> {
-    points(results, |seed| {
-        seed.exams
-            .iter()
-            .map(|exam| (exam.steps, of(exam)))
-            .collect()
-    })
+/// Names of the curves above the axes, where they cover none.
+fn legend<B>(head: &DrawingArea<B, Shift>, panel: &Panel) -> anyhow::Result<()>
+where
+    B: DrawingBackend,
+    B::ErrorType: 'static,
+{
+    let (mut x, y) = (SCALE as i32, 50);
+    let mut entries: Vec<(String, ShapeStyle)> = panel
+        .curves
+        .iter()
+        .map(|curve| (curve.name.into(), curve.colour.stroke_width(3)))
+        .collect();
+    if let Some(paper) = panel.paper {
+        entries.push((
+            format!("paper, at its end: {paper:.2}"),
+            FAINT.stroke_width(1),
+        ));
+    }
+    for (name, style) in entries {
+        head.draw(&PathElement::new([(x, y), (x + SWATCH, y)], style))?;
+        write(head, &name, (x + SWATCH + 8, y - 6), (16, INK))?;
+        let font = TextStyle::from((FACE, 16).into_font());
+        let (width, _) = head.estimate_text_size(&name, &font)?;
+        x += SWATCH + 8 + width as i32 + 26;
+    }
+    Ok(())
 }
 
-fn intervention_points(results: &Results) -> Vec<Point> {
-    points(results, |seed| {
-        let blocks = seed.blocks.iter();
-        blocks
-            .map(|block| (block.steps, block.interventions as f64))
-            .collect()
-    })
+/// Words from their left upper corner.
+fn write<B>(
+    area: &DrawingArea<B, Shift>,
+    words: &str,
+    at: (i32, i32),
+    (size, colour): (u32, RGBColor),
+) -> anyhow::Result<()>
+where
+    B: DrawingBackend,
+    B::ErrorType: 'static,
+{
+    let style = TextStyle::from((FACE, size).into_font())
+        .color(&colour)
+        .pos(Pos::new(HPos::Left, VPos::Top));
+    area.draw_text(words, &style, at)?;
+    Ok(())
 }
 
-/// The mean over the seeds that have come so far, where the first one was
-/// evaluated.
-fn points(results: &Results, of: impl Fn(&Seed) -> Vec<(u64, f64)>) -> Vec<Point> {
-    let seeds: Vec<Vec<(u64, f64)>> = results.seeds.iter().map(of).collect();
-    let Some(longest) = seeds.iter().max_by_key(|seed| seed.len()) else {
+fn each(results: &Results, of: impl Fn(&Seed) -> Vec<Point>) -> Vec<Vec<Point>> {
+    let seeds = results.seeds.iter().map(of);
+    seeds.filter(|points| !points.is_empty()).collect()
+}
+
+/// The mean over the seeds at the steps that all of them were looked at.
+fn mean(seeds: &[Vec<Point>]) -> Vec<Point> {
+    let Some((first, others)) = seeds.split_first() else {
         return Vec::new();
     };
-    let at = |steps: u64| {
-        let values = seeds.iter().filter_map(|seed| {
-            let place = seed.binary_search_by_key(&steps, |point| point.0).ok()?;
-            Some(seed[place].1)
+    let at = |&(steps, value): &Point| {
+        let values = others.iter().map(|seed| {
+            let place = seed.binary_search_by(|point| point.0.total_cmp(&steps));
+            Some(seed[place.ok()?].1)
         });
-        let (mean, half) = over_seeds(&values.collect::<Vec<_>>());
-        (steps as f64, mean, half.unwrap_or(0.0))
+        let others: Option<Vec<f64>> = values.collect();
+        let sum = value + others?.iter().sum::<f64>();
+        Some((steps, sum / seeds.len() as f64))
     };
-    longest.iter().map(|&(steps, _)| at(steps)).collect()
+    first.iter().filter_map(at).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::mean;
+
+    #[test]
+    fn the_mean_is_of_all_seeds_or_not_there() {
+        let long = vec![(200.0, 0.0), (400.0, 0.5), (600.0, 1.0)];
+        let gap = vec![(200.0, 1.0), (600.0, 0.0)];
+        assert_eq!(mean(&[long.clone(), gap]), [(200.0, 0.5), (600.0, 0.5)]);
+        assert_eq!(mean(std::slice::from_ref(&long)), long);
+        assert_eq!(mean(&[]), []);
+    }
 }

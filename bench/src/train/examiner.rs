@@ -11,29 +11,38 @@ use std::time::Duration;
 use anyhow::anyhow;
 use shm_config::config::Config;
 
+use super::arguments::Train;
+use super::experiment::Experiment;
+use super::progress::Progress;
 use super::protocol::{EVALUATION_SEED, Protocol};
 use super::results::{Exam, Results, append_exam, exams, policies};
+use super::student::End;
 use crate::Clock;
-use crate::arguments::{Train, WorldChoice};
-use crate::eval::{Task, evaluate};
+use crate::arguments::WorldChoice;
+use crate::eval::{Task, evaluate_inside};
 use crate::evaluation::Evaluation;
 use crate::report::write_json;
 use crate::seat::DriverKind;
+use crate::stop::Stop;
 use supervisor::signals::pause;
 
 /// From look to look at new policies.
 const LOOK: Duration = Duration::from_millis(100);
 
+/// Words about the last policy's evaluation.
+const PARTS: u64 = 20;
+
 /// Policies come on.
 const WATCH: u8 = 0;
 /// No more come; those that are there are evaluated.
 const FINISH: u8 = 1;
-/// Nothing more is evaluated.
-const STOP: u8 = 2;
 
 /// A thread that evaluates each policy that appears.
 pub struct Examiner {
     order: Arc<AtomicU8>,
+    /// Its own: training goes on to its orderly end when somebody asks to stop.
+    stop: Stop,
+    protocol: Protocol,
     news: Receiver<f64>,
     thread: Option<JoinHandle<anyhow::Result<()>>>,
 }
@@ -44,12 +53,12 @@ impl Examiner {
     /// # Errors
     /// When what was evaluated before cannot be read.
     pub fn start(protocol: &Protocol, clock: Clock) -> anyhow::Result<Examiner> {
-        let order = Arc::new(AtomicU8::new(WATCH));
+        let (order, stop) = (Arc::new(AtomicU8::new(WATCH)), Stop::default());
         let (send, news) = channel();
         let thread = {
-            let (order, protocol) = (Arc::clone(&order), protocol.clone());
+            let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
             std::thread::spawn(move || {
-                watch(&protocol, clock, &order, |success| {
+                watch(&protocol, clock, (&order, &stop), |success| {
                     // Nobody may listen any more.
                     let _ = send.send(success);
                 })
@@ -57,6 +66,8 @@ impl Examiner {
         };
         Ok(Examiner {
             order,
+            stop,
+            protocol: protocol.clone(),
             news,
             thread: Some(thread),
         })
@@ -73,21 +84,31 @@ impl Examiner {
         Ok(self.news.try_iter().last())
     }
 
-    /// Waits until every policy is evaluated.
+    /// Waits until every policy is evaluated, or somebody asks to stop.
     ///
     /// # Errors
     /// When the thread has failed.
-    pub fn finish(mut self) -> anyhow::Result<()> {
+    pub fn finish(mut self, stop: &Stop) -> anyhow::Result<End> {
         self.order.store(FINISH, Ordering::Relaxed);
-        self.join()
+        while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            if stop.is_asked() {
+                let steps = self.protocol.steps;
+                self.stop()?;
+                return Ok(End::Stopped { steps });
+            }
+            pause(LOOK);
+        }
+        self.join()?;
+        Ok(End::Complete)
     }
 
-    /// Waits for the evaluation at hand only.
+    /// Waits for the episodes at hand only; their evaluation is begun anew next
+    /// time.
     ///
     /// # Errors
     /// When the thread has failed.
     pub fn stop(mut self) -> anyhow::Result<()> {
-        self.order.store(STOP, Ordering::Relaxed);
+        self.stop.ask();
         self.join()
     }
 
@@ -103,14 +124,14 @@ impl Examiner {
 fn watch(
     protocol: &Protocol,
     clock: Clock,
-    order: &AtomicU8,
+    (order, stop): (&AtomicU8, &Stop),
     mut tell: impl FnMut(f64),
 ) -> anyhow::Result<()> {
     let done = exams(&protocol.folder)?.last().map_or(0, |exam| exam.steps);
     let mut done = done;
     loop {
         let now = order.load(Ordering::Relaxed);
-        if now == STOP {
+        if stop.is_asked() {
             return Ok(());
         }
         let next = policies(&protocol.folder)?
@@ -135,20 +156,26 @@ fn watch(
             episodes: protocol.episodes,
             threads,
         };
-        let exam = exam(&task, steps, &protocol.config, clock)?;
+        let Some(exam) = exam((&task, steps), &protocol.config, (clock, stop))? else {
+            return Ok(());
+        };
         append_exam(&protocol.folder, &exam)?;
         tell(exam.success);
         done = steps;
     }
 }
 
-/// Evaluates in the built-in world, whichever the training is in.
-fn exam(task: &Task, steps: u64, config: &Config, clock: Clock) -> anyhow::Result<Exam> {
-    let mut config = config.clone();
-    config.world.simulator = shm_config::config::Simulator::BuiltIn;
-    let drives = evaluate(task, &config, clock, |_| {})?;
-    let evaluation = Evaluation::new(task, &drives);
-    Ok(Exam {
+/// Evaluates in the built-in world, whichever the training is in; `None` when
+/// stopped before the end.
+fn exam(
+    (task, steps): (&Task, u64),
+    config: &Config,
+    watch: (Clock, &Stop),
+) -> anyhow::Result<Option<Exam>> {
+    let Some(evaluation) = evaluated(task, config, watch, |_| {})? else {
+        return Ok(None);
+    };
+    Ok(Some(Exam {
         steps,
         success: evaluation.success.mean,
         strict_success: evaluation.strict_success.mean,
@@ -159,7 +186,24 @@ fn exam(task: &Task, steps: u64, config: &Config, clock: Clock) -> anyhow::Resul
         completion: evaluation.completion.mean,
         mean_length: evaluation.mean_length,
         mean_speed_mps: evaluation.mean_speed_mps,
-    })
+    }))
+}
+
+fn evaluated(
+    task: &Task,
+    config: &Config,
+    watch: (Clock, &Stop),
+    mut done: impl FnMut(u64),
+) -> anyhow::Result<Option<Evaluation>> {
+    let mut config = config.clone();
+    config.world.simulator = shm_config::config::Simulator::BuiltIn;
+    let mut count = 0;
+    let drives = evaluate_inside(task, &config, watch, |_| {
+        count += 1;
+        done(count);
+    })?;
+    let is_whole = drives.episodes.len() as u64 == task.episodes;
+    Ok(is_whole.then(|| Evaluation::new(task, &drives)))
 }
 
 /// Evaluates the last policy of each seed on many episodes, once.
@@ -167,39 +211,48 @@ fn exam(task: &Task, steps: u64, config: &Config, clock: Clock) -> anyhow::Resul
 /// # Errors
 /// When a policy cannot be read or a file not written.
 pub fn examine_finals(
-    arguments: &Train,
+    (arguments, experiment): (&Train, &Experiment),
     results: &Results,
     out: &Path,
-    clock: Clock,
-) -> anyhow::Result<()> {
+    (clock, stop): (Clock, &Stop),
+) -> anyhow::Result<End> {
     for seed in &results.seeds {
         let Some((steps, path)) = policies(&seed.folder)?.pop() else {
             continue;
         };
         let file = seed.folder.join("final.json");
-        let known = seed.last.as_ref().is_some_and(|last| {
-            last.steps == steps && last.evaluation["episodes"] == arguments.final_episodes
-        });
-        if known || arguments.final_episodes == 0 {
+        let episodes = arguments.final_episodes;
+        let last = seed.last.as_ref();
+        let is_known = last.is_some_and(|last| last.evaluation["episodes"] == episodes);
+        if is_known || episodes == 0 {
             continue;
         }
-        let protocol = Protocol::new(arguments, seed.seed, out)?;
+        let protocol = Protocol::new(arguments, experiment, (seed.seed, out))?;
         let task = Task {
             driver: driver(&path),
             world: WorldChoice::Sim,
             first_seed: EVALUATION_SEED,
-            episodes: arguments.final_episodes,
+            episodes,
             threads: std::thread::available_parallelism()?,
         };
-        let mut config = protocol.config;
-        config.world.simulator = shm_config::config::Simulator::BuiltIn;
-        let drives = evaluate(&task, &config, clock, |_| {})?;
-        let mut evaluation = serde_json::to_value(Evaluation::new(&task, &drives))?;
+        let name = format!("seed {}, last policy", seed.seed);
+        let mut progress = Progress::begin(name, "episodes", (0, episodes), clock)?;
+        let part = episodes.div_ceil(PARTS);
+        let evaluation = evaluated(&task, &protocol.config, (clock, stop), |count| {
+            if count.is_multiple_of(part) || count == episodes {
+                progress.at(count);
+            }
+        })?;
+        progress.end();
+        let Some(evaluation) = evaluation else {
+            return Ok(End::Stopped { steps });
+        };
+        let mut evaluation = serde_json::to_value(evaluation)?;
         evaluation["steps"] = steps.into();
         evaluation["driver"] = format!("policies/{steps:08}.onnx").into();
         write_json(&file, &evaluation)?;
     }
-    Ok(())
+    Ok(End::Complete)
 }
 
 fn driver(path: &Path) -> DriverKind {

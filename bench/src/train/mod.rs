@@ -2,10 +2,13 @@
 //!
 //! | module | holds |
 //! |---|---|
+//! | [`arguments`] | the command line |
+//! | [`experiment`] | which seeds and how many steps a folder holds |
 //! | [`protocol`] | the experiment's numbers, as configuration |
 //! | [`student`] | one training: the process set in lockstep, watched |
 //! | [`examiner`] | 50 episodes without intervention after every block |
 //! | [`results`] | what the folders hold, read back |
+//! | [`progress`] | a bar in a terminal, lines elsewhere |
 //! | [`curves`] | Figure 4, as SVG and PNG |
 //! | [`table`] | Table 1, and the mean over seeds |
 //! | [`tensorboard`] | the same numbers as an event file |
@@ -14,8 +17,11 @@
 //! interrupted experiment goes on with `--resume`, a finished one is only
 //! reported again.
 
+pub mod arguments;
 pub mod curves;
 pub mod examiner;
+pub mod experiment;
+pub mod progress;
 pub mod protocol;
 pub mod results;
 pub mod student;
@@ -23,45 +29,74 @@ pub mod table;
 pub mod tensorboard;
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, bail};
 
 use crate::Clock;
-use crate::arguments::Train;
 use crate::report::{say, write_json};
+use crate::stop::Stop;
+use arguments::Train;
+use experiment::Experiment;
 use protocol::Protocol;
 use results::Results;
+use student::End;
 
 /// Trains with every seed asked for, and reports.
 ///
 /// # Errors
-/// When the configuration is wrong, a folder holds another experiment, or the
-/// process set gives up.
+/// When the configuration is wrong, a folder holds another experiment, the
+/// process set gives up, or somebody stops it.
 pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
-    let out = folder(arguments)?;
-    for seed in arguments.seed..arguments.seed.saturating_add(u64::from(arguments.seeds)) {
-        let protocol = Protocol::new(arguments, seed, &out)?;
-        match student::train(&protocol, clock)? {
-            student::End::Complete => {}
-            student::End::Stopped { steps } => {
-                say(format_args!(
-                    "stopped after {steps} steps of seed {seed}; the same command with --resume goes on"
-                ));
-                break;
-            }
+    if arguments.report {
+        return tell(arguments, &experiment::folder(arguments));
+    }
+    let stop = Stop::listen()?;
+    let (experiment, out) = Experiment::open(arguments)?;
+    let protocols: Vec<Protocol> = experiment
+        .all_seeds()
+        .map(|seed| Protocol::new(arguments, &experiment, (seed, &out)))
+        .collect::<anyhow::Result<_>>()?;
+    // Not before all options are known to be right: they would have to be given
+    // again with --resume.
+    experiment.write(&out)?;
+    for protocol in &protocols {
+        let end = student::train(protocol, &stop, clock)?;
+        report(&out)?;
+        if let End::Stopped { steps } = end {
+            bail!(
+                "stopped after {steps} of {} steps of seed {}; the same command with --resume \
+                 goes on",
+                experiment.steps,
+                protocol.seed
+            );
         }
-        report(arguments, &out)?;
     }
     let results = Results::read(&out)?;
-    if results.seeds.is_empty() {
-        bail!("{}: nothing was learnt yet", out.display());
+    let watch = (clock, &stop);
+    let end = examiner::examine_finals((arguments, &experiment), &results, &out, watch)?;
+    tell(arguments, &out)?;
+    match end {
+        End::Complete => Ok(()),
+        End::Stopped { .. } => bail!(
+            "stopped in the evaluation of a last policy; all is trained, the same command with \
+             --resume goes on"
+        ),
     }
-    examiner::examine_finals(arguments, &results, &out, clock)?;
-    let results = report(arguments, &out)?;
+}
+
+/// Draws, prints and writes what a folder holds.
+fn tell(arguments: &Train, out: &Path) -> anyhow::Result<()> {
+    let results = report(out)?;
+    if results.seeds.is_empty() {
+        bail!("{}: nothing was learnt there yet", out.display());
+    }
     say(table::blocks(&results));
     if let Some(finals) = table::finals(&results) {
         say(finals);
+    }
+    for note in table::notes(&results) {
+        say(note);
     }
     if let Some(path) = &arguments.json {
         write_json(path, &results.summary())?;
@@ -74,40 +109,16 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
 }
 
 /// Pictures, tables and the best policy, from what the folders hold.
-fn report(arguments: &Train, out: &Path) -> anyhow::Result<Results> {
+fn report(out: &Path) -> anyhow::Result<Results> {
     let results = Results::read(out)?;
     if results.seeds.is_empty() {
         return Ok(results);
     }
-    curves::draw(&results, arguments.algorithm.word(), out)?;
+    curves::draw(&results, out)?;
     tensorboard::write(&results, out)?;
     fs::write(out.join("table.md"), table::markdown(&results)).context("table.md")?;
     if let Some(best) = results.best() {
         fs::copy(&best, out.join("policy.onnx")).with_context(|| format!("{}", best.display()))?;
     }
     Ok(results)
-}
-
-/// The experiment's folder. One that is there is another experiment's, or is
-/// gone on with.
-fn folder(arguments: &Train) -> anyhow::Result<PathBuf> {
-    let out = arguments.out.clone().unwrap_or_else(|| {
-        let name = format!("train-{}", arguments.algorithm.word());
-        Path::new("runs").join(name)
-    });
-    let holds = out.join(format!("seed-{}", arguments.seed)).exists();
-    if holds && !arguments.resume {
-        bail!(
-            "{}: holds an experiment; --resume goes on with it, --out DIR begins another",
-            out.display()
-        );
-    }
-    if arguments.resume && !out.exists() {
-        bail!(
-            "{}: there is nothing to go on with; without --resume an experiment begins there",
-            out.display()
-        );
-    }
-    fs::create_dir_all(&out).with_context(|| format!("{}", out.display()))?;
-    Ok(out)
 }

@@ -4,8 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use shm_config::config::{Algorithm, Config, load};
+use toml::{Table, Value};
 
-use crate::arguments::{Train, WorldChoice};
+use super::arguments::Train;
+use super::experiment::Experiment;
+use crate::arguments::WorldChoice;
 use crate::settings;
 
 /// Seeds that are trained on: 100 to 149.
@@ -40,7 +43,11 @@ impl Protocol {
     ///
     /// # Errors
     /// When the configuration or an override is wrong.
-    pub fn new(arguments: &Train, seed: u64, out: &Path) -> anyhow::Result<Protocol> {
+    pub fn new(
+        arguments: &Train,
+        experiment: &Experiment,
+        (seed, out): (u64, &Path),
+    ) -> anyhow::Result<Protocol> {
         let folder = out.join(format!("seed-{seed}"));
         let chosen = &arguments.configuration;
         let mut overrides = preset(arguments, seed);
@@ -49,17 +56,17 @@ impl Protocol {
         let mut config = settings::config(chosen.config.as_deref(), &overrides)?;
         config.run.folder = folder.display().to_string();
         let block_steps = u64::from(config.learner.block_steps);
-        if !arguments.steps.is_multiple_of(block_steps) {
+        if !experiment.steps.is_multiple_of(block_steps) {
             bail!(
                 "--steps {}: must be a multiple of learner.block_steps, {block_steps}",
-                arguments.steps
+                experiment.steps
             );
         }
         let protocol = Protocol {
             seed,
             folder,
-            steps: arguments.steps,
-            episodes: arguments.eval_episodes,
+            steps: experiment.steps,
+            episodes: experiment.eval_episodes,
             world: arguments.world,
             config,
         };
@@ -72,24 +79,64 @@ impl Protocol {
         self.folder.join("train.toml")
     }
 
-    /// A training that is gone on with has the algorithm and the expert that it
-    /// began with.
+    /// A training that is gone on with has the configuration that it began with,
+    /// as far as it decides what is learnt.
     fn check_same(&self) -> anyhow::Result<()> {
         let file = self.file();
         if !file.exists() {
             return Ok(());
         }
-        let begun = load(&file)?;
-        let same = begun.learner.algorithm == self.config.learner.algorithm
-            && begun.planner.method == self.config.planner.method
-            && begun.world.simulator == self.config.world.simulator;
-        if !same {
+        let begun = Table::try_from(load(&file)?)?;
+        let now = Table::try_from(&self.config)?;
+        let mut differences = Vec::new();
+        for section in SAME {
+            compare(
+                section,
+                begun.get(section),
+                now.get(section),
+                &mut differences,
+            );
+        }
+        if !differences.is_empty() {
             bail!(
-                "{}: is of another algorithm, expert or world; --out DIR begins another experiment",
-                file.display()
+                "{}: the training was begun otherwise: {}; give the options it was begun with, \
+                 --out DIR begins another experiment",
+                file.display(),
+                differences.join(", ")
             );
         }
         Ok(())
+    }
+}
+
+/// The sections of the configuration that decide what is learnt.
+const SAME: [&str; 11] = [
+    "vehicle",
+    "world",
+    "planner",
+    "informed",
+    "kinodynamic",
+    "mpc",
+    "controller",
+    "judge",
+    "gate",
+    "policy",
+    "learner",
+];
+
+/// Collects the keys with other values, as `key = begun, not now`.
+fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<String>) {
+    if let (Some(Value::Table(begun)), Some(Value::Table(now))) = (begun, now) {
+        for (inner, value) in now {
+            let key = format!("{key}.{inner}");
+            compare(&key, begun.get(inner), Some(value), out);
+        }
+        return;
+    }
+    if let (Some(begun), Some(now)) = (begun, now)
+        && begun != now
+    {
+        out.push(format!("{key} = {begun}, not {now}"));
     }
 }
 
@@ -125,6 +172,10 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         // A policy that learns may fail; the judge in the tick protects the car.
         "policy.probation_ticks=0".into(),
         "policy.watch_ticks=0".into(),
+        // The paper's cadence, and its answers at once.
+        "gate.when=period".into(),
+        "gate.dwell_s=0".into(),
+        "gate.record=false".into(),
         // Whoever waits for the controller waits for the learner with it.
         "limits.lockstep_wait_s=150.0".into(),
         format!("planner.method={}", arguments.expert.key()),

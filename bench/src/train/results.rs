@@ -4,7 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use learner::journal::last_mark;
 use serde::{Deserialize, Serialize};
+
+use crate::metric::Metric;
 
 /// An evaluation after a block: shares and means over its episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,6 +34,23 @@ pub struct Exam {
     pub mean_speed_mps: f64,
 }
 
+impl Exam {
+    /// One of its figures.
+    pub fn of(&self, metric: Metric) -> f64 {
+        match metric {
+            Metric::Success => self.success,
+            Metric::StrictSuccess => self.strict_success,
+            Metric::CrashLastStep => self.crash_last_step,
+            Metric::Contact => self.contact,
+            Metric::OutOfRoad => self.out_of_road,
+            Metric::MaxStep => self.max_step,
+            Metric::Completion => self.completion,
+            Metric::MeanLength => self.mean_length,
+            Metric::MeanSpeed => self.mean_speed_mps,
+        }
+    }
+}
+
 /// A block, as the learner has written it down.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct Block {
@@ -46,6 +66,8 @@ pub struct Block {
     pub imitation_loss: f64,
     /// Loss of the critics.
     pub critic_loss: f64,
+    /// Steps that were driven while the learner was away.
+    pub lost: u64,
 }
 
 /// The last policy on many episodes.
@@ -86,13 +108,7 @@ impl Results {
     /// When a file cannot be read.
     pub fn read(out: &Path) -> anyhow::Result<Results> {
         let mut seeds = Vec::new();
-        for entry in fs::read_dir(out).with_context(|| out.display().to_string())? {
-            let folder = entry?.path();
-            let name = folder.file_name().and_then(|name| name.to_str());
-            let number = name.and_then(|name| name.strip_prefix("seed-")?.parse().ok());
-            let Some(seed) = number else {
-                continue;
-            };
+        for (seed, folder) in seed_folders(out)? {
             let seed = Seed {
                 seed,
                 blocks: rows(&blocks_path(&folder))?,
@@ -104,8 +120,20 @@ impl Results {
                 seeds.push(seed);
             }
         }
-        seeds.sort_by_key(|seed| seed.seed);
         Ok(Results { seeds })
+    }
+
+    /// What learnt, by the configuration of the first seed.
+    pub fn algorithm(&self) -> String {
+        let file = self
+            .seeds
+            .first()
+            .map(|seed| seed.folder.join("train.toml"));
+        let text = file.and_then(|file| fs::read_to_string(file).ok());
+        let table: Option<toml::Table> = text.and_then(|text| text.parse().ok());
+        let word =
+            table.and_then(|table| Some(table["learner"].get("algorithm")?.as_str()?.into()));
+        word.unwrap_or_else(|| "unknown algorithm".into())
     }
 
     /// The policy file of the best evaluation: the most untouched arrivals, then
@@ -132,6 +160,7 @@ impl Results {
                 "seed": seed.seed,
                 "steps": seed.blocks.last().map(|block| block.steps),
                 "interventions": seed.blocks.last().map(|block| block.interventions),
+                "lost": seed.blocks.last().map(|block| block.lost),
                 "last_exam": seed.exams.last(),
                 "final": seed.last.as_ref().map(|last| &last.evaluation),
             })
@@ -140,13 +169,55 @@ impl Results {
     }
 }
 
-/// Steps that a training has considered; 0 before its first block.
+/// An experiment's trainings by seed, begun or not; none of a folder that is not
+/// there.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn seed_folders(out: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
+    let entries = match fs::read_dir(out) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(error).with_context(|| out.display().to_string()),
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let folder = entry?.path();
+        let name = folder.file_name().and_then(|name| name.to_str());
+        if let Some(seed) = name.and_then(|name| name.strip_prefix("seed-")?.parse().ok()) {
+            found.push((seed, folder));
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// Steps at the end of a training's last block; 0 before its first one.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub fn steps(folder: &Path) -> anyhow::Result<u64> {
-    let blocks: Vec<Block> = rows(&blocks_path(folder))?;
-    Ok(blocks.last().map_or(0, |block| block.steps))
+    Ok(last_block(folder)?.map_or(0, |block| block.steps))
+}
+
+/// A training's last block.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn last_block(folder: &Path) -> anyhow::Result<Option<Block>> {
+    Ok(rows(&blocks_path(folder))?.pop())
+}
+
+/// Steps that a training has driven and that its learner knows of, after the last
+/// block, too.
+///
+/// # Errors
+/// When the replay cannot be read.
+pub fn driven(folder: &Path) -> anyhow::Result<u64> {
+    let replay = folder.join("learner").join("replay.bin");
+    let mark = last_mark(&replay).with_context(|| replay.display().to_string())?;
+    let counted = mark.map_or(0, |mark| mark.counts.driven());
+    Ok(counted.max(steps(folder)?))
 }
 
 /// A training's policies with their steps, the first ones first.
@@ -236,5 +307,9 @@ fn last(folder: &Path) -> anyhow::Result<Option<Final>> {
     let evaluation: serde_json::Value =
         serde_json::from_str(&text).with_context(|| path.display().to_string())?;
     let steps = evaluation["steps"].as_u64().unwrap_or_default();
-    Ok(Some(Final { steps, evaluation }))
+    // Trained further since: it says nothing of the last policy any more.
+    let is_last = policies(folder)?
+        .last()
+        .is_some_and(|(last, _)| *last == steps);
+    Ok(is_last.then_some(Final { steps, evaluation }))
 }

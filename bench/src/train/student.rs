@@ -4,18 +4,17 @@ use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 use supervisor::signals::pause;
 
 use super::examiner::Examiner;
+use super::progress::Progress;
 use super::protocol::{Protocol, STEP_S};
 use super::results;
 use crate::Clock;
+use crate::stop::Stop;
 
 /// From look to look at how far the training is.
 const LOOK: Duration = Duration::from_millis(200);
@@ -35,71 +34,89 @@ pub enum End {
 /// Trains for the steps that are missing, and evaluates every block.
 ///
 /// # Errors
-/// When the process set cannot be started or gives up, or the folder cannot be
-/// written.
-pub fn train(protocol: &Protocol, clock: Clock) -> anyhow::Result<End> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&stop)).context("signals")?;
-    }
-    fs::create_dir_all(&protocol.folder)
-        .with_context(|| format!("{}", protocol.folder.display()))?;
-    let bar = ProgressBar::new(protocol.steps);
-    let style = "seed {prefix}  {elapsed_precise} {wide_bar} {pos}/{len} steps, {eta} left  {msg}";
-    bar.set_style(ProgressStyle::with_template(style)?);
-    bar.set_prefix(protocol.seed.to_string());
-    bar.enable_steady_tick(LOOK);
-    let begun = results::steps(&protocol.folder)?;
-    // Resumed: what was done before says nothing about how fast it goes now.
-    bar.set_position(begun);
-    bar.reset_eta();
+/// When the process set cannot be started or gives up, the learner does not come
+/// to its last block, or the folder cannot be written.
+pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<End> {
+    let folder = &protocol.folder;
+    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let from_to = (results::steps(folder)?, protocol.steps);
+    let name = format!("seed {}", protocol.seed);
+    let mut progress = Progress::begin(name, "steps", from_to, clock)?;
     let mut examiner = Examiner::start(protocol, clock)?;
-    let mut set = match begun < protocol.steps {
-        true => Some(ProcessSet::start(protocol, begun)?),
-        false => None,
+    let end = drive_all(protocol, stop, (&mut examiner, &mut progress))?;
+    let end = match end {
+        End::Stopped { .. } => {
+            examiner.stop()?;
+            end
+        }
+        End::Complete => {
+            progress.now("evaluating the last blocks");
+            examiner.finish(stop)?
+        }
     };
-    let ended = loop {
+    progress.end();
+    Ok(end)
+}
+
+/// Drives process sets until the last block is learnt. One is enough unless the
+/// learner dies so late that nobody told it of the last steps.
+fn drive_all(
+    protocol: &Protocol,
+    stop: &Stop,
+    (examiner, progress): (&mut Examiner, &mut Progress),
+) -> anyhow::Result<End> {
+    let folder = &protocol.folder;
+    let mut tried = None;
+    loop {
+        let (steps, driven) = (results::steps(folder)?, results::driven(folder)?);
+        if stop.is_asked() {
+            return Ok(End::Stopped { steps });
+        }
+        if steps >= protocol.steps {
+            return Ok(End::Complete);
+        }
+        if tried == Some((steps, driven)) {
+            bail!(
+                "seed {}: the learner has come to step {steps} of {} and no further, though all were \
+                 driven; its log is {}",
+                protocol.seed,
+                protocol.steps,
+                folder.join("logs/learner.log").display()
+            );
+        }
+        tried = Some((steps, driven));
+        let mut set = ProcessSet::start(protocol, driven)?;
+        let is_well = watch(&mut set, protocol, stop, (examiner, progress))?;
+        let steps = results::steps(folder)?;
+        if stop.is_asked() || (is_well && set.was_stopped()) {
+            return Ok(End::Stopped { steps });
+        }
+        if !is_well {
+            bail!("{}", set.last_words(steps));
+        }
+    }
+}
+
+/// Looks at a process set until it has ended; whether it did so well.
+fn watch(
+    set: &mut ProcessSet,
+    protocol: &Protocol,
+    stop: &Stop,
+    (examiner, progress): (&mut Examiner, &mut Progress),
+) -> anyhow::Result<bool> {
+    loop {
         pause(LOOK);
-        bar.set_position(results::steps(&protocol.folder)?);
-        if let Some(exam) = examiner.news()? {
-            bar.set_message(format!("success {:.2}", exam));
+        if let Some(success) = examiner.news()? {
+            progress.note(format!("success {success:.2}"));
         }
-        let ended = match &mut set {
-            None => Some(true),
-            Some(set) => {
-                if stop.load(Ordering::Relaxed) {
-                    set.stop();
-                }
-                set.ended()?
-            }
-        };
-        if let Some(success) = ended {
-            break success;
+        progress.at(results::steps(&protocol.folder)?);
+        if stop.is_asked() {
+            set.stop();
         }
-    };
-    let stopped = stop.load(Ordering::Relaxed);
-    let steps = results::steps(&protocol.folder)?;
-    if !ended && !stopped {
-        let log = protocol.folder.join(DRIVE_LOG);
-        let text = fs::read_to_string(&log).unwrap_or_default();
-        let last = text.lines().rev().find(|line| !line.trim().is_empty());
-        bail!(
-            "the process set ended after {steps} steps: {} ({})",
-            last.unwrap_or("without a word")
-                .trim_start_matches("error: "),
-            log.display()
-        );
+        if let Some(is_well) = set.ended()? {
+            return Ok(is_well);
+        }
     }
-    bar.set_message("evaluating the last blocks");
-    match stopped {
-        true => examiner.stop()?,
-        false => examiner.finish()?,
-    }
-    bar.finish_and_clear();
-    Ok(match steps < protocol.steps {
-        true => End::Stopped { steps },
-        false => End::Complete,
-    })
 }
 
 /// What the process set prints.
@@ -108,22 +125,31 @@ const DRIVE_LOG: &str = "drive.log";
 /// `./vlaps up`, as a child.
 struct ProcessSet {
     child: Child,
+    folder: PathBuf,
+    summary: PathBuf,
     is_stopping: bool,
 }
 
 impl ProcessSet {
+    /// For the steps that are missing when so many are driven. Without any the
+    /// learner was killed in the updates of its last block: it makes up for them
+    /// when it is started, and no set drives less than a step.
     fn start(protocol: &Protocol, begun: u64) -> anyhow::Result<ProcessSet> {
         let mut config = protocol.config.clone();
-        config.run.duration_s = (protocol.steps - begun) as f64 * STEP_S;
+        config.run.duration_s = protocol.steps.saturating_sub(begun).max(1) as f64 * STEP_S;
         // Another order of the training seeds, not the same first ones again.
         config.run.shuffle = config.run.shuffle.wrapping_add(begun);
         let file = protocol.file();
         fs::write(&file, toml::to_string(&config)?).with_context(|| file.display().to_string())?;
         let log = protocol.folder.join(DRIVE_LOG);
         let output = File::create(&log).with_context(|| log.display().to_string())?;
+        let summary = protocol.folder.join(format!("summary-{begun}.json"));
         let child = Command::new(supervisor_path()?)
-            .args(["up", "--json"])
-            .arg(protocol.folder.join(format!("summary-{begun}.json")))
+            .arg("up")
+            .arg("--json")
+            .arg(&summary)
+            // Nothing drives on for nobody when this process is killed.
+            .args(["--parent", &std::process::id().to_string()])
             .arg("--config")
             .arg(&file)
             .stdin(Stdio::null())
@@ -135,6 +161,8 @@ impl ProcessSet {
             .context("the process set")?;
         Ok(ProcessSet {
             child,
+            folder: protocol.folder.clone(),
+            summary,
             is_stopping: false,
         })
     }
@@ -149,6 +177,26 @@ impl ProcessSet {
                 let _ = rustix::process::kill_process(id, rustix::process::Signal::TERM);
             }
         }
+    }
+
+    /// Somebody else stopped it, such as `./vlaps down`.
+    fn was_stopped(&self) -> bool {
+        let text = fs::read_to_string(&self.summary).unwrap_or_default();
+        let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+        summary["ended"] == "stopped"
+    }
+
+    /// Why it gave up.
+    fn last_words(&self, steps: u64) -> String {
+        let log = self.folder.join(DRIVE_LOG);
+        let text = fs::read_to_string(&log).unwrap_or_default();
+        let last = text.lines().rev().find(|line| !line.trim().is_empty());
+        format!(
+            "the process set ended after {steps} steps: {} ({})",
+            last.unwrap_or("without a word")
+                .trim_start_matches("error: "),
+            log.display()
+        )
     }
 
     /// Whether it ended well, once it has ended.

@@ -4,29 +4,22 @@ use std::fmt::Write;
 
 use comfy_table::Table;
 
-use super::results::{Exam, Results};
+use super::results::{Exam, Results, Seed};
+use crate::metric::{FOOTNOTE, Metric};
 use crate::report::table;
 
-/// One row of Table 1: name, the paper's figure, PVP4Real's as the paper reads it
-/// from its curves, and ours.
-type Row = (&'static str, &'static str, &'static str, fn(&Exam) -> f64);
-
-/// Table 1 (Sec. 6), and below it what the paper does not report.
-const ROWS: [Row; 9] = [
-    ("success", "0.86", "~0.90", |exam| exam.success),
-    ("strict: and nothing touched", "", "", |exam| {
-        exam.strict_success
-    }),
-    ("crash at the last step", "0.00", "~0", |exam| {
-        exam.crash_last_step
-    }),
-    ("touched at any step", "", "", |exam| exam.contact),
-    ("out of road", "0.08", "<0.10", |exam| exam.out_of_road),
-    ("max step", "", "", |exam| exam.max_step),
-    ("route completion", "0.935", "~0.95", |exam| exam.completion),
-    ("length, steps", "1010", "", |exam| exam.mean_length),
-    ("speed, m/s", "", "", |exam| exam.mean_speed_mps),
-];
+/// Table 1 (Sec. 6): the paper's figure and PVP4Real's, as the paper reads it from
+/// its curves; nothing where it does not report any.
+fn reported(metric: Metric) -> [&'static str; 2] {
+    match metric {
+        Metric::Success => ["0.86", "~0.90"],
+        Metric::CrashLastStep => ["0.00", "~0"],
+        Metric::OutOfRoad => ["0.08", "<0.10"],
+        Metric::Completion => ["0.935", "~0.95"],
+        Metric::MeanLength => ["1010", ""],
+        Metric::StrictSuccess | Metric::Contact | Metric::MaxStep | Metric::MeanSpeed => ["", ""],
+    }
+}
 
 /// Two-sided 95 % quantiles of Student's distribution, by degrees of freedom
 /// from 1.
@@ -59,52 +52,77 @@ fn cell(values: &[f64], digits: usize) -> String {
     }
 }
 
-fn digits(name: &str) -> usize {
-    match name {
-        "length, steps" => 0,
-        "speed, m/s" => 2,
-        _ => 3,
+/// A number of seeds in words.
+pub fn count_of_seeds(count: usize) -> String {
+    match count {
+        1 => "1 seed".into(),
+        count => format!("{count} seeds"),
     }
 }
 
+/// A column of ours: its name and what it is of.
+struct Column<'a> {
+    name: String,
+    of: Vec<(&'a Seed, Exam)>,
+}
+
 /// Table 1: the evaluation after the last block, and after the block whose steps
-/// are nearest below a fifth of all.
+/// are nearest below a fifth of all, where there was one.
 pub fn blocks(results: &Results) -> Table {
-    let last = |seed: &super::results::Seed| seed.exams.last().copied();
-    let early = |seed: &super::results::Seed| {
+    let early = |seed: &Seed| {
         let end = seed.exams.last()?.steps / 5;
         let before = seed.exams.iter().rev().find(|exam| exam.steps <= end);
         before.copied()
     };
-    let lasts: Vec<Exam> = results.seeds.iter().filter_map(last).collect();
-    let earlies: Vec<Exam> = results.seeds.iter().filter_map(early).collect();
-    let name = |exams: &[Exam]| match exams.first() {
-        Some(exam) => format!("ours, {} steps", exam.steps),
-        None => "ours".into(),
-    };
-    let header = [
-        "after a block",
-        "paper",
-        "PVP4Real",
-        &name(&earlies),
-        &name(&lasts),
-    ];
+    let columns: Vec<Column> = [
+        column(results, early),
+        column(results, |seed| seed.exams.last().copied()),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    let mut header = vec!["after a block", "paper", "PVP4Real"];
+    header.extend(columns.iter().map(|column| column.name.as_str()));
     let mut table = table(&header);
-    for (row, paper, baseline, of) in ROWS {
-        let ours = [&earlies, &lasts].map(|exams: &Vec<Exam>| {
-            let values: Vec<f64> = exams.iter().map(of).collect();
-            cell(&values, digits(row))
-        });
-        table.add_row([row, paper, baseline, &ours[0], &ours[1]]);
+    for metric in Metric::ALL {
+        let mut row = vec![metric.name().to_string()];
+        row.extend(reported(metric).map(String::from));
+        row.extend(columns.iter().map(|column| {
+            let values: Vec<f64> = column.of.iter().map(|(_, exam)| exam.of(metric)).collect();
+            cell(&values, metric.digits())
+        }));
+        table.add_row(row);
     }
-    let interventions: Vec<f64> = results
-        .seeds
-        .iter()
-        .filter_map(|seed| Some(seed.blocks.last()?.interventions as f64))
-        .collect();
-    let interventions = cell(&interventions, 0);
-    table.add_row(["interventions, steps", "", "", "", &interventions]);
+    let mut row = vec![
+        "interventions, steps".to_string(),
+        String::new(),
+        String::new(),
+    ];
+    row.extend(columns.iter().map(|column| {
+        let at = column.of.iter().filter_map(|(seed, exam)| {
+            let block = seed.blocks.iter().find(|block| block.steps == exam.steps)?;
+            Some(block.interventions as f64)
+        });
+        cell(&at.collect::<Vec<_>>(), 0)
+    }));
+    table.add_row(row);
     table
+}
+
+/// One evaluation of each seed that has it; none when none has.
+fn column(results: &Results, of: impl Fn(&Seed) -> Option<Exam>) -> Option<Column<'_>> {
+    let seeds = results.seeds.iter();
+    let of: Vec<(&Seed, Exam)> = seeds.filter_map(|seed| Some((seed, of(seed)?))).collect();
+    let steps = of.iter().map(|(_, exam)| exam.steps);
+    let (least, most) = (steps.clone().min()?, steps.max()?);
+    let mut name = match least == most {
+        true => format!("ours, {least} steps"),
+        false => format!("ours, {least} to {most} steps"),
+    };
+    if of.len() < results.seeds.len() {
+        let _ = write!(name, " ({} of {} seeds)", of.len(), results.seeds.len());
+    }
+    Some(Column { name, of })
 }
 
 /// The last policies on many episodes, mean over seeds; none before they are
@@ -117,27 +135,21 @@ pub fn finals(results: &Results) -> Option<Table> {
         .collect();
     let first = lasts.first()?;
     let name = format!(
-        "last policy, {} seeds x {} episodes",
-        lasts.len(),
+        "last policy, {} x {} episodes",
+        count_of_seeds(lasts.len()),
         first.evaluation["episodes"]
     );
-    let mut table = table(&[&name, "mean over seeds", "each"]);
-    let keys = [
-        ("success", 3),
-        ("strict_success", 3),
-        ("contact", 3),
-        ("crash_last_step", 3),
-        ("out_of_road", 3),
-        ("max_step", 3),
-        ("completion", 3),
-        ("mean_length", 0),
-        ("mean_speed_mps", 2),
-    ];
-    for (key, digits) in keys {
+    let header = match lasts.len() {
+        1 => vec![name.as_str(), "ours"],
+        _ => vec![name.as_str(), "mean over seeds", "each"],
+    };
+    let mut table = table(&header);
+    for metric in Metric::ALL {
+        let digits = metric.digits();
         let values: Vec<f64> = lasts
             .iter()
             .filter_map(|last| {
-                let value = &last.evaluation[key];
+                let value = &last.evaluation[metric.key()];
                 value.as_f64().or_else(|| value["mean"].as_f64())
             })
             .collect();
@@ -145,9 +157,31 @@ pub fn finals(results: &Results) -> Option<Table> {
             .iter()
             .map(|value| format!("{value:.digits$}"))
             .collect();
-        table.add_row([key, &cell(&values, digits), &each.join(" ")]);
+        let mut row = vec![metric.name().to_string(), cell(&values, digits)];
+        if lasts.len() > 1 {
+            row.push(each.join(" "));
+        }
+        table.add_row(row);
     }
     Some(table)
+}
+
+/// What has to be known to read the tables.
+pub fn notes(results: &Results) -> Vec<String> {
+    let mut notes = vec![FOOTNOTE.to_string()];
+    if results.seeds.len() > 1 {
+        notes.push("± is half the 95 % interval of the mean over seeds (Student).".into());
+    }
+    for seed in &results.seeds {
+        if let Some(block) = seed.blocks.last().filter(|block| block.lost > 0) {
+            notes.push(format!(
+                "seed {}: {} of {} steps were driven while its learner was away, and not learnt \
+                 from.",
+                seed.seed, block.lost, block.steps
+            ));
+        }
+    }
+    notes
 }
 
 /// Both tables as Markdown.
@@ -159,6 +193,10 @@ pub fn markdown(results: &Results) -> String {
         table.load_style(comfy_table::presets::ASCII_MARKDOWN);
         let _ = writeln!(text, "{table}\n");
     }
-    text.push_str("± is half the 95 % interval of the mean over seeds (Student).\n");
+    for note in notes(results) {
+        let _ = writeln!(text, "{note}\n");
+    }
+    text.truncate(text.trim_end().len());
+    text.push('\n');
     text
 }

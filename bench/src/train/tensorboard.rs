@@ -10,6 +10,7 @@ use anyhow::Context;
 use prost::Message;
 
 use super::results::{Results, Seed};
+use crate::metric::Metric;
 
 /// `tensorflow.Event`, as far as scalars need it.
 #[derive(Clone, PartialEq, Message)]
@@ -64,15 +65,8 @@ fn records(seed: &Seed) -> Vec<u8> {
     };
     record(&head, &mut bytes);
     for exam in &seed.exams {
-        let scalars = [
-            ("eval/success", exam.success),
-            ("eval/strict_success", exam.strict_success),
-            ("eval/contact", exam.contact),
-            ("eval/crash_last_step", exam.crash_last_step),
-            ("eval/out_of_road", exam.out_of_road),
-            ("eval/max_step", exam.max_step),
-            ("eval/completion", exam.completion),
-        ];
+        let tags = Metric::ALL.map(|metric| (format!("eval/{}", metric.key()), exam.of(metric)));
+        let scalars: Vec<(&str, f64)> = tags.iter().map(|(tag, value)| (&**tag, *value)).collect();
         record(&event(exam.steps, &scalars), &mut bytes);
     }
     for block in &seed.blocks {

@@ -25,6 +25,7 @@ pub use trial::{Fault, Limits};
 use shm_config::message::{BEAMS_MAX, Observation};
 use vehicle::Action;
 
+use crate::Stage;
 use trial::Trial;
 
 /// A learned driver. Called once in every tick, so it must not allocate, block
@@ -102,9 +103,13 @@ impl PolicySlot {
         }
     }
 
-    /// A policy is in charge.
-    pub fn is_loaded(&self) -> bool {
-        self.charged.is_some()
+    /// How far the policy is on its way to the wheel.
+    pub fn stage(&self) -> Stage {
+        match (&self.charged, &self.shadow) {
+            (Some(_), _) => Stage::Charged,
+            (None, Some(_)) => Stage::Shadow,
+            (None, None) => Stage::Unloaded,
+        }
     }
 
     /// A policy is on trial, in shadow.

@@ -36,6 +36,17 @@ pub struct Size {
     pub threads: usize,
 }
 
+impl Size {
+    /// By configuration key, with the length of Adam's steps.
+    fn begun_with(self, rate: f32) -> Vec<(&'static str, f64)> {
+        vec![
+            ("learner.hidden", self.hidden as f64),
+            ("learner.batch", self.batch as f64),
+            ("learner.rate", f64::from(rate)),
+        ]
+    }
+}
+
 /// What an update cost; zeros for what an algorithm has not.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Losses {
@@ -101,6 +112,15 @@ impl Student {
             Student::Regression(student) => student.update(replay, random),
             Student::Pvp(student) => student.update(replay, random),
             Student::Ppl(student) => student.update(replay, random),
+        }
+    }
+
+    /// What it was begun with, by configuration key.
+    pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
+        match self {
+            Student::Regression(student) => student.begun_with(),
+            Student::Pvp(student) => student.begun_with(),
+            Student::Ppl(student) => student.begun_with(),
         }
     }
 

@@ -42,6 +42,11 @@ impl Ppl {
             })
     }
 
+    /// What it was begun with, by configuration key.
+    pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
+        self.0.begun_with()
+    }
+
     /// The policy as it is now.
     pub fn policy(&self) -> &Network {
         self.0.policy()

@@ -231,6 +231,14 @@ impl Pvp {
         }
     }
 
+    /// What it was begun with, by configuration key.
+    pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
+        let mut begun = self.size.begun_with(self.settings.rate);
+        let weight = f64::from(self.settings.imitation_weight);
+        begun.push(("learner.imitation_weight", weight));
+        begun
+    }
+
     /// The policy as it is now.
     pub fn policy(&self) -> &Network {
         &self.actor.network

@@ -49,6 +49,11 @@ impl Regression {
         self.imitator.update((replay, rings), random, |_, _, _| 0.0)
     }
 
+    /// What it was begun with, by configuration key.
+    pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
+        self.imitator.begun_with()
+    }
+
     /// The policy as it is now.
     pub fn policy(&self) -> &Network {
         self.imitator.policy()
@@ -112,6 +117,11 @@ impl Imitator {
             imitation,
             critic: 0.0,
         }
+    }
+
+    /// What it was begun with, by configuration key.
+    pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
+        self.size.begun_with(self.actor.adam.rate)
     }
 
     /// The policy as it is now.

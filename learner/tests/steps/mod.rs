@@ -9,6 +9,8 @@ pub const PERIOD_NS: u64 = 100_000_000;
 /// The processes that publish, until a test restarts one.
 pub const CONTROLLER: u32 = 100;
 pub const WORLD: u32 = 200;
+/// How long an answer is a label, ticks: a question each second.
+pub const WINDOW: u64 = 10;
 
 /// The step of a tick of the first episode; the policy drives. What is seen
 /// differs from tick to tick.
@@ -60,6 +62,9 @@ pub fn advised(mut step: Step, (answers, tick): (u64, u64), preference: Preferen
     step.advice.question_taken_ns = tick * PERIOD_NS;
     step.advice.answered_ns = step.header.taken_ns;
     step.advice.preference = preference.code();
+    step.advice.label = preference.code();
+    step.advice.label_from_ns = tick * PERIOD_NS;
+    step.advice.label_until_ns = (tick + WINDOW) * PERIOD_NS;
     step.advice.judge = Judge::Rules.code();
     step
 }

@@ -16,6 +16,12 @@ pub struct Controller {
     pub pedal_kd: f64,
     /// Distance to the waypoint steered at, m: `d_LA` of Sec. 4.1.1.
     pub lookahead_m: f64,
+    /// When the wheel changes hands, steering moves at most this fast from what
+    /// was commanded to what the new driver wants, 1/s; 0 for no limit. A veto,
+    /// a person's grip and the brake act at once.
+    pub handover_steer_per_s: f64,
+    /// The same for the pedal, 1/s.
+    pub handover_pedal_per_s: f64,
 }
 
 impl Default for Controller {
@@ -26,6 +32,9 @@ impl Default for Controller {
             pedal_kp: 0.1,
             pedal_kd: 0.05,
             lookahead_m: 2.0,
+            // From lock to lock in a second, from no to full pedal in 0.2 s.
+            handover_steer_per_s: 2.0,
+            handover_pedal_per_s: 5.0,
         }
     }
 }
@@ -36,7 +45,14 @@ impl Controller {
         in_range("controller.steer_kd", self.steer_kd, 0.0..=100.0)?;
         in_range("controller.pedal_kp", self.pedal_kp, 0.0..=100.0)?;
         in_range("controller.pedal_kd", self.pedal_kd, 0.0..=100.0)?;
-        in_range("controller.lookahead_m", self.lookahead_m, 0.1..=30.0)
+        in_range("controller.lookahead_m", self.lookahead_m, 0.1..=30.0)?;
+        for (key, per_s) in [
+            ("controller.handover_steer_per_s", self.handover_steer_per_s),
+            ("controller.handover_pedal_per_s", self.handover_pedal_per_s),
+        ] {
+            in_range(key, per_s, 0.0..=1000.0)?;
+        }
+        Ok(())
     }
 }
 

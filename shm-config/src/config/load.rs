@@ -2,6 +2,9 @@ use std::path::{Path, PathBuf};
 
 use super::{Config, OutOfRange};
 
+/// Largest configuration file, bytes: a hundred times the printed defaults.
+const BYTES_MAX: u64 = 1 << 20;
+
 /// Why a configuration could not be used: what, where, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -53,11 +56,29 @@ fn suggestion(nearest: &Option<String>) -> String {
 /// # Errors
 /// One line that says what is wrong, where, and what to do.
 pub fn load(path: &Path) -> Result<Config, ConfigError> {
-    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+    from_toml(&text_of(path)?, &path.display().to_string())
+}
+
+/// The text of a configuration file.
+///
+/// # Errors
+/// When it is no file of a configuration's size, or cannot be read.
+pub fn text_of(path: &Path) -> Result<String, ConfigError> {
+    let read = |source| ConfigError::Read {
         path: path.into(),
         source,
-    })?;
-    from_toml(&text, &path.display().to_string())
+    };
+    let metadata = std::fs::metadata(path).map_err(read)?;
+    // Before it is opened: a pipe would wait for ever, a device has no end.
+    let why = match metadata {
+        metadata if !metadata.is_file() => "is no regular file",
+        metadata if metadata.len() > BYTES_MAX => "is larger than any configuration",
+        _ => return std::fs::read_to_string(path).map_err(read),
+    };
+    Err(read(std::io::Error::new(
+        std::io::ErrorKind::InvalidInput,
+        why,
+    )))
 }
 
 /// Checks and completes a configuration; `origin` names it in errors.

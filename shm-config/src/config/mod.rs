@@ -15,22 +15,24 @@ pub mod planner;
 mod policy;
 mod rates;
 mod run;
+mod vlm;
 mod world;
 
 use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
-pub use gate::{Gate, GateMode};
+pub use gate::{Gate, GateMode, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};
-pub use load::{ConfigError, from_toml, load};
+pub use load::{ConfigError, from_toml, load, text_of};
 pub use mpc::Mpc;
 pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Supervisor};
+pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, View, Vlm};
 pub use world::{Simulator, World};
 
 /// Everything a run is configured by.
@@ -59,6 +61,8 @@ pub struct Config {
     pub judge: JudgeLimits,
     /// The gate process.
     pub gate: Gate,
+    /// The vision-language model that the gate process asks.
+    pub vlm: Vlm,
     /// The policy: which weights, who runs them, and when they are given up.
     pub policy: Policy,
     /// The learner process.
@@ -101,11 +105,25 @@ impl Config {
         self.controller.check()?;
         self.judge.check()?;
         self.gate.check(&self.run)?;
+        self.vlm.check()?;
         self.policy.check()?;
         self.learner.check()?;
         self.supervisor.check()?;
         Ok(self)
     }
+
+    /// In lockstep: how long the controller waits for the planner, and for a gate
+    /// whose judge takes its time, ns on the machine's clock.
+    pub fn peer_wait_ns(&self) -> u64 {
+        let model_s = match self.gate.asks_model() {
+            true => self.vlm.deadline_s + Self::PICTURE_S,
+            false => 0.0,
+        };
+        ((self.limits.lockstep_wait_s + model_s) * 1e9) as u64
+    }
+
+    /// What a question takes beside its deadline, s: the frame, two pictures.
+    const PICTURE_S: f64 = 3.0;
 
     /// In lockstep: how long the world waits for a command before the car
     /// brakes, ns on the machine's clock. Where the controller may be waiting
@@ -115,7 +133,7 @@ impl Config {
             true => self.learner.lockstep_wait_s,
             false => 0.0,
         };
-        ((self.limits.lockstep_wait_s + learner_s) * 1e9) as u64
+        self.peer_wait_ns() + (learner_s * 1e9) as u64
     }
 }
 

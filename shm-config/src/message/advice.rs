@@ -35,7 +35,7 @@ crate::message! {
     /// Who should drive, until when. Published for every step the gate has
     /// seen, so that lockstep can wait for it; the answer itself changes rarely.
     #[derive(Default)]
-    pub struct Advice: 80 bytes, nested [Header] {
+    pub struct Advice: 104 bytes, nested [Header] {
         /// The tick of the last step the gate has considered.
         pub header: Header,
         /// The tick the judge was asked about.
@@ -48,10 +48,19 @@ crate::message! {
         pub holds_until_ns: u64,
         /// Questions answered so far, failures and abstentions included.
         pub answers: u64,
-        /// A [`Preference`].
+        /// A [`Preference`]: who should drive, after dwell and confirmations.
         pub preference: u32,
         /// A [`Judge`].
         pub judge: u32,
+        /// What is learnt from the newest answer begins here: when the
+        /// observation of its question was taken, ns.
+        pub label_from_ns: u64,
+        /// And ends before here, ns.
+        pub label_until_ns: u64,
+        /// A [`Preference`]: the newest answer as it came.
+        pub label: u32,
+        /// Not used.
+        pub reserved: u32,
     }
 }
 
@@ -60,6 +69,7 @@ impl Message for Advice {
 
     fn check(&self) -> Result<(), Refusal> {
         known("preference", self.preference, Preference::from_code)?;
+        known("label", self.label, Preference::from_code)?;
         known("judge", self.judge, Judge::from_code)
     }
 }
@@ -68,5 +78,10 @@ impl Advice {
     /// Whom the judge prefers; an unknown code abstains.
     pub fn preference(&self) -> Preference {
         Preference::from_code(self.preference).unwrap_or(Preference::Abstain)
+    }
+
+    /// What the newest answer teaches; an unknown code abstains.
+    pub fn label(&self) -> Preference {
+        Preference::from_code(self.label).unwrap_or(Preference::Abstain)
     }
 }

@@ -43,6 +43,8 @@ crate::word_list! {
         Stopping = 11 "stopping",
         /// A person has taken over, in the expert's place.
         Takeover = 12 "takeover",
+        /// The only policy there is proposes in shadow yet: the expert drives.
+        Shadow = 13 "shadow",
     }
 }
 

@@ -7,7 +7,7 @@ crate::message! {
     pub struct Learning: 56 bytes, nested [Header] {
         /// Its tick is that of the last step considered.
         pub header: Header,
-        /// Steps considered.
+        /// Steps driven, as far as the learner knows: considered and missed.
         pub steps: u64,
         /// Version of the weights last published; 0 for none.
         pub version: u64,

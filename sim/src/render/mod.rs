@@ -6,7 +6,6 @@
 //! ego where it is read, all others where beams and contacts meet them.
 
 mod canvas;
-mod seat;
 mod solids;
 mod survey;
 
@@ -73,7 +72,7 @@ impl Eye {
     fn new(world: &World, shot: &Shot) -> Eye {
         let motion = world.ego_motion().between(shot.passed);
         Eye {
-            camera: camera(shot.view, shot.size_px),
+            camera: Camera::of(shot.view, shot.size_px),
             origin_world: motion.seen_position(),
             forward_world: motion.seen_forward(),
         }
@@ -129,14 +128,6 @@ impl Eye {
         let row = &self.camera.pixel_from_body[..3];
         let focal = row.iter().map(|value| value * value).sum::<f64>().sqrt();
         focal / self.camera.depth(point_body).max(self.camera.near_m)
-    }
-}
-
-/// The camera for a picture of that width and height, pixels.
-pub fn camera(view: View, size_px: [u32; 2]) -> Camera {
-    match view {
-        View::Ego => seat::camera(size_px),
-        View::TopDown => Camera::top_down(size_px),
     }
 }
 

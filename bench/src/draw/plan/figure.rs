@@ -5,7 +5,7 @@ use planner::Grid;
 use shm_config::message::{Observation, Plan};
 use svg::Document;
 use svg::node::element::{
-    Circle, ClipPath, Definitions, Group, LinearGradient, Path, Rectangle, Stop,
+    Circle, ClipPath, Definitions, Group, LinearGradient, Path, Polygon, Rectangle, Stop,
 };
 use vehicle::{Point, Pose, Vehicle, pose};
 
@@ -20,6 +20,9 @@ use crate::seat::DriverKind;
 /// From one predicted footprint to the next, m: they overlap, yet each is seen.
 const FOOTPRINTS_M: f64 = 1.5;
 
+/// From the ground's edge to the arrow of a goal beyond it, px.
+const EDGE_PX: f64 = 26.0;
+
 /// The whole picture.
 pub(super) fn svg(planned: &Planned) -> String {
     let Planned {
@@ -33,7 +36,8 @@ pub(super) fn svg(planned: &Planned) -> String {
     let mut own = Grid::new(&config.planner);
     own.fill(observation);
     let grid = planner.grid().unwrap_or(&own);
-    let tree = match plan.actions().is_empty() {
+    // Where the direct way was free nothing was searched, and nothing is shown.
+    let tree = match plan.actions().is_empty() && plan.iterations > 0 {
         true => branches::of(planner),
         false => None,
     };
@@ -53,9 +57,11 @@ pub(super) fn svg(planned: &Planned) -> String {
         around = around.add(colour_bar(&view, greatest_m));
     }
     ground = ground.add(returns(&view, observation));
-    ground = ground.add(goal_ball(&view, plan, config.planner.goal_radius_m));
+    if plan.actions().is_empty() {
+        ground = ground.add(goal_ball(&view, plan, config.planner.goal_radius_m));
+    }
     let footprint = |body: &Pose| Vehicle::default().footprint().corners(body);
-    if tree.is_none() {
+    if !plan.actions().is_empty() {
         for body in poses(plan) {
             let data = view.data(&footprint(&body), "Z");
             let outline = shape(data, palette::PATH, 0.07, palette::PATH);
@@ -65,15 +71,58 @@ pub(super) fn svg(planned: &Planned) -> String {
     let ego = footprint(&Pose::identity());
     ground = ground.add(shape(view.data(&ego, "Z"), palette::CAR, 1.0, palette::INK));
     ground = ground.add(windscreen(&view)).add(way(&view, plan));
-    let [x, y] = view.at(Point::new(plan.goal_x_body_m, plan.goal_y_body_m));
-    ground = ground.add(
-        star([x, y], 17.0)
+    ground = ground.add(goal(&view, plan));
+    document(&view, ground, around)
+}
+
+/// The goal's star; of a goal beyond the picture an arrow at its edge, with what
+/// is missing to it.
+fn goal(view: &View, plan: &Plan) -> Group {
+    let goal_body = Point::new(plan.goal_x_body_m, plan.goal_y_body_m);
+    let look = |element: Polygon| {
+        element
             .set("fill", palette::PATH)
             .set("stroke", palette::FREE)
             .set("stroke-width", 2.5)
-            .set("paint-order", "stroke"),
+            .set("paint-order", "stroke")
+    };
+    let [x, y] = view.at(goal_body);
+    if is_in_view(view, [x, y]) {
+        return Group::new().add(look(star([x, y], 17.0)));
+    }
+    let edge = [
+        x.clamp(LEFT_PX + EDGE_PX, LEFT_PX + WIDTH_PX - EDGE_PX),
+        y.clamp(HEAD_PX + EDGE_PX, view.bottom_px() - EDGE_PX),
+    ];
+    let away = [x - edge[0], y - edge[1]];
+    let missing_m = away[0].hypot(away[1]) / view.px_per_m;
+    let turn_deg = away[1].atan2(away[0]).to_degrees();
+    let arrow = Polygon::new()
+        .set("points", "16,0 -12,-11 -6,0 -12,11")
+        .set(
+            "transform",
+            format!(
+                "translate({} {}) rotate({})",
+                px(edge[0]),
+                px(edge[1]),
+                px(turn_deg)
+            ),
+        );
+    let words = frame::text(
+        &format!("goal {missing_m:.1} m on"),
+        [edge[0] - 22.0, edge[1] + 5.0],
+        15.0,
     );
-    document(&view, ground, around)
+    let words = words
+        .set("text-anchor", "end")
+        .set("stroke", palette::FREE)
+        .set("stroke-width", 3)
+        .set("paint-order", "stroke");
+    Group::new().add(look(arrow)).add(words)
+}
+
+fn is_in_view(view: &View, [x, y]: [f64; 2]) -> bool {
+    (LEFT_PX..=LEFT_PX + WIDTH_PX).contains(&x) && (HEAD_PX..=view.bottom_px()).contains(&y)
 }
 
 fn document(view: &View, ground: Group, around: Group) -> String {
@@ -131,6 +180,9 @@ fn facts(planned: &Planned) -> String {
         facts.push(format!("path {:.2} m", plan.cost_m));
     }
     match plan.actions() {
+        [] if plan.iterations == 0 && plan.nodes > 0 => {
+            facts.push("the direct way is free: nothing searched".into());
+        }
         [] => facts.push(format!(
             "{} nodes of {} iterations",
             plan.nodes, plan.iterations
@@ -185,10 +237,8 @@ fn returns_px<'a>(
         .enumerate()
         .filter_map(move |(k, &range_m)| {
             let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
-            let [x, y] = view.at(Point::new(cos, sin) * f64::from(range_m));
-            let is_in_view = (LEFT_PX..=LEFT_PX + WIDTH_PX).contains(&x)
-                && (HEAD_PX..=view.bottom_px()).contains(&y);
-            (range_m < observation.lidar_max_m && is_in_view).then_some([x, y])
+            let place = view.at(Point::new(cos, sin) * f64::from(range_m));
+            (range_m < observation.lidar_max_m && is_in_view(view, place)).then_some(place)
         })
 }
 
@@ -209,17 +259,23 @@ pub(super) fn disc([x, y]: [f64; 2], radius_px: f64) -> Circle {
 }
 
 fn keys(planned: &Planned, view: &View) -> Group {
-    let path = match planned.plan.actions().is_empty() {
-        true => "path",
-        false => "predicted trajectory",
+    let plan = &planned.plan;
+    let mut keys = match plan.actions().is_empty() {
+        true => vec![
+            key(Symbol::Line, palette::PATH, "path"),
+            key(Symbol::Star, palette::PATH, "goal with its ball"),
+        ],
+        false => vec![
+            key(Symbol::Line, palette::PATH, "predicted trajectory"),
+            key(Symbol::Box, palette::FOOTPRINT, "ego as predicted"),
+            key(Symbol::Star, palette::PATH, "goal"),
+        ],
     };
-    let mut keys = vec![
-        key(Symbol::Line, palette::PATH, path),
-        key(Symbol::Star, palette::PATH, "goal with its ball"),
+    keys.extend([
         key(Symbol::Box, palette::FREE, "free"),
         key(Symbol::Box, palette::OCCUPIED, "occupied"),
         key(Symbol::Box, palette::CAR, "ego"),
-    ];
+    ]);
     if returns_px(view, &planned.observation).next().is_some() {
         keys.push(key(Symbol::Disc, palette::SCAN, "lidar return"));
     }

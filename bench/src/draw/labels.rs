@@ -1,0 +1,102 @@
+//! Where words are put so that none stands on another, nor on the ego's path.
+
+use vehicle::Point;
+
+use super::canvas::{Canvas, HEAD_PX};
+
+/// Width of a letter by the height of its line: on the wide side, fonts differ.
+const LETTER: f64 = 0.6;
+/// Half the width of the path's free strip, px.
+const STRIP_PX: f64 = 3.0;
+
+/// A rectangle on the picture by its ends, px.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Patch {
+    left: f64,
+    top: f64,
+    right: f64,
+    bottom: f64,
+}
+
+impl Patch {
+    /// What two have in common, px^2.
+    fn shared_px2(&self, other: &Patch) -> f64 {
+        let width = self.right.min(other.right) - self.left.max(other.left);
+        let height = self.bottom.min(other.bottom) - self.top.max(other.top);
+        width.max(0.0) * height.max(0.0)
+    }
+
+    fn area_px2(&self) -> f64 {
+        (self.right - self.left) * (self.bottom - self.top)
+    }
+}
+
+/// What is taken already.
+pub struct Labels {
+    picture: Patch,
+    taken: Vec<Patch>,
+}
+
+impl Labels {
+    /// On a picture with this path and rings of this radius around these points.
+    pub fn beside(
+        canvas: &Canvas,
+        path_world: &[Point],
+        (rings_world, radius_m): (&[Point], f64),
+    ) -> Labels {
+        let [width, height] = canvas.size_px();
+        let square = |point: &Point, half_px: f64| {
+            let [x, y] = canvas.at(*point);
+            Patch {
+                left: x - half_px,
+                top: y - half_px,
+                right: x + half_px,
+                bottom: y + half_px,
+            }
+        };
+        let radius_px = radius_m * canvas.scale_px_per_m();
+        let path = path_world.iter().map(|point| square(point, STRIP_PX));
+        let rings = rings_world.iter().map(|point| square(point, radius_px));
+        Labels {
+            picture: Patch {
+                left: 0.0,
+                top: HEAD_PX,
+                right: width,
+                bottom: HEAD_PX + height,
+            },
+            taken: path.chain(rings).collect(),
+        }
+    }
+
+    /// Takes the first of some places that is free for a word centred on it, or
+    /// the one that covers least; the word must not be put elsewhere.
+    pub fn take(
+        &mut self,
+        canvas: &Canvas,
+        places_world: &[Point],
+        (text, size_px): (&str, f64),
+    ) -> Option<Point> {
+        let half_width = text.chars().count() as f64 * size_px * LETTER / 2.0;
+        let patch = |place: &Point| {
+            let [x, y] = canvas.at(*place);
+            Patch {
+                left: x - half_width,
+                top: y - size_px * 0.6,
+                right: x + half_width,
+                bottom: y + size_px * 0.6,
+            }
+        };
+        let covered = |patch: &Patch| -> f64 {
+            let others = self.taken.iter().map(|other| other.shared_px2(patch));
+            let outside = patch.area_px2() - self.picture.shared_px2(patch);
+            others.sum::<f64>() + outside
+        };
+        let (place, patch, _) = places_world
+            .iter()
+            .map(|place| (*place, patch(place)))
+            .map(|(place, patch)| (place, patch, covered(&patch)))
+            .min_by(|a, b| a.2.total_cmp(&b.2))?;
+        self.taken.push(patch);
+        Some(place)
+    }
+}

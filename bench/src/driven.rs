@@ -1,0 +1,129 @@
+//! A whole process set, driven for a measurement.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+use serde_json::Value;
+
+/// A running set. It is killed should anything fail before it has ended.
+pub struct Driven {
+    child: Child,
+    name: String,
+    json: PathBuf,
+    _folder: tempfile::TempDir,
+}
+
+impl Driven {
+    /// Starts `vlaps-supervisor up`, of this program's own build, with a run of
+    /// its own in a folder of its own.
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn start(
+        run: &str,
+        arguments: impl IntoIterator<Item = impl Into<OsString>>,
+    ) -> anyhow::Result<Self> {
+        let folder = tempfile::tempdir()?;
+        let name = format!("{run}-{}", std::process::id());
+        let json = folder.path().join("up.json");
+        let supervisor = std::env::current_exe()?.with_file_name("vlaps-supervisor");
+        let child = Command::new(&supervisor)
+            .args(["up", "--run", &name])
+            .args(arguments.into_iter().map(Into::into))
+            // Nothing drives on for nobody when this process is killed.
+            .args(["--parent", &std::process::id().to_string()])
+            .arg("--json")
+            .arg(&json)
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .spawn()
+            .with_context(|| supervisor.display().to_string())?;
+        Ok(Self {
+            child,
+            name,
+            json,
+            _folder: folder,
+        })
+    }
+
+    /// The run's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Waits for the end; what `up --json` wrote.
+    ///
+    /// # Errors
+    /// When the run failed.
+    pub fn finish(mut self) -> anyhow::Result<Value> {
+        if !self.child.wait()?.success() {
+            bail!("run '{}' failed; its errors are above", self.name);
+        }
+        let text = std::fs::read_to_string(&self.json)?;
+        Ok(serde_json::from_str(&text)?)
+    }
+}
+
+impl Drop for Driven {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// How punctual a process of a finished run was.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Punctuality {
+    /// Ticks.
+    pub ticks: u64,
+    /// Ticks missed: skipped, or done after their deadline.
+    pub missed: u64,
+    /// Begin of the tick after its instant, us.
+    pub lateness_us: Quantiles,
+    /// From begin to end of the tick, us.
+    pub execution_us: Quantiles,
+    /// What the kernel granted it: real-time priority.
+    pub priority: String,
+}
+
+/// Of everything that happened, the maximum included; us.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Quantiles {
+    /// Median.
+    pub p50: f64,
+    /// 99 %.
+    pub p99: f64,
+    /// 99.9 %.
+    pub p999: f64,
+    /// The largest.
+    pub max: f64,
+}
+
+impl Punctuality {
+    /// As the run's summary has it.
+    pub fn of(summary: &Value, process: &str) -> Self {
+        let row = &summary["processes"][process];
+        let count = |key: &str| row[key].as_u64().unwrap_or(0);
+        let quantiles = |key: &str| {
+            let of = |name: &str| row[key][name].as_f64().unwrap_or(f64::NAN);
+            Quantiles {
+                p50: of("p50"),
+                p99: of("p99"),
+                p999: of("p999"),
+                max: of("max"),
+            }
+        };
+        let priority = row["realtime"]["priority"].as_str();
+        Self {
+            ticks: count("ticks"),
+            missed: count("skipped") + count("late"),
+            lateness_us: quantiles("release_lateness_us"),
+            execution_us: quantiles("execution_us"),
+            priority: priority.unwrap_or("unknown").into(),
+        }
+    }
+}

@@ -1,0 +1,69 @@
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::arguments::Configuration;
+
+/// Measure how often a judge is right, over HTTP, where the simulator knows.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Scenes are moments of the expert's drives in the built-in world in which \
+        exactly one of two proposals, held for 3 s, ends in a contact or off the road. Without \
+        --server, ./vlaps judge-server's stand-in is asked: it is no model, it judges from the \
+        pixels alone; and once more as a stand-in that prefers the first path in --bias of all \
+        pairs, as small models do.\n\n\
+        Examples:\n  \
+        ./vlaps bench judge --json judge.json\n  \
+        ./vlaps bench judge --scenes 500 --view top_down\n  \
+        ./vlaps bench judge --server http://127.0.0.1:8080/v1 --set vlm.dialect=llama_cpp"
+)]
+pub struct BenchJudge {
+    /// How many scenes.
+    #[arg(long, value_name = "N", default_value_t = 200,
+          value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub scenes: u32,
+    /// Seed of the first episode; each further one adds one.
+    #[arg(long, value_name = "N", default_value_t = 1000)]
+    pub first_seed: u64,
+    /// From where: ego, top_down, or both.
+    #[arg(long, value_name = "VIEW", default_value = "both")]
+    pub view: Views,
+    /// Share of pairs in which the biased stand-in prefers the first path where
+    /// nothing else speaks for one.
+    #[arg(long, value_name = "SHARE", default_value_t = 0.72, value_parser = bias)]
+    pub bias: f64,
+    /// Ask this server in place of the stand-ins; the rest of [vlm] says how.
+    #[arg(long, value_name = "URL", conflicts_with = "bias")]
+    pub server: Option<String>,
+    /// Keep questions and pictures in this folder, for ./vlaps judge audit.
+    #[arg(long, value_name = "DIR")]
+    pub record: Option<PathBuf>,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// From where scenes are shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Views {
+    /// From the car.
+    #[value(name = "ego")]
+    Ego,
+    /// From above.
+    #[value(name = "top_down")]
+    TopDown,
+    /// One after the other.
+    #[value(name = "both")]
+    Both,
+}
+
+fn bias(text: &str) -> Result<f64, String> {
+    let share: f64 = text.parse().map_err(|_| "must be a number".to_string())?;
+    match (0.5..1.0).contains(&share) {
+        true => Ok(share),
+        false => Err("must be a share from 0.5, which is no bias, to below 1".into()),
+    }
+}

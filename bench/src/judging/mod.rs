@@ -1,0 +1,203 @@
+//! How often a judge is right, over HTTP, on scenes where the simulator knows;
+//! what a preference for the first place does to it, and what asking twice does
+//! against that.
+
+mod arguments;
+pub mod court;
+pub mod scenes;
+
+use std::sync::Arc;
+
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
+use judge::standin::{Options, Server};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::SeedableRng;
+use serde::Serialize;
+use shm_config::config::{Config, View, Vlm};
+
+use crate::report::{Machine, say, table, write_json};
+use crate::{Clock, settings};
+pub use arguments::{BenchJudge, Views};
+use court::{Court, Row};
+use scenes::{Search, search};
+
+/// The object of `--json`.
+#[derive(Debug, Serialize)]
+struct Rows<'a> {
+    rows: &'a [Row],
+    conditions: Conditions,
+}
+
+#[derive(Debug, Serialize)]
+struct Conditions {
+    scenes: u32,
+    first_seed: u64,
+    horizon_s: f64,
+    width_px: u32,
+    height_px: u32,
+    machine: Machine,
+}
+
+/// Asks about every scene, once and twice, and prints how often that was right.
+///
+/// # Errors
+/// When the configuration is wrong, no server can be had, or hardly any scene is
+/// found.
+pub fn bench(arguments: &BenchJudge, clock: Clock) -> anyhow::Result<()> {
+    let chosen = &arguments.configuration;
+    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+    let machine = Machine::here()?;
+    let bar = ProgressBar::new(u64::from(arguments.scenes));
+    let style = "{elapsed_precise} {wide_bar} {pos}/{len} scenes, {eta} left";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    let rows = measure(arguments, &config, clock, || bar.inc(1))?;
+    bar.finish_and_clear();
+    print(&rows);
+    let Some(path) = &arguments.json else {
+        return Ok(());
+    };
+    let conditions = Conditions {
+        scenes: arguments.scenes,
+        first_seed: arguments.first_seed,
+        horizon_s: sim::photographer::HORIZON_S,
+        width_px: config.vlm.width_px,
+        height_px: config.vlm.height_px,
+        machine,
+    };
+    write_json(
+        path,
+        &Rows {
+            rows: &rows,
+            conditions,
+        },
+    )
+}
+
+/// The rows of the table: for each view and server, asked once and twice.
+///
+/// # Errors
+/// As [`bench`].
+pub fn measure(
+    arguments: &BenchJudge,
+    config: &Config,
+    clock: Clock,
+    asked: impl Fn(),
+) -> anyhow::Result<Vec<Row>> {
+    let views: &[View] = match arguments.view {
+        Views::Ego => &[View::Ego],
+        Views::TopDown => &[View::TopDown],
+        Views::Both => &[View::TopDown, View::Ego],
+    };
+    let (servers, names) = servers(arguments)?;
+    let mut courts = Vec::new();
+    for (number, &view) in views.iter().enumerate() {
+        for (name, url) in &names {
+            // One folder holds one judge's record.
+            let record = arguments.record.as_ref();
+            let folder = record.map(|folder| match (views.len(), names.len()) {
+                (1, 1) => folder.clone(),
+                _ => folder.join(format!(
+                    "{}-{}",
+                    court::view_word(view),
+                    name.replace(' ', "-")
+                )),
+            });
+            let vlm = vlm(config, url, view);
+            let bounds = (number, folder.as_deref());
+            courts.push(Court::open((name, vlm), config.vehicle, bounds)?);
+        }
+    }
+    let wanted = Search {
+        scenes: arguments.scenes as usize,
+        first_seed: arguments.first_seed,
+        views: &views.iter().map(|&view| view.into()).collect::<Vec<_>>(),
+        size_px: [config.vlm.width_px, config.vlm.height_px],
+    };
+    // The same places and colours for all servers.
+    let mut chance = Xoshiro256PlusPlus::seed_from_u64(arguments.first_seed);
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    search(&wanted, config, clock, |scene| {
+        let showing = court::showing(&mut chance);
+        for court in &mut courts {
+            runtime.block_on(court.hear(&scene, showing))?;
+        }
+        asked();
+        Ok(())
+    })?;
+    drop(servers);
+    Ok(courts.into_iter().flat_map(Court::rows).collect())
+}
+
+/// The servers to ask: those that run here, and all by name and address.
+fn servers(arguments: &BenchJudge) -> anyhow::Result<(Vec<Server>, Vec<(String, String)>)> {
+    if let Some(url) = &arguments.server {
+        return Ok((Vec::new(), vec![("server".into(), url.clone())]));
+    }
+    let mut servers = Vec::new();
+    let mut names = Vec::new();
+    for share in [0.5, arguments.bias] {
+        // So many answers are "the first" regardless; of the others half are.
+        let first_bias = 2.0 * share - 1.0;
+        let options = Options {
+            first_bias,
+            seed: arguments.first_seed,
+            eyes: Arc::new(judge::eyes::Sighted),
+            ..Options::default()
+        };
+        let server = Server::start(options).context("no port for the stand-in")?;
+        let name = match first_bias == 0.0 {
+            true => "stand-in".into(),
+            false => format!("stand-in, bias {share}"),
+        };
+        names.push((name, server.url()));
+        servers.push(server);
+    }
+    Ok((servers, names))
+}
+
+fn vlm(config: &Config, url: &str, view: View) -> Vlm {
+    Vlm {
+        server: url.into(),
+        view,
+        // Here one waits for every answer, and all of them count.
+        per_minute_max: u32::MAX,
+        ..config.vlm.clone()
+    }
+}
+
+fn print(rows: &[Row]) {
+    let header = [
+        "view",
+        "who",
+        "asked",
+        "right of answered",
+        "95 %",
+        "right of all",
+        "kappa",
+        "for the first place",
+        "95 %",
+        "no answer",
+    ];
+    let mut table = table(&header);
+    for row in rows {
+        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+        let interval = |[low, high]: [f64; 2]| format!("{:.1} to {:.1}", 100.0 * low, 100.0 * high);
+        table.add_row([
+            row.view.to_string(),
+            row.who.clone(),
+            row.asked.to_string(),
+            percent(row.right_of_answered.mean()),
+            interval(row.right_of_answered.interval()),
+            percent(row.right_of_all.mean()),
+            row.kappa.map_or("-".into(), |kappa| format!("{kappa:.2}")),
+            percent(row.first_place.mean()),
+            interval(row.first_place.interval()),
+            (row.abstained + row.failed).to_string(),
+        ]);
+    }
+    say(table);
+    say("The stand-in is no model: it judges from coloured pixels.");
+}

@@ -1,0 +1,306 @@
+//! Scenes for a judge, with what the simulator knows of them.
+
+use anyhow::{Context, anyhow};
+use judge::Party;
+use judge::picture::{Photo, Proposals};
+use judge::record::{Outlook, Proposed};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use shm_config::config::Config;
+use shm_config::message::{Camera, Observation, Proposal, View};
+use sim::photographer::{HORIZON_S, outlook};
+use sim::render::{Renderer, Shot};
+use sim::{World, WorldConfig};
+use vehicle::{Action, Vehicle};
+
+use crate::Clock;
+use crate::seat::{DriverKind, Seat};
+
+/// Ticks from one scene that is looked at to the next are drawn up to this.
+const TICKS_BETWEEN: u64 = 40;
+/// Scenes taken of one episode at most, so that many maps count.
+const SCENES_OF_EPISODE: usize = 6;
+/// Policies that are tried at one tick, in search of one that fares otherwise than
+/// the expert.
+const TRIES: usize = 4;
+/// Episodes without a scene after which something is wrong.
+const BARREN_MAX: u64 = 200;
+
+/// A moment of a drive, with what was proposed and what would come of it.
+pub struct Scene {
+    /// The episode.
+    pub seed: u64,
+    /// Its tick.
+    pub tick: u64,
+    /// Speed of the car, m/s.
+    pub speed_mps: f64,
+    /// What the expert proposed, and what a policy might have, with what the judge
+    /// in the tick measures of them.
+    pub proposed: [Proposed; 2],
+    /// What comes of holding each, the expert's first.
+    pub outlooks: [Outlook; 2],
+    /// The pictures, one for each view that was asked for.
+    pub shots: Vec<Taken>,
+}
+
+/// A picture of the world.
+pub struct Taken {
+    /// From where.
+    pub view: View,
+    camera: Camera,
+    size_px: [u32; 2],
+    rgb: Vec<u8>,
+}
+
+impl Taken {
+    /// To be drawn into.
+    pub fn photo(&self) -> Photo<'_> {
+        let [width, height] = self.size_px;
+        Photo {
+            camera: &self.camera,
+            width,
+            height,
+            rgb: &self.rgb,
+        }
+    }
+}
+
+impl Scene {
+    /// What is to be drawn.
+    pub fn proposals<'a>(&self, vehicle: &'a Vehicle) -> Proposals<'a> {
+        Proposals {
+            vehicle,
+            speed_mps: self.speed_mps,
+            expert: action(&self.proposed[0]),
+            policy: action(&self.proposed[1]),
+        }
+    }
+
+    /// Whose proposal ends well where the other's does not.
+    pub fn safer(&self) -> Party {
+        match self.outlooks[0].is_accident() {
+            true => Party::Policy,
+            false => Party::Expert,
+        }
+    }
+}
+
+fn action(proposed: &Proposed) -> Action {
+    Action {
+        steer: proposed.steer,
+        pedal: proposed.pedal,
+    }
+}
+
+/// From where scenes are taken, and what is taken of them.
+#[derive(Debug, Clone, Copy)]
+pub struct Search<'a> {
+    /// How many.
+    pub scenes: usize,
+    /// Seed of the first episode, and of what is drawn at random.
+    pub first_seed: u64,
+    /// The pictures of each scene.
+    pub views: &'a [View],
+    /// Their width and height, pixels.
+    pub size_px: [u32; 2],
+}
+
+/// Drives episodes with the expert, looks at ticks drawn at random, and hands over
+/// those scenes where exactly one of both proposals, held, ends in an accident. The
+/// same search finds the same scenes.
+///
+/// # Errors
+/// When the configuration is wrong, a map cannot be made, hardly any scene is
+/// found, or `found` fails.
+pub fn search(
+    search: &Search,
+    config: &Config,
+    clock: Clock,
+    mut found: impl FnMut(Scene) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut seat = Seat::new(DriverKind::Expert, config, clock)?;
+    let mut photos = Photos {
+        renderer: Renderer::default(),
+        views: search.views,
+        size_px: search.size_px,
+    };
+    let mut chance = Chance(Xoshiro256PlusPlus::seed_from_u64(search.first_seed));
+    let mut wanted = search.scenes;
+    for seed in search.first_seed.. {
+        if wanted == 0 {
+            break;
+        }
+        if seed - search.first_seed > BARREN_MAX + search.scenes as u64 {
+            return Err(anyhow!("hardly any scene in {BARREN_MAX} episodes"));
+        }
+        let most = wanted.min(SCENES_OF_EPISODE);
+        let mut drive = Drive {
+            config,
+            world: &mut world,
+            seat: &mut seat,
+            chance: &mut chance,
+        };
+        wanted -= drive.episode((seed, most), &mut photos, &mut found)?;
+    }
+    Ok(())
+}
+
+struct Drive<'a> {
+    config: &'a Config,
+    world: &'a mut World,
+    seat: &'a mut Seat,
+    chance: &'a mut Chance,
+}
+
+impl Drive<'_> {
+    /// Drives one episode; returns how many scenes it gave.
+    fn episode(
+        &mut self,
+        (seed, most): (u64, usize),
+        photos: &mut Photos,
+        found: &mut impl FnMut(Scene) -> anyhow::Result<()>,
+    ) -> anyhow::Result<usize> {
+        self.world.reset(seed)?;
+        self.seat.begin(seed);
+        photos.renderer.begin(self.world);
+        let mut observation = Box::<Observation>::default();
+        let mut count = 0;
+        let mut next = 1 + self.chance.below(TICKS_BETWEEN);
+        let mut tick = 0;
+        while !self.world.last_step().has_ended() && count < most {
+            self.world.observe(&mut observation);
+            observation.header.tick = tick;
+            observation.header.taken_ns = tick * 100_000_000;
+            let command = self.seat.command(&observation, self.world);
+            if tick == next {
+                next += 1 + self.chance.below(TICKS_BETWEEN);
+                if let Some(mut scene) = self.scene((seed, tick), command.action(), &observation) {
+                    scene.shots = photos.take(self.world)?;
+                    found(scene)?;
+                    count += 1;
+                }
+            }
+            self.world.step(command.action());
+            tick += 1;
+        }
+        Ok(count)
+    }
+
+    /// The scene of this tick, if some policy fares otherwise than the expert.
+    fn scene(
+        &mut self,
+        (seed, tick): (u64, u64),
+        expert: Action,
+        observation: &Observation,
+    ) -> Option<Scene> {
+        let (vehicle, limits) = (&self.config.vehicle, &self.config.judge);
+        let speed_mps = observation.ego.speed_mps;
+        let reach_m = gate::Scene::reach_m(vehicle, limits, speed_mps);
+        let seen = gate::Scene::new(observation, reach_m);
+        let proposed = |action: Action| {
+            let assessment = gate::assess(vehicle, limits, &seen, Some(action));
+            Proposed::new(&Proposal::new(Some(action)), &assessment)
+        };
+        let expert_outlook = outlook_of(self.world, Party::Expert, expert);
+        (0..TRIES).find_map(|_| {
+            let policy = self.chance.policy(expert);
+            let outlooks = [
+                expert_outlook,
+                outlook_of(self.world, Party::Policy, policy),
+            ];
+            if outlooks[0].is_accident() == outlooks[1].is_accident() {
+                return None;
+            }
+            Some(Scene {
+                seed,
+                tick,
+                speed_mps,
+                proposed: [proposed(expert)?, proposed(policy)?],
+                outlooks,
+                shots: Vec::new(),
+            })
+        })
+    }
+}
+
+fn outlook_of(world: &World, party: Party, action: Action) -> Outlook {
+    let seen = outlook(world, action);
+    Outlook {
+        party,
+        horizon_s: HORIZON_S,
+        contact_s: seen.contact_s,
+        out_s: seen.out_s,
+    }
+}
+
+struct Photos<'a> {
+    renderer: Renderer,
+    views: &'a [View],
+    size_px: [u32; 2],
+}
+
+impl Photos<'_> {
+    fn take(&mut self, world: &World) -> anyhow::Result<Vec<Taken>> {
+        let renderer = &mut self.renderer;
+        let shots = self.views.iter().map(|&view| {
+            let shot = Shot {
+                view,
+                size_px: self.size_px,
+                passed: 0.0,
+            };
+            let picture = renderer.draw(world, &shot).context("the picture's size")?;
+            Ok(Taken {
+                view,
+                camera: picture.camera,
+                size_px: picture.size_px,
+                rgb: picture.rgb.to_vec(),
+            })
+        });
+        shots.collect()
+    }
+}
+
+/// What is drawn at random.
+struct Chance(Xoshiro256PlusPlus);
+
+impl Chance {
+    /// [0, 1)
+    fn share(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 * 2f64.powi(-53)
+    }
+
+    /// [-1, 1)
+    fn signed(&mut self) -> f64 {
+        2.0 * self.share() - 1.0
+    }
+
+    /// Less than `end`.
+    fn below(&mut self, end: u64) -> u64 {
+        (self.share() * end as f64) as u64
+    }
+
+    /// What a policy might propose where the expert proposes this: a little off,
+    /// far off, straight on, or anything.
+    fn policy(&mut self, expert: Action) -> Action {
+        match self.below(4) {
+            0 => Action {
+                steer: expert.steer + 0.15 * self.signed(),
+                pedal: expert.pedal + 0.3 * self.signed(),
+            },
+            1 => Action {
+                steer: expert.steer + 0.5 * self.signed(),
+                pedal: expert.pedal + 0.5 * self.signed(),
+            },
+            2 => Action {
+                steer: 0.0,
+                pedal: self.share(),
+            },
+            _ => Action {
+                steer: 0.6 * self.signed(),
+                pedal: self.signed(),
+            },
+        }
+        .clamped()
+    }
+}

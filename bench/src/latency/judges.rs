@@ -1,0 +1,149 @@
+//! What a judge can do to a run: each row of `--load gate`.
+
+use std::net::{Ipv4Addr, TcpListener};
+use std::time::Duration;
+
+use anyhow::Context;
+use judge::standin::{Mishap, Options, Server};
+
+/// How a judge behaves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Conduct {
+    /// There is none: the expert drives, no gate process.
+    Absent,
+    /// Answers after so long.
+    Answers {
+        /// Seconds.
+        after_s: f64,
+    },
+    /// Takes the question and never answers.
+    Hangs,
+    /// Nobody listens.
+    Refuses,
+    /// Answers with 10 MB.
+    Floods,
+    /// Dies half way through the run.
+    Dies,
+}
+
+impl Conduct {
+    /// All but the first.
+    pub const BAD: [Self; 8] = [
+        Self::Answers { after_s: 0.1 },
+        Self::Answers { after_s: 1.0 },
+        Self::Answers { after_s: 10.0 },
+        Self::Answers { after_s: 30.0 },
+        Self::Hangs,
+        Self::Refuses,
+        Self::Floods,
+        Self::Dies,
+    ];
+
+    /// For the table.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Absent => "no judge",
+            Self::Answers { after_s } if after_s < 1.0 => "judge answers in 0.1 s",
+            Self::Answers { after_s } if after_s < 10.0 => "judge answers in 1 s",
+            Self::Answers { after_s } if after_s < 30.0 => "judge answers in 10 s",
+            Self::Answers { .. } => "judge answers in 30 s",
+            Self::Hangs => "judge hangs",
+            Self::Refuses => "judge refuses connections",
+            Self::Floods => "judge answers 10 MB",
+            Self::Dies => "judge dies half way",
+        }
+    }
+
+    /// The judge, ready to be asked.
+    ///
+    /// # Errors
+    /// When no port can be had.
+    pub fn begin(self) -> anyhow::Result<Seat> {
+        let options = match self {
+            Self::Absent => None,
+            Self::Answers { after_s } => Some(Options {
+                latency: Duration::from_secs_f64(after_s),
+                ..Options::default()
+            }),
+            Self::Hangs => Some(broken(Mishap::Hang)),
+            Self::Floods => Some(broken(Mishap::HugeLength)),
+            Self::Refuses => None,
+            Self::Dies => Some(Options::default()),
+        };
+        let server = options.map(Server::start).transpose();
+        let server = server.context("the stand-in server")?;
+        let url = match (&server, self) {
+            (Some(server), _) => Some(server.url()),
+            (None, Self::Refuses) => Some(nobody()?),
+            (None, _) => None,
+        };
+        Ok(Seat {
+            conduct: self,
+            server,
+            url,
+            questions: 0,
+        })
+    }
+}
+
+fn broken(mishap: Mishap) -> Options {
+    Options {
+        mishap: Some(mishap),
+        ..Options::default()
+    }
+}
+
+/// An address where nobody listens: it was free a moment ago.
+fn nobody() -> anyhow::Result<String> {
+    let address = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?;
+    Ok(format!("http://{address}/v1"))
+}
+
+/// A judge beside a run.
+pub struct Seat {
+    conduct: Conduct,
+    server: Option<Server>,
+    url: Option<String>,
+    questions: u64,
+}
+
+impl Seat {
+    /// What the run is started with.
+    pub fn arguments(&self) -> Vec<String> {
+        let Some(url) = &self.url else {
+            return vec!["--gate".into(), "expert".into()];
+        };
+        let mut arguments = vec!["--gate".into(), "vlm".into()];
+        for text in [
+            format!("vlm.server={url}"),
+            // Every question is asked, however many there are and fail.
+            "vlm.deadline_s=60".into(),
+            "vlm.attempt_s=50".into(),
+            "vlm.per_minute_max=10000".into(),
+            "vlm.breaker_failures=1000".into(),
+            "vlm.budget_usd=1000".into(),
+            "gate.in_flight=8".into(),
+            "vlm.in_flight_max=16".into(),
+        ] {
+            arguments.extend(["--set".into(), text]);
+        }
+        arguments
+    }
+
+    /// Plays its part while the run of this length drives.
+    pub fn conduct(mut self, seconds: f64) -> Self {
+        if self.conduct == Conduct::Dies {
+            supervisor::signals::pause(Duration::from_secs_f64(seconds / 2.0));
+            if let Some(server) = self.server.take() {
+                self.questions = server.requests();
+            }
+        }
+        self
+    }
+
+    /// Requests that it had.
+    pub fn questions(&self) -> u64 {
+        let now = self.server.as_ref().map_or(0, Server::requests);
+        self.questions + now
+    }
+}

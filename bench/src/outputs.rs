@@ -1,0 +1,58 @@
+//! What a command writes at its end, checked before its begin: nobody waits an
+//! hour for a file that cannot be written.
+
+use std::path::PathBuf;
+
+use supervisor::failure::Failure;
+use supervisor::outputs::{check_file, check_folder};
+
+use crate::arguments::{Bench, Command, Draw};
+
+/// Everything that the command's options ask to be written can be.
+///
+/// # Errors
+/// The first that cannot, and what to do.
+pub fn check(command: &Command) -> Result<(), Failure> {
+    let (option, file): (_, &Option<PathBuf>) = match command {
+        Command::Eval(arguments) => {
+            if let Some(folder) = &arguments.draw {
+                check_folder("--draw", folder)?;
+            }
+            ("--json", &arguments.json)
+        }
+        Command::Train(arguments) => {
+            check_folder("--out", &crate::train::experiment::folder(arguments))?;
+            ("--json", &arguments.json)
+        }
+        Command::Bench(bench) => {
+            if let Bench::Planner(arguments) = bench
+                && let Some(file) = &arguments.record
+            {
+                check_file("--record", file)?;
+            }
+            ("--json", json(bench))
+        }
+        Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),
+        Command::Draw(Draw::Episode(arguments)) => ("--out", &arguments.out),
+        Command::Draw(Draw::Frame(arguments)) => ("--out", &arguments.out),
+        Command::Draw(Draw::Plan(arguments)) => ("--out", &arguments.out),
+    };
+    match file {
+        Some(file) => check_file(option, file),
+        None => Ok(()),
+    }
+}
+
+fn json(bench: &Bench) -> &Option<PathBuf> {
+    match bench {
+        Bench::Parity(arguments) => &arguments.json,
+        Bench::Sim(arguments) => &arguments.json,
+        Bench::Planner(arguments) => &arguments.json,
+        Bench::Mpc(arguments) => &arguments.json,
+        Bench::Policy(arguments) => &arguments.json,
+        Bench::Learner(arguments) => &arguments.json,
+        Bench::Swap(arguments) => &arguments.json,
+        Bench::Judge(arguments) => &arguments.json,
+        Bench::Latency(arguments) => &arguments.json,
+    }
+}

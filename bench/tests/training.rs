@@ -1,0 +1,122 @@
+//! `train --report`: what a folder of an experiment holds, drawn and printed.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+/// A training of so many blocks, whose success grows; steps are lost from the
+/// second block on.
+fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
+    let folder = out.join(format!("seed-{number}"));
+    fs::create_dir_all(folder.join("learner")).expect("a folder");
+    let mut evaluations = String::from(
+        "steps,success,strict_success,contact,crash_last_step,out_of_road,max_step,completion,\
+         mean_length,mean_speed_mps\n",
+    );
+    let mut rows =
+        String::from("steps,updates,lost,interventions,actor_loss,imitation_loss,critic_loss\n");
+    for block in 1..=blocks {
+        let (steps, success) = (200 * block, block as f64 / blocks as f64);
+        let lost = if block > 1 { lost } else { 0 };
+        writeln!(
+            evaluations,
+            "{steps},{success},{success},0.0,0.5,0.0,0.1,{success},700.0,4.5"
+        )
+        .expect("text");
+        writeln!(rows, "{steps},{steps},{lost},{},0.1,0.1,0.0", 50 * block).expect("text");
+    }
+    fs::write(folder.join("evaluations.csv"), evaluations).expect("written");
+    fs::write(folder.join("learner/blocks.csv"), rows).expect("written");
+    fs::write(
+        folder.join("train.toml"),
+        "[learner]\nalgorithm = \"ppl\"\n",
+    )
+    .expect("written");
+    let policies = folder.join("learner/policies");
+    fs::create_dir_all(&policies).expect("a folder");
+    for block in 1..=blocks {
+        fs::write(policies.join(format!("{:08}.onnx", 200 * block)), b"net").expect("written");
+    }
+}
+
+fn report(out: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
+        .args(["train", "--report", "--out"])
+        .arg(out)
+        .output()
+        .expect("the program starts")
+}
+
+#[test]
+fn a_folder_is_reported_with_one_name_for_each_figure() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 0, 10, 0);
+    seed(out.path(), 1, 10, 7);
+    let output = report(out.path());
+    assert!(output.status.success(), "{output:?}");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    for words in [
+        "ours, 400 steps",
+        "ours, 2000 steps",
+        "crash at the last step",
+        "which counts sidewalks",
+        "seed 1: 7 of 2000 steps were driven while its learner was away",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let picture = fs::read_to_string(out.path().join("curves.svg")).expect("the picture");
+    for words in ["ppl, 2 seeds", "strict success", "contact", "max step"] {
+        assert!(picture.contains(words), "{words}");
+    }
+    let png = fs::read(out.path().join("curves.png")).expect("the picture");
+    assert!(png.starts_with(b"\x89PNG"));
+    let tags = fs::read(
+        out.path()
+            .join("seed-0/tensorboard/events.out.tfevents.0.vlaps"),
+    );
+    let tags = tags.expect("the events");
+    for tag in ["eval/crash_last_step", "eval/mean_speed_mps"] {
+        let found = tags.windows(tag.len()).any(|bytes| bytes == tag.as_bytes());
+        assert!(found, "{tag}");
+    }
+    assert_eq!(
+        fs::read(out.path().join("policy.onnx")).expect("the best"),
+        b"net"
+    );
+}
+
+#[test]
+fn a_short_training_has_no_empty_column_and_an_old_final_is_not_shown() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 0, 2, 0);
+    let old = r#"{"steps": 200, "episodes": 50, "success": {"mean": 1.0}}"#;
+    fs::write(out.path().join("seed-0/final.json"), old).expect("written");
+    let output = report(out.path());
+    assert!(output.status.success(), "{output:?}");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(said.matches("ours").count(), 1, "{said}");
+    assert!(
+        !said.contains("last policy") && !said.contains("1 seeds"),
+        "{said}"
+    );
+    // Of that policy they are shown.
+    fs::write(
+        out.path().join("seed-0/final.json"),
+        old.replace("200", "400"),
+    )
+    .expect("written");
+    let said = String::from_utf8_lossy(&report(out.path()).stdout).into_owned();
+    assert!(said.contains("last policy, 1 seed x 50 episodes"), "{said}");
+}
+
+#[test]
+fn an_empty_folder_is_told() {
+    let out = TempDir::new().expect("a folder");
+    let output = report(out.path());
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("nothing was learnt there yet"), "{said}");
+}

@@ -1,0 +1,62 @@
+use shm_config::Instant;
+use shm_config::config::Gate;
+use shm_config::message::Preference;
+
+/// Against flapping: the expert gets the wheel at once, the policy only after a
+/// time with the expert and so many answers in a row for it.
+#[derive(Debug, Clone, Copy)]
+pub struct Dwell {
+    dwell_ns: u64,
+    confirmations: u32,
+    in_force: Preference,
+    /// When the policy lost the wheel; `None` when it never did.
+    lost: Option<Instant>,
+    /// Answers in a row that prefer the policy.
+    in_favour: u32,
+}
+
+impl Dwell {
+    /// As configured; nobody is preferred yet.
+    pub fn new(config: &Gate) -> Self {
+        Self {
+            dwell_ns: (config.dwell_s * 1e9) as u64,
+            confirmations: config.confirmations,
+            in_force: Preference::Abstain,
+            lost: None,
+            in_favour: 0,
+        }
+    }
+
+    /// A new episode: nobody is preferred, and nothing is waited for.
+    pub fn begin(&mut self) {
+        self.in_force = Preference::Abstain;
+        self.lost = None;
+        self.in_favour = 0;
+    }
+
+    /// Takes in an answer.
+    pub fn hear(&mut self, answer: Preference, now: Instant) {
+        match answer {
+            Preference::Policy => self.in_favour = self.in_favour.saturating_add(1),
+            Preference::Expert | Preference::Abstain => {
+                self.in_favour = 0;
+                if self.in_force == Preference::Policy {
+                    self.lost = Some(now);
+                }
+                self.in_force = answer;
+            }
+        }
+    }
+
+    /// Who is preferred now. To be asked at every step: a time that is over may
+    /// hand over without a new answer.
+    pub fn in_force(&mut self, now: Instant) -> Preference {
+        let has_dwelt = self
+            .lost
+            .is_none_or(|lost| now.since_ns(lost) >= self.dwell_ns);
+        if self.in_favour >= self.confirmations && has_dwelt {
+            self.in_force = Preference::Policy;
+        }
+        self.in_force
+    }
+}

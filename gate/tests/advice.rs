@@ -1,0 +1,275 @@
+//! When a judge is asked, whom its answers let drive, and what they teach.
+
+use gate::{
+    Answer, AtOnce, Committee, Counsel, Docket, Failure, Judge, Occasion, Question, Ruling,
+    Threaded,
+};
+use shm_config::Instant;
+use shm_config::config::{Gate, When};
+use shm_config::message::{Advice, Judge as Kind, Preference, Proposal, Step};
+use vehicle::Action;
+
+const PERIOD_NS: u64 = 100_000_000;
+const CALM: Action = Action {
+    steer: 0.0,
+    pedal: 0.2,
+};
+const FAR: f64 = 20.0;
+
+/// A step in which both propose; the tick is its time, too.
+fn step(tick: u64, policy: Action, clearance_m: f64) -> Step {
+    let mut step = Step {
+        expert: Proposal::new(Some(CALM)),
+        policy: Proposal::new(Some(policy)),
+        ..Step::default()
+    };
+    step.header.tick = tick;
+    step.header.taken_ns = tick * PERIOD_NS;
+    step.header.sequence = tick;
+    step.observation.header = step.header;
+    step.expert_assessment.clearance_m = FAR;
+    step.policy_assessment.clearance_m = clearance_m;
+    step
+}
+
+fn calm(tick: u64) -> Step {
+    step(tick, CALM, FAR)
+}
+
+/// Answers what the script says, the last line for ever.
+struct Script(Vec<Answer>);
+
+impl Judge for Script {
+    fn kind(&self) -> Kind {
+        Kind::Vlm
+    }
+
+    fn ask(&mut self, _: &Question) -> Ruling {
+        let answer = match self.0.len() {
+            1 => self.0[0],
+            _ => self.0.remove(0),
+        };
+        Ruling {
+            answer,
+            cost_usd: 0.01,
+        }
+    }
+}
+
+fn scripted(answers: &[Answer]) -> Box<dyn Docket> {
+    Box::new(AtOnce::new(Script(answers.to_vec())))
+}
+
+fn run(counsel: &mut Counsel, steps: impl IntoIterator<Item = Step>) -> Vec<Advice> {
+    let mut advise = |step: Step| counsel.consider(&step, Instant(step.header.taken_ns));
+    steps.into_iter().map(&mut advise).collect()
+}
+
+#[test]
+fn a_question_is_asked_when_it_matters_and_never_more_often_than_the_spacing() {
+    let apart = Action { steer: 0.5, ..CALM };
+    let rows = [
+        (When::Period, step(5, apart, FAR), None),
+        (When::Matters, calm(15), None),
+        (When::Matters, step(15, apart, FAR), Some(Occasion::Differ)),
+        (
+            When::Matters,
+            step(15, CALM, 0.2),
+            Some(Occasion::Clearance),
+        ),
+        (When::Matters, step(5, apart, 0.2), None),
+        (When::Period, step(101, CALM, FAR), Some(Occasion::Period)),
+    ];
+    for (when, second, expected) in rows {
+        let config = Gate {
+            when,
+            ..Gate::default()
+        };
+        let mut counsel = Counsel::new(&config, scripted(&[Answer::Policy]));
+        let first = counsel.ask(&calm(1)).map(|(_, occasion)| occasion);
+        assert_eq!(first, Some(Occasion::Episode));
+        let tick = second.header.tick;
+        let occasion = counsel.ask(&second).map(|(_, occasion)| occasion);
+        assert_eq!(occasion, expected, "{when:?}, tick {tick}");
+    }
+}
+
+#[test]
+fn a_model_is_not_asked_where_there_is_no_choice() {
+    let mut counsel = Counsel::new(&Gate::default(), scripted(&[Answer::Policy]));
+    for half in [
+        Step {
+            policy: Proposal::default(),
+            ..calm(1)
+        },
+        Step {
+            expert: Proposal::default(),
+            ..calm(2)
+        },
+    ] {
+        assert!(counsel.ask(&half).is_none());
+    }
+    assert!(counsel.ask(&calm(3)).is_some());
+}
+
+#[test]
+fn the_expert_gets_the_wheel_at_once_and_the_policy_after_the_dwell() {
+    let config = Gate {
+        when: When::Period,
+        period_s: 0.1,
+        dwell_s: 1.0,
+        confirmations: 2,
+        ..Gate::default()
+    };
+    let mut script = vec![Answer::Policy; 3];
+    script.push(Answer::Expert);
+    script.push(Answer::Policy);
+    let mut counsel = Counsel::new(&config, scripted(&script));
+    let advice = run(&mut counsel, (1..30).map(calm));
+    let preferred: Vec<Preference> = advice.iter().map(Advice::preference).collect();
+    assert_eq!(preferred[0], Preference::Abstain, "one answer is too few");
+    assert_eq!(preferred[1..3], [Preference::Policy; 2]);
+    assert_eq!(preferred[3..13], [Preference::Expert; 10], "a second");
+    assert!(preferred[13..].iter().all(|&p| p == Preference::Policy));
+    assert_eq!(advice[5].label(), Preference::Policy, "and yet it teaches");
+}
+
+#[test]
+fn a_failure_or_an_abstention_takes_the_wheel_from_the_policy_at_once() {
+    for answer in [Answer::Abstain, Answer::Failed(Failure::Malformed)] {
+        let config = Gate {
+            when: When::Period,
+            period_s: 0.1,
+            ..Gate::default()
+        };
+        let mut counsel = Counsel::new(&config, scripted(&[Answer::Policy, answer]));
+        let advice = run(&mut counsel, (1..4).map(calm));
+        assert_eq!(advice[0].preference(), Preference::Policy);
+        assert_eq!(advice[1].preference(), Preference::Abstain);
+        assert_eq!(advice[1].label(), Preference::Abstain, "{answer:?}");
+    }
+}
+
+#[test]
+fn what_was_said_of_another_episode_is_no_advice_in_this_one() {
+    let config = Gate {
+        delay_s: 1.0,
+        ..Gate::default()
+    };
+    let mut counsel = Counsel::new(&config, scripted(&[Answer::Policy]));
+    let first = run(&mut counsel, (1..6).map(calm));
+    assert!(first.iter().all(|advice| advice.answers == 0));
+    let second = (6..16).map(|tick| {
+        let mut step = calm(tick);
+        step.header.episode = 1;
+        step.observation.header.episode = 1;
+        step
+    });
+    let advice = run(&mut counsel, second);
+    let heard = advice.iter().find(|advice| advice.answers == 1);
+    let heard = heard.expect("the answer of the first episode");
+    assert_eq!(heard.label(), Preference::Policy, "it teaches");
+    assert_eq!(
+        heard.preference(),
+        Preference::Abstain,
+        "and decides nothing"
+    );
+}
+
+#[test]
+fn an_answer_that_was_overtaken_teaches_and_decides_nothing() {
+    let (ask_first, first) = std::sync::mpsc::channel::<()>();
+    // Two at once: the first is held back until the second was heard.
+    let docket = Threaded::served(
+        Kind::Vlm,
+        2,
+        Box::new(move |questions, rulings| {
+            let early = questions.recv().unwrap();
+            let late = questions.recv().unwrap();
+            let ruling = |answer| Ruling {
+                answer,
+                cost_usd: 0.0,
+            };
+            rulings.send((late, ruling(Answer::Expert))).unwrap();
+            first.recv().unwrap();
+            rulings.send((early, ruling(Answer::Policy))).unwrap();
+            let _ = questions.recv();
+        }),
+    );
+    let config = Gate {
+        when: When::Period,
+        period_s: 0.1,
+        ..Gate::default()
+    };
+    let mut counsel = Counsel::new(&config, Box::new(docket));
+    counsel.ask(&calm(1)).unwrap();
+    counsel.ask(&calm(2)).unwrap();
+    assert!(counsel.ask(&calm(3)).is_none(), "two are on their way");
+    let now = Instant(3 * PERIOD_NS);
+    while counsel.hear(now).is_none() {
+        std::thread::yield_now();
+    }
+    ask_first.send(()).unwrap();
+    while counsel.hear(now).is_none() {
+        std::thread::yield_now();
+    }
+    let advice = counsel.advise(now);
+    assert_eq!(advice.answers, 2);
+    assert_eq!(
+        (advice.question_tick, advice.preference()),
+        (2, Preference::Expert)
+    );
+    assert_eq!(advice.label_from_ns, PERIOD_NS);
+    assert_eq!(advice.label(), Preference::Policy);
+}
+
+#[test]
+fn a_committee_needs_its_quorum() {
+    use Answer::{Abstain, Expert, Failed, Policy};
+    let dead = Failed(Failure::Unavailable);
+    let rows = [
+        ([Expert, Expert, Policy], Expert),
+        ([Policy, Abstain, Policy], Policy),
+        ([Expert, Policy, Abstain], Abstain),
+        ([dead, dead, Policy], Abstain),
+        ([dead, Expert, Expert], Expert),
+    ];
+    for (said, expected) in rows {
+        let jurors = said.iter().map(|&answer| scripted(&[answer])).collect();
+        let mut committee = Committee::new(jurors, 2, 1);
+        let question = Question::about(&calm(1));
+        assert!(committee.put(&question));
+        let (_, ruling) = committee.take(Instant(0)).expect("all have spoken");
+        assert_eq!(ruling.answer, expected, "{said:?}");
+        assert!((ruling.cost_usd - 0.03).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn a_committee_waits_for_nobody_who_cannot_change_the_outcome() {
+    struct Asleep;
+    impl Docket for Asleep {
+        fn kind(&self) -> Kind {
+            Kind::Vlm
+        }
+        fn put(&mut self, _: &Question) -> bool {
+            true
+        }
+        fn take(&mut self, _: Instant) -> Option<(Question, Ruling)> {
+            None
+        }
+        fn awaited(&self) -> usize {
+            1
+        }
+    }
+    let expert = || scripted(&[Answer::Expert]);
+    let question = Question::about(&calm(1));
+    let mut decided = Committee::new(vec![expert(), expert(), Box::new(Asleep)], 2, 1);
+    assert!(decided.put(&question));
+    let taken = decided.take(Instant(0)).map(|(_, ruling)| ruling.answer);
+    assert_eq!(taken, Some(Answer::Expert));
+    let mut open = Committee::new(vec![expert(), Box::new(Asleep), Box::new(Asleep)], 2, 1);
+    assert!(open.put(&question));
+    assert!(open.take(Instant(0)).is_none());
+    assert!(!open.put(&question), "one question at a time");
+}

@@ -1,0 +1,108 @@
+//! The audit of a judge: its records as figures and as one page to look at.
+
+mod charts;
+mod figures;
+mod page;
+mod questions;
+
+use std::collections::BTreeMap;
+use std::path::{Component, Path, PathBuf};
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+
+pub use figures::{Agreement, BINS, Bin, Figures, Flips, Truth};
+
+use crate::record::{Record, Verdict};
+use crate::store::Records;
+
+/// A picture larger than this is linked and not embedded, bytes.
+const PICTURE_BYTES_MAX: u64 = 4 << 20;
+
+/// The page of a folder of records, self-contained but for pictures beyond the
+/// first `pictures_max`, which it links as `link` says: from the page's folder to
+/// the records'. Whatever a model said is escaped, and the page forbids scripts.
+pub fn page(records: &Records, pictures_max: usize, link: &Path) -> String {
+    let pictures = Pictures::of(records, pictures_max, link);
+    page::page(records, &Figures::of(&records.questions), &pictures).into_string()
+}
+
+/// The pictures that the page shows, and where the others are.
+struct Pictures {
+    /// Data URLs by name.
+    embedded: BTreeMap<String, String>,
+    folder: PathBuf,
+    link: PathBuf,
+}
+
+/// How a picture gets onto the page.
+enum Shown<'a> {
+    Embedded(&'a str),
+    Linked(String),
+    Nowhere,
+}
+
+impl Pictures {
+    /// Embeds those of wrong answers first: they are what one looks for.
+    fn of(records: &Records, most: usize, link: &Path) -> Self {
+        let mut order: Vec<&Record> = records.questions.iter().collect();
+        order.sort_by_key(|record| (rank(record), record.question));
+        let askings = order.into_iter().flat_map(|record| &record.askings);
+        let names = askings.map(|asking| &asking.picture);
+        let mut embedded = BTreeMap::new();
+        for name in names.filter(|name| is_inside(name)) {
+            if embedded.len() >= most {
+                break;
+            }
+            if let Some(url) = data_url(&records.folder.join(name)) {
+                embedded.insert(name.clone(), url);
+            }
+        }
+        Self {
+            embedded,
+            folder: records.folder.clone(),
+            link: link.into(),
+        }
+    }
+
+    fn shown(&self, name: &str) -> Shown<'_> {
+        if let Some(url) = self.embedded.get(name) {
+            return Shown::Embedded(url);
+        }
+        match is_inside(name) && self.folder.join(name).is_file() {
+            true => Shown::Linked(self.link.join(name).display().to_string()),
+            false => Shown::Nowhere,
+        }
+    }
+}
+
+fn rank(record: &Record) -> u8 {
+    match (Truth::of(record), record.verdict) {
+        (Truth::Safer(crate::Party::Expert), Verdict::Policy)
+        | (Truth::Safer(crate::Party::Policy), Verdict::Expert) => 0,
+        (Truth::Safer(_), Verdict::Abstain | Verdict::Failed) => 1,
+        _ => 2,
+    }
+}
+
+/// Records may come from anywhere: a name must not lead out of their folder.
+fn is_inside(name: &str) -> bool {
+    !name.is_empty()
+        && Path::new(name)
+            .components()
+            .all(|part| matches!(part, Component::Normal(_)))
+}
+
+fn data_url(path: &Path) -> Option<String> {
+    let mime = match path.extension()?.to_str()? {
+        "png" => "image/png",
+        "jpg" => "image/jpeg",
+        _ => return None,
+    };
+    let length = std::fs::metadata(path).ok()?.len();
+    if length > PICTURE_BYTES_MAX {
+        return None;
+    }
+    let bytes = std::fs::read(path).ok()?;
+    Some(format!("data:{mime};base64,{}", STANDARD.encode(bytes)))
+}

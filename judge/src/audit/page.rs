@@ -1,0 +1,234 @@
+//! The page as a whole: tiles, agreement, bias, calibration, time.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::charts::{self, seconds};
+use super::figures::{Agreement, Figures};
+use super::{Pictures, questions};
+use crate::statistics::Share;
+use crate::store::Records;
+
+const STYLE: &str = include_str!("page.css");
+/// No scripts, no connections, no pictures but those in the page.
+const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
+
+pub fn page(records: &Records, figures: &Figures, pictures: &Pictures) -> Markup {
+    let questions = &records.questions;
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta http-equiv="Content-Security-Policy" content=(POLICY);
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { "The judge's record" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body { main {
+                (head(records, figures))
+                (tiles(figures))
+                (agreement(figures))
+                div class="two" { (slots(figures)) (calibration(figures)) }
+                (times(records, figures))
+                h2 { "Questions" }
+                p class="note" {
+                    "Each with what was shown and asked, what came back, what the simulator \
+                     says would have happened, and what did happen in the 3 s after."
+                }
+                @for record in questions { (questions::question(record, pictures)) }
+            } }
+        }
+    }
+}
+
+fn head(records: &Records, figures: &Figures) -> Markup {
+    let first = records.questions.first();
+    let model = first.map_or("", |record| &record.model);
+    let preset = first.map_or("", |record| &record.preset);
+    let mixed = records
+        .questions
+        .iter()
+        .any(|record| record.model != model || record.preset != preset);
+    html! {
+        h1 { "The judge's record" }
+        p class="lead" {
+            (records.folder.display().to_string()) " · model " b { (model) }
+            " · prompt " b { (preset) }
+            @if mixed { " (and others: not all questions are alike)" }
+            " · " (figures.questions) " questions, " (figures.requests) " requests"
+            @if records.is_torn { " · the last line is torn and left out" }
+        }
+    }
+}
+
+fn tiles(figures: &Figures) -> Markup {
+    let answered = figures.expert + figures.policy;
+    let latency = |value: Option<f64>| value.map_or("–".into(), seconds);
+    let right = figures.agreement.of_answered();
+    let tiles = [
+        (figures.questions.to_string(), "questions".into()),
+        (
+            answered.to_string(),
+            format!(
+                "answered: expert {}, policy {}",
+                figures.expert, figures.policy
+            ),
+        ),
+        (figures.abstained.to_string(), "abstained".into()),
+        (figures.failed.to_string(), faults(figures)),
+        (
+            percent(right),
+            format!("right, of {} that can be checked", right.trials),
+        ),
+        (latency(figures.latency_median_s), "median latency".into()),
+        (latency(figures.latency_p99_s), "99 % answer within".into()),
+        (
+            format!("${:.4}", figures.cost_usd),
+            format!("in all, ${:.6} a question", figures.cost_per_question_usd),
+        ),
+    ];
+    html! {
+        div class="tiles" {
+            @for (value, name) in tiles {
+                div class="tile" { b { (value) } span { (name) } }
+            }
+        }
+    }
+}
+
+fn faults(figures: &Figures) -> String {
+    let mut text = "failed".to_string();
+    let mut faults: Vec<_> = figures.faults.iter().collect();
+    faults.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
+    for (at, (word, count)) in faults.into_iter().enumerate() {
+        text += if at == 0 { ": " } else { ", " };
+        text += &format!("{word} {count}");
+    }
+    text
+}
+
+fn agreement(figures: &Figures) -> Markup {
+    let [both_safe, neither_safe, unknown] = figures.undecided;
+    html! {
+        section class="card" {
+            h2 { "Against the simulator" }
+            p class="note" {
+                "Questions where one proposal, held for the horizon, hits something or leaves \
+                 the road and the other does not. Besides: both end well " (both_safe)
+                ", both in an accident " (neither_safe) ", unknown " (unknown) "."
+            }
+            div class="two" {
+                (matrix("Answers", &figures.agreement))
+                (matrix("Each asking on its own", &figures.asking_agreement))
+            }
+        }
+    }
+}
+
+fn matrix(title: &str, agreement: &Agreement) -> Markup {
+    let columns = ["expert", "policy", "abstained", "failed"];
+    let rows = ["the expert is safer", "the policy is safer"];
+    let class = |row: usize, column: usize| match (agreement.counts[row][column], column) {
+        (0, _) => "zero",
+        (_, column) if column == row => "hit",
+        (_, 0 | 1) => "miss",
+        _ => "",
+    };
+    let share = agreement.of_answered();
+    html! {
+        div {
+            h2 { (title) }
+            table class="matrix" {
+                tr { th {} @for column in columns { th { "said " (column) } } }
+                @for (row, name) in rows.into_iter().enumerate() {
+                    tr {
+                        th { (name) }
+                        @for column in 0..columns.len() {
+                            td class=(class(row, column)) { (agreement.counts[row][column]) }
+                        }
+                    }
+                }
+            }
+            p {
+                span class="big" { (percent(share)) } " right of those answered "
+                span class="note" { (interval(share)) }
+                br;
+                (percent(agreement.of_all())) " right of all "
+                span class="note" { (interval(agreement.of_all())) }
+                " · Cohen's kappa "
+                (agreement.kappa().map_or("–".into(), |kappa| format!("{kappa:.2}")))
+            }
+        }
+    }
+}
+
+fn slots(figures: &Figures) -> Markup {
+    let mut rows = vec![("first path".to_string(), figures.first_place)];
+    let hues = figures.hues.iter();
+    rows.extend(hues.map(|(hue, share)| (hue.to_string(), *share)));
+    let flips = figures.flips;
+    html! {
+        section class="card" {
+            h2 { "Place and colour" }
+            p class="note" {
+                "How often an asking preferred the first path, and the path of each colour \
+                 where it was shown, with 95 % intervals; shown at random, each is half."
+            }
+            (charts::shares(&rows))
+            p {
+                "Asked twice, the paths swapped: " b { (flips.consistent) } " agree, "
+                b { (flips.place) } " chose the same place both times, " b { (flips.mixed) }
+                " a path once and similar once."
+            }
+        }
+    }
+}
+
+fn calibration(figures: &Figures) -> Markup {
+    html! {
+        section class="card" {
+            h2 { "Confidence" }
+            @if let Some(error) = figures.calibration_error {
+                p class="note" {
+                    "Share of right preferences by the confidence said; on the line it means \
+                     what it says. Expected calibration error " (format!("{error:.3}")) "."
+                }
+                (charts::calibration(&figures.calibration))
+            } @else {
+                p class="note" { "No preference with a confidence that can be checked." }
+            }
+        }
+    }
+}
+
+fn times(records: &Records, figures: &Figures) -> Markup {
+    html! {
+        section class="card" {
+            h2 { "Over the run" }
+            (charts::timeline(&records.questions))
+        }
+        @if !figures.latencies_s.is_empty() {
+            section class="card" {
+                h2 { "From question to answer" }
+                (charts::latencies(&figures.latencies_s))
+            }
+        }
+    }
+}
+
+/// A share in per cent; a dash of nothing.
+pub fn percent(share: Share) -> String {
+    match share.trials {
+        0 => "–".into(),
+        _ => format!("{:.1} %", 100.0 * share.mean()),
+    }
+}
+
+/// Its 95 % interval in words.
+pub fn interval(share: Share) -> String {
+    let [low, high] = share.interval().map(|end| 100.0 * end);
+    format!(
+        "({low:.1} to {high:.1} %, {} of {})",
+        share.hits, share.trials
+    )
+}

@@ -1,0 +1,269 @@
+//! `vlaps-judge audit` and `replay`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use judge::Asker;
+use judge::audit::{Figures, page};
+use judge::replay::{Comparison, Replay, Step};
+use judge::statistics::Share;
+use judge::store::{Records, read};
+use shm_config::config::{Config, from_toml};
+use toml::{Table, Value};
+
+use crate::say;
+
+/// Read from the current folder when it is there and no other file is named.
+const DEFAULT_FILE: &str = "vlaps.toml";
+
+/// Make a page of what a judge was asked in a run, and how right it was.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    ./vlaps judge audit runs/default\n  \
+    ./vlaps judge audit runs/default --out judge.html --pictures 500")]
+pub struct AuditArguments {
+    /// Folder of a run, or of records
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// The page; without it, audit.html in the folder of the records
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Pictures to put into the page, those of wrong answers first; the others are
+    /// linked
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub pictures: usize,
+    /// Write the figures to this file, too
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Ask another model what a judge was asked in a run: the same pictures and words.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Whom: section [vlm] of the configuration. What is said goes into a folder of \
+        its own, to be audited like a run; what is there already is not asked again, so that an \
+        interrupted replay goes on.\n\n\
+        Example:\n  \
+        ./vlaps judge replay runs/default --set vlm.model=qwen2.5vl:7b --set vlm.dialect=ollama \
+        --set vlm.server=http://127.0.0.1:11434/v1"
+)]
+pub struct ReplayArguments {
+    /// Folder of a run, or of records
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// Folder for what is said; without it, replay-MODEL in that of the records
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Configuration file; vlaps.toml of the current folder is read when present
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Override a key of the configuration, such as vlm.model=NAME; repeatable
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+}
+
+/// Writes the page and says the most important figures.
+///
+/// # Errors
+/// When there is no record, or the page cannot be written.
+pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
+    let records = read(&arguments.folder)?;
+    let out = match &arguments.out {
+        Some(out) => out.clone(),
+        None => records.folder.join("audit.html"),
+    };
+    let link = link(&out, &records.folder);
+    let html = page(&records, arguments.pictures, &link);
+    std::fs::write(&out, html).with_context(|| format!("cannot write {}", out.display()))?;
+    let figures = Figures::of(&records.questions);
+    tell(&records, &figures);
+    if let Some(path) = &arguments.json {
+        let text = serde_json::to_string_pretty(&figures)?;
+        std::fs::write(path, text).with_context(|| format!("--json {}", path.display()))?;
+    }
+    say(out.display());
+    Ok(())
+}
+
+/// The way from a page to the folder of records.
+fn link(page: &Path, folder: &Path) -> PathBuf {
+    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
+    let (page, folder) = (absolute(page), absolute(folder));
+    let beside = page
+        .parent()
+        .and_then(|home| folder.strip_prefix(home).ok());
+    beside.map_or(folder.clone(), Path::to_path_buf)
+}
+
+fn tell(records: &Records, figures: &Figures) {
+    let Figures {
+        questions,
+        expert,
+        policy,
+        abstained,
+        failed,
+        ..
+    } = figures;
+    let folder = records.folder.display();
+    say(format_args!(
+        "{folder}: {questions} questions: expert {expert}, policy {policy}, abstained \
+         {abstained}, failed {failed}"
+    ));
+    for (word, count) in &figures.faults {
+        say(format_args!("  {count} x {word}"));
+    }
+    if records.is_torn {
+        say("the last line is torn and left out: the run was killed while it was written");
+    }
+    say(format_args!(
+        "right of {} that the simulator can check: {}",
+        figures.agreement.of_all().trials,
+        share(figures.agreement.of_answered())
+    ));
+    say(format_args!(
+        "first place preferred: {}; cost {:.4} USD",
+        share(figures.first_place),
+        figures.cost_usd
+    ));
+}
+
+/// A share with its interval, for people.
+fn share(share: Share) -> String {
+    let [low, high] = share.interval().map(|end| 100.0 * end);
+    match share.trials {
+        0 => "nothing to count".into(),
+        trials => format!(
+            "{} of {trials}, {:.1} % ({low:.1} to {high:.1})",
+            share.hits,
+            100.0 * share.mean()
+        ),
+    }
+}
+
+/// Asks all questions again and compares both judges.
+///
+/// # Errors
+/// When there is no record, the configuration is wrong, the model cannot be asked,
+/// or the folder cannot be written.
+pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
+    let records = read(&arguments.folder)?;
+    let vlm = config(arguments)?.vlm;
+    let out = match &arguments.out {
+        Some(out) => out.clone(),
+        None => records
+            .folder
+            .join(format!("replay-{}", file_word(vlm.model_name()))),
+    };
+    let mut replay = Replay::new(&vlm, Asker::new(&vlm)?, &out)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let bar = ProgressBar::new(records.questions.len() as u64);
+    let style = "{elapsed_precise} {wide_bar} {pos}/{len} questions, {eta} left, {msg}";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    let mut gone = 0;
+    for record in &records.questions {
+        match runtime.block_on(replay.ask(&records, record)) {
+            Step::Asked | Step::Before => {}
+            Step::Gone => gone += 1,
+            Step::Closed(fault) => {
+                bar.finish_and_clear();
+                bail!(
+                    "{}: {}; what was said so far is in {}, and the same command goes on",
+                    fault.word(),
+                    fault.advice(),
+                    out.display()
+                );
+            }
+        }
+        bar.set_message(format!("{:.4} USD", replay.spent_usd()));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if gone > 0 {
+        say(format_args!(
+            "{gone} questions have lost their pictures and were not asked"
+        ));
+    }
+    let lost = replay.lost();
+    if lost.lines + lost.pictures > 0 {
+        let (lines, pictures) = (lost.lines, lost.pictures);
+        say(format_args!(
+            "lost {lines} lines, {pictures} pictures: {}",
+            lost.reason
+        ));
+    }
+    drop(replay);
+    compare(&records, &read(&out)?);
+    Ok(())
+}
+
+fn compare(before: &Records, now: &Records) {
+    let comparison = Comparison::of(before, now);
+    say("\nrows: before; columns: now       expert   policy  abstain   failed");
+    for (name, row) in ["expert", "policy", "abstain", "failed"]
+        .iter()
+        .zip(comparison.counts)
+    {
+        let [a, b, c, d] = row;
+        say(format_args!("{name:>30} {a:>8} {b:>8} {c:>8} {d:>8}"));
+    }
+    let kappa = comparison.kappa();
+    let kappa = kappa.map_or("-".into(), |kappa| format!("{kappa:.2}"));
+    say(format_args!(
+        "Cohen's kappa of what both answered: {kappa}\n"
+    ));
+    for records in [before, now] {
+        tell(records, &Figures::of(&records.questions));
+    }
+}
+
+/// The configuration of a run, with overrides.
+fn config(arguments: &ReplayArguments) -> anyhow::Result<Config> {
+    let default = PathBuf::from(DEFAULT_FILE);
+    let file = arguments
+        .config
+        .clone()
+        .or_else(|| default.is_file().then_some(default));
+    let (mut table, origin) = match file {
+        Some(path) => {
+            let text = std::fs::read_to_string(&path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            from_toml(&text, &path.display().to_string())?;
+            (text.parse::<Table>()?, path.display().to_string())
+        }
+        None => (Table::new(), "the command line".into()),
+    };
+    for text in &arguments.overrides {
+        let (key, value) = text
+            .split_once('=')
+            .with_context(|| format!("--set {text}: must be KEY=VALUE"))?;
+        let (section, key) = key
+            .split_once('.')
+            .with_context(|| format!("--set {text}: a key has a section, as vlm.model"))?;
+        let section = table
+            .entry(section)
+            .or_insert_with(|| Value::Table(Table::new()));
+        let section = section.as_table_mut().context("a section is no value")?;
+        section.insert(key.into(), parsed(value));
+    }
+    Ok(from_toml(&table.to_string(), &origin)?)
+}
+
+/// A TOML value; what is none is a string, so that names need no quotes.
+fn parsed(text: &str) -> Value {
+    let line: Result<Table, _> = format!("value = {text}").parse();
+    line.ok()
+        .and_then(|mut table| table.remove("value"))
+        .unwrap_or_else(|| text.into())
+}
+
+/// A name that can be part of a file's.
+fn file_word(name: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
+    name.chars()
+        .map(|c| if is_plain(c) { c } else { '-' })
+        .collect()
+}

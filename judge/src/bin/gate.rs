@@ -1,0 +1,185 @@
+//! The gate process: asks a judge at its own pace and publishes advice.
+
+use std::process::ExitCode;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use clap::Parser;
+use gate::{Counsel, Heard};
+use judge::{Archive, Bench, Clerk, Evidence, as_the_paper};
+use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use shm_config::message::{Advice, HealthState, Message, Step};
+use shm_config::services::{ADVICE, Process, STEP};
+use shm_config::time::monotonic;
+use shm_config::wire::{Doorbell, Publisher, Subscriber};
+use shm_config::{Instant, config::Config};
+
+/// Asks a judge which of two proposals is safer, and publishes its advice
+#[derive(Parser)]
+#[command(name = "vlaps-gate", version)]
+struct Cli {
+    #[command(flatten)]
+    arguments: Arguments,
+}
+
+/// How long the gate sleeps at most before it says how it does.
+const NAP: Duration = Duration::from_millis(20);
+/// From look to look at a judge that a run in lockstep waits for.
+const LOOK: Duration = Duration::from_millis(1);
+
+fn main() -> ExitCode {
+    exit_code(Process::Gate, advise(&Cli::parse().arguments))
+}
+
+struct Gate {
+    member: Member,
+    bell: Doorbell,
+    steps: Subscriber<Step>,
+    port: Publisher<Advice>,
+    pulse: Pulse,
+    counsel: Counsel,
+    evidence: Receiver<Evidence>,
+    clerk: Clerk,
+    archive: Option<Archive>,
+}
+
+fn advise(arguments: &Arguments) -> Result<(), SetUpError> {
+    let mut gate = Gate::open(arguments)?;
+    gate.work();
+    gate.close();
+    Ok(())
+}
+
+impl Gate {
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn open(arguments: &Arguments) -> Result<Self, SetUpError> {
+        let mut member = Member::join(Process::Gate, arguments)?;
+        let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
+        member.config = as_the_paper(member.config);
+        let config = &member.config;
+        let Bench { docket, evidence } =
+            Bench::open(config, monotonic).map_err(|error| own(&error))?;
+        let archive = config
+            .gate
+            .record
+            .then(|| Archive::open(config))
+            .transpose()
+            .map_err(|error| own(&error))?;
+        let bell = member.wire.doorbell(Process::Gate)?;
+        let steps = member.wire.latest(STEP)?;
+        let port = member.wire.publisher(ADVICE)?;
+        let mut pulse = Pulse::start(&member)?;
+        let counsel = Counsel::new(&config.gate, docket);
+        let clerk = Clerk::new(patience_ns(config));
+        member.claim_rights();
+        pulse.set_rights(&member.rights);
+        pulse.enter(HealthState::Ready, monotonic());
+        Ok(Self {
+            member,
+            bell,
+            steps,
+            port,
+            pulse,
+            counsel,
+            evidence,
+            clerk,
+            archive,
+        })
+    }
+
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn work(&mut self) {
+        while !self.member.is_stopping() {
+            self.bell.wait(NAP);
+            let begun = monotonic();
+            if let Some(step) = self.steps.newest() {
+                match step.check() {
+                    Ok(()) => self.consider(&step, begun),
+                    Err(refusal) => {
+                        self.pulse.health.refused += 1;
+                        tracing::warn!(%refusal, "step refused");
+                    }
+                }
+            }
+            self.pulse.beat(begun);
+            self.port.tend();
+            self.steps.tend();
+        }
+    }
+
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn consider(&mut self, step: &Step, begun: Instant) {
+        let lockstep = self.member.config.run.is_lockstep();
+        let now = match lockstep {
+            true => step.header().taken(),
+            false => begun,
+        };
+        if let Some((question, occasion)) = self.counsel.ask(step) {
+            self.clerk.asked(&question, occasion, self.counsel.kind());
+        }
+        if lockstep {
+            self.await_answers(now);
+        }
+        let heard = self.counsel.hear(now);
+        self.keep_record(step, heard, now);
+        let mut advice = self.counsel.advise(now);
+        self.port.send(&mut advice);
+        self.pulse.health.header.tick = step.header().tick;
+        self.pulse.health.state = HealthState::Running.code();
+        self.pulse.count_tick(
+            begun.0.saturating_sub(step.timings.commanded_ns),
+            monotonic().since_ns(begun),
+        );
+    }
+
+    /// In lockstep the run's time stands while a judge thinks: runs repeat.
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn await_answers(&mut self, now: Instant) {
+        loop {
+            self.counsel.collect(now);
+            if self.counsel.awaited() == 0 || self.member.is_stopping() {
+                return;
+            }
+            self.pulse.beat(monotonic());
+            self.bell.wait(LOOK);
+        }
+    }
+
+    fn keep_record(&mut self, step: &Step, heard: Option<Heard>, now: Instant) {
+        while let Ok(evidence) = self.evidence.try_recv() {
+            if !evidence.fault.is_empty() {
+                tracing::warn!(
+                    tick = evidence.key.1,
+                    fault = evidence.fault,
+                    "no preference"
+                );
+            }
+            self.clerk.learn(evidence);
+        }
+        if let Some(heard) = &heard {
+            self.clerk.heard(heard, step.header().tick, now);
+        }
+        self.clerk.saw(step);
+        let filed = self.clerk.filed();
+        if let Some(archive) = &mut self.archive {
+            archive.keep(filed);
+        }
+    }
+
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn close(&mut self) {
+        let filed = self.clerk.finish();
+        if let Some(mut archive) = self.archive.take() {
+            archive.keep(filed);
+            archive.close();
+        }
+        tracing::info!(cost_usd = self.counsel.cost_usd(), "judged");
+        self.pulse.enter(HealthState::Finished, monotonic());
+    }
+}
+
+/// How long an answer is waited for on the run's clock before its question is
+/// filed without it, ns.
+fn patience_ns(config: &Config) -> u64 {
+    ((config.gate.delay_s + config.vlm.deadline_s + 10.0) * 1e9) as u64
+}

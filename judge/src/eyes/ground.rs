@@ -1,0 +1,307 @@
+//! What lies under a path: classes of pixels by the palette, and a car's
+//! rectangle that is moved over them.
+
+use image::RgbImage;
+use shm_config::message::{Camera, View};
+use shm_config::palette;
+use vehicle::{Footprint, Point, Vector};
+
+use super::trace::stations;
+
+/// A pixel is of a class when its colour is this near: less than half of what
+/// the palette's colours are apart.
+const TOLERANCE: f64 = 17.0;
+/// Bodies' sides are drawn darker; down to this share of their light.
+const DARKEST: f64 = 0.5;
+/// The car that is moved along a path.
+const CAR: Footprint = Footprint {
+    length_m: 4.5,
+    width_m: 1.85,
+};
+/// It is moved by this much, and looked under at points this far apart, m.
+const STEP_M: f64 = 0.25;
+/// Points of a class under the car that count: one may be a blended rim.
+const BODY_POINTS: usize = 2;
+const SIDEWALK_POINTS: usize = 2;
+/// Share of what is known under the car that lies beside the road when it has
+/// left it with its middle.
+const BESIDE_SHARE: f64 = 0.5;
+/// A centre line is followed within this distance of the path, m.
+const LINE_REACH_M: f64 = 1.5;
+
+/// What a pixel shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Class {
+    /// A path, a label, a blend of two colours.
+    Unknown,
+    Road,
+    CentreLine,
+    Beside,
+    Sidewalk,
+    Body,
+}
+
+/// What stands in the way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A vehicle or an object.
+    Body,
+    /// The end of the road, or the line to the other direction.
+    Edge,
+}
+
+/// The first trouble on a path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trouble {
+    /// What it is.
+    pub kind: Kind,
+    /// How far along the path, m.
+    pub at_m: f64,
+}
+
+/// The classes of a picture's pixels.
+pub struct Ground {
+    width: usize,
+    height: usize,
+    classes: Vec<Class>,
+}
+
+impl Ground {
+    /// Those of a picture.
+    pub fn of(image: &RgbImage, view: View) -> Self {
+        let (width, height) = (image.width() as usize, image.height() as usize);
+        let raw: Vec<Class> = image.pixels().map(|pixel| class(pixel.0, view)).collect();
+        let mut ground = Self {
+            width,
+            height,
+            classes: raw,
+        };
+        ground.drop_specks();
+        match view {
+            View::TopDown => {}
+            View::Ego => ground.keep_feet(),
+        }
+        ground
+    }
+
+    fn at(&self, x: usize, y: usize) -> Class {
+        match x < self.width && y < self.height {
+            true => self.classes[y * self.width + x],
+            false => Class::Unknown,
+        }
+    }
+
+    /// Rims of painted lines are blends that may look like anything; bodies are
+    /// more than a pixel wide, and sidewalks and the ground beside them more than
+    /// two.
+    fn drop_specks(&mut self) {
+        let mut kept = self.classes.clone();
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let class = self.at(x, y);
+                let least = match class {
+                    Class::Body => 5,
+                    Class::Sidewalk | Class::Beside => 8,
+                    Class::Unknown | Class::Road | Class::CentreLine => continue,
+                };
+                let around = (0..9).filter(|k| {
+                    let (nx, ny) = ((x + k % 3).wrapping_sub(1), (y + k / 3).wrapping_sub(1));
+                    self.at(nx, ny) == class
+                });
+                if around.count() < least {
+                    kept[y * self.width + x] = Class::Unknown;
+                }
+            }
+        }
+        self.classes = kept;
+    }
+
+    /// Seen from the side a body hides the ground behind it: only where it
+    /// stands is it in the way, which is its lowest pixel of each column.
+    fn keep_feet(&mut self) {
+        for x in 0..self.width {
+            let mut below = Class::Unknown;
+            for y in (0..self.height).rev() {
+                let at = y * self.width + x;
+                let class = self.classes[at];
+                let stands = matches!(below, Class::Road | Class::Sidewalk | Class::Beside);
+                if class == Class::Body && !stands {
+                    self.classes[at] = Class::Unknown;
+                    // All of the body above is hidden ground, too.
+                    below = Class::Unknown;
+                } else {
+                    below = class;
+                }
+            }
+        }
+    }
+
+    /// What comes first on a path, with some room around the car, m.
+    pub fn first_trouble(&self, line: &[Point], camera: &Camera, room_m: f64) -> Option<Trouble> {
+        let mut side = LineSide::default();
+        let own = Place {
+            middle: Point::origin(),
+            along: Vector::x(),
+        };
+        stations(line, STEP_M)
+            .into_iter()
+            .find_map(|(at_m, middle, along)| {
+                let place = Place { middle, along };
+                let under = self.under(camera, &place, &own, room_m);
+                let crossed = side.crosses(|offset_m| {
+                    self.look(camera, place.point(0.0, offset_m)) == Class::CentreLine
+                });
+                let kind = if under.bodies >= BODY_POINTS {
+                    Kind::Body
+                } else if under.sidewalks >= SIDEWALK_POINTS || under.is_beside() || crossed {
+                    Kind::Edge
+                } else {
+                    return None;
+                };
+                Some(Trouble { kind, at_m })
+            })
+    }
+
+    fn look(&self, camera: &Camera, at: Point) -> Class {
+        match camera.project([at.x, at.y, 0.0]) {
+            Some([u, v]) if u >= 0.0 && v >= 0.0 => self.at(u as usize, v as usize),
+            Some(_) | None => Class::Unknown,
+        }
+    }
+
+    /// Counts what is under the car at a place; what it stands on now does not
+    /// count, since that is nobody's proposal.
+    fn under(&self, camera: &Camera, place: &Place, own: &Place, room_m: f64) -> Under {
+        let half_x_m = CAR.length_m / 2.0 + room_m;
+        let half_y_m = CAR.width_m / 2.0 + room_m;
+        let across = (2.0 * half_y_m / STEP_M).ceil();
+        let along = (2.0 * half_x_m / STEP_M).ceil();
+        let mut under = Under::default();
+        for i in 0..=along as u32 {
+            for k in 0..=across as u32 {
+                let x_m = half_x_m * (2.0 * f64::from(i) / along - 1.0);
+                let y_m = half_y_m * (2.0 * f64::from(k) / across - 1.0);
+                let point = place.point(x_m, y_m);
+                if own.covers(point) {
+                    continue;
+                }
+                match self.look(camera, point) {
+                    Class::Unknown => {}
+                    Class::Body => under.bodies += 1,
+                    Class::Sidewalk => under.sidewalks += 1,
+                    Class::Beside => under.beside += 1,
+                    Class::Road | Class::CentreLine => under.road += 1,
+                }
+            }
+        }
+        under
+    }
+}
+
+/// How many points under the car are what.
+#[derive(Default)]
+struct Under {
+    bodies: usize,
+    sidewalks: usize,
+    beside: usize,
+    road: usize,
+}
+
+impl Under {
+    fn is_beside(&self) -> bool {
+        let known = (self.beside + self.sidewalks + self.road) as f64;
+        self.beside >= 4 && self.beside as f64 >= BESIDE_SHARE * known
+    }
+}
+
+/// Where the car is on a path.
+struct Place {
+    middle: Point,
+    along: Vector,
+}
+
+impl Place {
+    /// A point ahead and to the left of the car's middle.
+    fn point(&self, ahead_m: f64, left_m: f64) -> Point {
+        let left = Vector::new(-self.along.y, self.along.x);
+        self.middle + self.along * ahead_m + left * left_m
+    }
+
+    fn covers(&self, point: Point) -> bool {
+        let away = point - self.middle;
+        let left_m = away.y * self.along.x - away.x * self.along.y;
+        away.dot(&self.along).abs() < CAR.length_m / 2.0 + 0.3
+            && left_m.abs() < CAR.width_m / 2.0 + 0.3
+    }
+}
+
+/// On which side of the path the line between the directions is.
+#[derive(Default)]
+struct LineSide {
+    left: Option<bool>,
+}
+
+impl LineSide {
+    /// Whether the path's middle has come to the line's other side.
+    fn crosses(&mut self, is_line: impl Fn(f64) -> bool) -> bool {
+        let count = (LINE_REACH_M / 0.1) as i32;
+        let mut offsets = (-count..=count).map(|k| f64::from(k) * 0.1);
+        // The path itself hides what is under it.
+        let Some(offset_m) = offsets.find(|&offset_m| is_line(offset_m)) else {
+            return false;
+        };
+        let is_left = offset_m > 0.0;
+        let crossed = self.left.is_some_and(|left| left != is_left);
+        self.left = Some(is_left);
+        crossed
+    }
+}
+
+fn class(pixel: [u8; 3], view: View) -> Class {
+    let near = |color: palette::Rgb| palette::distance(pixel, color) < TOLERANCE;
+    let flat = [
+        (palette::ROAD, Class::Road),
+        (palette::LINE_SOLID, Class::Road),
+        (palette::LINE_BROKEN, Class::Road),
+        (palette::EGO, Class::Road),
+        (palette::GROUND, Class::Beside),
+        (palette::SIDEWALK, Class::Sidewalk),
+        (palette::VEHICLE, Class::Body),
+        (palette::VEHICLE_GLASS, Class::Body),
+        (palette::OBJECT, Class::Body),
+    ];
+    if let Some((_, class)) = flat.into_iter().find(|(color, _)| near(*color)) {
+        return class;
+    }
+    if is_yellow(pixel) {
+        return Class::CentreLine;
+    }
+    let is_shaded = view == View::Ego
+        && [palette::VEHICLE, palette::VEHICLE_GLASS, palette::OBJECT]
+            .into_iter()
+            .any(|color| is_shade(pixel, color));
+    match is_shaded {
+        true => Class::Body,
+        false => Class::Unknown,
+    }
+}
+
+/// Whether a pixel is of the line between the directions, blended with the road
+/// or not: the line is about a pixel wide.
+fn is_yellow([red, green, blue]: [u8; 3]) -> bool {
+    let [red, green, blue] = [red, green, blue].map(i32::from);
+    (red - green).abs() <= 26 && red - blue >= 26 && green - blue >= 20 && red >= 85
+}
+
+/// Whether a pixel is a colour in less light.
+fn is_shade(pixel: [u8; 3], color: palette::Rgb) -> bool {
+    let dot = |a: [u8; 3], b: [u8; 3]| -> f64 {
+        a.iter()
+            .zip(b)
+            .map(|(a, b)| f64::from(*a) * f64::from(b))
+            .sum()
+    };
+    let light = dot(pixel, color) / dot(color, color);
+    (DARKEST..1.0).contains(&light)
+        && palette::distance(pixel, palette::shaded(color, light)) < TOLERANCE / 2.0
+}

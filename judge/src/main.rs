@@ -1,0 +1,61 @@
+//! `vlaps-judge`: what there is to do about judges apart from a run.
+
+mod arguments;
+mod auditing;
+
+use std::fmt;
+use std::io::Write as _;
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::Parser as _;
+use judge::standin::{NAME, Server};
+
+use crate::arguments::{Arguments, Command, ServerArguments};
+
+/// As the supervisor's programs exit when they failed.
+const EXIT_FAILED: u8 = 1;
+
+fn main() -> ExitCode {
+    let done = match Arguments::parse().command {
+        Command::Server(arguments) => server(&arguments),
+        Command::Audit(arguments) => auditing::audit(&arguments),
+        Command::Replay(arguments) => auditing::replay(&arguments),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("vlaps-judge: {error:#}");
+            ExitCode::from(EXIT_FAILED)
+        }
+    }
+}
+
+/// Runs a stand-in until a signal comes.
+fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
+    let stop = [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM];
+    let mut stop = signal_hook::iterator::Signals::new(stop).context("cannot handle signals")?;
+    let server = Server::start(arguments.options()).with_context(|| {
+        let port = arguments.port;
+        format!("cannot listen on 127.0.0.1:{port}; --port 0 takes any free one")
+    })?;
+    let url = server.url();
+    say(format_args!(
+        "{NAME} listens on {url}: a stand-in that judges coloured pixels, no model. Ctrl-C stops it"
+    ));
+    if let Some(mishap) = arguments.fault {
+        let share = arguments.fault_share;
+        let mishap = mishap.word();
+        say(format_args!(
+            "it breaks at a share of {share} of its questions: {mishap}"
+        ));
+    }
+    stop.forever().next();
+    say(format_args!("answered {} questions", server.requests()));
+    Ok(())
+}
+
+/// A line for people and scripts; a reader that has gone is no reason to stop.
+fn say(line: impl fmt::Display) {
+    let _ = writeln!(std::io::stdout(), "{line}");
+}

@@ -1,0 +1,233 @@
+//! The questions of a record, asked again of whoever is configured now.
+
+use std::collections::BTreeSet;
+use std::io::Cursor;
+use std::path::Path;
+use std::time::Duration;
+
+use image::ImageReader;
+use shm_config::config::{PromptPreset, Vlm};
+
+use crate::picture::{Encoding, Picture};
+use crate::record::{Asking, Record, Verdict};
+use crate::statistics::kappa;
+use crate::store::{Records, Store, read};
+use crate::{Asked, Asker, Fault, Prompt, Reply, Showing, combine};
+
+/// How long is waited when the own limit of requests per minute is reached.
+const PACE: Duration = Duration::from_secs(1);
+
+/// Asks again, question by question, and keeps what is said in a folder of its own.
+pub struct Replay {
+    vlm: Vlm,
+    asker: Asker,
+    store: Store,
+    /// Those that an earlier replay into this folder has asked.
+    done: BTreeSet<Key>,
+}
+
+/// What tells questions apart: episode, tick, when it was taken.
+type Key = (u32, u64, u64);
+
+/// What became of one question.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step {
+    /// It was asked, and what was said is kept.
+    Asked,
+    /// It had been asked before.
+    Before,
+    /// A picture of it is not kept any more, or its preset is none that is known:
+    /// nothing was asked.
+    Gone,
+    /// Nobody can be asked any more, for this reason; nothing was kept.
+    Closed(Fault),
+}
+
+impl Replay {
+    /// Asks as `vlm` says through `asker`; goes on where a replay into this folder
+    /// ended.
+    ///
+    /// # Errors
+    /// When the folder cannot be written.
+    pub fn new(vlm: &Vlm, asker: Asker, folder: &Path) -> Result<Self, crate::store::StoreError> {
+        let store = Store::open(folder, vlm.record_bytes_max)?;
+        let done = read(folder).map_or_else(|_| Vec::new(), |records| records.questions);
+        Ok(Self {
+            vlm: vlm.clone(),
+            asker,
+            store,
+            done: done.iter().map(key).collect(),
+        })
+    }
+
+    /// Asks one question of a record again: the same pictures and the same words.
+    pub async fn ask(&mut self, records: &Records, record: &Record) -> Step {
+        if self.done.contains(&key(record)) {
+            return Step::Before;
+        }
+        let preset = [
+            PromptPreset::Blind,
+            PromptPreset::Paper,
+            PromptPreset::PaperAppendix,
+        ]
+        .into_iter()
+        .find(|preset| preset.word() == record.preset);
+        let pictures: Option<Vec<Picture>> = record
+            .askings
+            .iter()
+            .map(|asking| kept(&records.folder, &asking.picture))
+            .collect();
+        let (Some(preset), Some(pictures)) = (preset, pictures) else {
+            return Step::Gone;
+        };
+        let mut askings = Vec::new();
+        for (asking, picture) in record.askings.iter().zip(&pictures) {
+            match self.ask_once(preset, asking, picture).await {
+                Ok(asked) => askings.push(again(asking, asked)),
+                Err(fault) => return Step::Closed(fault),
+            }
+        }
+        let fault = askings.iter().find_map(|asking| asking.fault.clone());
+        let said = Record {
+            model: self.vlm.model_name().into(),
+            judge: "vlm".into(),
+            verdict: verdict(&askings),
+            fault: fault.unwrap_or_default(),
+            latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
+            cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),
+            askings,
+            ..record.clone()
+        };
+        let question = self.store.begin(said, &pictures);
+        self.store.complete(question);
+        self.done.insert(key(record));
+        Step::Asked
+    }
+
+    async fn ask_once(
+        &self,
+        preset: PromptPreset,
+        asking: &Asking,
+        picture: &Picture,
+    ) -> Result<Asked, Fault> {
+        let prompt = Prompt {
+            preset,
+            showing: asking.showing,
+            system: asking.system.clone(),
+            user: asking.user.clone(),
+        };
+        let deadline = Duration::from_secs_f64(self.vlm.deadline_s);
+        loop {
+            let asked = self.asker.ask(&prompt, &picture.sent(), deadline).await;
+            match asked.reply {
+                // Nobody is in a hurry here.
+                Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
+                Err(Fault::Budget) => return Err(Fault::Budget),
+                Err(fault) if fault.is_permanent() => return Err(fault),
+                Ok(_) | Err(_) => return Ok(asked),
+            }
+        }
+    }
+
+    /// What all of it has cost, US dollars.
+    pub fn spent_usd(&self) -> f64 {
+        self.asker.spent_usd()
+    }
+
+    /// What could not be kept.
+    pub fn lost(&self) -> &crate::store::Lost {
+        self.store.lost()
+    }
+}
+
+fn key(record: &Record) -> Key {
+    (record.episode, record.tick, record.taken_ns)
+}
+
+/// A picture of the record, as it was sent.
+fn kept(folder: &Path, name: &str) -> Option<Picture> {
+    let encoding = match Path::new(name).extension()?.to_str()? {
+        "png" => Encoding::Png,
+        // How strongly it was packed is not known, and does not matter.
+        "jpg" => Encoding::Jpeg { quality: 0 },
+        _ => return None,
+    };
+    let bytes = std::fs::read(folder.join(name)).ok()?;
+    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format();
+    let (width, height) = reader.ok()?.into_dimensions().ok()?;
+    Some(Picture {
+        bytes,
+        encoding,
+        width,
+        height,
+    })
+}
+
+/// The same asking with what was said now.
+fn again(asking: &Asking, asked: Asked) -> Asking {
+    let (reply, confidence, fault) = match asked.reply {
+        Ok((reply, confidence)) => (Some(reply), confidence, None),
+        Err(fault) => (None, None, Some(fault.word().to_string())),
+    };
+    Asking {
+        showing: asking.showing,
+        picture: String::new(),
+        system: asking.system.clone(),
+        user: asking.user.clone(),
+        said: asked.said,
+        reply,
+        confidence,
+        fault,
+        attempts: asked.attempts,
+        latency_s: asked.latency.as_secs_f64(),
+        tokens_in: asked.tokens_in,
+        tokens_out: asked.tokens_out,
+        cost_usd: asked.cost_usd,
+    }
+}
+
+/// What askings say together; without a reply to each there is no answer.
+pub fn verdict(askings: &[Asking]) -> Verdict {
+    let replies: Option<Vec<(Showing, Reply)>> = askings
+        .iter()
+        .map(|asking| Some((asking.showing, asking.reply?)))
+        .collect();
+    replies.map_or(Verdict::Failed, |replies| combine(&replies).into())
+}
+
+/// How two judges of the same questions agree: rows the one, columns the other;
+/// expert, policy, abstained, failed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Comparison {
+    /// The counts.
+    pub counts: [[usize; 4]; 4],
+}
+
+impl Comparison {
+    /// Of the questions that both have been asked.
+    pub fn of(one: &Records, other: &Records) -> Self {
+        let mut counts = [[0; 4]; 4];
+        for record in &one.questions {
+            let mut same = other.questions.iter();
+            if let Some(again) = same.find(|again| key(again) == key(record)) {
+                counts[place(record.verdict)][place(again.verdict)] += 1;
+            }
+        }
+        Self { counts }
+    }
+
+    /// Cohen's kappa of the questions that both answered.
+    pub fn kappa(&self) -> Option<f64> {
+        let [expert, policy, ..] = self.counts;
+        kappa(&[[expert[0], expert[1]], [policy[0], policy[1]]])
+    }
+}
+
+fn place(verdict: Verdict) -> usize {
+    match verdict {
+        Verdict::Expert => 0,
+        Verdict::Policy => 1,
+        Verdict::Abstain => 2,
+        Verdict::Failed => 3,
+    }
+}

@@ -1,0 +1,127 @@
+//! The audit: what it counts, and that nothing a model said becomes markup.
+
+mod records;
+
+use std::path::Path;
+
+use judge::audit::{Figures, page};
+use judge::record::{Record, Verdict};
+use judge::store::{Records, Store, read};
+use judge::{Party, Reply};
+use records::{SHOWING, asking, picture, record};
+
+/// Asked twice, the paths swapped.
+fn pair(replies: [Reply; 2], verdict: Verdict, safer: Party) -> Record {
+    let askings = vec![
+        asking(SHOWING, replies[0], 0.85),
+        asking(SHOWING.swapped(), replies[1], 0.85),
+    ];
+    record(askings, verdict, safer)
+}
+
+fn failed(word: &str) -> Record {
+    let mut asking = asking(SHOWING, Reply::First, 0.0);
+    (asking.reply, asking.confidence) = (None, None);
+    asking.fault = Some(word.into());
+    record(vec![asking], Verdict::Failed, Party::Expert)
+}
+
+#[test]
+fn figures_are_those_counted_by_hand() {
+    use Reply::{First, Second, Similar};
+    let records = [
+        pair([First, Second], Verdict::Expert, Party::Expert),
+        pair([First, Second], Verdict::Expert, Party::Expert),
+        pair([Second, First], Verdict::Policy, Party::Policy),
+        pair([First, Second], Verdict::Expert, Party::Policy),
+        pair([First, First], Verdict::Abstain, Party::Expert),
+        pair([First, Similar], Verdict::Abstain, Party::Policy),
+        failed("timeout"),
+    ];
+    let figures = Figures::of(&records);
+    assert_eq!((figures.expert, figures.policy), (3, 1));
+    assert_eq!((figures.abstained, figures.failed), (2, 1));
+    assert_eq!(figures.faults["timeout"], 1);
+    assert_eq!(figures.agreement.counts, [[2, 0, 1, 1], [1, 1, 1, 0]]);
+    let right = figures.agreement.of_answered();
+    assert_eq!((right.hits, right.trials), (3, 4));
+    assert_eq!(figures.agreement.of_all().trials, 7);
+    // Rows [2, 0] and [1, 1]: agreed 3/4, by chance 2/4 * 3/4 + 2/4 * 1/4 = 1/2.
+    assert_eq!(figures.agreement.kappa(), Some(0.5));
+    // First place: 3 + 1 of the six clear pairs' eight, both of the fifth, one of
+    // the sixth.
+    let first = figures.first_place;
+    assert_eq!((first.hits, first.trials), (7, 11));
+    let flips = figures.flips;
+    assert_eq!((flips.consistent, flips.place, flips.mixed), (4, 1, 1));
+    // Red was the first one's colour both times, as the places are swapped and the
+    // colours with them.
+    assert_eq!(figures.hues["red"].hits, 7);
+    assert_eq!(figures.hues["cyan"].hits, 4);
+    // Confidence 0.85: right were 2 + 2 + 2 + 0 of the clear pairs, one of two in
+    // the fifth, none in the sixth.
+    let bin = figures.calibration[8];
+    assert_eq!((bin.right.hits, bin.right.trials), (7, 11));
+    let off = figures.calibration_error.expect("there are some");
+    assert!((off - (0.85 - 7.0 / 11.0)).abs() < 1e-9, "{off}");
+    assert_eq!(figures.latencies_s.len(), 6, "failures have no latency");
+    assert!((figures.cost_usd - 0.013).abs() < 1e-12);
+}
+
+#[test]
+fn what_a_model_said_stays_text() {
+    let evil = "</pre><script>alert(1)</script><img src=x onerror=alert(2)>\"'";
+    let mut record = pair(
+        [Reply::First, Reply::Second],
+        Verdict::Expert,
+        Party::Expert,
+    );
+    record.fault = evil.into();
+    record.model = evil.into();
+    record.preset = evil.into();
+    for asking in &mut record.askings {
+        asking.said = evil.into();
+        asking.user = evil.into();
+        asking.system = evil.into();
+        asking.picture = "../../etc/passwd".into();
+    }
+    let mut fault = failed(evil);
+    fault.askings[0].picture = "pictures/x.png\" onload=\"alert(3)".into();
+    let records = Records {
+        folder: evil.into(),
+        questions: vec![record, fault],
+        is_torn: true,
+    };
+    let html = page(&records, 10, Path::new("."));
+    assert!(
+        !html.contains("<script") && !html.contains("<img"),
+        "{html}"
+    );
+    assert!(!html.contains("onload=\"alert"));
+    assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt;"));
+    assert!(!html.contains("passwd"));
+    assert!(html.contains("default-src 'none'"));
+}
+
+#[test]
+fn pictures_are_embedded_up_to_the_limit_and_linked_beyond() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut store = Store::open(folder.path(), 1 << 20).expect("opens");
+    for safer in [Party::Expert, Party::Expert, Party::Policy] {
+        let record = pair([Reply::First, Reply::Second], Verdict::Expert, safer);
+        store.begin(record, &[picture(1), picture(2)]);
+    }
+    store.finish();
+    let records = read(folder.path()).expect("reads");
+    let html = page(&records, 2, Path::new("judge"));
+    let embedded = html.matches("src=\"data:image/png;base64,").count();
+    assert_eq!(
+        (embedded, html.matches("href=\"judge/pictures/").count()),
+        (2, 4)
+    );
+    // The wrong answer is what one looks for: its pictures come first.
+    assert!(!html.contains("href=\"judge/pictures/000003-a.png"));
+    std::fs::remove_dir_all(folder.path().join("pictures")).expect("removed");
+    let html = page(&records, 2, Path::new("judge"));
+    assert_eq!(html.matches("not kept any more").count(), 6);
+}

@@ -1,0 +1,338 @@
+use serde::{Deserialize, Serialize};
+
+use super::{OutOfRange, in_range};
+
+/// How a server wants to be asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dialect {
+    /// OpenAI itself, and services that follow it to the letter.
+    Openai,
+    /// vLLM 0.11 or newer.
+    Vllm,
+    /// `llama-server` of llama.cpp.
+    LlamaCpp,
+    /// Ollama's `/v1`.
+    Ollama,
+    /// LM Studio.
+    LmStudio,
+    /// SGLang.
+    Sglang,
+}
+
+/// What the model is told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PromptPreset {
+    /// Two paths, A and B, in random places and colours.
+    Blind,
+    /// The paper's question, colours as in its figures (Sec. 4.2).
+    Paper,
+    /// The paper's question, colours as in its prompt (Sec. 8.5).
+    PaperAppendix,
+}
+
+impl PromptPreset {
+    /// As in the configuration.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Blind => "blind",
+            Self::Paper => "paper",
+            Self::PaperAppendix => "paper_appendix",
+        }
+    }
+}
+
+/// Where the picture is seen from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum View {
+    /// From the car, looking ahead.
+    Ego,
+    /// From above.
+    TopDown,
+}
+
+impl From<View> for crate::message::View {
+    fn from(view: View) -> Self {
+        match view {
+            View::Ego => Self::Ego,
+            View::TopDown => Self::TopDown,
+        }
+    }
+}
+
+/// How the picture is packed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PictureFormat {
+    /// Exact.
+    Png,
+    /// Smaller.
+    Jpeg,
+}
+
+/// How closely the model looks, where the server knows the setting.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Detail {
+    /// A small copy of the picture, at a fixed price.
+    Low,
+    /// The picture in tiles.
+    High,
+    /// As the server likes.
+    Auto,
+}
+
+impl Detail {
+    /// As in the configuration, and as servers spell it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Low => "low",
+            Self::High => "high",
+            Self::Auto => "auto",
+        }
+    }
+}
+
+/// How the paths in the picture are computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rollout {
+    /// Steps of 0.1 s to the horizon.
+    Accurate,
+    /// One step of 1.5 s, as the paper's pictures (Sec. 8.4).
+    Paper,
+}
+
+/// A vision-language model as judge: whom to ask, what, and for how much.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Vlm {
+    /// Where the server's OpenAI-compatible interface begins.
+    pub server: String,
+    /// What the server is: openai, vllm, llama_cpp, ollama, lm_studio or sglang.
+    pub dialect: Dialect,
+    /// Which model; empty for gpt-4o-mini with openai, and for the one that is
+    /// loaded with llama_cpp.
+    pub model: String,
+    /// Environment variable that holds the key; empty for none. For
+    /// api.openai.com OPENAI_API_KEY is looked at, too.
+    pub key_env: String,
+    /// File that holds the key, in place of a variable; only its owner may have
+    /// rights to it (chmod 600).
+    pub key_file: String,
+    /// Let the key travel unencrypted to another machine, over http.
+    pub key_over_http: bool,
+    /// What the model is told: blind, paper (colours of the figures) or
+    /// paper_appendix (colours of the prompt).
+    pub prompt: PromptPreset,
+    /// Ask each question a second time with the paths swapped; replies that
+    /// disagree are no preference. Small models prefer the first of two in 72 %
+    /// of pairs.
+    pub ask_twice: bool,
+    /// Where the picture is seen from: ego or top_down.
+    pub view: View,
+    /// Width of the picture, pixels.
+    pub width_px: u32,
+    /// Height of the picture, pixels.
+    pub height_px: u32,
+    /// How it is packed: png or jpeg.
+    pub format: PictureFormat,
+    /// Quality of JPEG, 1 to 100.
+    pub jpeg_quality: u8,
+    /// How closely the model looks, where the server knows it: low, high or auto.
+    pub detail: Detail,
+    /// How far the paths reach, s.
+    pub horizon_s: f64,
+    /// How they are computed: accurate (steps of 0.1 s) or paper (one of 1.5 s).
+    pub rollout: Rollout,
+    /// Randomness of the answer; negative to leave it to the server, which
+    /// reasoning models of OpenAI insist on.
+    pub temperature: f64,
+    /// Longest answer, tokens.
+    pub tokens_max: u32,
+    /// Longest answer, bytes of the whole HTTP body; nothing is read beyond.
+    pub answer_bytes_max: u32,
+    /// Time for one question with all its attempts, s.
+    pub deadline_s: f64,
+    /// Time for one attempt, s.
+    pub attempt_s: f64,
+    /// Attempts for one question.
+    pub attempts_max: u32,
+    /// Longest wait before the second attempt, s; it doubles from attempt to
+    /// attempt, and a random part of it is waited.
+    pub backoff_s: f64,
+    /// Longest wait before any attempt, s, unless the server asks for more.
+    pub backoff_max_s: f64,
+    /// Questions asked at once; one more fails at once.
+    pub in_flight_max: u32,
+    /// Requests in any 60 s, attempts counted.
+    pub per_minute_max: u32,
+    /// What a run may cost, US dollars; then no more is asked.
+    pub budget_usd: f64,
+    /// Price of a million tokens in, US dollars; negative for the dialect's own:
+    /// gpt-4o-mini's 0.15 for openai, nothing for the others.
+    pub price_in_usd: f64,
+    /// Price of a million tokens out, US dollars; negative for the dialect's own:
+    /// gpt-4o-mini's 0.60 for openai, nothing for the others.
+    pub price_out_usd: f64,
+    /// Breakdowns of the server in a row after which it is left alone.
+    pub breaker_failures: u32,
+    /// For how long, s; then one question tries it again.
+    pub breaker_open_s: f64,
+    /// Most that a run keeps of questions and pictures, bytes.
+    pub record_bytes_max: u64,
+}
+
+impl Default for Vlm {
+    fn default() -> Self {
+        Self {
+            // Where llama-server and ./vlaps judge-server listen.
+            server: "http://127.0.0.1:8080/v1".into(),
+            dialect: Dialect::Openai,
+            model: String::new(),
+            key_env: "VLAPS_VLM_KEY".into(),
+            key_file: String::new(),
+            key_over_http: false,
+            prompt: PromptPreset::Blind,
+            ask_twice: true,
+            view: View::Ego,
+            // One of OpenAI's tiles: a pixel more in either direction costs two.
+            width_px: 512,
+            height_px: 512,
+            format: PictureFormat::Png,
+            jpeg_quality: 85,
+            detail: Detail::High,
+            // Twice the paper's 1.5 s: at 10 m/s that is the sight of a junction.
+            horizon_s: 3.0,
+            rollout: Rollout::Accurate,
+            temperature: 0.0,
+            // A sentence of reason needs 60.
+            tokens_max: 200,
+            // Two hundred tokens with their envelope are 2 kB; some servers add
+            // the model's reasoning.
+            answer_bytes_max: 262_144,
+            // Advice is of use while its question is fresh: the paper's period.
+            deadline_s: 10.0,
+            attempt_s: 8.0,
+            attempts_max: 3,
+            // As OpenAI's own clients.
+            backoff_s: 0.5,
+            backoff_max_s: 8.0,
+            in_flight_max: 2,
+            per_minute_max: 60,
+            budget_usd: 1.0,
+            price_in_usd: -1.0,
+            price_out_usd: -1.0,
+            breaker_failures: 5,
+            breaker_open_s: 30.0,
+            record_bytes_max: 512_000_000,
+        }
+    }
+}
+
+impl Vlm {
+    /// The model's name as the server is told it.
+    pub fn model_name(&self) -> &str {
+        match (self.model.as_str(), self.dialect) {
+            ("", Dialect::Openai) => "gpt-4o-mini",
+            // llama-server looks at no name, and wants one.
+            ("", _) => "default",
+            (name, _) => name,
+        }
+    }
+
+    /// Prices of a million tokens in and out, US dollars.
+    pub fn prices_usd(&self) -> [f64; 2] {
+        let own = match self.dialect {
+            Dialect::Openai => [0.15, 0.60],
+            _ => [0.0, 0.0],
+        };
+        let given = [self.price_in_usd, self.price_out_usd];
+        std::array::from_fn(|i| if given[i] < 0.0 { own[i] } else { given[i] })
+    }
+
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        self.check_names()?;
+        let counts = [
+            ("vlm.width_px", self.width_px, 64..=4096),
+            ("vlm.height_px", self.height_px, 64..=4096),
+            ("vlm.jpeg_quality", self.jpeg_quality.into(), 1..=100),
+            ("vlm.tokens_max", self.tokens_max, 16..=100_000),
+            (
+                "vlm.answer_bytes_max",
+                self.answer_bytes_max,
+                1_024..=16_777_216,
+            ),
+            ("vlm.attempts_max", self.attempts_max, 1..=20),
+            ("vlm.in_flight_max", self.in_flight_max, 1..=64),
+            ("vlm.per_minute_max", self.per_minute_max, 1..=10_000),
+            ("vlm.breaker_failures", self.breaker_failures, 1..=1000),
+        ];
+        for (key, value, range) in counts {
+            in_range(key, value, range)?;
+        }
+        let reals = [
+            ("vlm.horizon_s", self.horizon_s, 0.5..=10.0),
+            ("vlm.temperature", self.temperature, -1.0..=2.0),
+            ("vlm.deadline_s", self.deadline_s, 0.01..=600.0),
+            ("vlm.attempt_s", self.attempt_s, 0.01..=600.0),
+            ("vlm.backoff_s", self.backoff_s, 0.001..=60.0),
+            ("vlm.backoff_max_s", self.backoff_max_s, 0.001..=600.0),
+            ("vlm.budget_usd", self.budget_usd, 0.0..=1e6),
+            ("vlm.price_in_usd", self.price_in_usd, -1.0..=1e4),
+            ("vlm.price_out_usd", self.price_out_usd, -1.0..=1e4),
+            ("vlm.breaker_open_s", self.breaker_open_s, 0.01..=3600.0),
+        ];
+        for (key, value, range) in reals {
+            in_range(key, value, range)?;
+        }
+        in_range(
+            "vlm.record_bytes_max",
+            self.record_bytes_max,
+            0..=1_000_000_000_000,
+        )
+    }
+
+    fn check_names(&self) -> Result<(), OutOfRange> {
+        let refuse = |key: &str, value: &str, expected: &str| {
+            Err(OutOfRange {
+                key: key.into(),
+                value: format!("{value:?}"),
+                expected: expected.into(),
+            })
+        };
+        let begins = ["http://", "https://"].map(|scheme| self.server.strip_prefix(scheme));
+        let rest = begins.into_iter().flatten().next().unwrap_or_default();
+        if rest.is_empty() || rest.contains(|c: char| c.is_whitespace() || "?#".contains(c)) {
+            return refuse(
+                "vlm.server",
+                &self.server,
+                "an address such as http://127.0.0.1:8080/v1 or https://api.openai.com/v1",
+            );
+        }
+        // The value is not told: it may be a key.
+        if rest.contains('@') {
+            return refuse(
+                "vlm.server",
+                "(not shown)",
+                "an address without name or password; a key belongs into the environment \
+                 variable of vlm.key_env or into vlm.key_file",
+            );
+        }
+        let needs_model = !matches!(self.dialect, Dialect::Openai | Dialect::LlamaCpp);
+        if self.model.is_empty() && needs_model {
+            return refuse("vlm.model", "", "the name of a model that the server has");
+        }
+        let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        if !self.key_env.chars().all(is_name) {
+            return refuse(
+                "vlm.key_env",
+                "(not shown)",
+                "the name of an environment variable, not the key itself",
+            );
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,105 @@
+//! What is refused before anything starts, in words that help.
+
+use std::fs;
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+fn vlaps(folder: &TempDir, words: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_vlaps-supervisor"))
+        .args(words)
+        .current_dir(folder.path())
+        .output()
+        .expect("it runs")
+}
+
+/// Exit code 2, and these words on stderr.
+fn assert_refused(folder: &TempDir, words: &[&str], parts: &[&str]) {
+    let output = vlaps(folder, words);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{words:?}: {text}");
+    for part in parts {
+        assert!(
+            text.contains(part),
+            "{words:?}: '{part}' is missing in: {text}"
+        );
+    }
+}
+
+fn pipe(folder: &TempDir, name: &str) {
+    let path = folder.path().join(name);
+    let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+    let dev = 0;
+    rustix::fs::mknodat(
+        rustix::fs::CWD,
+        &path,
+        rustix::fs::FileType::Fifo,
+        mode,
+        dev,
+    )
+    .expect("a pipe");
+}
+
+#[test]
+fn what_is_no_file_is_refused_and_not_waited_for() {
+    let folder = TempDir::new().expect("a folder");
+    pipe(&folder, "pipe");
+    let parts = ["is no regular file"];
+    for path in ["pipe", "/dev/zero", "."] {
+        assert_refused(&folder, &["swap", path], &parts);
+        assert_refused(&folder, &["config", "--check", path], &parts);
+        assert_refused(&folder, &["up", "--config", path], &parts);
+    }
+    fs::create_dir(folder.path().join("vlaps.toml")).expect("a folder");
+    assert_refused(&folder, &["up"], &["vlaps.toml", "is no regular file"]);
+}
+
+#[test]
+fn places_that_cannot_be_written_are_refused_first() {
+    let folder = TempDir::new().expect("a folder");
+    for path in ["no/such/a.json", ".", "/proc/a.json"] {
+        let parts = [&format!("--json {path}"), "cannot write there"];
+        assert_refused(&folder, &["up", "--json", path], &parts);
+        assert_refused(&folder, &["status", "--json", path], &parts);
+    }
+    assert!(!folder.path().join("runs").exists(), "nothing was begun");
+}
+
+#[test]
+fn numbers_out_of_range_are_told_with_the_range() {
+    let folder = TempDir::new().expect("a folder");
+    let whole = "must be a whole number from 0";
+    assert_refused(&folder, &["up", "--seed", "-1"], &["'-1'", "--seed", whole]);
+    assert_refused(&folder, &["up", "--episodes", "-3"], &["'-3'", whole]);
+    assert_refused(&folder, &["up", "--seed", "x"], &["'x'", whole]);
+    assert_refused(&folder, &["up", "--rate", "-5"], &["run.rate_hz = -5"]);
+    assert_refused(
+        &folder,
+        &["up", "--duration", "-5"],
+        &["run.duration_s = -5"],
+    );
+}
+
+#[test]
+fn a_file_without_keys_is_refused_and_capitals_are_read() {
+    let folder = TempDir::new().expect("a folder");
+    let keys = |text: &str| fs::write(folder.path().join("keys"), text).expect("written");
+    let words = ["up", "--gate", "human", "--keys", "keys"];
+    for text in ["", "# nothing\n\n"] {
+        keys(text);
+        assert_refused(&folder, &words, &["--keys keys", "TIME_S KEY"]);
+    }
+    keys("1.0 SPACE\n2.0 spice\n");
+    assert_refused(&folder, &words, &["keys:2: 2.0 spice"]);
+}
+
+#[test]
+fn a_set_whose_parent_has_gone_does_not_begin() {
+    let folder = TempDir::new().expect("a folder");
+    let other = i32::MAX.to_string();
+    assert_refused(
+        &folder,
+        &["up", "--parent", &other],
+        &["--parent", "has ended"],
+    );
+}

@@ -1,0 +1,178 @@
+//! A vision-language model as judge of real process sets. The model is the
+//! stand-in: the same protocol over HTTP, and pixels alone to go by.
+
+use std::path::PathBuf;
+
+use judge::record::{Record, Verdict};
+use judge::standin::{Mishap, Options, Server};
+use judge::store;
+use serde_json::Value;
+use vlaps_tests::{Set, until};
+
+/// A policy that was trained for 9,800 steps: something to judge.
+fn policy() -> String {
+    let file = "../results/learning/ppl-9800.onnx";
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(file);
+    path.display().to_string()
+}
+
+/// Drives in lockstep with this server as judge.
+fn drive(set: &Set, server: &str, more: &[&str]) -> Value {
+    let policy = policy();
+    let server = format!("vlm.server={server}");
+    let mut arguments = vec![
+        "--lockstep",
+        "--seed",
+        "1003",
+        "--duration",
+        "30",
+        "--policy",
+        &policy,
+        "--set",
+        &server,
+        // In lockstep half a minute passes in a second.
+        "--set",
+        "vlm.per_minute_max=100000",
+    ];
+    arguments.extend(more);
+    let output = set.run(&arguments);
+    assert!(output.status.success(), "{output:?}\n{}", set.logs());
+    set.json()
+}
+
+fn records(set: &Set) -> Vec<Record> {
+    let folder = set.folder().join("runs").join(set.name().to_string());
+    let read = store::read(&folder.join("judge"));
+    read.expect("records of questions").questions
+}
+
+#[test]
+fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
+    let server = Server::start(Options::default()).expect("a stand-in");
+    let asked = Set::new("asked");
+    let json = drive(&asked, &server.url(), &["--gate", "vlm"]);
+    let records = records(&asked);
+    assert!(records.len() >= 3, "{} questions in 30 s", records.len());
+    for record in &records {
+        assert_ne!(record.verdict, Verdict::Failed, "{}", record.fault);
+        assert_eq!(record.askings.len(), 2, "asked twice");
+        let [first, second] = [&record.askings[0], &record.askings[1]];
+        assert_eq!(second.showing, first.showing.swapped());
+        assert!(!first.picture.is_empty());
+        assert!(record.foresight.is_some(), "the simulator knows");
+        for word in ["expert", "policy", "novice", "learned"] {
+            assert!(!first.user.to_lowercase().contains(word), "{word}");
+        }
+    }
+    let answered = |verdict| records.iter().filter(|r| r.verdict == verdict).count();
+    let drove = json["share"]["policy"].as_f64().expect("a share") > 0.0;
+    assert_eq!(drove, answered(Verdict::Policy) > 0, "{json}");
+
+    let folder = asked.folder().join("runs").join(asked.name().to_string());
+    let recording = format!("gate.recording={}", folder.join("judge").display());
+    drop(server);
+    let replayed = Set::new("replayed");
+    let again = drive(
+        &replayed,
+        "http://127.0.0.1:9/v1",
+        &["--gate", "replay", "--set", &recording],
+    );
+    assert_eq!(json["command_digest"], again["command_digest"]);
+    assert_eq!(json["reasons"], again["reasons"]);
+}
+
+#[test]
+fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
+    let broken = |mishap| Options {
+        mishap: Some(mishap),
+        ..Options::default()
+    };
+    let rows = [
+        (Mishap::Two, "wrong_type"),
+        (Mishap::TypeNull, "wrong_type"),
+        (Mishap::Unauthorized, "unauthorized"),
+        (Mishap::ServerError, "server_error"),
+        (Mishap::HugeBody, "huge_body"),
+    ];
+    for (mishap, _) in rows {
+        let server = Server::start(broken(mishap)).expect("a stand-in");
+        let set = Set::new("broken");
+        let quick = ["--gate", "vlm", "--set", "vlm.attempts_max=1"];
+        let json = drive(&set, &server.url(), &quick);
+        assert_eq!(json["share"]["policy"], 0.0, "{}", mishap.word());
+        assert_eq!(json["skipped"], 0);
+        let records = records(&set);
+        assert!(!records.is_empty());
+        for record in records {
+            assert_eq!(record.verdict, Verdict::Failed, "{}", mishap.word());
+            assert!(!record.fault.is_empty(), "one reason");
+        }
+    }
+}
+
+#[test]
+fn in_real_time_a_judge_that_hangs_or_dies_costs_no_tick() {
+    for mishap in [Some(Mishap::Hang), None] {
+        let options = Options {
+            mishap,
+            ..Options::default()
+        };
+        let mut server = Some(Server::start(options).expect("a stand-in"));
+        let url = server.as_ref().map(Server::url).unwrap_or_default();
+        let mut set = Set::new("real-time");
+        let (policy, url) = (policy(), format!("vlm.server={url}"));
+        set.start(&[
+            "--seed",
+            "1003",
+            "--duration",
+            "6",
+            "--policy",
+            &policy,
+            "--gate",
+            "vlm",
+            "--set",
+            &url,
+        ]);
+        let asked = |server: &Option<Server>| server.as_ref().is_some_and(|s| s.requests() > 0);
+        until("the judge is asked", || asked(&server));
+        if mishap.is_none() {
+            server = None;
+        }
+        assert_eq!(set.wait(), Some(0), "{}", set.logs());
+        let json = set.json();
+        let number = |key: &str| json[key].as_f64().expect(key);
+        let instants = (number("elapsed_s") / number("period_s")).round();
+        assert_eq!(instants, number("ticks") + number("skipped"));
+        drop(server);
+    }
+}
+
+#[test]
+fn the_papers_mode_pauses_the_world_and_names_both() {
+    let server = Server::start(Options::default()).expect("a stand-in");
+    let set = Set::new("paper");
+    let json = drive(&set, &server.url(), &["--gate", "paper"]);
+    let records = records(&set);
+    let ticks: Vec<u64> = records.iter().map(|record| record.tick).collect();
+    assert!(ticks.len() >= 3, "{ticks:?}");
+    let mut gaps = ticks.windows(2).map(|pair| pair[1] - pair[0]);
+    assert!(gaps.all(|gap| gap == 100), "every 10 s: {ticks:?}");
+    for record in &records {
+        assert_eq!(record.heard_tick, record.tick, "the world waited");
+        assert_eq!(record.askings.len(), 1);
+        assert!(record.askings[0].user.contains("expert"));
+    }
+    assert_eq!(json["skipped"], 0);
+}
+
+#[test]
+fn a_committee_of_geometry_and_a_model_drives() {
+    let server = Server::start(Options::default()).expect("a stand-in");
+    let set = Set::new("committee");
+    drive(&set, &server.url(), &["--gate", "committee"]);
+    let records = records(&set);
+    assert!(!records.is_empty());
+    assert!(records.iter().all(|record| record.judge == "committee"));
+    let agreed = records.iter().filter(|r| r.verdict != Verdict::Abstain);
+    assert!(agreed.count() > 0, "they never agreed");
+}

@@ -1,0 +1,317 @@
+//! `./vlaps train` on real process sets: it can be stopped, killed and gone on
+//! with, and its steps are those that were asked for.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use rustix::process::{Pid, Signal, kill_process};
+use shm_config::run::RunPaths;
+use vlaps_tests::{pids_within, programs, until};
+
+/// Steps of a block: as few as give the learner something to do.
+const BLOCK: u64 = 40;
+/// Blocks of a training that something happens to: seconds.
+const BLOCKS: u64 = 40;
+
+/// An experiment of a test, in a folder of its own.
+struct Experiment {
+    folder: PathBuf,
+    name: String,
+    child: Option<Child>,
+}
+
+impl Experiment {
+    fn new(label: &str) -> Experiment {
+        let name = format!("x{}-{label}", std::process::id());
+        let folder = std::env::temp_dir().join(format!("vlaps-tests-{name}"));
+        fs::create_dir_all(&folder).expect("a folder");
+        Experiment {
+            folder,
+            name,
+            child: None,
+        }
+    }
+
+    /// Small nets and the cheapest expert: what is tested is not how they drive.
+    fn command(&self, words: &[&str]) -> Command {
+        let mut command = Command::new(programs().join("vlaps-bench"));
+        command
+            .args([
+                "train",
+                "--algorithm",
+                "hg-dagger",
+                "--expert",
+                "informed",
+                "--out",
+            ])
+            .arg(&self.name)
+            .args(["--eval-episodes", "1"])
+            .current_dir(&self.folder)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let settings = [
+            format!("learner.block_steps={BLOCK}"),
+            "learner.updates=10".into(),
+            "learner.batch=32".into(),
+            "learner.hidden=32".into(),
+            "supervisor.restarts_max=100".into(),
+            "supervisor.backoff_max_ms=20".into(),
+            // Policies that know nothing stand still until their time is up.
+            "world.horizon_ticks=60".into(),
+        ];
+        for setting in settings {
+            command.args(["--set".into(), setting]);
+        }
+        command.args(words);
+        command
+    }
+
+    fn run(&self, words: &[&str]) -> Output {
+        self.command(words).output().expect("it starts")
+    }
+
+    fn start(&mut self, words: &[&str]) {
+        self.child = Some(self.command(words).spawn().expect("it starts"));
+    }
+
+    fn signal(&self, signal: Signal) {
+        let child = self.child.as_ref().expect("a training");
+        kill_process(Pid::from_child(child), signal).expect("it lives");
+    }
+
+    fn end(&mut self) -> Output {
+        let child = self.child.take().expect("a training");
+        child.wait_with_output().expect("an end")
+    }
+
+    fn seed(&self, seed: u64) -> PathBuf {
+        self.folder.join(&self.name).join(format!("seed-{seed}"))
+    }
+
+    /// A column of a seed's CSV file, as text.
+    fn column(&self, seed: u64, file: &str, name: &str) -> Vec<String> {
+        let text = fs::read_to_string(self.seed(seed).join(file)).unwrap_or_default();
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let header = whole.lines().next().unwrap_or_default();
+        let Some(at) = header.split(',').position(|word| word == name) else {
+            return Vec::new();
+        };
+        let rows = whole.lines().skip(1);
+        rows.map(|row| row.split(',').nth(at).expect("a field").into())
+            .collect()
+    }
+
+    fn blocks(&self, seed: u64) -> Vec<u64> {
+        let steps = self.column(seed, "learner/blocks.csv", "steps");
+        steps
+            .iter()
+            .map(|text| text.parse().expect("a number"))
+            .collect()
+    }
+
+    /// Process ids of a program of the set that trains.
+    fn pids(&self, program: &str) -> Vec<i32> {
+        pids_within(&self.folder, program)
+    }
+}
+
+impl Drop for Experiment {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+        until("the set ends with its training", || {
+            self.pids("").is_empty()
+        });
+        for seed in 0..3 {
+            if let Ok(name) = format!("{}-{seed}", self.name).parse() {
+                let paths = RunPaths::new(name);
+                until("the run is dead", || {
+                    !matches!(paths.clean_if_dead(), Ok(None))
+                });
+                paths.remove_dir();
+            }
+        }
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+fn multiples(count: u64) -> Vec<u64> {
+    (1..=count).map(|block| block * BLOCK).collect()
+}
+
+/// The set's summaries: how many ticks were driven in all.
+fn driven(seed: &Path) -> u64 {
+    let entries = fs::read_dir(seed).expect("the seed's folder");
+    let ticks = entries.filter_map(|entry| {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name()?.to_str()?.to_string();
+        name.starts_with("summary-").then(|| {
+            let text = fs::read_to_string(&path).expect("a summary");
+            let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+            json["ticks"].as_u64().expect("ticks")
+        })
+    });
+    ticks.sum()
+}
+
+#[test]
+fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
+    let experiment = Experiment::new("lines");
+    let steps = (3 * BLOCK).to_string();
+    let words = ["--steps", &steps, "--final-episodes", "2"];
+    let output = experiment.run(&words);
+    assert!(output.status.success(), "{output:?}");
+    let said = text(&output.stderr);
+    assert!(
+        said.contains(&format!("seed 0: {steps} of {steps} steps")),
+        "{said}"
+    );
+    assert_eq!(experiment.blocks(0), multiples(3));
+    let exams = experiment.column(0, "evaluations.csv", "steps");
+    assert_eq!(exams.len(), 3, "{exams:?}");
+    for file in [
+        "curves.svg",
+        "curves.png",
+        "table.md",
+        "policy.onnx",
+        "experiment.toml",
+    ] {
+        assert!(
+            experiment.folder.join(&experiment.name).join(file).exists(),
+            "{file}"
+        );
+    }
+
+    let output = experiment.run(&words);
+    assert!(!output.status.success());
+    assert!(
+        text(&output.stderr).contains("--resume goes on"),
+        "{output:?}"
+    );
+    for other in [&["--seed", "7"][..], &["--steps", "40"]] {
+        let output = experiment.run(&[other, &["--resume"]].concat());
+        assert!(!output.status.success(), "{other:?}");
+        assert!(
+            text(&output.stderr).contains("holds --seed 0 --seeds 1"),
+            "{output:?}"
+        );
+    }
+    let output = experiment.run(&["--resume", "--set", "learner.hidden=16"]);
+    assert!(
+        text(&output.stderr).contains("learner.hidden = 32, not 16"),
+        "{output:?}"
+    );
+
+    // Longer is the same experiment; the figures of the last policy are then gone.
+    let longer = (4 * BLOCK).to_string();
+    let output = experiment.run(&["--resume", "--steps", &longer, "--final-episodes", "0"]);
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(experiment.blocks(0), multiples(4));
+    assert!(!text(&output.stdout).contains("last policy"), "{output:?}");
+    assert_eq!(driven(&experiment.seed(0)), 4 * BLOCK);
+}
+
+#[test]
+fn a_stopped_and_a_killed_training_go_on_to_the_steps_that_were_asked_for() {
+    let mut experiment = Experiment::new("stops");
+    let steps = (BLOCKS * BLOCK).to_string();
+    let words = ["--steps", &steps, "--final-episodes", "0"];
+    experiment.start(&words);
+    until("two blocks are learnt", || experiment.blocks(0).len() >= 2);
+    experiment.signal(Signal::TERM);
+    let output = experiment.end();
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    assert!(
+        text(&output.stderr).contains("--resume goes on"),
+        "{output:?}"
+    );
+    let stopped = experiment.blocks(0);
+    assert!(stopped.len() < BLOCKS as usize, "{stopped:?}");
+
+    experiment.start(&["--resume", "--final-episodes", "0"]);
+    until("another block is learnt", || {
+        experiment.blocks(0).len() > stopped.len()
+    });
+    experiment.signal(Signal::KILL);
+    let _ = experiment.end();
+    until("the set ends with its training", || {
+        experiment.pids("").is_empty()
+    });
+
+    let output = experiment.run(&["--resume", "--final-episodes", "0"]);
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(experiment.blocks(0), multiples(BLOCKS));
+    let seed = experiment.seed(0);
+    let mark = learner::journal::last_mark(&seed.join("learner/replay.bin"));
+    let mark = mark.expect("a replay").expect("a record");
+    let counted = mark.counts.driven();
+    assert!(
+        (BLOCKS * BLOCK - 2..=BLOCKS * BLOCK).contains(&counted),
+        "no step too many: {counted}"
+    );
+}
+
+#[test]
+fn a_learner_killed_in_lockstep_costs_no_block_but_its_own() {
+    let mut experiment = Experiment::new("kills");
+    let steps = (BLOCKS * BLOCK).to_string();
+    experiment.start(&["--steps", &steps, "--final-episodes", "0"]);
+    let mut killed = Vec::new();
+    for round in 1..=3 {
+        until("blocks are learnt", || {
+            experiment.blocks(0).len() >= 5 * round
+        });
+        let pids = experiment.pids("vlaps-learner");
+        for pid in pids.iter().filter(|pid| !killed.contains(*pid)) {
+            let pid = Pid::from_raw(*pid).expect("a process id");
+            let _ = kill_process(pid, Signal::KILL);
+        }
+        killed.extend(pids);
+    }
+    let output = experiment.end();
+    assert!(output.status.success(), "{output:?}");
+    let blocks = experiment.blocks(0);
+    assert_eq!(blocks.last(), Some(&(BLOCKS * BLOCK)), "{output:?}");
+    assert!(
+        blocks.iter().all(|steps| steps.is_multiple_of(BLOCK)),
+        "{blocks:?}"
+    );
+    let lost = experiment.column(0, "learner/blocks.csv", "lost");
+    let lost = lost.last().expect("a block");
+    let is_told = text(&output.stdout).contains(&format!("seed 0: {lost} of {steps} steps"));
+    assert!(lost == "0" || is_told, "{lost} lost: {output:?}");
+}
+
+#[test]
+fn the_last_evaluation_can_be_stopped_and_gone_on_with() {
+    let mut experiment = Experiment::new("final");
+    let steps = BLOCK.to_string();
+    experiment.start(&["--steps", &steps, "--final-episodes", "1000000"]);
+    until("the evaluation of the only block is done", || {
+        experiment.column(0, "evaluations.csv", "steps").len() == 1
+            && experiment.pids("vlaps-world").is_empty()
+    });
+    // Now, or in a moment, a million episodes are on their way.
+    experiment.signal(Signal::INT);
+    let output = experiment.end();
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    assert!(
+        text(&output.stderr).contains("--resume goes on"),
+        "{output:?}"
+    );
+    assert!(!experiment.seed(0).join("final.json").exists());
+    let output = experiment.run(&["--resume", "--final-episodes", "3"]);
+    assert!(output.status.success(), "{output:?}");
+    assert!(
+        text(&output.stdout).contains("last policy, 1 seed x 3 episodes"),
+        "{output:?}"
+    );
+}
