@@ -332,13 +332,13 @@ impl Session {
             false => self.grid.tick_instant(self.grid.tick()).0,
         };
         self.observation.released_ns = released.0;
+        self.recorder.saw(Seen {
+            tick: self.grid.tick(),
+            taken_ns: now.0,
+            passed,
+        });
         match moment {
             Moment::Tick => {
-                self.recorder.saw(Seen {
-                    tick: self.grid.tick(),
-                    taken_ns: now.0,
-                    passed,
-                });
                 self.ports.observations.send(&mut self.observation);
                 self.publish_progress(now, Outcome::Driving);
             }

@@ -56,6 +56,13 @@ fn drive(
     known
 }
 
+fn asked(tick: u64) -> Header {
+    Header {
+        tick,
+        ..Header::default()
+    }
+}
+
 #[test]
 fn a_replica_is_the_world_at_every_tick_in_any_order() {
     let mut world = World::new(WorldConfig::default()).expect("a world");
@@ -78,7 +85,7 @@ fn a_replica_is_the_world_at_every_tick_in_any_order() {
         let episode = u32::from(tick >= 150);
         let reel = film.reel(episode).expect("the episode");
         let reached = replica
-            .reach(reel, tick as u64, |_| maps += 1)
+            .reach(reel, &asked(tick as u64), |_| maps += 1)
             .expect("a map");
         let (twin, seen) = reached.expect("the tick");
         assert_eq!(
@@ -97,7 +104,12 @@ fn a_replica_is_the_world_at_every_tick_in_any_order() {
     }
     assert_eq!(maps, 4, "a map is looked at when the episode is another");
     let reel = film.reel(1).expect("the episode");
-    assert!(replica.reach(reel, 300, |_| ()).expect("a map").is_none());
+    assert!(
+        replica
+            .reach(reel, &asked(300), |_| ())
+            .expect("a map")
+            .is_none()
+    );
 }
 
 /// What the world itself does with a held action, tick by tick.

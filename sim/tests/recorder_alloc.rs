@@ -3,6 +3,7 @@
 
 use std::alloc::System;
 
+use shm_config::message::Header;
 use sim::photographer::{Move, Seen, film};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use vehicle::Action;
@@ -42,7 +43,13 @@ fn what_nobody_reads_is_dropped_without_an_allocation() {
     // It was really told, and really too much.
     film.develop();
     let reel = film.reel(0).expect("the episode");
-    assert!(reel.at(30_000).is_some() && reel.at(TICKS - 1).is_none());
+    let at = |tick| {
+        reel.at(&Header {
+            tick,
+            ..Header::default()
+        })
+    };
+    assert!(at(30_000).is_some() && at(TICKS - 1).is_none());
     assert!(
         film.reel(1).is_none(),
         "there was no room for its beginning"

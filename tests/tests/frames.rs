@@ -13,7 +13,7 @@ use vehicle::Action;
 use vlaps_tests::{Set, until};
 
 /// Pictures that are asked for, one after the other.
-const PICTURES: u64 = 12;
+const PICTURES: u64 = 8;
 /// Every second one is of an observation that is so many older.
 const BEHIND: usize = 15;
 /// Looks of 2 ms that an answer is waited for before the next question.
@@ -89,7 +89,8 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
     foreseen
 }
 
-const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "150"];
+/// Ten times as long as the pictures take.
+const LENGTH: [&str; 4] = ["--seed", "3", "--duration", "600"];
 
 #[test]
 fn a_set_in_lockstep_drives_alike_whether_pictures_are_taken_or_not() {

@@ -47,7 +47,8 @@ crate::message! {
     /// gone nothing comes, and who asked waits no longer than it likes.
     #[derive(Default)]
     pub struct FrameRequest: 96 bytes, nested [Header, Proposal] {
-        /// Tick and episode of the observation that the picture shall be of.
+        /// Tick, episode and instant of the observation that the picture shall be of.
+        /// Where a tick has several instants, a request of 0 ns is for the first.
         pub header: Header,
         /// The proposals that the question is about, the expert's first, for
         /// [`Foresight`]; where one is absent, only the picture is wanted.

@@ -5,6 +5,7 @@
 use std::collections::VecDeque;
 
 use rtrb::{Consumer, Producer, RingBuffer};
+use shm_config::message::Header;
 use vehicle::Action;
 
 /// Entries that the photographer may be behind: in real time 30 s at the highest
@@ -164,12 +165,17 @@ impl Reel {
         }
     }
 
-    /// The instant of a tick, and the moves that led to it from the episode's
-    /// beginning; `None` when it is not on the reel.
-    pub fn at(&self, tick: u64) -> Option<(Seen, &[Move])> {
-        let found = self.seen.binary_search_by_key(&tick, |(seen, _)| seen.tick);
-        let (seen, moves) = self.seen[found.ok()?];
-        Some((seen, &self.moves[..moves]))
+    /// The instant of an observation, and the moves that led to it from the episode's
+    /// beginning; `None` when its tick is not on the reel. A tick may have several
+    /// instants: it is the last one that was not taken later than asked for, or, when
+    /// all were, the first.
+    pub fn at(&self, asked: &Header) -> Option<(Seen, &[Move])> {
+        let (tick, taken_ns) = (asked.tick, asked.taken_ns);
+        let first = self.seen.partition_point(|(seen, _)| seen.tick < tick);
+        let is_due = |(seen, _): &(Seen, usize)| seen.tick == tick && seen.taken_ns <= taken_ns;
+        let due = self.seen[first..].partition_point(is_due);
+        let (seen, moves) = *self.seen.get(first + due.saturating_sub(1))?;
+        (seen.tick == tick).then(|| (seen, &self.moves[..moves]))
     }
 }
 
@@ -192,6 +198,14 @@ mod tests {
         }
     }
 
+    fn asked(tick: u64) -> Header {
+        Header {
+            tick,
+            taken_ns: tick * 100,
+            ..Header::default()
+        }
+    }
+
     /// An episode of so many ticks, a move before each but the first.
     fn tell(recorder: &mut Recorder, episode: u32, ticks: std::ops::Range<u64>) {
         recorder.begin(episode, 100 + u64::from(episode));
@@ -210,15 +224,45 @@ mod tests {
         film.develop();
         let reel = film.reel(0).expect("the episode");
         assert_eq!(reel.seed, 100);
-        assert_eq!(reel.at(0), Some((seen(0), &[][..])));
-        assert_eq!(reel.at(2), Some((seen(2), &[step(1.0), step(2.0)][..])));
-        assert_eq!(reel.at(4), None, "not yet");
+        assert_eq!(reel.at(&asked(0)), Some((seen(0), &[][..])));
+        assert_eq!(
+            reel.at(&asked(2)),
+            Some((seen(2), &[step(1.0), step(2.0)][..]))
+        );
+        assert_eq!(reel.at(&asked(4)), None, "not yet");
         recorder.moved(step(4.0));
         recorder.saw(seen(6));
         film.develop();
         let reel = film.reel(0).expect("the episode");
-        assert_eq!(reel.at(4), None, "a tick that was skipped");
-        assert_eq!(reel.at(6).map(|(_, moves)| moves.len()), Some(4));
+        assert_eq!(reel.at(&asked(4)), None, "a tick that was skipped");
+        assert_eq!(reel.at(&asked(6)).map(|(_, moves)| moves.len()), Some(4));
+    }
+
+    #[test]
+    fn of_a_ticks_instants_the_one_that_was_observed_is_found() {
+        let (mut recorder, mut film) = film();
+        recorder.begin(0, 7);
+        for (tick, taken_ns) in [(1, 100), (2, 200), (2, 220), (2, 240), (3, 300)] {
+            recorder.moved(step(0.0));
+            recorder.saw(Seen {
+                tick,
+                taken_ns,
+                passed: 0.0,
+            });
+        }
+        film.develop();
+        let reel = film.reel(0).expect("the episode");
+        for (taken_ns, wanted_ns) in [(200, 200), (220, 220), (239, 220), (900, 240), (0, 200)] {
+            let asked = Header {
+                tick: 2,
+                taken_ns,
+                ..Header::default()
+            };
+            let (seen, moves) = reel.at(&asked).expect("the tick");
+            assert_eq!(seen.taken_ns, wanted_ns, "asked for {taken_ns}");
+            let instants = (wanted_ns as usize - 200) / 20;
+            assert_eq!(moves.len(), 2 + instants, "asked for {taken_ns}");
+        }
     }
 
     #[test]
@@ -231,10 +275,10 @@ mod tests {
         film.develop();
         assert!(film.reel(0).is_none());
         let before = film.reel(1).expect("the one before");
-        assert_eq!(before.at(19).map(|(_, moves)| moves.len()), Some(9));
+        assert_eq!(before.at(&asked(19)).map(|(_, moves)| moves.len()), Some(9));
         let now = film.reel(2).expect("the one that runs");
-        assert_eq!((now.seed, now.at(19)), (102, None));
-        assert_eq!(now.at(29).map(|(_, moves)| moves.len()), Some(9));
+        assert_eq!((now.seed, now.at(&asked(19))), (102, None));
+        assert_eq!(now.at(&asked(29)).map(|(_, moves)| moves.len()), Some(9));
     }
 
     #[test]
@@ -247,11 +291,14 @@ mod tests {
         recorder.saw(seen(50));
         film.develop();
         let reel = film.reel(0).expect("the episode");
-        assert!(reel.at(3).is_some(), "what came before is whole");
-        assert!(reel.at(4).is_none() && reel.at(50).is_none());
+        assert!(reel.at(&asked(3)).is_some(), "what came before is whole");
+        assert!(reel.at(&asked(4)).is_none() && reel.at(&asked(50)).is_none());
         tell(&mut recorder, 1, 51..53);
         film.develop();
         let reel = film.reel(1).expect("the next episode");
-        assert_eq!(reel.at(52).map(|(_, moves)| moves), Some(&[step(52.0)][..]));
+        assert_eq!(
+            reel.at(&asked(52)).map(|(_, moves)| moves),
+            Some(&[step(52.0)][..])
+        );
     }
 }

@@ -188,7 +188,7 @@ impl Studio {
             none => none.insert(Replica::new(WorldConfig::from(&self.config.world))?),
         };
         let renderer = &mut self.renderer;
-        let reached = replica.reach(reel, request.header.tick, |world| renderer.begin(world))?;
+        let reached = replica.reach(reel, &request.header, |world| renderer.begin(world))?;
         let (world, seen) = reached.ok_or(Declined::Gone)?;
         let shot = Shot {
             view: request.view(),

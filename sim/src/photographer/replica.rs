@@ -1,7 +1,7 @@
 //! A second world that is driven as the first one was, up to any instant on the
 //! film; and what would come of an action there.
 
-use shm_config::message::{Outcome, Outlook};
+use shm_config::message::{Header, Outcome, Outlook};
 use vehicle::Action;
 
 use super::film::{Move, Reel, Seen};
@@ -31,7 +31,7 @@ impl Replica {
         })
     }
 
-    /// Drives to an instant on a reel, from where it is or, when that is later or
+    /// Drives to an observed instant on a reel, from where it is or, when that is later or
     /// in another episode, from the episode's beginning. `begun` is called when the
     /// map has changed. `None` when the instant is not on the reel.
     ///
@@ -40,10 +40,10 @@ impl Replica {
     pub fn reach(
         &mut self,
         reel: &Reel,
-        tick: u64,
+        asked: &Header,
         begun: impl FnOnce(&World),
     ) -> Result<Option<(&World, Seen)>, WorldError> {
-        let Some((seen, moves)) = reel.at(tick) else {
+        let Some((seen, moves)) = reel.at(asked) else {
             return Ok(None);
         };
         let known = self.made.filter(|(episode, _)| *episode == reel.episode);
