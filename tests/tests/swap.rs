@@ -175,7 +175,7 @@ fn a_policy_drives_in_lockstep_the_same_each_time() {
     let (a, b) = (drive("policya"), drive("policyb"));
     assert_eq!(a["command_digest"], b["command_digest"]);
     assert_eq!(a["reasons"], b["reasons"]);
-    assert_eq!(a["reasons"]["expert"]["unloaded"], 3, "its probation: {a}");
+    assert_eq!(a["reasons"]["expert"]["shadow"], 3, "its probation: {a}");
     assert!(a["share"]["policy"].as_f64() > Some(0.01), "{a}");
     assert_eq!(a["policy"]["version"], 1, "{a}");
 }
