@@ -70,7 +70,7 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
             sweep::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Latency(arguments)) => {
-            latency::bench(arguments).map(|()| ExitCode::SUCCESS)
+            latency::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {

@@ -10,7 +10,9 @@ use indicatif::ProgressBar;
 use policy::{Provenance, encode};
 use serde::Serialize;
 
+use crate::Clock;
 use crate::driven::{Driven, Punctuality};
+use crate::floor::Floor;
 use crate::inference::net;
 use crate::report::{Machine, say, table, write_json};
 use judges::Conduct;
@@ -76,6 +78,8 @@ pub struct Row {
     pub world: Punctuality,
     /// The controller.
     pub controller: Punctuality,
+    /// A thread beside it that only wakes up, at the same rate and priority.
+    pub floor: Punctuality,
 }
 
 /// All rows.
@@ -93,7 +97,7 @@ pub struct Measured {
 ///
 /// # Errors
 /// When a set does not start, or fails.
-pub fn bench(arguments: &BenchLatency) -> anyhow::Result<()> {
+pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
     let folder = tempfile::tempdir()?;
     // There is nothing to judge without a policy; what it proposes is all one.
@@ -106,7 +110,7 @@ pub fn bench(arguments: &BenchLatency) -> anyhow::Result<()> {
     for &rate_hz in &arguments.rate {
         for &conduct in &conducts {
             bar.set_message(conduct.words());
-            rows.push(drive(arguments, rate_hz, conduct, &policy)?);
+            rows.push(drive(arguments, (rate_hz, conduct), &policy, clock)?);
             bar.inc(1);
         }
     }
@@ -135,9 +139,9 @@ fn conducts(loads: &[Load]) -> Vec<Conduct> {
 
 fn drive(
     arguments: &BenchLatency,
-    rate_hz: f64,
-    conduct: Conduct,
+    (rate_hz, conduct): (f64, Conduct),
     policy: &std::path::Path,
+    clock: Clock,
 ) -> anyhow::Result<Row> {
     let judge = conduct.begin()?;
     let mut up = vec!["--seed".into(), "3".into(), "--policy".into()];
@@ -148,6 +152,7 @@ fn drive(
     for text in &arguments.overrides {
         up.extend(["--set".into(), text.clone()]);
     }
+    let floor = Floor::start(rate_hz, clock)?;
     let driven = Driven::start("latency", up)?;
     let judge = judge.conduct(arguments.seconds);
     let summary = driven.finish()?;
@@ -157,6 +162,7 @@ fn drive(
         questions: judge.questions(),
         world: Punctuality::of(&summary, "world"),
         controller: Punctuality::of(&summary, "controller"),
+        floor: floor.finish()?,
     })
 }
 
@@ -174,6 +180,9 @@ fn print(measured: &Measured) {
         "max",
         "world late p99",
         "max",
+        "floor missed",
+        "late p99",
+        "max",
     ]);
     for row in &measured.rows {
         let (late, tick) = (row.controller.lateness_us, row.controller.execution_us);
@@ -188,6 +197,9 @@ fn print(measured: &Measured) {
             late.p50, late.p99, late.max, tick.p50, tick.p99, tick.max, world.p99, world.max,
         ];
         cells.extend(times.map(|us| format!("{us:.0}")));
+        cells.push(row.floor.missed.to_string());
+        let floor = row.floor.lateness_us;
+        cells.extend([floor.p99, floor.max].map(|us| format!("{us:.0}")));
         table.add_row(cells);
     }
     say(table);
@@ -195,6 +207,7 @@ fn print(measured: &Measured) {
     let priority = first.map_or("unknown", |row| &row.controller.priority);
     say(format_args!(
         "controller and world, whole process set, {} s each, real-time priority {priority}, {}; \
+         floor: a thread that only wakes up, at the same rate and priority in the same seconds; \
          nothing is left out of a maximum",
         measured.seconds, measured.conditions
     ));
