@@ -3,6 +3,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use judge::eyes::Sighted;
 use judge::record::{Record, Verdict};
@@ -186,4 +187,19 @@ fn a_committee_of_geometry_and_a_model_drives() {
     assert!(records.iter().all(|record| record.judge == "committee"));
     let agreed = records.iter().filter(|r| r.verdict != Verdict::Abstain);
     assert!(agreed.count() > 0, "they never agreed");
+}
+
+#[test]
+fn in_lockstep_a_model_may_think_for_longer_than_a_silent_process_lives() {
+    let options = Options {
+        latency: Duration::from_secs(4),
+        ..Options::default()
+    };
+    let server = Server::start(options).expect("a stand-in");
+    let set = Set::new("slow");
+    let quick = ["--gate", "paper", "--duration", "5"];
+    let json = drive(&set, &server.url(), &quick);
+    assert_eq!(json["restarts"], 0, "{}", set.logs());
+    assert_eq!(json["judge"]["failed"], 0, "{json}");
+    assert!(json["judge"]["questions"].as_u64() > Some(0), "{json}");
 }
