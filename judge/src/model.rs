@@ -294,7 +294,10 @@ impl Court {
             Some((prompt.showing, reply))
         });
         let replies: Vec<_> = replies.collect();
-        evidence.askings = asked.iter().map(asking).collect();
+        let kept = asked
+            .iter()
+            .map(|(prompt, asked)| Asking::new(prompt, asked));
+        evidence.askings = kept.collect();
         evidence.pictures = pictures.into_iter().map(|(_, picture)| picture).collect();
         if let Some(fault) = fault {
             evidence.fault = fault.word().into();
@@ -356,24 +359,5 @@ fn showing(vlm: &Vlm, seed: u64, question: &Question) -> Showing {
     Showing {
         first,
         hues: [Hue::ALL[one], Hue::ALL[other]],
-    }
-}
-
-/// For the record.
-fn asking((prompt, asked): &(Prompt, Asked)) -> Asking {
-    Asking {
-        showing: prompt.showing,
-        picture: String::new(),
-        system: prompt.system.clone(),
-        user: prompt.user.clone(),
-        said: asked.said.clone(),
-        reply: asked.reply.ok().map(|(reply, _)| reply),
-        confidence: asked.reply.ok().and_then(|(_, confidence)| confidence),
-        fault: asked.reply.err().map(|fault| fault.word().into()),
-        attempts: asked.attempts,
-        latency_s: asked.latency.as_secs_f64(),
-        tokens_in: asked.tokens_in,
-        tokens_out: asked.tokens_out,
-        cost_usd: asked.cost_usd,
     }
 }

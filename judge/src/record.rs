@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 use shm_config::message::{Assessment, Proposal};
 
-use crate::{Party, Reply, Showing};
+use crate::{Asked, Party, Prompt, Reply, Showing};
 
 /// Version of the format; a reader refuses a newer one.
 pub const VERSION: u32 = 1;
@@ -55,6 +55,14 @@ pub struct Record {
     pub foresight: Option<[Outlook; 2]>,
     /// What happened in the 3 s after the question; `None` when the run ended.
     pub aftermath: Option<Aftermath>,
+}
+
+impl Record {
+    /// All replies say that neither is clearly safer.
+    pub fn is_similar(&self) -> bool {
+        let mut replies = self.askings.iter().map(|asking| asking.reply);
+        !self.askings.is_empty() && replies.all(|reply| reply == Some(Reply::Similar))
+    }
 }
 
 /// One proposal, and what the judge in the tick measured of it.
@@ -129,6 +137,27 @@ pub struct Asking {
     pub tokens_out: u64,
     /// What it cost, US dollars.
     pub cost_usd: f64,
+}
+
+impl Asking {
+    /// What came of a prompt; the picture's file is named where it is kept.
+    pub fn new(prompt: &Prompt, asked: &Asked) -> Self {
+        Self {
+            showing: prompt.showing,
+            picture: String::new(),
+            system: prompt.system.clone(),
+            user: prompt.user.clone(),
+            said: asked.said.clone(),
+            reply: asked.reply.ok().map(|(reply, _)| reply),
+            confidence: asked.reply.ok().and_then(|(_, confidence)| confidence),
+            fault: asked.reply.err().map(|fault| fault.word().into()),
+            attempts: asked.attempts,
+            latency_s: asked.latency.as_secs_f64(),
+            tokens_in: asked.tokens_in,
+            tokens_out: asked.tokens_out,
+            cost_usd: asked.cost_usd,
+        }
+    }
 }
 
 /// An answer, for the record.

@@ -12,7 +12,7 @@ use crate::picture::{Encoding, Picture};
 use crate::record::{Asking, Record, Verdict};
 use crate::statistics::kappa;
 use crate::store::{Records, Store, read};
-use crate::{Asked, Asker, Fault, Prompt, Reply, Showing, combine};
+use crate::{Asker, Fault, Prompt, Reply, Showing, combine};
 
 /// How long is waited when the own limit of requests per minute is reached.
 const PACE: Duration = Duration::from_secs(1);
@@ -88,7 +88,7 @@ impl Replay {
         let mut askings = Vec::new();
         for (asking, picture) in record.askings.iter().zip(&pictures) {
             match self.ask_once(preset, asking, picture).await {
-                Ok(asked) => askings.push(again(asking, asked)),
+                Ok(asking) => askings.push(asking),
                 Err(fault) => return Step::Closed(fault),
             }
         }
@@ -114,7 +114,7 @@ impl Replay {
         preset: PromptPreset,
         asking: &Asking,
         picture: &Picture,
-    ) -> Result<Asked, Fault> {
+    ) -> Result<Asking, Fault> {
         let prompt = Prompt {
             preset,
             showing: asking.showing,
@@ -129,7 +129,7 @@ impl Replay {
                 Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
                 Err(Fault::Budget) => return Err(Fault::Budget),
                 Err(fault) if fault.is_permanent() => return Err(fault),
-                Ok(_) | Err(_) => return Ok(asked),
+                Ok(_) | Err(_) => return Ok(Asking::new(&prompt, &asked)),
             }
         }
     }
@@ -166,29 +166,6 @@ fn kept(folder: &Path, name: &str) -> Option<Picture> {
         width,
         height,
     })
-}
-
-/// The same asking with what was said now.
-fn again(asking: &Asking, asked: Asked) -> Asking {
-    let (reply, confidence, fault) = match asked.reply {
-        Ok((reply, confidence)) => (Some(reply), confidence, None),
-        Err(fault) => (None, None, Some(fault.word().to_string())),
-    };
-    Asking {
-        showing: asking.showing,
-        picture: String::new(),
-        system: asking.system.clone(),
-        user: asking.user.clone(),
-        said: asked.said,
-        reply,
-        confidence,
-        fault,
-        attempts: asked.attempts,
-        latency_s: asked.latency.as_secs_f64(),
-        tokens_in: asked.tokens_in,
-        tokens_out: asked.tokens_out,
-        cost_usd: asked.cost_usd,
-    }
 }
 
 /// What askings say together; without a reply to each there is no answer.

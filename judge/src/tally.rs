@@ -3,7 +3,6 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shm_config::config::Config;
 
-use crate::Reply;
 use crate::record::{Record, Verdict};
 
 /// What a run's questions came to: `runs/NAME/judge/summary.json`, which the
@@ -61,10 +60,7 @@ impl Tally {
             Verdict::Failed => &mut self.failed,
         };
         *count += 1;
-        let mut replies = record.askings.iter().map(|asking| asking.reply);
-        let is_similar =
-            !record.askings.is_empty() && replies.all(|reply| reply == Some(Reply::Similar));
-        self.similar += u64::from(is_similar);
+        self.similar += u64::from(record.is_similar());
         if record.verdict == Verdict::Failed {
             let fault = match record.fault.as_str() {
                 "" => "unknown",

@@ -9,7 +9,7 @@ use judge::picture::{Style, picture};
 use judge::record::{Asking, Occasion, Record, Verdict};
 use judge::statistics::Share;
 use judge::store::Store;
-use judge::{Asked, Asker, Fault, Hue, Party, Prompt, Reply, Showing, combine};
+use judge::{Asker, Fault, Hue, Party, Prompt, Reply, Showing};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
 use serde::Serialize;
@@ -154,7 +154,7 @@ impl Court {
             {
                 return Err(anyhow!("{}: {}", fault.word(), fault.advice()));
             }
-            askings.push(asking(prompt, asked));
+            askings.push(Asking::new(&prompt, &asked));
             pictures.push(shown);
         }
         let first = showing.first;
@@ -193,43 +193,16 @@ impl Court {
 /// What askings say together, and whom they prefer: "similar" lets the policy
 /// drive, but is no preference for a place.
 fn of_replies(askings: &[Asking]) -> (Verdict, Option<Party>) {
-    let replies: Option<Vec<(Showing, Reply)>> = askings
+    let verdict = judge::replay::verdict(askings);
+    let is_similar = askings
         .iter()
-        .map(|asking| Some((asking.showing, asking.reply?)))
-        .collect();
-    let Some(replies) = replies else {
-        return (Verdict::Failed, None);
-    };
-    let verdict = Verdict::from(combine(&replies));
-    let is_similar = replies.iter().all(|(_, reply)| *reply == Reply::Similar);
+        .all(|asking| asking.reply == Some(Reply::Similar));
     let party = match verdict {
         Verdict::Expert => Some(Party::Expert),
         Verdict::Policy if !is_similar => Some(Party::Policy),
         Verdict::Policy | Verdict::Abstain | Verdict::Failed => None,
     };
     (verdict, party)
-}
-
-fn asking(prompt: Prompt, asked: Asked) -> Asking {
-    let (reply, confidence, fault) = match asked.reply {
-        Ok((reply, confidence)) => (Some(reply), confidence, None),
-        Err(fault) => (None, None, Some(Fault::word(fault).to_string())),
-    };
-    Asking {
-        showing: prompt.showing,
-        picture: String::new(),
-        system: prompt.system,
-        user: prompt.user,
-        said: asked.said,
-        reply,
-        confidence,
-        fault,
-        attempts: asked.attempts,
-        latency_s: asked.latency.as_secs_f64(),
-        tokens_in: asked.tokens_in,
-        tokens_out: asked.tokens_out,
-        cost_usd: asked.cost_usd,
-    }
 }
 
 fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {

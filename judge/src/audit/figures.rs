@@ -190,7 +190,7 @@ impl Figures {
             questions: records.len(),
             expert: count(Verdict::Expert),
             policy: count(Verdict::Policy),
-            similar: records.iter().filter(|record| is_similar(record)).count(),
+            similar: records.iter().filter(|record| record.is_similar()).count(),
             abstained: count(Verdict::Abstain),
             failed,
             faults,
@@ -231,16 +231,10 @@ fn preferred(asking: &Asking) -> Option<Party> {
 /// What a judge preferred. "Similar" lets the policy drive, and prefers nobody: it
 /// must not count as right where the policy happens to be safer.
 fn preference(record: &Record) -> Verdict {
-    match is_similar(record) {
+    match record.is_similar() {
         true => Verdict::Abstain,
         false => record.verdict,
     }
-}
-
-/// All replies say that neither is clearly safer.
-pub fn is_similar(record: &Record) -> bool {
-    let mut replies = record.askings.iter().map(|asking| asking.reply);
-    !record.askings.is_empty() && replies.all(|reply| reply == Some(Reply::Similar))
 }
 
 fn agreement(records: &[Record]) -> Agreement {
