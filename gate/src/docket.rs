@@ -218,7 +218,11 @@ impl Docket for Committee {
         let answer = agree(&case.rulings, quorum)?;
         // What jurors who are still at it will cost is not known to this case.
         let cost_usd = case.rulings.iter().flatten().map(|r| r.cost_usd).sum();
-        Some((case.question, Ruling { answer, cost_usd }))
+        let mut ruling = Ruling::new(answer, cost_usd);
+        for (vote, said) in ruling.votes.iter_mut().zip(&case.rulings) {
+            *vote = said.map(|ruling| ruling.answer);
+        }
+        Some((case.question, ruling))
     }
 
     fn awaited(&self) -> usize {

@@ -25,6 +25,7 @@ pub use occasion::{Occasion, Occasions};
 pub use road::RoadAhead;
 pub use rules::Rules;
 
+use shm_config::config::JURORS_MAX;
 use shm_config::message::{Assessment, Judge as JudgeKind, Observation, Proposal, Step};
 
 /// One question: which of two proposals is safer here?
@@ -113,15 +114,24 @@ pub struct Ruling {
     pub answer: Answer,
     /// What it cost, US dollars.
     pub cost_usd: f64,
+    /// What each juror of a committee said, in their order; `None` for who had
+    /// not when it was decided, and for everybody else's judge.
+    pub votes: [Option<Answer>; JURORS_MAX],
 }
 
 impl Ruling {
+    /// One judge's answer.
+    pub fn new(answer: Answer, cost_usd: f64) -> Self {
+        Self {
+            answer,
+            cost_usd,
+            votes: [None; JURORS_MAX],
+        }
+    }
+
     /// No answer, at no cost.
     pub fn failed(failure: Failure) -> Self {
-        Self {
-            answer: Answer::Failed(failure),
-            cost_usd: 0.0,
-        }
+        Self::new(Answer::Failed(failure), 0.0)
     }
 }
 

@@ -40,10 +40,7 @@ impl Judge for Rules {
             (None, Some(_)) => Answer::Policy,
             (Some(_), Some(_)) => compare(&expert, &policy),
         };
-        Ruling {
-            answer,
-            cost_usd: 0.0,
-        }
+        Ruling::new(answer, 0.0)
     }
 }
 

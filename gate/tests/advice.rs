@@ -49,10 +49,7 @@ impl Judge for Script {
             1 => self.0[0],
             _ => self.0.remove(0),
         };
-        Ruling {
-            answer,
-            cost_usd: 0.01,
-        }
+        Ruling::new(answer, 0.01)
     }
 }
 
@@ -186,10 +183,7 @@ fn an_answer_that_was_overtaken_teaches_and_decides_nothing() {
         Box::new(move |questions, rulings| {
             let early = questions.recv().unwrap();
             let late = questions.recv().unwrap();
-            let ruling = |answer| Ruling {
-                answer,
-                cost_usd: 0.0,
-            };
+            let ruling = |answer| Ruling::new(answer, 0.0);
             rulings.send((late, ruling(Answer::Expert))).unwrap();
             first.recv().unwrap();
             rulings.send((early, ruling(Answer::Policy))).unwrap();

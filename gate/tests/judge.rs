@@ -186,10 +186,7 @@ impl Judge for Slow {
     }
     fn ask(&mut self, _: &Question) -> Ruling {
         let answer = self.go.recv().unwrap_or_else(|_| panic!("the judge dies"));
-        Ruling {
-            answer,
-            cost_usd: 0.01,
-        }
+        Ruling::new(answer, 0.01)
     }
 }
 
@@ -255,10 +252,7 @@ impl Judge for Content {
     }
 
     fn ask(&mut self, _question: &Question) -> Ruling {
-        Ruling {
-            answer: Answer::Policy,
-            cost_usd: 0.0,
-        }
+        Ruling::new(Answer::Policy, 0.0)
     }
 }
 

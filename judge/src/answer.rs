@@ -27,6 +27,8 @@ pub struct Reading {
     pub said: String,
     /// Tokens in and out, as the server counts them.
     pub tokens: Option<[u64; 2]>,
+    /// The model that answered, as the server names it; empty when it does not.
+    pub served: String,
 }
 
 impl Reading {
@@ -35,6 +37,7 @@ impl Reading {
             reply: Err(fault),
             said: said.into(),
             tokens: None,
+            served: String::new(),
         }
     }
 }
@@ -61,10 +64,12 @@ pub fn read(body: &[u8], prompt: &Prompt) -> Reading {
     let content = content(&envelope);
     let reply = content.and_then(|content| reply(content, prompt));
     let said = content.unwrap_or_else(|_| refusal(&envelope).unwrap_or(text));
+    let served = envelope.get("model").and_then(Value::as_str);
     Reading {
         reply,
         said: said.into(),
         tokens,
+        served: served.unwrap_or_default().into(),
     }
 }
 

@@ -1,22 +1,17 @@
 use std::fs;
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 
 use shm_config::config::Config;
+use shm_config::judged::{Judged, RUN, SUMMARY};
 
 use crate::store::{Lost, Store, StoreError};
-use crate::{Filed, Tally};
+use crate::{Filed, tally};
 
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
-
-/// Which run the records are of.
-const RUN: &str = "run.txt";
-
-/// What all of them come to, for the supervisor.
-const SUMMARY: &str = "summary.json";
 
 /// Writes records on a thread of its own: a disk that stalls holds up no advice.
 pub struct Archive {
@@ -33,22 +28,23 @@ impl Archive {
     /// # Errors
     /// When the folder cannot be made.
     pub fn open(config: &Config) -> Result<Self, StoreError> {
-        let folder = Path::new(&config.run.folder).join("judge");
-        make_room(&folder);
+        let run_folder = PathBuf::from(&config.run.folder);
+        let folder = run_folder.join("judge");
+        make_room(&run_folder);
         let mut store = Store::open(&folder, config.vlm.record_bytes_max)?;
         // Without it the next gate of this run begins anew: no harm.
-        let _ = fs::write(folder.join(RUN), run_id());
+        let _ = fs::write(run_folder.join(RUN), run_id());
         let (records, filed) = sync_channel::<Filed>(WAITING_MAX);
-        let mut tally = Tally::new(config);
+        let mut judged = tally::begin(config);
         let thread = thread::spawn(move || {
-            write_summary(&folder, &tally);
+            write_summary(&run_folder, &judged);
             while let Ok(Filed { record, pictures }) = filed.recv() {
-                tally.count(&record);
+                tally::count(&mut judged, &record);
                 let question = store.begin(record, &pictures);
                 store.complete(question);
                 let lost = store.lost();
-                tally.lost = lost.lines + lost.pictures;
-                write_summary(&folder, &tally);
+                judged.lost = lost.lines + lost.pictures;
+                write_summary(&run_folder, &judged);
             }
             let Lost {
                 lines,
@@ -92,10 +88,10 @@ impl Archive {
 }
 
 /// Whole or not at all; a disk that refuses is counted by the store.
-fn write_summary(folder: &Path, tally: &Tally) {
-    let text = serde_json::to_string(tally).unwrap_or_default();
-    let path = folder.join(SUMMARY);
-    let part = folder.join("summary.part");
+fn write_summary(run_folder: &Path, judged: &Judged) {
+    let text = serde_json::to_string(judged).unwrap_or_default();
+    let path = run_folder.join(SUMMARY);
+    let part = path.with_extension("part");
     let _ = fs::write(&part, text).and_then(|()| fs::rename(&part, &path));
 }
 
@@ -105,8 +101,9 @@ fn run_id() -> String {
 }
 
 /// Moves the records of another run out of the way.
-fn make_room(folder: &Path) {
-    let is_ours = fs::read_to_string(folder.join(RUN)).is_ok_and(|run| run == run_id());
+fn make_room(run_folder: &Path) {
+    let folder = &run_folder.join("judge");
+    let is_ours = fs::read_to_string(run_folder.join(RUN)).is_ok_and(|run| run == run_id());
     if is_ours || !folder.exists() {
         return;
     }

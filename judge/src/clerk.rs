@@ -1,11 +1,14 @@
 use std::collections::VecDeque;
 
 use gate::{Answer, CLEARANCE_MAX_M, Heard, Question};
+use shm_config::config::Juror;
 use shm_config::message::{Driver, Judge as JudgeKind, Reason, Step};
 use shm_config::{Instant, Message};
 
 use crate::picture::Picture;
-use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict};
+use crate::record::{
+    Aftermath, Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict, Vote,
+};
 
 /// How long what follows a question is watched, ns.
 const AFTERMATH_NS: u64 = 3_000_000_000;
@@ -46,6 +49,8 @@ pub struct Filed {
 /// Keeps the file of every question: what was asked, said, and what followed.
 pub struct Clerk {
     asked: u64,
+    /// Who sits on the committee, in the order of their votes.
+    jurors: Vec<Juror>,
     /// How long an answer is waited for on the run's clock, ns.
     patience_ns: u64,
     open: VecDeque<Case>,
@@ -63,10 +68,12 @@ struct Case {
 }
 
 impl Clerk {
-    /// A clerk who waits so long for an answer, ns on the run's clock.
-    pub fn new(patience_ns: u64) -> Self {
+    /// A clerk who waits so long for an answer, ns on the run's clock; `jurors`
+    /// is empty where no committee judges.
+    pub fn new(patience_ns: u64, jurors: &[Juror]) -> Self {
         Self {
             asked: 0,
+            jurors: jurors.into(),
             patience_ns,
             open: VecDeque::with_capacity(OPEN_MAX),
             filed: Vec::new(),
@@ -98,6 +105,7 @@ impl Clerk {
                 policy: Proposed::new(&question.policy, &question.policy_assessment),
                 askings: Vec::new(),
                 verdict: Verdict::Failed,
+                votes: Vec::new(),
                 fault: "unheard".into(),
                 latency_s: 0.0,
                 cost_usd: 0.0,
@@ -141,17 +149,19 @@ impl Clerk {
 
     /// An answer was heard.
     pub fn heard(&mut self, heard: &Heard, tick: u64, now: Instant) {
+        let votes = self.jurors.iter().zip(heard.ruling.votes);
+        let votes = votes.map(|(juror, vote)| Vote {
+            juror: juror.word().into(),
+            verdict: vote.map(Verdict::from),
+        });
+        let votes = votes.collect();
         let Some(case) = self.find(heard.question.key()) else {
             return;
         };
         case.is_heard = true;
         let record = &mut case.record;
-        record.verdict = match heard.ruling.answer {
-            Answer::Expert => Verdict::Expert,
-            Answer::Policy => Verdict::Policy,
-            Answer::Abstain => Verdict::Abstain,
-            Answer::Failed(_) => Verdict::Failed,
-        };
+        record.votes = votes;
+        record.verdict = heard.ruling.answer.into();
         if record.fault == "unheard" {
             record.fault = match heard.ruling.answer {
                 Answer::Failed(failure) => failure.word().into(),

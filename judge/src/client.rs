@@ -11,7 +11,7 @@ use bytes::Bytes;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use reqwest::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE};
-use reqwest::{Response, Url, redirect};
+use reqwest::{Certificate, Response, Url, redirect};
 use shm_config::config::Vlm;
 use tokio::sync::Semaphore;
 use tokio::time::Instant;
@@ -25,6 +25,12 @@ use crate::{Fault, Prompt, Reply, answer, json, retry, transport};
 
 /// What is kept of what a model or a server said, bytes.
 pub const SAID_BYTES_MAX: usize = 4096;
+
+/// Largest file of certificates, bytes; a system's whole collection has 250 kB.
+const CA_BYTES_MAX: u64 = 4 << 20;
+
+/// Longest name of a model that is kept, bytes.
+const SERVED_BYTES_MAX: usize = 128;
 
 /// Nesting of a server's own errors.
 const ERROR_DEPTH_MAX: u32 = 16;
@@ -43,6 +49,14 @@ pub enum AskerError {
     /// The key.
     #[error(transparent)]
     Key(#[from] KeyError),
+    /// The authorities' certificates.
+    #[error("{path}: {why}; vlm.ca_file must be a file of certificates in PEM")]
+    Authorities {
+        /// The file.
+        path: String,
+        /// What is wrong with it.
+        why: String,
+    },
     /// Certificates or the like.
     #[error("cannot set up HTTPS: {0}; is the package ca-certificates installed?")]
     Client(String),
@@ -55,6 +69,8 @@ pub struct Asked {
     pub reply: Result<(Reply, Option<f64>), Fault>,
     /// What the model or the server said last; at most [`SAID_BYTES_MAX`].
     pub said: String,
+    /// The model that answered, as the server names it; empty when it does not.
+    pub served: String,
     /// HTTP requests made.
     pub attempts: u32,
     /// From the question to its end.
@@ -94,6 +110,7 @@ struct State {
 struct Outcome {
     reply: Result<(Reply, Option<f64>), Fault>,
     said: String,
+    served: String,
     tokens: Option<[u64; 2]>,
     // How long the server asks to wait.
     wait: Option<Duration>,
@@ -104,6 +121,7 @@ impl Outcome {
         Self {
             reply: Err(fault),
             said: String::new(),
+            served: String::new(),
             tokens: None,
             wait: None,
         }
@@ -145,7 +163,7 @@ impl Asker {
         let key = Key::find(vlm, &url, variable)?;
         let random = std::hash::RandomState::new().build_hasher().finish();
         Ok(Self {
-            client: client(&url).map_err(|error| AskerError::Client(error.to_string()))?,
+            client: client(&url, &authorities(vlm)?).map_err(|error| unusable(vlm, &error))?,
             places: Semaphore::new(vlm.in_flight_max as usize),
             begun: Instant::now(),
             state: Mutex::new(State {
@@ -187,6 +205,7 @@ impl Asker {
         let mut asked = Asked {
             reply: Err(Fault::Busy),
             said: String::new(),
+            served: String::new(),
             attempts: 0,
             latency: Duration::ZERO,
             tokens_in: 0,
@@ -225,6 +244,7 @@ impl Asker {
             self.settle(&outcome, reserve_usd, asked);
             asked.reply = outcome.reply;
             asked.said = outcome.said;
+            asked.served = outcome.served;
             let Err(fault) = asked.reply else { return };
             let wait = self.pause(attempt, outcome.wait);
             let is_last = attempt + 1 == self.vlm.attempts_max;
@@ -311,7 +331,8 @@ impl Asker {
                 let reading = answer::read(&bytes, prompt);
                 Outcome {
                     reply: reading.reply,
-                    said: self.kept(&reading.said),
+                    said: self.kept(&reading.said, SAID_BYTES_MAX),
+                    served: self.kept(&reading.served, SERVED_BYTES_MAX),
                     tokens: reading.tokens,
                     wait: None,
                 }
@@ -333,7 +354,8 @@ impl Asker {
         let said = word("message").map_or_else(|| text.to_string(), String::from);
         Outcome {
             reply: Err(fault.unwrap_or(plain)),
-            said: self.kept(&said),
+            said: self.kept(&said, SAID_BYTES_MAX),
+            served: String::new(),
             tokens: None,
             wait,
         }
@@ -388,12 +410,12 @@ impl Asker {
     }
 
     /// What is kept of a text: no key, and not too much.
-    fn kept(&self, text: &str) -> String {
+    fn kept(&self, text: &str, bytes_max: usize) -> String {
         let mut text = match &self.key {
             Some(key) => key.redact(text),
             None => text.into(),
         };
-        text.truncate(text.floor_char_boundary(SAID_BYTES_MAX));
+        text.truncate(text.floor_char_boundary(bytes_max));
         text
     }
 
@@ -403,7 +425,39 @@ impl Asker {
     }
 }
 
-fn client(url: &Url) -> Result<reqwest::Client, reqwest::Error> {
+/// The authorities that are trusted beside the system's own.
+fn authorities(vlm: &Vlm) -> Result<Vec<Certificate>, AskerError> {
+    if vlm.ca_file.is_empty() {
+        return Ok(Vec::new());
+    }
+    let failed = |why: String| AskerError::Authorities {
+        path: vlm.ca_file.clone(),
+        why,
+    };
+    let size = std::fs::metadata(&vlm.ca_file).map_err(|error| failed(error.to_string()))?;
+    if !size.is_file() || size.len() > CA_BYTES_MAX {
+        return Err(failed(format!("no file of at most {CA_BYTES_MAX} bytes")));
+    }
+    let pem = std::fs::read(&vlm.ca_file).map_err(|error| failed(error.to_string()))?;
+    let found = Certificate::from_pem_bundle(&pem).map_err(|error| failed(error.to_string()))?;
+    match found.is_empty() {
+        true => Err(failed("no certificate in it".into())),
+        false => Ok(found),
+    }
+}
+
+/// No client can be made: with authorities of one's own, it is one of theirs.
+fn unusable(vlm: &Vlm, error: &reqwest::Error) -> AskerError {
+    match vlm.ca_file.as_str() {
+        "" => AskerError::Client(error.to_string()),
+        path => AskerError::Authorities {
+            path: path.into(),
+            why: error.to_string(),
+        },
+    }
+}
+
+fn client(url: &Url, authorities: &[Certificate]) -> Result<reqwest::Client, reqwest::Error> {
     // Somebody else in this process may have installed one already; any will do.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let mut builder = reqwest::Client::builder()
@@ -414,6 +468,9 @@ fn client(url: &Url) -> Result<reqwest::Client, reqwest::Error> {
         .user_agent(concat!("vlaps/", env!("CARGO_PKG_VERSION")));
     if is_loopback(url) {
         builder = builder.no_proxy();
+    }
+    if !authorities.is_empty() {
+        builder = builder.tls_certs_merge(authorities.iter().cloned());
     }
     if url.scheme() == "http" {
         // Nothing is looked at, so no certificates need to be there.

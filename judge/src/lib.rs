@@ -50,4 +50,3 @@ pub use model::model;
 pub use prompt::{LETTERS, Prompt, SIMILAR, fixed_showing};
 pub use recorded::Recorded;
 pub use showing::{Hue, Party, Reply, Showing, combine};
-pub use tally::Tally;

@@ -257,10 +257,8 @@ impl Court {
             Some(shot) => self.ask(question, shot, &mut evidence).await,
         };
         evidence.latency_s = (self.clock)().since_ns(begun) as f64 / 1e9;
-        let ruling = Ruling {
-            answer,
-            cost_usd: evidence.askings.iter().map(|asking| asking.cost_usd).sum(),
-        };
+        let cost_usd = evidence.askings.iter().map(|asking| asking.cost_usd).sum();
+        let ruling = Ruling::new(answer, cost_usd);
         // Evidence first: who hears the ruling finds it.
         let _ = self.evidence.send(evidence);
         let _ = self.rulings.try_send((*question, ruling));

@@ -29,7 +29,8 @@ pub struct Record {
     pub judge: String,
     /// Name of the prompt preset.
     pub preset: String,
-    /// Name of the model.
+    /// Name of the model that was asked for; what a server says it is stands with
+    /// each asking.
     pub model: String,
     /// Speed of the car, m/s.
     pub speed_mps: f64,
@@ -41,6 +42,10 @@ pub struct Record {
     pub askings: Vec<Asking>,
     /// The answer: a word of [`Verdict`].
     pub verdict: Verdict,
+    /// What each juror of a committee said; `None` for who had not when it was
+    /// decided. Empty for any other judge.
+    #[serde(default)]
+    pub votes: Vec<Vote>,
     /// Why there is no preference, for people; empty when there is one.
     pub fault: String,
     /// From question to answer, s of the wall clock.
@@ -63,6 +68,15 @@ impl Record {
         let mut replies = self.askings.iter().map(|asking| asking.reply);
         !self.askings.is_empty() && replies.all(|reply| reply == Some(Reply::Similar))
     }
+}
+
+/// What one juror of a committee said.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Vote {
+    /// Who: a word of the configuration, such as `vlm`.
+    pub juror: String,
+    /// What; `None` for nothing before the committee had its quorum.
+    pub verdict: Option<Verdict>,
 }
 
 /// One proposal, and what the judge in the tick measured of it.
@@ -121,6 +135,9 @@ pub struct Asking {
     pub user: String,
     /// What it said, as it came, cut to a limit.
     pub said: String,
+    /// The model that said it, as the server names it; empty when it does not.
+    #[serde(default)]
+    pub served: String,
     /// What that was read as.
     pub reply: Option<Reply>,
     /// How sure it said it was, 0 to 1.
@@ -148,6 +165,7 @@ impl Asking {
             system: prompt.system.clone(),
             user: prompt.user.clone(),
             said: asked.said.clone(),
+            served: asked.served.clone(),
             reply: asked.reply.ok().map(|(reply, _)| reply),
             confidence: asked.reply.ok().and_then(|(_, confidence)| confidence),
             fault: asked.reply.err().map(|fault| fault.word().into()),

@@ -113,11 +113,7 @@ impl Docket for Recorded {
         };
         let first = self.pending.iter().position(is_due)?;
         let (question, recollection) = self.pending.remove(first)?;
-        let ruling = Ruling {
-            answer: recollection.answer,
-            cost_usd: 0.0,
-        };
-        Some((question, ruling))
+        Some((question, Ruling::new(recollection.answer, 0.0)))
     }
 
     fn awaited(&self) -> usize {

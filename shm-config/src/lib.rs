@@ -5,6 +5,7 @@
 
 pub mod config;
 pub mod histogram;
+pub mod judged;
 pub mod layout;
 pub mod message;
 pub mod palette;

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use shm_config::config::{self, Config};
+use shm_config::judged::Judged;
 use shm_config::run::RunPaths;
 use shm_config::services::Process;
 use shm_config::wire::Wire;
@@ -15,6 +16,7 @@ use crate::arguments::Status;
 use crate::clean::clean_run;
 use crate::down::living_runs;
 use crate::failure::Failure;
+use crate::judged;
 use crate::live::View;
 use crate::outputs;
 use crate::ports::{Depth, Ports};
@@ -40,6 +42,8 @@ struct Runs {
 #[derive(Debug, Serialize)]
 struct Seen {
     supervisor: u32,
+    /// What the judge was asked and said; `None` where nobody judges.
+    judge: Option<Judged>,
     #[serde(flatten)]
     view: View,
 }
@@ -59,8 +63,8 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     let (mut runs, mut broken) = (Vec::new(), false);
     for paths in alive {
         if let Some(pid) = paths.supervisor_pid() {
-            let view = match listen(&paths, clock) {
-                Ok(view) => view,
+            let (view, judged) = match listen(&paths, pid, clock) {
+                Ok(seen) => seen,
                 // One broken run must not hide the others.
                 Err(error) => {
                     let name = paths.name();
@@ -78,8 +82,12 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
                 "  {}; supervisor process {pid}",
                 view.drive_line()
             ));
+            if let Some(judged) = &judged {
+                say(format_args!("  judge {judged}"));
+            }
             runs.push(Seen {
                 supervisor: pid,
+                judge: judged,
                 view,
             });
         }
@@ -107,7 +115,11 @@ fn write_json(path: &Path, runs: &Runs) -> Result<(), Failure> {
         .map_err(|error| Failure::GivenUp(format!("{}: {error}", path.display())))
 }
 
-fn listen(paths: &RunPaths, clock: Clock) -> Result<View, Failure> {
+fn listen(
+    paths: &RunPaths,
+    supervisor: u32,
+    clock: Clock,
+) -> Result<(View, Option<Judged>), Failure> {
     let config = config::load(&paths.dir().join("config.toml")).map_err(|_| {
         Failure::GivenUp(format!(
             "run '{}' is just starting or ending; try again",
@@ -121,7 +133,8 @@ fn listen(paths: &RunPaths, clock: Clock) -> Result<View, Failure> {
         clean_run(paths)?;
     }
     heard?;
-    Ok(View::from_outside(&config, &tally))
+    let judged = judged::read(&config, supervisor);
+    Ok((View::from_outside(&config, &tally), judged))
 }
 
 fn hear(paths: &RunPaths, config: &Config, tally: &mut Tally, clock: Clock) -> Result<(), Failure> {

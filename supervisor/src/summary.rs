@@ -12,7 +12,7 @@ use shm_config::config::Config;
 use shm_config::message::{Driver, Episode, Grant, Outcome};
 use shm_config::services::Process;
 
-use crate::judged::Judged;
+use crate::judged;
 use crate::live::PolicyView;
 use crate::set::ProcessSet;
 use crate::tally::{Quantiles, Tally, Totals};
@@ -61,7 +61,7 @@ pub struct Summary {
     /// The policy's weights at the end; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
     /// What the judge was asked and said; `None` where nobody judges.
-    pub judge: Option<Judged>,
+    pub judge: Option<shm_config::judged::Judged>,
     /// Each process.
     pub processes: BTreeMap<&'static str, ProcessRow>,
 }
@@ -241,7 +241,7 @@ impl Summary {
             braked: tally.episodes.values().map(|episode| episode.braked).sum(),
             policy: tally.policy.as_ref().and_then(PolicyView::of),
             oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
-            judge: Judged::read(config, Path::new(&config.run.folder), std::process::id()),
+            judge: judged::read(config, std::process::id()),
             processes,
         }
     }

@@ -1,5 +1,7 @@
 //! The page as a whole: tiles, agreement, bias, calibration, time.
 
+use std::collections::BTreeSet;
+
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::charts::{self, seconds};
@@ -45,6 +47,12 @@ fn head(records: &Records, figures: &Figures) -> Markup {
     let first = records.questions.first();
     let model = first.map_or("", |record| &record.model);
     let preset = first.map_or("", |record| &record.preset);
+    let askings = records.questions.iter().flat_map(|record| &record.askings);
+    let served: BTreeSet<_> = askings
+        .filter(|asking| !asking.served.is_empty())
+        .map(|asking| asking.served.as_str())
+        .collect();
+    let served: Vec<_> = served.into_iter().collect();
     let mixed = records
         .questions
         .iter()
@@ -52,7 +60,11 @@ fn head(records: &Records, figures: &Figures) -> Markup {
     html! {
         h1 { "The judge's record" }
         p class="lead" {
-            (records.folder.display().to_string()) " · model " b { (model) }
+            (records.folder.display().to_string()) " · model asked for " b { (model) }
+            @match served.as_slice() {
+                [] => { " (the server named none)" }
+                names => { ", served " b { (names.join(", ")) } }
+            }
             " · prompt " b { (preset) }
             @if mixed { " (and others: not all questions are alike)" }
             " · " (figures.questions) " questions, " (figures.requests) " requests"

@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::charts::{seconds, verdict_class, verdict_word};
 use super::figures::Truth;
 use super::{Pictures, Shown};
-use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Verdict};
+use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Verdict, Vote};
 use crate::{Hue, Party, Reply, Showing};
 
 pub fn question(record: &Record, pictures: &Pictures) -> Markup {
@@ -29,9 +29,20 @@ pub fn question(record: &Record, pictures: &Pictures) -> Markup {
                 @for asking in &record.askings { (one_asking(asking, pictures)) }
             }
             (proposals(record))
+            @if !record.votes.is_empty() { p { "Committee: " (votes(&record.votes)) } }
             p class="note" { (aftermath(record.aftermath.as_ref())) }
         }
     }
+}
+
+/// What each juror said.
+fn votes(votes: &[Vote]) -> String {
+    let said = votes.iter().map(|vote| {
+        let word = vote.verdict.map_or("not heard", verdict_word);
+        format!("{} {word}", vote.juror)
+    });
+    let said: Vec<String> = said.collect();
+    said.join(", ")
 }
 
 /// Right or wrong, where that is known.

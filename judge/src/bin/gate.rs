@@ -71,7 +71,11 @@ impl Gate {
         let port = member.wire.publisher(ADVICE)?;
         let mut pulse = Pulse::start(&member)?;
         let counsel = Counsel::new(&config.gate, docket);
-        let clerk = Clerk::new(patience_ns(config));
+        let jurors: &[_] = match config.gate.mode {
+            GateMode::Committee => &config.gate.committee,
+            _ => &[],
+        };
+        let clerk = Clerk::new(patience_ns(config), jurors);
         member.claim_rights();
         pulse.set_rights(&member.rights);
         pulse.enter(HealthState::Ready, monotonic());

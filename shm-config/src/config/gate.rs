@@ -56,6 +56,16 @@ pub enum Juror {
     Vlm,
 }
 
+impl Juror {
+    /// As in the configuration.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Rules => "rules",
+            Self::Vlm => "vlm",
+        }
+    }
+}
+
 /// The gate process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -133,7 +143,7 @@ impl Default for Gate {
 }
 
 /// Judges that a committee may have.
-const JURORS_MAX: usize = 9;
+pub const JURORS_MAX: usize = 9;
 
 impl Gate {
     pub(super) fn check(&self, run: &Run) -> Result<(), OutOfRange> {

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
-pub use gate::{Gate, GateMode, Juror, When};
+pub use gate::{Gate, GateMode, JURORS_MAX, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};

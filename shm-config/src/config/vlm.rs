@@ -122,6 +122,9 @@ pub struct Vlm {
     /// File that holds the key, in place of a variable; only its owner may have
     /// rights to it (chmod 600).
     pub key_file: String,
+    /// File with certificates (PEM) of authorities that are trusted for https
+    /// beside the system's own, such as a firm's; empty for none.
+    pub ca_file: String,
     /// Let the key travel unencrypted to another machine, over http.
     pub key_over_http: bool,
     /// What the model is told: blind, paper (colours of the figures) or
@@ -195,6 +198,7 @@ impl Default for Vlm {
             model: String::new(),
             key_env: "VLAPS_VLM_KEY".into(),
             key_file: String::new(),
+            ca_file: String::new(),
             key_over_http: false,
             prompt: PromptPreset::Blind,
             ask_twice: true,
