@@ -18,9 +18,10 @@ use tokio::time::Instant;
 
 use crate::breaker::Breaker;
 use crate::cost::{Estimate, cost_usd, estimate};
-use crate::dialect::{Picture, body};
+use crate::dialect::body;
 use crate::key::{Key, KeyError, is_loopback};
 use crate::limits::{Budget, Rate};
+use crate::picture::Picture;
 use crate::{Fault, Prompt, Reply, answer, json, retry, transport};
 
 /// What is kept of what a model or a server said, bytes.
@@ -228,7 +229,7 @@ impl Asker {
 
     /// Attempt after attempt, while there is hope and time.
     async fn insist(&self, prompt: &Prompt, picture: &Picture, until: Instant, asked: &mut Asked) {
-        let size_px = [picture.width_px, picture.height_px];
+        let size_px = [picture.width, picture.height];
         let reserve_usd = self.estimate(prompt, size_px).cost_usd;
         let body = Bytes::from(body(&self.vlm, prompt, picture));
         for attempt in 0..self.vlm.attempts_max {

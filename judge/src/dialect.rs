@@ -7,20 +7,8 @@ use serde::Serialize;
 use shm_config::config::{Dialect, Vlm};
 
 use crate::Prompt;
+use crate::picture::Picture;
 use crate::prompt::Schema;
-
-/// A picture as it is sent.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Picture {
-    /// The file's bytes.
-    pub bytes: Vec<u8>,
-    /// `image/png` or `image/jpeg`.
-    pub mime: &'static str,
-    /// Pixels across.
-    pub width_px: u32,
-    /// Pixels down.
-    pub height_px: u32,
-}
 
 /// The body of a request.
 #[derive(Serialize)]
@@ -126,7 +114,7 @@ fn messages<'a>(vlm: &Vlm, prompt: &'a Prompt, picture: &Picture) -> Vec<Message
     let image_url = ImageUrl {
         url: format!(
             "data:{};base64,{}",
-            picture.mime,
+            picture.encoding.mime(),
             STANDARD.encode(&picture.bytes)
         ),
         // vLLM warns of the setting and goes on without; the others never look.

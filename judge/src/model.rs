@@ -331,7 +331,7 @@ impl Court {
         let vlm = &self.config.vlm;
         let prompt = Prompt::new(vlm.prompt, showing, view, vlm.horizon_s);
         let deadline = Duration::from_secs_f64(vlm.deadline_s);
-        let asked = self.asker.ask(&prompt, &picture.sent(), deadline).await;
+        let asked = self.asker.ask(&prompt, picture, deadline).await;
         (prompt, asked)
     }
 }

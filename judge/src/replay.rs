@@ -123,7 +123,7 @@ impl Replay {
         };
         let deadline = Duration::from_secs_f64(self.vlm.deadline_s);
         loop {
-            let asked = self.asker.ask(&prompt, &picture.sent(), deadline).await;
+            let asked = self.asker.ask(&prompt, picture, deadline).await;
             match asked.reply {
                 // Nobody is in a hurry here.
                 Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,

@@ -6,6 +6,7 @@ mod shared;
 
 use std::path::Path;
 
+use judge::picture::Encoding;
 use judge::{Picture, body};
 use serde_json::Value;
 use shm_config::config::{Dialect, PromptPreset, Vlm};
@@ -27,9 +28,9 @@ fn body_of(dialect: Dialect, preset: PromptPreset) -> String {
     };
     let picture = Picture {
         bytes: b"no picture, but bytes".to_vec(),
-        mime: "image/png",
-        width_px: 1,
-        height_px: 1,
+        encoding: Encoding::Png,
+        width: 1,
+        height: 1,
     };
     let bytes = body(&vlm, &shared::prompt(preset), &picture);
     String::from_utf8(bytes).expect("UTF-8")

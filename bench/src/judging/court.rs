@@ -142,7 +142,7 @@ impl Court {
             let prompt = Prompt::new(self.vlm.prompt, showing, view, horizon_s);
             let deadline = Duration::from_secs_f64(self.vlm.deadline_s);
             let asked = loop {
-                let asked = self.asker.ask(&prompt, &shown.sent(), deadline).await;
+                let asked = self.asker.ask(&prompt, &shown, deadline).await;
                 match asked.reply {
                     // Nobody is in a hurry here.
                     Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
@@ -220,6 +220,7 @@ fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
         expert: Some(scene.proposed[0]),
         policy: Some(scene.proposed[1]),
         verdict: of_replies(&askings).0,
+        votes: Vec::new(),
         fault: askings
             .iter()
             .find_map(|asking| asking.fault.clone())

@@ -110,18 +110,6 @@ pub struct Picture {
     pub height: u32,
 }
 
-impl Picture {
-    /// As it is sent to a model.
-    pub fn sent(&self) -> crate::Picture {
-        crate::Picture {
-            bytes: self.bytes.clone(),
-            mime: self.encoding.mime(),
-            width_px: self.width,
-            height_px: self.height,
-        }
-    }
-}
-
 /// Why there is no picture.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PictureError {

@@ -5,6 +5,7 @@ use std::io::Cursor;
 use std::time::Duration;
 
 use image::{ImageFormat, Rgb, RgbImage};
+use judge::picture::Encoding;
 use judge::{Asked, Asker, Hue, Party, Picture, Prompt, Showing};
 use shm_config::config::{PromptPreset, View, Vlm};
 
@@ -62,13 +63,12 @@ pub fn picture(ahead: Hue, format: ImageFormat) -> Picture {
         .expect("encoded");
     Picture {
         bytes,
-        mime: if format == ImageFormat::Png {
-            "image/png"
-        } else {
-            "image/jpeg"
+        encoding: match format {
+            ImageFormat::Png => Encoding::Png,
+            _ => Encoding::Jpeg { quality: 90 },
         },
-        width_px: 120,
-        height_px: 100,
+        width: 120,
+        height: 100,
     }
 }
 
