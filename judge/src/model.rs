@@ -20,7 +20,7 @@ use tokio::task::LocalSet;
 use crate::picture::{Photo, Picture, Proposals, Style, picture};
 use crate::prompt::fixed_showing;
 use crate::record::{Asking, Outlook};
-use crate::{Asked, Asker, Evidence, Hue, Party, Prompt, Showing, combine};
+use crate::{Asked, Asker, Evidence, Party, Prompt, Showing, combine};
 
 /// From look to look at questions and frames; a model takes a hundred times as
 /// long, and 200 looks a second cost well under a hundredth of a core.
@@ -347,15 +347,5 @@ fn showing(vlm: &Vlm, seed: u64, question: &Question) -> Showing {
     let mut random = SplitMix64::seed_from_u64(!seed ^ place.wrapping_mul(0x9e37_79b9));
     // The first number of neighbouring seeds is alike.
     let _ = random.next_u64();
-    let mut below = |count: usize| ((random.next_u64() >> 33) as usize) % count;
-    let first = match below(2) {
-        0 => Party::Expert,
-        _ => Party::Policy,
-    };
-    let one = below(Hue::ALL.len());
-    let other = (one + 1 + below(Hue::ALL.len() - 1)) % Hue::ALL.len();
-    Showing {
-        first,
-        hues: [Hue::ALL[one], Hue::ALL[other]],
-    }
+    Showing::at_random(|count| ((random.next_u64() >> 33) as usize) % count)
 }

@@ -1,5 +1,6 @@
 use gate::Answer;
 use serde::{Deserialize, Serialize};
+use shm_config::palette::distance;
 
 /// Whose proposal a path is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -86,6 +87,10 @@ pub struct Showing {
     pub hues: [Hue; 2],
 }
 
+/// Least distance of the two colours of a picture in the cube of bytes. Red and
+/// orange are nearer: thin paths of them look alike from above.
+const HUES_APART: f64 = 140.0;
+
 impl Showing {
     /// The paper's figures: the expert first and red, the policy blue (Sec. 4.2).
     pub const PAPER: Self = Self {
@@ -98,6 +103,23 @@ impl Showing {
         first: Party::Expert,
         hues: [Hue::Green, Hue::Red],
     };
+
+    /// Whose path is the first, and two colours that nobody mixes up, at random:
+    /// `below(n)` is a random number in [0, n).
+    pub fn at_random(mut below: impl FnMut(usize) -> usize) -> Self {
+        let first = match below(2) {
+            0 => Party::Expert,
+            _ => Party::Policy,
+        };
+        let one = Hue::ALL[below(Hue::ALL.len())];
+        let is_other = |hue: &Hue| distance(hue.rgb(), one.rgb()) >= HUES_APART;
+        let others = || Hue::ALL.into_iter().filter(is_other);
+        let other = others().nth(below(others().count()));
+        Self {
+            first,
+            hues: [one, other.unwrap_or(one)],
+        }
+    }
 
     /// The same question with the paths in each other's place and colour: what
     /// a judge says of the places alone turns round.
@@ -167,5 +189,30 @@ pub fn combine(replies: &[(Showing, Reply)]) -> Answer {
     match first {
         Some(Party::Expert) => Answer::Expert,
         Some(Party::Policy) | None => Answer::Policy,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_two_colours_that_can_be_told_apart_are_shown_and_no_others() {
+        let mut shown = Vec::new();
+        for first in 0..2 {
+            for one in 0..Hue::ALL.len() {
+                for other in 0..Hue::ALL.len() {
+                    let mut draws = [first, one, other].into_iter();
+                    let showing = Showing::at_random(|count| draws.next().unwrap_or(0) % count);
+                    let [a, b] = showing.hues;
+                    assert!(distance(a.rgb(), b.rgb()) >= HUES_APART, "{showing:?}");
+                    if !shown.contains(&(showing.first, a, b)) {
+                        shown.push((showing.first, a, b));
+                    }
+                }
+            }
+        }
+        // Of 30 ordered pairs, all but red and orange, either first.
+        assert_eq!(shown.len(), 2 * 28);
     }
 }

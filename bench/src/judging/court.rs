@@ -9,7 +9,7 @@ use judge::picture::{Style, picture};
 use judge::record::{Asking, Occasion, Record, Verdict};
 use judge::statistics::Share;
 use judge::store::Store;
-use judge::{Asker, Fault, Hue, Party, Prompt, Reply, Showing};
+use judge::{Asker, Fault, Party, Prompt, Reply, Showing};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
 use serde::Serialize;
@@ -88,16 +88,7 @@ pub fn view_word(view: View) -> &'static str {
 /// Places and colours at random.
 pub fn showing(chance: &mut Xoshiro256PlusPlus) -> Showing {
     // The upper half of a product: uniform up to 1 in 2^64.
-    let mut below = |end: usize| ((u128::from(chance.next_u64()) * end as u128) >> 64) as usize;
-    let first = below(Hue::ALL.len());
-    let second = (first + 1 + below(Hue::ALL.len() - 1)) % Hue::ALL.len();
-    Showing {
-        first: match below(2) {
-            0 => Party::Expert,
-            _ => Party::Policy,
-        },
-        hues: [Hue::ALL[first], Hue::ALL[second]],
-    }
+    Showing::at_random(|end| ((u128::from(chance.next_u64()) * end as u128) >> 64) as usize)
 }
 
 impl Court {
