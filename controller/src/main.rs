@@ -9,7 +9,7 @@ use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Observation, Plan, Step, Takeover,
+    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover,
 };
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
@@ -270,10 +270,12 @@ fn tick(
     (slot, intent): (Slot, Intent),
 ) -> bool {
     let started = monotonic();
+    pulse.begin(started);
     let released_ns = inputs.observation.map_or(0, |o| o.released_ns);
     waiting.peers(ports, inputs, &slot, pulse);
     inputs.takeover = ports.takeovers.newest();
     let planned = monotonic();
+    pulse.end(Part::Wait, planned);
     let now = match (waiting.lockstep, &inputs.observation) {
         (true, Some(observation)) => observation.header.taken(),
         _ => planned,
@@ -288,9 +290,15 @@ fn tick(
     controller.tick(inputs, tick, now, intent);
     *inputs = Inputs::default();
     let decided = monotonic();
+    pulse.end(Part::Decide, decided);
+    let due_by = slot.scheduled.after_ns(waiting.period_ns);
+    let is_late = !waiting.lockstep && decided > due_by;
+    let sends = !is_late || controller.answer_late();
     let step = controller.step_mut();
     step.command.header.taken_ns = now.0;
-    ports.commands.send(&mut step.command);
+    if sends {
+        ports.commands.send(&mut step.command);
+    }
     let commanded = monotonic();
     step.skipped += slot.skipped;
     step.timings.scheduled_ns = slot.scheduled.0;
@@ -303,8 +311,9 @@ fn tick(
     waiting.stepped = Some(tick);
 
     let done = monotonic();
+    pulse.end(Part::Send, done);
     pulse.count_tick(started.since_ns(slot.due), done.since_ns(started));
-    if released_ns > 0 {
+    if released_ns > 0 && sends {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);
     }
@@ -323,7 +332,7 @@ fn tick(
     health.header.tick = tick;
     health.skipped = step.skipped;
     health.refused = step.refused;
-    health.late += u64::from(commanded > slot.scheduled.after_ns(waiting.period_ns));
+    health.late += u64::from(commanded > due_by);
     if health.ticks == 1 {
         health.first_scheduled_ns = slot.scheduled.0;
     }

@@ -6,7 +6,8 @@ use std::time::Duration;
 use clap::Parser;
 use planner::Planner;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
-use shm_config::message::{Health, HealthState, Message, Plan};
+use shm_config::config::Late;
+use shm_config::message::{Health, HealthState, Message, Part, Plan, PlanOutcome};
 use shm_config::services::{OBSERVATION, PLAN, Process};
 use shm_config::time::monotonic;
 use shm_config::{Instant, PlanTurns};
@@ -42,6 +43,16 @@ impl Slots {
     }
 }
 
+/// The plan is over its deadline: does with it what `deadlines.planner` says.
+/// Returns whether it goes out.
+fn answer_late(plan: &mut Plan, policy: Late) -> bool {
+    if policy == Late::Brake {
+        plan.outcome = PlanOutcome::Blocked.code();
+        (plan.waypoint_count, plan.action_count) = (0, 0);
+    }
+    policy != Late::Skip
+}
+
 fn main() -> ExitCode {
     exit_code(Process::Planner, plan(&Cli::parse().arguments))
 }
@@ -67,6 +78,7 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     while !member.is_stopping() {
         if let Some(observation) = observations.newest() {
             let begun = monotonic();
+            pulse.begin(begun);
             let now = match lockstep {
                 true => observation.header.taken(),
                 false => begun,
@@ -75,10 +87,18 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
                 // Between two turns the controller moves the last plan on.
                 Ok(()) if !turns.take(&observation.header) => {}
                 Ok(()) => {
-                    planner.plan(&observation, &mut plan);
-                    plan.planning_ns = monotonic().since_ns(begun);
-                    plans.send(&mut plan);
+                    pulse.end(Part::Admit, monotonic());
+                    let prepared = || pulse.end(Part::Grid, monotonic());
+                    planner.plan_in_parts(&observation, &mut plan, prepared);
+                    let planned = monotonic();
+                    pulse.end(Part::Search, planned);
+                    plan.planning_ns = planned.since_ns(begun);
+                    let is_late = !lockstep && planned.0 > observation.scheduled_ns + period_ns;
+                    if !is_late || answer_late(&mut plan, member.config.deadlines.planner) {
+                        plans.send(&mut plan);
+                    }
                     let done = monotonic();
+                    pulse.end(Part::Send, done);
                     let lateness_ns = begun.0.saturating_sub(observation.scheduled_ns);
                     pulse.count_tick(lateness_ns, done.since_ns(begun));
                     let age_ns = now.since_ns(observation.header.taken());

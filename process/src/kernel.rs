@@ -118,6 +118,7 @@ pub fn keep_heap() {
     // SAFETY: mallopt changes two thresholds of the allocator, under its own lock.
     unsafe {
         libc::mallopt(libc::M_TRIM_THRESHOLD, libc::c_int::MAX);
-        libc::mallopt(libc::M_MMAP_THRESHOLD, 64 << 20);
+        // The most that glibc takes.
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 32 << 20);
     }
 }

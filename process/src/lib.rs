@@ -109,9 +109,9 @@ impl Member {
         };
         let reservation = match config.supervisor.scheduling {
             Scheduling::Fifo => None,
-            Scheduling::Deadline => config.tick_ns(process).map(|period_ns| Reservation {
-                runtime_ns: (period_ns as f64 * config.supervisor.deadline_share) as u64,
-                period_ns,
+            Scheduling::Deadline => config.rate_hz(process).map(|rate_hz| Reservation {
+                runtime_ns: (1e9 / rate_hz * config.supervisor.deadline_share) as u64,
+                period_ns: (1e9 / rate_hz) as u64,
             }),
         };
         let rights = Rights::asked(Ask {

@@ -1,5 +1,5 @@
 use shm_config::Instant;
-use shm_config::message::{Health, HealthState, Timing};
+use shm_config::message::{Health, HealthState, PARTS, Part, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, WireError};
 
@@ -22,6 +22,8 @@ pub struct Pulse {
     timing_due: Instant,
     /// What the thread had used when it was ready.
     usage_before: Usage,
+    budgets_ns: [u64; PARTS],
+    part_begun: Instant,
 }
 
 impl Pulse {
@@ -38,6 +40,8 @@ impl Pulse {
             health_due: Instant(0),
             timing_due: Instant(0),
             usage_before: Usage::of_this_thread(),
+            budgets_ns: member.config.budgets_ns(member.process),
+            part_begun: Instant(0),
         };
         pulse.set_rights(&member.rights);
         Ok(pulse)
@@ -89,6 +93,20 @@ impl Pulse {
         self.health.minor_faults = usage.minor_faults;
         self.health.major_faults = usage.major_faults;
         self.health.involuntary_switches = usage.involuntary_switches;
+    }
+
+    /// A tick begins, and with it its first part.
+    pub fn begin(&mut self, now: Instant) {
+        self.part_begun = now;
+    }
+
+    /// A part of the tick is done, and the next one begins. What took longer than
+    /// its budget is counted.
+    pub fn end(&mut self, part: Part, now: Instant) {
+        let place = part.code() as usize;
+        let took_ns = now.since_ns(self.part_begun);
+        self.health.overruns[place] += u64::from(took_ns > self.budgets_ns[place]);
+        self.part_begun = now;
     }
 
     /// Counts one tick: begun `lateness_ns` after its instant, done after

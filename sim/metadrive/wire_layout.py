@@ -106,7 +106,8 @@ class Reason:
     STOPPING = 11
     TAKEOVER = 12
     SHADOW = 13
-    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover", 13: "shadow"}
+    LATE = 14
+    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover", 13: "shadow", 14: "late"}
 
 
 class Bend:

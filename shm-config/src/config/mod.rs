@@ -5,6 +5,7 @@
 //! valid one.
 
 mod controller;
+mod deadlines;
 mod gate;
 mod informed;
 mod kinodynamic;
@@ -22,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
+pub use deadlines::{Deadlines, Late};
 pub use gate::{Gate, GateMode, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
@@ -43,6 +45,8 @@ pub struct Config {
     pub run: Run,
     /// Age limits and waiting times.
     pub limits: Limits,
+    /// What is late, and what is slow.
+    pub deadlines: Deadlines,
     /// The car.
     pub vehicle: Vehicle,
     /// The world.
@@ -92,6 +96,7 @@ impl Config {
         self.run.check()?;
         self.check_rates()?;
         self.limits.check(&self)?;
+        self.deadlines.check()?;
         self.vehicle.validated().map_err(|error| OutOfRange {
             key: format!("vehicle.{}", error.name),
             value: error.value.to_string(),
