@@ -9,7 +9,7 @@ use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover,
+    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
 };
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
@@ -258,6 +258,22 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
     Ok(())
 }
 
+/// Counts how old the inputs of an answered observation were. Where the world is
+/// silent, steps say *blind*; how long it was is not the age of an answer.
+fn count_ages(step: &Step, timing: &mut Timing) {
+    let ages = [
+        (Measure::ObservationAge, step.observation_age_ns),
+        (Measure::PlanAge, step.plan_age_ns),
+        (Measure::AdviceAge, step.advice_age_ns),
+    ];
+    for (measure, age_ns) in ages {
+        // The greatest number stands for "there never was one".
+        if age_ns != u64::MAX {
+            timing.of_mut(measure).record(age_ns);
+        }
+    }
+}
+
 /// One tick: wait for the plan, decide, command, record. Returns whether the
 /// car stands, or nobody can say.
 #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
@@ -280,10 +296,12 @@ fn tick(
         (true, Some(observation)) => observation.header.taken(),
         _ => planned,
     };
-    let tick = match &inputs.observation {
-        Some(observation) if waiting.answered != Some(origin(observation)) => {
-            waiting.answered = Some(origin(observation));
-            observation.header.tick
+    let seen = inputs.observation.as_ref().map(origin);
+    let is_answer = seen.is_some() && seen != waiting.answered;
+    let tick = match seen {
+        Some((_, tick)) if is_answer => {
+            waiting.answered = seen;
+            tick
         }
         _ => controller.step().header.tick + 1 + slot.skipped,
     };
@@ -317,16 +335,8 @@ fn tick(
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);
     }
-    let ages = [
-        (Measure::ObservationAge, step.observation_age_ns),
-        (Measure::PlanAge, step.plan_age_ns),
-        (Measure::AdviceAge, step.advice_age_ns),
-    ];
-    for (measure, age_ns) in ages {
-        // The greatest number stands for "there never was one".
-        if age_ns != u64::MAX {
-            pulse.timing.of_mut(measure).record(age_ns);
-        }
+    if is_answer {
+        count_ages(step, &mut pulse.timing);
     }
     let health = &mut pulse.health;
     health.header.tick = tick;

@@ -40,7 +40,7 @@ pub struct ProcessRow {
     pub execution_us: Quantiles,
     /// From the world's release of an observation to the command for it (controller).
     pub response_us: Quantiles,
-    /// Age of the observation at the tick (planner, controller).
+    /// Age of the observation at the tick that answers it (planner, controller).
     pub observation_age_us: Quantiles,
     /// Age of the plan's observation at the tick (controller).
     pub plan_age_us: Quantiles,
