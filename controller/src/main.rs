@@ -8,7 +8,9 @@ use std::time::Duration;
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
-use shm_config::message::{Advice, Command, HealthState, Observation, Plan, Step, Takeover};
+use shm_config::message::{
+    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
+};
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
@@ -256,6 +258,22 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
     Ok(())
 }
 
+/// Counts how old the inputs of an answered observation were. Where the world is
+/// silent, steps say *blind*; how long it was is not the age of an answer.
+fn count_ages(step: &Step, timing: &mut Timing) {
+    let ages = [
+        (Measure::ObservationAge, step.observation_age_ns),
+        (Measure::PlanAge, step.plan_age_ns),
+        (Measure::AdviceAge, step.advice_age_ns),
+    ];
+    for (measure, age_ns) in ages {
+        // The greatest number stands for "there never was one".
+        if age_ns != u64::MAX {
+            timing.of_mut(measure).record(age_ns);
+        }
+    }
+}
+
 /// One tick: wait for the plan, decide, command, record. Returns whether the
 /// car stands, or nobody can say.
 #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
@@ -268,27 +286,37 @@ fn tick(
     (slot, intent): (Slot, Intent),
 ) -> bool {
     let started = monotonic();
+    pulse.begin(started);
     let released_ns = inputs.observation.map_or(0, |o| o.released_ns);
     waiting.peers(ports, inputs, &slot, pulse);
     inputs.takeover = ports.takeovers.newest();
     let planned = monotonic();
+    pulse.end(Part::Wait, planned);
     let now = match (waiting.lockstep, &inputs.observation) {
         (true, Some(observation)) => observation.header.taken(),
         _ => planned,
     };
-    let tick = match &inputs.observation {
-        Some(observation) if waiting.answered != Some(origin(observation)) => {
-            waiting.answered = Some(origin(observation));
-            observation.header.tick
+    let seen = inputs.observation.as_ref().map(origin);
+    let is_answer = seen.is_some() && seen != waiting.answered;
+    let tick = match seen {
+        Some((_, tick)) if is_answer => {
+            waiting.answered = seen;
+            tick
         }
         _ => controller.step().header.tick + 1 + slot.skipped,
     };
     controller.tick(inputs, tick, now, intent);
     *inputs = Inputs::default();
     let decided = monotonic();
+    pulse.end(Part::Decide, decided);
+    let due_by = slot.scheduled.after_ns(waiting.period_ns);
+    let is_late = !waiting.lockstep && decided > due_by;
+    let sends = !is_late || controller.answer_late();
     let step = controller.step_mut();
     step.command.header.taken_ns = now.0;
-    ports.commands.send(&mut step.command);
+    if sends {
+        ports.commands.send(&mut step.command);
+    }
     let commanded = monotonic();
     step.skipped += slot.skipped;
     step.timings.scheduled_ns = slot.scheduled.0;
@@ -301,16 +329,20 @@ fn tick(
     waiting.stepped = Some(tick);
 
     let done = monotonic();
+    pulse.end(Part::Send, done);
     pulse.count_tick(started.since_ns(slot.due), done.since_ns(started));
-    if released_ns > 0 {
+    if released_ns > 0 && sends {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);
+    }
+    if is_answer {
+        count_ages(step, &mut pulse.timing);
     }
     let health = &mut pulse.health;
     health.header.tick = tick;
     health.skipped = step.skipped;
     health.refused = step.refused;
-    health.late += u64::from(commanded > slot.scheduled.after_ns(waiting.period_ns));
+    health.late += u64::from(commanded > due_by);
     if health.ticks == 1 {
         health.first_scheduled_ns = slot.scheduled.0;
     }

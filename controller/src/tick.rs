@@ -1,7 +1,7 @@
 use gate::{Scene, assess};
-use shm_config::config::{Config, GateMode};
+use shm_config::config::{Config, GateMode, Late};
 use shm_config::message::{
-    Advice, Assessment, Command, Observation, Plan, Proposal, Step, Takeover,
+    Advice, Assessment, Command, Driver, Observation, Plan, Proposal, Reason, Step, Takeover,
 };
 use shm_config::{Instant, Message};
 use vehicle::Action;
@@ -188,6 +188,22 @@ impl Controller {
             false => u64::MAX,
         };
         (step.weights_version, step.weights_hash) = self.policy.weights();
+    }
+
+    /// The tick that was just decided is over its deadline: does with it what
+    /// `deadlines.controller` says. Returns whether its command goes out.
+    pub fn answer_late(&mut self) -> bool {
+        let policy = self.config.deadlines.controller;
+        let command = &mut self.step.command;
+        if policy != Late::Count {
+            command.reason = Reason::Late.code();
+        }
+        if policy == Late::Brake {
+            // Along the line that was decided: straight wheels leave a bend.
+            command.pedal = Action::BRAKE.pedal;
+            command.driver = Driver::Brake.code();
+        }
+        policy != Late::Skip
     }
 
     /// The record of the last tick.

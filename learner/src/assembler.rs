@@ -299,8 +299,11 @@ impl Assembler {
             (GateMode::Human, Some(Reason::Takeover)) => Some(Label::Expert),
             (_, Some(Reason::Vetoed)) => Some(Label::Expert),
             (GateMode::Policy | GateMode::Human, _) => Some(Label::None),
-            // Nobody can prefer a policy that proposed nothing.
-            (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty)) => Some(Label::None),
+            // Nobody can prefer a policy that proposed nothing; and of a late tick
+            // only the machine is to blame.
+            (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty | Reason::Late)) => {
+                Some(Label::None)
+            }
             (
                 GateMode::Rules
                 | GateMode::Vlm

@@ -103,8 +103,19 @@ impl Informed {
     /// is left but the path it begins with. The work is bounded by the
     /// configuration; it does not allocate.
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
+        self.plan_in_parts(observation, out, || ());
+    }
+
+    /// The same; `prepared` is called before the search begins.
+    pub(crate) fn plan_in_parts(
+        &mut self,
+        observation: &Observation,
+        out: &mut Plan,
+        prepared: impl FnOnce(),
+    ) {
         self.grid.fill(observation);
         let goal_body = choose_goal(&self.grid, &self.config, observation);
+        prepared();
         self.search.tree.restart(Point::origin());
         self.warm_nodes = 0;
         let mut spent = self.remember(observation);

@@ -142,6 +142,16 @@ impl Kinodynamic {
     /// the sideways acceleration, and that the next one's can be reached from by
     /// braking gently; a path that does not reach the goal ends at rest.
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
+        self.plan_in_parts(observation, out, || ());
+    }
+
+    /// The same; `prepared` is called before the search begins.
+    pub(crate) fn plan_in_parts(
+        &mut self,
+        observation: &Observation,
+        out: &mut Plan,
+        prepared: impl FnOnce(),
+    ) {
         let line = CentreLine::new(observation);
         self.grid.fill_along(observation, &line, &self.body.ahead_m);
         let limits_m = (self.settings.goal_distance_m, self.settings.goal_sag_m);
@@ -151,6 +161,7 @@ impl Kinodynamic {
             goal_y_body_m: goal.translation.y,
             ..header(observation, out)
         };
+        prepared();
         let mut sampler = Sampler::new(self.config.seed, &observation.header);
         let mut end = None;
         let [fast_m, slow_m] = [self.config.speed_mps, self.settings.slow_mps]

@@ -38,11 +38,22 @@ impl Planner {
     /// Writes all of `out` except the producer and sequence number of its header
     /// and the planning time, which are the caller's.
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
+        self.plan_in_parts(observation, out, || ());
+    }
+
+    /// The same; `prepared` is called when grid, course and predictions are there
+    /// and the search begins.
+    pub fn plan_in_parts(
+        &mut self,
+        observation: &Observation,
+        out: &mut Plan,
+        prepared: impl FnOnce(),
+    ) {
         match self {
-            Self::RrtStar(planner) => planner.plan(observation, out),
-            Self::Informed(planner) => planner.plan(observation, out),
-            Self::Kinodynamic(planner) => planner.plan(observation, out),
-            Self::Mpc(planner) => planner.plan(observation, out),
+            Self::RrtStar(planner) => planner.plan_in_parts(observation, out, prepared),
+            Self::Informed(planner) => planner.plan_in_parts(observation, out, prepared),
+            Self::Kinodynamic(planner) => planner.plan_in_parts(observation, out, prepared),
+            Self::Mpc(planner) => planner.plan_in_parts(observation, out, prepared),
         }
     }
 

@@ -54,6 +54,16 @@ impl RrtStar {
     /// and the planning time, which are the caller's. Nothing of an earlier plan
     /// is left. The work is bounded by the configuration; it does not allocate.
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
+        self.plan_in_parts(observation, out, || ());
+    }
+
+    /// The same; `prepared` is called before the search begins.
+    pub(crate) fn plan_in_parts(
+        &mut self,
+        observation: &Observation,
+        out: &mut Plan,
+        prepared: impl FnOnce(),
+    ) {
         let Self {
             config,
             grid,
@@ -62,6 +72,7 @@ impl RrtStar {
         grid.fill(observation);
         let goal_body = choose_goal(grid, config, observation);
         let sampler = Sampler::new(config.seed, &observation.header);
+        prepared();
         search.grow(grid, config, goal_body, sampler);
         *out = Plan {
             goal_x_body_m: goal_body.x,

@@ -1,9 +1,9 @@
 use shm_config::Instant;
-use shm_config::message::{Health, HealthState, Timing};
+use shm_config::message::{Health, HealthState, PARTS, Part, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, WireError};
 
-use crate::{Member, Rights};
+use crate::{Member, Rights, Usage};
 
 /// How often a process says how it does, ns on the machine's clock.
 const HEALTH_NS: u64 = 50_000_000;
@@ -14,12 +14,16 @@ const TIMING_NS: u64 = 500_000_000;
 pub struct Pulse {
     /// What it says.
     pub health: Health,
-    /// How punctual it was. Boxed: 34 kB do not belong on a stack.
+    /// How punctual it was. Boxed: 68 kB do not belong on a stack.
     pub timing: Box<Timing>,
     health_port: Publisher<Health>,
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
+    /// What the thread had used when it was ready.
+    usage_before: Usage,
+    budgets_ns: [u64; PARTS],
+    part_begun: Instant,
 }
 
 impl Pulse {
@@ -35,6 +39,9 @@ impl Pulse {
             timing_port: member.wire.publisher(timing(member.process))?,
             health_due: Instant(0),
             timing_due: Instant(0),
+            usage_before: Usage::of_this_thread(),
+            budgets_ns: member.config.budgets_ns(member.process),
+            part_begun: Instant(0),
         };
         pulse.set_rights(&member.rights);
         Ok(pulse)
@@ -47,10 +54,15 @@ impl Pulse {
         self.health.memory = rights.memory.code();
         self.health.priority_asked = rights.priority_asked();
         self.health.priority_got = rights.priority_got();
+        self.health.scheduling_asked = rights.scheduling_asked().code();
+        self.health.scheduling_got = rights.scheduling.code();
     }
 
     /// Says a new state at once.
     pub fn enter(&mut self, state: HealthState, now: Instant) {
+        if state == HealthState::Ready {
+            self.usage_before = Usage::of_this_thread();
+        }
         self.health.state = state.code();
         self.health_due = now;
         self.timing_due = now;
@@ -61,6 +73,7 @@ impl Pulse {
     /// or blocks.
     pub fn beat(&mut self, now: Instant) {
         if now >= self.health_due {
+            self.count_usage();
             self.health.header.taken_ns = now.0;
             self.health_port.send(&mut self.health);
             self.health_port.tend();
@@ -72,6 +85,28 @@ impl Pulse {
             self.timing_port.tend();
             self.timing_due = now.after_ns(TIMING_NS);
         }
+    }
+
+    /// To be called from the tick's thread, between ticks.
+    fn count_usage(&mut self) {
+        let usage = Usage::of_this_thread().since(self.usage_before);
+        self.health.minor_faults = usage.minor_faults;
+        self.health.major_faults = usage.major_faults;
+        self.health.involuntary_switches = usage.involuntary_switches;
+    }
+
+    /// A tick begins, and with it its first part.
+    pub fn begin(&mut self, now: Instant) {
+        self.part_begun = now;
+    }
+
+    /// A part of the tick is done, and the next one begins. What took longer than
+    /// its budget is counted.
+    pub fn end(&mut self, part: Part, now: Instant) {
+        let place = part.code() as usize;
+        let took_ns = now.since_ns(self.part_begun);
+        self.health.overruns[place] += u64::from(took_ns > self.budgets_ns[place]);
+        self.part_begun = now;
     }
 
     /// Counts one tick: begun `lateness_ns` after its instant, done after

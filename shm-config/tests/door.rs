@@ -235,6 +235,10 @@ fn steps_progress_episodes_health_and_policy_status() {
     ));
     assert_eq!(Learning::default().check(), Ok(()));
     assert!(matches!(
+        refused(Health::default(), |h| h.scheduling_got = 3),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
         refused(Health::default(), |h| h.memory = 3),
         Refusal::UnknownCode { .. }
     ));

@@ -6,6 +6,7 @@ import ctypes
 import datetime
 import os
 import queue
+import resource
 import signal
 import sys
 import threading
@@ -145,6 +146,9 @@ class Rights:
         health.priority_asked = self._priority_asked
         got = self._priority == layout.Grant.GRANTED
         health.priority_got = self._priority_asked if got else 0
+        scheduling = layout.Scheduling
+        health.scheduling_asked = scheduling.FIFO if self._priority_asked else scheduling.ORDINARY
+        health.scheduling_got = scheduling.FIFO if got else scheduling.ORDINARY
 
     def words(self):
         word = layout.Grant.WORDS
@@ -183,9 +187,12 @@ class Pulse:
         self._timing_port = wire.publisher(layout.TIMING_WORLD)
         self._health_due = 0
         self._timing_due = 0
+        self._usage_before = resource.getrusage(resource.RUSAGE_THREAD)
 
     def enter(self, state, now_ns):
         """Says a new state at once."""
+        if state == layout.HealthState.READY:
+            self._usage_before = resource.getrusage(resource.RUSAGE_THREAD)
         self.health.state = state
         self._health_due = self._timing_due = now_ns
         self.beat(now_ns)
@@ -193,6 +200,10 @@ class Pulse:
     def beat(self, now_ns):
         """Publishes what is due, between ticks."""
         if now_ns >= self._health_due:
+            usage, before = resource.getrusage(resource.RUSAGE_THREAD), self._usage_before
+            self.health.minor_faults = usage.ru_minflt - before.ru_minflt
+            self.health.major_faults = usage.ru_majflt - before.ru_majflt
+            self.health.involuntary_switches = usage.ru_nivcsw - before.ru_nivcsw
             self.health.header.taken_ns = now_ns
             self._health_port.send(self.health)
             self._health_port.tend()

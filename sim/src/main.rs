@@ -6,7 +6,10 @@ use std::time::Duration;
 use clap::Parser;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use rustix::time::{ClockId, Timespec};
-use shm_config::message::{Command, Header, HealthState, Message, Observation, Outcome, Progress};
+use shm_config::config::Late;
+use shm_config::message::{
+    Command, Header, HealthState, Message, Observation, Outcome, Part, Progress,
+};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
@@ -93,6 +96,8 @@ struct Session {
     told: Option<u64>,
     /// What worlds before this one have driven.
     driven_ns: u64,
+    /// This instant begins after the next one was due.
+    is_late: bool,
 }
 
 fn run(cli: &Cli) -> Result<(), SetUpError> {
@@ -138,6 +143,7 @@ impl Session {
             episode_skipped: 0,
             told: None,
             driven_ns: cli.driven_ns,
+            is_late: false,
         })
     }
 
@@ -148,12 +154,21 @@ impl Session {
         loop {
             self.sleep();
             let released = monotonic();
+            self.pulse.begin(released);
             let now = match self.lockstep {
                 true => self.grid.now(),
                 false => released,
             };
             if !self.grid.is_first() && self.advance(now)? {
                 break;
+            }
+            self.pulse.end(Part::Move, monotonic());
+            if self.is_late && self.deadline() == Late::Skip {
+                self.grid.move_on();
+                self.schedule();
+                self.pulse.beat(monotonic());
+                self.ports.tend();
+                continue;
             }
             let moment = match self.told == Some(self.grid.tick()) {
                 true => Moment::Between,
@@ -181,13 +196,20 @@ impl Session {
         }
         let timespec: Timespec = self.grid.now().timespec();
         while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &timespec).is_err() {}
+        let missed = self.grid.missed();
         self.grid.miss_until(monotonic());
+        self.is_late = self.grid.missed() > missed;
+    }
+
+    fn deadline(&self) -> Late {
+        self.member.config.deadlines.world
     }
 
     /// Ends the instant of now: counts it, and as a tick where the run has one.
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn account(&mut self, released: Instant, moment: Moment) {
         let done = monotonic();
+        self.pulse.end(Part::Send, done);
         let lateness_ns = match self.lockstep {
             true => 0,
             false => released.since_ns(self.grid.now()),
@@ -227,7 +249,8 @@ impl Session {
         let limit_ns = self.member.config.limits.command_age_ns();
         let young = self
             .command
-            .filter(|command| command.admit(now, limit_ns).is_ok());
+            .filter(|command| command.admit(now, limit_ns).is_ok())
+            .filter(|_| !(self.is_late && self.deadline() == Late::Brake));
         let action = self.score.obey(young.as_ref(), now);
         self.recorder.moved(Move { action, substeps });
         for _ in 0..substeps {
@@ -323,9 +346,11 @@ impl Session {
     }
 
     /// Publishes what is seen. Between two ticks of the run nobody is woken by it.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn publish(&mut self, released: Instant, now: Instant, moment: Moment) {
         let passed = self.grid.substep_share();
         self.world.observe_between(passed, &mut self.observation);
+        self.pulse.end(Part::Observe, monotonic());
         self.observation.header = self.header(now);
         self.observation.scheduled_ns = match self.lockstep {
             true => released.0,

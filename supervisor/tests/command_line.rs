@@ -361,6 +361,7 @@ fn the_doctor_looks_at_everything_and_names_what_it_found() {
         "locked memory",
         "shared memory",
         "cores",
+        "isolated cores",
         "kernel",
         "real-time share",
         "CPU governor",

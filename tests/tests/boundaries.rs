@@ -37,7 +37,7 @@ const ARROWS: &[(&str, &[&str])] = &[
 const UNSAFE_HOMES: &[&str] = &[
     "shm-config/src/layout.rs",
     "shm-config/src/wire.rs",
-    "process/src/realtime.rs",
+    "process/src/kernel.rs",
     "learner/src/cuda.rs",
     "learner/src/matrix.rs",
 ];

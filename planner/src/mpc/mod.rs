@@ -126,6 +126,16 @@ impl Mpc {
     /// Writes all of `out` except the producer and sequence number of its header
     /// and the planning time, which are the caller's.
     pub fn plan(&mut self, observation: &Observation, out: &mut Plan) {
+        self.plan_in_parts(observation, out, || ());
+    }
+
+    /// The same; `prepared` is called before the search begins.
+    pub(crate) fn plan_in_parts(
+        &mut self,
+        observation: &Observation,
+        out: &mut Plan,
+        prepared: impl FnOnce(),
+    ) {
         let ego = self.remember(observation);
         let line = Line::new(observation);
         self.field
@@ -136,6 +146,7 @@ impl Mpc {
             left_m: (road.right_m - road.left_m) / 2.0,
         };
         let last = self.last_path(observation, &line);
+        prepared();
         let path = self.lattice.search(
             &Ground {
                 line: &line,

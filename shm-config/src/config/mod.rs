@@ -5,6 +5,7 @@
 //! valid one.
 
 mod controller;
+mod deadlines;
 mod gate;
 mod informed;
 mod kinodynamic;
@@ -22,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
+pub use deadlines::{Deadlines, Late};
 pub use gate::{Gate, GateMode, JURORS_MAX, Juror, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
@@ -31,7 +33,7 @@ pub use mpc::Mpc;
 pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
-pub use run::{Clock, Limits, Run, Supervisor};
+pub use run::{Clock, Limits, Run, Scheduling, Supervisor};
 pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, View, Vlm};
 pub use world::{Simulator, World};
 
@@ -43,6 +45,8 @@ pub struct Config {
     pub run: Run,
     /// Age limits and waiting times.
     pub limits: Limits,
+    /// What is late, and what is slow.
+    pub deadlines: Deadlines,
     /// The car.
     pub vehicle: Vehicle,
     /// The world.
@@ -92,6 +96,7 @@ impl Config {
         self.run.check()?;
         self.check_rates()?;
         self.limits.check(&self)?;
+        self.deadlines.check()?;
         self.vehicle.validated().map_err(|error| OutOfRange {
             key: format!("vehicle.{}", error.name),
             value: error.value.to_string(),

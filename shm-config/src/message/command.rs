@@ -45,6 +45,9 @@ crate::word_list! {
         Takeover = 12 "takeover",
         /// The only policy there is proposes in shadow yet: the expert drives.
         Shadow = 13 "shadow",
+        /// The tick was done after its deadline (`deadlines.controller`): the brake,
+        /// or the driver whose command was held back.
+        Late = 14 "late",
     }
 }
 
