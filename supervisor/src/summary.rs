@@ -106,6 +106,9 @@ pub struct ProcessRow {
     pub skipped: u64,
     /// Ticks completed after their deadline.
     pub late: u64,
+    /// From its first tick due to the next one due, s on the run's clock; 0 of a
+    /// process that keeps no grid of its own, such as the planner.
+    pub elapsed_s: f64,
     /// Messages refused at its door.
     pub refused: u64,
     /// From the scheduled instant to the begin of the tick.
@@ -174,6 +177,7 @@ impl ProcessRow {
             ticks: totals.ticks,
             skipped: totals.skipped,
             late: totals.late,
+            elapsed_s: totals.elapsed_ns as f64 / 1e9,
             refused: totals.refused,
             release_lateness_us: Quantiles::of(&timing.release_lateness),
             execution_us: Quantiles::of(&timing.execution),
