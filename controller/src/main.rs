@@ -8,7 +8,9 @@ use std::time::Duration;
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
-use shm_config::message::{Advice, Command, HealthState, Observation, Plan, Step, Takeover};
+use shm_config::message::{
+    Advice, Command, HealthState, Measure, Observation, Plan, Step, Takeover,
+};
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
@@ -305,6 +307,17 @@ fn tick(
     if released_ns > 0 {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);
+    }
+    let ages = [
+        (Measure::ObservationAge, step.observation_age_ns),
+        (Measure::PlanAge, step.plan_age_ns),
+        (Measure::AdviceAge, step.advice_age_ns),
+    ];
+    for (measure, age_ns) in ages {
+        // The greatest number stands for "there never was one".
+        if age_ns != u64::MAX {
+            pulse.timing.of_mut(measure).record(age_ns);
+        }
     }
     let health = &mut pulse.health;
     health.header.tick = tick;

@@ -6,10 +6,10 @@ use std::time::Duration;
 use clap::Parser;
 use planner::Planner;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
-use shm_config::PlanTurns;
-use shm_config::message::{HealthState, Message, Plan};
+use shm_config::message::{Health, HealthState, Message, Plan};
 use shm_config::services::{OBSERVATION, PLAN, Process};
 use shm_config::time::monotonic;
+use shm_config::{Instant, PlanTurns};
 
 /// Answers observations with plans, at its own rate
 #[derive(Parser)]
@@ -21,6 +21,26 @@ struct Cli {
 
 /// How long the planner sleeps at most before it says how it does.
 const NAP: Duration = Duration::from_millis(20);
+
+/// Accounts for every turn: planned, or skipped.
+struct Slots {
+    period_ns: u64,
+}
+
+impl Slots {
+    /// A plan for the observation that was due then. Those since the one before
+    /// that got no plan are skipped. Another world's grid may be shifted: whole
+    /// periods count, rounded.
+    fn account(&self, due: Instant, health: &mut Health) {
+        if health.ticks == 1 {
+            health.first_scheduled_ns = due.0;
+        } else {
+            let late_ns = due.since_ns(Instant(health.next_scheduled_ns));
+            health.skipped += (late_ns + self.period_ns / 2) / self.period_ns;
+        }
+        health.next_scheduled_ns = due.after_ns(self.period_ns).0;
+    }
+}
 
 fn main() -> ExitCode {
     exit_code(Process::Planner, plan(&Cli::parse().arguments))
@@ -40,6 +60,7 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     let limit_ns = member.config.limits.observation_age_ns();
     let mut turns = PlanTurns::every(member.config.plan_ticks());
     let period_ns = member.config.run.period_ns() * member.config.plan_ticks();
+    let slots = Slots { period_ns };
     member.claim_rights();
     pulse.set_rights(&member.rights);
     pulse.enter(HealthState::Ready, monotonic());
@@ -60,6 +81,13 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
                     let done = monotonic();
                     let lateness_ns = begun.0.saturating_sub(observation.scheduled_ns);
                     pulse.count_tick(lateness_ns, done.since_ns(begun));
+                    let age_ns = now.since_ns(observation.header.taken());
+                    pulse.timing.observation_age.record(age_ns);
+                    let due = match lockstep {
+                        true => observation.header.taken(),
+                        false => Instant(observation.scheduled_ns),
+                    };
+                    slots.account(due, &mut pulse.health);
                     let health = &mut pulse.health;
                     health.header.tick = observation.header.tick;
                     health.late += u64::from(done.0 > observation.scheduled_ns + period_ns);

@@ -2,6 +2,7 @@
 //! configuration, membership in the run, logs, stop signal, real-time rights,
 //! and saying how it does. The ticks themselves are each process's own.
 
+mod kernel;
 mod pulse;
 mod realtime;
 
@@ -12,13 +13,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 use rustix::process::Signal;
-use shm_config::config::{Config, ConfigError, load};
+use shm_config::config::{Config, ConfigError, Scheduling, load};
 use shm_config::run::InvalidRunName;
 use shm_config::services::Process;
 use shm_config::wire::{Wire, WireError};
 
+pub use kernel::Usage;
 pub use pulse::Pulse;
-pub use realtime::Rights;
+pub use realtime::{Ask, Reservation, Rights};
 
 /// The exit code of a process that could not be set up. The supervisor does not
 /// restart it: it would fail again.
@@ -105,7 +107,18 @@ impl Member {
             true => 0,
             false => arguments.priority,
         };
-        let rights = Rights::asked(priority, arguments.core);
+        let reservation = match config.supervisor.scheduling {
+            Scheduling::Fifo => None,
+            Scheduling::Deadline => config.tick_ns(process).map(|period_ns| Reservation {
+                runtime_ns: (period_ns as f64 * config.supervisor.deadline_share) as u64,
+                period_ns,
+            }),
+        };
+        let rights = Rights::asked(Ask {
+            priority,
+            core: arguments.core,
+            reservation,
+        });
         Ok(Self {
             process,
             config,
@@ -126,6 +139,7 @@ impl Member {
     pub fn claim_rights(&mut self) {
         self.rights.claim();
         tracing::info!(
+            scheduling = %self.rights.scheduling,
             priority = %self.rights.priority,
             core = %self.rights.core,
             memory = %self.rights.memory,

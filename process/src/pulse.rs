@@ -3,7 +3,7 @@ use shm_config::message::{Health, HealthState, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, WireError};
 
-use crate::{Member, Rights};
+use crate::{Member, Rights, Usage};
 
 /// How often a process says how it does, ns on the machine's clock.
 const HEALTH_NS: u64 = 50_000_000;
@@ -14,12 +14,14 @@ const TIMING_NS: u64 = 500_000_000;
 pub struct Pulse {
     /// What it says.
     pub health: Health,
-    /// How punctual it was. Boxed: 34 kB do not belong on a stack.
+    /// How punctual it was. Boxed: 68 kB do not belong on a stack.
     pub timing: Box<Timing>,
     health_port: Publisher<Health>,
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
+    /// What the thread had used when it was ready.
+    usage_before: Usage,
 }
 
 impl Pulse {
@@ -35,6 +37,7 @@ impl Pulse {
             timing_port: member.wire.publisher(timing(member.process))?,
             health_due: Instant(0),
             timing_due: Instant(0),
+            usage_before: Usage::of_this_thread(),
         };
         pulse.set_rights(&member.rights);
         Ok(pulse)
@@ -47,10 +50,15 @@ impl Pulse {
         self.health.memory = rights.memory.code();
         self.health.priority_asked = rights.priority_asked();
         self.health.priority_got = rights.priority_got();
+        self.health.scheduling_asked = rights.scheduling_asked().code();
+        self.health.scheduling_got = rights.scheduling.code();
     }
 
     /// Says a new state at once.
     pub fn enter(&mut self, state: HealthState, now: Instant) {
+        if state == HealthState::Ready {
+            self.usage_before = Usage::of_this_thread();
+        }
         self.health.state = state.code();
         self.health_due = now;
         self.timing_due = now;
@@ -61,6 +69,7 @@ impl Pulse {
     /// or blocks.
     pub fn beat(&mut self, now: Instant) {
         if now >= self.health_due {
+            self.count_usage();
             self.health.header.taken_ns = now.0;
             self.health_port.send(&mut self.health);
             self.health_port.tend();
@@ -72,6 +81,14 @@ impl Pulse {
             self.timing_port.tend();
             self.timing_due = now.after_ns(TIMING_NS);
         }
+    }
+
+    /// To be called from the tick's thread, between ticks.
+    fn count_usage(&mut self) {
+        let usage = Usage::of_this_thread().since(self.usage_before);
+        self.health.minor_faults = usage.minor_faults;
+        self.health.major_faults = usage.major_faults;
+        self.health.involuntary_switches = usage.involuntary_switches;
     }
 
     /// Counts one tick: begun `lateness_ns` after its instant, done after

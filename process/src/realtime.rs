@@ -1,13 +1,46 @@
+//! Real-time rights of the tick's thread: what it asks for, what it got.
+
 use rustix::mm::{MlockAllFlags, mlockall};
-use rustix::thread::{CpuSet, sched_setaffinity};
-use shm_config::message::Grant;
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use shm_config::message::{Grant, Scheduling};
+
+use crate::kernel::{keep_heap, own_scheduling, set_deadline, set_fifo};
+
+/// Stack that is touched before the first tick, bytes. The deepest tick, that of
+/// the MPC, uses a tenth of it.
+const STACK_BYTES: usize = 512 << 10;
+/// Heap that is touched before the first tick and kept, bytes. A tick allocates
+/// nothing; what runs between ticks (connecting to a restarted peer) does.
+const HEAP_BYTES: usize = 1 << 20;
+
+/// What a process asks the kernel for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ask {
+    /// `SCHED_FIFO` priority; 0 for no right at all but the core.
+    pub priority: u32,
+    /// Core to stay on.
+    pub core: Option<usize>,
+    /// `SCHED_DEADLINE` in place of `SCHED_FIFO`, where it is granted.
+    pub reservation: Option<Reservation>,
+}
+
+/// Processor time that `SCHED_DEADLINE` guarantees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reservation {
+    /// Time in each period, ns.
+    pub runtime_ns: u64,
+    /// From tick to tick, ns.
+    pub period_ns: u64,
+}
 
 /// What the calling thread asks the kernel for, and what it got.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Rights {
-    priority_asked: u32,
-    core_asked: Option<usize>,
-    /// Real-time scheduling.
+    ask: Ask,
+    /// The scheduling in force, as the kernel says.
+    pub scheduling: Scheduling,
+    priority_got: u32,
+    /// Real-time scheduling of either kind.
     pub priority: Grant,
     /// Its own core.
     pub core: Grant,
@@ -17,10 +50,11 @@ pub struct Rights {
 
 impl Rights {
     /// A wish list; nothing is asked of the kernel yet.
-    pub fn asked(priority: u32, core: Option<usize>) -> Self {
+    pub fn asked(ask: Ask) -> Self {
         Self {
-            priority_asked: priority,
-            core_asked: core,
+            ask,
+            scheduling: Scheduling::Ordinary,
+            priority_got: 0,
             priority: Grant::Unasked,
             core: Grant::Unasked,
             memory: Grant::Unasked,
@@ -29,31 +63,53 @@ impl Rights {
 
     /// The SCHED_FIFO priority asked for; 0 for none.
     pub fn priority_asked(&self) -> u32 {
-        self.priority_asked
+        self.ask.priority
     }
 
     /// The SCHED_FIFO priority in force; 0 for none.
     pub fn priority_got(&self) -> u32 {
-        match self.priority {
-            Grant::Granted => self.priority_asked,
-            Grant::Refused | Grant::Unasked => 0,
+        self.priority_got
+    }
+
+    /// The scheduling asked for.
+    pub fn scheduling_asked(&self) -> Scheduling {
+        match (self.ask.priority, self.ask.reservation) {
+            (0, _) => Scheduling::Ordinary,
+            (_, None) => Scheduling::Fifo,
+            (_, Some(_)) => Scheduling::Deadline,
         }
     }
 
-    /// Asks for everything on the list, for the calling thread.
+    /// Asks for everything on the list, for the calling thread, and reads back
+    /// from the kernel what came of it.
     pub(crate) fn claim(&mut self) {
-        if let Some(core) = self.core_asked {
+        let wants = self.ask.priority > 0;
+        let reserved = wants
+            && self
+                .ask
+                .reservation
+                .is_some_and(|time| set_deadline(time.runtime_ns, time.period_ns));
+        // The kernel places reservations itself: it refuses them to a thread that
+        // may not use every core.
+        if let Some(core) = self.ask.core.filter(|_| !reserved) {
             self.core = grant(stay_on(core));
         }
-        if self.priority_asked == 0 {
+        if !wants {
             return;
         }
-        self.priority = grant(set_fifo(self.priority_asked));
+        if !reserved {
+            set_fifo(self.ask.priority);
+        }
+        (self.scheduling, self.priority_got) = own_scheduling();
+        self.priority = grant(self.scheduling != Scheduling::Ordinary);
         // Pages are locked as they are first touched: locking the whole address
         // space would also fill the reserved but unused parts of large queues.
         let flags = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
         self.memory = grant(mlockall(flags).is_ok());
-        // Absolute sleeps of real-time threads have no slack; of others, 50 us.
+        touch_stack();
+        keep_heap();
+        touch_heap();
+        // Timed waits of real-time threads have no slack; of others, 50 us.
         let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
     }
 }
@@ -72,16 +128,19 @@ fn stay_on(core: usize) -> bool {
     }
     let mut cores = CpuSet::new();
     cores.set(core);
-    sched_setaffinity(None, &cores).is_ok()
+    let asked = sched_setaffinity(None, &cores).is_ok();
+    asked && sched_getaffinity(None).is_ok_and(|got| got == cores)
 }
 
-#[allow(unsafe_code)]
-fn set_fifo(priority: u32) -> bool {
-    let parameters = libc::sched_param {
-        sched_priority: priority as libc::c_int,
-    };
-    // Threads started later do not inherit the priority.
-    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // SAFETY: pid 0 is the calling thread and the parameters live through the call.
-    unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
+/// The pages of the stack are there before a tick reaches down to them.
+#[inline(never)]
+fn touch_stack() {
+    let mut room = [0u8; STACK_BYTES];
+    std::hint::black_box(&mut room);
+}
+
+/// The same for the heap, which keeps what is freed.
+fn touch_heap() {
+    let room = vec![1u8; HEAP_BYTES];
+    drop(std::hint::black_box(room));
 }

@@ -47,6 +47,22 @@ impl Histogram {
         self.max_ns = self.max_ns.max(other.max_ns);
     }
 
+    /// The buckets that hold something: from (in it), below (not in it), ns, and
+    /// the count. The last bucket holds all that is longer, so it ends with the
+    /// maximum.
+    pub fn filled(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
+        let filled = self.buckets.iter().enumerate();
+        filled
+            .filter(|(_, count)| **count > 0)
+            .map(|(bucket, &count)| {
+                let below_ns = match bucket + 1 == BUCKETS {
+                    true => self.max_ns.saturating_add(1),
+                    false => floor_of(bucket + 1),
+                };
+                (floor_of(bucket), below_ns, count)
+            })
+    }
+
     /// The same counts in the library's type, for quantiles and plots.
     pub fn to_hdr(&self) -> hdrhistogram::Histogram<u64> {
         let mut hdr = hdrhistogram::Histogram::<u64>::new_with_bounds(1 << UNIT_SHIFT, 1 << 35, 2)
@@ -101,6 +117,21 @@ mod tests {
         }
         assert_eq!(histogram.quantile_ns(1.0), all[all.len() - 1]);
         assert_eq!(histogram.count, 10_000);
+    }
+
+    #[test]
+    fn the_filled_buckets_hold_each_duration_once() {
+        let mut histogram = Histogram::default();
+        let durations = [0, 63, 64, 16_500, 1_000_000, 1_000_001, 40_000_000_000];
+        durations.iter().for_each(|&ns| histogram.record(ns));
+        let filled: Vec<_> = histogram.filled().collect();
+        let held = |ns: u64| {
+            let holds = |(from, below, _): &&(u64, u64, u32)| *from <= ns && ns < *below;
+            filled.iter().filter(holds).count()
+        };
+        assert!(durations.iter().all(|&ns| held(ns) == 1), "{filled:?}");
+        let count: u64 = filled.iter().map(|(_, _, count)| u64::from(*count)).sum();
+        assert_eq!(count, histogram.count);
     }
 
     #[test]

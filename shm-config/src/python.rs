@@ -11,8 +11,8 @@ use crate::layout::Layout;
 use crate::message::{
     Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FRAME_BYTES_MAX, FRAME_SIDES_PX,
     FUTURE_TOLERANCE_NS, Frame, FrameRequest, Grant, Header, Health, HealthState, Histogram,
-    Observation, Outcome, PixelFormat, Progress, Proposal, Reason, Road, TOP_DOWN_ACROSS_M,
-    TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, Timing, View,
+    Observation, Outcome, PixelFormat, Progress, Proposal, Reason, Road, Scheduling,
+    TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, Timing, View,
 };
 use crate::palette;
 use crate::run;
@@ -47,6 +47,13 @@ pub fn module() -> String {
         HealthState::word,
     );
     word_list(&mut out, "Grant", Grant::ALL, Grant::code, Grant::word);
+    word_list(
+        &mut out,
+        "Scheduling",
+        Scheduling::ALL,
+        Scheduling::code,
+        Scheduling::word,
+    );
     word_list(
         &mut out,
         "Outcome",

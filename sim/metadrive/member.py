@@ -145,6 +145,9 @@ class Rights:
         health.priority_asked = self._priority_asked
         got = self._priority == layout.Grant.GRANTED
         health.priority_got = self._priority_asked if got else 0
+        scheduling = layout.Scheduling
+        health.scheduling_asked = scheduling.FIFO if self._priority_asked else scheduling.ORDINARY
+        health.scheduling_got = scheduling.FIFO if got else scheduling.ORDINARY
 
     def words(self):
         word = layout.Grant.WORDS

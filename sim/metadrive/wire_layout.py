@@ -68,6 +68,13 @@ class Grant:
     WORDS = {0: "not asked", 1: "granted", 2: "refused"}
 
 
+class Scheduling:
+    ORDINARY = 0
+    FIFO = 1
+    DEADLINE = 2
+    WORDS = {0: "ordinary", 1: "fifo", 2: "deadline"}
+
+
 class Outcome:
     DRIVING = 0
     ARRIVED = 1
@@ -347,7 +354,7 @@ assert Episode.skipped.offset == 128
 
 
 class Health(ctypes.Structure):
-    LAYOUT = "bf0aca772dee30d8"
+    LAYOUT = "71b229a2216a0366"
     _fields_ = [
         ("header", Header),
         ("ticks", ctypes.c_uint64),
@@ -357,13 +364,18 @@ class Health(ctypes.Structure):
         ("lost", ctypes.c_uint64),
         ("first_scheduled_ns", ctypes.c_uint64),
         ("next_scheduled_ns", ctypes.c_uint64),
+        ("minor_faults", ctypes.c_uint64),
+        ("major_faults", ctypes.c_uint64),
+        ("involuntary_switches", ctypes.c_uint64),
+        ("overruns", ctypes.c_uint64 * 8),
         ("state", ctypes.c_uint32),
         ("priority", ctypes.c_uint32),
         ("core", ctypes.c_uint32),
         ("memory", ctypes.c_uint32),
         ("priority_asked", ctypes.c_uint32),
         ("priority_got", ctypes.c_uint32),
-        ("reserved", ctypes.c_uint32 * 2),
+        ("scheduling_asked", ctypes.c_uint32),
+        ("scheduling_got", ctypes.c_uint32),
     ]
 
     @staticmethod
@@ -371,7 +383,7 @@ class Health(ctypes.Structure):
         return "Health"
 
 
-assert ctypes.sizeof(Health) == 120
+assert ctypes.sizeof(Health) == 208
 assert Health.header.offset == 0
 assert Health.ticks.offset == 32
 assert Health.skipped.offset == 40
@@ -380,13 +392,18 @@ assert Health.refused.offset == 56
 assert Health.lost.offset == 64
 assert Health.first_scheduled_ns.offset == 72
 assert Health.next_scheduled_ns.offset == 80
-assert Health.state.offset == 88
-assert Health.priority.offset == 92
-assert Health.core.offset == 96
-assert Health.memory.offset == 100
-assert Health.priority_asked.offset == 104
-assert Health.priority_got.offset == 108
-assert Health.reserved.offset == 112
+assert Health.minor_faults.offset == 88
+assert Health.major_faults.offset == 96
+assert Health.involuntary_switches.offset == 104
+assert Health.overruns.offset == 112
+assert Health.state.offset == 176
+assert Health.priority.offset == 180
+assert Health.core.offset == 184
+assert Health.memory.offset == 188
+assert Health.priority_asked.offset == 192
+assert Health.priority_got.offset == 196
+assert Health.scheduling_asked.offset == 200
+assert Health.scheduling_got.offset == 204
 
 
 class Histogram(ctypes.Structure):
@@ -409,12 +426,15 @@ assert Histogram.buckets.offset == 16
 
 
 class Timing(ctypes.Structure):
-    LAYOUT = "cc58b71dc7fb3d97"
+    LAYOUT = "e0bd723bf3711690"
     _fields_ = [
         ("header", Header),
         ("release_lateness", Histogram),
         ("execution", Histogram),
         ("response", Histogram),
+        ("observation_age", Histogram),
+        ("plan_age", Histogram),
+        ("advice_age", Histogram),
     ]
 
     @staticmethod
@@ -422,11 +442,14 @@ class Timing(ctypes.Structure):
         return "Timing"
 
 
-assert ctypes.sizeof(Timing) == 33872
+assert ctypes.sizeof(Timing) == 67712
 assert Timing.header.offset == 0
 assert Timing.release_lateness.offset == 32
 assert Timing.execution.offset == 11312
 assert Timing.response.offset == 22592
+assert Timing.observation_age.offset == 33872
+assert Timing.plan_age.offset == 45152
+assert Timing.advice_age.offset == 56432
 
 
 class Camera(ctypes.Structure):

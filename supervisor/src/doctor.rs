@@ -14,10 +14,14 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
+use crate::Clock;
+use crate::down::living_runs;
 use crate::failure::Failure;
+use crate::grants;
 use crate::place::{SHARED_MEMORY_NEED_BYTES, check_shared_memory, shared_memory};
 use crate::screen::say;
-use crate::table::{CORES_MIN, TABLE};
+use crate::status::look;
+use crate::table::{CORES_MIN, TABLE, rows};
 use crate::up::own_cores;
 
 /// What a finding means.
@@ -45,8 +49,8 @@ pub struct Finding {
 }
 
 impl Finding {
-    fn new(what: &'static str, is_ok: bool, found: String, remedy: &[&str]) -> Self {
-        let remedy = remedy.iter().map(|line| line.to_string());
+    fn new(what: &'static str, is_ok: bool, found: String, remedy: &[impl ToString]) -> Self {
+        let remedy = remedy.iter().map(ToString::to_string);
         Self {
             what,
             grade: if is_ok { Grade::Ok } else { Grade::Missing },
@@ -74,12 +78,13 @@ impl fmt::Display for Finding {
 ///
 /// # Errors
 /// When something is missing that a run cannot do without.
-pub fn doctor() -> Result<(), Failure> {
+pub fn doctor(clock: Clock) -> Result<(), Failure> {
     let mut findings = [
         priority(),
         locked_memory(),
         memory(),
         cores(),
+        isolated(),
         kernel(),
         throttling(),
         governor(),
@@ -92,6 +97,7 @@ pub fn doctor() -> Result<(), Failure> {
     for finding in &findings {
         say(finding);
     }
+    tell_of_sets(clock);
     let missing = |grade| {
         findings
             .iter()
@@ -109,6 +115,58 @@ pub fn doctor() -> Result<(), Failure> {
         _ => format!("a set runs here, less punctually than it could: {poor} missing"),
     });
     Ok(())
+}
+
+/// What the threads of running sets asked for, and what they have.
+fn tell_of_sets(clock: Clock) {
+    let all_cores = cores_list();
+    for paths in living_runs() {
+        let name = paths.name();
+        let (config, tally) = match look(&paths, clock) {
+            Ok(seen) => seen,
+            Err(error) => {
+                say(format_args!("\nrun '{name}' cannot be looked at: {error}"));
+                continue;
+            }
+        };
+        say(format_args!(
+            "\nrun '{name}': thread, scheduling and priority asked / got, own core, cores, slack"
+        ));
+        for process in rows(&config).map(|row| row.process) {
+            let threads = tally
+                .process(process)
+                .map_or(&[][..], |tally| tally.threads());
+            let tick_cores = threads.first().map_or("", |thread| thread.cores.as_str());
+            for thread in threads {
+                let grade = match thread.is_as_asked(tick_cores, &all_cores) {
+                    true => "OK",
+                    false => "MISSING",
+                };
+                let slack = thread
+                    .slack_ns
+                    .map_or("unknown".into(), |ns| format!("{ns} ns"));
+                say(format_args!(
+                    "{grade:<8} {process:<11}{:<17}{} {} / {} {}, {}, {}, {slack}",
+                    thread.name,
+                    thread.scheduling_asked,
+                    thread.priority_asked,
+                    thread.scheduling_got,
+                    thread.priority_got,
+                    thread.core,
+                    thread.cores
+                ));
+            }
+        }
+    }
+}
+
+/// The cores that a thread may use that asked for none, as the kernel writes them.
+fn cores_list() -> String {
+    let status = read("/proc/self/status").unwrap_or_default();
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
+    line.unwrap_or_default().trim().into()
 }
 
 /// The highest priority of the process table.
@@ -140,22 +198,7 @@ fn priority() -> Finding {
         Ok(()) => format!("SCHED_FIFO {asked} granted (RLIMIT_RTPRIO {limit})"),
         Err(error) => format!("SCHED_FIFO {asked} refused: {error} (RLIMIT_RTPRIO {limit})"),
     };
-    Finding::new("real-time priority", tried.is_ok(), found, &grants())
-}
-
-/// The ways to grant priority and locked memory; any one is enough.
-fn grants() -> [&'static str; 7] {
-    [
-        "for your user, once; log in again afterwards:",
-        "  printf '%s - rtprio 95\\n%s - memlock unlimited\\n' \"$USER\" \"$USER\" | \
-         sudo tee /etc/security/limits.d/99-vlaps.conf",
-        "or for these binaries, after each build:",
-        "  sudo setcap cap_sys_nice,cap_ipc_lock+ep target/release/vlaps-{world,planner,controller,gate}",
-        "or for one run:",
-        "  sudo systemd-run --pty --same-dir --uid=$USER -p LimitRTPRIO=95 \
-         -p LimitMEMLOCK=infinity ./vlaps up",
-        "in a container: docker run --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1 ...",
-    ]
+    Finding::new("real-time priority", tried.is_ok(), found, &grants::lines())
 }
 
 fn locked_memory() -> Finding {
@@ -173,7 +216,7 @@ fn locked_memory() -> Finding {
         Ok(()) => format!("granted (RLIMIT_MEMLOCK {limit})"),
         Err(error) => format!("refused: {error} (RLIMIT_MEMLOCK {limit})"),
     };
-    Finding::new("locked memory", tried.is_ok(), found, &grants())
+    Finding::new("locked memory", tried.is_ok(), found, &grants::lines())
 }
 
 fn memory() -> Finding {
@@ -213,6 +256,22 @@ fn cores() -> Finding {
     )
 }
 
+/// Cores that the kernel keeps free for whoever asks for them by number.
+fn isolated() -> Finding {
+    let cores = read("/sys/devices/system/cpu/isolated").unwrap_or_default();
+    let found = match cores.is_empty() {
+        true => "none; everything else on the machine runs beside the ticks".into(),
+        false => cores.clone(),
+    };
+    // With too few cores nobody is given one, and there is nothing to keep free.
+    let is_ok = !cores.is_empty() || own_cores().len() < CORES_MIN;
+    let remedy = [
+        "boot with `isolcpus=domain,managed_irq,CORES nohz_full=CORES rcu_nocbs=CORES`,",
+        "CORES the last three, such as 1-3 of four",
+    ];
+    Finding::new("isolated cores", is_ok, found, &remedy)
+}
+
 fn read(path: &str) -> Option<String> {
     fs::read_to_string(path).ok().map(|text| text.trim().into())
 }
@@ -226,10 +285,17 @@ fn kernel() -> Finding {
         .unwrap_or("no preemption");
     // The words after it come from a file that only root may read.
     let chosen = read("/sys/kernel/debug/sched/preempt").unwrap_or_default();
+    // There, and 1, in kernels with PREEMPT_RT alone.
+    let is_rt = read("/sys/kernel/realtime").is_some_and(|text| text == "1");
+    let fully = if is_rt {
+        "; every part can be preempted"
+    } else {
+        ""
+    };
     Finding::new(
         "kernel",
         model.starts_with("PREEMPT"),
-        format!("Linux {release}, {model} {chosen}")
+        format!("Linux {release}, {model}{fully} {chosen}")
             .trim_end()
             .into(),
         &[

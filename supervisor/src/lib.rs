@@ -54,8 +54,10 @@ pub mod doctor;
 pub mod down;
 pub mod event;
 pub mod failure;
+pub mod grants;
 pub mod hand_over;
 pub mod judged;
+pub mod kernel;
 pub mod keyboard;
 pub mod keys;
 pub mod live;
@@ -69,6 +71,7 @@ pub mod parent;
 pub mod person;
 pub mod place;
 pub mod ports;
+pub mod process_row;
 pub mod screen;
 pub mod script;
 pub mod seat;
@@ -82,6 +85,8 @@ pub mod summary;
 pub mod swap;
 pub mod table;
 pub mod tally;
+pub mod threads;
+pub mod timing;
 pub mod up;
 
 /// How a library function of this crate reads the clock: it is handed one by

@@ -91,6 +91,10 @@ pub struct ProcessView {
     pub restarts: Option<u32>,
     /// The real-time priority in force; 0 for none.
     pub priority: u32,
+    /// Resident memory at its peak, MB of 10^6 bytes.
+    pub resident_mb: f64,
+    /// Ticks in which a part took longer than its budget, by part.
+    pub overruns: Vec<(&'static str, u64)>,
 }
 
 impl View {
@@ -200,7 +204,7 @@ impl View {
     /// The processes as a table, one line each.
     pub fn table(&self) -> String {
         let mut text = String::from(
-            "  process    state           pid    Hz    ticks   late skipped restarts priority",
+            "  process    state           pid    Hz    ticks   late skipped restarts priority     MB",
         );
         for row in &self.processes {
             let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
@@ -210,9 +214,23 @@ impl View {
             let restarts = row.restarts.map_or("-".into(), |count| count.to_string());
             let _ = write!(
                 text,
-                "\n  {:<10} {:<10} {pid:>8} {rate:>5} {:>8} {:>6} {:>7} {restarts:>8} {:>8}",
-                row.process, row.state, row.ticks, row.late, row.skipped, row.priority
+                "\n  {:<10} {:<10} {pid:>8} {rate:>5} {:>8} {:>6} {:>7} {restarts:>8} {:>8} {:>6.1}",
+                row.process,
+                row.state,
+                row.ticks,
+                row.late,
+                row.skipped,
+                row.priority,
+                row.resident_mb
             );
+            let slow: Vec<_> = row
+                .overruns
+                .iter()
+                .map(|(part, count)| format!("{part} {count}"))
+                .collect();
+            if !slow.is_empty() {
+                let _ = write!(text, "\n             over budget: {}", slow.join(", "));
+            }
         }
         text
     }
@@ -303,6 +321,11 @@ impl ProcessView {
             priority: counted
                 .and_then(ProcessTally::newest)
                 .map_or(0, |health| health.priority_got),
+            resident_mb: counted.map_or(0.0, |counted| counted.memory().resident as f64 / 1e6),
+            overruns: totals
+                .overruns()
+                .map(|(part, count)| (part.word(), count))
+                .collect(),
         }
     }
 }

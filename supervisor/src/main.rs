@@ -18,7 +18,7 @@ fn main() -> ExitCode {
         Command::Down(arguments) => down::down(arguments),
         Command::Status(arguments) => status::status(arguments, clock),
         Command::Swap(arguments) => swap::swap(arguments, clock),
-        Command::Doctor => doctor::doctor(),
+        Command::Doctor => doctor::doctor(clock),
         Command::Clean(arguments) => clean::clean(arguments),
         Command::Setup(arguments) => setup::setup(arguments),
         Command::Config(arguments) => keys::keys(arguments),

@@ -15,6 +15,7 @@ use crate::arguments::Status;
 use crate::clean::clean_run;
 use crate::down::living_runs;
 use crate::failure::Failure;
+use crate::kernel::Memory;
 use crate::live::View;
 use crate::outputs;
 use crate::ports::{Depth, Ports};
@@ -22,7 +23,7 @@ use crate::screen::say;
 use crate::signals::pause;
 use crate::summary::write_whole;
 use crate::table::rows;
-use crate::tally::Tally;
+use crate::tally::{ProcessTally, Tally};
 
 /// How long everybody has to say something, ns. A process speaks at least every
 /// 100 ms; ten of those.
@@ -108,6 +109,15 @@ fn write_json(path: &Path, runs: &Runs) -> Result<(), Failure> {
 }
 
 fn listen(paths: &RunPaths, clock: Clock) -> Result<View, Failure> {
+    let (config, tally) = look(paths, clock)?;
+    Ok(View::from_outside(&config, &tally))
+}
+
+/// Listens to a living run for a while, and asks the kernel about its processes.
+///
+/// # Errors
+/// When it is just starting or ending, or shared memory refuses.
+pub fn look(paths: &RunPaths, clock: Clock) -> Result<(Config, Tally), Failure> {
     let config = config::load(&paths.dir().join("config.toml")).map_err(|_| {
         Failure::GivenUp(format!(
             "run '{}' is just starting or ending; try again",
@@ -121,7 +131,17 @@ fn listen(paths: &RunPaths, clock: Clock) -> Result<View, Failure> {
         clean_run(paths)?;
     }
     heard?;
-    Ok(View::from_outside(&config, &tally))
+    for process in rows(&config).map(|row| row.process) {
+        let said = tally.process(process).and_then(ProcessTally::newest);
+        let Some(pid) = said.map(|health| health.header.producer) else {
+            continue;
+        };
+        tally.count_threads(process, pid);
+        if let Some(memory) = Memory::of(pid) {
+            tally.count_memory(process, memory);
+        }
+    }
+    Ok((config, tally))
 }
 
 fn hear(paths: &RunPaths, config: &Config, tally: &mut Tally, clock: Clock) -> Result<(), Failure> {

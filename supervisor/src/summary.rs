@@ -9,11 +9,12 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use shm_config::config::Config;
-use shm_config::message::{Driver, Episode, Grant, Outcome};
+use shm_config::message::{Driver, Episode, Outcome};
 use shm_config::services::Process;
 
 use crate::judged::Judged;
 use crate::live::PolicyView;
+use crate::process_row::ProcessRow;
 use crate::set::ProcessSet;
 use crate::tally::{Quantiles, Tally, Totals};
 
@@ -40,6 +41,9 @@ pub struct Summary {
     pub restarts: u32,
     /// The world's release lateness.
     pub release_lateness_us: Quantiles,
+    /// From the supervisor's start to the controller's first command, s; `None`
+    /// when there was none.
+    pub first_command_s: Option<f64>,
 
     /// The run's name.
     pub run: String,
@@ -92,50 +96,6 @@ pub struct Share {
     pub brake: f64,
 }
 
-/// One process over all its restarts.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ProcessRow {
-    /// How often it was restarted.
-    pub restarts: u32,
-    /// Its own rate: of the world's instants, of plans, of commands. `None` of a
-    /// process at a pace of its own.
-    pub rate_hz: Option<f64>,
-    /// Ticks done; of the planner, plans made.
-    pub ticks: u64,
-    /// Ticks of the grid skipped.
-    pub skipped: u64,
-    /// Ticks completed after their deadline.
-    pub late: u64,
-    /// From its first tick due to the next one due, s on the run's clock; 0 of a
-    /// process that keeps no grid of its own, such as the planner.
-    pub elapsed_s: f64,
-    /// Messages refused at its door.
-    pub refused: u64,
-    /// From the scheduled instant to the begin of the tick.
-    pub release_lateness_us: Quantiles,
-    /// From begin to end of the tick.
-    pub execution_us: Quantiles,
-    /// From the world's release to the command (controller).
-    pub response_us: Quantiles,
-    /// What it asked for and was granted.
-    pub realtime: RealTime,
-}
-
-/// Real-time rights of one process.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct RealTime {
-    /// Real-time scheduling: not asked, granted or refused.
-    pub priority: &'static str,
-    /// The priority asked for; 0 for none.
-    pub priority_asked: u32,
-    /// The priority in force; 0 for none.
-    pub priority_got: u32,
-    /// Its own core.
-    pub core: &'static str,
-    /// Memory locked.
-    pub memory: &'static str,
-}
-
 /// The digest over the commands of a whole run.
 pub fn command_digest<'a>(episodes: impl Iterator<Item = &'a Episode>) -> String {
     let mut hash = Sha256::new();
@@ -157,38 +117,6 @@ impl EpisodeRow {
             strict: episode.is_strict_success(),
             completion: episode.completion,
             ticks: episode.ticks,
-        }
-    }
-}
-
-impl ProcessRow {
-    fn of(process: Process, restarts: u32, config: &Config, tally: &Tally) -> Self {
-        let counted = tally.process(process);
-        let totals = counted.map_or_else(Totals::default, |counted| counted.totals());
-        let timing = counted.map(|counted| counted.timing()).unwrap_or_default();
-        let health = counted
-            .and_then(|counted| counted.newest())
-            .copied()
-            .unwrap_or_default();
-        let grant = |code| Grant::from_code(code).unwrap_or(Grant::Refused).word();
-        Self {
-            restarts,
-            rate_hz: config.rate_hz(process),
-            ticks: totals.ticks,
-            skipped: totals.skipped,
-            late: totals.late,
-            elapsed_s: totals.elapsed_ns as f64 / 1e9,
-            refused: totals.refused,
-            release_lateness_us: Quantiles::of(&timing.release_lateness),
-            execution_us: Quantiles::of(&timing.execution),
-            response_us: Quantiles::of(&timing.response),
-            realtime: RealTime {
-                priority: grant(health.priority),
-                priority_asked: health.priority_asked,
-                priority_got: health.priority_got,
-                core: grant(health.core),
-                memory: grant(health.memory),
-            },
         }
     }
 }
@@ -236,6 +164,7 @@ impl Summary {
             release_lateness_us: processes
                 .get(Process::World.word())
                 .map_or_else(Quantiles::default, |world| world.release_lateness_us),
+            first_command_s: first_command_s(tally),
             run: config.run.name.clone(),
             clock: clock_word(config),
             ended,
@@ -279,6 +208,11 @@ pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
         .inspect_err(|_| {
             let _ = fs::remove_file(&beside);
         })
+}
+
+fn first_command_s(tally: &Tally) -> Option<f64> {
+    let (started, first) = (tally.started?, tally.steps.first_commanded?);
+    Some(first.since_ns(started) as f64 / 1e9)
 }
 
 /// The word of a run's clock that nothing can be late on.
@@ -422,6 +356,25 @@ impl Summary {
         }
         writeln!(
             f,
+            "\nmemory, MB            resident    own  files  messages   faults (disk)  switched out"
+        )?;
+        for (process, row) in &self.processes {
+            let memory = &row.memory_mb;
+            writeln!(
+                f,
+                "  {process:<18}{:>10.1}{:>7.1}{:>7.1}{:>10.1}{:>9} {:>6}  {:>12}",
+                row.resident_mb,
+                memory.anonymous,
+                memory.file,
+                memory.shared,
+                row.minor_faults,
+                format!("({})", row.major_faults),
+                row.involuntary_switches
+            )?;
+        }
+        self.fmt_overruns(f)?;
+        writeln!(
+            f,
             "\nrelease lateness, us       p50         p99       p99.9         max    late  restarts"
         )?;
         for (process, row) in &self.processes {
@@ -434,6 +387,21 @@ impl Summary {
                 "  {process:<10}{rate:>8}{:>10.1}{:>12.1}{:>12.1}{:>12.1}  {:>6}  {:>8}",
                 us.p50, us.p99, us.p999, us.max, row.late, row.restarts
             )?;
+        }
+        Ok(())
+    }
+
+    /// Which parts of whose ticks took longer than their budget.
+    fn fmt_overruns(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (process, row) in &self.processes {
+            let parts: Vec<_> = row
+                .overruns
+                .iter()
+                .map(|(part, count)| format!("{part} {count}"))
+                .collect();
+            if !parts.is_empty() {
+                writeln!(f, "\n{process} over budget: {}", parts.join(", "))?;
+            }
         }
         Ok(())
     }

@@ -3,13 +3,15 @@
 use std::collections::BTreeMap;
 
 use shm_config::message::{
-    Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, PolicyStatus, Progress,
-    Reason, Step, Timing,
+    Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, PARTS, Part, PolicyStatus,
+    Progress, Reason, Step, Timing,
 };
 use shm_config::services::Process;
 use shm_config::{Instant, Message};
 
 use crate::child::Resume;
+use crate::kernel::Memory;
+use crate::threads::{Thread, threads};
 
 /// Timings kept apart, by producer; older ones are merged. A dead process's last
 /// timing may come after its successor's first, never after four successors'.
@@ -30,6 +32,8 @@ pub struct Tally {
     pub oldest_obeyed_ns: u64,
     /// Messages whose content made no sense.
     pub refused: u64,
+    /// When the supervisor was started; `None` for an onlooker.
+    pub started: Option<Instant>,
     processes: BTreeMap<u32, ProcessTally>,
 }
 
@@ -40,6 +44,8 @@ pub struct StepTally {
     pub received: u64,
     /// When the first one was taken, on the run's clock.
     pub begun: Option<Instant>,
+    /// When the first command went out, on the machine's clock.
+    pub first_commanded: Option<Instant>,
     /// The newest driver and reason.
     pub newest: Option<(Driver, Reason)>,
     counts: BTreeMap<(u32, u32), u64>,
@@ -54,6 +60,8 @@ pub struct ProcessTally {
     newest: Option<Health>,
     timings: Vec<(u32, Box<Timing>)>,
     merged: Box<Timing>,
+    memory: Memory,
+    threads: Vec<Thread>,
 }
 
 /// Counts over all restarts of one process.
@@ -69,11 +77,27 @@ pub struct Totals {
     pub refused: u64,
     /// Messages lost on queues.
     pub lost: u64,
+    /// Page faults of the tick's thread that needed no disk.
+    pub minor_faults: u64,
+    /// Page faults of the tick's thread that waited for the disk.
+    pub major_faults: u64,
+    /// Times that the kernel took the processor away from the tick's thread.
+    pub involuntary_switches: u64,
+    /// Ticks in which a part took longer than its budget, by [`Part`].
+    pub overruns: [u64; PARTS],
     /// From the first tick due to the next one due, ns on the run's clock.
     pub elapsed_ns: u64,
 }
 
 impl Tally {
+    /// Of a run whose supervisor was started then.
+    pub fn begun(started: Instant) -> Self {
+        Self {
+            started: Some(started),
+            ..Self::default()
+        }
+    }
+
     /// Takes a health in; its state, or `None` when its content is refused.
     pub fn count_health(&mut self, process: Process, health: &Health) -> Option<HealthState> {
         health.check().ok()?;
@@ -98,7 +122,27 @@ impl Tally {
         }
         if tally.timings.len() > TIMINGS_APART {
             let (_, oldest) = tally.timings.remove(0);
-            merge(&mut tally.merged, &oldest);
+            tally.merged.merge(&oldest);
+        }
+    }
+
+    /// Takes in what the kernel says of a process's memory: the most counts.
+    pub fn count_memory(&mut self, process: Process, memory: Memory) {
+        let tally = self.processes.entry(process.code()).or_default();
+        tally.memory = tally.memory.max(memory);
+    }
+
+    /// Takes in what the kernel says of a process's threads: the last look counts.
+    pub fn count_threads(&mut self, process: Process, pid: u32) {
+        let Some(tally) = self.processes.get_mut(&process.code()) else {
+            return;
+        };
+        let said = tally.newest.filter(|health| health.header.producer == pid);
+        if let Some(health) = said {
+            let seen = threads(pid, &health);
+            if !seen.is_empty() {
+                tally.threads = seen;
+            }
         }
     }
 
@@ -189,6 +233,8 @@ impl StepTally {
         self.received += 1;
         let header = &step.header;
         self.begun.get_or_insert(header.taken());
+        self.first_commanded
+            .get_or_insert(Instant(step.timings.commanded_ns));
         self.last_sequence.insert(header.producer, header.sequence);
         let (driver, reason) = (step.driver(), step.reason());
         let reason_code = reason.map_or(u32::MAX, Reason::code);
@@ -245,6 +291,12 @@ impl ProcessTally {
             totals.late += health.late;
             totals.refused += health.refused;
             totals.lost += health.lost;
+            totals.minor_faults += health.minor_faults;
+            totals.major_faults += health.major_faults;
+            totals.involuntary_switches += health.involuntary_switches;
+            for (sum, count) in totals.overruns.iter_mut().zip(health.overruns) {
+                *sum += count;
+            }
             totals.elapsed_ns += health
                 .next_scheduled_ns
                 .saturating_sub(health.first_scheduled_ns);
@@ -256,16 +308,30 @@ impl ProcessTally {
     pub fn timing(&self) -> Box<Timing> {
         let mut all = self.merged.clone();
         for (_, timing) in &self.timings {
-            merge(&mut all, timing);
+            all.merge(timing);
         }
         all
     }
+
+    /// Its threads as they were last seen.
+    pub fn threads(&self) -> &[Thread] {
+        &self.threads
+    }
+
+    /// The most memory it had.
+    pub fn memory(&self) -> Memory {
+        self.memory
+    }
 }
 
-fn merge(into: &mut Timing, more: &Timing) {
-    into.release_lateness.merge(&more.release_lateness);
-    into.execution.merge(&more.execution);
-    into.response.merge(&more.response);
+impl Totals {
+    /// The parts that took longer than their budget, and in how many ticks.
+    pub fn overruns(&self) -> impl Iterator<Item = (Part, u64)> + '_ {
+        let counts = Part::ALL.iter().map(|part| (*part, part.code() as usize));
+        counts
+            .map(|(part, place)| (part, self.overruns[place]))
+            .filter(|(_, count)| *count > 0)
+    }
 }
 
 /// A histogram in the four numbers that tables print, microseconds.

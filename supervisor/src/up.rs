@@ -13,6 +13,7 @@ use crate::Clock;
 use crate::arguments::Up;
 use crate::child::{Launch, own_folder};
 use crate::failure::Failure;
+use crate::kernel::Memory;
 use crate::live::View;
 use crate::log::LogFile;
 use crate::member::{Phase, Turn};
@@ -30,6 +31,7 @@ use crate::stop::Stop;
 use crate::summary::{Summary, write_whole};
 use crate::table::Rights;
 use crate::tally::Tally;
+use crate::timing;
 
 /// The loop's period, ns: 20 Hz.
 const PERIOD_NS: u64 = 50_000_000;
@@ -58,6 +60,7 @@ enum End {
 /// When the configuration is wrong, the run cannot start, or it had to be given
 /// up. Nothing of it is left in shared memory either way.
 pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
+    let started = clock();
     if let Some(parent) = arguments.parent {
         parent::end_with(parent)?;
     }
@@ -89,7 +92,8 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
     check_shared_memory(shared_memory()?.0)?;
     let folder = prepare_folder(&config, &place)?;
-    let (end, summary) = drive((&config, &place, &folder), keys, signals, clock)?;
+    let run = (&config, &place, folder.as_path());
+    let (end, summary) = drive(run, keys, signals, (clock, started))?;
     drop(place);
     if summary.ticks > 0 {
         say(format_args!("\n{summary}"));
@@ -146,7 +150,7 @@ fn drive(
     (config, place, folder): (&Config, &Place, &Path),
     keys: Option<Keys>,
     signals: Signals,
-    clock: Clock,
+    (clock, started): (Clock, Instant),
 ) -> Result<(End, Summary), Failure> {
     let binaries = match std::env::var_os(BINARIES_VARIABLE) {
         Some(folder) => folder.into(),
@@ -177,7 +181,7 @@ fn drive(
         seat,
         wire,
         set,
-        tally: Tally::default(),
+        tally: Tally::begun(started),
         screen: Screen::open(),
         journal: Journal::open(&logs, config, now)?,
         shown: now,
@@ -195,6 +199,13 @@ fn drive(
     };
     let summary = Summary::of(config, &run.tally, &run.set, ended);
     run.screen.close();
+    let path = folder.join(timing::FILE);
+    write_whole(&path, &timing::csv(&run.tally)).map_err(|error| {
+        Failure::GivenUp(format!(
+            "{}: cannot keep the timing: {error}",
+            path.display()
+        ))
+    })?;
     Ok((end, summary))
 }
 
@@ -371,6 +382,7 @@ impl Run<'_> {
         self.warn_of_refused_priority(now);
         if now.since_ns(self.shown) >= SHOW_NS {
             self.shown = now;
+            self.weigh();
             let view = View::from_inside(self.config, &self.tally, &self.set);
             self.screen.show(View {
                 help: self.seat.as_ref().and_then(Seat::help),
@@ -379,7 +391,21 @@ impl Run<'_> {
         }
         if now.since_ns(self.logs_tended) >= LOGS_NS {
             self.logs_tended = now;
+            for member in self.set.members() {
+                if let Some(pid) = member.pid() {
+                    self.tally.count_threads(member.row().process, pid);
+                }
+            }
             self.set.tend_logs();
+        }
+    }
+
+    /// Takes in how much memory everybody has.
+    fn weigh(&mut self) {
+        for member in self.set.members() {
+            if let Some(memory) = member.pid().and_then(Memory::of) {
+                self.tally.count_memory(member.row().process, memory);
+            }
         }
     }
 

@@ -93,7 +93,10 @@ fn name(prefix: &str, place: &str) -> anyhow::Result<ServiceName> {
 
 impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Link for Bare<M> {
     fn send(&mut self) -> bool {
-        let room = self.room.take().or_else(|| self.publisher.loan_uninit().ok());
+        let room = self
+            .room
+            .take()
+            .or_else(|| self.publisher.loan_uninit().ok());
         let sent = room.is_some_and(|room| room.write_payload(self.message).send().is_ok());
         if let Some((notifier, _)) = &self.events {
             let _ = notifier.notify();

@@ -58,7 +58,10 @@ pub fn build() -> anyhow::Result<Program> {
 }
 
 fn in_folder(folder: &Path, program: &str, words: &[&str]) -> anyhow::Result<()> {
-    let built = Command::new(program).current_dir(folder).args(words).output();
+    let built = Command::new(program)
+        .current_dir(folder)
+        .args(words)
+        .output();
     match built {
         Ok(output) if output.status.success() => Ok(()),
         Ok(output) => Err(Failure::GivenUp(format!(
@@ -111,7 +114,10 @@ impl Program {
             all.saturating_record(line.parse().context("--dds: what the program prints")?);
         }
         if all.len() != count {
-            bail!("--dds: asked for {count} round trips, the program did {}", all.len());
+            bail!(
+                "--dds: asked for {count} round trips, the program did {}",
+                all.len()
+            );
         }
         Ok(all)
     }

@@ -112,7 +112,10 @@ fn await_message(link: &mut impl Link, wake: Wake, clock: Clock) -> anyhow::Resu
         if wake != Wake::Spin || looks.is_multiple_of(LOOKS) {
             let now = clock();
             if now > *until.get_or_insert(now.after_ns(LOST_NS)) {
-                bail!("a message did not come within {} s", LOST_NS / 1_000_000_000);
+                bail!(
+                    "a message did not come within {} s",
+                    LOST_NS / 1_000_000_000
+                );
             }
         }
     }

@@ -186,7 +186,8 @@ impl Session<'_> {
     fn rows<M: Measured>(&mut self, wake: Wake) -> anyhow::Result<Vec<Row>> {
         let priority = claim_for(wake);
         let mut ends = Ends::<M>::open(&self.wire, &self.run, End::Ping, wake)?;
-        self.echo.order(&format!("open {} {}", M::WORD, wake.word()))?;
+        self.echo
+            .order(&format!("open {} {}", M::WORD, wake.word()))?;
         self.echo.await_ready()?;
         let mut rows = Vec::new();
         for &rate_hz in &self.arguments.rate {
@@ -299,7 +300,14 @@ fn period_ns(rate_hz: u32) -> u64 {
 
 fn print(measurement: &Measurement) {
     let mut table = table(&[
-        "", "side", "round trips", "p50 ns", "p99", "p99.9", "max", "port / bare",
+        "",
+        "side",
+        "round trips",
+        "p50 ns",
+        "p99",
+        "p99.9",
+        "max",
+        "port / bare",
     ]);
     for row in &measurement.rows {
         let rate = match row.rate_hz {

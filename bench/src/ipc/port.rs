@@ -31,8 +31,7 @@ macro_rules! measured {
     ($message:ident, $name:literal, $full:expr) => {
         impl Measured for $message {
             const WORD: &'static str = $name;
-            const SERVICES: [&'static str; 2] =
-                [concat!("there-", $name), concat!("back-", $name)];
+            const SERVICES: [&'static str; 2] = [concat!("there-", $name), concat!("back-", $name)];
             fn full() -> Self {
                 $full
             }
@@ -40,20 +39,32 @@ macro_rules! measured {
     };
 }
 
-measured!(Observation, "observation", Observation {
-    beam_count: 240,
-    ..Observation::default()
-});
-measured!(Plan, "plan", Plan {
-    waypoint_count: 20,
-    ..Plan::default()
-});
+measured!(
+    Observation,
+    "observation",
+    Observation {
+        beam_count: 240,
+        ..Observation::default()
+    }
+);
+measured!(
+    Plan,
+    "plan",
+    Plan {
+        waypoint_count: 20,
+        ..Plan::default()
+    }
+);
 measured!(Command, "command", Step::default().command);
-measured!(Step, "step", Step {
-    observation: Observation::full(),
-    plan: Plan::full(),
-    ..Step::default()
-});
+measured!(
+    Step,
+    "step",
+    Step {
+        observation: Observation::full(),
+        plan: Plan::full(),
+        ..Step::default()
+    }
+);
 measured!(Advice, "advice", Advice::default());
 
 /// Which end.

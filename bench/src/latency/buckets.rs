@@ -131,9 +131,7 @@ pub fn write(path: &Path, all: &[Series]) -> anyhow::Result<()> {
             })?;
         }
     }
-    writer
-        .flush()
-        .with_context(|| path.display().to_string())
+    writer.flush().with_context(|| path.display().to_string())
 }
 
 #[cfg(test)]
@@ -142,7 +140,8 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_and_nothing_is_lost() {
-        let mut histogram = Histogram::<u64>::new_with_bounds(1, 60_000_000_000, 3).expect("bounds");
+        let mut histogram =
+            Histogram::<u64>::new_with_bounds(1, 60_000_000_000, 3).expect("bounds");
         for ns in [3, 1_000, 1_000, 52_345, 31_000_000_000] {
             histogram.record(ns).expect("within bounds");
         }

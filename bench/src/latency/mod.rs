@@ -77,7 +77,12 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
             seconds: arguments.seconds,
             overrides: arguments.overrides.clone(),
             stress: maker.word().into(),
-            floor: if cyclictest { "cyclictest" } else { "own thread" }.into(),
+            floor: if cyclictest {
+                "cyclictest"
+            } else {
+                "own thread"
+            }
+            .into(),
         },
         maker,
         cyclictest,
@@ -121,9 +126,16 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     };
     tables::print(&measured, arguments.seconds);
     if let Some(out) = &arguments.out {
-        pictures::draw(&measured.rows, &shelf.series(&cases[..measured.rows.len()])?, out)?;
+        pictures::draw(
+            &measured.rows,
+            &shelf.series(&cases[..measured.rows.len()])?,
+            out,
+        )?;
         write_json(&out.join("latency.json"), &measured)?;
-        say(format_args!("rows, histograms and pictures: {}", out.display()));
+        say(format_args!(
+            "rows, histograms and pictures: {}",
+            out.display()
+        ));
     }
     if let Some(path) = &arguments.json {
         write_json(path, &measured)?;

@@ -149,7 +149,12 @@ where
         let down = loads.iter().position(|load| *load == row.beside);
         if let (Some(column), Some(down)) = (column, down) {
             let title = format!("{} Hz, {}", row.rate_hz, row.beside);
-            panel(&panels[down * across + column], &title, (picture, series), span)?;
+            panel(
+                &panels[down * across + column],
+                &title,
+                (picture, series),
+                span,
+            )?;
         }
     }
     root.present()?;

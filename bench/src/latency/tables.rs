@@ -1,8 +1,8 @@
 //! The rows on the screen.
 
+use super::Measured;
 use super::row::{FLOOR_RATIO_MAX, RESPONSE_MAX_US, Row, SAMPLES_FEW};
 use super::watch::Beside;
-use super::Measured;
 use crate::driven::Quantiles;
 use crate::report::{say, table};
 
@@ -38,8 +38,23 @@ fn four(all: Quantiles) -> [f64; 4] {
 
 fn lateness(rows: &[Row]) -> comfy_table::Table {
     let mut table = table(&[
-        "", "controller p50", "p99", "p99.9", "max", "planner p50", "p99", "p99.9", "max",
-        "world p50", "p99", "p99.9", "max", "floor p50", "p99", "p99.9", "max",
+        "",
+        "controller p50",
+        "p99",
+        "p99.9",
+        "max",
+        "planner p50",
+        "p99",
+        "p99.9",
+        "max",
+        "world p50",
+        "p99",
+        "p99.9",
+        "max",
+        "floor p50",
+        "p99",
+        "p99.9",
+        "max",
     ]);
     for row in rows {
         let mut cells = vec![name(row)];
@@ -53,8 +68,20 @@ fn lateness(rows: &[Row]) -> comfy_table::Table {
 
 fn times(rows: &[Row]) -> comfy_table::Table {
     let mut table = table(&[
-        "", "controller p50", "p99", "max", "planner p50", "p99", "max", "world p50", "p99", "max",
-        "response p50", "p99", "p99.9", "max",
+        "",
+        "controller p50",
+        "p99",
+        "max",
+        "planner p50",
+        "p99",
+        "max",
+        "world p50",
+        "p99",
+        "max",
+        "response p50",
+        "p99",
+        "p99.9",
+        "max",
     ]);
     for row in rows {
         let mut cells = vec![name(row)];
@@ -70,8 +97,20 @@ fn times(rows: &[Row]) -> comfy_table::Table {
 
 fn bars(rows: &[Row]) -> comfy_table::Table {
     let mut table = table(&[
-        "", "ticks", "skipped", "late", "world missed", "plans", "missed", "floor ticks", "missed",
-        "controller / floor", "planner / floor", "questions", "swaps", "verdict",
+        "",
+        "ticks",
+        "skipped",
+        "late",
+        "world missed",
+        "plans",
+        "missed",
+        "floor ticks",
+        "missed",
+        "controller / floor",
+        "planner / floor",
+        "questions",
+        "swaps",
+        "verdict",
     ]);
     for row in rows {
         table.add_row([
@@ -95,7 +134,9 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
 }
 
 fn line(beside: &Beside) -> String {
-    let late = beside.late_us.map_or(String::new(), |us| format!(" {us:.0} us late,"));
+    let late = beside
+        .late_us
+        .map_or(String::new(), |us| format!(" {us:.0} us late,"));
     let missed = match beside.missed {
         0 => String::new(),
         missed => format!(" missed {missed},"),

@@ -142,13 +142,18 @@ impl Seen {
         self.weights_version = version;
         let pid = step.header.producer;
         let last = self.skipped.filter(|(last, _)| *last == pid);
-        let missed = step.skipped.saturating_sub(last.map_or(0, |(_, count)| count));
+        let missed = step
+            .skipped
+            .saturating_sub(last.map_or(0, |(_, count)| count));
         self.skipped = Some((pid, step.skipped));
         if missed > 0 {
             self.miss(Event { missed, ..event });
         }
         if self.latest.len() == LATEST_MAX
-            && self.latest.last().is_some_and(|last| last.late_ns >= event.late_ns)
+            && self
+                .latest
+                .last()
+                .is_some_and(|last| last.late_ns >= event.late_ns)
         {
             return;
         }

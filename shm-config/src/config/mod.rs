@@ -31,7 +31,7 @@ pub use mpc::Mpc;
 pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
-pub use run::{Clock, Limits, Run, Supervisor};
+pub use run::{Clock, Limits, Run, Scheduling, Supervisor};
 pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, View, Vlm};
 pub use world::{Simulator, World};
 

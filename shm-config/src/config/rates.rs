@@ -33,6 +33,17 @@ impl Config {
         }
     }
 
+    /// Time from tick to tick of a process, ns; `None` of one without a grid. The
+    /// world counts the run's ticks. A planner at a lower rate begins its grid anew
+    /// with each episode.
+    pub fn tick_ns(&self, process: Process) -> Option<u64> {
+        match process {
+            Process::World | Process::Controller => Some(self.run.period_ns()),
+            Process::Planner if self.plan_ticks() == 1 => Some(self.run.period_ns()),
+            _ => None,
+        }
+    }
+
     /// Instants of the world in one tick of the run.
     pub fn world_instants(&self) -> u64 {
         ((self.world_rate_hz() / self.run.rate_hz).round() as u64).max(1)

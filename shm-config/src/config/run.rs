@@ -188,6 +188,16 @@ impl Limits {
     }
 }
 
+/// What real-time scheduling the processes ask for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Scheduling {
+    /// `SCHED_FIFO`, with the priorities of the process table.
+    Fifo,
+    /// `SCHED_DEADLINE` where the kernel grants it, else `SCHED_FIFO`.
+    Deadline,
+}
+
 /// Restarts and real-time rights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -204,6 +214,12 @@ pub struct Supervisor {
     pub silence_s: f64,
     /// Ask for real-time priority, own cores and locked memory.
     pub realtime: bool,
+    /// Which real-time scheduling: "fifo", or "deadline" for SCHED_DEADLINE where
+    /// the kernel grants it (it then places the threads itself) and fifo else.
+    pub scheduling: Scheduling,
+    /// With "deadline": processor time reserved for each tick, as a share of the
+    /// process's period. What takes longer waits for the next period.
+    pub deadline_share: f64,
     /// How long an orderly stop may take, s.
     pub stop_s: f64,
     /// Largest log file of a process, MB; one older file is kept beside it.
@@ -219,6 +235,10 @@ impl Default for Supervisor {
             healthy_s: 5.0,
             silence_s: 3.0,
             realtime: true,
+            scheduling: Scheduling::Fifo,
+            // World, planner and controller together 0.9 of one core: the kernel
+            // admits up to 0.95 of each.
+            deadline_share: 0.3,
             stop_s: 8.0,
             log_mb: 8,
         }
@@ -236,6 +256,7 @@ impl Supervisor {
         )?;
         in_range("supervisor.healthy_s", self.healthy_s, 0.1..=3600.0)?;
         in_range("supervisor.silence_s", self.silence_s, 0.2..=3600.0)?;
+        in_range("supervisor.deadline_share", self.deadline_share, 0.01..=0.9)?;
         in_range("supervisor.stop_s", self.stop_s, 0.1..=600.0)?;
         in_range("supervisor.log_mb", self.log_mb, 1..=1024)
     }

@@ -28,10 +28,49 @@ crate::word_list! {
     }
 }
 
+crate::word_list! {
+    /// How a thread is scheduled.
+    pub enum Scheduling {
+        /// The kernel's fair share.
+        Ordinary = 0 "ordinary",
+        /// `SCHED_FIFO`: before everything of a lower priority.
+        Fifo = 1 "fifo",
+        /// `SCHED_DEADLINE`: a guaranteed time in each period.
+        Deadline = 2 "deadline",
+    }
+}
+
+crate::word_list! {
+    /// The parts of a tick, each with a budget of its own (`deadlines.*`).
+    pub enum Part {
+        /// The controller waits for the plan of its observation.
+        Wait = 0 "wait",
+        /// The planner checks its observation.
+        Admit = 1 "admit",
+        /// The planner prepares: grid, course, predictions.
+        Grid = 2 "grid",
+        /// The planner searches or optimises.
+        Search = 3 "search",
+        /// The controller decides: expert, policy, verdict, choice.
+        Decide = 4 "decide",
+        /// Messages go out.
+        Send = 5 "send",
+        /// The world obeys a command and moves.
+        Move = 6 "move",
+        /// The world senses.
+        Observe = 7 "observe",
+    }
+}
+
+/// Parts of a tick, of all processes.
+pub const PARTS: usize = Part::ALL.len();
+
+const _: () = assert!(PARTS == 8, "as the message declares");
+
 crate::message! {
     /// How a process does, from the process itself. Its absence is a sign too.
     #[derive(Default)]
-    pub struct Health: 120 bytes, nested [Header] {
+    pub struct Health: 208 bytes, nested [Header] {
         /// The last tick, and when this was said.
         pub header: Header,
         /// Ticks done since the process started.
@@ -48,6 +87,14 @@ crate::message! {
         pub first_scheduled_ns: u64,
         /// When its next tick is due, ns on the run's clock.
         pub next_scheduled_ns: u64,
+        /// Page faults of the tick's thread that needed no disk, since it was ready.
+        pub minor_faults: u64,
+        /// Page faults of the tick's thread that waited for the disk.
+        pub major_faults: u64,
+        /// Times that the kernel took the processor away from the tick's thread.
+        pub involuntary_switches: u64,
+        /// Ticks in which a part took longer than its budget, by [`Part`].
+        pub overruns: [u64; 8],
         /// A [`HealthState`].
         pub state: u32,
         /// A [`Grant`]: real-time scheduling.
@@ -60,45 +107,10 @@ crate::message! {
         pub priority_asked: u32,
         /// The priority in force; 0 for none.
         pub priority_got: u32,
-        /// Not used.
-        pub reserved: [u32; 2],
-    }
-}
-
-crate::message! {
-    /// Durations counted in buckets of [`crate::histogram`].
-    pub struct Histogram: 11280 bytes {
-        /// The largest duration seen, ns, exact.
-        pub max_ns: u64,
-        /// Durations counted.
-        pub count: u64,
-        /// Durations by bucket.
-        pub buckets: [u32; 2816],
-    }
-}
-
-crate::message! {
-    /// How punctual a process is: full-range histograms since it started.
-    #[derive(Default)]
-    pub struct Timing: 33872 bytes, nested [Header, Histogram] {
-        /// When.
-        pub header: Header,
-        /// From the scheduled instant to the begin of the tick.
-        pub release_lateness: Histogram,
-        /// From begin to end of the tick.
-        pub execution: Histogram,
-        /// From the world's release to the command (controller), else empty.
-        pub response: Histogram,
-    }
-}
-
-impl Default for Histogram {
-    fn default() -> Self {
-        Self {
-            max_ns: 0,
-            count: 0,
-            buckets: [0; 2816],
-        }
+        /// A [`Scheduling`]: the one asked for.
+        pub scheduling_asked: u32,
+        /// A [`Scheduling`]: the one in force.
+        pub scheduling_got: u32,
     }
 }
 
@@ -109,14 +121,12 @@ impl Message for Health {
         known("state", self.state, HealthState::from_code)?;
         known("priority", self.priority, Grant::from_code)?;
         known("core", self.core, Grant::from_code)?;
-        known("memory", self.memory, Grant::from_code)
-    }
-}
-
-impl Message for Timing {
-    header_accessors!();
-
-    fn check(&self) -> Result<(), Refusal> {
-        Ok(())
+        known("memory", self.memory, Grant::from_code)?;
+        known(
+            "scheduling_asked",
+            self.scheduling_asked,
+            Scheduling::from_code,
+        )?;
+        known("scheduling_got", self.scheduling_got, Scheduling::from_code)
     }
 }

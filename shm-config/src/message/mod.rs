@@ -13,6 +13,7 @@ mod policy;
 mod progress;
 mod step;
 mod takeover;
+mod timing;
 
 pub use advice::{Advice, Judge, Preference};
 pub use camera::{Camera, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, View};
@@ -20,7 +21,7 @@ pub use command::{Command, Driver, Reason};
 pub use frame::{
     FRAME_BYTES_MAX, FRAME_SIDES_PX, Foresight, Frame, FrameRequest, Outlook, PixelFormat,
 };
-pub use health::{Grant, Health, HealthState, Histogram, Timing};
+pub use health::{Grant, Health, HealthState, PARTS, Part, Scheduling};
 pub use learning::Learning;
 pub use observation::{
     BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT,
@@ -31,6 +32,7 @@ pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 pub use progress::{Episode, Outcome, Progress};
 pub use step::{Assessment, Proposal, Step, Timings, Verdict};
 pub use takeover::Takeover;
+pub use timing::{Histogram, Measure, Timing};
 
 use crate::layout::Layout;
 use crate::time::Instant;

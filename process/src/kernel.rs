@@ -1,0 +1,123 @@
+//! System calls that no library wraps: the unsafe part of this crate.
+
+use shm_config::message::Scheduling;
+
+/// What the kernel counted for one thread since it began.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Usage {
+    /// Page faults that needed no disk.
+    pub minor_faults: u64,
+    /// Page faults that waited for the disk.
+    pub major_faults: u64,
+    /// Times that the processor was taken away from it.
+    pub involuntary_switches: u64,
+}
+
+impl Usage {
+    /// Of the calling thread: getrusage(2) with `RUSAGE_THREAD`, no allocation, no
+    /// wait, a third of a microsecond.
+    #[allow(unsafe_code)]
+    pub fn of_this_thread() -> Self {
+        // SAFETY: `rusage` is made of numbers, so all zeros are one, and the kernel
+        // writes nothing but it.
+        let usage = unsafe {
+            let mut usage: libc::rusage = std::mem::zeroed();
+            match libc::getrusage(libc::RUSAGE_THREAD, &mut usage) {
+                0 => usage,
+                _ => return Self::default(),
+            }
+        };
+        Self {
+            minor_faults: usage.ru_minflt as u64,
+            major_faults: usage.ru_majflt as u64,
+            involuntary_switches: usage.ru_nivcsw as u64,
+        }
+    }
+
+    /// What was added since an earlier look.
+    #[must_use]
+    pub fn since(self, earlier: Self) -> Self {
+        Self {
+            minor_faults: self.minor_faults.saturating_sub(earlier.minor_faults),
+            major_faults: self.major_faults.saturating_sub(earlier.major_faults),
+            involuntary_switches: self
+                .involuntary_switches
+                .saturating_sub(earlier.involuntary_switches),
+        }
+    }
+}
+
+/// `SCHED_FIFO` for the calling thread. Threads started later do not inherit it.
+#[allow(unsafe_code)]
+pub fn set_fifo(priority: u32) -> bool {
+    let parameters = libc::sched_param {
+        sched_priority: priority as libc::c_int,
+    };
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    // SAFETY: pid 0 is the calling thread and the parameters live through the call.
+    unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
+}
+
+/// `struct sched_attr` of sched_setattr(2), its first version.
+#[repr(C)]
+struct Attributes {
+    size: u32,
+    policy: u32,
+    flags: u64,
+    nice: i32,
+    priority: u32,
+    runtime_ns: u64,
+    deadline_ns: u64,
+    period_ns: u64,
+}
+
+/// `SCHED_DEADLINE` for the calling thread: `runtime_ns` in each `period_ns`.
+/// Threads started later do not inherit it.
+#[allow(unsafe_code)]
+pub fn set_deadline(runtime_ns: u64, period_ns: u64) -> bool {
+    /// `SCHED_FLAG_RESET_ON_FORK`; without it the kernel lets no thread be started.
+    const RESET_ON_FORK: u64 = 1;
+    let attributes = Attributes {
+        size: size_of::<Attributes>() as u32,
+        policy: libc::SCHED_DEADLINE as u32,
+        flags: RESET_ON_FORK,
+        nice: 0,
+        priority: 0,
+        runtime_ns,
+        deadline_ns: period_ns,
+        period_ns,
+    };
+    // SAFETY: pid 0 is the calling thread; the structure is laid out and sized as
+    // the kernel's and lives through the call, which only reads it.
+    unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &attributes, 0) == 0 }
+}
+
+/// How the calling thread is scheduled, and its real-time priority (0 for none),
+/// as the kernel says.
+#[allow(unsafe_code)]
+pub fn own_scheduling() -> (Scheduling, u32) {
+    let mut parameters = libc::sched_param { sched_priority: 0 };
+    // SAFETY: pid 0 is the calling thread, and the kernel writes the parameters,
+    // which live through the call.
+    let policy = unsafe {
+        libc::sched_getparam(0, &mut parameters);
+        libc::sched_getscheduler(0)
+    };
+    let scheduling = match policy & !libc::SCHED_RESET_ON_FORK {
+        libc::SCHED_FIFO => Scheduling::Fifo,
+        libc::SCHED_DEADLINE => Scheduling::Deadline,
+        _ => Scheduling::Ordinary,
+    };
+    (scheduling, parameters.sched_priority.max(0) as u32)
+}
+
+/// The heap keeps what is freed: given back to the kernel, it would fault anew.
+#[allow(unsafe_code)]
+pub fn keep_heap() {
+    #[cfg(target_env = "gnu")]
+    // SAFETY: mallopt changes two thresholds of the allocator, under its own lock.
+    unsafe {
+        libc::mallopt(libc::M_TRIM_THRESHOLD, libc::c_int::MAX);
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 64 << 20);
+    }
+}

@@ -1,0 +1,105 @@
+use super::{Header, Message, Refusal, header_accessors};
+
+crate::word_list! {
+    /// What a [`Timing`] measures.
+    pub enum Measure {
+        /// From the scheduled instant to the begin of the tick.
+        ReleaseLateness = 0 "release_lateness",
+        /// From begin to end of the tick.
+        Execution = 1 "execution",
+        /// From the world's release of an observation to the command for it.
+        Response = 2 "response",
+        /// Age of the observation at the tick.
+        ObservationAge = 3 "observation_age",
+        /// Age of the plan's observation at the tick.
+        PlanAge = 4 "plan_age",
+        /// Age of the advice's observation at the tick.
+        AdviceAge = 5 "advice_age",
+    }
+}
+
+crate::message! {
+    /// Durations counted in buckets of [`crate::histogram`].
+    pub struct Histogram: 11280 bytes {
+        /// The largest duration seen, ns, exact.
+        pub max_ns: u64,
+        /// Durations counted.
+        pub count: u64,
+        /// Durations by bucket.
+        pub buckets: [u32; 2816],
+    }
+}
+
+crate::message! {
+    /// How punctual a process is: full-range histograms since it started.
+    #[derive(Default)]
+    pub struct Timing: 67712 bytes, nested [Header, Histogram] {
+        /// When.
+        pub header: Header,
+        /// From the scheduled instant to the begin of the tick.
+        pub release_lateness: Histogram,
+        /// From begin to end of the tick.
+        pub execution: Histogram,
+        /// From the world's release of an observation to the command that answers
+        /// it, by its tick (controller), else empty.
+        pub response: Histogram,
+        /// Age of the observation when it was decided or planned on (planner,
+        /// controller): since the instant it is of.
+        pub observation_age: Histogram,
+        /// Age of the plan's observation when it was decided on (controller).
+        pub plan_age: Histogram,
+        /// Age of the observation that the advice answers (controller).
+        pub advice_age: Histogram,
+    }
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self {
+            max_ns: 0,
+            count: 0,
+            buckets: [0; 2816],
+        }
+    }
+}
+
+impl Timing {
+    /// One histogram.
+    pub fn of(&self, measure: Measure) -> &Histogram {
+        match measure {
+            Measure::ReleaseLateness => &self.release_lateness,
+            Measure::Execution => &self.execution,
+            Measure::Response => &self.response,
+            Measure::ObservationAge => &self.observation_age,
+            Measure::PlanAge => &self.plan_age,
+            Measure::AdviceAge => &self.advice_age,
+        }
+    }
+
+    /// The same, to count in.
+    pub fn of_mut(&mut self, measure: Measure) -> &mut Histogram {
+        match measure {
+            Measure::ReleaseLateness => &mut self.release_lateness,
+            Measure::Execution => &mut self.execution,
+            Measure::Response => &mut self.response,
+            Measure::ObservationAge => &mut self.observation_age,
+            Measure::PlanAge => &mut self.plan_age,
+            Measure::AdviceAge => &mut self.advice_age,
+        }
+    }
+
+    /// Adds the counts of another, such as of the process before its restart.
+    pub fn merge(&mut self, other: &Self) {
+        for measure in Measure::ALL {
+            self.of_mut(*measure).merge(other.of(*measure));
+        }
+    }
+}
+
+impl Message for Timing {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        Ok(())
+    }
+}

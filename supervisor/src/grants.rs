@@ -1,0 +1,79 @@
+//! How rights are granted: the files of `supervisor/grants`, as lines for a
+//! terminal. What `doctor` prints is read out of the files themselves.
+
+/// Limits of a user, for pam_limits.
+pub const LIMITS: &str = include_str!("../grants/limits.conf");
+/// Capabilities of the programs.
+pub const CAPABILITIES: &str = include_str!("../grants/capabilities.sh");
+/// The set as a systemd service.
+pub const SERVICE: &str = include_str!("../grants/vlaps.service");
+
+/// The ways to grant priority and locked memory; any one is enough.
+pub fn lines() -> Vec<String> {
+    let limits: Vec<_> = rules(LIMITS).map(|rule| format!("{rule}\\n")).collect();
+    let limits = limits.concat().replace("USER", "$USER");
+    let capabilities = rules(CAPABILITIES)
+        .find(|line| line.trim_start().starts_with("sudo setcap"))
+        .unwrap_or_default();
+    let programs = rules(CAPABILITIES)
+        .find_map(|line| line.strip_prefix("for program in "))
+        .and_then(|rest| rest.strip_suffix("; do"))
+        .unwrap_or_default()
+        .replace(' ', ",");
+    let capabilities = capabilities
+        .trim()
+        .replace("\"$folder/vlaps-$program\"", "")
+        .trim_end()
+        .to_string();
+    let properties: Vec<_> = rules(SERVICE)
+        .filter(|line| line.starts_with("Limit"))
+        .map(|line| format!("-p {line}"))
+        .collect();
+    vec![
+        "for your user, once; log in again afterwards:".into(),
+        format!("  printf \"{limits}\" | sudo tee /etc/security/limits.d/99-vlaps.conf"),
+        "or for these programs, after each build (SCHED_DEADLINE needs this one):".into(),
+        format!("  {capabilities} target/release/vlaps-{{{programs}}}"),
+        "or for one run:".into(),
+        format!(
+            "  sudo systemd-run --pty --same-dir --uid=$USER {} ./vlaps up",
+            properties.join(" ")
+        ),
+        "or as a service: supervisor/grants/vlaps.service".into(),
+        "in a container: docker run --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1 ..."
+            .into(),
+    ]
+}
+
+/// The lines of a file that are no comment.
+fn rules(text: &str) -> impl Iterator<Item = &str> {
+    text.lines()
+        .filter(|line| !line.trim_start().starts_with('#') && !line.trim().is_empty())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_lines_say_what_the_files_say() {
+        let text = lines().join("\n");
+        for part in [
+            "printf \"$USER - rtprio 95\\n$USER - memlock unlimited\\n\" | sudo tee",
+            "sudo setcap cap_sys_nice,cap_ipc_lock+ep target/release/vlaps-{world,planner,controller}",
+            "-p LimitRTPRIO=95 -p LimitMEMLOCK=infinity ./vlaps up",
+        ] {
+            assert!(text.contains(part), "'{part}' is missing in\n{text}");
+        }
+    }
+
+    #[test]
+    fn the_programs_with_capabilities_are_those_with_a_priority() {
+        for row in crate::table::TABLE {
+            let word = row.process.word();
+            let line = lines().into_iter().find(|line| line.contains("setcap"));
+            let named = line.is_some_and(|line| line.contains(word));
+            assert_eq!(named, row.priority > 0, "{word}");
+        }
+    }
+}
