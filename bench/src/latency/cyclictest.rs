@@ -10,6 +10,7 @@ use supervisor::table::Rights;
 use supervisor::up::own_cores;
 
 use super::buckets::{Bucket, Series};
+use super::stress::SPARE_S;
 use crate::driven::{Punctuality, Quantiles};
 use crate::floor::{Priority, controller};
 
@@ -37,12 +38,15 @@ impl Cyclictest {
     ///
     /// # Errors
     /// When it cannot be started.
-    pub fn start(rate_hz: f64, priority: Priority) -> anyhow::Result<Self> {
+    pub fn start(rate_hz: f64, priority: Priority, seconds: f64) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
         let mut command = Command::new("cyclictest");
         let period_us = (1e6 / rate_hz).round() as u64;
         command.args(["--quiet", "--mlockall", "--threads=1", "--default-system"]);
         command.arg(format!("--interval={period_us}"));
+        // It ends by itself, should this program be killed.
+        let end_s = (seconds + SPARE_S).ceil();
+        command.arg(format!("--duration={end_s}"));
         command.arg(format!("--histogram={LONGEST_US}"));
         command.arg(format!("--json={}", file(folder.path()).display()));
         if priority == Priority::Asked

@@ -23,9 +23,6 @@ const STALLS_HZ: f64 = 1000.0;
 const START_NS: u64 = 60_000_000_000;
 /// From look to look at the steps: far within their queue.
 const LOOK: Duration = Duration::from_millis(20);
-/// Plans a second at most: the paper's RRT* takes over a millisecond where there is
-/// much in the way, so that at 1,000 Hz it would always be late.
-const PLAN_RATE_MAX_HZ: f64 = 100.0;
 /// Seconds from block to block of the learner.
 const BLOCK_S: f64 = 2.0;
 
@@ -34,7 +31,7 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
     let mut judge = case.beside.judge.begin()?;
     let plan_rate_hz = plan_rate(bench, case);
     let mut up = judge.arguments();
-    up.extend(arguments(bench, case, plan_rate_hz));
+    up.extend(arguments(bench, case));
     let mut driven = Driven::start("latency", up)?;
     let name = driven.name().parse()?;
     let clock = bench.clock;
@@ -47,25 +44,28 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
         supervisor::signals::pause(LOOK);
     }
     let mut watch = Watch::begin(&name)?;
-    let mut stress = Stress::begin(&case.beside, bench.maker, bench.scratch)?;
+    let seconds = bench.settings.seconds;
+    let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
     let cyclictest = match bench.cyclictest {
-        true => Some(Cyclictest::start(case.rate_hz, case.priority)?),
+        true => Some(Cyclictest::start(case.rate_hz, case.priority, seconds)?),
         false => None,
     };
     let floor = Floor::start(case.rate_hz, case.priority, clock)?;
     let noting = Floor::start(STALLS_HZ, case.priority, clock)?;
-    let mut half_way = None;
+    let (mut half_way, mut stopping) = (None, false);
     while !driven.has_ended()? {
         watch.look();
         let now = clock();
         if watch.has_begun() {
-            let half_ns = (bench.settings.seconds * 0.5e9) as u64;
+            let half_ns = (seconds * 0.5e9) as u64;
             if now > *half_way.get_or_insert(now.after_ns(half_ns)) {
                 judge.half_way();
             }
         }
-        if bench.stop.is_asked() {
+        if bench.stop.is_asked() && !stopping {
+            // Once: a second time would kill it.
             driven.stop();
+            stopping = true;
         }
         supervisor::signals::pause(LOOK);
     }
@@ -127,7 +127,7 @@ fn longest(noted: &Noted) -> Vec<f64> {
     largest.iter().map(|&(_, ns)| ns as f64 / 1e3).collect()
 }
 
-/// A plan at every tick up to [`PLAN_RATE_MAX_HZ`], unless the user says otherwise.
+/// A plan at every tick, unless the user says otherwise.
 fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
     let set = bench.settings.overrides.iter().rev().find_map(|text| {
         let (key, value) = text.split_once('=')?;
@@ -135,12 +135,11 @@ fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
     });
     match set {
         Some(rate_hz) if rate_hz > 0.0 => rate_hz,
-        Some(_) => case.rate_hz,
-        None => case.rate_hz.min(PLAN_RATE_MAX_HZ),
+        Some(_) | None => case.rate_hz,
     }
 }
 
-fn arguments(bench: &Bench<'_>, case: &Case, plan_rate_hz: f64) -> Vec<String> {
+fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
     let mut up: Vec<String> = vec!["--seed".into(), "3".into(), "--policy".into()];
     up.push(bench.policy.display().to_string());
     up.extend(["--rate".into(), case.rate_hz.to_string()]);
@@ -148,7 +147,7 @@ fn arguments(bench: &Bench<'_>, case: &Case, plan_rate_hz: f64) -> Vec<String> {
     if case.priority == crate::floor::Priority::Ordinary {
         up.push("--no-realtime".into());
     }
-    let mut keys = vec![format!("planner.rate_hz={plan_rate_hz}")];
+    let mut keys = Vec::new();
     if case.beside.learner {
         let block = (case.rate_hz * BLOCK_S).round();
         keys.extend([

@@ -22,8 +22,9 @@ const LINE: usize = 64;
 const CHUNK: usize = 1 << 20;
 /// Chunks of the file, which is then written anew.
 const CHUNKS: u64 = 64;
-/// Seconds after which stress-ng ends by itself, should nobody end it.
-const END_S: u64 = 3700;
+/// Seconds after a row's end at which stress-ng ends by itself, should this program be
+/// killed and nobody end it.
+pub const SPARE_S: f64 = 90.0;
 
 /// Who makes the load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +77,11 @@ impl Stress {
     ///
     /// # Errors
     /// When a program, thread or file cannot be had.
-    pub fn begin(beside: &Beside, maker: Maker, scratch: &Path) -> anyhow::Result<Self> {
+    pub fn begin(
+        beside: &Beside,
+        (maker, seconds): (Maker, f64),
+        scratch: &Path,
+    ) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir_in(scratch).context("a folder for the load's files")?;
         let mut stress = Self {
             child: None,
@@ -89,7 +94,9 @@ impl Stress {
             return Ok(stress);
         }
         match maker {
-            Maker::StressNg => stress.child = Some(stress_ng(beside, stress._folder.path())?),
+            Maker::StressNg => {
+                stress.child = Some(stress_ng(beside, seconds, stress._folder.path())?)
+            }
             Maker::Own => stress.begin_threads(beside)?,
         }
         Ok(stress)
@@ -161,9 +168,10 @@ impl Drop for Stress {
     }
 }
 
-fn stress_ng(beside: &Beside, folder: &Path) -> anyhow::Result<Child> {
+fn stress_ng(beside: &Beside, seconds: f64, folder: &Path) -> anyhow::Result<Child> {
     let mut command = Command::new("stress-ng");
-    command.args(["--quiet", "--timeout", &END_S.to_string(), "--temp-path"]);
+    let end_s = (seconds + SPARE_S).ceil().to_string();
+    command.args(["--quiet", "--timeout", &end_s, "--temp-path"]);
     command.arg(folder);
     // 0: as many as there are cores.
     if beside.cpu {
@@ -235,7 +243,7 @@ mod tests {
     fn works(maker: Maker, load: Load) {
         let scratch = tempfile::tempdir().expect("a folder");
         let row = load.rows()[0];
-        let mut stress = Stress::begin(&row, maker, scratch.path()).expect("a load");
+        let mut stress = Stress::begin(&row, (maker, 1.0), scratch.path()).expect("a load");
         let mut looks = 0;
         // Its first pass may take a moment on a machine that is busy.
         while stress.check().is_err() && maker == Maker::Own && looks < 600 {
@@ -268,7 +276,7 @@ mod tests {
     fn a_load_that_has_ended_is_an_error() {
         let scratch = tempfile::tempdir().expect("a folder");
         let row = Load::None.rows()[0];
-        let mut stress = Stress::begin(&row, Maker::Own, scratch.path()).expect("no load");
+        let mut stress = Stress::begin(&row, (Maker::Own, 1.0), scratch.path()).expect("no load");
         stress.check().expect("nothing was asked for");
         stress.child = Some(Command::new("true").spawn().expect("true"));
         let mut looks = 0;
