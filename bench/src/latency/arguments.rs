@@ -288,7 +288,6 @@ impl Case {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::ValueEnum;
 
     #[test]
     fn every_row_has_files_of_its_own() {

@@ -42,7 +42,7 @@ impl Cyclictest {
         let folder = tempfile::tempdir()?;
         let mut command = Command::new("cyclictest");
         let period_us = (1e6 / rate_hz).round() as u64;
-        command.args(["--quiet", "--mlockall", "--threads=1", "--default-system"]);
+        command.args(["--quiet", "--threads=1", "--default-system"]);
         command.arg(format!("--interval={period_us}"));
         // It ends by itself, should this program be killed.
         let end_s = (seconds + SPARE_S).ceil();
@@ -52,6 +52,7 @@ impl Cyclictest {
         if priority == Priority::Asked
             && let Some(row) = controller()
         {
+            command.arg("--mlockall");
             let rights = Rights::RealTime(own_cores());
             command.arg(format!("--priority={}", rights.priority(row)));
             if let Some(core) = rights.core(row) {

@@ -14,7 +14,7 @@ use super::row::{Row, planner};
 use super::stress::Stress;
 use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, Quantiles};
-use crate::floor::{Floor, Noted};
+use crate::floor::{Floor, Noted, Priority, claim};
 use shm_config::run::RunPaths;
 
 /// Wake-ups per second of the thread that notes stalls.
@@ -47,7 +47,11 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
     let seconds = bench.settings.seconds;
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
     let cyclictest = match bench.cyclictest {
-        true => Some(Cyclictest::start(case.rate_hz, case.priority, seconds)?),
+        true => Some(Cyclictest::start(
+            case.rate_hz,
+            granted(case.priority),
+            seconds,
+        )?),
         false => None,
     };
     let floor = Floor::start(case.rate_hz, case.priority, clock)?;
@@ -71,7 +75,11 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
     }
     stress.check()?;
     drop(stress);
-    let counted = cyclictest.map(Cyclictest::finish).transpose()?;
+    let counted = match cyclictest.map(Cyclictest::finish) {
+        // Where it may not run, the thread that does the same stands in.
+        Some(Err(_)) if !bench.insist => None,
+        counted => counted.transpose()?,
+    };
     let (own, noted) = (floor.finish()?, noting.finish()?);
     watch.look();
     let seen = watch.finish();
@@ -89,13 +97,12 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
         &own.late_ns,
     ));
     let (misses, latest) = seen.beside(&noted.stalls);
-    let floor_by = bench.settings.floor.clone();
-    let floor = match counted {
+    let (floor_by, floor) = match counted {
         Some((floor, lateness)) => {
             series.push(lateness);
-            floor
+            ("cyclictest", floor)
         }
-        None => own.punctuality.clone(),
+        None => ("own thread", own.punctuality.clone()),
     };
     let controller = Punctuality::of(&summary, "controller");
     let row = Row {
@@ -111,7 +118,7 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
         planner: planner(&summary, &controller, plan_rate_hz),
         response_us: Quantiles::of(&summary["processes"]["controller"], "response_us"),
         controller,
-        floor_by,
+        floor_by: floor_by.into(),
         floor,
         own_floor: own.punctuality,
         misses,
@@ -125,6 +132,15 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
 fn longest(noted: &Noted) -> Vec<f64> {
     let largest = noted.stalls.largest(5);
     largest.iter().map(|&(_, ns)| ns as f64 / 1e3).collect()
+}
+
+/// Asked for where it is granted: cyclictest would end where it is not.
+fn granted(priority: Priority) -> Priority {
+    let asked = std::thread::spawn(move || claim(priority)).join();
+    match asked {
+        Ok("granted") => Priority::Asked,
+        _ => Priority::Ordinary,
+    }
 }
 
 /// A plan at every tick, unless the user says otherwise.
@@ -144,7 +160,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
     up.push(bench.policy.display().to_string());
     up.extend(["--rate".into(), case.rate_hz.to_string()]);
     up.extend(["--duration".into(), bench.settings.seconds.to_string()]);
-    if case.priority == crate::floor::Priority::Ordinary {
+    if case.priority == Priority::Ordinary {
         up.push("--no-realtime".into());
     }
     let mut keys = Vec::new();

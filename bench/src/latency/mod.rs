@@ -46,6 +46,8 @@ struct Bench<'a> {
     settings: Settings,
     maker: Maker,
     cyclictest: bool,
+    /// The floor must be by cyclictest: the user said so.
+    insist: bool,
     policy: &'a Path,
     scratch: &'a Path,
     stop: Stop,
@@ -86,6 +88,7 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
         },
         maker,
         cyclictest,
+        insist: arguments.floor == FloorChoice::Cyclictest,
         policy: &policy,
         // The disk that is loaded is the one that results go to.
         scratch: arguments.out.as_deref().unwrap_or(folder.path()),
