@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
+use crate::ipc::{BenchIpc, IpcEcho};
 use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
@@ -148,8 +149,13 @@ pub enum Bench {
     Swap(BenchSwap),
     /// Measure how often a judge is right where the simulator knows, over HTTP.
     Judge(BenchJudge),
-    /// Measure how punctual a running set is, whatever its judge does.
+    /// Measure how punctual a running set is, under load, beside the machine's own floor.
     Latency(BenchLatency),
+    /// Measure how long a message takes from process to process, beside bare iceoryx2.
+    Ipc(BenchIpc),
+    /// The other end of ipc.
+    #[command(hide = true)]
+    IpcEcho(IpcEcho),
     /// Train under a judge that is wrong, silent or late: what does it cost?
     Sweep(BenchSweep),
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
 use anyhow::{Context, bail};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// A running set. It is killed should anything fail before it has ended.
@@ -13,7 +13,7 @@ pub struct Driven {
     child: Child,
     name: String,
     json: PathBuf,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 impl Driven {
@@ -46,7 +46,7 @@ impl Driven {
             child,
             name,
             json,
-            _folder: folder,
+            folder,
         })
     }
 
@@ -55,11 +55,39 @@ impl Driven {
         &self.name
     }
 
+    /// The run's own folder, such as of its logs. It is gone with this value.
+    pub fn run_folder(&self) -> PathBuf {
+        self.folder.path().join("runs").join(&self.name)
+    }
+
+    /// It has ended.
+    ///
+    /// # Errors
+    /// When the system does not say.
+    pub fn has_ended(&mut self) -> anyhow::Result<bool> {
+        Ok(self.child.try_wait()?.is_some())
+    }
+
+    /// Asks it to stop, as Ctrl-C does: the car is braked to a stand first.
+    pub fn stop(&self) {
+        if let Some(pid) = rustix::process::Pid::from_raw(self.child.id() as i32) {
+            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+        }
+    }
+
     /// Waits for the end; what `up --json` wrote.
     ///
     /// # Errors
     /// When the run failed.
     pub fn finish(mut self) -> anyhow::Result<Value> {
+        self.summary()
+    }
+
+    /// The same, and the run's folder stays for as long as this value.
+    ///
+    /// # Errors
+    /// When the run failed.
+    pub fn summary(&mut self) -> anyhow::Result<Value> {
         if !self.child.wait()?.success() {
             bail!("run '{}' failed; its errors are above", self.name);
         }
@@ -76,12 +104,18 @@ impl Drop for Driven {
 }
 
 /// How punctual a process of a finished run was.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Punctuality {
     /// Ticks.
     pub ticks: u64,
+    /// Ticks of the grid skipped.
+    pub skipped: u64,
+    /// Ticks done after their deadline.
+    pub late: u64,
     /// Ticks missed: skipped, or done after their deadline.
     pub missed: u64,
+    /// From the first tick due to the next one due, s; 0 of what keeps no grid.
+    pub elapsed_s: f64,
     /// Begin of the tick after its instant, us.
     pub lateness_us: Quantiles,
     /// From begin to end of the tick, us.
@@ -91,7 +125,7 @@ pub struct Punctuality {
 }
 
 /// Of everything that happened, the maximum included; us.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Quantiles {
     /// Median.
     pub p50: f64,
@@ -103,26 +137,39 @@ pub struct Quantiles {
     pub max: f64,
 }
 
+impl Quantiles {
+    /// As `up --json` has them under a key of a process; 0 where it has none.
+    pub fn of(row: &Value, key: &str) -> Self {
+        let of = |name: &str| row[key][name].as_f64().unwrap_or(0.0);
+        Self {
+            p50: of("p50"),
+            p99: of("p99"),
+            p999: of("p999"),
+            max: of("max"),
+        }
+    }
+}
+
 impl Punctuality {
     /// As the run's summary has it.
     pub fn of(summary: &Value, process: &str) -> Self {
         let row = &summary["processes"][process];
         let count = |key: &str| row[key].as_u64().unwrap_or(0);
-        let quantiles = |key: &str| {
-            let of = |name: &str| row[key][name].as_f64().unwrap_or(f64::NAN);
-            Quantiles {
-                p50: of("p50"),
-                p99: of("p99"),
-                p999: of("p999"),
-                max: of("max"),
-            }
-        };
         let priority = row["realtime"]["priority"].as_str();
+        let (skipped, late) = (count("skipped"), count("late"));
         Self {
             ticks: count("ticks"),
-            missed: count("skipped") + count("late"),
-            lateness_us: quantiles("release_lateness_us"),
-            execution_us: quantiles("execution_us"),
+            skipped,
+            late,
+            missed: match process {
+                // Its instants that are late are those that it misses, at a rate of
+                // its own; the skipped ticks of the run are among them.
+                "world" => late.max(skipped),
+                _ => skipped + late,
+            },
+            elapsed_s: row["elapsed_s"].as_f64().unwrap_or(0.0),
+            lateness_us: Quantiles::of(row, "release_lateness_us"),
+            execution_us: Quantiles::of(row, "execution_us"),
             priority: priority.unwrap_or("unknown").into(),
         }
     }

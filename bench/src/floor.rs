@@ -11,8 +11,9 @@ use std::thread::JoinHandle;
 use anyhow::Context;
 use hdrhistogram::Histogram;
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
+use shm_config::Instant;
 use shm_config::services::Process;
-use supervisor::table::TABLE;
+use supervisor::table::{Row, TABLE};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
@@ -21,24 +22,110 @@ use thread_priority::{
 use crate::Clock;
 use crate::driven::{Punctuality, Quantiles};
 
+/// Longest lateness that is told apart, ns; longer ones keep their maximum.
+const LONGEST_NS: u64 = 60_000_000_000;
+/// Width of a moment for which the largest lateness is kept, ns.
+pub const MOMENT_NS: u64 = 100_000_000;
+/// Moments that are kept: an hour, and what a start takes.
+const MOMENTS_MAX: usize = 40_000;
+
+/// Whether the floor asks for the controller's real-time priority.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Priority {
+    /// It does, as the controller.
+    Asked,
+    /// It does not, as a set with `--no-realtime`.
+    Ordinary,
+}
+
 /// A thread that wakes up on a grid, and notes how late.
 pub struct Floor {
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<anyhow::Result<Punctuality>>,
+    thread: JoinHandle<anyhow::Result<Noted>>,
+}
+
+/// What a floor's thread noted.
+pub struct Noted {
+    /// Ticks, and how late they were.
+    pub punctuality: Punctuality,
+    /// Each lateness, ns.
+    pub late_ns: Histogram<u64>,
+    /// The largest of each moment.
+    pub stalls: Stalls,
+}
+
+/// The largest lateness of each tenth of a second.
+#[derive(Clone, Debug)]
+pub struct Stalls {
+    begun: Instant,
+    late_ns: Vec<u64>,
+}
+
+impl Stalls {
+    /// None yet; the memory for all of them is there.
+    pub fn from(begun: Instant) -> Self {
+        Self {
+            begun,
+            late_ns: Vec::with_capacity(MOMENTS_MAX),
+        }
+    }
+
+    /// A wake-up due then came so late: every moment from the instant that was
+    /// due to the wake-up had a stall of that length.
+    pub fn note(&mut self, due: Instant, late_ns: u64) {
+        let first = (due.since_ns(self.begun) / MOMENT_NS) as usize;
+        let last = ((due.since_ns(self.begun) + late_ns) / MOMENT_NS) as usize;
+        if first >= MOMENTS_MAX {
+            return;
+        }
+        let last = last.min(MOMENTS_MAX - 1);
+        if self.late_ns.len() <= last {
+            self.late_ns.resize(last + 1, 0);
+        }
+        for moment in &mut self.late_ns[first..=last] {
+            *moment = (*moment).max(late_ns);
+        }
+    }
+
+    /// The largest lateness within so long of an instant, ns.
+    pub fn near(&self, at: Instant, within_ns: u64) -> u64 {
+        let from = (at.0.saturating_sub(within_ns)).saturating_sub(self.begun.0) / MOMENT_NS;
+        let to = at.after_ns(within_ns).since_ns(self.begun) / MOMENT_NS;
+        let moments = self.late_ns.iter().skip(from as usize);
+        let moments = moments.take((to - from + 1) as usize);
+        moments.copied().max().unwrap_or(0)
+    }
+
+    /// The largest few, each with the instant its moment begins at.
+    pub fn largest(&self, count: usize) -> Vec<(Instant, u64)> {
+        let moments = self.late_ns.iter().enumerate();
+        let mut all: Vec<_> = moments
+            .map(|(k, &late_ns)| (self.begun.after_ns(k as u64 * MOMENT_NS), late_ns))
+            .filter(|&(_, late_ns)| late_ns > 0)
+            .collect();
+        all.sort_by_key(|&(at, late_ns)| (std::cmp::Reverse(late_ns), at));
+        all.truncate(count);
+        all
+    }
+}
+
+/// The controller's row of the process table.
+pub fn controller() -> Option<&'static Row> {
+    TABLE.iter().find(|row| row.process == Process::Controller)
 }
 
 impl Floor {
     /// Starts it at the controller's real-time priority, or without where that
-    /// is not granted.
+    /// is not asked for or not granted.
     ///
     /// # Errors
     /// When the system gives no thread.
-    pub fn start(rate_hz: f64, clock: Clock) -> anyhow::Result<Self> {
+    pub fn start(rate_hz: f64, priority: Priority, clock: Clock) -> anyhow::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let asked = stop.clone();
         let thread = std::thread::Builder::new()
             .name("floor".into())
-            .spawn(move || wake(rate_hz, clock, &asked))
+            .spawn(move || wake((rate_hz, priority), clock, &asked))
             .context("a thread for the machine's floor")?;
         Ok(Self { stop, thread })
     }
@@ -47,7 +134,7 @@ impl Floor {
     ///
     /// # Errors
     /// When its numbers cannot be counted.
-    pub fn finish(self) -> anyhow::Result<Punctuality> {
+    pub fn finish(self) -> anyhow::Result<Noted> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
             Ok(noted) => noted,
@@ -56,43 +143,90 @@ impl Floor {
     }
 }
 
-fn wake(rate_hz: f64, clock: Clock, stop: &AtomicBool) -> anyhow::Result<Punctuality> {
-    let controller = TABLE.iter().find(|row| row.process == Process::Controller);
-    let priority = controller.map_or(0, |row| row.priority);
-    let granted = ThreadPriority::try_from(priority).is_ok_and(|priority| {
+/// Asks for a real-time priority for the calling thread; the word for what became
+/// of it, as the processes say it.
+pub fn claim(priority: Priority) -> &'static str {
+    if priority == Priority::Ordinary {
+        return "not asked";
+    }
+    let wanted = controller().map_or(0, |row| row.priority);
+    let granted = ThreadPriority::try_from(wanted).is_ok_and(|wanted| {
         let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-        set_thread_priority_and_policy(thread_native_id(), priority, fifo).is_ok()
+        set_thread_priority_and_policy(thread_native_id(), wanted, fifo).is_ok()
     });
+    match granted {
+        true => "granted",
+        false => "refused",
+    }
+}
+
+fn wake(
+    (rate_hz, priority): (f64, Priority),
+    clock: Clock,
+    stop: &AtomicBool,
+) -> anyhow::Result<Noted> {
+    let priority = claim(priority);
     let period_ns = (1e9 / rate_hz) as u64;
-    let mut late_us = Histogram::<u64>::new_with_bounds(1, 60_000_000, 3)?;
+    let mut late = Histogram::<u64>::new_with_bounds(1, LONGEST_NS, 3)?;
+    let (mut ticks, mut missed, mut max_ns) = (0, 0, 0);
     let mut due = clock();
-    let (mut ticks, mut missed) = (0, 0);
+    let begun = due;
+    let mut stalls = Stalls::from(due);
     while !stop.load(Ordering::Relaxed) {
         due = due.after_ns(period_ns);
         let until = due.timespec();
         while clock_nanosleep_absolute(ClockId::Monotonic, &until).is_err() {}
         let late_ns = clock().since_ns(due);
-        late_us.saturating_record(late_ns / 1000);
+        late.saturating_record(late_ns);
+        stalls.note(due, late_ns);
+        max_ns = max_ns.max(late_ns);
         ticks += 1;
         // Instants that passed meanwhile are missed, as a tick's would be.
         let passed = late_ns / period_ns;
         missed += passed;
         due = due.after_ns(passed * period_ns);
     }
-    let at = |quantile: f64| late_us.value_at_quantile(quantile) as f64;
-    Ok(Punctuality {
+    let at = |quantile: f64| late.value_at_quantile(quantile).min(max_ns) as f64 / 1e3;
+    let punctuality = Punctuality {
         ticks,
+        skipped: missed,
         missed,
+        elapsed_s: due.since_ns(begun) as f64 / 1e9,
         lateness_us: Quantiles {
             p50: at(0.5),
             p99: at(0.99),
             p999: at(0.999),
-            max: late_us.max() as f64,
+            max: max_ns as f64 / 1e3,
         },
-        execution_us: Quantiles::default(),
-        priority: match granted {
-            true => "granted".into(),
-            false => "refused".into(),
-        },
+        priority: priority.into(),
+        ..Punctuality::default()
+    };
+    Ok(Noted {
+        punctuality,
+        late_ns: late,
+        stalls,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_stall_is_found_in_its_moment_and_not_in_others() {
+        let begun = Instant(5_000 * MS);
+        let mut stalls = Stalls::from(begun);
+        stalls.note(begun.after_ns(150 * MS), 7 * MS);
+        stalls.note(begun.after_ns(160 * MS), 3 * MS);
+        stalls.note(begun.after_ns(2_050 * MS), 120 * MS);
+        let near = |ms: u64| stalls.near(begun.after_ns(ms * MS), 50 * MS);
+        assert_eq!([near(120), near(400)], [7 * MS, 0]);
+        // A long one is in every moment that it lasted.
+        assert_eq!([near(2_010), near(2_190)], [120 * MS; 2]);
+        let largest = stalls.largest(3);
+        assert_eq!(largest[0], (begun.after_ns(2_000 * MS), 120 * MS));
+        assert_eq!(largest[2], (begun.after_ns(100 * MS), 7 * MS));
+    }
 }

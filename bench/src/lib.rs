@@ -23,13 +23,16 @@
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`driven`] | a whole process set, driven for a measurement |
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
-//! | [`latency`] | how punctual the set is, whatever its judge does |
+//! | [`latency`] | how punctual the set is, whatever happens beside it |
+//! | [`chart`] | what charts have in common |
+//! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`sweep`] | what a judge that is wrong, silent or late costs |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
+pub mod chart;
 pub mod draw;
 pub mod driven;
 pub mod episode;
@@ -37,6 +40,7 @@ pub mod eval;
 pub mod evaluation;
 pub mod floor;
 pub mod inference;
+pub mod ipc;
 pub mod judging;
 pub mod latency;
 pub mod learning;

@@ -13,8 +13,8 @@ use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
-    draw, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
-    swapping, sweep, train,
+    draw, inference, ipc, judging, latency, learning, outputs, parity, planning, settings, soak,
+    speed, swapping, sweep, train,
 };
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -71,6 +71,12 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         }
         Command::Bench(Bench::Latency(arguments)) => {
             latency::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::Ipc(arguments)) => {
+            ipc::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
+        }
+        Command::Bench(Bench::IpcEcho(arguments)) => {
+            ipc::peer::answer(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {

@@ -14,7 +14,7 @@ use supervisor::swap::{Answer, Offers};
 use crate::Clock;
 use crate::arguments::BenchSwap;
 use crate::driven::{Driven, Punctuality};
-use crate::floor::Floor;
+use crate::floor::{Floor, Priority};
 use crate::inference::net;
 use crate::report::{Machine, say, table, write_json};
 
@@ -102,7 +102,7 @@ fn drive(
     for text in stay.map(String::from).iter().chain(&arguments.overrides) {
         up.extend(["--set".into(), text.clone()]);
     }
-    let floor = Floor::start(rate_hz, clock)?;
+    let floor = Floor::start(rate_hz, Priority::Asked, clock)?;
     let driven = Driven::start("swap", up)?;
     let mut row = Row {
         rate_hz,
@@ -117,7 +117,7 @@ fn drive(
         )?;
     }
     row.controller = Punctuality::of(&driven.finish()?, "controller");
-    row.floor = floor.finish()?;
+    row.floor = floor.finish()?.punctuality;
     Ok(row)
 }
 

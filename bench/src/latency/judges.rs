@@ -1,4 +1,4 @@
-//! What a judge can do to a run: each row of `--load gate`.
+//! What a judge can do to a run: each row of `--load judges`.
 
 use std::net::{Ipv4Addr, TcpListener};
 use std::time::Duration;
@@ -130,15 +130,13 @@ impl Seat {
         arguments
     }
 
-    /// Plays its part while the run of this length drives.
-    pub fn conduct(mut self, seconds: f64) -> Self {
-        if self.conduct == Conduct::Dies {
-            supervisor::signals::pause(Duration::from_secs_f64(seconds / 2.0));
-            if let Some(server) = self.server.take() {
-                self.questions = server.requests();
-            }
+    /// Half of the run is over: who has to die dies.
+    pub fn half_way(&mut self) {
+        if self.conduct == Conduct::Dies
+            && let Some(server) = self.server.take()
+        {
+            self.questions = server.requests();
         }
-        self
     }
 
     /// Requests that it had.

@@ -1,17 +1,15 @@
 //! Figure 4: learning curves, the same chart as SVG and as PNG.
 
 use std::path::Path;
-use std::sync::OnceLock;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
-use plotters::style::register_font;
-use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::results::{Results, Seed};
 use super::table::count_of_seeds;
+use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 use crate::metric::Metric;
 
 /// Size of the picture, pixels.
@@ -24,15 +22,6 @@ const PANEL_HEAD: u32 = 72;
 const GAP: u32 = 14;
 /// Width of a panel's scale, pixels; its legend begins where its axes do.
 const SCALE: u32 = 62;
-/// Length of a legend's line, pixels.
-const SWATCH: i32 = 26;
-/// The face that everything is written in; the pictures need no font of the
-/// machine.
-const FACE: &str = "sans-serif";
-
-const INK: RGBColor = RGBColor(34, 40, 49);
-const FAINT: RGBColor = RGBColor(110, 118, 129);
-const GRID: RGBColor = RGBColor(228, 231, 235);
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
 
@@ -61,13 +50,7 @@ struct Panel {
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(results: &Results, out: &Path) -> anyhow::Result<()> {
-    static FONT: OnceLock<bool> = OnceLock::new();
-    let known = FONT.get_or_init(|| {
-        register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok()
-    });
-    if !known {
-        return Err(anyhow!("the font cannot be read"));
-    }
+    know_font()?;
     let svg = out.join("curves.svg");
     let root = SVGBackend::new(&svg, SIZE).into_drawing_area();
     picture(results, &root).with_context(|| svg.display().to_string())?;
@@ -255,30 +238,8 @@ where
         ));
     }
     for (name, style) in entries {
-        head.draw(&PathElement::new([(x, y), (x + SWATCH, y)], style))?;
-        write(head, &name, (x + SWATCH + 8, y - 6), (16, INK))?;
-        let font = TextStyle::from((FACE, 16).into_font());
-        let (width, _) = head.estimate_text_size(&name, &font)?;
-        x += SWATCH + 8 + width as i32 + 26;
+        x = legend_entry(head, &name, style, (x, y))?;
     }
-    Ok(())
-}
-
-/// Words from their left upper corner.
-fn write<B>(
-    area: &DrawingArea<B, Shift>,
-    words: &str,
-    at: (i32, i32),
-    (size, colour): (u32, RGBColor),
-) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
-    let style = TextStyle::from((FACE, size).into_font())
-        .color(&colour)
-        .pos(Pos::new(HPos::Left, VPos::Top));
-    area.draw_text(words, &style, at)?;
     Ok(())
 }
 

@@ -1,0 +1,368 @@
+//! `bench ipc`: what does the wire add to the library beneath it?
+
+pub mod arguments;
+mod bare;
+mod cyclone;
+pub mod link;
+pub mod peer;
+pub mod port;
+
+use hdrhistogram::Histogram;
+use serde::Serialize;
+use shm_config::message::{Advice, Command, Observation, Plan, Step};
+use shm_config::run::{RunName, RunPaths};
+use shm_config::wire::Wire;
+use supervisor::clean::clean_run;
+use supervisor::up::own_cores;
+
+use crate::Clock;
+use crate::report::{Machine, say, table, write_json};
+use crate::train::progress::Progress;
+pub use arguments::{BenchIpc, IpcEcho};
+use arguments::{MessageChoice, Wake};
+use link::{Turns, histogram, ping};
+use peer::{Echo, Ends, Side, claim_for, stay_on};
+use port::{Door, End, Measured};
+
+/// Blocks of each side, by turns.
+const BLOCKS: u64 = 10;
+/// Round trips of a block flat out, before time is looked at: what is measured is
+/// known by then.
+const PROBE: u64 = 200;
+/// Round trips that are not counted at the begin of a block, one in so many.
+const WARM: u64 = 20;
+/// The published bar: what the port adds to the median.
+const RATIO_MAX: f64 = 1.1;
+
+/// One message, rate and kind of receiver.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// The message.
+    pub message: &'static str,
+    /// Its size, bytes.
+    pub bytes: usize,
+    /// Messages a second; 0 for flat out.
+    pub rate_hz: u32,
+    /// What the receiver does.
+    pub wake: &'static str,
+    /// Real-time priority of both ends.
+    pub priority: &'static str,
+    /// Each side.
+    pub sides: Vec<OneWay>,
+    /// Median of the port over that of bare iceoryx2.
+    pub ratio: f64,
+}
+
+/// One way of one side, ns.
+#[derive(Clone, Debug, Serialize)]
+pub struct OneWay {
+    /// What was measured.
+    pub side: String,
+    /// Round trips.
+    pub count: u64,
+    /// Median.
+    pub p50_ns: u64,
+    /// 99 %.
+    pub p99_ns: u64,
+    /// 99.9 %.
+    pub p999_ns: u64,
+    /// The largest.
+    pub max_ns: u64,
+}
+
+/// All rows.
+#[derive(Clone, Debug, Serialize)]
+pub struct Measurement {
+    /// In the order in which they were measured.
+    pub rows: Vec<Row>,
+    /// The cores of the two processes; empty where there are not two.
+    pub cores: Vec<usize>,
+    /// Version of Cyclone DDS, where it was measured.
+    pub dds: Option<String>,
+    /// Where.
+    pub conditions: Machine,
+}
+
+impl OneWay {
+    fn of(side: &str, all: &Histogram<u64>) -> Self {
+        Self {
+            side: side.into(),
+            count: all.len(),
+            p50_ns: all.value_at_quantile(0.5),
+            p99_ns: all.value_at_quantile(0.99),
+            p999_ns: all.value_at_quantile(0.999),
+            max_ns: all.max(),
+        }
+    }
+}
+
+struct Session<'a> {
+    arguments: &'a BenchIpc,
+    wire: Wire,
+    run: RunName,
+    echo: Echo,
+    clock: Clock,
+}
+
+/// `./vlaps bench ipc`.
+///
+/// # Errors
+/// When the other process cannot be started, or a message is lost or refused.
+pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
+    let conditions = Machine::here()?;
+    let cores = match own_cores()[..] {
+        [.., echo, ping] => vec![ping, echo],
+        _ => Vec::new(),
+    };
+    let dds = match arguments.dds {
+        true => Some(cyclone::build()?),
+        false => None,
+    };
+    let run: RunName = format!("ipc-{}", std::process::id()).parse()?;
+    let paths = RunPaths::new(run.clone());
+    stay_on(cores.first().copied());
+    let measured = measure(arguments, (&run, &cores), dds.as_ref(), clock);
+    // The two are its only members, and both have left it.
+    let _ = clean_run(&paths);
+    let measurement = Measurement {
+        rows: measured?,
+        cores,
+        dds: dds.map(|program| program.version),
+        conditions,
+    };
+    print(&measurement);
+    match &arguments.json {
+        Some(path) => write_json(path, &measurement),
+        None => Ok(()),
+    }
+}
+
+fn measure(
+    arguments: &BenchIpc,
+    (run, cores): (&RunName, &[usize]),
+    dds: Option<&cyclone::Program>,
+    clock: Clock,
+) -> anyhow::Result<Vec<Row>> {
+    let mut session = Session {
+        arguments,
+        wire: Wire::join(run, End::Ping.process())?,
+        run: run.clone(),
+        echo: Echo::start(run, cores.get(1).copied())?,
+        clock,
+    };
+    // Spinning comes first: priority is not given back.
+    let mut wakes = arguments.wake.clone();
+    wakes.sort_by_key(|wake| *wake != Wake::Spin);
+    let total = wakes.len() * arguments.message.len() * arguments.rate.len();
+    let mut progress = Progress::begin("ipc".into(), "rows", (0, total as u64), clock)?;
+    let mut rows = Vec::new();
+    for wake in wakes {
+        for &message in &arguments.message {
+            let more = match message {
+                MessageChoice::Observation => session.rows::<Observation>(wake),
+                MessageChoice::Plan => session.rows::<Plan>(wake),
+                MessageChoice::Command => session.rows::<Command>(wake),
+                MessageChoice::Step => session.rows::<Step>(wake),
+                MessageChoice::Advice => session.rows::<Advice>(wake),
+            };
+            for mut row in more? {
+                if let Some(program) = dds
+                    && wake != Wake::Grid
+                {
+                    let all = program.measure(&row, cores, arguments.seconds)?;
+                    row.sides.push(OneWay::of("cyclone dds", &all));
+                }
+                rows.push(row);
+            }
+            progress.at(rows.len() as u64);
+        }
+    }
+    progress.end();
+    Ok(rows)
+}
+
+impl Session<'_> {
+    /// All rates of one message and receiver.
+    fn rows<M: Measured>(&mut self, wake: Wake) -> anyhow::Result<Vec<Row>> {
+        let priority = claim_for(wake);
+        let mut ends = Ends::<M>::open(&self.wire, &self.run, End::Ping, wake)?;
+        self.echo
+            .order(&format!("open {} {}", M::WORD, wake.word()))?;
+        self.echo.await_ready()?;
+        let mut rows = Vec::new();
+        for &rate_hz in &self.arguments.rate {
+            rows.push(self.row(&mut ends, (wake, rate_hz, priority))?);
+        }
+        self.echo.order("close")?;
+        Ok(rows)
+    }
+
+    fn row<M: Measured>(
+        &mut self,
+        ends: &mut Ends<M>,
+        (wake, rate_hz, priority): (Wake, u32, &'static str),
+    ) -> anyhow::Result<Row> {
+        let sides = [Side::Port, Side::Bare, Side::Open, Side::Tiny];
+        let mut counts = [0; 4];
+        for (side, count) in sides.into_iter().zip(&mut counts) {
+            *count = self.count(ends, side, (wake, rate_hz))?;
+        }
+        let mut all = Vec::new();
+        for _ in sides {
+            all.push(histogram()?);
+        }
+        for _ in 0..BLOCKS {
+            for ((side, &count), into) in sides.into_iter().zip(&counts).zip(&mut all) {
+                let turns = Turns {
+                    wake,
+                    period_ns: period_ns(rate_hz),
+                    counts: [count / WARM, count],
+                };
+                self.block(ends, side, turns, into)?;
+            }
+        }
+        let names = ["port", "bare iceoryx2", "port, no door", "bare, 8 bytes"];
+        let sides: Vec<OneWay> = names
+            .iter()
+            .zip(&all)
+            .map(|(name, all)| OneWay::of(name, all))
+            .collect();
+        Ok(Row {
+            message: M::WORD,
+            bytes: size_of::<M>(),
+            rate_hz,
+            wake: wake.word(),
+            priority,
+            ratio: sides[0].p50_ns as f64 / sides[1].p50_ns as f64,
+            sides,
+        })
+    }
+
+    /// Round trips of a block that fill its share of the time.
+    fn count<M: Measured>(
+        &mut self,
+        ends: &mut Ends<M>,
+        side: Side,
+        (wake, rate_hz): (Wake, u32),
+    ) -> anyhow::Result<u64> {
+        let seconds = self.arguments.seconds / BLOCKS as f64;
+        if rate_hz > 0 {
+            return Ok(((seconds * f64::from(rate_hz)).ceil() as u64).max(1));
+        }
+        let turns = Turns {
+            wake,
+            period_ns: 0,
+            counts: [PROBE, PROBE],
+        };
+        let mut probe = histogram()?;
+        self.block(ends, side, turns, &mut probe)?;
+        let round_s = 2e-9 * probe.value_at_quantile(0.5).max(1) as f64;
+        Ok(((seconds / round_s) as u64).max(1))
+    }
+
+    fn block<M: Measured>(
+        &mut self,
+        ends: &mut Ends<M>,
+        side: Side,
+        turns: Turns,
+        into: &mut Histogram<u64>,
+    ) -> anyhow::Result<()> {
+        let count: u64 = turns.counts.iter().sum();
+        let word = match side {
+            Side::Port => "port",
+            Side::Open => "open",
+            Side::Bare => "bare",
+            Side::Tiny => "tiny",
+        };
+        self.echo.order(&format!("go {word} {count}"))?;
+        self.echo.await_ready()?;
+        match side {
+            Side::Port => {
+                ends.port.door = Door::Admit;
+                ping(&mut ends.port, turns, self.clock, into)
+            }
+            Side::Open => {
+                ends.port.door = Door::Open;
+                ping(&mut ends.port, turns, self.clock, into)
+            }
+            Side::Bare => ping(&mut ends.bare, turns, self.clock, into),
+            Side::Tiny => ping(&mut ends.tiny, turns, self.clock, into),
+        }
+    }
+}
+
+fn period_ns(rate_hz: u32) -> u64 {
+    match rate_hz {
+        0 => 0,
+        _ => 1_000_000_000 / u64::from(rate_hz),
+    }
+}
+
+fn print(measurement: &Measurement) {
+    let mut table = table(&[
+        "",
+        "side",
+        "round trips",
+        "p50 ns",
+        "p99",
+        "p99.9",
+        "max",
+        "port / bare",
+    ]);
+    for row in &measurement.rows {
+        let rate = match row.rate_hz {
+            0 => "flat out".to_string(),
+            rate_hz => format!("{rate_hz} Hz"),
+        };
+        let name = format!("{} {} B, {}, {rate}", row.message, row.bytes, row.wake);
+        for (k, side) in row.sides.iter().enumerate() {
+            let (name, ratio) = match k {
+                0 => (name.clone(), format!("{:.2}", row.ratio)),
+                _ => (String::new(), String::new()),
+            };
+            table.add_row([
+                name,
+                side.side.clone(),
+                side.count.to_string(),
+                side.p50_ns.to_string(),
+                side.p99_ns.to_string(),
+                side.p999_ns.to_string(),
+                side.max_ns.to_string(),
+                ratio,
+            ]);
+        }
+    }
+    say(table);
+    let cores = match measurement.cores[..] {
+        [ping, echo] => format!("two processes on cores {ping} and {echo}"),
+        _ => "two processes on one core".into(),
+    };
+    let asked: Vec<&str> = measurement.rows.iter().map(|row| row.priority).collect();
+    let sleepers = asked.iter().find(|word| **word != "not asked");
+    say(format_args!(
+        "one way: half of each round trip; {cores}, blocks by turns, {}; real-time priority of \
+         sleeping receivers: {}; bare iceoryx2: the library's own benchmark with the same bytes \
+         written and copied out; with 8 bytes as it is; nothing is left out of a maximum{}",
+        measurement.conditions,
+        sleepers.unwrap_or(&"not asked"),
+        match &measurement.dds {
+            Some(version) => format!("; Cyclone DDS {version} over loopback, in blocks of its own"),
+            None => String::new(),
+        }
+    ));
+    let worst = |wake: &str| {
+        let rows = measurement.rows.iter();
+        let rows = rows.filter(|row| row.wake == wake && row.rate_hz == 0);
+        rows.map(|row| row.ratio).reduce(f64::max)
+    };
+    for wake in ["spin", "bell"] {
+        if let Some(worst) = worst(wake) {
+            let word = if worst <= RATIO_MAX { "holds" } else { "over" };
+            say(format_args!(
+                "bar: the port adds at most 10 % to bare iceoryx2 in the median; {wake}, flat out: \
+                 at most {:+.0} %, {word}",
+                100.0 * (worst - 1.0)
+            ));
+        }
+    }
+}

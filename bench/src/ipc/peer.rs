@@ -1,0 +1,208 @@
+//! The two processes: who asks, who answers, and what they say to each other.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use anyhow::{Context, anyhow, bail};
+use clap::ValueEnum;
+use rustix::thread::{CpuSet, sched_setaffinity};
+use shm_config::message::{Advice, Command as Driven, Observation, Plan, Step};
+use shm_config::run::RunName;
+use shm_config::wire::Wire;
+
+use super::arguments::{IpcEcho, MessageChoice, Wake};
+use super::bare::Bare;
+use super::link::{Turns, echo};
+use super::port::{Door, End, Measured, Port};
+use crate::Clock;
+use crate::floor::{Priority, claim};
+use crate::report::say;
+
+/// What is compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Side {
+    /// The stack's port.
+    Port,
+    /// The same without the door.
+    Open,
+    /// Bare iceoryx2 with the same bytes.
+    Bare,
+    /// Bare iceoryx2 with 8 bytes.
+    Tiny,
+}
+
+/// All connections of one message, one end of each.
+pub struct Ends<M: Measured> {
+    /// The stack's.
+    pub port: Port<M>,
+    /// The library's.
+    pub bare: Bare<M>,
+    /// The library's with 8 bytes.
+    pub tiny: Bare<u64>,
+}
+
+impl<M: Measured> Ends<M> {
+    /// Opens them.
+    ///
+    /// # Errors
+    /// When shared memory refuses.
+    pub fn open(wire: &Wire, run: &RunName, end: End, wake: Wake) -> anyhow::Result<Self> {
+        let bare = format!("{run}/{}/{}", M::WORD, wake.word());
+        Ok(Self {
+            port: Port::open(wire, end, wake)?,
+            bare: Bare::open(&bare, end, wake, M::full())?,
+            tiny: Bare::open(&format!("{bare}/tiny"), end, wake, 0)?,
+        })
+    }
+}
+
+/// Keeps the calling thread on a core, if there is one for it.
+pub fn stay_on(core: Option<usize>) {
+    if let Some(core) = core {
+        let mut cores = CpuSet::new();
+        cores.set(core);
+        // Refused, it is only noisier; the ratio is of blocks by turns.
+        let _ = sched_setaffinity(None, &cores);
+    }
+}
+
+/// Spinning at a real-time priority would be throttled by the kernel; sleepers ask
+/// for it as the stack's processes do.
+pub fn claim_for(wake: Wake) -> &'static str {
+    match wake {
+        Wake::Spin => claim(Priority::Ordinary),
+        Wake::Bell | Wake::Grid => claim(Priority::Asked),
+    }
+}
+
+/// The process that answers, seen from the one that asks.
+pub struct Echo {
+    child: Child,
+    orders: Option<ChildStdin>,
+    answers: BufReader<ChildStdout>,
+}
+
+impl Echo {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// When this program cannot be started once more.
+    pub fn start(run: &RunName, core: Option<usize>) -> anyhow::Result<Self> {
+        let program = std::env::current_exe()?;
+        let mut child = Command::new(&program)
+            .args(["bench", "ipc-echo", &run.to_string()])
+            .args(core.map(|core| core.to_string()))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| program.display().to_string())?;
+        let answers = child.stdout.take().context("no pipe")?;
+        Ok(Self {
+            orders: child.stdin.take(),
+            child,
+            answers: BufReader::new(answers),
+        })
+    }
+
+    /// Gives it one order.
+    ///
+    /// # Errors
+    /// When it has ended.
+    pub fn order(&mut self, order: &str) -> anyhow::Result<()> {
+        let orders = self.orders.as_mut().context("no pipe")?;
+        writeln!(orders, "{order}").context("the other end has ended")?;
+        Ok(())
+    }
+
+    /// Waits until it says that it is ready.
+    ///
+    /// # Errors
+    /// When it says something else, or has ended.
+    pub fn await_ready(&mut self) -> anyhow::Result<()> {
+        let mut line = String::new();
+        self.answers.read_line(&mut line)?;
+        match line.trim_end() {
+            "ready" => Ok(()),
+            "" => bail!("the other end has ended; its error is above"),
+            other => bail!("the other end says {other:?}"),
+        }
+    }
+}
+
+impl Drop for Echo {
+    fn drop(&mut self) {
+        // The end of its orders is its end.
+        self.orders = None;
+        let _ = self.child.wait();
+    }
+}
+
+/// `bench ipc-echo`: answers until its orders end.
+///
+/// # Errors
+/// When a message is lost or refused, or an order makes no sense.
+pub fn answer(arguments: &IpcEcho, clock: Clock) -> anyhow::Result<()> {
+    stay_on(arguments.core);
+    let wire = Wire::join(&arguments.run, End::Echo.process())?;
+    let mut orders = std::io::stdin().lines();
+    while let Some(order) = orders.next() {
+        let order = order?;
+        let words: Vec<&str> = order.split(' ').collect();
+        let ["open", message, wake] = words[..] else {
+            bail!("no order: {order:?}");
+        };
+        let message = MessageChoice::from_str(message, true).map_err(|error| anyhow!(error))?;
+        let wake = Wake::from_str(wake, true).map_err(|error| anyhow!(error))?;
+        let run = &arguments.run;
+        let orders = &mut orders;
+        match message {
+            MessageChoice::Observation => serve::<Observation>(&wire, run, wake, orders, clock),
+            MessageChoice::Plan => serve::<Plan>(&wire, run, wake, orders, clock),
+            MessageChoice::Command => serve::<Driven>(&wire, run, wake, orders, clock),
+            MessageChoice::Step => serve::<Step>(&wire, run, wake, orders, clock),
+            MessageChoice::Advice => serve::<Advice>(&wire, run, wake, orders, clock),
+        }?;
+    }
+    Ok(())
+}
+
+fn serve<M: Measured>(
+    wire: &Wire,
+    run: &RunName,
+    wake: Wake,
+    orders: &mut dyn Iterator<Item = std::io::Result<String>>,
+    clock: Clock,
+) -> anyhow::Result<()> {
+    claim_for(wake);
+    let mut ends = Ends::<M>::open(wire, run, End::Echo, wake)?;
+    say("ready");
+    for order in orders {
+        let order = order?;
+        let words: Vec<&str> = order.split(' ').collect();
+        let (side, count) = match words[..] {
+            ["go", side, count] => (side, count.parse()?),
+            ["close"] => return Ok(()),
+            _ => bail!("no order: {order:?}"),
+        };
+        let turns = Turns {
+            wake,
+            period_ns: 0,
+            counts: [0, count],
+        };
+        // Both ends have a block before them now.
+        say("ready");
+        match Side::from_str(side, true).map_err(|error| anyhow!(error))? {
+            Side::Port => {
+                ends.port.door = Door::Admit;
+                echo(&mut ends.port, turns, clock)
+            }
+            Side::Open => {
+                ends.port.door = Door::Open;
+                echo(&mut ends.port, turns, clock)
+            }
+            Side::Bare => echo(&mut ends.bare, turns, clock),
+            Side::Tiny => echo(&mut ends.tiny, turns, clock),
+        }?;
+    }
+    Ok(())
+}

@@ -1,0 +1,164 @@
+//! A histogram as it is written to a file: buckets with counts, nothing left out.
+
+use std::path::Path;
+
+use anyhow::Context;
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
+
+use crate::driven::Quantiles;
+
+/// Durations from `from_ns` up to, but not including, `below_ns`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bucket {
+    /// The shortest, ns.
+    pub from_ns: u64,
+    /// The next bucket's shortest, ns.
+    pub below_ns: u64,
+    /// How many.
+    pub count: u64,
+}
+
+/// One measure of one process or floor: a histogram with its names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Series {
+    /// Such as controller, cyclictest.
+    pub of: String,
+    /// Such as `release_lateness`.
+    pub measure: String,
+    /// In order; empty ones are left out.
+    pub buckets: Vec<Bucket>,
+}
+
+/// One line of a file of them.
+#[derive(Serialize, Deserialize)]
+struct Line {
+    process: String,
+    measure: String,
+    from_ns: u64,
+    below_ns: u64,
+    count: u64,
+}
+
+impl Series {
+    /// Of one of the library's histograms of nanoseconds.
+    pub fn of_histogram(of: &str, measure: &str, histogram: &Histogram<u64>) -> Self {
+        let buckets = histogram.iter_recorded().map(|step| {
+            let value = step.value_iterated_to();
+            Bucket {
+                from_ns: histogram.lowest_equivalent(value),
+                below_ns: histogram.next_non_equivalent(value),
+                count: step.count_at_value(),
+            }
+        });
+        Self {
+            of: of.into(),
+            measure: measure.into(),
+            buckets: buckets.collect(),
+        }
+    }
+
+    /// How many durations.
+    pub fn count(&self) -> u64 {
+        self.buckets.iter().map(|bucket| bucket.count).sum()
+    }
+
+    /// Quantiles, us: the middle of the bucket that holds it. `max_us` is the exact
+    /// maximum, which nothing exceeds.
+    pub fn quantiles(&self, max_us: f64) -> Quantiles {
+        let total = self.count();
+        let at = |quantile: f64| {
+            let rank = (quantile * total as f64).ceil().max(1.0) as u64;
+            let mut seen = 0;
+            let holding = self.buckets.iter().find(|bucket| {
+                seen += bucket.count;
+                seen >= rank
+            });
+            let middle = |bucket: &Bucket| (bucket.from_ns + bucket.below_ns) as f64 / 2e3;
+            holding.map_or(0.0, middle).min(max_us)
+        };
+        Quantiles {
+            p50: at(0.5),
+            p99: at(0.99),
+            p999: at(0.999),
+            max: max_us,
+        }
+    }
+}
+
+/// Reads a file with the columns process, measure, `from_ns`, `below_ns`, count.
+///
+/// # Errors
+/// When it is not there, or is not of that form.
+pub fn read(path: &Path) -> anyhow::Result<Vec<Series>> {
+    let mut all: Vec<Series> = Vec::new();
+    let mut reader = csv::Reader::from_path(path).with_context(|| path.display().to_string())?;
+    for line in reader.deserialize() {
+        let line: Line = line.with_context(|| path.display().to_string())?;
+        let bucket = Bucket {
+            from_ns: line.from_ns,
+            below_ns: line.below_ns,
+            count: line.count,
+        };
+        match all.last_mut() {
+            Some(last) if last.of == line.process && last.measure == line.measure => {
+                last.buckets.push(bucket);
+            }
+            _ => all.push(Series {
+                of: line.process,
+                measure: line.measure,
+                buckets: vec![bucket],
+            }),
+        }
+    }
+    Ok(all)
+}
+
+/// Writes such a file.
+///
+/// # Errors
+/// When it cannot be written.
+pub fn write(path: &Path, all: &[Series]) -> anyhow::Result<()> {
+    let mut writer = csv::Writer::from_path(path).with_context(|| path.display().to_string())?;
+    for series in all {
+        for bucket in &series.buckets {
+            writer.serialize(Line {
+                process: series.of.clone(),
+                measure: series.measure.clone(),
+                from_ns: bucket.from_ns,
+                below_ns: bucket.below_ns,
+                count: bucket.count,
+            })?;
+        }
+    }
+    writer.flush().with_context(|| path.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_and_nothing_is_lost() {
+        let mut histogram =
+            Histogram::<u64>::new_with_bounds(1, 60_000_000_000, 3).expect("bounds");
+        for ns in [3, 1_000, 1_000, 52_345, 31_000_000_000] {
+            histogram.record(ns).expect("within bounds");
+        }
+        let lateness = Series::of_histogram("floor", "release_lateness", &histogram);
+        let other = Series {
+            measure: "execution".into(),
+            ..lateness.clone()
+        };
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("row.csv");
+        write(&path, &[lateness.clone(), other.clone()]).expect("written");
+        let all = read(&path).expect("read");
+        assert_eq!(all, [lateness.clone(), other]);
+        assert_eq!(lateness.count(), 5);
+        let quantiles = lateness.quantiles(31_000_000.0);
+        assert!((quantiles.p50 - 1.0).abs() < 1e-3);
+        assert_eq!(quantiles.max, 31_000_000.0);
+        assert!((quantiles.p99 / 31_000_000.0 - 1.0).abs() < 1e-3);
+    }
+}

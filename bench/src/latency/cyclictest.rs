@@ -1,0 +1,186 @@
+//! The machine's floor by `cyclictest`, of the rt-tests.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use anyhow::{Context, bail};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use supervisor::table::Rights;
+use supervisor::up::own_cores;
+
+use super::buckets::{Bucket, Series};
+use super::stress::SPARE_S;
+use crate::driven::{Punctuality, Quantiles};
+use crate::floor::{Priority, controller};
+
+/// Longest lateness that its histogram tells apart, us: 1 s, which it holds 8 MB
+/// for. Longer ones are counted and keep their maximum.
+const LONGEST_US: u64 = 1_000_000;
+
+/// Whether it is on PATH.
+pub fn is_there() -> bool {
+    // It has no option that does nothing but succeed.
+    super::answers("cyclictest", &["--help"])
+}
+
+/// A running cyclictest.
+pub struct Cyclictest {
+    child: Child,
+    folder: tempfile::TempDir,
+    period_ns: u64,
+    priority: Priority,
+}
+
+impl Cyclictest {
+    /// Starts it: one thread at the controller's priority, core and period, memory
+    /// locked, absolute sleeps on the monotonic clock (its defaults).
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn start(rate_hz: f64, priority: Priority, seconds: f64) -> anyhow::Result<Self> {
+        let folder = tempfile::tempdir()?;
+        let mut command = Command::new("cyclictest");
+        let period_us = (1e6 / rate_hz).round() as u64;
+        command.args(["--quiet", "--threads=1", "--default-system"]);
+        command.arg(format!("--interval={period_us}"));
+        // It ends by itself, should this program be killed.
+        let end_s = (seconds + SPARE_S).ceil();
+        command.arg(format!("--duration={end_s}"));
+        command.arg(format!("--histogram={LONGEST_US}"));
+        command.arg(format!("--json={}", file(folder.path()).display()));
+        if priority == Priority::Asked
+            && let Some(row) = controller()
+        {
+            command.arg("--mlockall");
+            let rights = Rights::RealTime(own_cores());
+            command.arg(format!("--priority={}", rights.priority(row)));
+            if let Some(core) = rights.core(row) {
+                command.arg(format!("--affinity={core}"));
+            }
+        }
+        let child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .context("cyclictest")?;
+        Ok(Self {
+            child,
+            folder,
+            period_ns: period_us * 1000,
+            priority,
+        })
+    }
+
+    /// Ends it; what it counted.
+    ///
+    /// # Errors
+    /// When it refused to run, or wrote nothing that can be read.
+    pub fn finish(mut self) -> anyhow::Result<(Punctuality, Series)> {
+        self.end(Signal::INT);
+        let status = self.child.wait()?;
+        let path = file(self.folder.path());
+        let text = std::fs::read_to_string(&path).with_context(|| {
+            format!(
+                "cyclictest ended ({status}) and wrote nothing: it may not have the priority it \
+                 asks for (`./vlaps doctor`); --floor own measures without it"
+            )
+        })?;
+        read(&text, self.period_ns, self.priority)
+    }
+
+    fn end(&self, signal: Signal) {
+        if let Some(pid) = Pid::from_raw(self.child.id() as i32) {
+            let _ = kill_process(pid, signal);
+        }
+    }
+}
+
+impl Drop for Cyclictest {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            self.end(Signal::KILL);
+            let _ = self.child.wait();
+        }
+    }
+}
+
+fn file(folder: &Path) -> std::path::PathBuf {
+    folder.join("cyclictest.json")
+}
+
+/// Its JSON of one thread.
+fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punctuality, Series)> {
+    let value: Value = serde_json::from_str(text).context("cyclictest's JSON")?;
+    let thread = &value["thread"]["0"];
+    let (Some(counts), Some(ticks), Some(max_us)) = (
+        thread["histogram"].as_object(),
+        thread["cycles"].as_u64(),
+        thread["max"].as_u64(),
+    ) else {
+        bail!("cyclictest's JSON has no histogram of a thread");
+    };
+    let mut buckets = Vec::new();
+    for (us, count) in counts {
+        let us: u64 = us.parse().context("cyclictest's histogram")?;
+        buckets.push(Bucket {
+            from_ns: us * 1000,
+            below_ns: (us + 1) * 1000,
+            count: count.as_u64().context("cyclictest's histogram")?,
+        });
+    }
+    buckets.sort_by_key(|bucket| bucket.from_ns);
+    let mut series = Series {
+        of: "cyclictest".into(),
+        measure: "release_lateness".into(),
+        buckets,
+    };
+    let over = ticks.saturating_sub(series.count());
+    if over > 0 {
+        series.buckets.push(Bucket {
+            from_ns: LONGEST_US * 1000,
+            below_ns: (max_us.max(LONGEST_US) + 1) * 1000,
+            count: over,
+        });
+    }
+    // It goes on from the instant it woke at, and says nothing of those it slept
+    // through: at least those that fit into each lateness.
+    let passed = |bucket: &Bucket| bucket.from_ns / period_ns * bucket.count;
+    let missed = series.buckets.iter().map(passed).sum();
+    let lateness_us: Quantiles = series.quantiles((max_us + 1) as f64);
+    let punctuality = Punctuality {
+        ticks,
+        skipped: missed,
+        missed,
+        lateness_us,
+        priority: match priority {
+            Priority::Asked => "granted".into(),
+            Priority::Ordinary => "not asked".into(),
+        },
+        ..Punctuality::default()
+    };
+    Ok((punctuality, series))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn its_histogram_is_read_whole_with_what_overflowed() {
+        let text = r#"{"thread": {"0": {
+            "histogram": {"9": 90, "12": 7, "25000": 2},
+            "cycles": 100, "min": 9, "max": 2500000, "avg": 10.0, "cpu": 0
+        }}}"#;
+        let (floor, series) = read(text, 10_000_000, Priority::Asked).expect("its JSON");
+        assert_eq!(series.count(), 100);
+        assert_eq!(floor.lateness_us.p50, 9.5);
+        assert_eq!(floor.lateness_us.p99, 25_000.5);
+        assert_eq!(floor.lateness_us.max, 2_500_001.0);
+        // Two ticks slept through by each of the 25 ms, 100 by the longest.
+        assert_eq!(floor.missed, 2 * 2 + 100);
+        let broken = read("{}", 1, Priority::Asked).expect_err("no thread");
+        assert!(broken.to_string().contains("no histogram"), "{broken}");
+    }
+}

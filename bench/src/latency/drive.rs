@@ -1,0 +1,193 @@
+//! One row: a set, what happens beside it, the floor, and a look at its steps.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::bail;
+use supervisor::clean::clean_run;
+
+use super::Bench;
+use super::arguments::Case;
+use super::buckets::{self, Series};
+use super::cyclictest::Cyclictest;
+use super::row::{Row, planner};
+use super::stress::Stress;
+use super::watch::{Watch, is_up};
+use crate::driven::{Driven, Punctuality, Quantiles};
+use crate::floor::{Floor, Noted, Priority, claim};
+use shm_config::run::RunPaths;
+
+/// Wake-ups per second of the thread that notes stalls.
+const STALLS_HZ: f64 = 1000.0;
+/// How long a set may take to drive, ns.
+const START_NS: u64 = 60_000_000_000;
+/// From look to look at the steps: far within their queue.
+const LOOK: Duration = Duration::from_millis(20);
+/// Seconds from block to block of the learner.
+const BLOCK_S: f64 = 2.0;
+
+/// Drives it; `None` when somebody asked to stop meanwhile.
+pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
+    let mut judge = case.beside.judge.begin()?;
+    let plan_rate_hz = plan_rate(bench, case);
+    let mut up = judge.arguments();
+    up.extend(arguments(bench, case));
+    let mut driven = Driven::start("latency", up)?;
+    let name = driven.name().parse()?;
+    let clock = bench.clock;
+    let until = clock().after_ns(START_NS);
+    while !is_up(&name) {
+        if driven.has_ended()? || clock() > until {
+            driven.summary()?;
+            bail!("the set does not start");
+        }
+        supervisor::signals::pause(LOOK);
+    }
+    let mut watch = Watch::begin(&name)?;
+    let seconds = bench.settings.seconds;
+    let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
+    let cyclictest = match bench.cyclictest {
+        true => Some(Cyclictest::start(
+            case.rate_hz,
+            granted(case.priority),
+            seconds,
+        )?),
+        false => None,
+    };
+    let floor = Floor::start(case.rate_hz, case.priority, clock)?;
+    let noting = Floor::start(STALLS_HZ, case.priority, clock)?;
+    let (mut half_way, mut stopping) = (None, false);
+    while !driven.has_ended()? {
+        watch.look();
+        let now = clock();
+        if watch.has_begun() {
+            let half_ns = (seconds * 0.5e9) as u64;
+            if now > *half_way.get_or_insert(now.after_ns(half_ns)) {
+                judge.half_way();
+            }
+        }
+        if bench.stop.is_asked() && !stopping {
+            // Once: a second time would kill it.
+            driven.stop();
+            stopping = true;
+        }
+        supervisor::signals::pause(LOOK);
+    }
+    stress.check()?;
+    drop(stress);
+    let counted = match cyclictest.map(Cyclictest::finish) {
+        // Where it may not run, the thread that does the same stands in.
+        Some(Err(_)) if !bench.insist => None,
+        counted => counted.transpose()?,
+    };
+    let (own, noted) = (floor.finish()?, noting.finish()?);
+    watch.look();
+    let seen = watch.finish();
+    // Whoever looks keeps a run alive: what it left is removed now.
+    let _ = clean_run(&RunPaths::new(name));
+    let summary = driven.summary();
+    if bench.stop.is_asked() {
+        return Ok(None);
+    }
+    let summary = summary?;
+    let mut series = of_run(&driven.run_folder())?;
+    series.push(Series::of_histogram(
+        "own floor",
+        "release_lateness",
+        &own.late_ns,
+    ));
+    let (misses, latest) = seen.beside(&noted.stalls);
+    let (floor_by, floor) = match counted {
+        Some((floor, lateness)) => {
+            series.push(lateness);
+            ("cyclictest", floor)
+        }
+        None => ("own thread", own.punctuality.clone()),
+    };
+    let controller = Punctuality::of(&summary, "controller");
+    let row = Row {
+        rate_hz: case.rate_hz,
+        beside: case.beside.name.into(),
+        priority: case.priority_word().into(),
+        settings: bench.settings.clone(),
+        questions: judge.questions(),
+        swaps: seen.swaps,
+        restarts: summary["restarts"].as_u64().unwrap_or(0),
+        plan_rate_hz,
+        world: Punctuality::of(&summary, "world"),
+        planner: planner(&summary, &controller, plan_rate_hz),
+        response_us: Quantiles::of(&summary["processes"]["controller"], "response_us"),
+        controller,
+        floor_by: floor_by.into(),
+        floor,
+        own_floor: own.punctuality,
+        misses,
+        latest,
+        stalls_us: longest(&noted),
+    };
+    row.check_accounts()?;
+    Ok(Some((row, series)))
+}
+
+fn longest(noted: &Noted) -> Vec<f64> {
+    let largest = noted.stalls.largest(5);
+    largest.iter().map(|&(_, ns)| ns as f64 / 1e3).collect()
+}
+
+/// Asked for where it is granted: cyclictest would end where it is not.
+fn granted(priority: Priority) -> Priority {
+    let asked = std::thread::spawn(move || claim(priority)).join();
+    match asked {
+        Ok("granted") => Priority::Asked,
+        _ => Priority::Ordinary,
+    }
+}
+
+/// A plan at every tick, unless the user says otherwise.
+fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
+    let set = bench.settings.overrides.iter().rev().find_map(|text| {
+        let (key, value) = text.split_once('=')?;
+        (key.trim() == "planner.rate_hz").then(|| value.trim().parse::<f64>().ok())?
+    });
+    match set {
+        Some(rate_hz) if rate_hz > 0.0 => rate_hz,
+        Some(_) | None => case.rate_hz,
+    }
+}
+
+fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
+    let mut up: Vec<String> = vec!["--seed".into(), "3".into(), "--policy".into()];
+    up.push(bench.policy.display().to_string());
+    up.extend(["--rate".into(), case.rate_hz.to_string()]);
+    up.extend(["--duration".into(), bench.settings.seconds.to_string()]);
+    if case.priority == Priority::Ordinary {
+        up.push("--no-realtime".into());
+    }
+    let mut keys = Vec::new();
+    if case.beside.learner {
+        let block = (case.rate_hz * BLOCK_S).round();
+        keys.extend([
+            "learner.enabled=true".into(),
+            "learner.algorithm=dagger".into(),
+            format!("learner.block_steps={block}"),
+            "learner.updates=100".into(),
+            // Whatever it proposes, what it publishes is adopted and stays.
+            "policy.probation_ticks=0".into(),
+            "policy.veto_rate_max=1.0".into(),
+            "policy.jump_max=2.0".into(),
+        ]);
+    }
+    for text in keys.iter().chain(&bench.settings.overrides) {
+        up.extend(["--set".into(), text.clone()]);
+    }
+    up
+}
+
+/// The histograms of all processes, as the run wrote them.
+fn of_run(folder: &Path) -> anyhow::Result<Vec<Series>> {
+    let path = folder.join("timing.csv");
+    match path.exists() {
+        true => buckets::read(&path),
+        false => Ok(Vec::new()),
+    }
+}

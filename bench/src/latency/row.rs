@@ -1,0 +1,210 @@
+//! What one row came to, and whether it holds together.
+
+use anyhow::bail;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::arguments::Settings;
+use super::watch::Beside;
+use crate::driven::{Punctuality, Quantiles};
+
+/// The published bar of release lateness: the 99.9 % quantile of controller and
+/// planner over that of the floor.
+pub const FLOOR_RATIO_MAX: f64 = 1.3;
+/// The published bars of observation to command, 99 % quantile, us: beside
+/// nothing, and beside anything.
+pub const RESPONSE_MAX_US: [f64; 2] = [1_500.0, 5_000.0];
+/// Samples under which a 99.9 % quantile is the maximum or near it.
+pub const SAMPLES_FEW: u64 = 10_000;
+
+/// One run of the set.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Ticks a second asked for.
+    pub rate_hz: f64,
+    /// What happened beside it.
+    pub beside: String,
+    /// Real-time priority asked for: real-time or ordinary.
+    pub priority: String,
+    /// What it was measured with.
+    pub settings: Settings,
+    /// Questions that the judge had.
+    pub questions: u64,
+    /// Weights that the learner brought to the wheel.
+    pub swaps: u64,
+    /// Processes that were restarted.
+    pub restarts: u64,
+    /// Plans a second asked for.
+    pub plan_rate_hz: f64,
+    /// The world.
+    pub world: Punctuality,
+    /// The planner; missed are plans that were due and not made, or made late.
+    pub planner: Punctuality,
+    /// The controller.
+    pub controller: Punctuality,
+    /// From the world's release to the command, us.
+    pub response_us: Quantiles,
+    /// Who measured the floor.
+    pub floor_by: String,
+    /// The machine's floor, in the same seconds.
+    pub floor: Punctuality,
+    /// The same by a thread of this program.
+    pub own_floor: Punctuality,
+    /// Ticks that were missed, each beside the machine's stall in its second.
+    pub misses: Vec<Beside>,
+    /// The latest ticks of the controller, likewise.
+    pub latest: Vec<Beside>,
+    /// The machine's longest stalls, us.
+    pub stalls_us: Vec<f64>,
+}
+
+impl Row {
+    /// The controller's 99.9 % of lateness over the floor's.
+    pub fn controller_ratio(&self) -> f64 {
+        self.controller.lateness_us.p999 / self.floor.lateness_us.p999
+    }
+
+    /// The planner's 99.9 % of lateness over the floor's.
+    pub fn planner_ratio(&self) -> f64 {
+        self.planner.lateness_us.p999 / self.floor.lateness_us.p999
+    }
+
+    /// Each process accounts for every instant of its grid.
+    ///
+    /// # Errors
+    /// The process that does not, with its numbers.
+    pub fn check_accounts(&self) -> anyhow::Result<()> {
+        let all = [
+            ("world", &self.world),
+            ("controller", &self.controller),
+            ("planner", &self.planner),
+        ];
+        for (name, process) in all {
+            // The planner has no grid of its own at every rate.
+            if name == "planner" && process.elapsed_s == 0.0 {
+                continue;
+            }
+            let due = (process.elapsed_s * self.rate_hz).round() as u64;
+            let counted = process.ticks + process.skipped;
+            if due != counted || process.ticks == 0 {
+                bail!(
+                    "{} Hz, {}, {}: {name}: ticks {} + skipped {} = {counted}, but elapsed {} s \
+                     are {due} periods",
+                    self.rate_hz,
+                    self.beside,
+                    self.priority,
+                    process.ticks,
+                    process.skipped,
+                    process.elapsed_s
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Against the published bars, in a few words.
+    pub fn verdict(&self) -> String {
+        let worst = self.controller_ratio().max(self.planner_ratio());
+        let beside_nothing = self.beside == "none";
+        let response_max_us = RESPONSE_MAX_US[usize::from(!beside_nothing)];
+        let word = |holds: bool| if holds { "holds" } else { "over" };
+        let missed = self.controller.missed + self.world.missed + self.planner.missed;
+        format!(
+            "lateness {}, response {}, {}",
+            word(worst <= FLOOR_RATIO_MAX),
+            word(self.response_us.p99 < response_max_us),
+            match missed {
+                0 => "none missed".to_string(),
+                _ => format!("{missed} missed"),
+            }
+        )
+    }
+}
+
+/// The planner. At a rate below the run's it begins its grid anew with each episode
+/// and accounts for none: what it owed is then counted on the controller's.
+pub fn planner(summary: &Value, controller: &Punctuality, plan_rate_hz: f64) -> Punctuality {
+    let planner = Punctuality::of(summary, "planner");
+    if planner.elapsed_s > 0.0 {
+        return planner;
+    }
+    let due = (controller.elapsed_s * plan_rate_hz).round() as u64;
+    let skipped = due.saturating_sub(planner.ticks);
+    Punctuality {
+        skipped,
+        missed: planner.late + skipped,
+        ..planner
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use super::*;
+
+    pub fn row() -> Row {
+        let process = Punctuality {
+            ticks: 1_998,
+            skipped: 2,
+            missed: 2,
+            elapsed_s: 20.0,
+            lateness_us: Quantiles {
+                p50: 50.0,
+                p99: 80.0,
+                p999: 120.0,
+                max: 9_000.0,
+            },
+            ..Punctuality::default()
+        };
+        Row {
+            rate_hz: 100.0,
+            beside: "none".into(),
+            priority: "real-time".into(),
+            settings: Settings {
+                seconds: 20.0,
+                overrides: Vec::new(),
+                stress: "own threads".into(),
+                floor: "own thread".into(),
+            },
+            questions: 0,
+            swaps: 0,
+            restarts: 0,
+            plan_rate_hz: 100.0,
+            world: process.clone(),
+            planner: process.clone(),
+            controller: process.clone(),
+            response_us: Quantiles {
+                p99: 1_400.0,
+                ..Quantiles::default()
+            },
+            floor_by: "own thread".into(),
+            floor: process.clone(),
+            own_floor: process,
+            misses: Vec::new(),
+            latest: Vec::new(),
+            stalls_us: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn an_instant_that_nobody_accounts_for_is_an_error() {
+        let mut lost = row();
+        lost.check_accounts().expect("1998 + 2 = 2000");
+        lost.controller.skipped = 1;
+        let error = lost.check_accounts().expect_err("one is missing");
+        assert!(error.to_string().contains("= 1999, but"), "{error}");
+        let mut idle = row();
+        idle.world = Punctuality::default();
+        assert!(idle.check_accounts().is_err(), "nothing was driven");
+    }
+
+    #[test]
+    fn the_verdict_follows_the_published_bars() {
+        let mut row = row();
+        assert_eq!(row.verdict(), "lateness holds, response holds, 6 missed");
+        row.planner.lateness_us.p999 = 1.31 * row.floor.lateness_us.p999;
+        row.response_us.p99 = 1_500.0;
+        assert_eq!(row.verdict(), "lateness over, response over, 6 missed");
+        row.beside = "all".into();
+        assert!(row.verdict().contains("response holds"));
+    }
+}

@@ -1,0 +1,289 @@
+//! Work beside a set: `stress-ng` where it is installed, else threads of this
+//! program.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+
+use anyhow::Context;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::arguments::{Beside, StressChoice};
+
+/// Bytes that each thread of `memory` copies: over what caches hold.
+const MEMORY_BYTES: usize = 64 << 20;
+/// From one touched byte to the next: a cache line.
+const LINE: usize = 64;
+/// Bytes written between two syncs of `disk`.
+const CHUNK: usize = 1 << 20;
+/// Chunks of the file, which is then written anew.
+const CHUNKS: u64 = 64;
+/// Seconds after a row's end at which stress-ng ends by itself, should this program be
+/// killed and nobody end it.
+pub const SPARE_S: f64 = 90.0;
+
+/// Who makes the load.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Maker {
+    /// stress-ng.
+    StressNg,
+    /// Threads of this program.
+    Own,
+}
+
+impl Maker {
+    /// The one to use.
+    ///
+    /// # Errors
+    /// When stress-ng is asked for and is not installed.
+    pub fn of(choice: StressChoice) -> anyhow::Result<Self> {
+        let is_there = || super::answers("stress-ng", &["--version"]);
+        match choice {
+            StressChoice::Own => Ok(Self::Own),
+            StressChoice::Auto if !is_there() => Ok(Self::Own),
+            StressChoice::StressNg if !is_there() => anyhow::bail!(
+                "--stress stress-ng: it is not on PATH; `sudo apt-get install stress-ng`, or \
+                 --stress own"
+            ),
+            StressChoice::Auto | StressChoice::StressNg => Ok(Self::StressNg),
+        }
+    }
+
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::StressNg => "stress-ng",
+            Self::Own => "own threads",
+        }
+    }
+}
+
+/// Load that lasts as long as this value.
+pub struct Stress {
+    child: Option<Child>,
+    threads: Vec<JoinHandle<()>>,
+    stop: Arc<AtomicBool>,
+    done: Arc<AtomicU64>,
+    _folder: tempfile::TempDir,
+}
+
+impl Stress {
+    /// Begins what a row asks for; files are written in a folder of their own
+    /// within `scratch`.
+    ///
+    /// # Errors
+    /// When a program, thread or file cannot be had.
+    pub fn begin(
+        beside: &Beside,
+        (maker, seconds): (Maker, f64),
+        scratch: &Path,
+    ) -> anyhow::Result<Self> {
+        let folder = tempfile::tempdir_in(scratch).context("a folder for the load's files")?;
+        let mut stress = Self {
+            child: None,
+            threads: Vec::new(),
+            stop: Arc::default(),
+            done: Arc::default(),
+            _folder: folder,
+        };
+        if !(beside.cpu || beside.memory || beside.disk) {
+            return Ok(stress);
+        }
+        match maker {
+            Maker::StressNg => {
+                stress.child = Some(stress_ng(beside, seconds, stress._folder.path())?)
+            }
+            Maker::Own => stress.begin_threads(beside)?,
+        }
+        Ok(stress)
+    }
+
+    fn begin_threads(&mut self, beside: &Beside) -> anyhow::Result<()> {
+        let cores = std::thread::available_parallelism()?.get();
+        for _ in 0..cores {
+            if beside.cpu {
+                self.thread("load-cpu", spin)?;
+            }
+            if beside.memory {
+                self.thread("load-memory", copy)?;
+            }
+        }
+        if beside.disk {
+            let path = self._folder.path().join("load");
+            let file = File::create(&path).with_context(|| path.display().to_string())?;
+            self.thread("load-disk", move |stop, done| write(&file, stop, done))?;
+        }
+        Ok(())
+    }
+
+    fn thread(
+        &mut self,
+        name: &str,
+        work: impl FnOnce(&AtomicBool, &AtomicU64) + Send + 'static,
+    ) -> anyhow::Result<()> {
+        let (stop, done) = (self.stop.clone(), self.done.clone());
+        let thread = std::thread::Builder::new().name(name.into());
+        let thread = thread.spawn(move || work(&stop, &done));
+        self.threads.push(thread.context("a thread for the load")?);
+        Ok(())
+    }
+
+    /// What ran and is to be said beside the figures is still at work.
+    ///
+    /// # Errors
+    /// When the load ended by itself: the row was measured without it.
+    pub fn check(&mut self) -> anyhow::Result<()> {
+        if let Some(child) = &mut self.child
+            && let Some(status) = child.try_wait()?
+        {
+            anyhow::bail!(
+                "stress-ng ended early ({status}): the row has no load; run it by hand to see \
+                 why, or use --stress own"
+            );
+        }
+        if !self.threads.is_empty() && self.done.load(Ordering::Relaxed) == 0 {
+            anyhow::bail!("the load's threads did nothing: the row has no load");
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Stress {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(child) = &mut self.child {
+            // Its children end with it.
+            if let Some(pid) = Pid::from_raw(child.id() as i32) {
+                let _ = kill_process(pid, Signal::TERM);
+            }
+            let _ = child.wait();
+        }
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn stress_ng(beside: &Beside, seconds: f64, folder: &Path) -> anyhow::Result<Child> {
+    let mut command = Command::new("stress-ng");
+    let end_s = (seconds + SPARE_S).ceil().to_string();
+    command.args(["--quiet", "--timeout", &end_s, "--temp-path"]);
+    command.arg(folder);
+    // 0: as many as there are cores.
+    if beside.cpu {
+        command.args(["--cpu", "0"]);
+    }
+    if beside.memory {
+        command.args(["--stream", "0", "--vm", "1", "--vm-bytes", "256M"]);
+    }
+    if beside.disk {
+        command.args(["--hdd", "1", "--hdd-bytes", "128M", "--hdd-opts", "fsync"]);
+    }
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .context("stress-ng")
+}
+
+/// Arithmetic that no compiler can leave out.
+fn spin(stop: &AtomicBool, done: &AtomicU64) {
+    let mut number = 1.0_f64;
+    while !stop.load(Ordering::Relaxed) {
+        for _ in 0..100_000 {
+            number = std::hint::black_box((number + 1.0).sqrt());
+        }
+        done.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Copies from one half of a buffer to the other, a byte of each cache line and
+/// then all of it.
+fn copy(stop: &AtomicBool, done: &AtomicU64) {
+    let mut buffer = vec![1_u8; MEMORY_BYTES];
+    while !stop.load(Ordering::Relaxed) {
+        let (to, from) = buffer.split_at_mut(MEMORY_BYTES / 2);
+        for line in (0..to.len()).step_by(LINE) {
+            to[line] = from[line].wrapping_add(1);
+        }
+        from.copy_from_slice(to);
+        std::hint::black_box(&mut buffer);
+        done.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Writes a file again and again, and has each chunk put on the disk.
+fn write(mut file: &File, stop: &AtomicBool, done: &AtomicU64) {
+    use std::io::{Seek, SeekFrom};
+    let chunk = vec![7_u8; CHUNK];
+    let mut chunks = 0_u64;
+    while !stop.load(Ordering::Relaxed) {
+        if chunks.is_multiple_of(CHUNKS) && file.seek(SeekFrom::Start(0)).is_err() {
+            return;
+        }
+        // A full disk ends the load; that nothing was done is found by `check`.
+        if file.write_all(&chunk).is_err() || file.sync_data().is_err() {
+            return;
+        }
+        chunks += 1;
+        done.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::latency::arguments::Load;
+    use std::time::Duration;
+
+    fn works(maker: Maker, load: Load) {
+        let scratch = tempfile::tempdir().expect("a folder");
+        let row = load.rows()[0];
+        let mut stress = Stress::begin(&row, (maker, 1.0), scratch.path()).expect("a load");
+        let mut looks = 0;
+        // Its first pass may take a moment on a machine that is busy.
+        while stress.check().is_err() && maker == Maker::Own && looks < 600 {
+            supervisor::signals::pause(Duration::from_millis(100));
+            looks += 1;
+        }
+        supervisor::signals::pause(Duration::from_millis(300));
+        stress.check().expect("it works");
+        drop(stress);
+        let left = std::fs::read_dir(scratch.path()).expect("a folder").count();
+        assert_eq!(left, 0, "it leaves nothing behind");
+    }
+
+    #[test]
+    fn own_threads_load_processor_memory_and_disk() {
+        for load in [Load::Cpu, Load::Memory, Load::Disk] {
+            works(Maker::Own, load);
+        }
+    }
+
+    #[test]
+    fn stress_ng_loads_all_three_at_once() {
+        match Maker::of(StressChoice::StressNg) {
+            Ok(maker) => works(maker, Load::All),
+            Err(error) => println!("skipped: stress_ng_loads_all_three_at_once: {error}"),
+        }
+    }
+
+    #[test]
+    fn a_load_that_has_ended_is_an_error() {
+        let scratch = tempfile::tempdir().expect("a folder");
+        let row = Load::None.rows()[0];
+        let mut stress = Stress::begin(&row, (Maker::Own, 1.0), scratch.path()).expect("no load");
+        stress.check().expect("nothing was asked for");
+        stress.child = Some(Command::new("true").spawn().expect("true"));
+        let mut looks = 0;
+        while stress.check().is_ok() && looks < 600 {
+            supervisor::signals::pause(Duration::from_millis(50));
+            looks += 1;
+        }
+        assert!(stress.check().is_err());
+    }
+}

@@ -1,0 +1,211 @@
+//! The rows on the screen.
+
+use super::Measured;
+use super::row::{FLOOR_RATIO_MAX, RESPONSE_MAX_US, Row, SAMPLES_FEW};
+use super::watch::Beside;
+use crate::driven::Quantiles;
+use crate::report::{say, table};
+
+/// Misses that are listed for one row; the JSON has all.
+const LISTED_MAX: usize = 5;
+
+/// Prints all of it.
+pub fn print(measured: &Measured, seconds: f64) {
+    let rows = &measured.rows;
+    say("release lateness, us: from the scheduled instant to the begin of the tick");
+    say(lateness(rows));
+    say("\ntime of a tick, and from the world's release to the command (response), us");
+    say(times(rows));
+    say("\nbeside the floor, and against the bars");
+    say(bars(rows));
+    for row in rows {
+        events(row);
+    }
+    conditions(measured, seconds);
+}
+
+fn name(row: &Row) -> String {
+    format!("{} Hz, {}, {}", row.rate_hz, row.beside, row.priority)
+}
+
+fn us(quantiles: &[f64]) -> impl Iterator<Item = String> + '_ {
+    quantiles.iter().map(|us| format!("{us:.0}"))
+}
+
+fn four(all: Quantiles) -> [f64; 4] {
+    [all.p50, all.p99, all.p999, all.max]
+}
+
+fn lateness(rows: &[Row]) -> comfy_table::Table {
+    let mut table = table(&[
+        "",
+        "controller p50",
+        "p99",
+        "p99.9",
+        "max",
+        "planner p50",
+        "p99",
+        "p99.9",
+        "max",
+        "world p50",
+        "p99",
+        "p99.9",
+        "max",
+        "floor p50",
+        "p99",
+        "p99.9",
+        "max",
+    ]);
+    for row in rows {
+        let mut cells = vec![name(row)];
+        for process in [&row.controller, &row.planner, &row.world, &row.floor] {
+            cells.extend(us(&four(process.lateness_us)));
+        }
+        table.add_row(cells);
+    }
+    table
+}
+
+fn times(rows: &[Row]) -> comfy_table::Table {
+    let mut table = table(&[
+        "",
+        "controller p50",
+        "p99",
+        "max",
+        "planner p50",
+        "p99",
+        "max",
+        "world p50",
+        "p99",
+        "max",
+        "response p50",
+        "p99",
+        "p99.9",
+        "max",
+    ]);
+    for row in rows {
+        let mut cells = vec![name(row)];
+        for process in [&row.controller, &row.planner, &row.world] {
+            let took = process.execution_us;
+            cells.extend(us(&[took.p50, took.p99, took.max]));
+        }
+        cells.extend(us(&four(row.response_us)));
+        table.add_row(cells);
+    }
+    table
+}
+
+fn bars(rows: &[Row]) -> comfy_table::Table {
+    let mut table = table(&[
+        "",
+        "ticks",
+        "skipped",
+        "late",
+        "world missed",
+        "plans",
+        "missed",
+        "floor ticks",
+        "missed",
+        "controller / floor",
+        "planner / floor",
+        "questions",
+        "swaps",
+        "verdict",
+    ]);
+    for row in rows {
+        table.add_row([
+            name(row),
+            row.controller.ticks.to_string(),
+            row.controller.skipped.to_string(),
+            row.controller.late.to_string(),
+            row.world.missed.to_string(),
+            row.planner.ticks.to_string(),
+            row.planner.missed.to_string(),
+            row.floor.ticks.to_string(),
+            row.floor.missed.to_string(),
+            format!("{:.2}", row.controller_ratio()),
+            format!("{:.2}", row.planner_ratio()),
+            row.questions.to_string(),
+            row.swaps.to_string(),
+            row.verdict(),
+        ]);
+    }
+    table
+}
+
+fn line(beside: &Beside) -> String {
+    let late = beside
+        .late_us
+        .map_or(String::new(), |us| format!(" {us:.0} us late,"));
+    let missed = match beside.missed {
+        0 => String::new(),
+        missed => format!(" missed {missed},"),
+    };
+    format!(
+        "  at {:.2} s {}{missed}{late} the machine stalled {:.0} us in that second",
+        beside.at_s, beside.process, beside.stall_us
+    )
+}
+
+fn events(row: &Row) {
+    let stalls: Vec<String> = us(&row.stalls_us).collect();
+    say(format_args!(
+        "\n{}: longest stalls of the machine {} us",
+        name(row),
+        stalls.join(", ")
+    ));
+    if row.restarts > 0 {
+        say(format_args!("  {} restarts of processes", row.restarts));
+    }
+    for beside in row.misses.iter().take(LISTED_MAX).chain(row.latest.first()) {
+        say(line(beside));
+    }
+    if row.misses.len() > LISTED_MAX {
+        let more = row.misses.len() - LISTED_MAX;
+        say(format_args!("  {more} more in the JSON"));
+    }
+}
+
+fn conditions(measured: &Measured, seconds: f64) {
+    let rows = &measured.rows;
+    let Some(first) = rows.first() else {
+        return;
+    };
+    let granted: std::collections::BTreeSet<String> = rows
+        .iter()
+        .map(|row| {
+            format!(
+                "{}: controller {}, floor {}",
+                row.priority, row.controller.priority, row.floor.priority
+            )
+        })
+        .collect();
+    let granted: Vec<String> = granted.into_iter().collect();
+    say(format_args!(
+        "\nwhole process set, {seconds} s a row, {}; real-time priority ({}); load by {}; floor by {}, \
+         same priority and period, same seconds; stalls by a thread that wakes up 1,000 times a \
+         second; elapsed / period == ticks + skipped holds in every row; nothing is left out of a \
+         maximum",
+        measured.conditions,
+        granted.join("; "),
+        first.settings.stress,
+        first.floor_by,
+    ));
+    let plans: std::collections::BTreeSet<String> = rows
+        .iter()
+        .map(|row| format!("{} at {} Hz", row.plan_rate_hz, row.rate_hz))
+        .collect();
+    let plans: Vec<String> = plans.into_iter().collect();
+    say(format_args!("plans a second: {}", plans.join(", ")));
+    say(format_args!(
+        "bars: 99.9 % of lateness of controller and planner at most {FLOOR_RATIO_MAX} times the \
+         floor's; 99 % of response under {} us beside nothing, {} us beside anything",
+        RESPONSE_MAX_US[0], RESPONSE_MAX_US[1]
+    ));
+    if rows.iter().any(|row| row.controller.ticks < SAMPLES_FEW) {
+        say(format_args!(
+            "rows of less than {SAMPLES_FEW} ticks have few samples beyond 99.9 %: look at 1,000 Hz \
+             for the tail"
+        ));
+    }
+}

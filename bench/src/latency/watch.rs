@@ -1,0 +1,217 @@
+//! What is seen of a set while it drives: when which process missed a tick, and
+//! which ticks of the controller were latest.
+
+use std::cmp::Reverse;
+
+use serde::{Deserialize, Serialize};
+use shm_config::Instant;
+use shm_config::message::{Health, Step};
+use shm_config::run::{RunName, RunPaths};
+use shm_config::services::{Process, STEP, health};
+use shm_config::wire::{Subscriber, Wire};
+
+use crate::floor::Stalls;
+
+/// Misses that are kept one by one; all are counted.
+const MISSES_MAX: usize = 10_000;
+/// Latest ticks that are kept.
+const LATEST_MAX: usize = 5;
+/// The same second: so long before an instant and after it, ns.
+const SECOND_NS: u64 = 500_000_000;
+
+/// Something that came late, beside what the machine itself did in that second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Beside {
+    /// The process.
+    pub process: String,
+    /// Ticks that were missed; 0 for one that was only late.
+    pub missed: u64,
+    /// Since the first step of the run, s.
+    pub at_s: f64,
+    /// How late its tick began, us; none where only the count is known.
+    pub late_us: Option<f64>,
+    /// The longest stall of the machine within half a second, us: a thread that
+    /// only wakes up, 1,000 times a second.
+    pub stall_us: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Event {
+    process: Process,
+    missed: u64,
+    at: Instant,
+    late_ns: Option<u64>,
+}
+
+/// Looks at a running set.
+pub struct Watch {
+    _wire: Wire,
+    steps: Subscriber<Step>,
+    healths: Vec<(Process, Subscriber<Health>, Option<(u32, u64)>)>,
+    seen: Seen,
+}
+
+/// What was seen.
+#[derive(Default)]
+pub struct Seen {
+    begun: Option<Instant>,
+    skipped: Option<(u32, u64)>,
+    weights_version: u64,
+    /// How often other weights proposed than in the step before.
+    pub swaps: u64,
+    misses: Vec<Event>,
+    /// The largest first.
+    latest: Vec<Event>,
+}
+
+impl Watch {
+    /// Begins to look, once the set's supervisor is there.
+    ///
+    /// # Errors
+    /// When shared memory refuses.
+    pub fn begin(name: &RunName) -> anyhow::Result<Self> {
+        let wire = Wire::join(name, Process::Supervisor)?;
+        let steps = wire.subscriber(STEP)?;
+        let mut healths = Vec::new();
+        for process in [Process::World, Process::Planner] {
+            healths.push((process, wire.subscriber(health(process))?, None));
+        }
+        Ok(Self {
+            _wire: wire,
+            steps,
+            healths,
+            seen: Seen::default(),
+        })
+    }
+
+    /// Takes in what came since the last look. Often enough for the queue of
+    /// steps.
+    pub fn look(&mut self) {
+        self.steps.tend();
+        let seen = &mut self.seen;
+        while self.steps.visit(|step| seen.step(step)).is_some() {}
+        for (process, port, before) in &mut self.healths {
+            port.tend();
+            let Some(health) = port.newest() else {
+                continue;
+            };
+            let missed = health.skipped.max(health.late);
+            let pid = health.header.producer;
+            // A restarted process counts from 0.
+            let last = before.filter(|(last, _)| *last == pid);
+            let more = missed.saturating_sub(last.map_or(0, |(_, count)| count));
+            *before = Some((pid, missed));
+            if more > 0 {
+                self.seen.miss(Event {
+                    process: *process,
+                    missed: more,
+                    at: Instant(health.header.taken_ns),
+                    late_ns: None,
+                });
+            }
+        }
+    }
+
+    /// The set drives.
+    pub fn has_begun(&self) -> bool {
+        self.seen.begun.is_some()
+    }
+
+    /// Leaves the run; what was seen.
+    pub fn finish(self) -> Seen {
+        self.seen
+    }
+}
+
+impl Seen {
+    fn step(&mut self, step: &Step) {
+        let times = &step.timings;
+        let scheduled = Instant(times.scheduled_ns);
+        self.begun.get_or_insert(scheduled);
+        let late_ns = times.started_ns.saturating_sub(times.scheduled_ns);
+        let event = Event {
+            process: Process::Controller,
+            missed: 0,
+            at: scheduled,
+            late_ns: Some(late_ns),
+        };
+        let version = step.weights_version;
+        if self.weights_version != 0 && version != self.weights_version {
+            self.swaps += 1;
+        }
+        self.weights_version = version;
+        let pid = step.header.producer;
+        let last = self.skipped.filter(|(last, _)| *last == pid);
+        let missed = step
+            .skipped
+            .saturating_sub(last.map_or(0, |(_, count)| count));
+        self.skipped = Some((pid, step.skipped));
+        if missed > 0 {
+            self.miss(Event { missed, ..event });
+        }
+        if self.latest.len() == LATEST_MAX
+            && self
+                .latest
+                .last()
+                .is_some_and(|last| last.late_ns >= event.late_ns)
+        {
+            return;
+        }
+        self.latest.push(event);
+        self.latest.sort_by_key(|event| Reverse(event.late_ns));
+        self.latest.truncate(LATEST_MAX);
+    }
+
+    fn miss(&mut self, event: Event) {
+        if self.misses.len() < MISSES_MAX {
+            self.misses.push(event);
+        }
+    }
+
+    /// Each miss, and each of the latest ticks, beside the machine's stall in the
+    /// same second.
+    pub fn beside(&self, stalls: &Stalls) -> (Vec<Beside>, Vec<Beside>) {
+        let begun = self.begun.unwrap_or_default();
+        let beside = |event: &Event| Beside {
+            process: event.process.word().into(),
+            missed: event.missed,
+            at_s: event.at.since_ns(begun) as f64 / 1e9,
+            late_us: event.late_ns.map(|ns| ns as f64 / 1e3),
+            stall_us: stalls.near(event.at, SECOND_NS) as f64 / 1e3,
+        };
+        let all = |events: &[Event]| events.iter().map(beside).collect();
+        (all(&self.misses), all(&self.latest))
+    }
+}
+
+/// The set's supervisor is there, so that its run can be joined.
+pub fn is_up(name: &RunName) -> bool {
+    RunPaths::new(name.clone()).supervisor_pid().is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_miss_stands_beside_the_stall_of_its_second() {
+        let begun = Instant(1_000_000_000);
+        let mut stalls = Stalls::from(begun);
+        stalls.note(begun.after_ns(2_000_000_000), 9_000_000);
+        let mut seen = Seen::default();
+        let mut step = Step::default();
+        step.header.producer = 7;
+        for (tick, late_ns, skipped) in [(0, 10_000, 0), (20, 12_000_000, 1), (40, 20_000, 1)] {
+            step.timings.scheduled_ns = begun.after_ns(tick * 100_000_000).0;
+            step.timings.started_ns = step.timings.scheduled_ns + late_ns;
+            step.skipped = skipped;
+            seen.step(&step);
+        }
+        let (misses, latest) = seen.beside(&stalls);
+        assert_eq!(misses.len(), 1);
+        assert_eq!(misses[0].stall_us, 9_000.0);
+        assert_eq!((misses[0].at_s, misses[0].late_us), (2.0, Some(12_000.0)));
+        assert_eq!(latest.len(), 3);
+        assert_eq!((latest[0].at_s, latest[1].stall_us), (2.0, 0.0));
+    }
+}

@@ -1,0 +1,169 @@
+//! `bench latency` and `bench ipc` on real processes, with nothing installed and no
+//! rights: what they count adds up, is kept, and leaves nothing behind.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use vlaps_tests::{programs, until};
+
+fn bench(words: &[&str], out: &Path) -> Child {
+    Command::new(programs().join("vlaps-bench"))
+        .arg("bench")
+        .args(words)
+        .current_dir(out)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("vlaps-bench")
+}
+
+fn output(child: Child) -> Output {
+    child.wait_with_output().expect("its end")
+}
+
+fn json(path: &Path) -> Value {
+    let text = fs::read_to_string(path).expect("the JSON was written");
+    serde_json::from_str(&text).expect("JSON")
+}
+
+/// Shared memory of runs of these names that is still there.
+fn left_behind(names: &str) -> Vec<String> {
+    let user = rustix::process::getuid().as_raw();
+    let prefix = format!("vlaps-{user}-{names}");
+    fs::read_dir("/dev/shm")
+        .expect("shared memory")
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .filter(|name| name.starts_with(&prefix))
+        .collect()
+}
+
+const ROWS: &[&str] = &[
+    "latency",
+    "--load",
+    "none,cpu",
+    "--rate",
+    "100",
+    "--seconds",
+    "2",
+    "--priority",
+    "refused",
+    "--stress",
+    "own",
+    "--floor",
+    "own",
+    "--out",
+    "out",
+];
+
+#[test]
+fn rows_account_for_every_tick_and_are_kept() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let child = bench(ROWS, folder.path());
+    let run = format!("latency-{}", child.id());
+    let done = output(child);
+    assert!(done.status.success(), "{done:?}");
+    let out = folder.path().join("out");
+    let measured = json(&out.join("latency.json"));
+    let rows = measured["rows"].as_array().expect("rows");
+    let besides: Vec<_> = rows.iter().map(|row| row["beside"].as_str()).collect();
+    assert_eq!(besides, [Some("none"), Some("cpu")]);
+    for row in rows {
+        for process in ["world", "controller", "planner"] {
+            let of = |key: &str| row[process][key].as_u64().expect("a count");
+            let elapsed_s = row[process]["elapsed_s"].as_f64().expect("a time");
+            let due = (elapsed_s * 100.0).round() as u64;
+            assert_eq!(of("ticks") + of("skipped"), due, "{process}: {row}");
+            assert!(of("ticks") > 0, "{process} drove: {row}");
+        }
+        assert!(row["floor"]["ticks"].as_u64() > Some(50), "{row}");
+        assert_eq!(row["controller"]["priority"], "not asked");
+    }
+    // What is drawn is what was counted.
+    let csv = fs::read_to_string(out.join("rows/100-hz-cpu-ordinary.csv")).expect("raw data");
+    let lateness = csv
+        .lines()
+        .filter(|line| line.starts_with("controller,release_lateness,"));
+    let counted: u64 = lateness
+        .map(|line| {
+            line.split(',')
+                .nth(4)
+                .expect("a count")
+                .parse::<u64>()
+                .expect("a number")
+        })
+        .sum();
+    assert_eq!(Some(counted), rows[1]["controller"]["ticks"].as_u64());
+    for picture in ["lateness-ordinary", "response-ordinary"] {
+        for ending in ["svg", "png"] {
+            let path = out.join(format!("{picture}.{ending}"));
+            assert!(path.metadata().expect("a picture").len() > 1000, "{path:?}");
+        }
+    }
+    assert_eq!(left_behind(&run), [""; 0]);
+
+    // The same once more drives nothing.
+    let again = output(bench(ROWS, folder.path()));
+    assert!(again.status.success(), "{again:?}");
+    assert_eq!(json(&out.join("latency.json"))["rows"], measured["rows"]);
+}
+
+#[test]
+fn who_stops_keeps_the_rows_that_are_done() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut words = ROWS.to_vec();
+    words[6] = "4";
+    let child = bench(&words, folder.path());
+    let first = folder.path().join("out/rows/100-hz-none-ordinary.json");
+    until("the first row", || first.exists());
+    let pid = Pid::from_raw(child.id() as i32).expect("its id");
+    kill_process(pid, Signal::INT).expect("a signal");
+    let done = output(child);
+    assert_eq!(done.status.code(), Some(1), "{done:?}");
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(told.contains("1 rows are left"), "{told}");
+    let second = folder.path().join("out/rows/100-hz-cpu-ordinary.json");
+    assert!(first.exists() && !second.exists());
+}
+
+#[test]
+fn a_message_goes_back_and_forth_over_every_side() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let child = bench(
+        &[
+            "ipc",
+            "--message",
+            "step,command",
+            "--rate",
+            "0,100",
+            "--wake",
+            "bell,grid",
+            "--seconds",
+            "0.2",
+            "--json",
+            "ipc.json",
+        ],
+        folder.path(),
+    );
+    let run = format!("ipc-{}", child.id());
+    let done = output(child);
+    assert!(done.status.success(), "{done:?}");
+    let measured = json(&folder.path().join("ipc.json"));
+    let rows = measured["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 2 * 2 * 2);
+    for row in rows {
+        let sides = row["sides"].as_array().expect("sides");
+        assert_eq!(sides.len(), 4, "{row}");
+        for side in sides {
+            let of = |key: &str| side[key].as_u64().expect("a number");
+            assert!(of("count") >= 10, "{row}");
+            assert!(of("p50_ns") > 0 && of("p50_ns") <= of("max_ns"), "{row}");
+        }
+        assert!(row["ratio"].as_f64() > Some(0.0), "{row}");
+    }
+    assert_eq!(left_behind(&run), [""; 0]);
+}
