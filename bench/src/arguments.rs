@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
+use crate::faults::BenchFaults;
 use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
@@ -150,6 +151,8 @@ pub enum Bench {
     Judge(BenchJudge),
     /// Measure how punctual a running set is, whatever its judge does.
     Latency(BenchLatency),
+    /// Strike running sets with faults: is the car safe, does the set come back?
+    Faults(BenchFaults),
     /// Train under a judge that is wrong, silent or late: what does it cost?
     Sweep(BenchSweep),
 }

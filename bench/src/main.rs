@@ -13,7 +13,7 @@ use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
-    draw, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
+    draw, faults, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
     swapping, sweep, train,
 };
 use clap::Parser;
@@ -72,6 +72,7 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         Command::Bench(Bench::Latency(arguments)) => {
             latency::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+        Command::Bench(Bench::Faults(arguments)) => faults::bench(arguments, clock),
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {
                 wall: clock,

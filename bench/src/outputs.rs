@@ -35,6 +35,11 @@ pub fn check(command: &Command) -> Result<(), Failure> {
             {
                 check_folder("--record", folder)?;
             }
+            if let Bench::Faults(arguments) = bench
+                && let Some(folder) = &arguments.out
+            {
+                check_folder("--out", folder)?;
+            }
             ("--json", json(bench))
         }
         Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),
@@ -59,6 +64,7 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Swap(arguments) => &arguments.json,
         Bench::Judge(arguments) => &arguments.json,
         Bench::Latency(arguments) => &arguments.json,
+        Bench::Faults(arguments) => &arguments.json,
         Bench::Sweep(arguments) => &arguments.json,
     }
 }

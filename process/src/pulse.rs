@@ -3,6 +3,7 @@ use shm_config::message::{Health, HealthState, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, WireError};
 
+use crate::fault::Failing;
 use crate::{Member, Rights};
 
 /// How often a process says how it does, ns on the machine's clock.
@@ -20,6 +21,7 @@ pub struct Pulse {
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
+    failing: Failing,
 }
 
 impl Pulse {
@@ -35,6 +37,7 @@ impl Pulse {
             timing_port: member.wire.publisher(timing(member.process))?,
             health_due: Instant(0),
             timing_due: Instant(0),
+            failing: Failing::of(member)?,
         };
         pulse.set_rights(&member.rights);
         Ok(pulse)
@@ -60,6 +63,7 @@ impl Pulse {
     /// Publishes what is due. To be called between ticks; never allocates, logs
     /// or blocks.
     pub fn beat(&mut self, now: Instant) {
+        self.failing.obey(now);
         if now >= self.health_due {
             self.health.header.taken_ns = now.0;
             self.health_port.send(&mut self.health);
