@@ -25,6 +25,7 @@
 //! | exit code 2 later, any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
 //! | no health for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
 //! | not ready within [`member::READY_LIMIT_NS`] ([`member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
+//! | the run's files are gone from the disk or /dev/shm | brakes the car and gives up: whoever is restarted could not join the others |
 //! | the world's exit 0 | the run is driven to its end |
 //!
 //! # What the car does meanwhile

@@ -9,7 +9,6 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-use shm_config::Instant;
 use shm_config::run::RunPaths;
 use shm_config::services::Process;
 use supervisor::signals::pause;

@@ -109,8 +109,6 @@ impl Kind {
 /// One fault of a campaign.
 #[derive(Debug, Clone)]
 pub struct Trouble {
-    /// Its number in the campaign, from 0.
-    pub number: u64,
     /// What goes wrong.
     pub kind: Kind,
     /// With whom; `None` for the machine, or for all.
@@ -147,7 +145,6 @@ impl Trouble {
             count => Some(targets[(dice.next_u64() % count) as usize]),
         };
         Self {
-            number,
             kind: chosen,
             target,
             phase: share(&mut dice),
