@@ -13,8 +13,8 @@ use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
-    draw, faults, inference, judging, latency, learning, outputs, parity, planning, settings, soak, speed,
-    swapping, sweep, train,
+    draw, faults, inference, judging, latency, learning, outputs, parity, planning, settings, soak,
+    speed, swapping, sweep, train,
 };
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};

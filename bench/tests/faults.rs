@@ -15,7 +15,14 @@ fn campaign(words: &[&str]) -> Output {
 
 fn is_built() -> bool {
     let program = Path::new(env!("CARGO_BIN_EXE_vlaps-bench"));
-    let others = ["supervisor", "world", "planner", "controller", "gate", "learner"];
+    let others = [
+        "supervisor",
+        "world",
+        "planner",
+        "controller",
+        "gate",
+        "learner",
+    ];
     let missing = |name: &&str| !program.with_file_name(format!("vlaps-{name}")).exists();
     match others.iter().find(missing) {
         None => true,
@@ -52,7 +59,10 @@ fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
     for zero in ["violations", "leftovers", "unaccounted", "wrong"] {
         assert_eq!(bars[zero], 0, "{zero}: {figures}");
     }
-    assert!(bars["steps"].as_u64() > Some(50), "it was watched: {figures}");
+    assert!(
+        bars["steps"].as_u64() > Some(50),
+        "it was watched: {figures}"
+    );
     let rows = std::fs::read_to_string(Path::new(&out).join("faults.csv")).expect("rows");
     assert_eq!(rows.lines().count(), 7, "{rows}");
     for picture in ["faults.svg", "faults.png"] {

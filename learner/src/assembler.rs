@@ -370,7 +370,8 @@ fn follows(last: &Seen, next: &Seen) -> Then {
         Then::Unknown
     } else if next.episode == last.episode && next.tick == last.tick.wrapping_add(1) {
         Then::On
-    } else if next.episode == last.episode.wrapping_add(1) && next.tick == last.tick.wrapping_add(1) {
+    } else if next.episode == last.episode.wrapping_add(1) && next.tick == last.tick.wrapping_add(1)
+    {
         Then::End
     } else {
         Then::Unknown

@@ -23,8 +23,8 @@
 use std::marker::PhantomData;
 
 use crate::message::{
-    Advice, Command, Episode, Fault, Foresight, Frame, FrameRequest, Health, Learning, Observation, Plan,
-    PolicyStatus, Progress, Step, Takeover, Timing, Weights,
+    Advice, Command, Episode, Fault, Foresight, Frame, FrameRequest, Health, Learning, Observation,
+    Plan, PolicyStatus, Progress, Step, Takeover, Timing, Weights,
 };
 
 crate::word_list! {
@@ -158,8 +158,7 @@ pub const EPISODE: Service<Episode> =
     Service::custom("episode", P::World, &[], Queue(EPISODE_QUEUE));
 
 /// An order to fail. No bell rings: each process looks for it between two ticks.
-pub const FAULT: Service<Fault> =
-    Service::custom("fault", P::Supervisor, &[], Queue(FAULT_QUEUE));
+pub const FAULT: Service<Fault> = Service::custom("fault", P::Supervisor, &[], Queue(FAULT_QUEUE));
 
 /// How a process does.
 pub const fn health(process: Process) -> Service<Health> {

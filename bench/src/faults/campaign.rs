@@ -91,7 +91,12 @@ impl<'a> Campaign<'a> {
                 append(file, &row)?;
             }
             rows.push(row);
-            progress.note(format!("{} wrong", rows.iter().filter(|row| row.verdict != "ok" && !row.is_skipped()).count()));
+            progress.note(format!(
+                "{} wrong",
+                rows.iter()
+                    .filter(|row| row.verdict != "ok" && !row.is_skipped())
+                    .count()
+            ));
             if index % 10 == 9 || is_last {
                 progress.at(rows.len() as u64);
             }

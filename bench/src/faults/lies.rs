@@ -3,11 +3,11 @@
 use clap::ValueEnum;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
-use shm_config::message::{Command, Message, Plan, Step};
-use shm_config::services::{ADVICE, COMMAND, Delivery, OBSERVATION, PLAN, Process, STEP, Service};
-use shm_config::services::TAKEOVER;
-use shm_config::wire::{Publisher, Wire, WireError};
 use shm_config::Instant;
+use shm_config::message::{Command, Message, Plan, Step};
+use shm_config::services::TAKEOVER;
+use shm_config::services::{ADVICE, COMMAND, Delivery, OBSERVATION, PLAN, Process, STEP, Service};
+use shm_config::wire::{Publisher, Wire, WireError};
 
 /// Messages of a flood.
 const FLOOD: u32 = 2000;
@@ -202,4 +202,3 @@ impl Liar<'_> {
         Ok(())
     }
 }
-

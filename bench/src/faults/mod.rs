@@ -176,7 +176,9 @@ fn exceptions(rows: &[Row], arguments: &BenchFaults) -> Vec<String> {
             || (row.is_death() && !row.is_safe_within(2.0))
     };
     let told = |row: &Row| {
-        let safe = row.safe_ms.map_or("never".into(), |ms| format!("after {ms:.1} ms"));
+        let safe = row
+            .safe_ms
+            .map_or("never".into(), |ms| format!("after {ms:.1} ms"));
         format!(
             "{} {} {}: safe {safe} by {}, {} violations, {} leftovers, {} ticks unaccounted, {}; \
              repeat: ./vlaps bench faults --seed {}{kinds} --only {} --rate {}",
@@ -220,6 +222,11 @@ fn print(figures: &Figures) {
     say(format_args!(
         "{} steps read, {} lost before they were read; of the grid's ticks {} skipped, {} without a \
          controller, {} unaccounted for; {}",
-        bars.steps, bars.lost, bars.skipped_ticks, bars.unmanned, bars.unaccounted, figures.conditions
+        bars.steps,
+        bars.lost,
+        bars.skipped_ticks,
+        bars.unmanned,
+        bars.unaccounted,
+        figures.conditions
     ));
 }

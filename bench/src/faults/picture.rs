@@ -127,7 +127,11 @@ mod tests {
             by: by.into(),
             ..Row::default()
         };
-        let rows = [row(0.0, "command"), row(150.0, "vehicle"), row(9e9, "brake")];
+        let rows = [
+            row(0.0, "command"),
+            row(150.0, "vehicle"),
+            row(9e9, "brake"),
+        ];
         let kinds = bars(&rows);
         let bars = kinds["kill"];
         assert_eq!((bars[0], bars[30], bars[59]), ([1, 0], [0, 1], [1, 0]));

@@ -92,7 +92,9 @@ pub fn append(path: &Path, row: &Row) -> anyhow::Result<()> {
     let is_new = !path.exists();
     let file = OpenOptions::new().append(true).create(true).open(path);
     let file = file.with_context(|| path.display().to_string())?;
-    let mut writer = csv::WriterBuilder::new().has_headers(is_new).from_writer(file);
+    let mut writer = csv::WriterBuilder::new()
+        .has_headers(is_new)
+        .from_writer(file);
     writer.serialize(row)?;
     writer.flush()?;
     Ok(())

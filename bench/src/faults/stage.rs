@@ -186,7 +186,9 @@ impl Stage {
         let begun = (self.clock)();
         self.watch().fresh_in_row = 0;
         self.until(limit_ns, |watch| {
-            let up = CHILDREN.into_iter().all(|process| watch.is_up(process, begun));
+            let up = CHILDREN
+                .into_iter()
+                .all(|process| watch.is_up(process, begun));
             up && watch.fresh_in_row >= DRIVING
         })
     }
@@ -232,7 +234,8 @@ impl Stage {
         let code = self.await_end()?;
         if code != Some(0) {
             let words = self.last_words();
-            end.wrongs.push(format!("an orderly stop ended with {code:?}: {words}"));
+            end.wrongs
+                .push(format!("an orderly stop ended with {code:?}: {words}"));
         }
         end.wrongs.extend(self.summary_wrongs());
         end.leftovers = self.leftovers(true)?;
@@ -262,7 +265,8 @@ impl Stage {
         let code = self.await_end()?;
         let mut end = End::default();
         if code != Some(1) {
-            end.wrongs.push(format!("a run beyond help ended with {code:?}"));
+            end.wrongs
+                .push(format!("a run beyond help ended with {code:?}"));
         }
         end.leftovers = self.leftovers(true)?;
         Ok(end)
@@ -328,7 +332,12 @@ impl Stage {
         let sockets = fs::read_to_string("/proc/net/unix").unwrap_or_default();
         let place = format!("{}/", self.paths.dir().display());
         let ours = |line: &&str| line.contains(&place);
-        left.extend(sockets.lines().filter(ours).map(|line| format!("socket {line}")));
+        left.extend(
+            sockets
+                .lines()
+                .filter(ours)
+                .map(|line| format!("socket {line}")),
+        );
         let known = ["runs", "up.json", "errors"];
         for entry in fs::read_dir(&self.scene.folder)?.flatten() {
             let name = entry.file_name();

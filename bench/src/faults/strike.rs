@@ -162,7 +162,12 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
 }
 
 /// Waits until the set drives again; what came of the fault.
-pub fn await_recovery(stage: &mut Stage, trouble: &Trouble, old_pid: Option<i32>, clock: Clock) -> Came {
+pub fn await_recovery(
+    stage: &mut Stage,
+    trouble: &Trouble,
+    old_pid: Option<i32>,
+    clock: Clock,
+) -> Came {
     let over = stage.watch().trial().and_then(|trial| trial.over);
     let over = over.unwrap_or_else(clock);
     let dies = trouble.kind.is_a_death() || trouble.kind == Kind::Hang;
@@ -193,7 +198,9 @@ pub fn came(trial: &Trial, limits: &super::ledger::Limits, recovered: Option<Ins
     let own = limits.own_brake(trial.before, trial.anchor);
     let since = |instant: Instant| instant.since_ns(trial.struck);
     let (safe, by) = match trial.command {
-        Some((handed, brakes)) if handed <= own => (handed, if brakes { "brake" } else { "command" }),
+        Some((handed, brakes)) if handed <= own => {
+            (handed, if brakes { "brake" } else { "command" })
+        }
         _ => (own, "vehicle"),
     };
     Came {
@@ -228,7 +235,10 @@ fn starve(pid: Pid) -> anyhow::Result<Rlimit> {
     let text = std::fs::read_to_string(&path).context(path)?;
     let size = text.lines().find_map(|line| line.strip_prefix("VmSize:"));
     let size = size.and_then(|size| size.trim().strip_suffix(" kB")?.parse::<u64>().ok());
-    let none = Rlimit { current: None, maximum: None };
+    let none = Rlimit {
+        current: None,
+        maximum: None,
+    };
     let limit = Rlimit {
         current: Some(size.context("VmSize")? * 1024),
         maximum: None,

@@ -67,9 +67,9 @@ impl Kind {
             Kind::Stop => &[
                 Controller, Controller, Planner, World, Gate, Learner, Supervisor,
             ],
-            Kind::Hang | Kind::Slow | Kind::Panic | Kind::Allocation => {
-                &[Controller, Controller, Planner, Planner, World, Gate, Learner]
-            }
+            Kind::Hang | Kind::Slow | Kind::Panic | Kind::Allocation => &[
+                Controller, Controller, Planner, Planner, World, Gate, Learner,
+            ],
             Kind::Memory => &[Controller, Planner, World, Gate],
             // The room is needed when somebody starts anew.
             Kind::Disk | Kind::Shm => &[Controller, Planner, World, Gate],
@@ -178,11 +178,15 @@ mod tests {
         let mut counts = BTreeMap::new();
         for (one, other) in faults(1).zip(faults(1)) {
             assert_eq!(format!("{one:?}"), format!("{other:?}"));
-            *counts.entry((one.kind, one.target.map(Process::code))).or_insert(0) += 1;
+            *counts
+                .entry((one.kind, one.target.map(Process::code)))
+                .or_insert(0) += 1;
         }
         let kinds: Vec<Kind> = counts.keys().map(|key| key.0).collect();
         assert!(all.iter().all(|kind| kinds.contains(kind)), "{counts:?}");
-        let differ = faults(1).zip(faults(2)).filter(|(one, other)| one.kind != other.kind);
+        let differ = faults(1)
+            .zip(faults(2))
+            .filter(|(one, other)| one.kind != other.kind);
         assert!(differ.count() > 1000, "another seed is another campaign");
         let killed = Kind::Kill.targets();
         for target in killed {
@@ -196,6 +200,10 @@ mod tests {
         let wished = [Kind::Stop, Kind::Hostile];
         let drawn = (0..500).map(|k| Trouble::draw(7, k, &wished).kind);
         assert!(drawn.clone().all(|kind| wished.contains(&kind)));
-        assert!(wished.iter().all(|kind| drawn.clone().any(|one| one == *kind)));
+        assert!(
+            wished
+                .iter()
+                .all(|kind| drawn.clone().any(|one| one == *kind))
+        );
     }
 }
