@@ -82,7 +82,7 @@ impl Scene {
             "supervisor.healthy_s=0.1",
             "supervisor.backoff_ms=5",
             "supervisor.backoff_max_ms=100",
-            "supervisor.silence_s=0.4",
+            "supervisor.silence_s=0.6",
             "supervisor.log_mb=1",
         ]
         .map(String::from)
@@ -160,6 +160,13 @@ impl Stage {
         let watch = self.watch.as_mut().expect("watched until its end");
         watch.look(now);
         watch
+    }
+
+    /// The controller of this process id dies of the fault that just struck.
+    pub fn doom(&mut self, controller: Option<i32>) {
+        if let Some(watch) = &mut self.watch {
+            watch.doom(controller);
+        }
     }
 
     /// Watches until a condition holds, or for so long; whether it held.

@@ -65,6 +65,7 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
     let lack_ns = LACK_NS + (trouble.periods / 20.0 * LACK_MORE_NS) as u64;
     let target = trouble.target.unwrap_or(Process::Controller);
     let mut detail = String::new();
+    let controller = stage.pid(Process::Controller);
     match trouble.kind {
         Kind::Kill => {
             begin(stage, clock);
@@ -155,6 +156,10 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
     }
     let now = clock();
     let lasts = !(trouble.kind.is_a_death() || trouble.kind == Kind::Hang);
+    if !lasts && target == Process::Controller {
+        // Before the ports are read again.
+        stage.doom(controller);
+    }
     let watch = stage.watch();
     let struck = watch.trial().map_or(now, |trial| trial.struck);
     watch.over(if lasts { now } else { struck });

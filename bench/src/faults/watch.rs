@@ -38,6 +38,9 @@ pub struct Trial {
     pub before: Instant,
     /// An instant of the grid before it.
     pub anchor: Instant,
+    /// The controller that dies of it. What it still says before it does moves the
+    /// fault's instant: an order to fail is obeyed a moment later.
+    pub doomed: Option<u32>,
     /// The first safe command after it: when it was handed over, and whether it is
     /// the brake.
     pub command: Option<(Instant, bool)>,
@@ -148,6 +151,11 @@ impl Watch {
             trial.before = trial.before.max(given);
             return;
         }
+        if trial.doomed == Some(step.header.producer) {
+            trial.struck = Instant(step.timings.commanded_ns);
+            trial.before = given;
+            return;
+        }
         // A process that was stopped in its tick hands over what nobody obeys.
         let handed = Instant(step.timings.commanded_ns);
         let obeyed = handed.since_ns(given) <= self.limits.command_age_ns;
@@ -170,10 +178,18 @@ impl Watch {
             struck,
             before: newest.map_or(struck, |step| step.command.header.taken()),
             anchor: newest.map_or(struck, |step| Instant(step.timings.scheduled_ns)),
+            doomed: None,
             over: None,
             command: None,
             fresh: None,
         });
+    }
+
+    /// The controller of this process id dies of the fault.
+    pub fn doom(&mut self, pid: Option<i32>) {
+        if let Some(trial) = &mut self.trial {
+            trial.doomed = pid.and_then(|pid| u32::try_from(pid).ok());
+        }
     }
 
     /// The fault is over, as far as it is up to the campaign.
