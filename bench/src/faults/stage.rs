@@ -77,7 +77,7 @@ impl Scene {
             "learner.updates=5",
             "learner.batch=64",
             "learner.hidden=32",
-            "learner.capacity=5000",
+            "learner.capacity=2000",
             "supervisor.restarts_max=100000",
             "supervisor.healthy_s=0.1",
             "supervisor.backoff_ms=5",
@@ -99,6 +99,8 @@ impl Stage {
     /// # Errors
     /// When it does not.
     pub fn start(scene: Scene, clock: Clock) -> anyhow::Result<Self> {
+        // What the set before learnt would fill the disk in the end.
+        let _ = fs::remove_dir_all(&scene.folder);
         fs::create_dir_all(&scene.folder)?;
         let errors = fs::File::create(scene.folder.join("errors"))?;
         let program = std::env::current_exe()?.with_file_name("vlaps-supervisor");
@@ -156,9 +158,8 @@ impl Stage {
     /// # Panics
     /// Never: a started stage has one until it ends.
     pub fn watch(&mut self) -> &mut Watch {
-        let now = (self.clock)();
         let watch = self.watch.as_mut().expect("watched until its end");
-        watch.look(now);
+        watch.look(self.clock);
         watch
     }
 

@@ -7,6 +7,7 @@ use shm_config::services::{self, COMMAND, FAULT, PROGRESS, Process, STEP};
 use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
 
 use super::ledger::{Ledger, Limits, is_fresh};
+use crate::Clock;
 
 /// The processes that a supervisor starts.
 pub const CHILDREN: [Process; 5] = [
@@ -99,7 +100,7 @@ impl Watch {
     }
 
     /// Reads everything that came. Never waits.
-    pub fn look(&mut self, now: Instant) {
+    pub fn look(&mut self, clock: Clock) {
         self.steps.tend();
         self.commands.tend();
         self.progress.tend();
@@ -126,7 +127,8 @@ impl Watch {
                 break;
             };
             if command.header.producer != self.own_pid {
-                self.ledger.command(&command, now);
+                // Read after the command came: the watcher itself may be held up.
+                self.ledger.command(&command, clock());
             }
         }
         while let Some(progress) = self.progress.receive() {
