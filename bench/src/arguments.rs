@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
 use crate::ipc::{BenchIpc, IpcEcho};
+use crate::faults::BenchFaults;
 use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
@@ -156,6 +157,8 @@ pub enum Bench {
     /// The other end of ipc.
     #[command(hide = true)]
     IpcEcho(IpcEcho),
+    /// Strike running sets with faults: is the car safe, does the set come back?
+    Faults(BenchFaults),
     /// Train under a judge that is wrong, silent or late: what does it cost?
     Sweep(BenchSweep),
 }

@@ -22,6 +22,7 @@
 //! | [`judging`] | how often a judge is right where the simulator knows |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`driven`] | a whole process set, driven for a measurement |
+//! | [`faults`] | a campaign of faults on live sets |
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
 //! | [`latency`] | how punctual the set is, whatever happens beside it |
 //! | [`chart`] | what charts have in common |
@@ -38,6 +39,7 @@ pub mod driven;
 pub mod episode;
 pub mod eval;
 pub mod evaluation;
+pub mod faults;
 pub mod floor;
 pub mod inference;
 pub mod ipc;

@@ -13,7 +13,7 @@ use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
-    draw, inference, ipc, judging, latency, learning, outputs, parity, planning, settings, soak,
+    draw, faults, inference, ipc, judging, latency, learning, outputs, parity, planning, settings, soak,
     speed, swapping, sweep, train,
 };
 use clap::Parser;
@@ -78,6 +78,7 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         Command::Bench(Bench::IpcEcho(arguments)) => {
             ipc::peer::answer(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+        Command::Bench(Bench::Faults(arguments)) => faults::bench(arguments, clock),
         Command::Bench(Bench::Planner(arguments)) => {
             let clocks = Clocks {
                 wall: clock,

@@ -40,6 +40,11 @@ pub fn check(command: &Command) -> Result<(), Failure> {
             {
                 check_folder("--out", folder)?;
             }
+            if let Bench::Faults(arguments) = bench
+                && let Some(folder) = &arguments.out
+            {
+                check_folder("--out", folder)?;
+            }
             ("--json", json(bench))
         }
         Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),
@@ -66,6 +71,7 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Latency(arguments) => &arguments.json,
         Bench::Ipc(arguments) => &arguments.json,
         Bench::IpcEcho(_) => &None,
+        Bench::Faults(arguments) => &arguments.json,
         Bench::Sweep(arguments) => &arguments.json,
     }
 }

@@ -97,7 +97,7 @@ impl Handover {
             Look::Seen(None) => true,
             Look::Seen(Some(offer)) => {
                 let tick = match self.has_ticked {
-                    true => controller.step().header.tick + 1,
+                    true => controller.step().header.tick.saturating_add(1),
                     false => 0,
                 };
                 controller.adopt(offer, tick, &mut self.hand);

@@ -303,7 +303,11 @@ fn tick(
             waiting.answered = seen;
             tick
         }
-        _ => controller.step().header.tick + 1 + slot.skipped,
+        // A foreign observation may have been of the last tick there is.
+        _ => {
+            let last = controller.step().header.tick;
+            last.saturating_add(1 + slot.skipped)
+        }
     };
     controller.tick(inputs, tick, now, intent);
     *inputs = Inputs::default();

@@ -371,9 +371,10 @@ pub fn expert_command(step: &Step) -> Action {
 fn follows(last: &Seen, next: &Seen) -> Then {
     if last.origin != next.origin {
         Then::Unknown
-    } else if next.episode == last.episode && next.tick == last.tick + 1 {
+    } else if next.episode == last.episode && next.tick == last.tick.wrapping_add(1) {
         Then::On
-    } else if next.episode == last.episode + 1 && next.tick == last.tick + 1 {
+    } else if next.episode == last.episode.wrapping_add(1) && next.tick == last.tick.wrapping_add(1)
+    {
         Then::End
     } else {
         Then::Unknown

@@ -2,6 +2,7 @@
 //! configuration, membership in the run, logs, stop signal, real-time rights,
 //! and saying how it does. The ticks themselves are each process's own.
 
+mod fault;
 mod kernel;
 mod pulse;
 mod realtime;

@@ -3,6 +3,7 @@ use shm_config::message::{Health, HealthState, PARTS, Part, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, WireError};
 
+use crate::fault::Failing;
 use crate::{Member, Rights, Usage};
 
 /// How often a process says how it does, ns on the machine's clock.
@@ -24,6 +25,7 @@ pub struct Pulse {
     usage_before: Usage,
     budgets_ns: [u64; PARTS],
     part_begun: Instant,
+    failing: Failing,
 }
 
 impl Pulse {
@@ -42,6 +44,7 @@ impl Pulse {
             usage_before: Usage::of_this_thread(),
             budgets_ns: member.config.budgets_ns(member.process),
             part_begun: Instant(0),
+            failing: Failing::of(member)?,
         };
         pulse.set_rights(&member.rights);
         Ok(pulse)
@@ -72,6 +75,7 @@ impl Pulse {
     /// Publishes what is due. To be called between ticks; never allocates, logs
     /// or blocks.
     pub fn beat(&mut self, now: Instant) {
+        self.failing.obey(now);
         if now >= self.health_due {
             self.count_usage();
             self.health.header.taken_ns = now.0;

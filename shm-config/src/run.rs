@@ -99,7 +99,7 @@ pub struct RunPaths {
 /// A lock on one of the run's files, dropped with the value or the process.
 #[derive(Debug)]
 pub struct RunLock {
-    _file: File,
+    file: File,
 }
 
 impl RunPaths {
@@ -200,7 +200,7 @@ impl RunPaths {
         let path = self.dir().join(ALIVE_FILE);
         let file = open_private(&path)?;
         match lock(&path, &file, FlockOperation::NonBlockingLockShared)? {
-            true => Ok(RunLock { _file: file }),
+            true => Ok(RunLock { file }),
             false => Err(RunError::Io {
                 path,
                 source: io::Error::other("the run is being cleaned up; try again"),
@@ -232,7 +232,15 @@ impl RunPaths {
             _ => return self.hold_supervisor(),
         }
         fs::write(&path, format!("{}\n", std::process::id())).map_err(io_error)?;
-        Ok(Some(RunLock { _file: file }))
+        Ok(Some(RunLock { file }))
+    }
+
+    /// The file of a supervisor's lock is still where it was taken: nobody has
+    /// removed the run's files.
+    pub fn is_held(&self, lock: &RunLock) -> bool {
+        let found = fs::metadata(self.supervisor_file());
+        let locked = lock.file.metadata();
+        matches!((found, locked), (Ok(found), Ok(locked)) if found.ino() == locked.ino())
     }
 
     /// The process id of the run's living supervisor; `None` when there is none.

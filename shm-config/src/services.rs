@@ -18,12 +18,13 @@
 //! | `episode` | world | supervisor | how an episode ended; a queue |
 //! | `health/*` | each process | supervisor | how the process does |
 //! | `timing/*` | each process | supervisor | how punctual it is |
+//! | `fault` | `bench faults` | each process, with `run.faults` alone | an order to fail; a queue, so that nobody who is restarted gets an old one |
 
 use std::marker::PhantomData;
 
 use crate::message::{
-    Advice, Command, Episode, Foresight, Frame, FrameRequest, Health, Learning, Observation, Plan,
-    PolicyStatus, Progress, Step, Takeover, Timing, Weights,
+    Advice, Command, Episode, Fault, Foresight, Frame, FrameRequest, Health, Learning, Observation,
+    Plan, PolicyStatus, Progress, Step, Takeover, Timing, Weights,
 };
 
 crate::word_list! {
@@ -102,6 +103,8 @@ impl<M> Service<M> {
 pub const STEP_QUEUE: usize = 4096;
 /// Episodes a slow reader may fall behind.
 pub const EPISODE_QUEUE: usize = 256;
+/// Orders to fail that a slow reader may fall behind.
+pub const FAULT_QUEUE: usize = 16;
 
 use Delivery::{Latest, Queue};
 use Process as P;
@@ -153,6 +156,9 @@ pub const PROGRESS: Service<Progress> = Service::custom("progress", P::World, &[
 /// How an episode ended.
 pub const EPISODE: Service<Episode> =
     Service::custom("episode", P::World, &[], Queue(EPISODE_QUEUE));
+
+/// An order to fail. No bell rings: each process looks for it between two ticks.
+pub const FAULT: Service<Fault> = Service::custom("fault", P::Supervisor, &[], Queue(FAULT_QUEUE));
 
 /// How a process does.
 pub const fn health(process: Process) -> Service<Health> {

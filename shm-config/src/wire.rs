@@ -449,17 +449,21 @@ impl<M: Message> Subscriber<M> {
 
     /// The newest message since the last look, not yet admitted; `None` when
     /// nothing new came. Two publishers exist while a dead one is replaced, so
-    /// this reads until there is nothing left.
+    /// this reads until there is nothing left; of several messages one that makes
+    /// no sense never hides one that does.
     pub fn newest(&mut self) -> Option<M> {
-        let mut newest = None;
+        let mut newest: Option<M> = None;
         // Bounded: a hostile publisher cannot hold a tick.
         for _ in 0..PUBLISHERS_MAX {
             let Ok(Some(sample)) = self.port.receive() else {
                 break;
             };
-            self.count(sample.payload().header());
-            // Copied once, to where it is returned: a step has 4.9 kB.
-            newest = Some(*sample.payload());
+            let message = sample.payload();
+            self.count(message.header());
+            if newest.is_none() || message.check().is_ok() {
+                // Copied once, to where it is returned: a step has 4.9 kB.
+                newest = Some(*message);
+            }
         }
         newest
     }

@@ -373,6 +373,16 @@ fn cameras_of_frames() {
     assert!(refusal(|camera| camera.view = 9).is_some());
 }
 
+#[test]
+fn orders_to_fail() {
+    let good = Fault::default();
+    assert_eq!(good.check(), Ok(()));
+    let refusal = Fault { kind: 4, ..good }.check();
+    assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));
+    let refusal = Fault { target: 6, ..good }.check();
+    assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));
+}
+
 /// A frame is copied on the way, two megabytes each time.
 const STACK_BYTES: usize = 64 << 20;
 

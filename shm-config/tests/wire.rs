@@ -65,6 +65,30 @@ fn the_latest_value_wins_and_late_joiners_get_it() {
 }
 
 #[test]
+fn a_message_that_makes_no_sense_hides_none_that_does() {
+    let run = TestRun::new("sense");
+    let (one, other) = (run.join(Process::Controller), run.join(Process::Learner));
+    let world = run.join(Process::World);
+    let mut reader = world.subscriber(COMMAND).unwrap();
+    let mut first = one.publisher(COMMAND).unwrap();
+    let mut second = other.publisher(COMMAND).unwrap();
+    let broken = |tick| Command {
+        steer: f64::NAN,
+        ..command(tick)
+    };
+    // Whichever of the two is read first.
+    first.send(&mut command(1));
+    second.send(&mut broken(2));
+    assert_eq!(reader.newest().map(|c| c.header.tick), Some(1));
+    first.send(&mut broken(3));
+    second.send(&mut command(4));
+    assert_eq!(reader.newest().map(|c| c.header.tick), Some(4));
+    first.send(&mut broken(5));
+    let alone = reader.newest().expect("it is handed over, to be counted");
+    assert!(alone.check().is_err());
+}
+
+#[test]
 fn a_queue_counts_exactly_what_it_lost() {
     let run = TestRun::new("queue");
     let (here, there) = (run.join(Process::Controller), run.join(Process::Learner));

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::Parser;
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use rustix::time::{ClockId, Timespec};
-use shm_config::config::Late;
+use shm_config::config::{Late, Run};
 use shm_config::message::{
     Command, Header, HealthState, Message, Observation, Outcome, Part, Progress,
 };
@@ -100,6 +100,18 @@ struct Session {
     is_late: bool,
 }
 
+/// The first instant lies at least one period ahead: everybody can be there. All
+/// worlds of a run, the restarted ones too, share the phase of their grid, so that
+/// `elapsed / period` stays a whole number over restarts; runs side by side do not.
+fn first_instant(run: &Run, now: Instant) -> Instant {
+    let period_ns = run.period_ns();
+    let mix = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
+    let phase_ns = run.name.bytes().fold(0xcbf2_9ce4_8422_2325, mix) % period_ns;
+    let least_ns = now.0 + period_ns;
+    let passed_ns = (least_ns - phase_ns) % period_ns;
+    Instant(least_ns + (period_ns - passed_ns) % period_ns)
+}
+
 fn run(cli: &Cli) -> Result<(), SetUpError> {
     let mut session = Session::open(cli)?;
     session.drive()
@@ -122,10 +134,9 @@ impl Session {
         member.claim_rights();
         pulse.set_rights(&member.rights);
         pulse.enter(HealthState::Ready, monotonic());
-        // The first instant lies one period ahead: everybody can be there.
         let first = match member.config.run.is_lockstep() {
             true => Instant(0),
-            false => monotonic().after_ns(member.config.run.period_ns()),
+            false => first_instant(&member.config.run, monotonic()),
         };
         Ok(Self {
             grid: Grid::new(&member.config, first),
@@ -408,5 +419,27 @@ impl Session {
             let left = Duration::from_nanos(until.since_ns(now));
             self.ports.bell.wait(NAP.min(left));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn worlds_of_a_run_share_the_phase_of_their_grid() {
+        let mut run = Run::default();
+        let period_ns = run.period_ns();
+        let first = first_instant(&run, Instant(5_123_456_789));
+        for passed_ns in [0, 1, period_ns / 3, period_ns, 7 * period_ns + 12_345] {
+            let now = Instant(5_123_456_789 + passed_ns);
+            let next = first_instant(&run, now);
+            assert_eq!(next.since_ns(first) % period_ns, 0, "{passed_ns}");
+            let ahead_ns = next.since_ns(now);
+            assert!((period_ns..2 * period_ns).contains(&ahead_ns), "{ahead_ns}");
+        }
+        run.name = "another".into();
+        let other = first_instant(&run, Instant(5_123_456_789));
+        assert_ne!(other, first, "sets side by side do not tick at once");
     }
 }

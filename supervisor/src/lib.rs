@@ -21,10 +21,11 @@
 //!
 //! | what the supervisor sees | what it does |
 //! |---|---|
-//! | exit code 2 | shows the process's last line and gives the run up: the same set-up would fail again |
-//! | any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
+//! | exit code 2 at the first start | shows the process's last line and gives the run up: the same set-up would fail again |
+//! | exit code 2 later, any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
 //! | no health for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
 //! | not ready within [`member::READY_LIMIT_NS`] ([`member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
+//! | the run's files are gone from the disk or /dev/shm | brakes the car and gives up: whoever is restarted could not join the others |
 //! | the world's exit 0 | the run is driven to its end |
 //!
 //! # What the car does meanwhile

@@ -262,7 +262,9 @@ impl Member {
         self.phase = Phase::Gone;
         match (&exit, self.row.restart) {
             (Exit::Done, Restart::AtEpisode) => return Turn::Finished,
-            (Exit::Refused, _) => {
+            // A set-up that was good before fails for want of room on a disk or in
+            // shared memory, which passes; a new one would fail again.
+            (Exit::Refused, _) if !self.ever_ready => {
                 return Turn::GiveUp(match self.log.last_line() {
                     // A child begins its line with its own name.
                     Some(line) => {
@@ -275,7 +277,7 @@ impl Member {
                     ),
                 });
             }
-            (Exit::Done | Exit::Crashed(_), _) => {}
+            (Exit::Done | Exit::Refused | Exit::Crashed(_), _) => {}
         }
         match self.backoff.died(ran_ns, limits) {
             After::Pause(pause_ns) => {

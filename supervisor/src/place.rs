@@ -25,7 +25,7 @@ const DEATH_LOOK: Duration = Duration::from_millis(50);
 #[derive(Debug)]
 pub struct Place {
     paths: RunPaths,
-    _lock: RunLock,
+    lock: RunLock,
 }
 
 impl Place {
@@ -47,7 +47,7 @@ impl Place {
         };
         for _ in 0..DEATH_LOOKS {
             if let Some(leftovers) = paths.clean_if_dead()? {
-                let place = Self { paths, _lock: lock };
+                let place = Self { paths, lock };
                 return Ok((place, leftovers));
             }
             pause(DEATH_LOOK);
@@ -57,6 +57,13 @@ impl Place {
              `fuser {}`, end it, and try again, or use `--run OTHER`",
             paths.dir().join("alive").display()
         )))
+    }
+
+    /// The run's files are still there. Without them nobody who starts can join
+    /// those who drive.
+    pub fn is_whole(&self) -> bool {
+        let shared = self.paths.shared_memory();
+        self.paths.is_held(&self.lock) && shared.is_ok_and(|files| !files.is_empty())
     }
 
     /// The run's paths.

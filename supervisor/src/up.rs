@@ -39,6 +39,8 @@ const PERIOD_NS: u64 = 50_000_000;
 const START_PERIOD_NS: u64 = 5_000_000;
 /// From view to view, ns.
 const SHOW_NS: u64 = 200_000_000;
+/// From look to look at the run's files, ns.
+const PLACE_NS: u64 = 500_000_000;
 /// From look to look at the size of the logs, ns.
 const LOGS_NS: u64 = 1_000_000_000;
 
@@ -177,6 +179,8 @@ fn drive(
     let now = clock();
     let mut run = Run {
         config,
+        place,
+        place_looked: now,
         ports,
         seat,
         wire,
@@ -262,6 +266,8 @@ impl Journal {
 /// A run in progress. Fields are dropped in this order: ports before the wire.
 struct Run<'a> {
     config: &'a Config,
+    place: &'a Place,
+    place_looked: Instant,
     ports: Ports,
     seat: Option<Seat>,
     wire: Wire,
@@ -328,6 +334,16 @@ impl Run<'_> {
 
     /// Restarts, kills and starts what is due.
     fn act(&mut self, now: Instant) -> Turn {
+        if now.since_ns(self.place_looked) >= PLACE_NS {
+            self.place_looked = now;
+            if !self.place.is_whole() {
+                return Turn::GiveUp(format!(
+                    "{}: the run's files were removed while it drives; who dies now could not \
+                     come back, so the car is braked to a stand; start it anew",
+                    self.place.paths().dir().display()
+                ));
+            }
+        }
         match self.set.judge(now) {
             Turn::Drive if self.is_driven() && !self.set.lives(Process::World) => Turn::Finished,
             Turn::Drive => self.set.start_due(now, self.tally.resume()),

@@ -103,6 +103,23 @@ fn a_refused_set_up_is_shown_and_never_tried_again() {
 }
 
 #[test]
+fn a_set_up_that_was_good_before_is_tried_again() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    // No room on a disk, say: what was good is refused for a while.
+    common::replace(rig.dir.path(), "vlaps-planner", "refuse");
+    rig.set.signal(Process::Planner, Signal::KILL);
+    for restart in 1..=3 {
+        rig.await_end(Process::Planner);
+        assert!(rig.set.reap(rig.now));
+        assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+        rig.now = rig.set.next_start().expect("a restart is due");
+        assert_eq!(rig.restarts(Process::Planner), restart);
+        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
+    }
+}
+
+#[test]
 fn a_stopped_process_is_silent_and_is_killed() {
     let mut rig = Rig::new("idle", |config| config.supervisor.silence_s = 1.0);
     rig.start_all();

@@ -2,9 +2,9 @@
 
 use rustix::process::Signal;
 use serde_json::Value;
-use shm_config::message::{Driver, Message, Reason, Step};
+use shm_config::message::{Driver, Fault, FaultKind, Message, Reason, Step};
 use shm_config::run::RunPaths;
-use shm_config::services::{Process, STEP};
+use shm_config::services::{FAULT, Process, STEP};
 use shm_config::wire::{Subscriber, Wire};
 use vlaps_tests::{Set, until};
 
@@ -232,4 +232,61 @@ fn two_sets_drive_side_by_side() {
     drop((watch_one, watch_other));
     other.signal(Signal::TERM);
     assert_eq!(other.wait(), Some(0));
+}
+
+/// Orders a set's planner to panic.
+fn order_a_panic(set: &Set) {
+    let wire = Wire::join(set.name(), Process::Learner).expect("shared memory");
+    let mut orders = wire.publisher(FAULT).expect("orders");
+    let mut order = Fault {
+        target: Process::Planner.code(),
+        kind: FaultKind::Panic.code(),
+        ..Fault::default()
+    };
+    #[allow(clippy::disallowed_methods)] // who orders says when
+    {
+        order.header.taken_ns = shm_config::time::monotonic().0;
+    }
+    assert!(orders.send(&mut order));
+}
+
+#[test]
+fn orders_to_fail_are_obeyed_where_the_configuration_says_so_alone() {
+    for (label, faults) in [("deaf", "run.faults=false"), ("obeys", "run.faults=true")] {
+        let mut set = Set::new(label);
+        set.start(&["--seed", "3", "--set", faults]);
+        let mut watch = Watch::new(&set);
+        watch.until_driving();
+        let before = set.pids("vlaps-planner");
+        order_a_panic(&set);
+        if faults.ends_with("true") {
+            until("it is replaced", || {
+                let now = set.pids("vlaps-planner");
+                now.len() == 1 && now != before
+            });
+        }
+        watch.until_driving();
+        drop(watch);
+        set.signal(Signal::INT);
+        assert_eq!(set.wait(), Some(0), "{}", set.logs());
+        let restarts = &set.json()["processes"]["planner"]["restarts"];
+        assert_eq!(*restarts, u64::from(faults.ends_with("true")), "{faults}");
+    }
+}
+
+#[test]
+fn when_the_files_of_a_run_are_removed_it_brakes_and_says_so() {
+    let mut set = Set::new("files");
+    set.start(&["--seed", "3"]);
+    let mut watch = Watch::new(&set);
+    watch.until_driving();
+    for path in set.paths().shared_memory().expect("/dev/shm") {
+        std::fs::remove_file(path).expect("removed");
+    }
+    // Who drives has it all in memory, and is told to stop.
+    watch.until("the brake", |step| step.reason() == Some(Reason::Stopping));
+    drop(watch);
+    assert_eq!(set.wait(), Some(1), "{}", set.logs());
+    let ended = set.json()["ended"].to_string();
+    assert!(ended.contains("files were removed"), "{ended}");
 }

@@ -36,6 +36,9 @@ pub struct Run {
     pub duration_s: f64,
     /// Folder of the run's configuration and logs.
     pub folder: String,
+    /// Each process obeys orders to hang, panic and run out of memory: for
+    /// `bench faults` alone, never on a vehicle.
+    pub faults: bool,
 }
 
 impl Default for Run {
@@ -50,6 +53,7 @@ impl Default for Run {
             episodes: 0,
             duration_s: 0.0,
             folder: "runs/default".into(),
+            faults: false,
         }
     }
 }

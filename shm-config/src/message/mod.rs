@@ -4,6 +4,7 @@
 mod advice;
 mod camera;
 mod command;
+mod fault;
 mod frame;
 mod health;
 mod learning;
@@ -18,6 +19,7 @@ mod timing;
 pub use advice::{Advice, Judge, Preference};
 pub use camera::{Camera, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, View};
 pub use command::{Command, Driver, Reason};
+pub use fault::{Fault, FaultKind};
 pub use frame::{
     FRAME_BYTES_MAX, FRAME_SIDES_PX, Foresight, Frame, FrameRequest, Outlook, PixelFormat,
 };

@@ -1,0 +1,232 @@
+//! `bench faults`: a campaign of faults on live sets. Is the car always safe, does
+//! the set come back, is anything left?
+
+mod campaign;
+mod ledger;
+mod lies;
+mod picture;
+mod room;
+mod rows;
+mod stage;
+mod strike;
+mod trouble;
+mod watch;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use supervisor::numbers::whole;
+
+use crate::Clock;
+use crate::report::{Machine, say, write_json};
+use crate::stop::Stop;
+use campaign::Campaign;
+use room::Room;
+use rows::{Bars, Line, Row};
+use trouble::Kind;
+
+/// Strike a running set with faults and measure how it takes them
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Sets drive at 100 Hz, one in eight at 10 Hz, and are watched from outside as a \
+        vehicle would watch them. Safe is a command within its limits that is the brake or answers \
+        inputs within their age limits; or, when that comes first, the vehicle's own brake: it obeys \
+        no command older than one and a half periods. Disk and shared memory are filled in a mount \
+        namespace of the campaign's own.\n\n\
+        Exit code 1 when a command violates a limit, something is left behind, a tick is not \
+        accounted for, or a set does not come back.\n\n\
+        Examples:\n  \
+        ./vlaps bench faults --faults 30 --seed 1\n  \
+        ./vlaps bench faults --faults 2000 --out campaign --json faults.json\n  \
+        ./vlaps bench faults --faults 2000 --out campaign --resume\n  \
+        ./vlaps bench faults --seed 1 --only 417"
+)]
+pub struct BenchFaults {
+    /// How many faults.
+    #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=1_000_000))]
+    pub faults: u64,
+    /// Seed that faults are drawn from.
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
+    pub seed: u64,
+    /// Which kinds; without it, all.
+    #[arg(long, value_name = "KIND", value_delimiter = ',')]
+    pub kinds: Vec<Kind>,
+    /// Repeat this fault alone, by its number.
+    #[arg(long, value_name = "K")]
+    pub only: Option<u64>,
+    /// Ticks per second of all sets, in place of 100 and 10.
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// Let the wall clock of this machine jump by an hour and back, for everybody
+    /// on it; without this, such faults are skipped.
+    #[arg(long)]
+    pub step_clock: bool,
+    /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Keep a row for each fault and the histogram in this folder.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Go on with the campaign of the folder.
+    #[arg(long, requires = "out")]
+    pub resume: bool,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// A campaign in figures.
+#[derive(Debug, Serialize)]
+struct Figures {
+    rows: Vec<Line>,
+    bars: Bars,
+    /// Kinds that this machine does not allow, with the reason.
+    skipped: Vec<String>,
+    /// Each fault that broke a bar, with the command that repeats it.
+    exceptions: Vec<String>,
+    seed: u64,
+    elapsed_s: f64,
+    conditions: Machine,
+}
+
+/// `./vlaps bench faults`.
+///
+/// # Errors
+/// When a set does not start, or a file cannot be written.
+pub fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
+    let room = Room::enter()?;
+    let stop = Stop::listen()?;
+    let conditions = Machine::here()?;
+    let file = match &arguments.out {
+        Some(folder) => Some(begin_file(folder, arguments.resume)?),
+        None => None,
+    };
+    let done = match &file {
+        Some(file) => rows::read(file)?,
+        None => Vec::new(),
+    };
+    if let Some(other) = done.iter().find(|row| row.seed != arguments.seed) {
+        anyhow::bail!(
+            "--resume: the campaign of the folder has seed {}; give it with --seed, or another --out",
+            other.seed
+        );
+    }
+    let begun = clock();
+    let mut campaign = Campaign::new(arguments, &room, clock);
+    let rows = campaign.run(done, file.as_deref(), &stop)?;
+    let figures = Figures {
+        rows: rows::lines(&rows),
+        bars: Bars::of(&rows),
+        skipped: campaign.skipped(),
+        exceptions: exceptions(&rows, arguments),
+        seed: arguments.seed,
+        elapsed_s: clock().since_ns(begun) as f64 * 1e-9,
+        conditions,
+    };
+    print(&figures);
+    if let Some(folder) = &arguments.out {
+        picture::draw(&rows, folder)?;
+    }
+    if let Some(path) = &arguments.json {
+        write_json(path, &figures)?;
+    }
+    Ok(match figures.bars.hold() {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
+    })
+}
+
+/// The kinds wished for.
+fn kinds(arguments: &BenchFaults) -> &[Kind] {
+    match arguments.kinds.is_empty() {
+        true => Kind::value_variants(),
+        false => &arguments.kinds,
+    }
+}
+
+fn begin_file(folder: &Path, resume: bool) -> anyhow::Result<PathBuf> {
+    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let file = folder.join("faults.csv");
+    if !resume && file.exists() {
+        anyhow::bail!(
+            "--out {}: holds a campaign; go on with it with --resume, or give another folder",
+            folder.display()
+        );
+    }
+    Ok(file)
+}
+
+/// Every row that breaks a bar, and every death that took more than two periods.
+fn exceptions(rows: &[Row], arguments: &BenchFaults) -> Vec<String> {
+    let kinds: Vec<&str> = arguments.kinds.iter().map(|kind| kind.word()).collect();
+    let kinds = match kinds.is_empty() {
+        true => String::new(),
+        false => format!(" --kinds {}", kinds.join(",")),
+    };
+    let breaks = |row: &&Row| {
+        let wrong = row.verdict != "ok" && !row.is_skipped();
+        wrong
+            || row.violations + row.leftovers + row.unaccounted > 0
+            || (row.is_death() && !row.is_safe_within(2.0))
+    };
+    let told = |row: &Row| {
+        let safe = row
+            .safe_ms
+            .map_or("never".into(), |ms| format!("after {ms:.1} ms"));
+        format!(
+            "{} {} {}: safe {safe} by {}, {} violations, {} leftovers, {} ticks unaccounted, {}; \
+             repeat: ./vlaps bench faults --seed {}{kinds} --only {} --rate {}",
+            row.kind,
+            row.target,
+            row.detail,
+            row.by,
+            row.violations,
+            row.leftovers,
+            row.unaccounted,
+            row.verdict,
+            row.seed,
+            row.number,
+            row.rate_hz,
+        )
+    };
+    rows.iter().filter(breaks).map(told).collect()
+}
+
+fn print(figures: &Figures) {
+    rows::print(&figures.rows);
+    let bars = &figures.bars;
+    for reason in &figures.skipped {
+        say(format_args!("skipped: {reason}"));
+    }
+    for exception in &figures.exceptions {
+        say(format_args!("exception: {exception}"));
+    }
+    say(format_args!(
+        "{} faults in {:.0} s, {} skipped; {} commands beyond a limit; {} of {} deaths safe within \
+         2 periods; {} leftovers; {} sets that did not come back as they should",
+        bars.faults,
+        figures.elapsed_s,
+        bars.skipped,
+        bars.violations,
+        bars.deaths_safe,
+        bars.deaths,
+        bars.leftovers,
+        bars.wrong
+    ));
+    say(format_args!(
+        "{} steps read, {} lost before they were read; of the grid's ticks {} skipped, {} without a \
+         controller, {} unaccounted for; {}",
+        bars.steps,
+        bars.lost,
+        bars.skipped_ticks,
+        bars.unmanned,
+        bars.unaccounted,
+        figures.conditions
+    ));
+}

@@ -1,0 +1,209 @@
+//! What goes wrong, with whom and when: drawn from the seed and the fault's number.
+
+use clap::ValueEnum;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
+use shm_config::services::Process;
+
+/// What goes wrong.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
+pub enum Kind {
+    /// SIGKILL.
+    Kill,
+    /// SIGSTOP, and SIGCONT a while later.
+    Stop,
+    /// The process lives, its loop waits for ever.
+    Hang,
+    /// The loop stands still for a while.
+    Slow,
+    /// A panic.
+    Panic,
+    /// The allocator refuses, which aborts.
+    Allocation,
+    /// The kernel gives the process no more memory for a while (RLIMIT_AS).
+    Memory,
+    /// The disk of the run is full for a while.
+    Disk,
+    /// /dev/shm is full for a while.
+    Shm,
+    /// The wall clock jumps by an hour and back.
+    Clock,
+    /// Somebody with the right to write publishes what is wrong.
+    Hostile,
+    /// The run's files are removed while it drives.
+    Files,
+    /// SIGKILL to all but the supervisor, at once.
+    All,
+}
+
+impl Kind {
+    /// How many in a hundred and one, when all kinds are wished for.
+    fn weight(self) -> u64 {
+        match self {
+            Kind::Kill => 30,
+            Kind::Stop => 12,
+            Kind::Hang => 5,
+            Kind::Slow => 12,
+            Kind::Panic => 10,
+            Kind::Allocation => 6,
+            Kind::Memory => 4,
+            Kind::Disk => 3,
+            Kind::Shm => 3,
+            Kind::Clock => 1,
+            Kind::Hostile => 12,
+            Kind::Files => 1,
+            Kind::All => 2,
+        }
+    }
+
+    /// Whom it can befall, the more dangerous more often; empty for the machine.
+    fn targets(self) -> &'static [Process] {
+        use Process::{Controller, Gate, Learner, Planner, Supervisor, World};
+        match self {
+            Kind::Kill => &[
+                Controller, Controller, Controller, Planner, Planner, World, World, Gate, Learner,
+                Supervisor,
+            ],
+            Kind::Stop => &[
+                Controller, Controller, Planner, World, Gate, Learner, Supervisor,
+            ],
+            Kind::Hang | Kind::Slow | Kind::Panic | Kind::Allocation => &[
+                Controller, Controller, Planner, Planner, World, Gate, Learner,
+            ],
+            Kind::Memory => &[Controller, Planner, World, Gate],
+            // The room is needed when somebody starts anew.
+            Kind::Disk | Kind::Shm => &[Controller, Planner, World, Gate],
+            Kind::Files => &[Controller, Planner],
+            Kind::Clock | Kind::Hostile | Kind::All => &[],
+        }
+    }
+
+    /// It ends a process at once, so that somebody else has to act.
+    pub fn is_a_death(self) -> bool {
+        matches!(
+            self,
+            Kind::Kill | Kind::Panic | Kind::Allocation | Kind::All
+        )
+    }
+
+    /// As on the command line.
+    pub fn word(self) -> &'static str {
+        match self {
+            Kind::Kill => "kill",
+            Kind::Stop => "stop",
+            Kind::Hang => "hang",
+            Kind::Slow => "slow",
+            Kind::Panic => "panic",
+            Kind::Allocation => "allocation",
+            Kind::Memory => "memory",
+            Kind::Disk => "disk",
+            Kind::Shm => "shm",
+            Kind::Clock => "clock",
+            Kind::Hostile => "hostile",
+            Kind::Files => "files",
+            Kind::All => "all",
+        }
+    }
+}
+
+/// One fault of a campaign.
+#[derive(Debug, Clone)]
+pub struct Trouble {
+    /// What goes wrong.
+    pub kind: Kind,
+    /// With whom; `None` for the machine, or for all.
+    pub target: Option<Process>,
+    /// When, after the set has been seen to drive, as a share of a period.
+    pub phase: f64,
+    /// How long it lasts where it lasts, periods.
+    pub periods: f64,
+    /// The target is killed while it lasts.
+    pub kills: bool,
+    /// What else is drawn.
+    pub dice: Xoshiro256PlusPlus,
+}
+
+impl Trouble {
+    /// The fault of a number. It depends on the seed, the number and the kinds
+    /// wished for alone, so that it can be repeated by itself.
+    pub fn draw(seed: u64, number: u64, kinds: &[Kind]) -> Self {
+        let mixed = (number + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let mut dice = Xoshiro256PlusPlus::seed_from_u64(seed ^ mixed);
+        let total: u64 = kinds.iter().map(|kind| kind.weight()).sum();
+        let mut left = dice.next_u64() % total.max(1);
+        let mut chosen = Kind::Kill;
+        for &kind in kinds {
+            chosen = kind;
+            match left.checked_sub(kind.weight()) {
+                Some(rest) => left = rest,
+                None => break,
+            }
+        }
+        let targets = chosen.targets();
+        let target = match targets.len() as u64 {
+            0 => None,
+            count => Some(targets[(dice.next_u64() % count) as usize]),
+        };
+        Self {
+            kind: chosen,
+            target,
+            phase: share(&mut dice),
+            periods: 0.5 + 19.5 * share(&mut dice),
+            kills: dice.next_u64().is_multiple_of(2),
+            dice,
+        }
+    }
+
+    /// For a table.
+    pub fn whom(&self) -> &'static str {
+        self.target.map_or("", Process::word)
+    }
+}
+
+/// A number in [0, 1).
+pub fn share(dice: &mut Xoshiro256PlusPlus) -> f64 {
+    (dice.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    #[test]
+    fn a_fault_is_repeated_by_its_seed_and_number_alone() {
+        let all = Kind::value_variants();
+        let faults = |seed| (0..2000).map(move |k| Trouble::draw(seed, k, all));
+        let mut counts = BTreeMap::new();
+        for (one, other) in faults(1).zip(faults(1)) {
+            assert_eq!(format!("{one:?}"), format!("{other:?}"));
+            *counts
+                .entry((one.kind, one.target.map(Process::code)))
+                .or_insert(0) += 1;
+        }
+        let kinds: Vec<Kind> = counts.keys().map(|key| key.0).collect();
+        assert!(all.iter().all(|kind| kinds.contains(kind)), "{counts:?}");
+        let differ = faults(1)
+            .zip(faults(2))
+            .filter(|(one, other)| one.kind != other.kind);
+        assert!(differ.count() > 1000, "another seed is another campaign");
+        let killed = Kind::Kill.targets();
+        for target in killed {
+            let count = counts.get(&(Kind::Kill, Some(target.code())));
+            assert!(count > Some(&20), "{target}: {counts:?}");
+        }
+    }
+
+    #[test]
+    fn only_what_was_wished_for_is_drawn() {
+        let wished = [Kind::Stop, Kind::Hostile];
+        let drawn = (0..500).map(|k| Trouble::draw(7, k, &wished).kind);
+        assert!(drawn.clone().all(|kind| wished.contains(&kind)));
+        assert!(
+            wished
+                .iter()
+                .all(|kind| drawn.clone().any(|one| one == *kind))
+        );
+    }
+}

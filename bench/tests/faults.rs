@@ -1,0 +1,71 @@
+//! A short campaign of faults on a real set.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn campaign(words: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
+        .args(["bench", "faults"])
+        .args(words)
+        .output()
+        .expect("the program starts")
+}
+
+fn is_built() -> bool {
+    let program = Path::new(env!("CARGO_BIN_EXE_vlaps-bench"));
+    let others = [
+        "supervisor",
+        "world",
+        "planner",
+        "controller",
+        "gate",
+        "learner",
+    ];
+    let missing = |name: &&str| !program.with_file_name(format!("vlaps-{name}")).exists();
+    match others.iter().find(missing) {
+        None => true,
+        Some(name) => {
+            use std::io::Write;
+            // Past the capture of test output: a skipped test must not look passed.
+            let _ = writeln!(std::io::stderr(), "skipped: vlaps-{name} is not built");
+            false
+        }
+    }
+}
+
+#[test]
+fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
+    if !is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("campaign").display().to_string();
+    let json = folder.path().join("faults.json");
+    let words = ["--seed", "5", "--kinds", "kill,slow,hostile", "--out", &out];
+    let first = campaign(&[&words[..], &["--faults", "4"]].concat());
+    assert!(first.status.success(), "{first:?}");
+    let again = campaign(&[&words[..], &["--faults", "6"]].concat());
+    assert!(!again.status.success(), "nothing is overwritten: {again:?}");
+    let file = json.display().to_string();
+    let more = ["--faults", "6", "--resume", "--json", &file];
+    let more = campaign(&[&words[..], &more].concat());
+    assert!(more.status.success(), "{more:?}");
+    let text = std::fs::read_to_string(&json).expect("the JSON was written");
+    let figures: Value = serde_json::from_str(&text).expect("JSON");
+    let bars = &figures["bars"];
+    assert_eq!(bars["faults"], 6, "{figures}");
+    for zero in ["violations", "leftovers", "unaccounted", "wrong"] {
+        assert_eq!(bars[zero], 0, "{zero}: {figures}");
+    }
+    assert!(
+        bars["steps"].as_u64() > Some(50),
+        "it was watched: {figures}"
+    );
+    let rows = std::fs::read_to_string(Path::new(&out).join("faults.csv")).expect("rows");
+    assert_eq!(rows.lines().count(), 7, "{rows}");
+    for picture in ["faults.svg", "faults.png"] {
+        assert!(Path::new(&out).join(picture).exists());
+    }
+}

@@ -1,0 +1,41 @@
+use super::{Header, Message, Refusal, header_accessors, known};
+use crate::services::Process;
+
+crate::word_list! {
+    /// What goes wrong inside a process that is told to fail.
+    pub enum FaultKind {
+        /// Its loop waits for ever; the process lives.
+        Hang = 0 "hang",
+        /// Its loop stands still for a while.
+        Slow = 1 "slow",
+        /// It panics.
+        Panic = 2 "panic",
+        /// The allocator has nothing to give.
+        Allocation = 3 "allocation",
+    }
+}
+
+crate::message! {
+    /// An order to fail, for fault campaigns. Nobody reads it unless the
+    /// configuration says so (`run.faults`).
+    #[derive(Default)]
+    pub struct Fault: 48 bytes, nested [Header] {
+        /// When it was ordered.
+        pub header: Header,
+        /// How long it lasts, ns; of a slow loop only.
+        pub duration_ns: u64,
+        /// The [`Process`] that shall fail.
+        pub target: u32,
+        /// A [`FaultKind`].
+        pub kind: u32,
+    }
+}
+
+impl Message for Fault {
+    header_accessors!();
+
+    fn check(&self) -> Result<(), Refusal> {
+        known("target", self.target, Process::from_code)?;
+        known("kind", self.kind, FaultKind::from_code)
+    }
+}
