@@ -11,6 +11,7 @@ use supervisor::numbers::whole;
 use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
+use crate::soak::BenchSoak;
 use crate::sweep::BenchSweep;
 use crate::train::arguments::Train;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
@@ -139,7 +140,7 @@ pub enum Bench {
     /// Measure how long plans take and how good they are, beside OMPL.
     Planner(BenchPlanner),
     /// Drive the model-predictive expert for long, disturbed: does it answer in time?
-    Mpc(Soak),
+    Mpc(BenchMpc),
     /// Measure how long the policy's net takes to answer, by back end.
     Policy(BenchPolicy),
     /// Measure gradient steps per second, beside PyTorch.
@@ -150,6 +151,8 @@ pub enum Bench {
     Judge(BenchJudge),
     /// Measure how punctual a running set is, whatever its judge does.
     Latency(BenchLatency),
+    /// Drive a set in lockstep for millions of ticks: does any process grow?
+    Soak(BenchSoak),
     /// Train under a judge that is wrong, silent or late: what does it cost?
     Sweep(BenchSweep),
 }
@@ -243,7 +246,7 @@ pub struct BenchSwap {
         ./vlaps bench mpc --json mpc.json\n  \
         ./vlaps bench mpc --ticks 2000 --set mpc.steps=16"
 )]
-pub struct Soak {
+pub struct BenchMpc {
     /// How many ticks.
     #[arg(long, value_name = "N", default_value_t = 100_000,
           allow_negative_numbers = true,

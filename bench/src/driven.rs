@@ -55,6 +55,19 @@ impl Driven {
         &self.name
     }
 
+    /// Process id of the set's supervisor.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The run has ended, well or not.
+    ///
+    /// # Errors
+    /// When the system does not tell.
+    pub fn has_ended(&mut self) -> anyhow::Result<bool> {
+        Ok(self.child.try_wait()?.is_some())
+    }
+
     /// Waits for the end; what `up --json` wrote.
     ///
     /// # Errors

@@ -17,6 +17,7 @@
 //! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
 //! | [`photography`] | what a picture of the world costs |
 //! | [`scene`] | recorded scenes and their files |
+//! | [`mpc`] | the model-predictive expert, disturbed for long |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`judging`] | how often a judge is right where the simulator knows |
@@ -24,6 +25,7 @@
 //! | [`driven`] | a whole process set, driven for a measurement |
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
 //! | [`latency`] | how punctual the set is, whatever its judge does |
+//! | [`soak`] | a set that drives for millions of ticks: does it grow? |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`sweep`] | what a judge that is wrong, silent or late costs |
 //! | [`train`] | the paper's experiment, its curves and tables |
@@ -42,6 +44,7 @@ pub mod latency;
 pub mod learning;
 pub mod metadrive;
 pub mod metric;
+pub mod mpc;
 pub mod outputs;
 pub mod outside;
 pub mod parity;

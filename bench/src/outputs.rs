@@ -35,6 +35,9 @@ pub fn check(command: &Command) -> Result<(), Failure> {
             {
                 check_folder("--record", folder)?;
             }
+            if let Bench::Soak(arguments) = bench {
+                check_folder("--out", &arguments.out)?;
+            }
             ("--json", json(bench))
         }
         Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),
@@ -59,6 +62,7 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Swap(arguments) => &arguments.json,
         Bench::Judge(arguments) => &arguments.json,
         Bench::Latency(arguments) => &arguments.json,
+        Bench::Soak(arguments) => &arguments.json,
         Bench::Sweep(arguments) => &arguments.json,
     }
 }
