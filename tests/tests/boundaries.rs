@@ -154,7 +154,10 @@ fn unsafe_code_stays_in_its_homes_and_says_why() {
             "{name} is no home of unsafe: say why in ARCHITECTURE.md, \"{UNSAFE_HEADING}\", \
              or do without"
         );
-        assert!(text.contains("SAFETY:"), "{name}: each has its SAFETY sentence");
+        assert!(
+            text.contains("SAFETY:"),
+            "{name}: each has its SAFETY sentence"
+        );
         seen.insert(name);
     }
     assert_eq!(seen, homes, "a home without unsafe is none");

@@ -57,9 +57,6 @@ pub struct BenchSoak {
     #[arg(long, value_name = "N", default_value_t = 1_000, allow_negative_numbers = true,
           value_parser = whole::<u64>(20..=2_000))]
     pub samples: u64,
-    /// Configuration file of the set.
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
     /// Override any key of the configuration, such as gate.mode=rules; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
@@ -144,7 +141,7 @@ pub fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
 }
 
 fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
-    let config = settings::config(arguments.config.as_deref(), &arguments.overrides)?;
+    let config = settings::config(None, &arguments.overrides)?;
     // One more: the last tick shall be over when the time is.
     let duration_s = (arguments.ticks + 1) as f64 * config.run.period_ns() as f64 * 1e-9;
     let mut up: Vec<std::ffi::OsString> = vec!["--lockstep".into(), "--episodes".into()];
@@ -154,9 +151,6 @@ fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
         duration_s.to_string().into(),
     ]);
     up.extend(["--seed".into(), arguments.seed.to_string().into()]);
-    if let Some(file) = &arguments.config {
-        up.extend(["--config".into(), std::fs::canonicalize(file)?.into()]);
-    }
     for text in &arguments.overrides {
         up.extend(["--set".into(), text.into()]);
     }
@@ -174,7 +168,7 @@ fn watch(
     clock: Clock,
 ) -> anyhow::Result<(Vec<Sample>, Value)> {
     let paths = RunPaths::new(driven.name().parse()?);
-    let mut progress = listen(&mut driven, &paths, clock)?;
+    let (_wire, mut progress) = listen(&mut driven, &paths, clock)?;
     let path = arguments.out.join(SAMPLES);
     let mut file = BufWriter::new(File::create(&path).context(path.display().to_string())?);
     writeln!(file, "{}", Sample::HEADER)?;
@@ -209,7 +203,7 @@ fn listen(
     driven: &mut Driven,
     paths: &RunPaths,
     clock: Clock,
-) -> anyhow::Result<Subscriber<Progress>> {
+) -> anyhow::Result<(Wire, Subscriber<Progress>)> {
     let until = clock().after_ns(START_NS);
     while paths.supervisor_pid().is_none() {
         if driven.has_ended()? || clock() > until {
@@ -218,5 +212,6 @@ fn listen(
         supervisor::signals::pause(LOOK);
     }
     let wire = Wire::join(paths.name(), Process::Supervisor)?;
-    Ok(wire.subscriber(PROGRESS)?)
+    let progress = wire.subscriber(PROGRESS)?;
+    Ok((wire, progress))
 }

@@ -106,13 +106,7 @@ fn of_processes() {
             steer: 0.5,
             ..Takeover::default()
         };
-        let parts: [&[u8]; 5] = [
-            &[1],
-            &[0],
-            &as_bytes(observation),
-            &[3],
-            &as_bytes(&person),
-        ];
+        let parts: [&[u8]; 5] = [&[1], &[0], &as_bytes(observation), &[3], &as_bytes(&person)];
         seed("controller", &format!("{k}-person"), &parts);
         let steps: Vec<Vec<u8>> = ticks.iter().map(|(.., step)| as_bytes(step)).collect();
         if k == 0 {
@@ -141,7 +135,11 @@ fn of_processes() {
 fn of_messages() {
     for kind in 0..KINDS {
         seed("messages", &format!("zeros-{kind}"), &[&[kind]]);
-        seed("messages", &format!("ones-{kind}"), &[&[kind], &[0xff; 256]]);
+        seed(
+            "messages",
+            &format!("ones-{kind}"),
+            &[&[kind], &[0xff; 256]],
+        );
     }
     let request = shm_config::message::FrameRequest {
         view: View::Ego.code(),
@@ -162,9 +160,15 @@ fn of_files() {
         ("empty", ""),
         ("unknown", "[planner]\nmethodd = \"mpc\"\n"),
         ("range", "[run]\nrate_hz = -1.0\n"),
-        ("rates", "[run]\nrate_hz = 1000.0\n[planner]\nrate_hz = 10.0\n"),
+        (
+            "rates",
+            "[run]\nrate_hz = 1000.0\n[planner]\nrate_hz = 10.0\n",
+        ),
         ("type", "run = 3\n"),
-        ("words", "[gate]\nmode = \"human\"\n[learner]\nenabled = true\n"),
+        (
+            "words",
+            "[gate]\nmode = \"human\"\n[learner]\nenabled = true\n",
+        ),
         ("syntax", "[run\n"),
     ];
     for (name, text) in cases {
@@ -189,9 +193,21 @@ fn of_files() {
     seed("policy", "cut", &[&file[..file.len() / 2]]);
     seed("policy", "head", &[&file[..64]]);
     let said = [
-        ("first", r#"{"reason":"","response":"A","confidence":0.9}"#, 0),
-        ("similar", r#"{"reason":"x","response":"similar","confidence":1}"#, 0),
-        ("both", r#"{"reason":"x","response":"A and B","confidence":1}"#, 0),
+        (
+            "first",
+            r#"{"reason":"","response":"A","confidence":0.9}"#,
+            0,
+        ),
+        (
+            "similar",
+            r#"{"reason":"x","response":"similar","confidence":1}"#,
+            0,
+        ),
+        (
+            "both",
+            r#"{"reason":"x","response":"A and B","confidence":1}"#,
+            0,
+        ),
         ("fence", "```json\n{}\n```", 0),
         ("paper", "{\"response\": 1}\nBecause.", 1),
         ("zero", "{\"response\": 0, \"reason\": \"x\"}", 0x82),
@@ -206,7 +222,11 @@ fn of_files() {
         });
         seed("answers", name, &[&[choice], body.to_string().as_bytes()]);
     }
-    seed("answers", "length", &[b"\0{\"choices\":[{\"finish_reason\":\"length\",\"message\":{}}]}"]);
+    seed(
+        "answers",
+        "length",
+        &[b"\0{\"choices\":[{\"finish_reason\":\"length\",\"message\":{}}]}"],
+    );
     seed("answers", "utf8", &[b"\0\xff\xfe"]);
     seed("answers", "empty", &[b"\0"]);
 }
@@ -217,7 +237,11 @@ const RECORD: &str = r#"{"version":1,"question":1,"tick":40,"episode":0,"taken_n
 fn of_recordings() {
     let line = format!("{RECORD}\n");
     seed("records", "one", &[line.as_bytes()]);
-    seed("records", "torn", &[line.as_bytes(), &RECORD.as_bytes()[..200]]);
+    seed(
+        "records",
+        "torn",
+        &[line.as_bytes(), &RECORD.as_bytes()[..200]],
+    );
     let newer = line.replace("\"version\":1", "\"version\":9");
     seed("records", "newer", &[line.as_bytes(), newer.as_bytes()]);
     let failed = line
@@ -228,7 +252,10 @@ fn of_recordings() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("replay.bin");
     let mut journal = Journal::open(&path, 8).expect("a journal").journal;
-    for (k, label) in [Label::None, Label::Expert, Label::Policy].into_iter().enumerate() {
+    for (k, label) in [Label::None, Label::Expert, Label::Policy]
+        .into_iter()
+        .enumerate()
+    {
         let transition = Transition {
             state: [0.25; FEATURES],
             next: [0.5; FEATURES],
@@ -243,7 +270,9 @@ fn of_recordings() {
             sequence: k as u64 + 1,
             ..Mark::default()
         };
-        journal.append(Ring::ALL[k % Ring::ALL.len()], &transition, &mark).expect("room");
+        journal
+            .append(Ring::ALL[k % Ring::ALL.len()], &transition, &mark)
+            .expect("room");
     }
     journal.flush().expect("room");
     let bytes = fs::read(&path).expect("the journal");

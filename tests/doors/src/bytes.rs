@@ -27,3 +27,32 @@ pub fn as_bytes<M: Message>(message: &M) -> Vec<u8> {
     };
     bytes.to_vec()
 }
+
+#[cfg(test)]
+mod tests {
+    use shm_config::message::{Command, Step, Takeover};
+
+    use super::*;
+
+    #[test]
+    fn a_message_survives_as_bytes() {
+        let mut takeover = Takeover {
+            steer: -0.5,
+            active: 1,
+            ..Takeover::default()
+        };
+        takeover.header.tick = 7;
+        let bytes = as_bytes(&takeover);
+        assert_eq!(bytes.len(), size_of::<Takeover>());
+        assert_eq!(*read::<Takeover>(&bytes), takeover);
+    }
+
+    #[test]
+    fn too_few_bytes_are_zeros_and_too_many_are_cut() {
+        let ones = [0xff; 64];
+        let command = *read::<Command>(&ones[..8]);
+        assert_eq!((command.header.tick, command.reason), (u64::MAX, 0));
+        assert!(read::<Command>(&ones).check().is_err());
+        assert_eq!(read::<Step>(&[]).command.steer, 0.0);
+    }
+}

@@ -41,9 +41,11 @@ pub fn journal(bytes: &[u8]) -> Said {
     };
     let mut file = rest.to_vec();
     if choice % 2 == 1 {
-        for record in file.get_mut(MAGIC_BYTES..).into_iter().flat_map(|body| {
-            body.chunks_exact_mut(learner::journal::RECORD)
-        }) {
+        for record in file
+            .get_mut(MAGIC_BYTES..)
+            .into_iter()
+            .flat_map(|body| body.chunks_exact_mut(learner::journal::RECORD))
+        {
             let (body, sum) = record.split_at_mut(learner::journal::RECORD - 4);
             sum.copy_from_slice(&crc32fast::hash(body).to_le_bytes());
         }

@@ -137,11 +137,7 @@ fn drive(controller: &mut Controller, inputs: &Inputs, tick: u64) -> bool {
 }
 
 /// One message off the bytes; what is left of them.
-fn take<'a, M: Message>(
-    bytes: &'a [u8],
-    on_time: Option<Instant>,
-    to: &mut Option<M>,
-) -> &'a [u8] {
+fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Option<M>) -> &'a [u8] {
     let (own, rest) = bytes.split_at(bytes.len().min(size_of::<M>()));
     let mut message = *read::<M>(own);
     if let Some(now) = on_time {
@@ -196,7 +192,11 @@ pub fn world(bytes: &[u8]) -> Said {
             is_admitted |= command.check().is_ok();
             world.step(action);
             world.observe(&mut observation);
-            assert_eq!(observation.check(), Ok(()), "an observation that others refuse");
+            assert_eq!(
+                observation.check(),
+                Ok(()),
+                "an observation that others refuse"
+            );
             if world.last_step().has_ended() {
                 break;
             }
