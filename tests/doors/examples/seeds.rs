@@ -15,12 +15,12 @@ use learner::journal::{Journal, Mark};
 use learner::replay::{Label, Ring, Then, Transition};
 use planner::Planner;
 use policy::{Activation, Layer, Mlp, Provenance};
-use shm_config::config::Config;
+use shm_config::Instant;
 use shm_config::config::planner::Method;
+use shm_config::config::{Clock, Config};
 use shm_config::message::{
     Camera, Command, FEATURES, Observation, Plan, Proposal, Step, Takeover, View,
 };
-use shm_config::{Instant, Message};
 use sim::{World, WorldConfig};
 
 const PERIOD_NS: u64 = 100_000_000;
@@ -48,6 +48,7 @@ fn both(target: &str, name: &str, parts: &[&[u8]], at: usize) {
 fn drive(method: Method, map_seed: u64) -> Vec<(Observation, Plan, Step)> {
     let mut config = Config::default();
     config.planner.method = method;
+    config.run.clock = Clock::Lockstep;
     let mut world = World::new(WorldConfig::from(&config.world)).expect("a world");
     world.reset(map_seed).expect("a map");
     let mut planner = Planner::new(&config).expect("a planner");

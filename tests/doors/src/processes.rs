@@ -7,7 +7,7 @@ use gate::{AtOnce, Counsel, Rules};
 use learner::assembler::{Assembler, Counts, Labelling};
 use planner::Planner;
 use shm_config::config::planner::Method;
-use shm_config::config::{Config, GateMode};
+use shm_config::config::{Clock, Config, GateMode};
 use shm_config::message::{Command, Observation, Plan, Step};
 use shm_config::{Instant, Message};
 use sim::{World, WorldConfig};
@@ -39,6 +39,8 @@ fn planners() -> Vec<Planner> {
     let of = |method| {
         let mut config = Config::default();
         config.planner.method = method;
+        // No limit of the solver's time: an input is repeated as it was.
+        config.run.clock = Clock::Lockstep;
         Planner::new(&config).expect("the defaults")
     };
     METHODS.map(of).into()
