@@ -24,7 +24,7 @@ use supervisor::numbers::whole;
 
 use crate::Clock;
 use crate::driven::Driven;
-use crate::report::{Machine, say, write_json};
+use crate::report::{Machine, write_json};
 use crate::settings;
 use sample::Sample;
 use verdict::{Flatness, Rule};

@@ -6,6 +6,7 @@
 //! ```
 
 use std::fs;
+use std::mem::offset_of;
 use std::path::Path;
 
 use controller::{Controller, Inputs, Intent, PolicySlot};
@@ -19,11 +20,14 @@ use shm_config::Instant;
 use shm_config::config::planner::Method;
 use shm_config::config::{Clock, Config};
 use shm_config::message::{
-    Camera, Command, FEATURES, Observation, Plan, Proposal, Step, Takeover, View,
+    Camera, Command, FEATURES, Header, Observation, Plan, Proposal, Step, Takeover, View,
 };
 use sim::{World, WorldConfig};
 
 const PERIOD_NS: u64 = 100_000_000;
+/// Where the first number stands that a door looks at.
+const SEEN_AT: usize = offset_of!(Observation, ego);
+const STEP_AT: usize = offset_of!(Step, command) + size_of::<Header>();
 
 /// One input: `seed-NAME`.
 fn seed(target: &str, name: &str, parts: &[&[u8]]) {
@@ -90,9 +94,11 @@ fn of_processes() {
         both(
             "planner",
             &format!("{k}"),
-            &[&[k as u8], &seen[0], &seen[1]],
-            1 + 32,
+            &[&[k as u8], &seen[0]],
+            1 + SEEN_AT,
         );
+        let two: [&[u8]; 3] = [&[k as u8], &seen[0], &seen[1]];
+        seed("planner", &format!("{k}-two"), &two);
         let (observation, plan, step) = &ticks[2];
         let parts: [&[u8]; 5] = [
             &[k as u8],
@@ -101,7 +107,7 @@ fn of_processes() {
             &[1 | 0x40],
             &as_bytes(plan),
         ];
-        both("controller", &format!("{k}"), &parts, 2 + 32);
+        both("controller", &format!("{k}"), &parts, 2 + SEEN_AT);
         let person = Takeover {
             active: 1,
             steer: 0.5,
@@ -113,16 +119,21 @@ fn of_processes() {
         if k == 0 {
             seed("steps", "drive", &[&steps[0], &steps[1]]);
         }
-        both("steps", &format!("{k}"), &[&steps[2]], 32);
+        both("steps", &format!("{k}"), &[&steps[2]], STEP_AT);
         let commands: Vec<u8> = ticks
             .iter()
             .flat_map(|(.., step)| as_bytes(&step.command))
             .collect();
         both("world", &format!("{k}"), &[&[k as u8], &commands], 1 + 32);
         if k == 3 {
-            both("messages", "0", &[&[0], &as_bytes(observation)], 1 + 32);
+            both(
+                "messages",
+                "0",
+                &[&[0], &as_bytes(observation)],
+                1 + SEEN_AT,
+            );
             both("messages", "1", &[&[1], &as_bytes(plan)], 1 + 32);
-            both("messages", "3", &[&[3], &as_bytes(step)], 1 + 32);
+            both("messages", "3", &[&[3], &as_bytes(step)], 1 + STEP_AT);
         }
     }
     let refused = Command {
