@@ -8,11 +8,12 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use supervisor::numbers::whole;
 
-use crate::ipc::{BenchIpc, IpcEcho};
 use crate::faults::BenchFaults;
+use crate::ipc::{BenchIpc, IpcEcho};
 use crate::judging::BenchJudge;
 use crate::latency::BenchLatency;
 use crate::seat::DriverKind;
+use crate::soak::BenchSoak;
 use crate::sweep::BenchSweep;
 use crate::train::arguments::Train;
 pub use draw::{Draw, DrawEpisode, DrawFrame, DrawMap, DrawPlan};
@@ -141,7 +142,7 @@ pub enum Bench {
     /// Measure how long plans take and how good they are, beside OMPL.
     Planner(BenchPlanner),
     /// Drive the model-predictive expert for long, disturbed: does it answer in time?
-    Mpc(Soak),
+    Mpc(BenchMpc),
     /// Measure how long the policy's net takes to answer, by back end.
     Policy(BenchPolicy),
     /// Measure gradient steps per second, beside PyTorch.
@@ -159,6 +160,8 @@ pub enum Bench {
     IpcEcho(IpcEcho),
     /// Strike running sets with faults: is the car safe, does the set come back?
     Faults(BenchFaults),
+    /// Drive a set in lockstep for millions of ticks: does any process grow?
+    Soak(BenchSoak),
     /// Train under a judge that is wrong, silent or late: what does it cost?
     Sweep(BenchSweep),
 }
@@ -252,7 +255,7 @@ pub struct BenchSwap {
         ./vlaps bench mpc --json mpc.json\n  \
         ./vlaps bench mpc --ticks 2000 --set mpc.steps=16"
 )]
-pub struct Soak {
+pub struct BenchMpc {
     /// How many ticks.
     #[arg(long, value_name = "N", default_value_t = 100_000,
           allow_negative_numbers = true,

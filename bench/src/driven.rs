@@ -60,10 +60,15 @@ impl Driven {
         self.folder.path().join("runs").join(&self.name)
     }
 
-    /// It has ended.
+    /// Process id of the set's supervisor.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The run has ended, well or not.
     ///
     /// # Errors
-    /// When the system does not say.
+    /// When the system does not tell.
     pub fn has_ended(&mut self) -> anyhow::Result<bool> {
         Ok(self.child.try_wait()?.is_some())
     }

@@ -17,6 +17,7 @@
 //! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
 //! | [`photography`] | what a picture of the world costs |
 //! | [`scene`] | recorded scenes and their files |
+//! | [`mpc`] | the model-predictive expert, disturbed for long |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`inference`] | how long a policy takes to answer, by back end |
 //! | [`judging`] | how often a judge is right where the simulator knows |
@@ -27,6 +28,7 @@
 //! | [`latency`] | how punctual the set is, whatever happens beside it |
 //! | [`chart`] | what charts have in common |
 //! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS |
+//! | [`soak`] | a set that drives for millions of ticks: does it grow? |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`sweep`] | what a judge that is wrong, silent or late costs |
 //! | [`train`] | the paper's experiment, its curves and tables |
@@ -48,6 +50,7 @@ pub mod latency;
 pub mod learning;
 pub mod metadrive;
 pub mod metric;
+pub mod mpc;
 pub mod outputs;
 pub mod outside;
 pub mod parity;

@@ -13,8 +13,8 @@ use bench::planning::Clocks;
 use bench::report::{say, write_json};
 use bench::speed::Gauges;
 use bench::{
-    draw, faults, inference, ipc, judging, latency, learning, outputs, parity, planning, settings, soak,
-    speed, swapping, sweep, train,
+    draw, faults, inference, ipc, judging, latency, learning, mpc, outputs, parity, planning,
+    settings, soak, speed, swapping, sweep, train,
 };
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -52,7 +52,7 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
             speed::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Mpc(arguments)) => {
-            soak::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
+            mpc::bench(arguments, gauges(clock)).map(|()| ExitCode::SUCCESS)
         }
         Command::Bench(Bench::Policy(arguments)) => {
             inference::bench(arguments, clock, allocations).map(|()| ExitCode::SUCCESS)
@@ -66,6 +66,7 @@ fn carry_out(command: &Command, clock: Clock) -> anyhow::Result<ExitCode> {
         Command::Bench(Bench::Judge(arguments)) => {
             judging::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }
+        Command::Bench(Bench::Soak(arguments)) => soak::bench(arguments, clock),
         Command::Bench(Bench::Sweep(arguments)) => {
             sweep::bench(arguments, clock).map(|()| ExitCode::SUCCESS)
         }

@@ -45,6 +45,9 @@ pub fn check(command: &Command) -> Result<(), Failure> {
             {
                 check_folder("--out", folder)?;
             }
+            if let Bench::Soak(arguments) = bench {
+                check_folder("--out", &arguments.out)?;
+            }
             ("--json", json(bench))
         }
         Command::Draw(Draw::Map(arguments)) => ("--out", &arguments.out),
@@ -72,6 +75,7 @@ fn json(bench: &Bench) -> &Option<PathBuf> {
         Bench::Ipc(arguments) => &arguments.json,
         Bench::IpcEcho(_) => &None,
         Bench::Faults(arguments) => &arguments.json,
+        Bench::Soak(arguments) => &arguments.json,
         Bench::Sweep(arguments) => &arguments.json,
     }
 }

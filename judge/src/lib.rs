@@ -38,6 +38,7 @@ pub mod store;
 mod tally;
 mod transport;
 
+pub use answer::{Reading, read as read_answer};
 pub use archive::Archive;
 pub use bench::{Bench, BenchError, as_the_paper};
 pub use clerk::{Clerk, Evidence, Filed};

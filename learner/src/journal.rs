@@ -24,7 +24,7 @@ const COUNTERS: usize = 11;
 /// Codes beside them: ring, label, what followed.
 const CODES: usize = 3;
 /// Bytes of a record: numbers, codes, counters, checksum.
-const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
+pub const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
 /// The file is written anew at this many times what the rings can hold.
 const SLACK: u64 = 2;
 

@@ -40,10 +40,49 @@ impl Dense {
 
 /// A perceptron. All parameters lie in one slice, for the optimiser and the disk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Stored")]
 pub struct Network {
     layers: Vec<Dense>,
     head: Head,
     parameters: Vec<f32>,
+}
+
+/// A network from a file, whose sizes may not fit together.
+#[derive(Deserialize)]
+struct Stored {
+    layers: Vec<Dense>,
+    head: Head,
+    parameters: Vec<f32>,
+}
+
+impl TryFrom<Stored> for Network {
+    type Error = &'static str;
+
+    fn try_from(stored: Stored) -> Result<Self, Self::Error> {
+        let Stored {
+            layers,
+            head,
+            parameters,
+        } = stored;
+        let (mut at, mut inputs) = (0_usize, layers.first().map_or(0, |layer| layer.inputs));
+        for layer in &layers {
+            let is_next = layer.inputs > 0 && layer.inputs == inputs && layer.at == at;
+            let weights = layer.inputs.checked_mul(layer.outputs);
+            let end = weights
+                .and_then(|count| count.checked_add(layer.outputs)?.checked_add(at))
+                .filter(|end| is_next && *end <= parameters.len());
+            at = end.ok_or("layers that do not follow on each other")?;
+            inputs = layer.outputs;
+        }
+        match at == parameters.len() && inputs > 0 {
+            true => Ok(Self {
+                layers,
+                head,
+                parameters,
+            }),
+            false => Err("parameters that belong to no layer"),
+        }
+    }
 }
 
 /// The activations of one pass over a batch, for the pass back.

@@ -22,7 +22,10 @@ pub fn programs() -> &'static Path {
         let folder = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or("cargo".into()));
         cargo
-            .args(["build", "--quiet", "--workspace", "--bins", "--target-dir"])
+            // A test target among them: cargo then resolves the features of
+            // dependencies as `cargo test --workspace` has, and builds no crate twice.
+            .args(["build", "--quiet", "--workspace", "--bins"])
+            .args(["--test", "boundaries", "--target-dir"])
             .arg(folder.parent().expect("target/PROFILE"))
             .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(".."));
         if folder.ends_with("release") {

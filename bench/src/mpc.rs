@@ -11,7 +11,7 @@ use shm_config::message::{Header, Observation, Plan};
 use sim::{World, WorldConfig};
 use vehicle::{Action, Point, Pose, pose};
 
-use crate::arguments::Soak;
+use crate::arguments::BenchMpc;
 use crate::report::{say, table, write_json};
 use crate::seat::planning_histogram;
 use crate::settings;
@@ -110,7 +110,7 @@ struct Tally {
 ///
 /// # Errors
 /// When the configuration is out of range, or a seed has no map.
-pub fn bench(arguments: &Soak, gauges: Gauges) -> anyhow::Result<()> {
+pub fn bench(arguments: &BenchMpc, gauges: Gauges) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
     let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
     let period_ns = config.run.period_ns();

@@ -1,0 +1,89 @@
+//! Memory over ticks, a panel for each process.
+
+use std::path::Path;
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::register_font;
+
+use super::Soaked;
+use super::sample::Sample;
+
+const PANEL: (u32, u32) = (480, 260);
+const COLUMNS: usize = 3;
+/// The pictures need no font of the system.
+const FACE: &str = "sans-serif";
+const LINE: RGBColor = RGBColor(31, 105, 178);
+
+/// Draws `memory.svg` and `memory.png`.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn draw(samples: &[Sample], soaked: &Soaked, out: &Path) -> anyhow::Result<()> {
+    let is_read =
+        register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok();
+    anyhow::ensure!(is_read, "the font cannot be read");
+    let lines = soaked.rows.len().div_ceil(COLUMNS).max(1);
+    let size = (PANEL.0 * COLUMNS as u32, 40 + PANEL.1 * lines as u32);
+    let svg = out.join("memory.svg");
+    panels(
+        samples,
+        soaked,
+        &SVGBackend::new(&svg, size).into_drawing_area(),
+    )?;
+    let png = out.join("memory.png");
+    panels(
+        samples,
+        soaked,
+        &BitMapBackend::new(&png, size).into_drawing_area(),
+    )
+}
+
+fn panels<B: DrawingBackend>(
+    samples: &[Sample],
+    soaked: &Soaked,
+    root: &DrawingArea<B, Shift>,
+) -> anyhow::Result<()>
+where
+    B::ErrorType: 'static,
+{
+    root.fill(&WHITE)?;
+    let title = format!(
+        "{} ticks in lockstep: {}",
+        soaked.ticks,
+        if soaked.is_flat { "flat" } else { "not flat" }
+    );
+    let body = root.titled(&title, (FACE, 22))?;
+    let lines = soaked.rows.len().div_ceil(COLUMNS).max(1);
+    for (area, row) in body.split_evenly((lines, COLUMNS)).iter().zip(&soaked.rows) {
+        let points: Vec<(f64, f64)> = samples
+            .iter()
+            .flat_map(|sample| sample.held.iter().map(|held| (sample.tick, held)))
+            .filter(|(_, held)| held.name == row.name)
+            .map(|(tick, held)| (tick as f64 * 1e-6, held.memory_kb as f64 / 1024.0))
+            .collect();
+        let top = row.memory_max_kb as f64 / 1024.0 * 1.15 + 0.1;
+        let end = soaked.ticks as f64 * 1e-6;
+        let name = format!(
+            "{}: {:+.2} kB per million",
+            row.name, row.slope_kb_per_million
+        );
+        let mut chart = ChartBuilder::on(area)
+            .margin(10)
+            .caption(name, (FACE, 16))
+            .x_label_area_size(34)
+            .y_label_area_size(52)
+            .build_cartesian_2d(0.0..end, 0.0..top)?;
+        chart
+            .configure_mesh()
+            .x_desc("million ticks")
+            .y_desc("MB")
+            .axis_desc_style((FACE, 13))
+            .label_style((FACE, 12))
+            .light_line_style(WHITE)
+            .draw()?;
+        chart.draw_series(LineSeries::new(points, LINE.stroke_width(2)))?;
+    }
+    root.present()?;
+    Ok(())
+}

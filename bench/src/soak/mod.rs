@@ -1,0 +1,217 @@
+//! `bench soak`: a real process set in lockstep for millions of ticks. Does any
+//! process grow?
+
+mod figure;
+mod sample;
+mod verdict;
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use serde_json::Value;
+use shm_config::message::Progress;
+use shm_config::run::RunPaths;
+use shm_config::services::{PROGRESS, Process};
+use shm_config::wire::{Subscriber, Wire};
+use supervisor::numbers::whole;
+
+use crate::Clock;
+use crate::driven::Driven;
+use crate::report::{Machine, write_json};
+use crate::settings;
+use sample::Sample;
+use verdict::{Flatness, Rule};
+
+/// Drive a set in lockstep for millions of ticks: does any process grow?
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Every process of the set is looked at again and again: memory (anonymous and \
+        resident), open files, threads; of the run, its files in shared memory. The first fifth is \
+        for warming up. Flat means: over the rest, the Theil-Sen slope of the anonymous memory is \
+        within the limit, the median of the last tenth is not above that of the first by more than \
+        another limit, nobody holds more files or threads at the end than at the begin, and nobody \
+        was restarted. The supervisor may grow by its list of episodes. samples.csv, memory.svg and memory.png go to --out; exit 1 when it is not flat.\n\n\
+        Examples:\n  \
+        ./vlaps bench soak --ticks 20000\n  \
+        ./vlaps bench soak --ticks 10000000 --out soak --json soak.json\n  \
+        ./vlaps bench soak --ticks 1000000 --set learner.enabled=true"
+)]
+pub struct BenchSoak {
+    /// How many ticks.
+    #[arg(long, value_name = "N", default_value_t = 10_000_000,
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1_000..=1_000_000_000))]
+    pub ticks: u64,
+    /// Seed of the first episode.
+    #[arg(long, value_name = "N", default_value_t = 3, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=i64::MAX as u64))]
+    pub seed: u64,
+    /// How many samples, at most; evenly over the ticks.
+    #[arg(long, value_name = "N", default_value_t = 1_000, allow_negative_numbers = true,
+          value_parser = whole::<u64>(20..=2_000))]
+    pub samples: u64,
+    /// Override any key of the configuration, such as gate.mode=rules; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Folder of the samples and the plot.
+    #[arg(long, value_name = "DIR", default_value = "soak")]
+    pub out: PathBuf,
+    /// Write the verdict to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// How long to wait between two looks at the tick.
+const LOOK: Duration = Duration::from_millis(100);
+/// The set has to say something within this time, ns.
+const START_NS: u64 = 60_000_000_000;
+
+/// What a soak found.
+#[derive(Clone, Debug, Serialize)]
+pub struct Soaked {
+    /// All of it was flat.
+    pub is_flat: bool,
+    /// What was measured of each process, and of the run.
+    pub rows: Vec<Flatness>,
+    /// What flat means.
+    pub rule: Rule,
+    /// Ticks driven.
+    pub ticks: u64,
+    /// Ticks that the world skipped; 0 in lockstep.
+    pub skipped: u64,
+    /// Episodes driven.
+    pub episodes: u64,
+    /// Processes that died and were started again.
+    pub restarts: u64,
+    /// Seconds of the wall clock.
+    pub wall_s: f64,
+    /// Samples taken.
+    pub samples: u64,
+    /// Where.
+    pub conditions: Machine,
+}
+
+/// `./vlaps bench soak`.
+///
+/// # Errors
+/// When the set does not start or fails, or a file cannot be written.
+pub fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
+    let conditions = Machine::here()?;
+    std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
+    let begun = clock();
+    let driven = start(arguments)?;
+    let (samples, summary) = watch(arguments, driven, clock)?;
+    let wall_s = clock().since_ns(begun) as f64 * 1e-9;
+    let count = |key: &str| summary[key].as_u64().unwrap_or(0);
+    let episodes = summary["episodes"].as_array().map_or(0, Vec::len) as u64;
+    let rule = Rule::of(arguments.ticks, episodes);
+    let rows = verdict::rows(&samples, &rule)?;
+    let (ticks, restarts) = (count("ticks"), count("restarts"));
+    let soaked = Soaked {
+        is_flat: rows.iter().all(|row| row.is_flat) && restarts == 0 && ticks >= arguments.ticks,
+        rows,
+        rule,
+        ticks,
+        skipped: count("skipped"),
+        episodes,
+        restarts,
+        wall_s,
+        samples: samples.len() as u64,
+        conditions,
+    };
+    figure::draw(&samples, &soaked, &arguments.out)?;
+    verdict::print(&soaked);
+    if let Some(path) = &arguments.json {
+        write_json(path, &soaked)?;
+    }
+    match soaked.is_flat {
+        true => Ok(ExitCode::SUCCESS),
+        false => bail!(
+            "not flat; the samples are in {}",
+            arguments.out.join(SAMPLES).display()
+        ),
+    }
+}
+
+fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
+    let config = settings::config(None, &arguments.overrides)?;
+    // One more: the last tick shall be over when the time is.
+    let duration_s = (arguments.ticks + 1) as f64 * config.run.period_ns() as f64 * 1e-9;
+    let mut up: Vec<std::ffi::OsString> = vec!["--lockstep".into(), "--episodes".into()];
+    up.extend([
+        "0".into(),
+        "--duration".into(),
+        duration_s.to_string().into(),
+    ]);
+    up.extend(["--seed".into(), arguments.seed.to_string().into()]);
+    for text in &arguments.overrides {
+        up.extend(["--set".into(), text.into()]);
+    }
+    Driven::start("soak", up)
+}
+
+/// The file of samples.
+const SAMPLES: &str = "samples.csv";
+
+/// Samples until the end, written as they are taken: a soak that is cut off
+/// leaves what it has seen.
+fn watch(
+    arguments: &BenchSoak,
+    mut driven: Driven,
+    clock: Clock,
+) -> anyhow::Result<(Vec<Sample>, Value)> {
+    let paths = RunPaths::new(driven.name().parse()?);
+    let (_wire, mut progress) = listen(&mut driven, &paths, clock)?;
+    let path = arguments.out.join(SAMPLES);
+    let mut file = BufWriter::new(File::create(&path).context(path.display().to_string())?);
+    writeln!(file, "{}", Sample::HEADER)?;
+    let bar = ProgressBar::new(arguments.ticks);
+    bar.set_style(ProgressStyle::with_template(
+        "{elapsed_precise} {wide_bar} {pos}/{len} ticks, {eta} left",
+    )?);
+    let step = (arguments.ticks / arguments.samples).max(1);
+    let (mut samples, mut due) = (Vec::new(), step);
+    while !driven.has_ended()? {
+        if let Some(progress) = progress.newest() {
+            let tick = progress.header.tick;
+            bar.set_position(tick);
+            // None near the end: processes that leave hold less and less.
+            if tick >= due && tick < arguments.ticks {
+                let sample = Sample::take(tick, driven.pid(), &paths)?;
+                sample.write(&mut file)?;
+                samples.push(sample);
+                due = tick + step;
+            }
+        }
+        progress.tend();
+        supervisor::signals::pause(LOOK);
+    }
+    bar.finish_and_clear();
+    file.flush()?;
+    Ok((samples, driven.finish()?))
+}
+
+/// The world's word on how far it is; it comes when the world does.
+fn listen(
+    driven: &mut Driven,
+    paths: &RunPaths,
+    clock: Clock,
+) -> anyhow::Result<(Wire, Subscriber<Progress>)> {
+    let until = clock().after_ns(START_NS);
+    while paths.supervisor_pid().is_none() {
+        if driven.has_ended()? || clock() > until {
+            bail!("the set does not start; its errors are above");
+        }
+        supervisor::signals::pause(LOOK);
+    }
+    let wire = Wire::join(paths.name(), Process::Supervisor)?;
+    let progress = wire.subscriber(PROGRESS)?;
+    Ok((wire, progress))
+}

@@ -1,0 +1,125 @@
+//! What every process of a set holds at one tick, as the kernel counts it.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use anyhow::Context;
+use shm_config::run::RunPaths;
+
+/// Name of the row that is no process: the run's files in shared memory.
+pub const SHARED_MEMORY: &str = "shared memory";
+
+/// What somebody holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Held {
+    /// The program, or [`SHARED_MEMORY`].
+    pub name: String,
+    /// Process id; 0 of no process.
+    pub pid: u32,
+    /// Anonymous memory that is resident, kB; of shared memory the sizes of the files.
+    pub memory_kb: u64,
+    /// All memory that is resident, kB: mapped files and shared memory included.
+    pub resident_kb: u64,
+    /// Open files.
+    pub files: u64,
+    /// Threads.
+    pub threads: u64,
+}
+
+/// All of a set at one tick.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sample {
+    /// The run's tick.
+    pub tick: u64,
+    /// Everybody.
+    pub held: Vec<Held>,
+}
+
+impl Sample {
+    /// First line of the file of samples.
+    pub const HEADER: &str = "tick,name,pid,memory_kb,resident_kb,files,threads";
+
+    /// Looks at the supervisor, its children, and the run's shared memory.
+    ///
+    /// # Errors
+    /// When the system does not tell.
+    pub fn take(tick: u64, supervisor: u32, paths: &RunPaths) -> anyhow::Result<Self> {
+        let mut held = Vec::new();
+        for entry in fs::read_dir("/proc").context("/proc")?.flatten() {
+            let name = entry.file_name();
+            let Some(pid) = name.to_str().and_then(|name| name.parse::<u32>().ok()) else {
+                continue;
+            };
+            // Who ends meanwhile is not there.
+            if let Some(one) = process(&entry.path(), pid, supervisor) {
+                held.push(one);
+            }
+        }
+        held.sort_by(|a, b| (&a.name, a.pid).cmp(&(&b.name, b.pid)));
+        held.push(shared_memory(paths)?);
+        Ok(Self { tick, held })
+    }
+
+    /// As lines of the file of samples.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self, file: &mut impl Write) -> io::Result<()> {
+        for held in &self.held {
+            writeln!(
+                file,
+                "{},{},{},{},{},{},{}",
+                self.tick,
+                held.name,
+                held.pid,
+                held.memory_kb,
+                held.resident_kb,
+                held.files,
+                held.threads
+            )?;
+        }
+        file.flush()
+    }
+}
+
+/// A process, if it is the supervisor or a child of it.
+fn process(proc: &Path, pid: u32, supervisor: u32) -> Option<Held> {
+    let status = fs::read_to_string(proc.join("status")).ok()?;
+    let number = |key: &str| -> Option<u64> {
+        let line = status.lines().find_map(|line| line.strip_prefix(key))?;
+        line.split_whitespace().next()?.parse().ok()
+    };
+    if pid != supervisor && number("PPid:")? != u64::from(supervisor) {
+        return None;
+    }
+    // The kernel's own name of it is cut at 15 letters.
+    let line = fs::read(proc.join("cmdline")).ok()?;
+    let program = line.split(|byte| *byte == 0).next()?;
+    let program = String::from_utf8_lossy(program);
+    Some(Held {
+        name: program.rsplit('/').next()?.into(),
+        pid,
+        memory_kb: number("RssAnon:")?,
+        resident_kb: number("VmRSS:")?,
+        files: fs::read_dir(proc.join("fd")).ok()?.count() as u64,
+        threads: number("Threads:")?,
+    })
+}
+
+fn shared_memory(paths: &RunPaths) -> anyhow::Result<Held> {
+    let files = paths.shared_memory()?;
+    let bytes: u64 = files
+        .iter()
+        .filter_map(|file| fs::metadata(file).ok())
+        .map(|data| data.len())
+        .sum();
+    Ok(Held {
+        name: SHARED_MEMORY.into(),
+        pid: 0,
+        memory_kb: bytes / 1024,
+        resident_kb: bytes / 1024,
+        files: files.len() as u64,
+        threads: 0,
+    })
+}

@@ -1,0 +1,302 @@
+//! When a process is flat: a rule that is stated before it is applied.
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+
+use super::Soaked;
+use super::sample::{Held, Sample};
+use crate::report::{say, table};
+
+/// Share of the ticks that does not count: buffers fill and pages are touched first.
+const WARM_UP: f64 = 0.2;
+/// Samples after the warm-up below which nothing can be said.
+const SAMPLES_MIN: usize = 10;
+/// Growth per million ticks that is still flat, kB: a byte in 16 ticks. 28 hours at
+/// 10 Hz for the size of 16 pages.
+const SLOPE_KB: f64 = 64.0;
+/// Shorter soaks say nothing about a slope: one page more would be over the limit.
+const SLOPE_TICKS_MIN: u64 = 1_000_000;
+/// Growth from the first tenth to the last that is still flat, kB.
+const GROWTH_KB: f64 = 256.0;
+/// What one episode may cost the supervisor, kB: its row in the summary.
+const EPISODE_KB: f64 = 0.25;
+/// The one process that keeps a list of what was driven.
+const LISTER: &str = "vlaps-supervisor";
+
+/// What flat means.
+#[derive(Clone, Debug, Serialize)]
+pub struct Rule {
+    /// Share of the ticks, from the first, that does not count.
+    pub warm_up: f64,
+    /// Limit of the Theil-Sen slope, kB per million ticks; `None` when the soak is too
+    /// short for one.
+    pub slope_max_kb_per_million: Option<f64>,
+    /// Limit of the last tenth's median above the first tenth's, kB.
+    pub growth_max_kb: f64,
+    /// What the supervisor may grow by beside, for its list of episodes, kB in all.
+    pub episodes_kb: f64,
+    /// Ticks driven.
+    pub ticks: u64,
+}
+
+/// What was measured of one process, after the warm-up.
+#[derive(Clone, Debug, Serialize)]
+pub struct Flatness {
+    /// The program, or the run's shared memory.
+    pub name: String,
+    /// Anonymous memory at the end: median of the last tenth, kB.
+    pub memory_kb: f64,
+    /// The most of it ever, warm-up included, kB.
+    pub memory_max_kb: u64,
+    /// The most that was resident, warm-up included, kB.
+    pub resident_max_kb: u64,
+    /// Theil-Sen slope, kB per million ticks.
+    pub slope_kb_per_million: f64,
+    /// The last tenth's median above the first tenth's, kB.
+    pub growth_kb: f64,
+    /// Most open files in the first tenth and in the last.
+    pub files: [u64; 2],
+    /// Most threads in the first tenth and in the last.
+    pub threads: [u64; 2],
+    /// Process ids it had.
+    pub incarnations: usize,
+    /// It stayed within the rule.
+    pub is_flat: bool,
+}
+
+impl Rule {
+    /// For a soak of this length.
+    pub fn of(ticks: u64, episodes: u64) -> Self {
+        Self {
+            warm_up: WARM_UP,
+            slope_max_kb_per_million: (ticks >= SLOPE_TICKS_MIN).then_some(SLOPE_KB),
+            growth_max_kb: GROWTH_KB,
+            episodes_kb: EPISODE_KB * episodes as f64,
+            ticks,
+        }
+    }
+
+    fn keeps(&self, row: &Flatness) -> bool {
+        let listed_kb = match row.name == LISTER {
+            true => self.episodes_kb,
+            false => 0.0,
+        };
+        let per_million_kb = listed_kb / (self.ticks as f64 * 1e-6);
+        let slope_keeps = self
+            .slope_max_kb_per_million
+            .is_none_or(|limit| row.slope_kb_per_million <= limit + per_million_kb);
+        slope_keeps
+            && row.growth_kb <= self.growth_max_kb + listed_kb
+            && row.files[1] <= row.files[0]
+            && row.threads[1] <= row.threads[0]
+            && row.incarnations == 1
+    }
+}
+
+/// A row for everybody who was seen.
+///
+/// # Errors
+/// When there are too few samples to say anything.
+pub fn rows(samples: &[Sample], rule: &Rule) -> anyhow::Result<Vec<Flatness>> {
+    let from = (rule.ticks as f64 * rule.warm_up) as u64;
+    let counted = samples.iter().filter(|sample| sample.tick >= from).count();
+    if counted < SAMPLES_MIN {
+        bail!("{counted} samples after the warm-up are too few; more --ticks");
+    }
+    let last = samples.last().context("no samples")?;
+    let rows = last.held.iter().map(|held| {
+        let all: Vec<(u64, &Held)> = samples
+            .iter()
+            .flat_map(|sample| sample.held.iter().map(|held| (sample.tick, held)))
+            .filter(|(_, other)| other.name == held.name)
+            .collect();
+        let mut row = row(&held.name, &all, from);
+        row.is_flat = rule.keeps(&row);
+        row
+    });
+    Ok(rows.collect())
+}
+
+fn row(name: &str, all: &[(u64, &Held)], from: u64) -> Flatness {
+    let warm: Vec<(u64, &Held)> = all.iter().copied().filter(|(t, _)| *t >= from).collect();
+    let tenth = (warm.len() / 10).max(1);
+    let (first, last) = (&warm[..tenth], &warm[warm.len() - tenth..]);
+    let memory = |part: &[(u64, &Held)]| {
+        let mut kb: Vec<f64> = part.iter().map(|(_, held)| held.memory_kb as f64).collect();
+        median(&mut kb)
+    };
+    let most = |of: fn(&Held) -> u64| {
+        let most = |part: &[(u64, &Held)]| part.iter().map(|(_, held)| of(held)).max();
+        [first, last].map(|part| most(part).unwrap_or(0))
+    };
+    let points: Vec<(f64, f64)> = warm
+        .iter()
+        .map(|(tick, held)| (*tick as f64 * 1e-6, held.memory_kb as f64))
+        .collect();
+    let mut pids: Vec<u32> = all.iter().map(|(_, held)| held.pid).collect();
+    pids.sort_unstable();
+    pids.dedup();
+    let max = |of: fn(&Held) -> u64| all.iter().map(|(_, held)| of(held)).max().unwrap_or(0);
+    Flatness {
+        name: name.into(),
+        memory_kb: memory(last),
+        memory_max_kb: max(|held| held.memory_kb),
+        resident_max_kb: max(|held| held.resident_kb),
+        slope_kb_per_million: theil_sen(&points),
+        growth_kb: memory(last) - memory(first),
+        files: most(|held| held.files),
+        threads: most(|held| held.threads),
+        incarnations: pids.len(),
+        is_flat: false,
+    }
+}
+
+/// Median of the slopes of all pairs: a third of the points may be anything.
+fn theil_sen(points: &[(f64, f64)]) -> f64 {
+    let mut slopes = Vec::with_capacity(points.len() * points.len() / 2);
+    for (k, (x, y)) in points.iter().enumerate() {
+        let later = points[k + 1..].iter().filter(|(other, _)| other > x);
+        slopes.extend(later.map(|(other_x, other_y)| (other_y - y) / (other_x - x)));
+    }
+    median(&mut slopes)
+}
+
+/// The upper median; 0 of nothing.
+fn median(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The table, the rule, and how it was measured.
+pub fn print(soaked: &Soaked) {
+    let mut table = table(&[
+        "",
+        "memory kB",
+        "max",
+        "resident max",
+        "slope kB/10^6",
+        "growth kB",
+        "files",
+        "threads",
+        "",
+    ]);
+    for row in &soaked.rows {
+        table.add_row([
+            row.name.clone(),
+            format!("{:.0}", row.memory_kb),
+            row.memory_max_kb.to_string(),
+            row.resident_max_kb.to_string(),
+            format!("{:.2}", row.slope_kb_per_million),
+            format!("{:.0}", row.growth_kb),
+            format!("{} -> {}", row.files[0], row.files[1]),
+            format!("{} -> {}", row.threads[0], row.threads[1]),
+            if row.is_flat { "flat" } else { "NOT FLAT" }.into(),
+        ]);
+    }
+    say(table);
+    let rule = &soaked.rule;
+    let slope = match rule.slope_max_kb_per_million {
+        Some(limit) => format!("slope at most {limit} kB per million ticks (Theil-Sen)"),
+        None => "too short for a limit of the slope".into(),
+    };
+    say(format_args!(
+        "flat, after the first {:.0} %: {slope}; growth at most {} kB; no more files or threads; \
+         no restart; the supervisor's list of episodes may add {:.0} kB",
+        rule.warm_up * 100.0,
+        rule.growth_max_kb,
+        rule.episodes_kb
+    ));
+    say(format_args!(
+        "{} ticks in {} episodes in {:.0} s, {} skipped, {} restarts, {} samples; {}",
+        soaked.ticks,
+        soaked.episodes,
+        soaked.wall_s,
+        soaked.skipped,
+        soaked.restarts,
+        soaked.samples,
+        soaked.conditions
+    ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICKS: u64 = 10_000_000;
+
+    /// A sample every 10,000 ticks of one process that holds `memory_kb(tick)`.
+    fn samples(held: impl Fn(u64) -> Held) -> Vec<Sample> {
+        let ticks = (0..1_000).map(|k| k * 10_000);
+        ticks
+            .map(|tick| Sample {
+                tick,
+                held: vec![held(tick)],
+            })
+            .collect()
+    }
+
+    fn held(memory_kb: u64) -> Held {
+        Held {
+            name: "vlaps-planner".into(),
+            pid: 7,
+            memory_kb,
+            resident_kb: memory_kb,
+            files: 20,
+            threads: 2,
+        }
+    }
+
+    fn verdict(samples: &[Sample]) -> Flatness {
+        let rows = rows(samples, &Rule::of(TICKS, 30_000)).expect("samples");
+        rows[0].clone()
+    }
+
+    #[test]
+    fn a_byte_a_tick_is_a_leak_and_noise_is_none() {
+        let noise = |tick: u64| 8_000 + (tick / 10_000) * 7_919 % 97;
+        let flat = verdict(&samples(|tick| held(noise(tick))));
+        assert!(flat.is_flat, "{flat:?}");
+        let leak = verdict(&samples(|tick| held(noise(tick) + tick / 1_024)));
+        assert!(!leak.is_flat, "{leak:?}");
+        assert!((leak.slope_kb_per_million - 976.6).abs() < 10.0, "{leak:?}");
+    }
+
+    #[test]
+    fn what_happens_in_the_warm_up_is_no_leak_and_a_step_after_it_is_one() {
+        let step = |at: u64| verdict(&samples(|tick| held(8_000 + 500 * u64::from(tick > at))));
+        assert!(step(TICKS / 10).is_flat);
+        assert!(!step(TICKS / 2).is_flat);
+    }
+
+    #[test]
+    fn files_threads_and_restarts_count() {
+        let late = |tick: u64| tick > TICKS / 2;
+        type Spoil = fn(&mut Held);
+        let spoils: [Spoil; 3] = [|h| h.files += 1, |h| h.threads += 1, |h| h.pid += 1];
+        for spoil in spoils {
+            let row = verdict(&samples(|tick| {
+                let mut one = held(8_000);
+                if late(tick) {
+                    spoil(&mut one);
+                }
+                one
+            }));
+            assert!(!row.is_flat, "{row:?}");
+        }
+    }
+
+    #[test]
+    fn the_supervisor_may_keep_its_episodes_and_nobody_else() {
+        let listing = |name: &str| {
+            verdict(&samples(|tick| Held {
+                name: name.into(),
+                ..held(8_000 + tick / 2_000)
+            }))
+        };
+        assert!(listing(LISTER).is_flat);
+        assert!(!listing("vlaps-planner").is_flat);
+    }
+}

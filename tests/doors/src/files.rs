@@ -1,0 +1,69 @@
+//! Files and answers from outside.
+
+use judge::{Prompt, Showing};
+use planner::Planner;
+use policy::Net;
+use shm_config::config::{self, Config, PromptPreset, View};
+use shm_config::message::FEATURES;
+use sim::WorldConfig;
+
+use crate::Said;
+
+/// A configuration: an error in one line, or all that is built from it can be.
+pub fn config(bytes: &[u8]) -> Said {
+    let Ok(text) = str::from_utf8(bytes) else {
+        return Said::Refused;
+    };
+    let config: Config = match config::from_toml(text, "vlaps.toml") {
+        Ok(config) => config,
+        Err(error) => {
+            let text = error.to_string();
+            assert!(text.starts_with("vlaps.toml"), "says where: {text}");
+            return Said::Refused;
+        }
+    };
+    // The limits of the configuration are those of what is built from it.
+    Planner::new(&config).expect("a valid configuration has a planner");
+    let _ = WorldConfig::from(&config.world);
+    assert!(config.run.period_ns() > 0 && config.plan_ticks() > 0);
+    assert!(config.plan_age_ns() > 0);
+    Said::Admitted
+}
+
+/// A policy file: refused, or a net that answers with numbers.
+pub fn policy(bytes: &[u8]) -> Said {
+    let Ok(file) = policy::decode(bytes) else {
+        return Said::Refused;
+    };
+    if let Net::Mlp { mut mlp, .. } = file.net {
+        for value in [0.0, 0.25, 1.0] {
+            let answer = mlp.infer(&[value; FEATURES]);
+            // What overflows is for the tick, which asks again; it is not a panic.
+            assert!(answer.iter().all(|number| !number.is_nan()) || value == 0.25);
+        }
+    }
+    Said::Admitted
+}
+
+const PRESETS: [PromptPreset; 3] = [
+    PromptPreset::Blind,
+    PromptPreset::Paper,
+    PromptPreset::PaperAppendix,
+];
+
+/// The body of a model's answer; the first byte chooses the prompt that it answers.
+pub fn answers(bytes: &[u8]) -> Said {
+    let Some((choice, body)) = bytes.split_first() else {
+        return Said::Refused;
+    };
+    let preset = PRESETS[usize::from(*choice) % PRESETS.len()];
+    let showing = match choice & 0x80 {
+        0 => Showing::PAPER,
+        _ => Showing::PAPER.swapped(),
+    };
+    let prompt = Prompt::new(preset, showing, View::Ego, 3.0);
+    let reading = judge::read_answer(body, &prompt);
+    let confidence = reading.reply.ok().and_then(|(_, confidence)| confidence);
+    assert!(confidence.is_none_or(|share| (0.0..=1.0).contains(&share)));
+    Said::of(reading.reply.is_ok())
+}

@@ -1,0 +1,208 @@
+//! The processes behind their doors: what is admitted must not stop a tick.
+
+use std::cell::RefCell;
+
+use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
+use gate::{AtOnce, Counsel, Rules};
+use learner::assembler::{Assembler, Counts, Labelling};
+use planner::Planner;
+use shm_config::config::planner::Method;
+use shm_config::config::{Clock, Config, GateMode};
+use shm_config::message::{Command, Observation, Plan, Step};
+use shm_config::{Instant, Message};
+use sim::{World, WorldConfig};
+use vehicle::Action;
+
+use crate::{Said, read};
+
+/// From tick to tick, ns.
+const PERIOD_NS: u64 = 100_000_000;
+/// Messages of one input, at most: a run of the target stays short.
+const MESSAGES_MAX: usize = 24;
+
+const METHODS: [Method; 4] = [
+    Method::RrtStar,
+    Method::Informed,
+    Method::Kinodynamic,
+    Method::Mpc,
+];
+
+thread_local! {
+    /// Built once: they allocate much, and forget between two inputs.
+    static PLANNERS: RefCell<Vec<Planner>> = RefCell::new(planners());
+    static WORLD: RefCell<World> = RefCell::new(
+        World::new(WorldConfig::from(&Config::default().world)).expect("the defaults"),
+    );
+}
+
+fn planners() -> Vec<Planner> {
+    let of = |method| {
+        let mut config = Config::default();
+        config.planner.method = method;
+        // No limit of the solver's time: an input is repeated as it was.
+        config.run.clock = Clock::Lockstep;
+        Planner::new(&config).expect("the defaults")
+    };
+    METHODS.map(of).into()
+}
+
+/// The first byte chooses how to plan; then observations, one after the other. A
+/// plan of each that is admitted must itself pass the door.
+pub fn planner(bytes: &[u8]) -> Said {
+    let Some((method, rest)) = bytes.split_first() else {
+        return Said::Refused;
+    };
+    PLANNERS.with_borrow_mut(|planners| {
+        let planner = &mut planners[usize::from(*method) % METHODS.len()];
+        planner.forget();
+        let mut plan = Box::<Plan>::default();
+        let mut is_admitted = false;
+        for chunk in rest.chunks(size_of::<Observation>()).take(3) {
+            let observation = read::<Observation>(chunk);
+            if observation.check().is_err() {
+                continue;
+            }
+            is_admitted = true;
+            planner.plan(&observation, &mut plan);
+            assert_eq!(plan.check(), Ok(()), "a plan that others refuse");
+        }
+        Said::of(is_admitted)
+    })
+}
+
+/// Proposes what the features say, numbers or not.
+struct Echo;
+
+impl Policy for Echo {
+    fn infer(&mut self, features: &[f32]) -> Option<Action> {
+        Some(Action {
+            steer: f64::from(features[0]) * 2.0 - 1.0,
+            pedal: f64::from(features[features.len() - 1]) / f64::from(features[1]),
+        })
+    }
+    fn version(&self) -> u64 {
+        1
+    }
+    fn hash(&self) -> u64 {
+        1
+    }
+}
+
+const MODES: [GateMode; 4] = [
+    GateMode::Rules,
+    GateMode::Human,
+    GateMode::Expert,
+    GateMode::Policy,
+];
+
+/// The first byte chooses who decides; then messages, each a byte for its kind and
+/// its memory; two bits of the kind end the tick, or make the message's time that
+/// of the tick. Every tick's command and step must pass the door.
+pub fn controller(bytes: &[u8]) -> Said {
+    let Some((mode, mut rest)) = bytes.split_first() else {
+        return Said::Refused;
+    };
+    let mut config = Config::default();
+    config.gate.mode = MODES[usize::from(*mode) % MODES.len()];
+    let policy: Box<dyn Policy> = Box::new(Echo);
+    let mut controller = Controller::new(config, PolicySlot::new(Some(policy)));
+    let mut inputs = Inputs::default();
+    let (mut tick, mut is_admitted) = (100, false);
+    for _ in 0..MESSAGES_MAX {
+        let Some((kind, after)) = rest.split_first() else {
+            break;
+        };
+        let now = Instant(tick * PERIOD_NS);
+        let on_time = (kind & 0x80 == 0).then_some(now);
+        rest = match kind % 4 {
+            0 => take(after, on_time, &mut inputs.observation),
+            1 => take(after, on_time, &mut inputs.plan),
+            2 => take(after, on_time, &mut inputs.advice),
+            _ => take(after, on_time, &mut inputs.takeover),
+        };
+        if kind & 0x40 != 0 {
+            is_admitted |= drive(&mut controller, &inputs, tick);
+            inputs = Inputs::default();
+            tick += 1;
+        }
+    }
+    is_admitted |= drive(&mut controller, &inputs, tick);
+    Said::of(is_admitted)
+}
+
+/// One tick; whether the car was seen in it.
+fn drive(controller: &mut Controller, inputs: &Inputs, tick: u64) -> bool {
+    let step = controller.tick(inputs, tick, Instant(tick * PERIOD_NS), Intent::Drive);
+    assert_eq!(step.command.check(), Ok(()), "a command that others refuse");
+    assert_eq!(step.check(), Ok(()), "a step that others refuse");
+    step.observation_age_ns < PERIOD_NS
+}
+
+/// One message off the bytes; what is left of them.
+fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Option<M>) -> &'a [u8] {
+    let (own, rest) = bytes.split_at(bytes.len().min(size_of::<M>()));
+    let mut message = *read::<M>(own);
+    if let Some(now) = on_time {
+        message.header_mut().taken_ns = now.0;
+    }
+    *to = Some(message);
+    rest
+}
+
+/// Steps, one after the other, as the gate and the learner read them.
+pub fn steps(bytes: &[u8]) -> Said {
+    let config = Config::default();
+    let judge = AtOnce::new(Rules::new(config.vehicle, config.judge));
+    let mut counsel = Counsel::new(&config.gate, Box::new(judge));
+    let labelling = Labelling {
+        mode: config.gate.mode,
+        wait_ns: PERIOD_NS,
+    };
+    let mut assembler = Assembler::new(labelling, Counts::default());
+    let (mut is_admitted, mut transitions) = (false, 0);
+    for chunk in bytes.chunks(size_of::<Step>()).take(4) {
+        let step = read::<Step>(chunk);
+        if step.check().is_err() {
+            continue;
+        }
+        is_admitted = true;
+        let advice = counsel.consider(&step, step.header.taken());
+        assert_eq!(advice.check(), Ok(()), "advice that others refuse");
+        assembler.push(&step, |_| transitions += 1);
+    }
+    assembler.finish(|_| transitions += 1);
+    assert_eq!(assembler.counts().transitions(), transitions);
+    Said::of(is_admitted)
+}
+
+/// The first byte is the world's seed; then commands, each obeyed for a tick. What
+/// the world observes must pass the door whatever it was told to do.
+pub fn world(bytes: &[u8]) -> Said {
+    let Some((seed, rest)) = bytes.split_first() else {
+        return Said::Refused;
+    };
+    WORLD.with_borrow_mut(|world| {
+        world.reset(u64::from(seed % 8)).expect("a map");
+        let mut observation = Observation::default();
+        let mut is_admitted = false;
+        for chunk in rest.chunks(size_of::<Command>()).take(MESSAGES_MAX) {
+            let command = read::<Command>(chunk);
+            let action = match command.check() {
+                Ok(()) => command.action(),
+                Err(_) => Action::BRAKE,
+            };
+            is_admitted |= command.check().is_ok();
+            world.step(action);
+            world.observe(&mut observation);
+            assert_eq!(
+                observation.check(),
+                Ok(()),
+                "an observation that others refuse"
+            );
+            if world.last_step().has_ended() {
+                break;
+            }
+        }
+        Said::of(is_admitted)
+    })
+}
