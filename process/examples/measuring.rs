@@ -31,7 +31,7 @@ fn main() {
         }));
         copied.push(ns_per_tick(|tick| {
             if tick.is_multiple_of(100) {
-                *copy = *black_box(&timing);
+                *copy = **black_box(&timing);
                 black_box(&copy);
             }
         }));

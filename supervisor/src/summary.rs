@@ -333,7 +333,11 @@ impl Summary {
             self.period_s,
             self.braked,
             self.oldest_obeyed_ms
-        )
+        )?;
+        match self.first_command_s {
+            Some(first_s) => writeln!(f, "first command {first_s:.2} s after the start"),
+            None => Ok(()),
+        }
     }
 
     fn fmt_processes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -5,7 +5,7 @@ mod common;
 use common::Rig;
 use shm_config::config::Config;
 use shm_config::message::{
-    Driver, Episode, Grant, Header, Health, HealthState, Outcome, Reason, Step, Timing,
+    Driver, Episode, Grant, Header, Health, HealthState, Outcome, Part, Reason, Step, Timing,
 };
 use shm_config::services::Process;
 use supervisor::summary::{Summary, command_digest};
@@ -252,6 +252,51 @@ fn the_json_has_the_keys_that_scripts_rely_on() {
         .filter(|name| name.to_string_lossy().starts_with("summary.json."))
         .collect();
     assert!(left.is_empty(), "{left:?}");
+}
+
+#[test]
+fn the_raw_histograms_add_up_to_what_was_counted() {
+    let text = supervisor::timing::csv(&driven());
+    let mut lines = text.lines();
+    assert_eq!(
+        lines.next(),
+        Some("process,measure,from_ns,below_ns,count,max_ns")
+    );
+    let rows: Vec<Vec<&str>> = lines.map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 3, "{text}");
+    for (row, ns) in rows.iter().zip([10_000, 20_000, 3_000_000]) {
+        assert_eq!(row[..2], ["world", "release_lateness"]);
+        let number = |cell: usize| row[cell].parse::<u64>().expect("a number");
+        assert!(number(2) <= ns && ns < number(3), "{row:?}");
+        assert_eq!((number(4), number(5)), (1, 3_000_000));
+    }
+}
+
+#[test]
+fn faults_overruns_and_elapsed_time_go_on_over_a_restart() {
+    let mut tally = Tally::default();
+    for producer in [1, 2] {
+        let mut health = health(producer, 50, 0);
+        (health.minor_faults, health.major_faults) = (3, 1);
+        health.involuntary_switches = 7;
+        health.overruns[Part::Search.code() as usize] = 4;
+        tally.count_health(Process::Planner, &health);
+    }
+    let rig = Rig::new("idle", |_| ());
+    let summary = Summary::of(&rig.config, &tally, &rig.set, String::new());
+    let planner = &summary.processes["planner"];
+    assert_eq!((planner.minor_faults, planner.major_faults), (6, 2));
+    assert_eq!(planner.involuntary_switches, 14);
+    assert_eq!(planner.overruns, [("search", 8)].into());
+    assert_eq!(
+        (planner.elapsed_s, planner.period_s),
+        (Some(10.0), Some(0.1))
+    );
+    assert!(
+        summary
+            .to_string()
+            .contains("planner over budget: search 8")
+    );
 }
 
 #[test]
