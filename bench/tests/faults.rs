@@ -23,7 +23,7 @@ fn is_built() -> bool {
         "gate",
         "learner",
     ];
-    let missing = |name: &&str| !program.with_file_name(format!("vlaps-{name}")).exists();
+    let missing = |name: &&&str| !program.with_file_name(format!("vlaps-{name}")).exists();
     match others.iter().find(missing) {
         None => true,
         Some(name) => {

@@ -9,7 +9,8 @@ use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
+    Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Step, Takeover,
+    Timing,
 };
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
@@ -80,6 +81,7 @@ struct Waiting {
     asks_gate: bool,
     period_ns: u64,
     plan_wait_ns: u64,
+    observation_age_ns: u64,
     lockstep_wait_ns: u64,
     /// A peer that let a wait run out is not waited for until it speaks again.
     planner_silent: bool,
@@ -101,6 +103,7 @@ impl Waiting {
             asks_gate: config.gate.has_process(),
             period_ns,
             plan_wait_ns: share(config.limits.plan_wait),
+            observation_age_ns: config.limits.observation_age_ns(),
             lockstep_wait_ns: config.peer_wait_ns(),
             planner_silent: false,
             gate_silent: false,
@@ -296,7 +299,10 @@ fn tick(
         (true, Some(observation)) => observation.header.taken(),
         _ => planned,
     };
-    let seen = inputs.observation.as_ref().map(origin);
+    // What is refused at the door must not number the tick either.
+    let seen = inputs.observation.as_ref();
+    let seen = seen.filter(|o| o.admit(now, waiting.observation_age_ns).is_ok());
+    let seen = seen.map(origin);
     let is_answer = seen.is_some() && seen != waiting.answered;
     let tick = match seen {
         Some((_, tick)) if is_answer => {

@@ -4,7 +4,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 use shm_config::message::{Driver, Fault, FaultKind, Message, Reason, Step};
 use shm_config::run::RunPaths;
-use shm_config::services::{FAULT, Process, STEP};
+use shm_config::services::{FAULT, OBSERVATION, Process, STEP};
 use shm_config::wire::{Subscriber, Wire};
 use vlaps_tests::{Set, until};
 
@@ -289,4 +289,46 @@ fn when_the_files_of_a_run_are_removed_it_brakes_and_says_so() {
     assert_eq!(set.wait(), Some(1), "{}", set.logs());
     let ended = set.json()["ended"].to_string();
     assert!(ended.contains("files were removed"), "{ended}");
+}
+
+#[test]
+fn a_stale_observation_of_somebody_else_does_not_number_a_tick() {
+    let mut set = Set::new("stale");
+    // Ten in a row are lied to at least, whenever the lies come.
+    set.start(&[
+        "--seed",
+        "3",
+        "--rate",
+        "100",
+        "--set",
+        "planner.rate_hz=10",
+    ]);
+    let mut watch = Watch::new(&set);
+    watch.until_driving();
+    let liar = Wire::join(set.name(), Process::Gate).expect("shared memory");
+    let mut lies = liar.publisher(OBSERVATION).expect("observations");
+    let mut last: Option<Step> = None;
+    let mut told = 0;
+    until("it was lied to often enough", || {
+        watch.steps.tend();
+        lies.tend();
+        while let Some(step) = watch.steps.receive() {
+            if let Some(last) = &last {
+                let (was, is) = (last.header.tick, step.header.tick);
+                assert!(is > was, "tick {is} follows tick {was}");
+            }
+            let mut lie = step.observation;
+            lie.header.taken_ns /= 2;
+            lie.header.tick = lie.header.tick.saturating_sub(5);
+            lies.send(&mut lie);
+            told += 1;
+            last = Some(step);
+        }
+        told >= 100
+    });
+    let refused = last.expect("a step").refused;
+    assert!(refused > 0, "the lies were read, and refused at the door");
+    drop((lies, liar, watch));
+    set.signal(Signal::INT);
+    assert_eq!(set.wait(), Some(0), "{}", set.logs());
 }
