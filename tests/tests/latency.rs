@@ -154,7 +154,8 @@ fn a_message_goes_back_and_forth_over_every_side() {
     assert!(done.status.success(), "{done:?}");
     let measured = json(&folder.path().join("ipc.json"));
     let rows = measured["rows"].as_array().expect("rows");
-    assert_eq!(rows.len(), 2 * 2 * 2);
+    // Flat out on a grid is no row.
+    assert_eq!(rows.len(), 2 * 3);
     for row in rows {
         let sides = row["sides"].as_array().expect("sides");
         assert_eq!(sides.len(), 4, "{row}");

@@ -149,12 +149,14 @@ impl Seen {
         if missed > 0 {
             self.miss(Event { missed, ..event });
         }
-        if self.latest.len() == LATEST_MAX
-            && self
+        // Without an observation it waits for one on purpose.
+        let waited = times.released_ns == 0;
+        let is_among = self.latest.len() < LATEST_MAX
+            || self
                 .latest
                 .last()
-                .is_some_and(|last| last.late_ns >= event.late_ns)
-        {
+                .is_some_and(|last| last.late_ns < event.late_ns);
+        if waited || !is_among {
             return;
         }
         self.latest.push(event);
@@ -203,6 +205,7 @@ mod tests {
         step.header.producer = 7;
         for (tick, late_ns, skipped) in [(0, 10_000, 0), (20, 12_000_000, 1), (40, 20_000, 1)] {
             step.timings.scheduled_ns = begun.after_ns(tick * 100_000_000).0;
+            step.timings.released_ns = step.timings.scheduled_ns;
             step.timings.started_ns = step.timings.scheduled_ns + late_ns;
             step.skipped = skipped;
             seen.step(&step);
