@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
-use supervisor::clean::clean_run;
+use supervisor::clean::{Cleaned, clean_run};
 
 use super::Bench;
 use super::arguments::Case;
@@ -23,16 +23,23 @@ const STALLS_HZ: f64 = 1000.0;
 const START_NS: u64 = 60_000_000_000;
 /// From look to look at the steps: far within their queue.
 const LOOK: Duration = Duration::from_millis(20);
+/// Looks until a run's last process has let go of it.
+const CLEANINGS: u32 = 100;
 /// Seconds from block to block of the learner.
 const BLOCK_S: f64 = 2.0;
 
 /// Drives it; `None` when somebody asked to stop meanwhile.
-pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
+/// It is the k-th: each has a run of its own, whatever the one before left.
+pub fn drive(
+    bench: &Bench<'_>,
+    case: &Case,
+    k: usize,
+) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
     let mut judge = case.beside.judge.begin()?;
     let plan_rate_hz = plan_rate(bench, case);
     let mut up = judge.arguments();
     up.extend(arguments(bench, case));
-    let mut driven = Driven::start("latency", up)?;
+    let mut driven = Driven::start(&format!("latency-{k}"), up)?;
     let name = driven.name().parse()?;
     let clock = bench.clock;
     let until = clock().after_ns(START_NS);
@@ -84,7 +91,13 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
     watch.look();
     let seen = watch.finish();
     // Whoever looks keeps a run alive: what it left is removed now.
-    let _ = clean_run(&RunPaths::new(name));
+    let paths = RunPaths::new(name);
+    for _ in 0..CLEANINGS {
+        match clean_run(&paths) {
+            Ok(Cleaned::Alive) => supervisor::signals::pause(LOOK),
+            Ok(Cleaned::Removed(_)) | Err(_) => break,
+        }
+    }
     let summary = driven.summary();
     if bench.stop.is_asked() {
         return Ok(None);
