@@ -53,25 +53,25 @@ pub fn drive(
     let mut watch = Watch::begin(&name)?;
     let seconds = bench.settings.seconds;
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
-    let cyclictest = match bench.cyclictest {
-        true => Some(Cyclictest::start(
-            case.rate_hz,
-            granted(case.priority),
-            seconds,
-        )?),
-        false => None,
-    };
-    let floor = Floor::start(case.rate_hz, case.priority, clock)?;
     let noting = Floor::start(STALLS_HZ, case.priority, clock)?;
-    let (mut half_way, mut stopping) = (None, false);
+    let mut floors = None;
+    let mut counted = None;
+    let (mut until, mut stopping) = (None, false);
     while !driven.has_ended()? {
         watch.look();
         let now = clock();
-        if watch.has_begun() {
-            let half_ns = (seconds * 0.5e9) as u64;
-            if now > *half_way.get_or_insert(now.after_ns(half_ns)) {
-                judge.half_way();
-            }
+        if watch.has_begun() && until.is_none() {
+            until = Some(now.after_ns((seconds * 1e9) as u64));
+            floors = Some(Floors::start(bench, case)?);
+        }
+        if until.is_some_and(|until| until.since_ns(now) < (seconds * 0.5e9) as u64) {
+            judge.half_way();
+        }
+        // Not while processes end: the row has none of that, either.
+        if until.is_some_and(|until| now > until)
+            && let Some(floors) = floors.take()
+        {
+            counted = Some(floors.finish(bench)?);
         }
         if bench.stop.is_asked() && !stopping {
             // Once: a second time would kill it.
@@ -80,14 +80,12 @@ pub fn drive(
         }
         supervisor::signals::pause(LOOK);
     }
+    if let Some(floors) = floors.take() {
+        counted = Some(floors.finish(bench)?);
+    }
     stress.check()?;
     drop(stress);
-    let counted = match cyclictest.map(Cyclictest::finish) {
-        // Where it may not run, the thread that does the same stands in.
-        Some(Err(_)) if !bench.insist => None,
-        counted => counted.transpose()?,
-    };
-    let (own, noted) = (floor.finish()?, noting.finish()?);
+    let noted = noting.finish()?;
     watch.look();
     let seen = watch.finish();
     // Whoever looks keeps a run alive: what it left is removed now.
@@ -103,20 +101,12 @@ pub fn drive(
         return Ok(None);
     }
     let summary = summary?;
-    let mut series = of_run(&driven.run_folder())?;
-    series.push(Series::of_histogram(
-        "own floor",
-        "release_lateness",
-        &own.late_ns,
-    ));
-    let (misses, latest) = seen.beside(&noted.stalls);
-    let (floor_by, floor) = match counted {
-        Some((floor, lateness)) => {
-            series.push(lateness);
-            ("cyclictest", floor)
-        }
-        None => ("own thread", own.punctuality.clone()),
+    let Some(counted) = counted else {
+        bail!("the set never drove");
     };
+    let mut series = of_run(&driven.run_folder())?;
+    series.extend(counted.series);
+    let (misses, latest) = seen.beside(&noted.stalls);
     let controller = Punctuality::of(&summary, "controller");
     let row = Row {
         rate_hz: case.rate_hz,
@@ -131,15 +121,65 @@ pub fn drive(
         planner: planner(&summary, &controller, plan_rate_hz),
         response_us: Quantiles::of(&summary["processes"]["controller"], "response_us"),
         controller,
-        floor_by: floor_by.into(),
-        floor,
-        own_floor: own.punctuality,
+        floor_by: counted.by.into(),
+        floor: counted.floor,
+        own_floor: counted.own,
         misses,
         latest,
         stalls_us: longest(&noted),
     };
     row.check_accounts()?;
     Ok(Some((row, series)))
+}
+
+/// The floor of one row, by whom it can be measured.
+struct Floors {
+    cyclictest: Option<Cyclictest>,
+    own: Floor,
+}
+
+/// What it came to.
+struct Counted {
+    by: &'static str,
+    floor: Punctuality,
+    own: Punctuality,
+    series: Vec<Series>,
+}
+
+impl Floors {
+    fn start(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Self> {
+        let (rate_hz, seconds) = (case.rate_hz, bench.settings.seconds);
+        let cyclictest = match bench.cyclictest {
+            true => Some(Cyclictest::start(rate_hz, granted(case.priority), seconds)?),
+            false => None,
+        };
+        let own = Floor::start(rate_hz, case.priority, bench.clock)?;
+        Ok(Self { cyclictest, own })
+    }
+
+    fn finish(self, bench: &Bench<'_>) -> anyhow::Result<Counted> {
+        let counted = match self.cyclictest.map(Cyclictest::finish) {
+            // Where it may not run, the thread that does the same stands in.
+            Some(Err(_)) if !bench.insist => None,
+            counted => counted.transpose()?,
+        };
+        let own = self.own.finish()?;
+        let lateness = Series::of_histogram("own floor", "release_lateness", &own.late_ns);
+        let mut series = vec![lateness];
+        let (by, floor) = match counted {
+            Some((floor, lateness)) => {
+                series.push(lateness);
+                ("cyclictest", floor)
+            }
+            None => ("own thread", own.punctuality.clone()),
+        };
+        Ok(Counted {
+            by,
+            floor,
+            own: own.punctuality,
+            series,
+        })
+    }
 }
 
 fn longest(noted: &Noted) -> Vec<f64> {
