@@ -114,7 +114,7 @@ pub fn drive(
         priority: case.priority_word().into(),
         settings: bench.settings.clone(),
         questions: judge.questions(),
-        swaps: seen.swaps,
+        weights: seen.weights,
         restarts: summary["restarts"].as_u64().unwrap_or(0),
         plan_rate_hz,
         world: Punctuality::of(&summary, "world"),
@@ -209,8 +209,11 @@ fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
 }
 
 fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
-    let mut up: Vec<String> = vec!["--seed".into(), "3".into(), "--policy".into()];
-    up.push(bench.policy.display().to_string());
+    let mut up: Vec<String> = vec!["--seed".into(), "3".into()];
+    // What somebody offers at the start is newer than a learner's first weights.
+    if !case.beside.learner {
+        up.extend(["--policy".into(), bench.policy.display().to_string()]);
+    }
     up.extend(["--rate".into(), case.rate_hz.to_string()]);
     up.extend(["--duration".into(), bench.settings.seconds.to_string()]);
     if case.priority == Priority::Ordinary {
@@ -223,7 +226,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
             "learner.enabled=true".into(),
             "learner.algorithm=dagger".into(),
             format!("learner.block_steps={block}"),
-            "learner.updates=100".into(),
+            "learner.updates=50".into(),
             // Whatever it proposes, what it publishes is adopted and stays.
             "policy.probation_ticks=0".into(),
             "policy.veto_rate_max=1.0".into(),

@@ -57,8 +57,8 @@ pub struct Seen {
     begun: Option<Instant>,
     skipped: Option<(u32, u64)>,
     weights_version: u64,
-    /// How often other weights proposed than in the step before.
-    pub swaps: u64,
+    /// Weights that came to propose, the first ones included.
+    pub weights: u64,
     misses: Vec<Event>,
     /// The largest first.
     latest: Vec<Event>,
@@ -136,8 +136,8 @@ impl Seen {
             late_ns: Some(late_ns),
         };
         let version = step.weights_version;
-        if self.weights_version != 0 && version != self.weights_version {
-            self.swaps += 1;
+        if version != 0 && version != self.weights_version {
+            self.weights += 1;
         }
         self.weights_version = version;
         let pid = step.header.producer;
