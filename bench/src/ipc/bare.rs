@@ -13,6 +13,8 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 
+use shm_config::run::{LIBRARY_DIR, RunName, RunPaths};
+
 use super::arguments::Wake;
 use super::link::Link;
 use super::port::End;
@@ -34,12 +36,19 @@ pub struct Bare<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> {
 
 impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Bare<M> {
     /// Opens both directions: a queue of one that overflows, no history, one
-    /// publisher and one subscriber; names begin with `prefix`.
+    /// publisher and one subscriber; names begin with `prefix`. Its files are among
+    /// those of the run, so that they go with it.
     ///
     /// # Errors
     /// When the library refuses.
-    pub fn open(prefix: &str, end: End, wake: Wake, message: M) -> anyhow::Result<Self> {
+    pub fn open(
+        run: &RunName,
+        prefix: &str,
+        (end, wake): (End, Wake),
+        message: M,
+    ) -> anyhow::Result<Self> {
         let node = NodeBuilder::new()
+            .config(&config(run)?)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
             .map_err(|error| anyhow!("bare iceoryx2: {error:?}"))?;
@@ -85,6 +94,18 @@ impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Bare<M> {
             _node: node,
         })
     }
+}
+
+fn config(run: &RunName) -> anyhow::Result<Config> {
+    let paths = RunPaths::new(run.clone());
+    let root = paths.dir().join(LIBRARY_DIR);
+    let mut config = Config::default();
+    let root = iceoryx2::prelude::Path::new(root.to_string_lossy().as_bytes())
+        .map_err(|error| anyhow!("bare iceoryx2: {error:?}"))?;
+    config.global.set_root_path(&root);
+    config.global.prefix = FileName::new(paths.prefix().as_bytes())
+        .map_err(|error| anyhow!("bare iceoryx2: {error:?}"))?;
+    Ok(config)
 }
 
 fn name(prefix: &str, place: &str) -> anyhow::Result<ServiceName> {

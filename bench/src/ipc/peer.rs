@@ -47,11 +47,12 @@ impl<M: Measured> Ends<M> {
     /// # Errors
     /// When shared memory refuses.
     pub fn open(wire: &Wire, run: &RunName, end: End, wake: Wake) -> anyhow::Result<Self> {
-        let bare = format!("{run}/{}/{}", M::WORD, wake.word());
+        let bare = format!("bare/{}/{}", M::WORD, wake.word());
+        let tiny = format!("{bare}/tiny");
         Ok(Self {
             port: Port::open(wire, end, wake)?,
-            bare: Bare::open(&bare, end, wake, M::full())?,
-            tiny: Bare::open(&format!("{bare}/tiny"), end, wake, 0)?,
+            bare: Bare::open(run, &bare, (end, wake), M::full())?,
+            tiny: Bare::open(run, &tiny, (end, wake), 0)?,
         })
     }
 }

@@ -9,10 +9,8 @@ use shm_config::services::{Delivery, Process, Service};
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire};
 
 use super::arguments::Wake;
-use super::link::Link;
+use super::link::{LOST_NS, Link};
 
-/// Age up to which messages are admitted, ns: as long as a lost one is waited for.
-const AGE_NS: u64 = 5_000_000_000;
 /// How long one wait for the bell lasts at most.
 const NAP: Duration = Duration::from_millis(500);
 
@@ -154,7 +152,7 @@ impl<M: Measured> Link for Port<M> {
         if self.door == Door::Admit {
             // A tick has read its clock already, whatever comes.
             let now = message.header().taken();
-            if let Err(refusal) = message.admit(now, AGE_NS) {
+            if let Err(refusal) = message.admit(now, LOST_NS) {
                 bail!("{}: {refusal}", M::WORD);
             }
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
-use supervisor::clean::clean_run;
+use supervisor::clean::{Cleaned, clean_run};
 
 use super::Bench;
 use super::arguments::Case;
@@ -23,16 +23,23 @@ const STALLS_HZ: f64 = 1000.0;
 const START_NS: u64 = 60_000_000_000;
 /// From look to look at the steps: far within their queue.
 const LOOK: Duration = Duration::from_millis(20);
+/// Looks until a run's last process has let go of it.
+const CLEANINGS: u32 = 100;
 /// Seconds from block to block of the learner.
 const BLOCK_S: f64 = 2.0;
 
 /// Drives it; `None` when somebody asked to stop meanwhile.
-pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
+/// It is the k-th: each has a run of its own, whatever the one before left.
+pub fn drive(
+    bench: &Bench<'_>,
+    case: &Case,
+    k: usize,
+) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
     let mut judge = case.beside.judge.begin()?;
     let plan_rate_hz = plan_rate(bench, case);
     let mut up = judge.arguments();
     up.extend(arguments(bench, case));
-    let mut driven = Driven::start("latency", up)?;
+    let mut driven = Driven::start(&format!("latency-{k}"), up)?;
     let name = driven.name().parse()?;
     let clock = bench.clock;
     let until = clock().after_ns(START_NS);
@@ -46,25 +53,25 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
     let mut watch = Watch::begin(&name)?;
     let seconds = bench.settings.seconds;
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
-    let cyclictest = match bench.cyclictest {
-        true => Some(Cyclictest::start(
-            case.rate_hz,
-            granted(case.priority),
-            seconds,
-        )?),
-        false => None,
-    };
-    let floor = Floor::start(case.rate_hz, case.priority, clock)?;
     let noting = Floor::start(STALLS_HZ, case.priority, clock)?;
-    let (mut half_way, mut stopping) = (None, false);
+    let mut floors = None;
+    let mut counted = None;
+    let (mut until, mut stopping) = (None, false);
     while !driven.has_ended()? {
         watch.look();
         let now = clock();
-        if watch.has_begun() {
-            let half_ns = (seconds * 0.5e9) as u64;
-            if now > *half_way.get_or_insert(now.after_ns(half_ns)) {
-                judge.half_way();
-            }
+        if watch.has_begun() && until.is_none() {
+            until = Some(now.after_ns((seconds * 1e9) as u64));
+            floors = Some(Floors::start(bench, case)?);
+        }
+        if until.is_some_and(|until| until.since_ns(now) < (seconds * 0.5e9) as u64) {
+            judge.half_way();
+        }
+        // Not while processes end: the row has none of that, either.
+        if until.is_some_and(|until| now > until)
+            && let Some(floors) = floors.take()
+        {
+            counted = Some(floors.finish(bench)?);
         }
         if bench.stop.is_asked() && !stopping {
             // Once: a second time would kill it.
@@ -73,37 +80,33 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
         }
         supervisor::signals::pause(LOOK);
     }
+    if let Some(floors) = floors.take() {
+        counted = Some(floors.finish(bench)?);
+    }
     stress.check()?;
     drop(stress);
-    let counted = match cyclictest.map(Cyclictest::finish) {
-        // Where it may not run, the thread that does the same stands in.
-        Some(Err(_)) if !bench.insist => None,
-        counted => counted.transpose()?,
-    };
-    let (own, noted) = (floor.finish()?, noting.finish()?);
+    let noted = noting.finish()?;
     watch.look();
     let seen = watch.finish();
     // Whoever looks keeps a run alive: what it left is removed now.
-    let _ = clean_run(&RunPaths::new(name));
+    let paths = RunPaths::new(name);
+    for _ in 0..CLEANINGS {
+        match clean_run(&paths) {
+            Ok(Cleaned::Alive) => supervisor::signals::pause(LOOK),
+            Ok(Cleaned::Removed(_)) | Err(_) => break,
+        }
+    }
     let summary = driven.summary();
     if bench.stop.is_asked() {
         return Ok(None);
     }
     let summary = summary?;
-    let mut series = of_run(&driven.run_folder())?;
-    series.push(Series::of_histogram(
-        "own floor",
-        "release_lateness",
-        &own.late_ns,
-    ));
-    let (misses, latest) = seen.beside(&noted.stalls);
-    let (floor_by, floor) = match counted {
-        Some((floor, lateness)) => {
-            series.push(lateness);
-            ("cyclictest", floor)
-        }
-        None => ("own thread", own.punctuality.clone()),
+    let Some(counted) = counted else {
+        bail!("the set never drove");
     };
+    let mut series = of_run(&driven.run_folder())?;
+    series.extend(counted.series);
+    let (misses, latest) = seen.beside(&noted.stalls);
     let controller = Punctuality::of(&summary, "controller");
     let row = Row {
         rate_hz: case.rate_hz,
@@ -111,22 +114,72 @@ pub fn drive(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Option<(Row, Vec<
         priority: case.priority_word().into(),
         settings: bench.settings.clone(),
         questions: judge.questions(),
-        swaps: seen.swaps,
+        weights: seen.weights,
         restarts: summary["restarts"].as_u64().unwrap_or(0),
         plan_rate_hz,
         world: Punctuality::of(&summary, "world"),
         planner: planner(&summary, &controller, plan_rate_hz),
         response_us: Quantiles::of(&summary["processes"]["controller"], "response_us"),
         controller,
-        floor_by: floor_by.into(),
-        floor,
-        own_floor: own.punctuality,
+        floor_by: counted.by.into(),
+        floor: counted.floor,
+        own_floor: counted.own,
         misses,
         latest,
         stalls_us: longest(&noted),
     };
     row.check_accounts()?;
     Ok(Some((row, series)))
+}
+
+/// The floor of one row, by whom it can be measured.
+struct Floors {
+    cyclictest: Option<Cyclictest>,
+    own: Floor,
+}
+
+/// What it came to.
+struct Counted {
+    by: &'static str,
+    floor: Punctuality,
+    own: Punctuality,
+    series: Vec<Series>,
+}
+
+impl Floors {
+    fn start(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Self> {
+        let (rate_hz, seconds) = (case.rate_hz, bench.settings.seconds);
+        let cyclictest = match bench.cyclictest {
+            true => Some(Cyclictest::start(rate_hz, granted(case.priority), seconds)?),
+            false => None,
+        };
+        let own = Floor::start(rate_hz, case.priority, bench.clock)?;
+        Ok(Self { cyclictest, own })
+    }
+
+    fn finish(self, bench: &Bench<'_>) -> anyhow::Result<Counted> {
+        let counted = match self.cyclictest.map(Cyclictest::finish) {
+            // Where it may not run, the thread that does the same stands in.
+            Some(Err(_)) if !bench.insist => None,
+            counted => counted.transpose()?,
+        };
+        let own = self.own.finish()?;
+        let lateness = Series::of_histogram("own floor", "release_lateness", &own.late_ns);
+        let mut series = vec![lateness];
+        let (by, floor) = match counted {
+            Some((floor, lateness)) => {
+                series.push(lateness);
+                ("cyclictest", floor)
+            }
+            None => ("own thread", own.punctuality.clone()),
+        };
+        Ok(Counted {
+            by,
+            floor,
+            own: own.punctuality,
+            series,
+        })
+    }
 }
 
 fn longest(noted: &Noted) -> Vec<f64> {
@@ -156,8 +209,11 @@ fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
 }
 
 fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
-    let mut up: Vec<String> = vec!["--seed".into(), "3".into(), "--policy".into()];
-    up.push(bench.policy.display().to_string());
+    let mut up: Vec<String> = vec!["--seed".into(), "3".into()];
+    // What somebody offers at the start is newer than a learner's first weights.
+    if !case.beside.learner {
+        up.extend(["--policy".into(), bench.policy.display().to_string()]);
+    }
     up.extend(["--rate".into(), case.rate_hz.to_string()]);
     up.extend(["--duration".into(), bench.settings.seconds.to_string()]);
     if case.priority == Priority::Ordinary {
@@ -170,7 +226,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
             "learner.enabled=true".into(),
             "learner.algorithm=dagger".into(),
             format!("learner.block_steps={block}"),
-            "learner.updates=100".into(),
+            "learner.updates=50".into(),
             // Whatever it proposes, what it publishes is adopted and stays.
             "policy.probation_ticks=0".into(),
             "policy.veto_rate_max=1.0".into(),

@@ -100,7 +100,7 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     let total = cases.len() as u64;
     let mut progress = Progress::begin("latency".into(), "rows", (0, total), clock)?;
     let mut rows = Vec::new();
-    for case in &cases {
+    for (k, case) in cases.iter().enumerate() {
         let kept = match arguments.fresh {
             true => None,
             false => shelf.kept(case, &bench.settings),
@@ -109,7 +109,7 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
             Some(row) => row,
             None => {
                 progress.now(&case.words());
-                match drive::drive(&bench, case).with_context(|| case.words())? {
+                match drive::drive(&bench, case, k).with_context(|| case.words())? {
                     Some((row, series)) => {
                         shelf.keep(case, &row, &series)?;
                         row

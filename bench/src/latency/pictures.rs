@@ -221,7 +221,7 @@ where
     B::ErrorType: 'static,
 {
     let (head, body) = area.split_vertically(26);
-    write(&head, title, (58, 6), (16, INK))?;
+    write(&head, title, (66, 6), (16, INK))?;
     let lines: Vec<(Vec<(f64, f64)>, RGBColor)> = picture
         .lines
         .iter()
@@ -233,7 +233,7 @@ where
         .margin_right(14)
         .margin_bottom(4)
         .x_label_area_size(34)
-        .y_label_area_size(54)
+        .y_label_area_size(66)
         .build_cartesian_2d(span.0..span.1, NONE.log10()..top)?;
     chart
         .configure_mesh()

@@ -30,8 +30,8 @@ pub struct Row {
     pub settings: Settings,
     /// Questions that the judge had.
     pub questions: u64,
-    /// Weights that the learner brought to the wheel.
-    pub swaps: u64,
+    /// Weights that proposed: the row's own, or those that the learner brought.
+    pub weights: u64,
     /// Processes that were restarted.
     pub restarts: u64,
     /// Plans a second asked for.
@@ -166,7 +166,7 @@ pub mod tests {
                 floor: "own thread".into(),
             },
             questions: 0,
-            swaps: 0,
+            weights: 0,
             restarts: 0,
             plan_rate_hz: 100.0,
             world: process.clone(),

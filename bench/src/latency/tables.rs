@@ -109,7 +109,7 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
         "controller / floor",
         "planner / floor",
         "questions",
-        "swaps",
+        "weights",
         "verdict",
     ]);
     for row in rows {
@@ -126,7 +126,7 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
             format!("{:.2}", row.controller_ratio()),
             format!("{:.2}", row.planner_ratio()),
             row.questions.to_string(),
-            row.swaps.to_string(),
+            row.weights.to_string(),
             row.verdict(),
         ]);
     }

@@ -57,8 +57,8 @@ pub struct Seen {
     begun: Option<Instant>,
     skipped: Option<(u32, u64)>,
     weights_version: u64,
-    /// How often other weights proposed than in the step before.
-    pub swaps: u64,
+    /// Weights that came to propose, the first ones included.
+    pub weights: u64,
     misses: Vec<Event>,
     /// The largest first.
     latest: Vec<Event>,
@@ -136,8 +136,8 @@ impl Seen {
             late_ns: Some(late_ns),
         };
         let version = step.weights_version;
-        if self.weights_version != 0 && version != self.weights_version {
-            self.swaps += 1;
+        if version != 0 && version != self.weights_version {
+            self.weights += 1;
         }
         self.weights_version = version;
         let pid = step.header.producer;
@@ -149,12 +149,14 @@ impl Seen {
         if missed > 0 {
             self.miss(Event { missed, ..event });
         }
-        if self.latest.len() == LATEST_MAX
-            && self
+        // Without an observation it waits for one on purpose.
+        let waited = times.released_ns == 0;
+        let is_among = self.latest.len() < LATEST_MAX
+            || self
                 .latest
                 .last()
-                .is_some_and(|last| last.late_ns >= event.late_ns)
-        {
+                .is_some_and(|last| last.late_ns < event.late_ns);
+        if waited || !is_among {
             return;
         }
         self.latest.push(event);
@@ -203,6 +205,7 @@ mod tests {
         step.header.producer = 7;
         for (tick, late_ns, skipped) in [(0, 10_000, 0), (20, 12_000_000, 1), (40, 20_000, 1)] {
             step.timings.scheduled_ns = begun.after_ns(tick * 100_000_000).0;
+            step.timings.released_ns = step.timings.scheduled_ns;
             step.timings.started_ns = step.timings.scheduled_ns + late_ns;
             step.skipped = skipped;
             seen.step(&step);
