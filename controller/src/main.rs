@@ -9,8 +9,7 @@ use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Step, Takeover,
-    Timing,
+    Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Step, Takeover, Timing,
 };
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
