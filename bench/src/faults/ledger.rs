@@ -207,8 +207,8 @@ mod tests {
         step.header.sequence = number;
         step.header.tick = number;
         step.header.producer = 7;
-        step.timings.scheduled_ns = 100 * number;
-        let taken_ns = 100 * number + 20;
+        step.timings.scheduled_ns = 1000 + 100 * number;
+        let taken_ns = step.timings.scheduled_ns + 20;
         for header in [&mut step.observation.header, &mut step.plan.header] {
             header.taken_ns = taken_ns;
         }
