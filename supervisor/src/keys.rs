@@ -14,6 +14,7 @@ use crate::screen::say;
 const SOURCES: &[&str] = &[
     include_str!("../../shm-config/src/config/mod.rs"),
     include_str!("../../shm-config/src/config/run.rs"),
+    include_str!("../../shm-config/src/config/deadlines.rs"),
     include_str!("../../shm-config/src/config/world.rs"),
     include_str!("../../shm-config/src/config/planner.rs"),
     include_str!("../../shm-config/src/config/informed.rs"),

@@ -204,7 +204,7 @@ impl View {
     /// The processes as a table, one line each.
     pub fn table(&self) -> String {
         let mut text = String::from(
-            "  process    state           pid    Hz    ticks   late skipped restarts priority     MB",
+            "  process    state          pid    Hz    ticks  late skipped restarts prio    MB",
         );
         for row in &self.processes {
             let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
@@ -214,7 +214,7 @@ impl View {
             let restarts = row.restarts.map_or("-".into(), |count| count.to_string());
             let _ = write!(
                 text,
-                "\n  {:<10} {:<10} {pid:>8} {rate:>5} {:>8} {:>6} {:>7} {restarts:>8} {:>8} {:>6.1}",
+                "\n  {:<10} {:<10} {pid:>7} {rate:>5} {:>8} {:>5} {:>7} {restarts:>8} {:>4} {:>5.1}",
                 row.process,
                 row.state,
                 row.ticks,
