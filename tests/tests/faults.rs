@@ -1,5 +1,7 @@
 //! Processes of a driving set are killed and stopped; the car is always safe.
 
+use std::cell::Cell;
+
 use rustix::process::Signal;
 use serde_json::Value;
 use shm_config::message::{Driver, Fault, FaultKind, Message, Reason, Step};
@@ -235,19 +237,25 @@ fn two_sets_drive_side_by_side() {
 }
 
 /// Orders a set's planner to panic.
-fn order_a_panic(set: &Set) {
+/// Orders the planner to panic, for as long as `goes_on`.
+fn order_panics(set: &Set, mut goes_on: impl FnMut() -> bool) {
     let wire = Wire::join(set.name(), Process::Learner).expect("shared memory");
     let mut orders = wire.publisher(FAULT).expect("orders");
-    let mut order = Fault {
-        target: Process::Planner.code(),
-        kind: FaultKind::Panic.code(),
-        ..Fault::default()
-    };
-    #[allow(clippy::disallowed_methods)] // who orders says when
-    {
-        order.header.taken_ns = shm_config::time::monotonic().0;
-    }
-    assert!(orders.send(&mut order));
+    until("the orders have been given", || {
+        let mut order = Fault {
+            target: Process::Planner.code(),
+            kind: FaultKind::Panic.code(),
+            ..Fault::default()
+        };
+        #[allow(clippy::disallowed_methods)] // who orders says when
+        {
+            order.header.taken_ns = shm_config::time::monotonic().0;
+        }
+        // Who is restarted meanwhile finds no order of before.
+        orders.tend();
+        orders.send(&mut order);
+        !goes_on()
+    });
 }
 
 #[test]
@@ -258,19 +266,28 @@ fn orders_to_fail_are_obeyed_where_the_configuration_says_so_alone() {
         let mut watch = Watch::new(&set);
         watch.until_driving();
         let before = set.pids("vlaps-planner");
-        order_a_panic(&set);
-        if faults.ends_with("true") {
-            until("it is replaced", || {
-                let now = set.pids("vlaps-planner");
-                now.len() == 1 && now != before
-            });
+        match faults.ends_with("true") {
+            true => order_panics(&set, || set.pids("vlaps-planner") == before),
+            false => {
+                let mut orders = 0;
+                order_panics(&set, || {
+                    orders += 1;
+                    orders < 20
+                });
+            }
         }
         watch.until_driving();
         drop(watch);
         set.signal(Signal::INT);
         assert_eq!(set.wait(), Some(0), "{}", set.logs());
         let restarts = &set.json()["processes"]["planner"]["restarts"];
-        assert_eq!(*restarts, u64::from(faults.ends_with("true")), "{faults}");
+        // An order that comes twice may be obeyed twice.
+        let restarts = restarts.as_u64().expect("a count");
+        assert_eq!(
+            restarts > 0,
+            faults.ends_with("true"),
+            "{faults}: {restarts}"
+        );
     }
 }
 
@@ -294,40 +311,42 @@ fn when_the_files_of_a_run_are_removed_it_brakes_and_says_so() {
 #[test]
 fn a_stale_observation_of_somebody_else_does_not_number_a_tick() {
     let mut set = Set::new("stale");
-    // Ten in a row are lied to at least, whenever the lies come.
-    set.start(&[
-        "--seed",
-        "3",
-        "--rate",
-        "100",
-        "--set",
-        "planner.rate_hz=10",
-    ]);
+    set.start(&["--seed", "3"]);
     let mut watch = Watch::new(&set);
     watch.until_driving();
     let liar = Wire::join(set.name(), Process::Gate).expect("shared memory");
     let mut lies = liar.publisher(OBSERVATION).expect("observations");
-    let mut last: Option<Step> = None;
+    let newest = Cell::new(0);
+    let follows = |step: &Step| {
+        let tick = step.header.tick;
+        assert!(tick > newest.get(), "tick {tick} follows {}", newest.get());
+        newest.set(tick);
+    };
+    let seen = watch.until("a step", |step| {
+        follows(step);
+        drives_on_fresh_plans(step)
+    });
+    // With the world silent, no lie is overtaken by the truth.
+    set.signal_program("vlaps-world", Signal::STOP);
     let mut told = 0;
     until("it was lied to often enough", || {
-        watch.steps.tend();
         lies.tend();
-        while let Some(step) = watch.steps.receive() {
-            if let Some(last) = &last {
-                let (was, is) = (last.header.tick, step.header.tick);
-                assert!(is > was, "tick {is} follows tick {was}");
-            }
-            let mut lie = step.observation;
-            lie.header.taken_ns /= 2;
-            lie.header.tick = lie.header.tick.saturating_sub(5);
-            lies.send(&mut lie);
-            told += 1;
-            last = Some(step);
-        }
-        told >= 100
+        let mut lie = seen.observation;
+        lie.header.taken_ns /= 2;
+        lie.header.tick = lie.header.tick.saturating_sub(5);
+        lies.send(&mut lie);
+        told += 1;
+        told > 60
     });
-    let refused = last.expect("a step").refused;
-    assert!(refused > 0, "the lies were read, and refused at the door");
+    set.signal_program("vlaps-world", Signal::CONT);
+    watch.until("lies were read, and refused at the door", |step| {
+        follows(step);
+        step.refused > 0
+    });
+    watch.until("it drives again", |step| {
+        follows(step);
+        drives_on_fresh_plans(step)
+    });
     drop((lies, liar, watch));
     set.signal(Signal::INT);
     assert_eq!(set.wait(), Some(0), "{}", set.logs());

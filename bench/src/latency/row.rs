@@ -138,7 +138,7 @@ pub fn planner(summary: &Value, controller: &Punctuality, plan_rate_hz: f64) -> 
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(super) mod tests {
     use super::*;
 
     pub fn row() -> Row {

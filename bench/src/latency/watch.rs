@@ -47,8 +47,16 @@ struct Event {
 pub struct Watch {
     _wire: Wire,
     steps: Subscriber<Step>,
-    healths: Vec<(Process, Subscriber<Health>, Option<(u32, u64)>)>,
+    accounts: Vec<Account>,
     seen: Seen,
+}
+
+/// What a process that publishes no steps says of itself.
+struct Account {
+    process: Process,
+    port: Subscriber<Health>,
+    /// Process id and ticks missed, when it last said so.
+    before: Option<(u32, u64)>,
 }
 
 /// What was seen.
@@ -72,14 +80,18 @@ impl Watch {
     pub fn begin(name: &RunName) -> anyhow::Result<Self> {
         let wire = Wire::join(name, Process::Supervisor)?;
         let steps = wire.subscriber(STEP)?;
-        let mut healths = Vec::new();
+        let mut accounts = Vec::new();
         for process in [Process::World, Process::Planner] {
-            healths.push((process, wire.subscriber(health(process))?, None));
+            accounts.push(Account {
+                process,
+                port: wire.subscriber(health(process))?,
+                before: None,
+            });
         }
         Ok(Self {
             _wire: wire,
             steps,
-            healths,
+            accounts,
             seen: Seen::default(),
         })
     }
@@ -90,20 +102,20 @@ impl Watch {
         self.steps.tend();
         let seen = &mut self.seen;
         while self.steps.visit(|step| seen.step(step)).is_some() {}
-        for (process, port, before) in &mut self.healths {
-            port.tend();
-            let Some(health) = port.newest() else {
+        for account in &mut self.accounts {
+            account.port.tend();
+            let Some(health) = account.port.newest() else {
                 continue;
             };
             let missed = health.skipped.max(health.late);
             let pid = health.header.producer;
             // A restarted process counts from 0.
-            let last = before.filter(|(last, _)| *last == pid);
+            let last = account.before.filter(|(last, _)| *last == pid);
             let more = missed.saturating_sub(last.map_or(0, |(_, count)| count));
-            *before = Some((pid, missed));
+            account.before = Some((pid, missed));
             if more > 0 {
                 self.seen.miss(Event {
-                    process: *process,
+                    process: account.process,
                     missed: more,
                     at: Instant(health.header.taken_ns),
                     late_ns: None,
