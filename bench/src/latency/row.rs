@@ -138,9 +138,10 @@ pub fn planner(summary: &Value, controller: &Punctuality, plan_rate_hz: f64) -> 
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
 
+    /// A row of 20 s.
     pub fn row() -> Row {
         let process = Punctuality {
             ticks: 1_998,
