@@ -207,8 +207,8 @@ mod tests {
         step.header.sequence = number;
         step.header.tick = number;
         step.header.producer = 7;
-        step.timings.scheduled_ns = 1000 + 100 * number;
-        let taken_ns = step.timings.scheduled_ns + 20;
+        step.timings.scheduled_ns = 100 * number;
+        let taken_ns = 100 * number + 20;
         for header in [&mut step.observation.header, &mut step.plan.header] {
             header.taken_ns = taken_ns;
         }
@@ -254,12 +254,12 @@ mod tests {
             |s| s.plan.header.taken_ns -= 260,
             |s| s.header.tick = 1,
             |s| s.header.sequence = 1,
-            |s| s.command.driver = Driver::Brake.code(),
+            |s| (s.command.driver, s.command.pedal) = (Driver::Brake.code(), -0.5),
         ];
         for (which, spoil) in spoils.into_iter().enumerate() {
             let mut ledger = Ledger::new(LIMITS);
-            ledger.step(&step(1));
-            let mut bad = step(2);
+            ledger.step(&step(11));
+            let mut bad = step(12);
             spoil(&mut bad);
             assert!(!ledger.step(&bad), "limit {which}");
             assert_eq!(ledger.violations, 1, "limit {which}: {:?}", ledger.words);
