@@ -298,8 +298,10 @@ fn tick(
         (true, Some(observation)) => observation.header.taken(),
         _ => planned,
     };
-    // What is refused at the door must not number the tick either.
+    // What is refused at the door must not number the tick, nor what came after the
+    // tick of its own instant: that has its number.
     let seen = inputs.observation.as_ref();
+    let seen = seen.filter(|o| o.scheduled_ns == slot.scheduled.0);
     let seen = seen.filter(|o| o.admit(now, waiting.observation_age_ns).is_ok());
     let seen = seen.map(origin);
     let is_answer = seen.is_some() && seen != waiting.answered;
