@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use anyhow::Context;
@@ -17,7 +18,7 @@ pub struct Held {
     pub name: String,
     /// Process id; 0 of no process.
     pub pid: u32,
-    /// Anonymous memory that is resident, kB; of shared memory the sizes of the files.
+    /// Anonymous memory that is resident, kB; of shared memory what its files take up.
     pub memory_kb: u64,
     /// All memory that is resident, kB: mapped files and shared memory included.
     pub resident_kb: u64,
@@ -112,7 +113,8 @@ fn shared_memory(paths: &RunPaths) -> anyhow::Result<Held> {
     let bytes: u64 = files
         .iter()
         .filter_map(|file| fs::metadata(file).ok())
-        .map(|data| data.len())
+        // What is taken up: most of the files have room that was never used.
+        .map(|data| data.blocks() * 512)
         .sum();
     Ok(Held {
         name: SHARED_MEMORY.into(),

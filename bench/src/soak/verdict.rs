@@ -18,6 +18,9 @@ const SLOPE_KB: f64 = 64.0;
 const SLOPE_TICKS_MIN: u64 = 1_000_000;
 /// Growth from the first tenth to the last that is still flat, kB.
 const GROWTH_KB: f64 = 256.0;
+/// The same of shorter soaks: the world's memory follows the largest map so far, and
+/// comes to rest after some 100 episodes.
+const GROWTH_SHORT_KB: f64 = 4096.0;
 /// What one episode may cost the supervisor, kB: its row in the summary.
 const EPISODE_KB: f64 = 0.25;
 /// The one process that keeps a list of what was driven.
@@ -70,7 +73,10 @@ impl Rule {
         Self {
             warm_up: WARM_UP,
             slope_max_kb_per_million: (ticks >= SLOPE_TICKS_MIN).then_some(SLOPE_KB),
-            growth_max_kb: GROWTH_KB,
+            growth_max_kb: match ticks >= SLOPE_TICKS_MIN {
+                true => GROWTH_KB,
+                false => GROWTH_SHORT_KB,
+            },
             episodes_kb: EPISODE_KB * episodes as f64,
             ticks,
         }
