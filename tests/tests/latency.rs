@@ -55,6 +55,9 @@ const ROWS: &[&str] = &[
     "own",
     "--floor",
     "own",
+    // No policy is refused because a test's machine is busy.
+    "--set",
+    "policy.inference_max_us=20000",
     "--out",
     "out",
 ];
