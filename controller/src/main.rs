@@ -9,7 +9,7 @@ use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
 use process::{Arguments, Member, Pulse, SetUpError, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Step, Takeover, Timing,
+    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
 };
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
@@ -80,7 +80,6 @@ struct Waiting {
     asks_gate: bool,
     period_ns: u64,
     plan_wait_ns: u64,
-    observation_age_ns: u64,
     lockstep_wait_ns: u64,
     /// A peer that let a wait run out is not waited for until it speaks again.
     planner_silent: bool,
@@ -102,7 +101,6 @@ impl Waiting {
             asks_gate: config.gate.has_process(),
             period_ns,
             plan_wait_ns: share(config.limits.plan_wait),
-            observation_age_ns: config.limits.observation_age_ns(),
             lockstep_wait_ns: config.peer_wait_ns(),
             planner_silent: false,
             gate_silent: false,
@@ -300,9 +298,9 @@ fn tick(
     };
     // What is refused at the door must not number the tick, nor what came after the
     // tick of its own instant: that has its number.
+    let is_admitted = controller.admit(inputs, now);
     let seen = inputs.observation.as_ref();
-    let seen = seen.filter(|o| o.scheduled_ns == slot.scheduled.0);
-    let seen = seen.filter(|o| o.admit(now, waiting.observation_age_ns).is_ok());
+    let seen = seen.filter(|o| is_admitted && o.scheduled_ns == slot.scheduled.0);
     let seen = seen.map(origin);
     let is_answer = seen.is_some() && seen != waiting.answered;
     let tick = match seen {
@@ -316,7 +314,7 @@ fn tick(
             last.saturating_add(1 + slot.skipped)
         }
     };
-    controller.tick(inputs, tick, now, intent);
+    controller.decide(tick, now, intent);
     *inputs = Inputs::default();
     let decided = monotonic();
     pulse.end(Part::Decide, decided);

@@ -52,6 +52,11 @@ impl Controller {
     /// One tick, start to end. Always answers.
     pub fn tick(&mut self, inputs: &Inputs, tick: u64, now: Instant, intent: Intent) -> &Step {
         self.admit(inputs, now);
+        self.decide(tick, now, intent)
+    }
+
+    /// The second half of a tick, on what [`Controller::admit`] let in.
+    pub fn decide(&mut self, tick: u64, now: Instant, intent: Intent) -> &Step {
         let limits = &self.config.limits;
         let observation = &self.step.observation;
         let observation_age_ns = age_ns(self.has_observation, observation, now);
@@ -106,14 +111,17 @@ impl Controller {
         step
     }
 
-    /// The door: what is refused is counted, and the last good one stays.
-    fn admit(&mut self, inputs: &Inputs, now: Instant) {
+    /// The first half of a tick, the door: what is refused is counted, and the last
+    /// good one stays. Returns whether an observation came and was let in.
+    pub fn admit(&mut self, inputs: &Inputs, now: Instant) -> bool {
         let limits = &self.config.limits;
+        let mut sees = false;
         if let Some(observation) = &inputs.observation {
             match observation.admit(now, limits.observation_age_ns()) {
                 Ok(()) => {
                     self.step.observation = *observation;
                     self.has_observation = true;
+                    sees = true;
                 }
                 Err(_) => self.step.refused += 1,
             }
@@ -143,6 +151,7 @@ impl Controller {
                 Err(_) => self.step.refused += 1,
             }
         }
+        sees
     }
 
     /// What a person wants who has taken over; `None` when nobody has, or the

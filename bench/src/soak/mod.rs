@@ -33,13 +33,13 @@ use verdict::{Flatness, Rule};
 #[derive(Debug, Args)]
 #[command(
     after_help = "Every process of the set is looked at again and again: memory (anonymous and \
-        resident), open files, threads; of the run, its files in shared memory. The first fifth is \
-        for warming up. Flat means: over the rest, the Theil-Sen slope of the anonymous memory is \
+        resident), open files, threads; of the run, its files in shared memory. The first fifth, \
+        and 60,000 ticks at least, is for warming up. Flat means: over the rest, the Theil-Sen slope of the anonymous memory is \
         within the limit, the median of the last tenth is not above that of the first by more than \
         another limit, nobody holds more files or threads at the end than at the begin, and nobody \
         was restarted. The supervisor may grow by its list of episodes. samples.csv, memory.svg and memory.png go to --out; exit 1 when it is not flat.\n\n\
         Examples:\n  \
-        ./vlaps bench soak --ticks 20000\n  \
+        ./vlaps bench soak --ticks 100000\n  \
         ./vlaps bench soak --ticks 10000000 --out soak --json soak.json\n  \
         ./vlaps bench soak --ticks 1000000 --set learner.enabled=true"
 )]
@@ -47,7 +47,7 @@ pub struct BenchSoak {
     /// How many ticks.
     #[arg(long, value_name = "N", default_value_t = 10_000_000,
           allow_negative_numbers = true,
-          value_parser = whole::<u64>(1_000..=1_000_000_000))]
+          value_parser = whole::<u64>(verdict::WARM_UP_TICKS_MIN + 10_000..=1_000_000_000))]
     pub ticks: u64,
     /// Seed of the first episode.
     #[arg(long, value_name = "N", default_value_t = 3, allow_negative_numbers = true,

@@ -9,6 +9,9 @@ use crate::report::{say, table};
 
 /// Share of the ticks that does not count: buffers fill and pages are touched first.
 const WARM_UP: f64 = 0.2;
+/// It is no shorter than this, ticks: the world's memory follows the largest map so
+/// far, and comes to rest within some 100 episodes.
+pub const WARM_UP_TICKS_MIN: u64 = 60_000;
 /// Samples after the warm-up below which nothing can be said.
 const SAMPLES_MIN: usize = 10;
 /// Growth per million ticks that is still flat, kB: a byte in 16 ticks. 28 hours at
@@ -18,9 +21,6 @@ const SLOPE_KB: f64 = 64.0;
 const SLOPE_TICKS_MIN: u64 = 1_000_000;
 /// Growth from the first tenth to the last that is still flat, kB.
 const GROWTH_KB: f64 = 256.0;
-/// The same of shorter soaks: the world's memory follows the largest map so far, and
-/// comes to rest after some 100 episodes.
-const GROWTH_SHORT_KB: f64 = 4096.0;
 /// What one episode may cost the supervisor, kB: its row in the summary.
 const EPISODE_KB: f64 = 0.25;
 /// The one process that keeps a list of what was driven.
@@ -29,8 +29,8 @@ const LISTER: &str = "vlaps-supervisor";
 /// What flat means.
 #[derive(Clone, Debug, Serialize)]
 pub struct Rule {
-    /// Share of the ticks, from the first, that does not count.
-    pub warm_up: f64,
+    /// Ticks, from the first, that do not count.
+    pub warm_up_ticks: u64,
     /// Limit of the Theil-Sen slope, kB per million ticks; `None` when the soak is too
     /// short for one.
     pub slope_max_kb_per_million: Option<f64>,
@@ -71,12 +71,9 @@ impl Rule {
     /// For a soak of this length.
     pub fn of(ticks: u64, episodes: u64) -> Self {
         Self {
-            warm_up: WARM_UP,
+            warm_up_ticks: ((ticks as f64 * WARM_UP) as u64).max(WARM_UP_TICKS_MIN),
             slope_max_kb_per_million: (ticks >= SLOPE_TICKS_MIN).then_some(SLOPE_KB),
-            growth_max_kb: match ticks >= SLOPE_TICKS_MIN {
-                true => GROWTH_KB,
-                false => GROWTH_SHORT_KB,
-            },
+            growth_max_kb: GROWTH_KB,
             episodes_kb: EPISODE_KB * episodes as f64,
             ticks,
         }
@@ -104,7 +101,7 @@ impl Rule {
 /// # Errors
 /// When there are too few samples to say anything.
 pub fn rows(samples: &[Sample], rule: &Rule) -> anyhow::Result<Vec<Flatness>> {
-    let from = (rule.ticks as f64 * rule.warm_up) as u64;
+    let from = rule.warm_up_ticks;
     let counted = samples.iter().filter(|sample| sample.tick >= from).count();
     if counted < SAMPLES_MIN {
         bail!("{counted} samples after the warm-up are too few; more --ticks");
@@ -209,11 +206,9 @@ pub fn print(soaked: &Soaked) {
         None => "too short for a limit of the slope".into(),
     };
     say(format_args!(
-        "flat, after the first {:.0} %: {slope}; growth at most {} kB; no more files or threads; \
+        "flat, after the first {} ticks: {slope}; growth at most {} kB; no more files or threads; \
          no restart; the supervisor's list of episodes may add {:.0} kB",
-        rule.warm_up * 100.0,
-        rule.growth_max_kb,
-        rule.episodes_kb
+        rule.warm_up_ticks, rule.growth_max_kb, rule.episodes_kb
     ));
     say(format_args!(
         "{} ticks in {} episodes in {:.0} s, {} skipped, {} restarts, {} samples; {}",
