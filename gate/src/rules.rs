@@ -9,6 +9,11 @@ const SAFER_S: f64 = 0.1;
 /// A policy may fall behind the expert by this much over the horizon and still
 /// count as similar, m.
 const BEHIND_M: f64 = 1.0;
+/// The same as a share of the expert's own progress: a car that stays where it is
+/// while the expert drives off is not similar, however slowly it does so.
+const BEHIND_SHARE: f64 = 0.5;
+/// Progress that is none, m.
+const NO_PROGRESS_M: f64 = 0.1;
 
 /// The built-in judge: compares both rollouts by exact geometry.
 pub struct Rules {
@@ -53,7 +58,8 @@ fn compare(expert: &Assessment, policy: &Assessment) -> Answer {
     if policy.safe_s > expert.safe_s + SAFER_S {
         return Answer::Policy;
     }
-    if policy.progress_m < expert.progress_m - BEHIND_M {
+    let behind_m = (BEHIND_SHARE * expert.progress_m).clamp(NO_PROGRESS_M, BEHIND_M);
+    if policy.progress_m < expert.progress_m - behind_m {
         return Answer::Expert;
     }
     Answer::Policy

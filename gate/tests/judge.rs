@@ -152,6 +152,31 @@ fn rules_prefer_whoever_stays_on_the_road_and_abstain_without_a_pair() {
 }
 
 #[test]
+fn rules_do_not_take_standing_still_for_driving_off_slowly() {
+    let pedal = |pedal| Some(Action { steer: 0.0, pedal });
+    let rows = [
+        // From rest: half as far is similar, no progress is not.
+        (0.0, pedal(0.2), pedal(0.12), Preference::Policy),
+        (0.0, pedal(0.2), pedal(-0.5), Preference::Expert),
+        // Both stand: nobody is behind.
+        (0.0, pedal(-1.0), pedal(-0.5), Preference::Policy),
+        // In motion a metre counts, as everywhere.
+        (5.0, pedal(0.0), pedal(-0.02), Preference::Policy),
+        (5.0, pedal(0.0), pedal(-0.2), Preference::Expert),
+    ];
+    for (speed_mps, expert, policy, expected) in rows {
+        let mut step = step_at(SECOND, expert, policy);
+        step.observation.ego.speed_mps = speed_mps;
+        let advice = rules().consider(&step, Instant(SECOND));
+        assert_eq!(
+            advice.preference(),
+            expected,
+            "{expert:?} against {policy:?} at {speed_mps} m/s"
+        );
+    }
+}
+
+#[test]
 fn questions_come_at_the_papers_cadence_and_advice_expires() {
     let mut counsel = rules();
     let mut answers = Vec::new();

@@ -152,6 +152,34 @@ fn lets_a_crossing_body_pass() {
     assert!(state.position.x > 40.0, "drives on: {} m", state.position.x);
 }
 
+/// It asks for the same whether the car stands with its brake on or without:
+/// what somebody else did to the pedal is no reason to stay.
+#[test]
+fn drives_off_from_rest_whoever_held_the_brake() {
+    let road = Course::new(&[Road {
+        length_m: 200.0,
+        curvature_per_m: 0.0,
+    }]);
+    let start = road.pose_at(5.0);
+    let state = State {
+        position: start.translation.vector.into(),
+        heading_rad: 0.0,
+        speed_mps: 0.0,
+    };
+    let first = |pedal: f64| {
+        let mut observation = at_tick(road.observe(&state, 0), 0);
+        observation.ego.pedal = pedal;
+        let mut plan = Plan::default();
+        mpc().plan(&observation, &mut plan);
+        plan.action_at(0).expect("an action").pedal
+    };
+    let free = first(0.0);
+    assert!(free > 0.2, "{free}");
+    for held in [-1.0, -0.5, -0.1] {
+        assert_eq!(first(held), free, "brake {held}");
+    }
+}
+
 /// Whatever is seen, however the car jumps about: an answer that is in range.
 #[test]
 fn always_has_an_answer() {

@@ -178,6 +178,9 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         "gate.record=false".into(),
         // Whoever waits for the controller waits for the learner with it.
         "limits.lockstep_wait_s=150.0".into(),
+        // No tick waits on the wall: a learner that gets no processor on a busy
+        // machine is late, not dead.
+        "supervisor.silence_s=60.0".into(),
         format!("planner.method={}", arguments.expert.key()),
         // A teacher keeps more distance than a driver must, because a pupil does
         // not repeat it to the decimetre (ARCHITECTURE.md): 0.6 m and 1.2 m are

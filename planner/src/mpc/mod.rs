@@ -261,9 +261,13 @@ impl Mpc {
             pedal: observation.ego.pedal,
         }
         .control(&self.vehicle);
+        // A brake only stops the car: held at rest it is no acceleration, and to
+        // let go of it is no change. Else a car that somebody else has stopped
+        // would be asked to stay where it is.
+        let stopping_mps2 = -ego.speed_mps().max(0.0) / model.step_s;
         let task = Task {
             now,
-            last: [last.steer_rad, last.accel_mps2],
+            last: [last.steer_rad, last.accel_mps2.max(stopping_mps2)],
             probes_m,
             inputs: [
                 (-self.vehicle.max_steer_rad(), self.vehicle.max_steer_rad()),
