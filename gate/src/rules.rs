@@ -6,12 +6,10 @@ use crate::{Answer, Judge, Question, Ruling, Scene, assess};
 
 /// Rollouts that stay safe this much longer are safer, s: one period.
 const SAFER_S: f64 = 0.1;
-/// A policy may fall behind the expert by this much over the horizon and still
-/// count as similar, m.
-const BEHIND_M: f64 = 1.0;
-/// The same as a share of the expert's own progress: a car that stays where it is
-/// while the expert drives off is not similar, however slowly it does so.
-const BEHIND_SHARE: f64 = 0.5;
+/// A policy may fall behind the expert by this share of the expert's progress and
+/// still count as similar. A share, because a rollout is short: from rest, or at a
+/// crawl, an expert that drives off gains little over a car that does not.
+const BEHIND_SHARE: f64 = 0.1;
 /// Progress that is none, m.
 const NO_PROGRESS_M: f64 = 0.1;
 
@@ -58,7 +56,7 @@ fn compare(expert: &Assessment, policy: &Assessment) -> Answer {
     if policy.safe_s > expert.safe_s + SAFER_S {
         return Answer::Policy;
     }
-    let behind_m = (BEHIND_SHARE * expert.progress_m).clamp(NO_PROGRESS_M, BEHIND_M);
+    let behind_m = (BEHIND_SHARE * expert.progress_m).max(NO_PROGRESS_M);
     if policy.progress_m < expert.progress_m - behind_m {
         return Answer::Expert;
     }

@@ -152,15 +152,18 @@ fn rules_prefer_whoever_stays_on_the_road_and_abstain_without_a_pair() {
 }
 
 #[test]
-fn rules_do_not_take_standing_still_for_driving_off_slowly() {
+fn rules_prefer_the_expert_to_a_policy_that_lags_at_any_speed() {
     let pedal = |pedal| Some(Action { steer: 0.0, pedal });
     let rows = [
-        // From rest: half as far is similar, no progress is not.
-        (0.0, pedal(0.2), pedal(0.12), Preference::Policy),
-        (0.0, pedal(0.2), pedal(-0.5), Preference::Expert),
+        // From rest, however slowly the expert drives off.
+        (0.0, pedal(0.2), pedal(0.19), Preference::Policy),
+        (0.0, pedal(0.2), pedal(0.0), Preference::Expert),
+        (0.0, pedal(0.1), pedal(-0.5), Preference::Expert),
         // Both stand: nobody is behind.
         (0.0, pedal(-1.0), pedal(-0.5), Preference::Policy),
-        // In motion a metre counts, as everywhere.
+        // At a crawl: 0.9 m of 4 m.
+        (2.0, pedal(0.3), pedal(0.0), Preference::Expert),
+        // In motion: 0.3 m of 7.5 m, and 2.6 m.
         (5.0, pedal(0.0), pedal(-0.02), Preference::Policy),
         (5.0, pedal(0.0), pedal(-0.2), Preference::Expert),
     ];
