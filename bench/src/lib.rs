@@ -27,7 +27,7 @@
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
 //! | [`latency`] | how punctual the set is, whatever happens beside it |
 //! | [`chart`] | what charts have in common |
-//! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS |
+//! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS and Zenoh |
 //! | [`soak`] | a set that drives for millions of ticks: does it grow? |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`sweep`] | what a judge that is wrong, silent or late costs |

@@ -17,10 +17,11 @@ use clap::{Args, ValueEnum};
         The receiver spins (as in that benchmark), sleeps until the doorbell rings (bell), or looks \
         on an absolute grid of 0.1 ms (grid). Messages go flat out (rate 0) or at a rate.\n\n\
         --dds builds bench/cyclone with Cyclone DDS where it is installed (Debian's cyclonedds-dev) \
-        and measures the same sizes over its loopback.\n\n\
+        and measures the same sizes over its loopback; --zenoh builds bench/zenoh from the package \
+        registry, some minutes the first time, and does the same.\n\n\
         Examples:\n  \
         ./vlaps bench ipc\n  \
-        ./vlaps bench ipc --dds --json ipc.json\n  \
+        ./vlaps bench ipc --dds --zenoh --json ipc.json\n  \
         ./vlaps bench ipc --message step --rate 0 --wake spin --seconds 10"
 )]
 pub struct BenchIpc {
@@ -55,6 +56,9 @@ pub struct BenchIpc {
     /// Compare with Cyclone DDS, too.
     #[arg(long)]
     pub dds: bool,
+    /// Compare with Zenoh, too.
+    #[arg(long)]
+    pub zenoh: bool,
     /// Write the rows to this file, too.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

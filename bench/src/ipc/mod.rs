@@ -2,8 +2,8 @@
 
 pub mod arguments;
 mod bare;
-mod cyclone;
 pub mod link;
+pub mod others;
 pub mod peer;
 pub mod port;
 
@@ -21,6 +21,7 @@ use crate::train::progress::Progress;
 pub use arguments::{BenchIpc, IpcEcho};
 use arguments::{MessageChoice, Wake};
 use link::{Turns, histogram, ping};
+use others::{Other, Program};
 use peer::{Echo, Ends, Side, claim_for, stay_on};
 use port::{Door, End, Measured};
 
@@ -80,8 +81,8 @@ pub struct Measurement {
     pub rows: Vec<Row>,
     /// The cores of the two processes; empty where there are not two.
     pub cores: Vec<usize>,
-    /// Version of Cyclone DDS, where it was measured.
-    pub dds: Option<String>,
+    /// What was measured beside it.
+    pub others: Vec<Other>,
     /// Where.
     pub conditions: Machine,
 }
@@ -117,20 +118,17 @@ pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
         [.., echo, ping] => vec![ping, echo],
         _ => Vec::new(),
     };
-    let dds = match arguments.dds {
-        true => Some(cyclone::build()?),
-        false => None,
-    };
+    let programs = others::build(arguments)?;
     let run: RunName = format!("ipc-{}", std::process::id()).parse()?;
     let paths = RunPaths::new(run.clone());
     stay_on(cores.first().copied());
-    let measured = measure(arguments, (&run, &cores), dds.as_ref(), clock);
+    let measured = measure(arguments, (&run, &cores), &programs, clock);
     // The two are its only members, and both have left it.
     let _ = clean_run(&paths);
     let measurement = Measurement {
         rows: measured?,
         cores,
-        dds: dds.map(|program| program.version),
+        others: programs.into_iter().map(|program| program.other).collect(),
         conditions,
     };
     print(&measurement);
@@ -143,7 +141,7 @@ pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
 fn measure(
     arguments: &BenchIpc,
     (run, cores): (&RunName, &[usize]),
-    dds: Option<&cyclone::Program>,
+    programs: &[Program],
     clock: Clock,
 ) -> anyhow::Result<Vec<Row>> {
     let mut session = Session {
@@ -169,11 +167,11 @@ fn measure(
                 MessageChoice::Advice => session.rows::<Advice>(wake),
             };
             for mut row in more? {
-                if let Some(program) = dds
-                    && wake != Wake::Grid
-                {
+                // They have no grid to look at.
+                let beside = programs.iter().filter(|_| wake != Wake::Grid);
+                for program in beside {
                     let all = program.measure(&row, cores, arguments.seconds)?;
-                    row.sides.push(OneWay::of("cyclone dds", &all));
+                    row.sides.push(OneWay::of(program.other.name, &all));
                 }
                 rows.push(row);
             }
@@ -360,10 +358,11 @@ fn print(measurement: &Measurement) {
          written and copied out; with 8 bytes as it is; nothing is left out of a maximum{}",
         measurement.conditions,
         sleepers.unwrap_or(&"not asked"),
-        match &measurement.dds {
-            Some(version) => format!("; Cyclone DDS {version} over loopback, in blocks of its own"),
-            None => String::new(),
-        }
+        (measurement.others.iter())
+            .map(|Other { name, version }| {
+                format!("; {name} {version} over loopback, in blocks of its own")
+            })
+            .collect::<String>()
     ));
     let worst = |wake: &str| {
         let rows = measurement.rows.iter();

@@ -3,17 +3,15 @@
 use std::path::Path;
 use std::process::Command;
 
-use anyhow::{Context, bail};
-use hdrhistogram::Histogram;
+use anyhow::Context;
 use supervisor::failure::Failure;
-use tempfile::TempDir;
 
-use super::{Row, link, period_ns};
+use super::{Message, Other, Program};
 
 /// The sources of `bench/cyclone`.
 const SOURCES: [(&str, &str); 2] = [
-    ("block.idl", include_str!("../../cyclone/block.idl")),
-    ("latency.c", include_str!("../../cyclone/latency.c")),
+    ("block.idl", include_str!("../../../cyclone/block.idl")),
+    ("latency.c", include_str!("../../../cyclone/latency.c")),
 ];
 /// Loopback alone: nothing of a measurement leaves the machine.
 const CONFIG: &str = "<CycloneDDS><Domain Id=\"any\"><General><Interfaces>\
@@ -21,18 +19,6 @@ const CONFIG: &str = "<CycloneDDS><Domain Id=\"any\"><General><Interfaces>\
     <AllowMulticast>false</AllowMulticast></General>\
     <Discovery><ParticipantIndex>auto</ParticipantIndex>\
     <Peers><Peer Address=\"127.0.0.1\"/></Peers></Discovery></Domain></CycloneDDS>";
-/// Round trips that are counted, at most: each is a line.
-const COUNT_MAX: u64 = 200_000;
-/// What a round trip flat out takes, s, to begin with.
-const ROUND_S: f64 = 50e-6;
-
-/// The built program; its folder disappears with it.
-pub struct Program {
-    folder: TempDir,
-    /// The library's version.
-    pub version: String,
-}
-
 /// Builds the program.
 ///
 /// # Errors
@@ -54,7 +40,16 @@ pub fn build() -> anyhow::Result<Program> {
     in_folder(folder.path(), "idlc", &["-l", "c", "block.idl"])?;
     let gcc = ["-O2", "latency.c", "block.c", "-o", "latency", "-lddsc"];
     in_folder(folder.path(), "gcc", &gcc)?;
-    Ok(Program { folder, version })
+    Ok(Program {
+        other: Other {
+            name: "cyclone dds",
+            version,
+        },
+        binary: folder.path().join("latency"),
+        message: Message::Name,
+        environment: Some(("CYCLONEDDS_URI", CONFIG)),
+        _folder: Some(folder),
+    })
 }
 
 fn in_folder(folder: &Path, program: &str, words: &[&str]) -> anyhow::Result<()> {
@@ -75,50 +70,5 @@ fn in_folder(folder: &Path, program: &str, words: &[&str]) -> anyhow::Result<()>
              cyclonedds-tools` installs what it needs"
         ))
         .into()),
-    }
-}
-
-impl Program {
-    /// The same message, rate and receiver as a row's.
-    ///
-    /// # Errors
-    /// When the program fails.
-    pub fn measure(
-        &self,
-        row: &Row,
-        cores: &[usize],
-        seconds: f64,
-    ) -> anyhow::Result<Histogram<u64>> {
-        let count = match row.rate_hz {
-            0 => (seconds / ROUND_S) as u64,
-            rate_hz => (seconds * f64::from(rate_hz)).ceil() as u64,
-        };
-        let count = count.clamp(1, COUNT_MAX);
-        let core = |place: usize| cores.get(place).map_or("-1".into(), usize::to_string);
-        let output = Command::new(self.folder.path().join("latency"))
-            .env("CYCLONEDDS_URI", CONFIG)
-            .args([row.message, row.wake])
-            .args([period_ns(row.rate_hz), count / 20, count].map(|number| number.to_string()))
-            .args([core(0), core(1)])
-            .output()
-            .context("--dds: the program")?;
-        if !output.status.success() {
-            bail!(
-                "--dds: the program fails ({}): {}",
-                output.status,
-                String::from_utf8_lossy(&output.stderr)
-            );
-        }
-        let mut all = link::histogram()?;
-        for line in String::from_utf8_lossy(&output.stdout).lines() {
-            all.saturating_record(line.parse().context("--dds: what the program prints")?);
-        }
-        if all.len() != count {
-            bail!(
-                "--dds: asked for {count} round trips, the program did {}",
-                all.len()
-            );
-        }
-        Ok(all)
     }
 }

@@ -1,0 +1,55 @@
+//! Zenoh, from the package registry: `bench/zenoh`.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+use supervisor::failure::Failure;
+use supervisor::screen::say;
+
+use super::{Message, Other, Program};
+
+/// The package, below the checkout.
+const PACKAGE: &str = "bench/zenoh";
+/// What it is built from, as its manifest pins it.
+const VERSION: &str = "1.10.2";
+
+/// Builds the program into `target/zenoh`: the first time takes minutes, so it stays.
+pub fn build() -> anyhow::Result<Program> {
+    let root = PathBuf::from(std::env::var_os("VLAPS_ROOT").unwrap_or_else(|| ".".into()));
+    let manifest = root.join(PACKAGE).join("Cargo.toml");
+    if !manifest.is_file() {
+        return Err(Failure::GivenUp(format!(
+            "--zenoh: {} is missing; run it by ./vlaps of a checkout",
+            manifest.display()
+        ))
+        .into());
+    }
+    let release = supervisor::child::own_folder().context("--zenoh: the build's folder")?;
+    let target = release.parent().unwrap_or(Path::new(".")).join("zenoh");
+    say(format_args!("building {PACKAGE} into {}", target.display()));
+    let built = Command::new("cargo")
+        .args(["build", "--release", "--locked", "--manifest-path"])
+        .arg(&manifest)
+        .arg("--target-dir")
+        .arg(&target)
+        .stdin(Stdio::null())
+        .status()
+        .context("--zenoh: cargo")?;
+    if !built.success() {
+        return Err(Failure::GivenUp(format!(
+            "--zenoh: {PACKAGE} does not build; cargo's errors are above"
+        ))
+        .into());
+    }
+    Ok(Program {
+        other: Other {
+            name: "zenoh",
+            version: VERSION.into(),
+        },
+        binary: target.join("release/vlaps-zenoh"),
+        message: Message::Bytes,
+        environment: None,
+        _folder: None,
+    })
+}
