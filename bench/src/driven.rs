@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+pub use supervisor::tally::Quantiles;
 
 /// A running set. It is killed should anything fail before it has ended.
 pub struct Driven {
@@ -108,6 +109,11 @@ impl Drop for Driven {
     }
 }
 
+/// As `up --json` has them under a key of a process; 0 where it has none.
+pub fn quantiles(row: &Value, key: &str) -> Quantiles {
+    Quantiles::deserialize(&row[key]).unwrap_or_default()
+}
+
 /// How punctual a process of a finished run was.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Punctuality {
@@ -129,32 +135,6 @@ pub struct Punctuality {
     pub priority: String,
 }
 
-/// Of everything that happened, the maximum included; us.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Quantiles {
-    /// Median.
-    pub p50: f64,
-    /// 99 %.
-    pub p99: f64,
-    /// 99.9 %.
-    pub p999: f64,
-    /// The largest.
-    pub max: f64,
-}
-
-impl Quantiles {
-    /// As `up --json` has them under a key of a process; 0 where it has none.
-    pub fn of(row: &Value, key: &str) -> Self {
-        let of = |name: &str| row[key][name].as_f64().unwrap_or(0.0);
-        Self {
-            p50: of("p50"),
-            p99: of("p99"),
-            p999: of("p999"),
-            max: of("max"),
-        }
-    }
-}
-
 impl Punctuality {
     /// As the run's summary has it.
     pub fn of(summary: &Value, process: &str) -> Self {
@@ -173,8 +153,8 @@ impl Punctuality {
                 _ => skipped + late,
             },
             elapsed_s: row["elapsed_s"].as_f64().unwrap_or(0.0),
-            lateness_us: Quantiles::of(row, "release_lateness_us"),
-            execution_us: Quantiles::of(row, "execution_us"),
+            lateness_us: quantiles(row, "release_lateness_us"),
+            execution_us: quantiles(row, "execution_us"),
             priority: priority.unwrap_or("unknown").into(),
         }
     }

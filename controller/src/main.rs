@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
-use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::message::{
     Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
 };
@@ -339,7 +339,17 @@ fn tick(
 
     let done = monotonic();
     pulse.end(Part::Send, done);
-    pulse.count_tick(started.since_ns(slot.due), done.since_ns(started));
+    pulse.count_tick(Tick {
+        due: slot.due,
+        begun: started,
+        done,
+    });
+    let skipped = Skipped {
+        newest: Instant(slot.scheduled.0.saturating_sub(waiting.period_ns)),
+        period_ns: waiting.period_ns,
+        count: slot.skipped,
+    };
+    pulse.record_skipped(skipped, started);
     if released_ns > 0 && sends {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);

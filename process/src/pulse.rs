@@ -11,6 +11,28 @@ const HEALTH_NS: u64 = 50_000_000;
 /// How often it publishes its histograms, ns on the machine's clock.
 const TIMING_NS: u64 = 500_000_000;
 
+/// When a tick happened, on the machine's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Tick {
+    /// The instant it was to begin at.
+    pub due: Instant,
+    /// When its work began.
+    pub begun: Instant,
+    /// When its work was done.
+    pub done: Instant,
+}
+
+/// Instants of a process's grid at which it began no tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Skipped {
+    /// The newest of them.
+    pub newest: Instant,
+    /// From one to the next.
+    pub period_ns: u64,
+    /// How many.
+    pub count: u64,
+}
+
 /// A process's own account of how it does, published now and then.
 pub struct Pulse {
     /// What it says.
@@ -113,11 +135,28 @@ impl Pulse {
         self.part_begun = now;
     }
 
-    /// Counts one tick: begun `lateness_ns` after its instant, done after
-    /// `execution_ns`.
-    pub fn count_tick(&mut self, lateness_ns: u64, execution_ns: u64) {
+    /// Counts one tick, and how punctual it was.
+    pub fn count_tick(&mut self, tick: Tick) {
         self.health.ticks += 1;
-        self.timing.release_lateness.record(lateness_ns);
-        self.timing.execution.record(execution_ns);
+        self.record_tick(tick);
+    }
+
+    /// How punctual a tick was.
+    pub fn record_tick(&mut self, tick: Tick) {
+        let timing = &mut self.timing;
+        let lateness_ns = tick.begun.since_ns(tick.due);
+        timing.release_lateness.record(lateness_ns);
+        timing.execution.record(tick.done.since_ns(tick.begun));
+    }
+
+    /// Skipped instants are as late as they really were: each from itself until the
+    /// process next began a tick. Left out, a stall would count once, however many
+    /// ticks it swallowed (coordinated omission).
+    pub fn record_skipped(&mut self, skipped: Skipped, begun: Instant) {
+        let newest_ns = begun.since_ns(skipped.newest);
+        let timing = &mut self.timing;
+        timing
+            .release_lateness
+            .record_series(newest_ns, skipped.period_ns, skipped.count);
     }
 }

@@ -167,6 +167,15 @@ def _granted(ask):
     return layout.Grant.GRANTED
 
 
+# Longer durations share the last bucket.
+LONGEST_NS = 1 << (
+    layout.HISTOGRAM_UNIT_SHIFT
+    + layout.HISTOGRAM_HALF_SHIFT
+    + (layout.HISTOGRAM_BUCKETS >> layout.HISTOGRAM_HALF_SHIFT)
+    - 1
+)
+
+
 def record(histogram, ns):
     """Counts one duration in the buckets of `shm-config/src/histogram.rs`."""
     units = ns >> layout.HISTOGRAM_UNIT_SHIFT
@@ -218,6 +227,19 @@ class Pulse:
         self.health.ticks += 1
         record(self.timing.release_lateness, lateness_ns)
         record(self.timing.execution, execution_ns)
+
+    def record_skipped(self, newest_ns, period_ns, count):
+        """Skipped instants are as late as they really were: each from itself until
+        the next tick began, the newest of them `newest_ns`."""
+        lateness = self.timing.release_lateness
+        apart = min(count, LONGEST_NS // period_ns + 1)
+        for k in range(apart):
+            record(lateness, newest_ns + k * period_ns)
+        # The rest is longer than the histogram tells apart.
+        if count > apart:
+            record(lateness, newest_ns + (count - 1) * period_ns)
+            lateness.buckets[layout.HISTOGRAM_BUCKETS - 1] += count - apart - 1
+            lateness.count += count - apart - 1
 
 
 class Member:

@@ -335,7 +335,7 @@ impl Totals {
 }
 
 /// A histogram in the four numbers that tables print, microseconds.
-#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Quantiles {
     /// Median, us.
     pub p50: f64,

@@ -85,6 +85,12 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
         number(&processes["planner"], "ticks")
     );
     assert!(count("controller", "response") > 0.0);
+    // Skipped ticks are late, too.
+    for process in ["world", "planner", "controller"] {
+        let row = &processes[process];
+        let instants = number(row, "ticks") + number(row, "skipped");
+        assert_eq!(count(process, "release_lateness"), instants, "{process}");
+    }
 }
 
 /// The durations counted in `timing.csv`, by process and measure.
@@ -128,6 +134,11 @@ fn a_slow_planner_is_named_and_late_plans_are_counted() {
     let planner = &json["processes"]["planner"];
     assert!(number(&planner["overruns"], "search") > 0.0, "{planner}");
     assert_eq!(planner["late"], planner["ticks"], "{planner}");
+    // What it skips while it searches is as late as it is, not left out.
+    let [ticks, skipped] = ["ticks", "skipped"].map(|key| number(planner, key));
+    assert!(skipped > 0.0, "{planner}");
+    let lateness = ("planner".to_string(), "release_lateness".to_string());
+    assert_eq!(raw_counts(&set)[&lateness] as f64, ticks + skipped);
     assert!(json["reasons"]["expert"].is_object(), "{}", json["reasons"]);
 }
 

@@ -3,7 +3,8 @@ use super::{Header, Message, Refusal, header_accessors};
 crate::word_list! {
     /// What a [`Timing`] measures.
     pub enum Measure {
-        /// From the scheduled instant to the begin of the tick.
+        /// From the scheduled instant to the begin of the tick; of a skipped one, to
+        /// the begin of the tick after it.
         ReleaseLateness = 0 "release_lateness",
         /// From begin to end of the tick.
         Execution = 1 "execution",
@@ -36,7 +37,8 @@ crate::message! {
     pub struct Timing: 67712 bytes, nested [Header, Histogram] {
         /// When.
         pub header: Header,
-        /// From the scheduled instant to the begin of the tick.
+        /// From the scheduled instant to the begin of the tick; of a skipped one, to
+        /// the begin of the tick after it.
         pub release_lateness: Histogram,
         /// From begin to end of the tick.
         pub execution: Histogram,
