@@ -109,12 +109,14 @@ impl Drop for Driven {
     }
 }
 
-/// As `up --json` has them under a key of a process; 0 where it has none.
-pub fn quantiles(row: &Value, key: &str) -> Quantiles {
-    Quantiles::deserialize(&row[key]).unwrap_or_default()
+/// As `up --json` has them under a key of a process, which lacks what the process
+/// does not measure.
+pub fn quantiles(row: &Value, key: &str) -> Option<Quantiles> {
+    Quantiles::deserialize(&row[key]).ok()
 }
 
-/// How punctual a process of a finished run was.
+/// How punctual a process of a finished run was. A measure that it does not have is
+/// left out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Punctuality {
     /// Ticks.
@@ -128,9 +130,11 @@ pub struct Punctuality {
     /// From the first tick due to the next one due, s; 0 of what keeps no grid.
     pub elapsed_s: f64,
     /// Begin of the tick after its instant, us.
-    pub lateness_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lateness_us: Option<Quantiles>,
     /// From begin to end of the tick, us.
-    pub execution_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub execution_us: Option<Quantiles>,
     /// What the kernel granted it: real-time priority.
     pub priority: String,
 }

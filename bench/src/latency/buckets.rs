@@ -61,8 +61,8 @@ impl Series {
     }
 
     /// Quantiles, us: the middle of the bucket that holds it. `max_us` is the exact
-    /// maximum, which nothing exceeds.
-    pub fn quantiles(&self, max_us: f64) -> Quantiles {
+    /// maximum, which nothing exceeds. `None` when nothing was counted.
+    pub fn quantiles(&self, max_us: f64) -> Option<Quantiles> {
         let total = self.count();
         let at = |quantile: f64| {
             let rank = (quantile * total as f64).ceil().max(1.0) as u64;
@@ -74,12 +74,12 @@ impl Series {
             let middle = |bucket: &Bucket| (bucket.from_ns + bucket.below_ns) as f64 / 2e3;
             holding.map_or(0.0, middle).min(max_us)
         };
-        Quantiles {
+        (total > 0).then(|| Quantiles {
             p50: at(0.5),
             p99: at(0.99),
             p999: at(0.999),
             max: max_us,
-        }
+        })
     }
 }
 
@@ -152,7 +152,7 @@ mod tests {
         let all = read(&path).expect("read");
         assert_eq!(all, [lateness.clone(), other]);
         assert_eq!(lateness.count(), 5);
-        let quantiles = lateness.quantiles(16_000_000.0);
+        let quantiles = lateness.quantiles(16_000_000.0).expect("five");
         assert!((quantiles.p50 - 1.0).abs() < 0.064);
         assert_eq!(quantiles.max, 16_000_000.0);
         assert!((quantiles.p99 / 16_000_000.0 - 1.0).abs() < 1e-2);

@@ -32,8 +32,16 @@ fn us(quantiles: &[f64]) -> impl Iterator<Item = String> + '_ {
     quantiles.iter().map(|us| format!("{us:.0}"))
 }
 
-fn four(all: Quantiles) -> [f64; 4] {
-    [all.p50, all.p99, all.p999, all.max]
+/// Median, 99 %, 99.9 % and maximum of what was measured.
+fn four(all: Option<Quantiles>) -> [String; 4] {
+    match all {
+        Some(all) => [all.p50, all.p99, all.p999, all.max].map(|us| format!("{us:.0}")),
+        None => [const { "-" }; 4].map(String::from),
+    }
+}
+
+fn times_floor(ratio: Option<f64>) -> String {
+    ratio.map_or("-".into(), |ratio| format!("{ratio:.2}"))
 }
 
 fn lateness(rows: &[Row]) -> comfy_table::Table {
@@ -59,7 +67,7 @@ fn lateness(rows: &[Row]) -> comfy_table::Table {
     for row in rows {
         let mut cells = vec![name(row)];
         for process in [&row.controller, &row.planner, &row.world, &row.floor] {
-            cells.extend(us(&four(process.lateness_us)));
+            cells.extend(four(process.lateness_us));
         }
         table.add_row(cells);
     }
@@ -86,10 +94,10 @@ fn times(rows: &[Row]) -> comfy_table::Table {
     for row in rows {
         let mut cells = vec![name(row)];
         for process in [&row.controller, &row.planner, &row.world] {
-            let took = process.execution_us;
-            cells.extend(us(&[took.p50, took.p99, took.max]));
+            let [p50, p99, _, max] = four(process.execution_us);
+            cells.extend([p50, p99, max]);
         }
-        cells.extend(us(&four(row.response_us)));
+        cells.extend(four(row.response_us));
         table.add_row(cells);
     }
     table
@@ -123,8 +131,8 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
             row.planner.missed.to_string(),
             row.floor.ticks.to_string(),
             row.floor.missed.to_string(),
-            format!("{:.2}", row.controller_ratio()),
-            format!("{:.2}", row.planner_ratio()),
+            times_floor(row.to_floor(row.controller.lateness_us)),
+            times_floor(row.to_floor(row.planner.lateness_us)),
             row.questions.to_string(),
             row.weights.to_string(),
             row.verdict(),
