@@ -132,6 +132,9 @@ pub struct Punctuality {
     /// Begin of the tick after its instant, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lateness_us: Option<Quantiles>,
+    /// Begin of the tick after the event that released it, us.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_up_us: Option<Quantiles>,
     /// From begin to end of the tick, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub execution_us: Option<Quantiles>,
@@ -158,6 +161,7 @@ impl Punctuality {
             },
             elapsed_s: row["elapsed_s"].as_f64().unwrap_or(0.0),
             lateness_us: quantiles(row, "release_lateness_us"),
+            wake_up_us: quantiles(row, "wake_up_us"),
             execution_us: quantiles(row, "execution_us"),
             priority: priority.unwrap_or("unknown").into(),
         }

@@ -113,6 +113,7 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
             pulse.health.header.tick = step.header.tick;
             pulse.count_tick(Tick {
                 due: Instant(step.timings.commanded_ns),
+                released: None,
                 begun,
                 done: monotonic(),
             });

@@ -111,6 +111,7 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
                     pulse.end(Part::Send, done);
                     pulse.count_tick(Tick {
                         due: Instant(observation.scheduled_ns),
+                        released: Some(observation.published()),
                         begun,
                         done,
                     });

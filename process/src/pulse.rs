@@ -16,6 +16,9 @@ const TIMING_NS: u64 = 500_000_000;
 pub struct Tick {
     /// The instant it was to begin at.
     pub due: Instant,
+    /// When the event that released it happened; `None` where the process does not
+    /// know.
+    pub released: Option<Instant>,
     /// When its work began.
     pub begun: Instant,
     /// When its work was done.
@@ -37,7 +40,7 @@ pub struct Skipped {
 pub struct Pulse {
     /// What it says.
     pub health: Health,
-    /// How punctual it was. Boxed: 68 kB do not belong on a stack.
+    /// How punctual it was. Boxed: 79 kB do not belong on a stack.
     pub timing: Box<Timing>,
     health_port: Publisher<Health>,
     timing_port: Publisher<Timing>,
@@ -146,17 +149,23 @@ impl Pulse {
         let timing = &mut self.timing;
         let lateness_ns = tick.begun.since_ns(tick.due);
         timing.release_lateness.record(lateness_ns);
+        if let Some(released) = tick.released {
+            timing.wake_up.record(tick.begun.since_ns(released));
+        }
         timing.execution.record(tick.done.since_ns(tick.begun));
     }
 
     /// Skipped instants are as late as they really were: each from itself until the
     /// process next began a tick. Left out, a stall would count once, however many
-    /// ticks it swallowed (coordinated omission).
+    /// ticks it swallowed (coordinated omission). What would have released them the
+    /// process never saw, so their wake-up counts from their instants, too.
     pub fn record_skipped(&mut self, skipped: Skipped, begun: Instant) {
         let newest_ns = begun.since_ns(skipped.newest);
+        let (period_ns, count) = (skipped.period_ns, skipped.count);
         let timing = &mut self.timing;
         timing
             .release_lateness
-            .record_series(newest_ns, skipped.period_ns, skipped.count);
+            .record_series(newest_ns, period_ns, count);
+        timing.wake_up.record_series(newest_ns, period_ns, count);
     }
 }

@@ -186,6 +186,18 @@ def record(histogram, ns):
     histogram.max_ns = max(histogram.max_ns, ns)
 
 
+def record_series(histogram, first_ns, step_ns, count):
+    """Counts `count` durations, each `step_ns` longer than the one before."""
+    apart = min(count, LONGEST_NS // step_ns + 1)
+    for k in range(apart):
+        record(histogram, first_ns + k * step_ns)
+    # The rest is longer than the histogram tells apart.
+    if count > apart:
+        record(histogram, first_ns + (count - 1) * step_ns)
+        histogram.buckets[layout.HISTOGRAM_BUCKETS - 1] += count - apart - 1
+        histogram.count += count - apart - 1
+
+
 class Pulse:
     """A process's own account of how it does, published now and then."""
 
@@ -223,23 +235,18 @@ class Pulse:
             self._timing_port.tend()
             self._timing_due = now_ns + TIMING_NS
 
-    def count_tick(self, lateness_ns, execution_ns):
+    def count_tick(self, lateness_ns, execution_ns, wake_up_ns):
         self.health.ticks += 1
         record(self.timing.release_lateness, lateness_ns)
+        if wake_up_ns is not None:
+            record(self.timing.wake_up, wake_up_ns)
         record(self.timing.execution, execution_ns)
 
     def record_skipped(self, newest_ns, period_ns, count):
         """Skipped instants are as late as they really were: each from itself until
         the next tick began, the newest of them `newest_ns`."""
-        lateness = self.timing.release_lateness
-        apart = min(count, LONGEST_NS // period_ns + 1)
-        for k in range(apart):
-            record(lateness, newest_ns + k * period_ns)
-        # The rest is longer than the histogram tells apart.
-        if count > apart:
-            record(lateness, newest_ns + (count - 1) * period_ns)
-            lateness.buckets[layout.HISTOGRAM_BUCKETS - 1] += count - apart - 1
-            lateness.count += count - apart - 1
+        for lateness in (self.timing.release_lateness, self.timing.wake_up):
+            record_series(lateness, newest_ns, period_ns, count)
 
 
 class Member:

@@ -179,7 +179,9 @@ class Session:
         lateness_ns = 0 if grid.lockstep else max(released_ns - grid.instant_ns(grid.tick), 0)
         self._record_missed(released_ns)
         grid.tick += 1
-        self.pulse.count_tick(lateness_ns, done_ns - released_ns)
+        # In lockstep a command releases it, not the timer.
+        wake_up_ns = None if grid.lockstep else lateness_ns
+        self.pulse.count_tick(lateness_ns, done_ns - released_ns, wake_up_ns)
         self._account()
         self.pulse.beat(done_ns)
         self.ports.tend()
@@ -280,6 +282,7 @@ class Session:
         self._fill_header(observation.header, now_ns)
         observation.scheduled_ns = released_ns if grid.lockstep else grid.instant_ns(grid.tick)
         observation.released_ns = released_ns
+        observation.published_ns = monotonic_ns()
         self.ports.observations.send(observation)
         self._publish_progress(now_ns, layout.Outcome.DRIVING)
 

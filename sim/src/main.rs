@@ -243,6 +243,8 @@ impl Session {
                 true => released,
                 false => self.grid.now(),
             },
+            // In lockstep a command releases it, not the timer.
+            released: (!self.lockstep).then(|| self.grid.now()),
             begun: released,
             done,
         });
@@ -394,6 +396,7 @@ impl Session {
         });
         match moment {
             Moment::Tick => {
+                self.observation.published_ns = monotonic().0;
                 self.ports.observations.send(&mut self.observation);
                 self.publish_progress(now, Outcome::Driving);
             }

@@ -37,6 +37,10 @@ pub struct ProcessRow {
     /// From the scheduled instant to the begin of the tick.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub release_lateness_us: Option<Quantiles>,
+    /// From the event that released the tick to its begin (world, planner,
+    /// controller).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_up_us: Option<Quantiles>,
     /// From begin to end of the tick.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub execution_us: Option<Quantiles>,
@@ -145,6 +149,7 @@ impl ProcessRow {
                 .collect(),
             refused: totals.refused,
             release_lateness_us: us(Measure::ReleaseLateness),
+            wake_up_us: us(Measure::WakeUp),
             execution_us: us(Measure::Execution),
             response_us: us(Measure::Response),
             observation_age_us: us(Measure::ObservationAge),

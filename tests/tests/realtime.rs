@@ -55,6 +55,7 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
     let controller = &processes["controller"];
     for measure in [
         "release_lateness",
+        "wake_up",
         "execution",
         "response",
         "observation_age",
@@ -68,6 +69,14 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
             "{measure}: {quantiles}"
         );
     }
+    // What woke it came after the instant it was due at.
+    for process in ["planner", "controller"] {
+        let row = &processes[process];
+        let [wake_up, lateness] =
+            ["wake_up_us", "release_lateness_us"].map(|key| number(&row[key], "p50"));
+        assert!(wake_up < lateness, "{process}: {row}");
+    }
+    assert!(processes["world"]["response_us"].is_null());
     let first_s = number(&json, "first_command_s");
     assert!(first_s > 0.0 && first_s < 60.0, "{first_s}");
 
@@ -89,7 +98,9 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
     for process in ["world", "planner", "controller"] {
         let row = &processes[process];
         let instants = number(row, "ticks") + number(row, "skipped");
-        assert_eq!(count(process, "release_lateness"), instants, "{process}");
+        for measure in ["release_lateness", "wake_up"] {
+            assert_eq!(count(process, measure), instants, "{process}: {measure}");
+        }
     }
 }
 

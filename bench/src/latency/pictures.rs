@@ -20,6 +20,8 @@ const BINS_PER_DECADE: f64 = 12.0;
 
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
+const LIGHT_BLUE: RGBColor = RGBColor(140, 190, 235);
+const LIGHT_ORANGE: RGBColor = RGBColor(245, 180, 120);
 const GREEN: RGBColor = RGBColor(30, 132, 73);
 
 /// One line of a panel.
@@ -77,12 +79,14 @@ fn pictures(priority: &str) -> [Picture; 2] {
     [
         Picture {
             file: format!("lateness-{priority}"),
-            title: format!("Release lateness, {priority} priority"),
+            title: format!("Release lateness and wake-up, {priority} priority"),
             lines: vec![
                 line("floor: cyclictest", FAINT, "cyclictest", late),
                 line("floor: own thread", GREEN, "own floor", late),
-                line("planner", ORANGE, "planner", late),
-                line("controller", BLUE, "controller", late),
+                line("planner: late", LIGHT_ORANGE, "planner", late),
+                line("controller: late", LIGHT_BLUE, "controller", late),
+                line("planner: wake-up", ORANGE, "planner", "wake_up"),
+                line("controller: wake-up", BLUE, "controller", "wake_up"),
             ],
         },
         Picture {

@@ -8,6 +8,9 @@ use super::arguments::Settings;
 use super::watch::Beside;
 use crate::driven::{Punctuality, Quantiles};
 
+/// How a row is measured, as a number, to be raised with it: rows of another are
+/// measured anew. 2: skipped ticks are in the lateness, and wake-ups are there.
+pub const METHOD: u32 = 2;
 /// The published bar of release lateness: the 99.9 % quantile of controller and
 /// planner over that of the floor.
 pub const FLOOR_RATIO_MAX: f64 = 1.3;
@@ -60,9 +63,18 @@ pub struct Row {
 }
 
 impl Row {
-    /// 99.9 % of a process's lateness over the floor's, where both have one.
-    pub fn to_floor(&self, lateness_us: Option<Quantiles>) -> Option<f64> {
-        Some(lateness_us?.p999 / self.floor.lateness_us?.p999)
+    /// 99.9 % of a process's lateness or wake-up over the floor's lateness, which is
+    /// both, where there are such.
+    pub fn to_floor(&self, process_us: Option<Quantiles>) -> Option<f64> {
+        Some(process_us?.p999 / self.floor.lateness_us?.p999)
+    }
+
+    /// Whether controller and planner are near enough to the floor.
+    fn are_near_floor(&self, of: impl Fn(&Punctuality) -> Option<Quantiles>) -> bool {
+        [&self.controller, &self.planner].iter().all(|process| {
+            let ratio = self.to_floor(of(process));
+            ratio.is_some_and(|ratio| ratio <= FLOOR_RATIO_MAX)
+        })
     }
 
     /// Each process accounts for every instant of its grid.
@@ -100,18 +112,15 @@ impl Row {
 
     /// Against the published bars, in a few words.
     pub fn verdict(&self) -> String {
-        let near_floor = [&self.controller, &self.planner].iter().all(|process| {
-            let ratio = self.to_floor(process.lateness_us);
-            ratio.is_some_and(|ratio| ratio <= FLOOR_RATIO_MAX)
-        });
         let beside_nothing = self.beside == "none";
         let response_max_us = RESPONSE_MAX_US[usize::from(!beside_nothing)];
         let answered = |us: Quantiles| us.p99 < response_max_us;
         let word = |holds: bool| if holds { "holds" } else { "over" };
         let missed = self.controller.missed + self.world.missed + self.planner.missed;
         format!(
-            "lateness {}, response {}, {}",
-            word(near_floor),
+            "lateness {}, wake-up {}, response {}, {}",
+            word(self.are_near_floor(|process| process.lateness_us)),
+            word(self.are_near_floor(|process| process.wake_up_us)),
             word(self.response_us.is_some_and(answered)),
             match missed {
                 0 => "none missed".to_string(),
@@ -141,9 +150,10 @@ pub fn planner(summary: &Value, controller: &Punctuality, plan_rate_hz: f64) -> 
 pub(crate) mod tests {
     use super::*;
 
-    fn response(p99: f64) -> Option<Quantiles> {
+    fn tail(us: f64) -> Option<Quantiles> {
         Some(Quantiles {
-            p99,
+            p99: us,
+            p999: us,
             ..Quantiles::default()
         })
     }
@@ -155,6 +165,7 @@ pub(crate) mod tests {
             skipped: 2,
             missed: 2,
             elapsed_s: 20.0,
+            wake_up_us: tail(80.0),
             lateness_us: Some(Quantiles {
                 p50: 50.0,
                 p99: 80.0,
@@ -170,6 +181,7 @@ pub(crate) mod tests {
             settings: Settings {
                 seconds: 20.0,
                 overrides: Vec::new(),
+                method: METHOD,
                 stress: "own threads".into(),
                 floor: "own thread".into(),
             },
@@ -180,7 +192,7 @@ pub(crate) mod tests {
             world: process.clone(),
             planner: process.clone(),
             controller: process.clone(),
-            response_us: response(1_400.0),
+            response_us: tail(1_400.0),
             floor_by: "own thread".into(),
             floor: process.clone(),
             own_floor: process,
@@ -205,11 +217,19 @@ pub(crate) mod tests {
     #[test]
     fn the_verdict_follows_the_published_bars() {
         let mut row = row();
-        assert_eq!(row.verdict(), "lateness holds, response holds, 6 missed");
+        assert_eq!(
+            row.verdict(),
+            "lateness holds, wake-up holds, response holds, 6 missed"
+        );
         let slow = row.planner.lateness_us.as_mut().expect("lateness");
         slow.p999 *= 1.31;
-        row.response_us = response(1_500.0);
-        assert_eq!(row.verdict(), "lateness over, response over, 6 missed");
+        row.response_us = tail(1_500.0);
+        assert_eq!(
+            row.verdict(),
+            "lateness over, wake-up holds, response over, 6 missed"
+        );
+        row.planner.wake_up_us = row.planner.lateness_us;
+        assert!(row.verdict().contains("wake-up over"));
         row.beside = "all".into();
         assert!(row.verdict().contains("response holds"));
         // Who answered nothing has kept no bar.

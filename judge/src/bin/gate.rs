@@ -133,6 +133,7 @@ impl Gate {
         self.pulse.health.state = HealthState::Running.code();
         self.pulse.count_tick(Tick {
             due: Instant(step.timings.commanded_ns),
+            released: None,
             begun,
             done: monotonic(),
         });
