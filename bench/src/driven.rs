@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+pub use supervisor::tally::Quantiles;
 
 /// A running set. It is killed should anything fail before it has ended.
 pub struct Driven {
@@ -108,7 +109,14 @@ impl Drop for Driven {
     }
 }
 
-/// How punctual a process of a finished run was.
+/// As `up --json` has them under a key of a process, which lacks what the process
+/// does not measure.
+pub fn quantiles(row: &Value, key: &str) -> Option<Quantiles> {
+    Quantiles::deserialize(&row[key]).ok()
+}
+
+/// How punctual a process of a finished run was. A measure that it does not have is
+/// left out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Punctuality {
     /// Ticks.
@@ -122,37 +130,16 @@ pub struct Punctuality {
     /// From the first tick due to the next one due, s; 0 of what keeps no grid.
     pub elapsed_s: f64,
     /// Begin of the tick after its instant, us.
-    pub lateness_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lateness_us: Option<Quantiles>,
+    /// Begin of the tick after the event that released it, us.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_up_us: Option<Quantiles>,
     /// From begin to end of the tick, us.
-    pub execution_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub execution_us: Option<Quantiles>,
     /// What the kernel granted it: real-time priority.
     pub priority: String,
-}
-
-/// Of everything that happened, the maximum included; us.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Quantiles {
-    /// Median.
-    pub p50: f64,
-    /// 99 %.
-    pub p99: f64,
-    /// 99.9 %.
-    pub p999: f64,
-    /// The largest.
-    pub max: f64,
-}
-
-impl Quantiles {
-    /// As `up --json` has them under a key of a process; 0 where it has none.
-    pub fn of(row: &Value, key: &str) -> Self {
-        let of = |name: &str| row[key][name].as_f64().unwrap_or(0.0);
-        Self {
-            p50: of("p50"),
-            p99: of("p99"),
-            p999: of("p999"),
-            max: of("max"),
-        }
-    }
 }
 
 impl Punctuality {
@@ -173,8 +160,9 @@ impl Punctuality {
                 _ => skipped + late,
             },
             elapsed_s: row["elapsed_s"].as_f64().unwrap_or(0.0),
-            lateness_us: Quantiles::of(row, "release_lateness_us"),
-            execution_us: Quantiles::of(row, "execution_us"),
+            lateness_us: quantiles(row, "release_lateness_us"),
+            wake_up_us: quantiles(row, "wake_up_us"),
+            execution_us: quantiles(row, "execution_us"),
             priority: priority.unwrap_or("unknown").into(),
         }
     }

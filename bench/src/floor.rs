@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::Context;
-use hdrhistogram::Histogram;
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use shm_config::Instant;
+use shm_config::message::Histogram;
 use shm_config::services::Process;
 use supervisor::table::{Row, TABLE};
 use thread_priority::{
@@ -22,8 +22,6 @@ use thread_priority::{
 use crate::Clock;
 use crate::driven::{Punctuality, Quantiles};
 
-/// Longest lateness that is told apart, ns; longer ones keep their maximum.
-const LONGEST_NS: u64 = 60_000_000_000;
 /// Width of a moment for which the largest lateness is kept, ns.
 pub const MOMENT_NS: u64 = 100_000_000;
 /// Moments that are kept: an hour, and what a start takes.
@@ -48,8 +46,8 @@ pub struct Floor {
 pub struct Noted {
     /// Ticks, and how late they were.
     pub punctuality: Punctuality,
-    /// Each lateness, ns.
-    pub late_ns: Histogram<u64>,
+    /// Each lateness, those of missed instants too.
+    pub lateness: Box<Histogram>,
     /// The largest of each moment.
     pub stalls: Stalls,
 }
@@ -167,8 +165,8 @@ fn wake(
 ) -> anyhow::Result<Noted> {
     let priority = claim(priority);
     let period_ns = (1e9 / rate_hz) as u64;
-    let mut late = Histogram::<u64>::new_with_bounds(1, LONGEST_NS, 3)?;
-    let (mut ticks, mut missed, mut max_ns) = (0, 0, 0);
+    let mut lateness = Box::<Histogram>::default();
+    let (mut ticks, mut missed) = (0, 0);
     let mut due = clock();
     let begun = due;
     let mut stalls = Stalls::from(due);
@@ -177,33 +175,27 @@ fn wake(
         let until = due.timespec();
         while clock_nanosleep_absolute(ClockId::Monotonic, &until).is_err() {}
         let late_ns = clock().since_ns(due);
-        late.saturating_record(late_ns);
         stalls.note(due, late_ns);
-        max_ns = max_ns.max(late_ns);
         ticks += 1;
-        // Instants that passed meanwhile are missed, as a tick's would be.
+        // Instants that passed meanwhile are missed, as a tick's would be, and as
+        // late as they are.
         let passed = late_ns / period_ns;
+        lateness.record_series(late_ns % period_ns, period_ns, passed + 1);
         missed += passed;
         due = due.after_ns(passed * period_ns);
     }
-    let at = |quantile: f64| late.value_at_quantile(quantile).min(max_ns) as f64 / 1e3;
     let punctuality = Punctuality {
         ticks,
         skipped: missed,
         missed,
         elapsed_s: due.since_ns(begun) as f64 / 1e9,
-        lateness_us: Quantiles {
-            p50: at(0.5),
-            p99: at(0.99),
-            p999: at(0.999),
-            max: max_ns as f64 / 1e3,
-        },
+        lateness_us: Quantiles::of(&lateness),
         priority: priority.into(),
         ..Punctuality::default()
     };
     Ok(Noted {
         punctuality,
-        late_ns: late,
+        lateness,
         stalls,
     })
 }

@@ -22,6 +22,6 @@ pub use policy::{
     Begin, Exchange, Fault, Hand, Loader, Look, NativePolicy, News, Offer, OrtPolicy, OrtSession,
     Policy, PolicySlot, Terms, Turn, build, library,
 };
-pub use slots::{Slot, Slots};
+pub use slots::{Release, Slot, Slots};
 pub use tick::{Controller, Inputs};
 pub use transfer::Transfer;

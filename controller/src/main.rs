@@ -6,8 +6,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use controller::{Controller, Inputs, Intent, PolicySlot, Slot, Slots};
-use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use controller::{Controller, Inputs, Intent, PolicySlot, Release, Slot, Slots};
+use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::message::{
     Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
 };
@@ -121,6 +121,7 @@ impl Waiting {
                 (true, true) => Some(Slot {
                     scheduled,
                     due: scheduled,
+                    release: Release::Observation,
                     skipped: 0,
                 }),
                 (true, false) => None,
@@ -288,6 +289,10 @@ fn tick(
     let started = monotonic();
     pulse.begin(started);
     let released_ns = inputs.observation.map_or(0, |o| o.released_ns);
+    let event = match (slot.release, &inputs.observation) {
+        (Release::Observation, Some(observation)) => observation.published(),
+        (Release::Observation | Release::TimeOut, _) => slot.due,
+    };
     waiting.peers(ports, inputs, &slot, pulse);
     inputs.takeover = ports.takeovers.newest();
     let planned = monotonic();
@@ -339,7 +344,18 @@ fn tick(
 
     let done = monotonic();
     pulse.end(Part::Send, done);
-    pulse.count_tick(started.since_ns(slot.due), done.since_ns(started));
+    pulse.count_tick(Tick {
+        due: slot.due,
+        released: Some(event),
+        begun: started,
+        done,
+    });
+    let skipped = Skipped {
+        newest: Instant(slot.scheduled.0.saturating_sub(waiting.period_ns)),
+        period_ns: waiting.period_ns,
+        count: slot.skipped,
+    };
+    pulse.record_skipped(skipped, started);
     if released_ns > 0 && sends {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);

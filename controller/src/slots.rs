@@ -1,6 +1,15 @@
 use shm_config::Instant;
 use shm_config::message::FUTURE_TOLERANCE_NS;
 
+/// What released a tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Release {
+    /// An observation.
+    Observation,
+    /// The end of the wait for one.
+    TimeOut,
+}
+
 /// One tick of the controller: the instant of the grid it is due at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Slot {
@@ -9,6 +18,8 @@ pub struct Slot {
     /// When the tick was to begin: the instant itself, or for a tick without an
     /// observation the end of the wait for one.
     pub due: Instant,
+    /// What released it.
+    pub release: Release,
     /// Instants of the grid that passed without a tick before this one.
     pub skipped: u64,
 }
@@ -64,6 +75,7 @@ impl Slots {
         Some(Slot {
             scheduled,
             due: scheduled,
+            release: Release::Observation,
             skipped,
         })
     }
@@ -81,6 +93,7 @@ impl Slots {
         Some(Slot {
             scheduled,
             due: scheduled.after_ns(self.wait_ns),
+            release: Release::TimeOut,
             skipped: passed - 1,
         })
     }

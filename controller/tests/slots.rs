@@ -1,6 +1,6 @@
 //! One tick for each instant of the grid, however observations come.
 
-use controller::Slots;
+use controller::{Release, Slots};
 use proptest::prelude::*;
 use shm_config::Instant;
 
@@ -63,5 +63,10 @@ fn a_grid_from_the_future_is_not_followed() {
     assert_eq!(slots.on_observation(far, START.after_ns(PERIOD_NS)), None);
     let deadline = slots.deadline().expect("the grid is known");
     assert_eq!(deadline, START.after_ns(PERIOD_NS + WAIT_NS));
-    assert!(slots.on_timeout(deadline).is_some());
+    let slot = slots.on_timeout(deadline).expect("its turn");
+    assert_eq!((slot.release, slot.due), (Release::TimeOut, deadline));
+    assert_eq!(slot.scheduled, START.after_ns(PERIOD_NS));
+    let next = START.after_ns(2 * PERIOD_NS);
+    let slot = slots.on_observation(next, next).expect("its turn");
+    assert_eq!((slot.release, slot.due), (Release::Observation, next));
 }

@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use clap::Parser;
 use learner::session::{Block, Session};
-use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use process::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
+use shm_config::Instant;
 use shm_config::message::{
     HealthState, Learning, Message, PolicyState, PolicyStatus, Step, Weights,
 };
@@ -110,8 +111,12 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
             }
             pulse.health.state = HealthState::Running.code();
             pulse.health.header.tick = step.header.tick;
-            let waited_ns = begun.0.saturating_sub(step.timings.commanded_ns);
-            pulse.count_tick(waited_ns, monotonic().since_ns(begun));
+            pulse.count_tick(Tick {
+                due: Instant(step.timings.commanded_ns),
+                released: None,
+                begun,
+                done: monotonic(),
+            });
             pulse.beat(monotonic());
         }
     }

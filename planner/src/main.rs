@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use planner::Planner;
-use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::config::Late;
 use shm_config::message::{Health, HealthState, Message, Part, Plan, PlanOutcome};
 use shm_config::services::{OBSERVATION, PLAN, Process};
@@ -32,14 +32,21 @@ impl Slots {
     /// A plan for the observation that was due then. Those since the one before
     /// that got no plan are skipped. Another world's grid may be shifted: whole
     /// periods count, rounded.
-    fn account(&self, due: Instant, health: &mut Health) {
+    fn account(&self, due: Instant, health: &mut Health) -> Skipped {
+        let mut count = 0;
         if health.ticks == 1 {
             health.first_scheduled_ns = due.0;
         } else {
             let late_ns = due.since_ns(Instant(health.next_scheduled_ns));
-            health.skipped += (late_ns + self.period_ns / 2) / self.period_ns;
+            count = (late_ns + self.period_ns / 2) / self.period_ns;
         }
+        health.skipped += count;
         health.next_scheduled_ns = due.after_ns(self.period_ns).0;
+        Skipped {
+            newest: Instant(due.0.saturating_sub(self.period_ns)),
+            period_ns: self.period_ns,
+            count,
+        }
     }
 }
 
@@ -72,6 +79,9 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut turns = PlanTurns::every(member.config.plan_ticks());
     let period_ns = member.config.run.period_ns() * member.config.plan_ticks();
     let slots = Slots { period_ns };
+    // At a rate below the run's each episode begins its turns anew, and in lockstep
+    // its instants are none of the machine's clock.
+    let keeps_grid = !lockstep && member.config.tick_ns(Process::Planner).is_some();
     member.claim_rights();
     pulse.set_rights(&member.rights);
     pulse.enter(HealthState::Ready, monotonic());
@@ -99,15 +109,22 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
                     }
                     let done = monotonic();
                     pulse.end(Part::Send, done);
-                    let lateness_ns = begun.0.saturating_sub(observation.scheduled_ns);
-                    pulse.count_tick(lateness_ns, done.since_ns(begun));
+                    pulse.count_tick(Tick {
+                        due: Instant(observation.scheduled_ns),
+                        released: Some(observation.published()),
+                        begun,
+                        done,
+                    });
                     let age_ns = now.since_ns(observation.header.taken());
                     pulse.timing.observation_age.record(age_ns);
                     let due = match lockstep {
                         true => observation.header.taken(),
                         false => Instant(observation.scheduled_ns),
                     };
-                    slots.account(due, &mut pulse.health);
+                    let skipped = slots.account(due, &mut pulse.health);
+                    if keeps_grid {
+                        pulse.record_skipped(skipped, begun);
+                    }
                     let health = &mut pulse.health;
                     health.header.tick = observation.header.tick;
                     health.late += u64::from(done.0 > observation.scheduled_ns + period_ns);

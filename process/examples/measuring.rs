@@ -49,7 +49,7 @@ fn main() {
     );
 }
 
-/// What the controller does: an instant at the end of each part, six durations.
+/// What the controller does: an instant at the end of each part, seven durations.
 #[allow(clippy::disallowed_methods)] // an entry point reads the clock
 fn measured_tick(timing: &mut Timing, tick: u64) {
     let mut last = monotonic();

@@ -20,7 +20,7 @@ use shm_config::services::Process;
 use shm_config::wire::{Wire, WireError};
 
 pub use kernel::Usage;
-pub use pulse::Pulse;
+pub use pulse::{Pulse, Skipped, Tick};
 pub use realtime::{Ask, Reservation, Rights};
 
 /// The exit code of a process that could not be set up. The supervisor does not

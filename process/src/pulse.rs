@@ -11,11 +11,36 @@ const HEALTH_NS: u64 = 50_000_000;
 /// How often it publishes its histograms, ns on the machine's clock.
 const TIMING_NS: u64 = 500_000_000;
 
+/// When a tick happened, on the machine's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Tick {
+    /// The instant it was to begin at.
+    pub due: Instant,
+    /// When the event that released it happened; `None` where the process does not
+    /// know.
+    pub released: Option<Instant>,
+    /// When its work began.
+    pub begun: Instant,
+    /// When its work was done.
+    pub done: Instant,
+}
+
+/// Instants of a process's grid at which it began no tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Skipped {
+    /// The newest of them.
+    pub newest: Instant,
+    /// From one to the next.
+    pub period_ns: u64,
+    /// How many.
+    pub count: u64,
+}
+
 /// A process's own account of how it does, published now and then.
 pub struct Pulse {
     /// What it says.
     pub health: Health,
-    /// How punctual it was. Boxed: 68 kB do not belong on a stack.
+    /// How punctual it was. Boxed: 79 kB do not belong on a stack.
     pub timing: Box<Timing>,
     health_port: Publisher<Health>,
     timing_port: Publisher<Timing>,
@@ -113,11 +138,34 @@ impl Pulse {
         self.part_begun = now;
     }
 
-    /// Counts one tick: begun `lateness_ns` after its instant, done after
-    /// `execution_ns`.
-    pub fn count_tick(&mut self, lateness_ns: u64, execution_ns: u64) {
+    /// Counts one tick, and how punctual it was.
+    pub fn count_tick(&mut self, tick: Tick) {
         self.health.ticks += 1;
-        self.timing.release_lateness.record(lateness_ns);
-        self.timing.execution.record(execution_ns);
+        self.record_tick(tick);
+    }
+
+    /// How punctual a tick was.
+    pub fn record_tick(&mut self, tick: Tick) {
+        let timing = &mut self.timing;
+        let lateness_ns = tick.begun.since_ns(tick.due);
+        timing.release_lateness.record(lateness_ns);
+        if let Some(released) = tick.released {
+            timing.wake_up.record(tick.begun.since_ns(released));
+        }
+        timing.execution.record(tick.done.since_ns(tick.begun));
+    }
+
+    /// Skipped instants are as late as they really were: each from itself until the
+    /// process next began a tick. Left out, a stall would count once, however many
+    /// ticks it swallowed (coordinated omission). What would have released them the
+    /// process never saw, so their wake-up counts from their instants, too.
+    pub fn record_skipped(&mut self, skipped: Skipped, begun: Instant) {
+        let newest_ns = begun.since_ns(skipped.newest);
+        let (period_ns, count) = (skipped.period_ns, skipped.count);
+        let timing = &mut self.timing;
+        timing
+            .release_lateness
+            .record_series(newest_ns, period_ns, count);
+        timing.wake_up.record_series(newest_ns, period_ns, count);
     }
 }

@@ -167,6 +167,15 @@ def _granted(ask):
     return layout.Grant.GRANTED
 
 
+# Longer durations share the last bucket.
+LONGEST_NS = 1 << (
+    layout.HISTOGRAM_UNIT_SHIFT
+    + layout.HISTOGRAM_HALF_SHIFT
+    + (layout.HISTOGRAM_BUCKETS >> layout.HISTOGRAM_HALF_SHIFT)
+    - 1
+)
+
+
 def record(histogram, ns):
     """Counts one duration in the buckets of `shm-config/src/histogram.rs`."""
     units = ns >> layout.HISTOGRAM_UNIT_SHIFT
@@ -175,6 +184,18 @@ def record(histogram, ns):
     histogram.buckets[min(bucket, layout.HISTOGRAM_BUCKETS - 1)] += 1
     histogram.count += 1
     histogram.max_ns = max(histogram.max_ns, ns)
+
+
+def record_series(histogram, first_ns, step_ns, count):
+    """Counts `count` durations, each `step_ns` longer than the one before."""
+    apart = min(count, LONGEST_NS // step_ns + 1)
+    for k in range(apart):
+        record(histogram, first_ns + k * step_ns)
+    # The rest is longer than the histogram tells apart.
+    if count > apart:
+        record(histogram, first_ns + (count - 1) * step_ns)
+        histogram.buckets[layout.HISTOGRAM_BUCKETS - 1] += count - apart - 1
+        histogram.count += count - apart - 1
 
 
 class Pulse:
@@ -214,10 +235,18 @@ class Pulse:
             self._timing_port.tend()
             self._timing_due = now_ns + TIMING_NS
 
-    def count_tick(self, lateness_ns, execution_ns):
+    def count_tick(self, lateness_ns, execution_ns, wake_up_ns):
         self.health.ticks += 1
         record(self.timing.release_lateness, lateness_ns)
+        if wake_up_ns is not None:
+            record(self.timing.wake_up, wake_up_ns)
         record(self.timing.execution, execution_ns)
+
+    def record_skipped(self, newest_ns, period_ns, count):
+        """Skipped instants are as late as they really were: each from itself until
+        the next tick began, the newest of them `newest_ns`."""
+        for lateness in (self.timing.release_lateness, self.timing.wake_up):
+            record_series(lateness, newest_ns, period_ns, count)
 
 
 class Member:

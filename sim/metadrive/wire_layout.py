@@ -225,11 +225,12 @@ assert Checkpoint.reserved.offset == 36
 
 
 class Observation(ctypes.Structure):
-    LAYOUT = "f342643835cd3847"
+    LAYOUT = "2e0fc1570841e222"
     _fields_ = [
         ("header", Header),
         ("scheduled_ns", ctypes.c_uint64),
         ("released_ns", ctypes.c_uint64),
+        ("published_ns", ctypes.c_uint64),
         ("ego", Ego),
         ("road", Road),
         ("checkpoints", Checkpoint * 2),
@@ -243,16 +244,17 @@ class Observation(ctypes.Structure):
         return "Observation"
 
 
-assert ctypes.sizeof(Observation) == 2272
+assert ctypes.sizeof(Observation) == 2280
 assert Observation.header.offset == 0
 assert Observation.scheduled_ns.offset == 32
 assert Observation.released_ns.offset == 40
-assert Observation.ego.offset == 48
-assert Observation.road.offset == 104
-assert Observation.checkpoints.offset == 136
-assert Observation.lidar_max_m.offset == 216
-assert Observation.beam_count.offset == 220
-assert Observation.ranges_m.offset == 224
+assert Observation.published_ns.offset == 48
+assert Observation.ego.offset == 56
+assert Observation.road.offset == 112
+assert Observation.checkpoints.offset == 144
+assert Observation.lidar_max_m.offset == 224
+assert Observation.beam_count.offset == 228
+assert Observation.ranges_m.offset == 232
 
 
 class Command(ctypes.Structure):
@@ -427,10 +429,11 @@ assert Histogram.buckets.offset == 16
 
 
 class Timing(ctypes.Structure):
-    LAYOUT = "e0bd723bf3711690"
+    LAYOUT = "8ed9d22ee030ed97"
     _fields_ = [
         ("header", Header),
         ("release_lateness", Histogram),
+        ("wake_up", Histogram),
         ("execution", Histogram),
         ("response", Histogram),
         ("observation_age", Histogram),
@@ -443,14 +446,15 @@ class Timing(ctypes.Structure):
         return "Timing"
 
 
-assert ctypes.sizeof(Timing) == 67712
+assert ctypes.sizeof(Timing) == 78992
 assert Timing.header.offset == 0
 assert Timing.release_lateness.offset == 32
-assert Timing.execution.offset == 11312
-assert Timing.response.offset == 22592
-assert Timing.observation_age.offset == 33872
-assert Timing.plan_age.offset == 45152
-assert Timing.advice_age.offset == 56432
+assert Timing.wake_up.offset == 11312
+assert Timing.execution.offset == 22592
+assert Timing.response.offset == 33872
+assert Timing.observation_age.offset == 45152
+assert Timing.plan_age.offset == 56432
+assert Timing.advice_age.offset == 67712
 
 
 class Camera(ctypes.Structure):

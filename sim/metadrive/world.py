@@ -45,6 +45,8 @@ class Grid:
         self._first_ns = 0 if lockstep else first_ns
         self.tick = 0
         self.skipped = 0
+        # Of these, those just before the tick of now.
+        self.missed = 0
 
     def instant_ns(self, tick):
         """When a tick is due, on the run's clock."""
@@ -52,6 +54,7 @@ class Grid:
 
     def sleep(self):
         """Sleeps until the next tick is due."""
+        self.missed = 0
         if not self.lockstep:
             member.sleep_until(self.instant_ns(self.tick))
             self.skip_passed()
@@ -64,6 +67,7 @@ class Grid:
         passed = late_ns // self.period_ns
         self.tick += passed
         self.skipped += passed
+        self.missed += passed
 
 
 class Ports:
@@ -154,6 +158,7 @@ class Session:
             if grid.tick > 0:
                 episode = self.episode
                 if self._advance(now_ns):
+                    self._record_missed(released_ns)
                     break
                 if self.episode != episode and not grid.lockstep:
                     # A reset takes longer than a period: its first observation
@@ -172,12 +177,20 @@ class Session:
         grid = self.grid
         done_ns = monotonic_ns()
         lateness_ns = 0 if grid.lockstep else max(released_ns - grid.instant_ns(grid.tick), 0)
+        self._record_missed(released_ns)
         grid.tick += 1
-        self.pulse.count_tick(lateness_ns, done_ns - released_ns)
+        # In lockstep a command releases it, not the timer.
+        wake_up_ns = None if grid.lockstep else lateness_ns
+        self.pulse.count_tick(lateness_ns, done_ns - released_ns, wake_up_ns)
         self._account()
         self.pulse.beat(done_ns)
         self.ports.tend()
         self._take_pictures()
+
+    def _record_missed(self, released_ns):
+        grid = self.grid
+        newest_ns = released_ns - grid.instant_ns(grid.tick - 1)
+        self.pulse.record_skipped(newest_ns, grid.period_ns, grid.missed)
 
     def _take_pictures(self):
         """Answers requests until the next tick is near: a picture can only be of
@@ -269,6 +282,7 @@ class Session:
         self._fill_header(observation.header, now_ns)
         observation.scheduled_ns = released_ns if grid.lockstep else grid.instant_ns(grid.tick)
         observation.released_ns = released_ns
+        observation.published_ns = monotonic_ns()
         self.ports.observations.send(observation)
         self._publish_progress(now_ns, layout.Outcome.DRIVING)
 

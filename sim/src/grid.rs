@@ -45,6 +45,16 @@ impl Grid {
             .after_ns(self.index * self.period_ns / self.share)
     }
 
+    /// When the instant before that one was due.
+    pub fn previous(&self) -> Instant {
+        Instant(self.now().0.saturating_sub(self.step_ns()))
+    }
+
+    /// From instant to instant; a nanosecond more where the share is uneven.
+    pub fn step_ns(&self) -> u64 {
+        self.period_ns / self.share
+    }
+
     /// Nothing has moved yet.
     pub fn is_first(&self) -> bool {
         self.index == 0
@@ -155,6 +165,8 @@ mod tests {
         assert_eq!(grid.substep_share(), 0.5);
         assert_eq!((grid.tick(), grid.ticks_due()), (1, 2));
         assert_eq!(grid.tick_instant(2), FIRST.after_ns(40_000_000));
+        assert_eq!(grid.now().since_ns(grid.previous()), grid.step_ns());
+        assert_eq!(grid.step_ns(), 10_000_000);
     }
 
     #[test]

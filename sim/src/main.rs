@@ -4,7 +4,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use rustix::time::{ClockId, Timespec};
 use shm_config::config::{Late, Run};
 use shm_config::message::{
@@ -96,8 +96,8 @@ struct Session {
     told: Option<u64>,
     /// What worlds before this one have driven.
     driven_ns: u64,
-    /// This instant begins after the next one was due.
-    is_late: bool,
+    /// Instants missed just before this one: it was late by more than a period.
+    missed: u64,
 }
 
 /// The first instant lies at least one period ahead: everybody can be there. All
@@ -154,7 +154,7 @@ impl Session {
             episode_skipped: 0,
             told: None,
             driven_ns: cli.driven_ns,
-            is_late: false,
+            missed: 0,
         })
     }
 
@@ -171,10 +171,12 @@ impl Session {
                 false => released,
             };
             if !self.grid.is_first() && self.advance(now)? {
+                self.record_missed(self.grid.previous(), self.missed, released);
                 break;
             }
             self.pulse.end(Part::Move, monotonic());
-            if self.is_late && self.deadline() == Late::Skip {
+            if self.is_late() && self.deadline() == Late::Skip {
+                self.record_missed(self.grid.now(), self.missed + 1, released);
                 self.grid.move_on();
                 self.schedule();
                 self.pulse.beat(monotonic());
@@ -209,7 +211,22 @@ impl Session {
         while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &timespec).is_err() {}
         let missed = self.grid.missed();
         self.grid.miss_until(monotonic());
-        self.is_late = self.grid.missed() > missed;
+        self.missed = self.grid.missed() - missed;
+    }
+
+    fn is_late(&self) -> bool {
+        self.missed > 0
+    }
+
+    /// So many instants, the newest of them that one, had no tick until one was
+    /// begun then.
+    fn record_missed(&mut self, newest: Instant, count: u64, begun: Instant) {
+        let skipped = Skipped {
+            newest,
+            period_ns: self.grid.step_ns(),
+            count,
+        };
+        self.pulse.record_skipped(skipped, begun);
     }
 
     fn deadline(&self) -> Late {
@@ -221,14 +238,18 @@ impl Session {
     fn account(&mut self, released: Instant, moment: Moment) {
         let done = monotonic();
         self.pulse.end(Part::Send, done);
-        let lateness_ns = match self.lockstep {
-            true => 0,
-            false => released.since_ns(self.grid.now()),
-        };
+        self.pulse.record_tick(Tick {
+            due: match self.lockstep {
+                true => released,
+                false => self.grid.now(),
+            },
+            // In lockstep a command releases it, not the timer.
+            released: (!self.lockstep).then(|| self.grid.now()),
+            begun: released,
+            done,
+        });
+        self.record_missed(self.grid.previous(), self.missed, released);
         self.grid.move_on();
-        let timing = &mut self.pulse.timing;
-        timing.release_lateness.record(lateness_ns);
-        timing.execution.record(done.since_ns(released));
         self.pulse.health.ticks += u64::from(moment == Moment::Tick);
         self.schedule();
         self.pulse.beat(done);
@@ -261,7 +282,7 @@ impl Session {
         let young = self
             .command
             .filter(|command| command.admit(now, limit_ns).is_ok())
-            .filter(|_| !(self.is_late && self.deadline() == Late::Brake));
+            .filter(|_| !(self.is_late() && self.deadline() == Late::Brake));
         let action = self.score.obey(young.as_ref(), now);
         self.recorder.moved(Move { action, substeps });
         for _ in 0..substeps {
@@ -375,6 +396,7 @@ impl Session {
         });
         match moment {
             Moment::Tick => {
+                self.observation.published_ns = monotonic().0;
                 self.ports.observations.send(&mut self.observation);
                 self.publish_progress(now, Outcome::Driving);
             }

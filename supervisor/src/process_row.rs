@@ -11,7 +11,7 @@ use crate::kernel::Memory;
 use crate::tally::{Quantiles, Tally, Totals};
 use crate::threads::Thread;
 
-/// One process over all its restarts.
+/// One process over all its restarts. A measure that it does not have is left out.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ProcessRow {
     /// How often it was restarted.
@@ -35,17 +35,27 @@ pub struct ProcessRow {
     /// Messages refused at its door.
     pub refused: u64,
     /// From the scheduled instant to the begin of the tick.
-    pub release_lateness_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub release_lateness_us: Option<Quantiles>,
+    /// From the event that released the tick to its begin (world, planner,
+    /// controller).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_up_us: Option<Quantiles>,
     /// From begin to end of the tick.
-    pub execution_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub execution_us: Option<Quantiles>,
     /// From the world's release of an observation to the command for it (controller).
-    pub response_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub response_us: Option<Quantiles>,
     /// Age of the observation at the tick that answers it (planner, controller).
-    pub observation_age_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub observation_age_us: Option<Quantiles>,
     /// Age of the plan's observation at the tick (controller).
-    pub plan_age_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan_age_us: Option<Quantiles>,
     /// Age of the advice's observation at the tick (controller).
-    pub advice_age_us: Quantiles,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub advice_age_us: Option<Quantiles>,
     /// Page faults of the tick's thread that needed no disk, since it was ready.
     pub minor_faults: u64,
     /// Page faults of the tick's thread that waited for the disk.
@@ -139,6 +149,7 @@ impl ProcessRow {
                 .collect(),
             refused: totals.refused,
             release_lateness_us: us(Measure::ReleaseLateness),
+            wake_up_us: us(Measure::WakeUp),
             execution_us: us(Measure::Execution),
             response_us: us(Measure::Response),
             observation_age_us: us(Measure::ObservationAge),

@@ -39,8 +39,9 @@ pub struct Summary {
     pub share: Share,
     /// Restarts of all processes.
     pub restarts: u32,
-    /// The world's release lateness.
-    pub release_lateness_us: Quantiles,
+    /// The world's release lateness; left out when it never ticked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub release_lateness_us: Option<Quantiles>,
     /// From the supervisor's start to the controller's first command, s; `None`
     /// when there was none.
     pub first_command_s: Option<f64>,
@@ -163,7 +164,7 @@ impl Summary {
             restarts: processes.values().map(|row| row.restarts).sum(),
             release_lateness_us: processes
                 .get(Process::World.word())
-                .map_or_else(Quantiles::default, |world| world.release_lateness_us),
+                .and_then(|world| world.release_lateness_us),
             first_command_s: first_command_s(tally),
             run: config.run.name.clone(),
             clock: clock_word(config),
@@ -382,14 +383,17 @@ impl Summary {
             "\nrelease lateness, us       p50         p99       p99.9         max    late  restarts"
         )?;
         for (process, row) in &self.processes {
-            let us = row.release_lateness_us;
+            let [p50, p99, p999, max] = match row.release_lateness_us {
+                Some(us) => [us.p50, us.p99, us.p999, us.max].map(|us| format!("{us:.1}")),
+                None => [const { "-" }; 4].map(String::from),
+            };
             let rate = row
                 .rate_hz
                 .map_or(String::new(), |rate_hz| format!("{rate_hz} Hz"));
             writeln!(
                 f,
-                "  {process:<10}{rate:>8}{:>10.1}{:>12.1}{:>12.1}{:>12.1}  {:>6}  {:>8}",
-                us.p50, us.p99, us.p999, us.max, row.late, row.restarts
+                "  {process:<10}{rate:>8}{p50:>10}{p99:>12}{p999:>12}{max:>12}  {:>6}  {:>8}",
+                row.late, row.restarts
             )?;
         }
         Ok(())

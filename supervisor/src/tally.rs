@@ -335,7 +335,7 @@ impl Totals {
 }
 
 /// A histogram in the four numbers that tables print, microseconds.
-#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Quantiles {
     /// Median, us.
     pub p50: f64,
@@ -348,14 +348,14 @@ pub struct Quantiles {
 }
 
 impl Quantiles {
-    /// Of a histogram; all 0 when it is empty.
-    pub fn of(histogram: &Histogram) -> Self {
+    /// Of a histogram; `None` when nothing was counted.
+    pub fn of(histogram: &Histogram) -> Option<Self> {
         let us = |ns: u64| ns as f64 / 1e3;
-        Self {
+        (histogram.count > 0).then(|| Self {
             p50: us(histogram.quantile_ns(0.5)),
             p99: us(histogram.quantile_ns(0.99)),
             p999: us(histogram.quantile_ns(0.999)),
             max: us(histogram.max_ns),
-        }
+        })
     }
 }

@@ -147,7 +147,7 @@ fn the_quantiles_of_many_restarts_are_those_of_one_histogram() {
     let whole = timing(0, all.iter().copied());
     let merged = tally.process(Process::World).unwrap().timing();
     assert_eq!(merged.release_lateness, whole.release_lateness);
-    let quantiles = Quantiles::of(&merged.release_lateness);
+    let quantiles = Quantiles::of(&merged.release_lateness).expect("counted");
     all.sort_unstable();
     let exact = |share: f64| all[(share * all.len() as f64) as usize] as f64 / 1e3;
     assert!(
@@ -237,6 +237,12 @@ fn the_json_has_the_keys_that_scripts_rely_on() {
             lateness[key].as_f64().is_some_and(|us| us > 0.0),
             "{key}: {lateness}"
         );
+    }
+    // What a process does not measure is no 0.
+    let world = json["processes"]["world"].as_object().expect("a row");
+    assert!(world.contains_key("release_lateness_us"));
+    for key in ["response_us", "wake_up_us"] {
+        assert!(!world.contains_key(key), "{key}: {world:?}");
     }
     assert_eq!(json["lost_steps"], 0);
     assert_eq!(json["reasons"]["expert"]["unloaded"], 18);

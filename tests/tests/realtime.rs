@@ -55,6 +55,7 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
     let controller = &processes["controller"];
     for measure in [
         "release_lateness",
+        "wake_up",
         "execution",
         "response",
         "observation_age",
@@ -68,6 +69,14 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
             "{measure}: {quantiles}"
         );
     }
+    // What woke it came after the instant it was due at.
+    for process in ["planner", "controller"] {
+        let row = &processes[process];
+        let [wake_up, lateness] =
+            ["wake_up_us", "release_lateness_us"].map(|key| number(&row[key], "p50"));
+        assert!(wake_up < lateness, "{process}: {row}");
+    }
+    assert!(processes["world"]["response_us"].is_null());
     let first_s = number(&json, "first_command_s");
     assert!(first_s > 0.0 && first_s < 60.0, "{first_s}");
 
@@ -85,6 +94,14 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
         number(&processes["planner"], "ticks")
     );
     assert!(count("controller", "response") > 0.0);
+    // Skipped ticks are late, too.
+    for process in ["world", "planner", "controller"] {
+        let row = &processes[process];
+        let instants = number(row, "ticks") + number(row, "skipped");
+        for measure in ["release_lateness", "wake_up"] {
+            assert_eq!(count(process, measure), instants, "{process}: {measure}");
+        }
+    }
 }
 
 /// The durations counted in `timing.csv`, by process and measure.
@@ -128,6 +145,11 @@ fn a_slow_planner_is_named_and_late_plans_are_counted() {
     let planner = &json["processes"]["planner"];
     assert!(number(&planner["overruns"], "search") > 0.0, "{planner}");
     assert_eq!(planner["late"], planner["ticks"], "{planner}");
+    // What it skips while it searches is as late as it is, not left out.
+    let [ticks, skipped] = ["ticks", "skipped"].map(|key| number(planner, key));
+    assert!(skipped > 0.0, "{planner}");
+    let lateness = ("planner".to_string(), "release_lateness".to_string());
+    assert_eq!(raw_counts(&set)[&lateness] as f64, ticks + skipped);
     assert!(json["reasons"]["expert"].is_object(), "{}", json["reasons"]);
 }
 

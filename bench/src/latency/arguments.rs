@@ -225,6 +225,8 @@ pub struct Case {
 pub struct Settings {
     /// Seconds driven.
     pub seconds: f64,
+    /// The way of measuring.
+    pub method: u32,
     /// Keys that were set.
     pub overrides: Vec<String>,
     /// Who makes the load.

@@ -1,5 +1,6 @@
 //! The machine's floor by `cyclictest`, of the rt-tests.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -11,7 +12,7 @@ use supervisor::up::own_cores;
 
 use super::buckets::{Bucket, Series};
 use super::stress::SPARE_S;
-use crate::driven::{Punctuality, Quantiles};
+use crate::driven::Punctuality;
 use crate::floor::{Priority, controller};
 
 /// Longest lateness that its histogram tells apart, us: 1 s, which it holds 8 MB
@@ -144,11 +145,8 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
             count: over,
         });
     }
-    // It goes on from the instant it woke at, and says nothing of those it slept
-    // through: at least those that fit into each lateness.
-    let passed = |bucket: &Bucket| bucket.from_ns / period_ns * bucket.count;
-    let missed = series.buckets.iter().map(passed).sum();
-    let lateness_us: Quantiles = series.quantiles((max_us + 1) as f64);
+    let missed = add_missed(&mut series, period_ns);
+    let lateness_us = series.quantiles((max_us + 1) as f64);
     let punctuality = Punctuality {
         ticks,
         skipped: missed,
@@ -163,6 +161,30 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
     Ok((punctuality, series))
 }
 
+/// It goes on from the instant it woke at, and says nothing of those it slept
+/// through: those that fit into each lateness. They are as late as the set's skipped
+/// ticks, each from itself until that wake-up. Returns how many there were.
+fn add_missed(series: &mut Series, period_ns: u64) -> u64 {
+    let mut all: BTreeMap<(u64, u64), u64> = BTreeMap::new();
+    let mut missed = 0;
+    for bucket in &series.buckets {
+        let passed = bucket.from_ns / period_ns;
+        missed += passed * bucket.count;
+        for earlier in 0..=passed {
+            let less_ns = earlier * period_ns;
+            let bounds = (bucket.from_ns - less_ns, bucket.below_ns - less_ns);
+            *all.entry(bounds).or_default() += bucket.count;
+        }
+    }
+    let buckets = all.iter().map(|(&(from_ns, below_ns), &count)| Bucket {
+        from_ns,
+        below_ns,
+        count,
+    });
+    series.buckets = buckets.collect();
+    missed
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,12 +196,23 @@ mod tests {
             "cycles": 100, "min": 9, "max": 2500000, "avg": 10.0, "cpu": 0
         }}}"#;
         let (floor, series) = read(text, 10_000_000, Priority::Asked).expect("its JSON");
-        assert_eq!(series.count(), 100);
-        assert_eq!(floor.lateness_us.p50, 9.5);
-        assert_eq!(floor.lateness_us.p99, 25_000.5);
-        assert_eq!(floor.lateness_us.max, 2_500_001.0);
         // Two ticks slept through by each of the 25 ms, 100 by the longest.
-        assert_eq!(floor.missed, 2 * 2 + 100);
+        assert_eq!((floor.ticks, floor.missed), (100, 2 * 2 + 100));
+        assert_eq!(series.count(), 204);
+        let late = |from_ns| {
+            let mut buckets = series.buckets.iter();
+            buckets
+                .find(|bucket| bucket.from_ns == from_ns)
+                .map(|bucket| bucket.count)
+        };
+        let ms = [5, 15, 25, 980, 1000].map(|ms| late(ms * 1_000_000));
+        assert_eq!(ms, [Some(2), Some(2), Some(2), Some(1), Some(1)]);
+        let max_us = floor.lateness_us.map(|us| us.max);
+        assert_eq!(max_us, Some(2_500_001.0));
+        let whole = read(text, 3_000_000_000, Priority::Asked).expect("its JSON");
+        assert_eq!((whole.0.missed, whole.1.count()), (0, 100));
+        let us = whole.0.lateness_us.expect("lateness");
+        assert_eq!([us.p50, us.p99], [9.5, 25_000.5]);
         let broken = read("{}", 1, Priority::Asked).expect_err("no thread");
         assert!(broken.to_string().contains("no histogram"), "{broken}");
     }

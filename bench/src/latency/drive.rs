@@ -13,7 +13,7 @@ use super::cyclictest::Cyclictest;
 use super::row::{Row, planner};
 use super::stress::Stress;
 use super::watch::{Watch, is_up};
-use crate::driven::{Driven, Punctuality, Quantiles};
+use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Noted, Priority, claim};
 use shm_config::run::RunPaths;
 
@@ -119,7 +119,7 @@ pub fn drive(
         plan_rate_hz,
         world: Punctuality::of(&summary, "world"),
         planner: planner(&summary, &controller, plan_rate_hz),
-        response_us: Quantiles::of(&summary["processes"]["controller"], "response_us"),
+        response_us: quantiles(&summary["processes"]["controller"], "response_us"),
         controller,
         floor_by: counted.by.into(),
         floor: counted.floor,
@@ -164,7 +164,7 @@ impl Floors {
             counted => counted.transpose()?,
         };
         let own = self.own.finish()?;
-        let lateness = Series::of_histogram("own floor", "release_lateness", &own.late_ns);
+        let lateness = Series::of_histogram("own floor", "release_lateness", &own.lateness);
         let mut series = vec![lateness];
         let (by, floor) = match counted {
             Some((floor, lateness)) => {

@@ -26,7 +26,7 @@ use crate::stop::Stop;
 use crate::train::progress::Progress;
 pub use arguments::BenchLatency;
 use arguments::{FloorChoice, Settings};
-use row::Row;
+use row::{METHOD, Row};
 use shelf::Shelf;
 use stress::Maker;
 
@@ -77,6 +77,7 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     let bench = Bench {
         settings: Settings {
             seconds: arguments.seconds,
+            method: METHOD,
             overrides: arguments.overrides.clone(),
             stress: maker.word().into(),
             floor: if cyclictest {

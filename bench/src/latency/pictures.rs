@@ -14,12 +14,16 @@ use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 /// Size of a panel, pixels.
 const PANEL: (u32, u32) = (460, 240);
 /// Room above the panels, pixels.
-const HEAD: u32 = 84;
+const HEAD: u32 = 104;
+/// Room that the longest entry of the legend takes, pixels.
+const ENTRY: u32 = 210;
 /// Bins of a picture in each factor of ten.
 const BINS_PER_DECADE: f64 = 12.0;
 
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
+const LIGHT_BLUE: RGBColor = RGBColor(140, 190, 235);
+const LIGHT_ORANGE: RGBColor = RGBColor(245, 180, 120);
 const GREEN: RGBColor = RGBColor(30, 132, 73);
 
 /// One line of a panel.
@@ -77,12 +81,14 @@ fn pictures(priority: &str) -> [Picture; 2] {
     [
         Picture {
             file: format!("lateness-{priority}"),
-            title: format!("Release lateness, {priority} priority"),
+            title: format!("Release lateness and wake-up, {priority} priority"),
             lines: vec![
                 line("floor: cyclictest", FAINT, "cyclictest", late),
                 line("floor: own thread", GREEN, "own floor", late),
-                line("planner", ORANGE, "planner", late),
-                line("controller", BLUE, "controller", late),
+                line("planner: late", LIGHT_ORANGE, "planner", late),
+                line("controller: late", LIGHT_BLUE, "controller", late),
+                line("planner: wake-up", ORANGE, "planner", "wake_up"),
+                line("controller: wake-up", BLUE, "controller", "wake_up"),
             ],
         },
         Picture {
@@ -130,18 +136,21 @@ where
     root.fill(&WHITE)?;
     let (head, body) = root.split_vertically(HEAD);
     write(&head, &picture.title, (20, 14), (24, INK))?;
-    let mut x = 20;
+    let (columns, _) = root.dim_in_pixel();
+    let (mut x, mut y) = (20, 56);
     for line in &picture.lines {
         let is_there = of
             .iter()
             .any(|(_, all)| find(all, line).is_some_and(|series| series.count() > 0));
         if is_there {
-            x = legend_entry(&head, line.name, line.colour, (x, 60))?;
+            if x as u32 + ENTRY > columns {
+                (x, y) = (20, y + 24);
+            }
+            x = legend_entry(&head, line.name, line.colour, (x, y))?;
         }
     }
     let (rates, loads) = grid(of);
     let span = span(picture, of);
-    let (columns, _) = root.dim_in_pixel();
     let across = (columns / PANEL.0) as usize;
     let panels = body.split_evenly((loads.len(), across));
     for (row, series) in of {

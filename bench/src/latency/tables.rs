@@ -14,6 +14,8 @@ pub fn print(measured: &Measured, seconds: f64) {
     let rows = &measured.rows;
     say("release lateness, us: from the scheduled instant to the begin of the tick");
     say(lateness(rows));
+    say("\nwake-up, us: from the event that released the tick to its begin");
+    say(wake_ups(rows));
     say("\ntime of a tick, and from the world's release to the command (response), us");
     say(times(rows));
     say("\nbeside the floor, and against the bars");
@@ -22,6 +24,13 @@ pub fn print(measured: &Measured, seconds: f64) {
         events(row);
     }
     conditions(measured, seconds);
+    for priority in ["real-time", "ordinary"] {
+        let of: Vec<&Row> = rows.iter().filter(|row| row.priority == priority).collect();
+        if !of.is_empty() {
+            say(format_args!("\n{priority} priority, as Markdown, us\n"));
+            say(markdown(&of));
+        }
+    }
 }
 
 fn name(row: &Row) -> String {
@@ -32,8 +41,16 @@ fn us(quantiles: &[f64]) -> impl Iterator<Item = String> + '_ {
     quantiles.iter().map(|us| format!("{us:.0}"))
 }
 
-fn four(all: Quantiles) -> [f64; 4] {
-    [all.p50, all.p99, all.p999, all.max]
+/// Median, 99 %, 99.9 % and maximum of what was measured.
+fn four(all: Option<Quantiles>) -> [String; 4] {
+    match all {
+        Some(all) => [all.p50, all.p99, all.p999, all.max].map(|us| format!("{us:.0}")),
+        None => [const { "-" }; 4].map(String::from),
+    }
+}
+
+fn times_floor(ratio: Option<f64>) -> String {
+    ratio.map_or("-".into(), |ratio| format!("{ratio:.2}"))
 }
 
 fn lateness(rows: &[Row]) -> comfy_table::Table {
@@ -59,7 +76,35 @@ fn lateness(rows: &[Row]) -> comfy_table::Table {
     for row in rows {
         let mut cells = vec![name(row)];
         for process in [&row.controller, &row.planner, &row.world, &row.floor] {
-            cells.extend(us(&four(process.lateness_us)));
+            cells.extend(four(process.lateness_us));
+        }
+        table.add_row(cells);
+    }
+    table
+}
+
+/// Those of the world are its lateness: a timer releases it, as it does the floor.
+fn wake_ups(rows: &[Row]) -> comfy_table::Table {
+    let mut table = table(&[
+        "",
+        "controller p50",
+        "p99",
+        "p99.9",
+        "max",
+        "planner p50",
+        "p99",
+        "p99.9",
+        "max",
+        "floor p50",
+        "p99",
+        "p99.9",
+        "max",
+    ]);
+    for row in rows {
+        let mut cells = vec![name(row)];
+        let waking = [row.controller.wake_up_us, row.planner.wake_up_us];
+        for measured in [waking[0], waking[1], row.floor.lateness_us] {
+            cells.extend(four(measured));
         }
         table.add_row(cells);
     }
@@ -86,10 +131,10 @@ fn times(rows: &[Row]) -> comfy_table::Table {
     for row in rows {
         let mut cells = vec![name(row)];
         for process in [&row.controller, &row.planner, &row.world] {
-            let took = process.execution_us;
-            cells.extend(us(&[took.p50, took.p99, took.max]));
+            let [p50, p99, _, max] = four(process.execution_us);
+            cells.extend([p50, p99, max]);
         }
-        cells.extend(us(&four(row.response_us)));
+        cells.extend(four(row.response_us));
         table.add_row(cells);
     }
     table
@@ -106,8 +151,10 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
         "missed",
         "floor ticks",
         "missed",
-        "controller / floor",
-        "planner / floor",
+        "controller late / floor",
+        "wake-up / floor",
+        "planner late / floor",
+        "wake-up / floor",
         "questions",
         "weights",
         "verdict",
@@ -123,14 +170,74 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
             row.planner.missed.to_string(),
             row.floor.ticks.to_string(),
             row.floor.missed.to_string(),
-            format!("{:.2}", row.controller_ratio()),
-            format!("{:.2}", row.planner_ratio()),
+            times_floor(row.to_floor(row.controller.lateness_us)),
+            times_floor(row.to_floor(row.controller.wake_up_us)),
+            times_floor(row.to_floor(row.planner.lateness_us)),
+            times_floor(row.to_floor(row.planner.wake_up_us)),
             row.questions.to_string(),
             row.weights.to_string(),
             row.verdict(),
         ]);
     }
     table
+}
+
+/// The table of `results/latency.md`: rows of one priority, the floor first, then
+/// the set in the order in which an observation goes through it.
+fn markdown(rows: &[&Row]) -> String {
+    let columns = [
+        "ticks",
+        "missed c, p, w",
+        "floor missed",
+        "floor p50",
+        "p99.9",
+        "max",
+        "controller late p50",
+        "p99",
+        "p99.9",
+        "max",
+        "/ floor",
+        "wake-up p50",
+        "p99",
+        "p99.9",
+        "max",
+        "/ floor",
+        "planner late p99.9",
+        "/ floor",
+        "wake-up p99.9",
+        "/ floor",
+        "response p50",
+        "p99",
+        "max",
+    ];
+    let mut text = format!("| | {} |\n|---|", columns.join(" | "));
+    text.push_str(&"---:|".repeat(columns.len()));
+    for row in rows {
+        let (controller, planner) = (&row.controller, &row.planner);
+        let mut cells = vec![
+            format!("{} Hz, {}", row.rate_hz, row.beside),
+            controller.ticks.to_string(),
+            format!(
+                "{}, {}, {}",
+                controller.missed, planner.missed, row.world.missed
+            ),
+            row.floor.missed.to_string(),
+        ];
+        let [p50, _, p999, max] = four(row.floor.lateness_us);
+        cells.extend([p50, p999, max]);
+        for measured in [controller.lateness_us, controller.wake_up_us] {
+            cells.extend(four(measured));
+            cells.push(times_floor(row.to_floor(measured)));
+        }
+        for measured in [planner.lateness_us, planner.wake_up_us] {
+            let [_, _, p999, _] = four(measured);
+            cells.extend([p999, times_floor(row.to_floor(measured))]);
+        }
+        let [p50, p99, _, max] = four(row.response_us);
+        cells.extend([p50, p99, max]);
+        text.push_str(&format!("\n| {} |", cells.join(" | ")));
+    }
+    text
 }
 
 fn line(beside: &Beside) -> String {
@@ -185,7 +292,8 @@ fn conditions(measured: &Measured, seconds: f64) {
         "\nwhole process set, {seconds} s a row, {}; real-time priority ({}); load by {}; floor by {}, \
          same priority and period, same seconds; stalls by a thread that wakes up 1,000 times a \
          second; elapsed / period == ticks + skipped holds in every row; nothing is left out of a \
-         maximum",
+         maximum; skipped ticks are in lateness and wake-up, of the floor too, each from its own \
+         instant to the begin of the tick after it",
         measured.conditions,
         granted.join("; "),
         first.settings.stress,
@@ -198,7 +306,7 @@ fn conditions(measured: &Measured, seconds: f64) {
     let plans: Vec<String> = plans.into_iter().collect();
     say(format_args!("plans a second: {}", plans.join(", ")));
     say(format_args!(
-        "bars: 99.9 % of lateness of controller and planner at most {FLOOR_RATIO_MAX} times the \
+        "bars: 99.9 % of lateness and of wake-up of controller and planner at most {FLOOR_RATIO_MAX} times the \
          floor's; 99 % of response under {} us beside nothing, {} us beside anything",
         RESPONSE_MAX_US[0], RESPONSE_MAX_US[1]
     ));
@@ -207,5 +315,29 @@ fn conditions(measured: &Measured, seconds: f64) {
             "rows of less than {SAMPLES_FEW} ticks have few samples beyond 99.9 %: look at 1,000 Hz \
              for the tail"
         ));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::latency::row::tests::row;
+
+    #[test]
+    fn the_markdown_has_a_cell_for_each_column_and_a_dash_for_what_is_not_there() {
+        let mut row = row();
+        row.planner.wake_up_us = None;
+        let text = markdown(&[&row]);
+        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split('|').collect()).collect();
+        assert_eq!(lines.len(), 3);
+        assert!(
+            lines.iter().all(|cells| cells.len() == lines[0].len()),
+            "{text}"
+        );
+        let cells: Vec<&str> = lines[2].iter().map(|cell| cell.trim()).collect();
+        assert_eq!(cells[1..4], ["100 Hz, none", "1998", "2, 2, 2"]);
+        // Controller: 99.9 % of lateness is the floor's, of wake-up two thirds.
+        assert_eq!([cells[12], cells[17]], ["1.00", "0.67"]);
+        assert_eq!(cells[20..22], ["-", "-"]);
     }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Parser;
 use gate::{Counsel, Heard};
 use judge::{Archive, Bench, Clerk, Evidence, as_the_paper};
-use process::{Arguments, Member, Pulse, SetUpError, exit_code};
+use process::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{Advice, HealthState, Message, Step};
@@ -131,10 +131,12 @@ impl Gate {
         self.port.send(&mut advice);
         self.pulse.health.header.tick = step.header().tick;
         self.pulse.health.state = HealthState::Running.code();
-        self.pulse.count_tick(
-            begun.0.saturating_sub(step.timings.commanded_ns),
-            monotonic().since_ns(begun),
-        );
+        self.pulse.count_tick(Tick {
+            due: Instant(step.timings.commanded_ns),
+            released: None,
+            begun,
+            done: monotonic(),
+        });
     }
 
     /// In lockstep the run's time stands while a judge thinks: runs repeat.

@@ -1,4 +1,5 @@
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
+use crate::Instant;
 use crate::layout::{FNV_BASIS, fnv1a};
 
 /// Most lidar beams a world may have.
@@ -94,7 +95,7 @@ crate::message! {
 
 crate::message! {
     /// What the car perceives at one tick, in physical quantities.
-    pub struct Observation: 2272 bytes, nested [Header, Ego, Road, Checkpoint] {
+    pub struct Observation: 2280 bytes, nested [Header, Ego, Road, Checkpoint] {
         /// Which tick, and when.
         pub header: Header,
         /// The instant of the run's grid this tick was due, ns on the machine's
@@ -103,6 +104,9 @@ crate::message! {
         pub scheduled_ns: u64,
         /// When the world's tick began, ns on the machine's clock.
         pub released_ns: u64,
+        /// When the tick's first observation was published, which woke its readers,
+        /// ns on the machine's clock. The same in all observations of a tick.
+        pub published_ns: u64,
         /// The car.
         pub ego: Ego,
         /// Its road.
@@ -131,6 +135,7 @@ impl Default for Observation {
             header: Header::default(),
             scheduled_ns: 0,
             released_ns: 0,
+            published_ns: 0,
             ego: Ego::default(),
             road: Road::default(),
             checkpoints: [Checkpoint::default(); CHECKPOINTS],
@@ -203,6 +208,12 @@ impl Observation {
     /// The valid ranges, m; at most the capacity, whatever the count says.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges_m[..(self.beam_count as usize).min(BEAMS_MAX)]
+    }
+
+    /// When it woke its readers, on the machine's clock: never before it was due,
+    /// whatever its producer says.
+    pub fn published(&self) -> Instant {
+        Instant(self.published_ns.max(self.scheduled_ns))
     }
 
     /// Length of [`Observation::features`] for this many beams.

@@ -79,7 +79,7 @@ crate::message! {
 crate::message! {
     /// The record of one tick of the controller: everything it knew and decided.
     /// With it a tick can be recomputed bit by bit.
-    pub struct Step: 4928 bytes,
+    pub struct Step: 4936 bytes,
         nested [
             Header, Observation, Plan, Advice, Takeover, Proposal, Assessment, Command, Timings
         ]

@@ -3,18 +3,21 @@ use super::{Header, Message, Refusal, header_accessors};
 crate::word_list! {
     /// What a [`Timing`] measures.
     pub enum Measure {
-        /// From the scheduled instant to the begin of the tick.
+        /// From the scheduled instant to the begin of the tick; of a skipped one, to
+        /// the begin of the tick after it.
         ReleaseLateness = 0 "release_lateness",
+        /// From the event that released the tick to its begin.
+        WakeUp = 1 "wake_up",
         /// From begin to end of the tick.
-        Execution = 1 "execution",
+        Execution = 2 "execution",
         /// From the world's release of an observation to the command for it.
-        Response = 2 "response",
+        Response = 3 "response",
         /// Age of the observation at the tick.
-        ObservationAge = 3 "observation_age",
+        ObservationAge = 4 "observation_age",
         /// Age of the plan's observation at the tick.
-        PlanAge = 4 "plan_age",
+        PlanAge = 5 "plan_age",
         /// Age of the advice's observation at the tick.
-        AdviceAge = 5 "advice_age",
+        AdviceAge = 6 "advice_age",
     }
 }
 
@@ -33,11 +36,19 @@ crate::message! {
 crate::message! {
     /// How punctual a process is: full-range histograms since it started.
     #[derive(Default)]
-    pub struct Timing: 67712 bytes, nested [Header, Histogram] {
+    pub struct Timing: 78992 bytes, nested [Header, Histogram] {
         /// When.
         pub header: Header,
-        /// From the scheduled instant to the begin of the tick.
+        /// From the scheduled instant to the begin of the tick; of a skipped one, to
+        /// the begin of the tick after it.
         pub release_lateness: Histogram,
+        /// From the event that released the tick to its begin: from the timer's
+        /// instant (world), from the publishing of the observation, or from the end
+        /// of the wait for one (planner, controller). A skipped tick, of whose
+        /// release the process never knew, counts from its scheduled instant, so
+        /// that nothing is told too short. Empty in a process that does not know
+        /// what releases it, and in a world in lockstep.
+        pub wake_up: Histogram,
         /// From begin to end of the tick.
         pub execution: Histogram,
         /// From the world's release of an observation to the command that answers
@@ -68,6 +79,7 @@ impl Timing {
     pub fn of(&self, measure: Measure) -> &Histogram {
         match measure {
             Measure::ReleaseLateness => &self.release_lateness,
+            Measure::WakeUp => &self.wake_up,
             Measure::Execution => &self.execution,
             Measure::Response => &self.response,
             Measure::ObservationAge => &self.observation_age,
@@ -80,6 +92,7 @@ impl Timing {
     pub fn of_mut(&mut self, measure: Measure) -> &mut Histogram {
         match measure {
             Measure::ReleaseLateness => &mut self.release_lateness,
+            Measure::WakeUp => &mut self.wake_up,
             Measure::Execution => &mut self.execution,
             Measure::Response => &mut self.response,
             Measure::ObservationAge => &mut self.observation_age,
