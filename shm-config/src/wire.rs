@@ -17,7 +17,7 @@ use rustix::time::Timespec;
 use crate::message::{
     Camera, FRAME_BYTES_MAX, Frame, Header, Message, PixelFormat, WEIGHTS_BYTES_MAX, Weights,
 };
-use crate::run::{LIBRARY_DIR, RunError, RunLock, RunName, RunPaths};
+use crate::run::{RunError, RunLock, RunName, RunPaths};
 use crate::services::{Process, Service};
 
 type Ipc = ipc::Service;
@@ -102,7 +102,7 @@ fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
         what,
     };
     let mut config = Config::default();
-    let root = paths.dir().join(LIBRARY_DIR);
+    let root = paths.dir();
     let root = root.to_string_lossy();
     let root = iceoryx2::prelude::Path::new(root.as_bytes())
         .map_err(|error| port_error(format!("folder {root}: {error:?}")))?;
