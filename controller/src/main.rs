@@ -161,12 +161,10 @@ impl Waiting {
             false => slot.scheduled.after_ns(self.plan_wait_ns),
         };
         loop {
-            if let Some(plan) = ports.plans.newest() {
-                inputs.plan = Some(plan);
+            if ports.plans.newest_into(&mut inputs.plan) {
                 self.planner_silent = false;
             }
-            if let Some(advice) = ports.advices.newest() {
-                inputs.advice = Some(advice);
+            if ports.advices.newest_into(&mut inputs.advice) {
                 self.gate_silent = false;
             }
             let planned =

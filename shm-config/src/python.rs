@@ -105,7 +105,6 @@ fn limits(out: &mut String) {
     let mut line = |name: &str, value: String| line(out, &format!("{name} = {value}"));
     line("USER_DIR", format!("{:?}", run::USER_DIR));
     line("PREFIX", format!("{:?}", run::PREFIX));
-    line("LIBRARY_DIR", format!("{:?}", run::LIBRARY_DIR));
     line("ALIVE_FILE", format!("{:?}", run::ALIVE_FILE));
     line("SHARED_MEMORY_DIR", format!("{:?}", run::SHARED_MEMORY_DIR));
     line("PUBLISHERS_MAX", PUBLISHERS_MAX.to_string());

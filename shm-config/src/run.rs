@@ -15,8 +15,11 @@ use std::str::FromStr;
 
 use rustix::fs::FlockOperation;
 
-/// Longest run name. Socket paths are limited to 108 bytes by the kernel.
-pub const RUN_NAME_MAX: usize = 24;
+/// Longest path of a socket, bytes: the kernel's 108 less the closing zero.
+const SOCKET_PATH_MAX: usize = 107;
+/// What the library puts behind the prefix of a doorbell's socket: a number of 31 digits
+/// (for the first 126 ports of a process), and ".event".
+const SOCKET_NAME_MAX: usize = 31 + 6;
 
 /// Tries to make a folder that others may be removing.
 const CREATE_TRIES: u32 = 100;
@@ -24,34 +27,41 @@ const CREATE_TRIES: u32 = 100;
 /// Where shared memory appears as files.
 pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 
-/// The folder of a user's runs, by user id.
-pub const USER_DIR: &str = "/tmp/vlaps-{user}";
+/// The folder of a user's runs, by user id. In memory as the messages are: the library
+/// synchronises some 130 small files of a start with the disk, if they are on one.
+pub const USER_DIR: &str = "/dev/shm/vlaps-{user}";
 
 /// What the shared-memory files of a run begin with. The closing '.' is in no
 /// run name, so no prefix begins another.
 pub const PREFIX: &str = "vlaps-{user}-{run}.";
 
-/// The library's folder within a run's.
-pub const LIBRARY_DIR: &str = "iceoryx2";
-
 /// The file within a run's folder whose shared lock every member holds.
 pub const ALIVE_FILE: &str = "alive";
 
-/// The name of a run: 1 to 24 of `a-z`, `A-Z`, `0-9`, `-` and `_`.
+/// The name of a run: 1 to [`name_max`] of `a-z`, `A-Z`, `0-9`, `-` and `_`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct RunName(String);
 
 /// A run name that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("run name {0:?}: use 1 to {RUN_NAME_MAX} letters, digits, '-' or '_'")]
+#[error("run name {0:?}: use 1 to {max} letters, digits, '-' or '_'", max = name_max())]
 pub struct InvalidRunName(String);
+
+/// Longest run name of the calling user: 18 letters for a user id of four digits. Folder
+/// and prefix hold both, and with them make the path of a doorbell's socket.
+pub fn name_max() -> usize {
+    let user = rustix::process::getuid().as_raw().to_string();
+    let folder = USER_DIR.replace("{user}", &user).len() + "/".len();
+    let prefix = PREFIX.replace("{user}", &user).replace("{run}", "").len() + "/".len();
+    (SOCKET_PATH_MAX - SOCKET_NAME_MAX - folder - prefix) / 2
+}
 
 impl FromStr for RunName {
     type Err = InvalidRunName;
 
     fn from_str(name: &str) -> Result<Self, InvalidRunName> {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-        if name.is_empty() || name.len() > RUN_NAME_MAX || !name.chars().all(plain) {
+        if name.is_empty() || name.len() > name_max() || !name.chars().all(plain) {
             return Err(InvalidRunName(name.into()));
         }
         Ok(Self(name.into()))

@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use shm_config::message::{Advice, Command, Header, Preference, Step};
-use shm_config::run::{RunName, RunPaths};
+use shm_config::run::{RunName, RunPaths, name_max};
 use shm_config::services::{ADVICE, COMMAND, Process, STEP, STEP_QUEUE, Service};
-use shm_config::wire::{Wire, WireError};
+use shm_config::wire::{PUBLISHERS_MAX, Wire, WireError};
 use shm_config::{Instant, Message};
 
 /// A run of this test alone; its folder goes with it.
@@ -110,6 +110,40 @@ fn a_queue_counts_exactly_what_it_lost() {
     }
     assert_eq!(reader.lost(), 100);
     assert_eq!(read + reader.lost(), sent);
+}
+
+#[test]
+fn what_many_gone_publishers_left_is_read() {
+    let run = TestRun::new("gone");
+    let (controller, gate) = (run.join(Process::Controller), run.join(Process::Gate));
+    let mut steps = gate.subscriber(STEP).expect("a port");
+    let gone = 2 * PUBLISHERS_MAX as u64;
+    for tick in 0..gone {
+        let mut port = controller.publisher(STEP).expect("a port");
+        let mut step = Step::default();
+        step.header.tick = tick;
+        assert!(port.send(&mut step));
+        // It is seen while it lives, and read when it is gone.
+        steps.tend();
+        drop(port);
+        steps.tend();
+    }
+    let ticks: Vec<u64> = std::iter::from_fn(|| steps.receive())
+        .map(|step| step.header.tick)
+        .collect();
+    assert_eq!(ticks, Vec::from_iter(0..gone));
+}
+
+#[test]
+fn the_longest_name_of_a_run_has_room_for_a_bell() {
+    let mut name = format!("t{}-long", std::process::id());
+    name.extend(std::iter::repeat_n('x', name_max() - name.len()));
+    assert!(format!("{name}x").parse::<RunName>().is_err());
+    let run = TestRun(name.parse().expect("a valid name"));
+    let wire = run.join(Process::World);
+    for _ in 0..PUBLISHERS_MAX {
+        wire.doorbell(Process::World).expect("a bell");
+    }
 }
 
 #[test]

@@ -62,8 +62,7 @@ class Wire:
 
     def _join(self, run_name, process):
         config = iceoryx2.config.default()
-        root = os.path.join(self.dir, layout.LIBRARY_DIR)
-        config.global_cfg.root_path = iceoryx2.Path.new(root)
+        config.global_cfg.root_path = iceoryx2.Path.new(self.dir)
         config.global_cfg.prefix = iceoryx2.FileName.new(self.prefix)
         try:
             return (

@@ -6,9 +6,8 @@ Generated from the crate `shm-config`; do not edit. Renew it with
 
 import ctypes
 from collections import namedtuple
-USER_DIR = "/tmp/vlaps-{user}"
+USER_DIR = "/dev/shm/vlaps-{user}"
 PREFIX = "vlaps-{user}-{run}."
-LIBRARY_DIR = "iceoryx2"
 ALIVE_FILE = "alive"
 SHARED_MEMORY_DIR = "/dev/shm"
 PUBLISHERS_MAX = 4

@@ -15,11 +15,11 @@ use shm_config::run::{SHARED_MEMORY_DIR, USER_DIR};
 /// Says that this process is within its room already.
 const WITHIN: &str = "VLAPS_FAULTS_WITHIN";
 
-/// The private file systems, mounted by a shell that becomes this program again.
-/// The folder stays, empty and private, as any run leaves it.
+/// The private file systems, one within the other, mounted by a shell that becomes
+/// this program again.
 const FURNISH: &str = r#"
-mkdir -p -m 700 "$RUNS" &&
 mount -t tmpfs -o size=256m,mode=1777 tmpfs /dev/shm &&
+mkdir -p -m 700 "$RUNS" &&
 mount -t tmpfs -o size=64m,mode=0700 tmpfs "$RUNS" &&
 exec "$0" "$@"
 "#;

@@ -13,7 +13,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 
-use shm_config::run::{LIBRARY_DIR, RunName, RunPaths};
+use shm_config::run::{RunName, RunPaths};
 
 use super::arguments::Wake;
 use super::link::Link;
@@ -98,7 +98,7 @@ impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Bare<M> {
 
 fn config(run: &RunName) -> anyhow::Result<Config> {
     let paths = RunPaths::new(run.clone());
-    let root = paths.dir().join(LIBRARY_DIR);
+    let root = paths.dir();
     let mut config = Config::default();
     let root = iceoryx2::prelude::Path::new(root.to_string_lossy().as_bytes())
         .map_err(|error| anyhow!("bare iceoryx2: {error:?}"))?;

@@ -106,7 +106,8 @@ pub struct Port<M: Message> {
     publisher: Publisher<M>,
     subscriber: Subscriber<M>,
     bell: Option<Doorbell>,
-    message: M,
+    /// The last one received goes back.
+    message: Option<M>,
     /// Set between two blocks.
     pub door: Door,
 }
@@ -134,7 +135,7 @@ impl<M: Measured> Port<M> {
                 Wake::Bell => Some(wire.doorbell(end.process())?),
                 Wake::Spin | Wake::Grid => None,
             },
-            message: M::full(),
+            message: Some(M::full()),
             door: Door::Admit,
         })
     }
@@ -142,21 +143,21 @@ impl<M: Measured> Port<M> {
 
 impl<M: Measured> Link for Port<M> {
     fn send(&mut self) -> bool {
-        self.publisher.send(&mut self.message)
+        let message = self.message.as_mut();
+        message.is_some_and(|message| self.publisher.send(message))
     }
 
     fn receive(&mut self) -> anyhow::Result<bool> {
-        let Some(message) = self.subscriber.newest() else {
+        if !self.subscriber.newest_into(&mut self.message) {
             return Ok(false);
-        };
-        if self.door == Door::Admit {
+        }
+        if let (Door::Admit, Some(message)) = (self.door, &self.message) {
             // A tick has read its clock already, whatever comes.
             let now = message.header().taken();
             if let Err(refusal) = message.admit(now, LOST_NS) {
                 bail!("{}: {refusal}", M::WORD);
             }
         }
-        self.message = message;
         Ok(true)
     }
 

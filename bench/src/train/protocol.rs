@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use shm_config::config::{Algorithm, Config, load};
+use shm_config::run::name_max;
 use toml::{Table, Value};
 
 use super::arguments::Train;
@@ -140,17 +141,17 @@ fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<
     }
 }
 
-/// Longest part of a run's name that is from the folder's.
-const NAME_MAX: usize = 24;
-
-/// The folder's name and the seed: experiments run side by side.
+/// The folder's name, as much of it as a run's name may hold, and the seed: experiments
+/// run side by side.
 fn run_name(out: &Path, seed: u64) -> String {
     let folder = out.file_name().unwrap_or_default().to_string_lossy();
     let name = folder.chars().map(|c| match c.is_ascii_alphanumeric() {
         true => c,
         false => '-',
     });
-    format!("{}-{seed}", name.take(NAME_MAX).collect::<String>())
+    let end = format!("-{seed}");
+    let letters = name_max().saturating_sub(end.len());
+    name.take(letters).chain(end.chars()).collect()
 }
 
 /// What the experiment sets, before the user's own overrides.
@@ -194,4 +195,18 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         keys.push("world.simulator=metadrive".into());
     }
     keys
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_config::run::RunName;
+
+    use super::*;
+
+    #[test]
+    fn a_long_folder_makes_a_name_that_a_run_can_have() {
+        let name = run_name(Path::new("runs/an experiment of many words"), 17);
+        assert!(name.ends_with("-17"), "{name}");
+        assert!(name.parse::<RunName>().is_ok(), "{name}");
+    }
 }

@@ -89,7 +89,7 @@ impl Run {
                 value: format!("{:?}", self.name),
                 expected: format!(
                     "1 to {} letters, digits, '-' or '_'",
-                    crate::run::RUN_NAME_MAX
+                    crate::run::name_max()
                 ),
             })?;
         in_range("run.episodes", self.episodes, 0..=1_000_000)?;

@@ -174,13 +174,14 @@ pub(crate) fn within(
     value: f64,
     range: std::ops::RangeInclusive<f64>,
 ) -> Result<(), Refusal> {
-    if !value.is_finite() {
-        return Err(Refusal::NotFinite { field });
+    // Bounds are finite: what is not is in no range.
+    if range.contains(&value) {
+        return Ok(());
     }
-    if !range.contains(&value) {
-        return Err(Refusal::OutOfRange { field, value });
-    }
-    Ok(())
+    Err(match value.is_finite() {
+        true => Refusal::OutOfRange { field, value },
+        false => Refusal::NotFinite { field },
+    })
 }
 
 /// `count` fits into `capacity`.
