@@ -25,6 +25,7 @@
 //! | [`driven`] | a whole process set, driven for a measurement |
 //! | [`faults`] | a campaign of faults on live sets |
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
+//! | [`stalls`] | when the machine stood still, core by core |
 //! | [`latency`] | how punctual the set is, whatever happens beside it |
 //! | [`chart`] | what charts have in common |
 //! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS and Zenoh |
@@ -62,6 +63,7 @@ pub mod seat;
 pub mod settings;
 pub mod soak;
 pub mod speed;
+pub mod stalls;
 pub mod statistics;
 pub mod stop;
 pub mod swapping;

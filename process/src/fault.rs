@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use shm_config::Instant;
 use shm_config::message::{Fault, FaultKind, Message};
 use shm_config::services::{FAULT, Process};
+use shm_config::time::monotonic;
 use shm_config::wire::{Subscriber, WireError};
 
 use crate::Member;
@@ -37,14 +37,17 @@ impl Failing {
     }
 
     /// Does what was ordered, which may well be the end.
-    pub(crate) fn obey(&mut self, now: Instant) {
+    // An order may come after any instant that was read before: it would be from
+    // the future.
+    #[allow(clippy::disallowed_methods)]
+    pub(crate) fn obey(&mut self) {
         let Some(orders) = &mut self.orders else {
             return;
         };
         orders.tend();
         while let Some(order) = orders.receive() {
             let is_meant = order.target == self.process.code();
-            if is_meant && order.admit(now, ORDER_AGE_NS).is_ok() {
+            if is_meant && order.admit(monotonic(), ORDER_AGE_NS).is_ok() {
                 fail(&order);
             }
         }

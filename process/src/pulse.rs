@@ -100,7 +100,7 @@ impl Pulse {
     /// Publishes what is due. To be called between ticks; never allocates, logs
     /// or blocks.
     pub fn beat(&mut self, now: Instant) {
-        self.failing.obey(now);
+        self.failing.obey();
         if now >= self.health_due {
             self.count_usage();
             self.health.header.taken_ns = now.0;

@@ -210,10 +210,14 @@ class Session:
         health.skipped = health.late = self.grid.skipped
         health.next_scheduled_ns = self.grid.instant_ns(self.grid.tick)
 
-    def _advance(self, now_ns):
+    def _advance(self, begun_ns):
         """Obeys the newest command for one tick of the physics; whether the run
         is done."""
-        self._take_command(now_ns)
+        newest = self.ports.commands.newest(layout.Command)
+        # Read after the port: of a command that came meanwhile, an earlier instant
+        # would say that it is from the future.
+        now_ns = begun_ns if self.grid.lockstep else monotonic_ns()
+        self._take(newest, now_ns)
         young = self.command
         if young is not None and not is_admitted(young, now_ns, self.command_age_ns):
             young = None
@@ -237,9 +241,8 @@ class Session:
             return True
         return False
 
-    def _take_command(self, now_ns):
+    def _take(self, command, now_ns):
         """Keeps the newest command that is for this episode and well formed."""
-        command = self.ports.commands.newest(layout.Command)
         if command is None:
             return
         if not is_admitted(command, now_ns, self.command_age_ns):

@@ -272,8 +272,16 @@ impl Session {
 
     /// Obeys the newest command for the sub-steps that are due; `true` when the
     /// run is done.
-    fn advance(&mut self, now: Instant) -> Result<bool, SetUpError> {
-        self.take_command(now);
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn advance(&mut self, begun: Instant) -> Result<bool, SetUpError> {
+        let newest = self.ports.commands.newest();
+        // Read after the port: of a command that came meanwhile, an earlier instant
+        // would say that it is from the future.
+        let now = match self.lockstep {
+            true => begun,
+            false => monotonic(),
+        };
+        self.take(newest, now);
         let substeps = self.grid.take_substeps();
         if substeps == 0 {
             return Ok(self.ends(now));
@@ -326,8 +334,8 @@ impl Session {
     }
 
     /// Keeps the newest command that is for this episode and well formed.
-    fn take_command(&mut self, now: Instant) {
-        let Some(command) = self.ports.commands.newest() else {
+    fn take(&mut self, newest: Option<Command>, now: Instant) {
+        let Some(command) = newest else {
             return;
         };
         let limit_ns = self.member.config.limits.command_age_ns();

@@ -20,7 +20,7 @@ use crate::floor::Priority;
         two is the machine's noise.\n\n\
         Beside each row, in the same seconds, the machine's own floor is measured by cyclictest at \
         the same priority and period (where it is not installed, by a thread that does the same), \
-        and a thread that wakes up 1,000 times a second notes when the machine stalled.\n\n\
+        and a thread on each core, which wakes up 1,000 times a second, notes when the machine stalled.\n\n\
         With --out each row is kept as it is done: who stops with Ctrl-C and starts again with the \
         same settings goes on; --fresh measures all of them anew. All rows of the defaults take \
         about 20 minutes.\n\n\

@@ -14,11 +14,10 @@ use super::row::{Row, planner};
 use super::stress::Stress;
 use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, quantiles};
-use crate::floor::{Floor, Noted, Priority, claim};
+use crate::floor::{Floor, Priority, claim};
+use crate::stalls::{StallWatch, Stalls};
 use shm_config::run::RunPaths;
 
-/// Wake-ups per second of the thread that notes stalls.
-const STALLS_HZ: f64 = 1000.0;
 /// How long a set may take to drive, ns.
 const START_NS: u64 = 60_000_000_000;
 /// From look to look at the steps: far within their queue.
@@ -53,7 +52,7 @@ pub fn drive(
     let mut watch = Watch::begin(&name)?;
     let seconds = bench.settings.seconds;
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
-    let noting = Floor::start(STALLS_HZ, case.priority, clock)?;
+    let noting = StallWatch::start(case.priority, clock)?;
     let mut floors = None;
     let mut counted = None;
     let (mut until, mut stopping) = (None, false);
@@ -85,7 +84,7 @@ pub fn drive(
     }
     stress.check()?;
     drop(stress);
-    let noted = noting.finish()?;
+    let stalls = noting.finish()?;
     watch.look();
     let seen = watch.finish();
     // Whoever looks keeps a run alive: what it left is removed now.
@@ -106,7 +105,7 @@ pub fn drive(
     };
     let mut series = of_run(&driven.run_folder())?;
     series.extend(counted.series);
-    let (misses, latest) = seen.beside(&noted.stalls);
+    let (misses, latest) = seen.beside(&stalls);
     let controller = Punctuality::of(&summary, "controller");
     let row = Row {
         rate_hz: case.rate_hz,
@@ -126,7 +125,7 @@ pub fn drive(
         own_floor: counted.own,
         misses,
         latest,
-        stalls_us: longest(&noted),
+        stalls_us: longest(&stalls),
     };
     row.check_accounts()?;
     Ok(Some((row, series)))
@@ -182,8 +181,8 @@ impl Floors {
     }
 }
 
-fn longest(noted: &Noted) -> Vec<f64> {
-    let largest = noted.stalls.largest(5);
+fn longest(stalls: &Stalls) -> Vec<f64> {
+    let largest = stalls.largest(5);
     largest.iter().map(|&(_, ns)| ns as f64 / 1e3).collect()
 }
 

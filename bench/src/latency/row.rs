@@ -10,7 +10,8 @@ use crate::driven::{Punctuality, Quantiles};
 
 /// How a row is measured, as a number, to be raised with it: rows of another are
 /// measured anew. 2: skipped ticks are in the lateness, and wake-ups are there.
-pub const METHOD: u32 = 2;
+/// 3: stalls are noted on each core.
+pub const METHOD: u32 = 3;
 /// The published bar of release lateness: the 99.9 % quantile of controller and
 /// planner over that of the floor.
 pub const FLOOR_RATIO_MAX: f64 = 1.3;
@@ -58,7 +59,7 @@ pub struct Row {
     pub misses: Vec<Beside>,
     /// The latest ticks of the controller, likewise.
     pub latest: Vec<Beside>,
-    /// The machine's longest stalls, us.
+    /// The machine's longest stalls, on any core, us.
     pub stalls_us: Vec<f64>,
 }
 

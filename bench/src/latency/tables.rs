@@ -8,6 +8,8 @@ use crate::report::{say, table};
 
 /// Misses that are listed for one row; the JSON has all.
 const LISTED_MAX: usize = 5;
+/// The columns of [`four`].
+const FOUR: [&str; 4] = ["p50", "p99", "p99.9", "max"];
 
 /// Prints all of it.
 pub fn print(measured: &Measured, seconds: f64) {
@@ -53,26 +55,20 @@ fn times_floor(ratio: Option<f64>) -> String {
     ratio.map_or("-".into(), |ratio| format!("{ratio:.2}"))
 }
 
+/// A table with a group of columns for each name, which the first of them bears.
+fn headed(groups: &[(&str, &[&str])]) -> comfy_table::Table {
+    let mut columns = vec![String::new()];
+    for (name, quantiles) in groups {
+        columns.push(format!("{name} {}", quantiles[0]));
+        columns.extend(quantiles[1..].iter().map(|&word| word.into()));
+    }
+    let columns: Vec<&str> = columns.iter().map(String::as_str).collect();
+    table(&columns)
+}
+
 fn lateness(rows: &[Row]) -> comfy_table::Table {
-    let mut table = table(&[
-        "",
-        "controller p50",
-        "p99",
-        "p99.9",
-        "max",
-        "planner p50",
-        "p99",
-        "p99.9",
-        "max",
-        "world p50",
-        "p99",
-        "p99.9",
-        "max",
-        "floor p50",
-        "p99",
-        "p99.9",
-        "max",
-    ]);
+    let processes = ["controller", "planner", "world", "floor"];
+    let mut table = headed(&processes.map(|name| (name, &FOUR[..])));
     for row in rows {
         let mut cells = vec![name(row)];
         for process in [&row.controller, &row.planner, &row.world, &row.floor] {
@@ -85,21 +81,8 @@ fn lateness(rows: &[Row]) -> comfy_table::Table {
 
 /// Those of the world are its lateness: a timer releases it, as it does the floor.
 fn wake_ups(rows: &[Row]) -> comfy_table::Table {
-    let mut table = table(&[
-        "",
-        "controller p50",
-        "p99",
-        "p99.9",
-        "max",
-        "planner p50",
-        "p99",
-        "p99.9",
-        "max",
-        "floor p50",
-        "p99",
-        "p99.9",
-        "max",
-    ]);
+    let processes = ["controller", "planner", "floor"];
+    let mut table = headed(&processes.map(|name| (name, &FOUR[..])));
     for row in rows {
         let mut cells = vec![name(row)];
         let waking = [row.controller.wake_up_us, row.planner.wake_up_us];
@@ -112,21 +95,12 @@ fn wake_ups(rows: &[Row]) -> comfy_table::Table {
 }
 
 fn times(rows: &[Row]) -> comfy_table::Table {
-    let mut table = table(&[
-        "",
-        "controller p50",
-        "p99",
-        "max",
-        "planner p50",
-        "p99",
-        "max",
-        "world p50",
-        "p99",
-        "max",
-        "response p50",
-        "p99",
-        "p99.9",
-        "max",
+    let three = ["p50", "p99", "max"];
+    let mut table = headed(&[
+        ("controller", &three),
+        ("planner", &three),
+        ("world", &three),
+        ("response", &FOUR),
     ]);
     for row in rows {
         let mut cells = vec![name(row)];
@@ -290,8 +264,8 @@ fn conditions(measured: &Measured, seconds: f64) {
     let granted: Vec<String> = granted.into_iter().collect();
     say(format_args!(
         "\nwhole process set, {seconds} s a row, {}; real-time priority ({}); load by {}; floor by {}, \
-         same priority and period, same seconds; stalls by a thread that wakes up 1,000 times a \
-         second; elapsed / period == ticks + skipped holds in every row; nothing is left out of a \
+         same priority and period, same seconds; stalls by threads on each core, above the set's \
+         priorities, that only wake up, 1,000 times a second; elapsed / period == ticks + skipped holds in every row; nothing is left out of a \
          maximum; skipped ticks are in lateness and wake-up, of the floor too, each from its own \
          instant to the begin of the tick after it",
         measured.conditions,

@@ -10,7 +10,7 @@ use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{Process, STEP, health};
 use shm_config::wire::{Subscriber, Wire};
 
-use crate::floor::Stalls;
+use crate::stalls::Stalls;
 
 /// Misses that are kept one by one; all are counted.
 const MISSES_MAX: usize = 10_000;
@@ -30,8 +30,7 @@ pub struct Beside {
     pub at_s: f64,
     /// How late its tick began, us; none where only the count is known.
     pub late_us: Option<f64>,
-    /// The longest stall of the machine within half a second, us: a thread that
-    /// only wakes up, 1,000 times a second.
+    /// The longest stall of the machine within half a second, on any core, us.
     pub stall_us: f64,
 }
 

@@ -1,0 +1,197 @@
+//! When the machine stood still: on each core a thread that only wakes up.
+//!
+//! On a virtual machine the host takes one core away at a time. A thread that may
+//! run anywhere is woken on the other one and sees nothing of it; what was bound
+//! or already running there waits all the same. So each core has a thread of its
+//! own, above every priority of the set: only the machine can make it late.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use anyhow::Context;
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use shm_config::Instant;
+use supervisor::table::TABLE;
+
+use crate::Clock;
+use crate::floor::{Priority, claim_fifo, wake};
+
+/// Width of a moment for which the largest lateness is kept, ns.
+pub const MOMENT_NS: u64 = 100_000_000;
+/// Moments that are kept: an hour, and what a start takes.
+const MOMENTS_MAX: usize = 40_000;
+/// From wake-up to wake-up, ns.
+const PERIOD_NS: u64 = 1_000_000;
+
+/// The largest lateness of each tenth of a second.
+#[derive(Clone, Debug)]
+pub struct Stalls {
+    begun: Instant,
+    late_ns: Vec<u64>,
+}
+
+impl Stalls {
+    /// None yet; the memory for all of them is there.
+    pub fn from(begun: Instant) -> Self {
+        Self {
+            begun,
+            late_ns: Vec::with_capacity(MOMENTS_MAX),
+        }
+    }
+
+    /// A wake-up due then came so late: every moment from the instant that was
+    /// due to the wake-up had a stall of that length.
+    pub fn note(&mut self, due: Instant, late_ns: u64) {
+        let first = (due.since_ns(self.begun) / MOMENT_NS) as usize;
+        let last = ((due.since_ns(self.begun) + late_ns) / MOMENT_NS) as usize;
+        if first >= MOMENTS_MAX {
+            return;
+        }
+        let last = last.min(MOMENTS_MAX - 1);
+        if self.late_ns.len() <= last {
+            self.late_ns.resize(last + 1, 0);
+        }
+        for moment in &mut self.late_ns[first..=last] {
+            *moment = (*moment).max(late_ns);
+        }
+    }
+
+    /// The largest lateness within so long of an instant, ns.
+    pub fn near(&self, at: Instant, within_ns: u64) -> u64 {
+        let from = (at.0.saturating_sub(within_ns)).saturating_sub(self.begun.0) / MOMENT_NS;
+        let to = at.after_ns(within_ns).since_ns(self.begun) / MOMENT_NS;
+        let moments = self.late_ns.iter().skip(from as usize);
+        let moments = moments.take((to - from + 1) as usize);
+        moments.copied().max().unwrap_or(0)
+    }
+
+    /// Those of two places, as of one: of each moment the larger.
+    pub fn or(mut self, other: &Self) -> Self {
+        let count = self.late_ns.len().max(other.late_ns.len());
+        self.late_ns.resize(count, 0);
+        for (moment, &late_ns) in self.late_ns.iter_mut().zip(&other.late_ns) {
+            *moment = (*moment).max(late_ns);
+        }
+        self
+    }
+
+    /// The largest few, each with the instant its moment begins at.
+    pub fn largest(&self, count: usize) -> Vec<(Instant, u64)> {
+        let moments = self.late_ns.iter().enumerate();
+        let mut all: Vec<_> = moments
+            .map(|(k, &late_ns)| (self.begun.after_ns(k as u64 * MOMENT_NS), late_ns))
+            .filter(|&(_, late_ns)| late_ns > 0)
+            .collect();
+        all.sort_by_key(|&(at, late_ns)| (std::cmp::Reverse(late_ns), at));
+        all.truncate(count);
+        all
+    }
+}
+
+/// A thread on each core that notes when it is late.
+pub struct StallWatch {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<Stalls>>,
+}
+
+impl StallWatch {
+    /// Starts them on all cores that this process may use; at real-time priority
+    /// where that is asked for and granted.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub fn start(priority: Priority, clock: Clock) -> anyhow::Result<Self> {
+        let allowed = sched_getaffinity(None).context("the cores of this process")?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let begun = clock();
+        let mut watch = Self {
+            stop,
+            threads: Vec::new(),
+        };
+        for core in (0..CpuSet::MAX_CPU).filter(|&core| allowed.is_set(core)) {
+            let stop = watch.stop.clone();
+            let thread = std::thread::Builder::new()
+                .name(format!("stalls-{core}"))
+                .spawn(move || note(core, priority, begun, clock, &stop))
+                .context("a thread that notes stalls")?;
+            watch.threads.push(thread);
+        }
+        Ok(watch)
+    }
+
+    /// Ends them; the stalls of any core.
+    ///
+    /// # Errors
+    /// When one of them died.
+    pub fn finish(mut self) -> anyhow::Result<Stalls> {
+        self.stop.store(true, Ordering::Relaxed);
+        let mut all = None::<Stalls>;
+        for thread in self.threads.drain(..) {
+            let Ok(of_core) = thread.join() else {
+                anyhow::bail!("a thread that notes stalls died");
+            };
+            all = Some(match all {
+                Some(all) => all.or(&of_core),
+                None => of_core,
+            });
+        }
+        all.context("no core to note stalls of")
+    }
+}
+
+impl Drop for StallWatch {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+fn note(
+    core: usize,
+    priority: Priority,
+    begun: Instant,
+    clock: Clock,
+    stop: &AtomicBool,
+) -> Stalls {
+    let mut cores = CpuSet::new();
+    cores.set(core);
+    // A core that is gone since is noted from wherever this runs.
+    let _ = sched_setaffinity(None, &cores);
+    if priority == Priority::Asked {
+        let of_set = TABLE.iter().map(|row| row.priority).max();
+        claim_fifo(of_set.unwrap_or(0) + 1);
+    }
+    let mut stalls = Stalls::from(begun);
+    wake(begun, PERIOD_NS, clock, stop, |due, late_ns| {
+        stalls.note(due, late_ns);
+    });
+    stalls
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn a_stall_is_found_in_its_moment_and_not_in_others() {
+        let begun = Instant(5_000 * MS);
+        let mut stalls = Stalls::from(begun);
+        stalls.note(begun.after_ns(150 * MS), 7 * MS);
+        stalls.note(begun.after_ns(160 * MS), 3 * MS);
+        stalls.note(begun.after_ns(2_050 * MS), 120 * MS);
+        let near = |ms: u64| stalls.near(begun.after_ns(ms * MS), 50 * MS);
+        assert_eq!([near(120), near(400)], [7 * MS, 0]);
+        // A long one is in every moment that it lasted.
+        assert_eq!([near(2_010), near(2_190)], [120 * MS; 2]);
+        let mut elsewhere = Stalls::from(begun);
+        elsewhere.note(begun.after_ns(400 * MS), 9 * MS);
+        let both = elsewhere.or(&stalls);
+        assert_eq!(both.near(begun.after_ns(400 * MS), 0), 9 * MS);
+        assert_eq!(both.near(begun.after_ns(2_190 * MS), 0), 120 * MS);
+        let largest = stalls.largest(3);
+        assert_eq!(largest[0], (begun.after_ns(2_000 * MS), 120 * MS));
+        assert_eq!(largest[2], (begun.after_ns(100 * MS), 7 * MS));
+    }
+}
