@@ -9,6 +9,7 @@ use std::thread;
 
 use rustix::mm::MlockAllFlags;
 use rustix::process::{Resource, Rlimit, getrlimit};
+use shm_config::message::Grant;
 use thread_priority::{
     Error, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
@@ -18,6 +19,7 @@ use crate::Clock;
 use crate::down::living_runs;
 use crate::failure::Failure;
 use crate::grants;
+use crate::idle::IdleBound;
 use crate::place::{SHARED_MEMORY_NEED_BYTES, check_shared_memory, shared_memory};
 use crate::screen::say;
 use crate::status::look;
@@ -88,6 +90,7 @@ pub fn doctor(clock: Clock) -> Result<(), Failure> {
         kernel(),
         throttling(),
         governor(),
+        sleep(),
         clock_source(),
     ];
     // One way to grant both is told once.
@@ -336,6 +339,25 @@ fn governor() -> Finding {
     let is_ok = governors.iter().all(|governor| governor == "performance");
     let remedy = ["sudo cpupower frequency-set -g performance"];
     Finding::new("CPU governor", is_ok, found, &remedy)
+}
+
+fn sleep() -> Finding {
+    let driver = read("/sys/devices/system/cpu/cpuidle/current_driver").unwrap_or_default();
+    let is_ok = IdleBound::ask(0).grant() == Grant::Granted;
+    let can = match is_ok {
+        true => "a set can keep the processors from sleeping",
+        false => "a set cannot keep the processors from sleeping",
+    };
+    let found = match driver.as_str() {
+        "" | "none" => format!("{can}; no idle driver"),
+        driver => format!("{can}; idle driver {driver}"),
+    };
+    Finding::new(
+        "processor sleep",
+        is_ok,
+        found,
+        &grants::cpu_latency_lines(),
+    )
 }
 
 fn clock_source() -> Finding {

@@ -8,6 +8,9 @@ pub const CAPABILITIES: &str = include_str!("../grants/capabilities.sh");
 /// The set as a systemd service.
 pub const SERVICE: &str = include_str!("../grants/vlaps.service");
 
+/// Who may bound how deeply processors sleep, for udev.
+pub const CPU_LATENCY: &str = include_str!("../grants/cpu-latency.rules");
+
 /// The ways to grant priority and locked memory; any one is enough.
 pub fn lines() -> Vec<String> {
     let limits: Vec<_> = rules(LIMITS).map(|rule| format!("{rule}\\n")).collect();
@@ -45,6 +48,21 @@ pub fn lines() -> Vec<String> {
     ]
 }
 
+/// How to grant the bound on sleeping processors.
+pub fn cpu_latency_lines() -> Vec<String> {
+    let rules: Vec<_> = rules(CPU_LATENCY).collect();
+    let reload = CPU_LATENCY
+        .lines()
+        .filter_map(|line| Some(line.strip_prefix('#')?.trim()))
+        .find(|line| line.starts_with("sudo udevadm"));
+    let rules = rules.join("\\n").replace("\"USER\"", "\"'$USER'\"");
+    vec![
+        "for your user, once:".into(),
+        format!("  printf '{rules}\\n' | sudo tee /etc/udev/rules.d/99-vlaps.rules"),
+        format!("  {}", reload.unwrap_or_default()),
+    ]
+}
+
 /// The lines of a file that are no comment.
 fn rules(text: &str) -> impl Iterator<Item = &str> {
     text.lines()
@@ -65,6 +83,18 @@ mod tests {
         ] {
             assert!(text.contains(part), "'{part}' is missing in\n{text}");
         }
+    }
+
+    #[test]
+    fn the_rule_names_the_user_and_is_loaded() {
+        assert_eq!(
+            cpu_latency_lines()[1..],
+            [
+                "  printf 'KERNEL==\"cpu_dma_latency\", OWNER=\"'$USER'\", MODE=\"0600\"\\n' | sudo tee \
+                 /etc/udev/rules.d/99-vlaps.rules",
+                "  sudo udevadm control --reload && sudo udevadm trigger --name-match=cpu_dma_latency",
+            ]
+        );
     }
 
     #[test]

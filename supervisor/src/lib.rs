@@ -57,6 +57,7 @@ pub mod event;
 pub mod failure;
 pub mod grants;
 pub mod hand_over;
+pub mod idle;
 pub mod judged;
 pub mod kernel;
 pub mod keyboard;

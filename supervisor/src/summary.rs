@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use shm_config::config::Config;
-use shm_config::message::{Driver, Episode, Outcome};
+use shm_config::message::{Driver, Episode, Grant, Outcome};
 use shm_config::services::Process;
 
+use crate::idle::IdleBound;
 use crate::judged;
 use crate::live::PolicyView;
 use crate::process_row::ProcessRow;
@@ -67,6 +68,8 @@ pub struct Summary {
     pub policy: Option<PolicyView>,
     /// What the judge was asked and said; `None` where nobody judges.
     pub judge: Option<shm_config::judged::Judged>,
+    /// Whether the processors were kept from sleeping: granted, refused or not asked.
+    pub cpu_latency: &'static str,
     /// Each process.
     pub processes: BTreeMap<&'static str, ProcessRow>,
 }
@@ -176,7 +179,16 @@ impl Summary {
             policy: tally.policy.as_ref().and_then(PolicyView::of),
             oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
             judge: judged::read(config, std::process::id()),
+            cpu_latency: Grant::Unasked.word(),
             processes,
+        }
+    }
+
+    /// With what became of the bound on sleeping processors.
+    pub fn with_idle(self, bound: &IdleBound) -> Self {
+        Self {
+            cpu_latency: bound.grant().word(),
+            ..self
         }
     }
 

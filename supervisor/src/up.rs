@@ -13,6 +13,7 @@ use crate::Clock;
 use crate::arguments::Up;
 use crate::child::{Launch, own_folder};
 use crate::failure::Failure;
+use crate::idle::IdleBound;
 use crate::kernel::Memory;
 use crate::live::View;
 use crate::log::LogFile;
@@ -168,6 +169,7 @@ fn drive(
             Simulator::MetaDrive => Some(metadrive::world()?),
         },
     };
+    let idle = IdleBound::of(config);
     let logs = folder.join("logs");
     let set = ProcessSet::new(config, launch, &logs)?;
     let wire = Wire::join(place.paths().name(), Process::Supervisor)?;
@@ -194,6 +196,12 @@ fn drive(
         stops_asked: 0,
         ending: None,
     };
+    let grant = idle.grant();
+    let bound_us = config.supervisor.cpu_latency_us;
+    run.journal.line(
+        now,
+        &format!("processors wake up within {bound_us} us: {grant}"),
+    );
     let end = run.loop_to_the_end(signals, clock);
     let ended = match &end {
         End::Finished => "finished".into(),
@@ -201,7 +209,7 @@ fn drive(
         End::Killed => "killed".into(),
         End::GivenUp(reason) => format!("given up: {reason}"),
     };
-    let summary = Summary::of(config, &run.tally, &run.set, ended);
+    let summary = Summary::of(config, &run.tally, &run.set, ended).with_idle(&idle);
     run.screen.close();
     let path = folder.join(timing::FILE);
     write_whole(&path, &timing::csv(&run.tally)).map_err(|error| {

@@ -365,6 +365,7 @@ fn the_doctor_looks_at_everything_and_names_what_it_found() {
         "kernel",
         "real-time share",
         "CPU governor",
+        "processor sleep",
         "clock source",
     ] {
         let named = |line: &&str| {

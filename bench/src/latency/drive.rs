@@ -120,6 +120,7 @@ pub fn drive(
         planner: planner(&summary, &controller, plan_rate_hz),
         response_us: quantiles(&summary["processes"]["controller"], "response_us"),
         controller,
+        cpu_latency: summary["cpu_latency"].as_str().unwrap_or("unknown").into(),
         floor_by: counted.by.into(),
         floor: counted.floor,
         own_floor: counted.own,

@@ -10,7 +10,8 @@ use crate::driven::{Punctuality, Quantiles};
 
 /// How a row is measured, as a number, to be raised with it: rows of another are
 /// measured anew. 2: skipped ticks are in the lateness, and wake-ups are there.
-/// 3: stalls are noted on each core.
+/// 3: stalls are noted on each core, and processors do not sleep where that is
+/// granted.
 pub const METHOD: u32 = 3;
 /// The published bar of release lateness: the 99.9 % quantile of controller and
 /// planner over that of the floor.
@@ -49,6 +50,8 @@ pub struct Row {
     /// From the world's release to the command, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub response_us: Option<Quantiles>,
+    /// Whether the processors were kept from sleeping, for the floor, too.
+    pub cpu_latency: String,
     /// Who measured the floor.
     pub floor_by: String,
     /// The machine's floor, in the same seconds.
@@ -194,6 +197,7 @@ pub(crate) mod tests {
             planner: process.clone(),
             controller: process.clone(),
             response_us: tail(1_400.0),
+            cpu_latency: "granted".into(),
             floor_by: "own thread".into(),
             floor: process.clone(),
             own_floor: process,

@@ -256,14 +256,14 @@ fn conditions(measured: &Measured, seconds: f64) {
         .iter()
         .map(|row| {
             format!(
-                "{}: controller {}, floor {}",
-                row.priority, row.controller.priority, row.floor.priority
+                "{}: controller {}, floor {}, processors kept from sleeping {}",
+                row.priority, row.controller.priority, row.floor.priority, row.cpu_latency
             )
         })
         .collect();
     let granted: Vec<String> = granted.into_iter().collect();
     say(format_args!(
-        "\nwhole process set, {seconds} s a row, {}; real-time priority ({}); load by {}; floor by {}, \
+        "\nwhole process set, {seconds} s a row, {}; rights ({}); load by {}; floor by {}, \
          same priority and period, same seconds; stalls by threads on each core, above the set's \
          priorities, that only wake up, 1,000 times a second; elapsed / period == ticks + skipped holds in every row; nothing is left out of a \
          maximum; skipped ticks are in lateness and wake-up, of the floor too, each from its own \

@@ -224,6 +224,10 @@ pub struct Supervisor {
     /// With "deadline": processor time reserved for each tick, as a share of the
     /// process's period. What takes longer waits for the next period.
     pub deadline_share: f64,
+    /// How long a sleeping processor may need to wake up while the set drives, us: 0
+    /// keeps all of them from sleeping, which costs power; a negative number leaves
+    /// it to the machine. For the supervisor to ask where it asks for real time.
+    pub cpu_latency_us: i32,
     /// How long an orderly stop may take, s.
     pub stop_s: f64,
     /// Largest log file of a process, MB; one older file is kept beside it.
@@ -243,6 +247,7 @@ impl Default for Supervisor {
             // World, planner and controller together 0.9 of one core: the kernel
             // admits up to 0.95 of each.
             deadline_share: 0.3,
+            cpu_latency_us: 0,
             stop_s: 8.0,
             log_mb: 8,
         }
@@ -261,6 +266,11 @@ impl Supervisor {
         in_range("supervisor.healthy_s", self.healthy_s, 0.1..=3600.0)?;
         in_range("supervisor.silence_s", self.silence_s, 0.2..=3600.0)?;
         in_range("supervisor.deadline_share", self.deadline_share, 0.01..=0.9)?;
+        in_range(
+            "supervisor.cpu_latency_us",
+            self.cpu_latency_us,
+            -1..=100_000,
+        )?;
         in_range("supervisor.stop_s", self.stop_s, 0.1..=600.0)?;
         in_range("supervisor.log_mb", self.log_mb, 1..=1024)
     }
