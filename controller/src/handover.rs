@@ -119,10 +119,32 @@ impl Handover {
         controller.try_policies(&mut self.hand);
     }
 
+    /// In lockstep with a learner, before the first tick: waits until it has spoken,
+    /// and until the loader has decided about what it begins with. One that was
+    /// killed in a block's updates makes them first, and the steps that were driven
+    /// meanwhile would have no policy.
+    pub fn await_first_word(
+        &mut self,
+        controller: &mut Controller,
+        member: &Member,
+        pulse: &mut Pulse,
+        bell: &Doorbell,
+    ) {
+        let has_spoken = |learner: &mut Learner| {
+            let _ = learner.hear();
+            learner.newest.header.sequence > 0
+        };
+        match &self.learning {
+            Some(learner) if !learner.is_silent && learner.newest.header.sequence == 0 => {
+                self.wait(controller, (member, pulse, bell), has_spoken);
+            }
+            Some(_) | None => {}
+        }
+    }
+
     /// In lockstep with a learner, at the end of a block: waits until it has
     /// considered the last step, and until the loader has decided about what it
     /// published. So adoption happens at the same tick in every run.
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     pub fn await_learner(
         &mut self,
         controller: &mut Controller,
@@ -140,13 +162,30 @@ impl Handover {
         if !is_end || learner.is_silent {
             return;
         }
-        let until = monotonic().after_ns(learner.wait_ns);
         let mut is_successor = false;
-        while !member.is_stopping() {
+        let has_considered = |learner: &mut Learner| {
             // It never saw the step that is waited for: it would wait for ever.
             is_successor |= learner.hear() == Heard::Successor;
-            let is_done = is_successor || learner.has_considered(tick);
-            if is_done && learner.newest.version <= self.loader.exchange().decided() {
+            is_successor || learner.has_considered(tick)
+        };
+        self.wait(controller, (member, pulse, bell), has_considered);
+    }
+
+    /// Waits for that of the learner, and for the loader's decision about what it
+    /// published; adopts it.
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn wait(
+        &mut self,
+        controller: &mut Controller,
+        (member, pulse, bell): (&Member, &mut Pulse, &Doorbell),
+        mut is_done: impl FnMut(&mut Learner) -> bool,
+    ) {
+        let Some(learner) = &mut self.learning else {
+            return;
+        };
+        let until = monotonic().after_ns(learner.wait_ns);
+        while !member.is_stopping() {
+            if is_done(learner) && learner.newest.version <= self.loader.exchange().decided() {
                 break;
             }
             let now = monotonic();

@@ -239,6 +239,7 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
             Some(_) => Intent::Stop,
             None => Intent::Drive,
         };
+        handover.await_first_word(&mut controller, &member, &mut pulse, &ports.bell);
         let stands = tick(
             &mut controller,
             &mut ports,

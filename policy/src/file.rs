@@ -139,6 +139,8 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
         }
         None => Net::Graph(names(graph)),
     };
+    // Last: what can be said more exactly is said so.
+    metadata::check_graph(&model.metadata_props, || graph_hash(graph))?;
     Ok(PolicyFile {
         net,
         provenance,
@@ -219,6 +221,7 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
             Probe { features, action }
         })
         .collect();
+    let graph = graph_of(mlp.layers());
     let head = Model {
         ir_version: IR_VERSION,
         producer_name: "vlaps".into(),
@@ -227,17 +230,23 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
             domain: String::new(),
             version: OPERATOR_SET,
         }],
-        metadata_props: metadata::write(provenance, &probes),
+        metadata_props: metadata::write(provenance, &probes, &graph_hash(&graph)),
         ..Model::default()
     };
     let tail = Model {
-        graph: Some(graph_of(mlp.layers())),
+        graph: Some(graph),
         ..Model::default()
     };
     // Messages that follow each other are one message.
     let mut bytes = head.encode_to_vec();
     bytes.extend(tail.encode_to_vec());
     bytes
+}
+
+/// SHA-256 of a graph as this crate encodes it, hex.
+fn graph_hash(graph: &Graph) -> String {
+    let hash = sha256(&graph.encode_to_vec());
+    hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn graph_of(layers: &[Layer]) -> Graph {

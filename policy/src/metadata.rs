@@ -12,6 +12,9 @@ pub const PROBES_MAX: usize = 64;
 /// What all keys begin with; other keys are the exporter's business.
 const PREFIX: &str = "vlaps.";
 
+/// The hash of the graph: files of before have none.
+const GRAPH_KEY: &str = "graph_sha256";
+
 /// Who made a net, and how.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Provenance {
@@ -34,8 +37,8 @@ pub struct Probe {
     pub action: [f32; ACTIONS],
 }
 
-/// The metadata of a file.
-pub fn write(provenance: &Provenance, probes: &[Probe]) -> Vec<Entry> {
+/// The metadata of a file; `graph` is the hash of its graph.
+pub fn write(provenance: &Provenance, probes: &[Probe], graph: &str) -> Vec<Entry> {
     let entry = |key: &str, value: String| Entry {
         key: format!("{PREFIX}{key}"),
         value,
@@ -54,9 +57,29 @@ pub fn write(provenance: &Provenance, probes: &[Probe]) -> Vec<Entry> {
         entry("seed", provenance.seed.to_string()),
         entry("steps", provenance.steps.to_string()),
         entry("commit", provenance.commit.clone()),
+        entry(GRAPH_KEY, graph.into()),
         entry("probe_inputs", rows(|probe| &probe.features)),
         entry("probe_outputs", rows(|probe| &probe.action)),
     ]
+}
+
+/// The graph of a file is the one that was written.
+///
+/// # Errors
+/// When it has another hash than the metadata say. Without such a word there is
+/// nothing to compare.
+pub fn check_graph(entries: &[Entry], hash: impl FnOnce() -> String) -> Result<(), Refusal> {
+    let Ok(claimed) = text(entries, GRAPH_KEY) else {
+        return Ok(());
+    };
+    let actual = hash();
+    match actual == claimed {
+        true => Ok(()),
+        false => Err(Refusal::ChangedGraph {
+            claimed: short(claimed),
+            actual: short(&actual),
+        }),
+    }
 }
 
 fn layout_word(layout: u64) -> String {

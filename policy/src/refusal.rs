@@ -22,6 +22,17 @@ pub enum Refusal {
         /// First 8 bytes, in hex.
         actual: String,
     },
+    /// The net is not the one that the file was written with.
+    #[error(
+        "the graph has changed since it was written: SHA-256 {actual}..., the metadata say \
+         {claimed}...; who changed it on purpose removes the keys vlaps.*"
+    )]
+    ChangedGraph {
+        /// The begin of it, in hex.
+        claimed: String,
+        /// The begin of it, in hex.
+        actual: String,
+    },
     /// Something else than an ONNX model.
     #[error("not an ONNX file: {0}")]
     NotOnnx(&'static str),

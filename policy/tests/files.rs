@@ -57,6 +57,24 @@ fn each_kind_of_bad_file_has_a_reason_of_its_own() {
 }
 
 #[test]
+fn a_single_flipped_bit_of_the_weights_is_seen() {
+    let mut bytes = good(32, 7);
+    let net = net(32, 7);
+    let first: Vec<u8> = net.layers()[0].weights[..4]
+        .iter()
+        .flat_map(|weight| weight.to_le_bytes())
+        .collect();
+    let at = bytes
+        .windows(first.len())
+        .position(|window| window == first)
+        .expect("the weights are in the file");
+    // The lowest bit of a mantissa: no probe can tell.
+    bytes[at] ^= 1;
+    let reason = reason(&bytes);
+    assert!(reason.contains("changed since it was written"), "{reason}");
+}
+
+#[test]
 fn a_file_cut_anywhere_is_refused_and_never_taken_for_a_plain_one() {
     let good = good(8, 1);
     for length in 0..good.len() {

@@ -37,6 +37,11 @@ pub const PREFIX: &str = "vlaps-{user}-{run}.";
 
 /// The file within a run's folder whose shared lock every member holds.
 pub const ALIVE_FILE: &str = "alive";
+/// The resolved configuration.
+const CONFIG_FILE: &str = "config.toml";
+/// Where the library keeps who is there, and what they share.
+const NODES_DIR: &str = "nodes";
+const SERVICES_DIR: &str = "services";
 
 /// The name of a run: 1 to [`name_max`] of `a-z`, `A-Z`, `0-9`, `-` and `_`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -160,6 +165,11 @@ impl RunPaths {
         self.dir().join("supervisor")
     }
 
+    /// The run's resolved configuration, as its processes read it.
+    pub fn config_file(&self) -> PathBuf {
+        self.dir().join(CONFIG_FILE)
+    }
+
     /// Makes the run's folder if it is missing and checks that it is private.
     ///
     /// # Errors
@@ -245,12 +255,16 @@ impl RunPaths {
         Ok(Some(RunLock { file }))
     }
 
-    /// The file of a supervisor's lock is still where it was taken: nobody has
-    /// removed the run's files.
+    /// The file of a supervisor's lock is still where it was taken, and what a
+    /// process needs to join the run is beside it: nobody has removed the run's
+    /// files.
     pub fn is_held(&self, lock: &RunLock) -> bool {
         let found = fs::metadata(self.supervisor_file());
         let locked = lock.file.metadata();
-        matches!((found, locked), (Ok(found), Ok(locked)) if found.ino() == locked.ino())
+        let same =
+            matches!((found, locked), (Ok(found), Ok(locked)) if found.ino() == locked.ino());
+        let needed = [ALIVE_FILE, CONFIG_FILE, NODES_DIR, SERVICES_DIR];
+        same && needed.iter().all(|name| self.dir().join(name).exists())
     }
 
     /// The process id of the run's living supervisor; `None` when there is none.
@@ -260,7 +274,11 @@ impl RunPaths {
         if lock(&path, &file, FlockOperation::NonBlockingLockShared).ok()? {
             return None;
         }
-        fs::read_to_string(path).ok()?.trim().parse().ok()
+        // The kernel knows who holds the lock; the file may have been written over.
+        // Where the kernel tells nobody (another container), the file says it.
+        let locks = fs::read_to_string("/proc/locks").unwrap_or_default();
+        holder(&locks, &file.metadata().ok()?)
+            .or_else(|| fs::read_to_string(path).ok()?.trim().parse().ok())
     }
 
     /// Removes what a dead run left behind; `None` when a process of the run
@@ -357,6 +375,23 @@ fn open_private(path: &Path) -> Result<File, RunError> {
             path: path.into(),
             source,
         })
+}
+
+/// The process that holds the lock on a file, out of the kernel's list:
+/// `1: FLOCK  ADVISORY  WRITE 4711 00:1b:5678 0 EOF`.
+fn holder(locks: &str, metadata: &fs::Metadata) -> Option<u32> {
+    let device = metadata.dev();
+    let (major, minor) = (rustix::fs::major(device), rustix::fs::minor(device));
+    let place = format!("{major:02x}:{minor:02x}:{}", metadata.ino());
+    locks.lines().find_map(|line| {
+        let words: Vec<_> = line.split_whitespace().collect();
+        match words.as_slice() {
+            [_, "FLOCK", _, "WRITE", pid, at, ..] if *at == place => {
+                pid.parse().ok().filter(|pid| *pid > 0)
+            }
+            _ => None,
+        }
+    })
 }
 
 /// Tries to lock; `false` when somebody else holds it.

@@ -58,7 +58,7 @@ pub enum WireError {
     /// Shared memory refused.
     #[error(
         "service '{service}': shared memory refuses ({what}): no space in /dev/shm, or its files \
-         were removed while the run drives; `./vlaps doctor` shows the space, `./vlaps down` ends the run"
+         were removed or written over while the run drives; `./vlaps doctor` shows the space, `./vlaps down` ends the run"
     )]
     Port {
         /// The service.

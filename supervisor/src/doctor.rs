@@ -197,11 +197,14 @@ fn priority() -> Finding {
         Some(limit) => limit.to_string(),
         None => "unlimited".into(),
     };
+    let by_file = tried.is_err() && grants::programs_can(grants::SYS_NICE);
     let found = match &tried {
         Ok(()) => format!("SCHED_FIFO {asked} granted (RLIMIT_RTPRIO {limit})"),
+        Err(_) if by_file => format!("SCHED_FIFO {asked} granted to the programs (capabilities)"),
         Err(error) => format!("SCHED_FIFO {asked} refused: {error} (RLIMIT_RTPRIO {limit})"),
     };
-    Finding::new("real-time priority", tried.is_ok(), found, &grants::lines())
+    let is_ok = tried.is_ok() || by_file;
+    Finding::new("real-time priority", is_ok, found, &grants::lines())
 }
 
 fn locked_memory() -> Finding {
@@ -215,11 +218,14 @@ fn locked_memory() -> Finding {
         Some(bytes) => format!("{} KB", bytes >> 10),
         None => "unlimited".into(),
     };
+    let by_file = tried.is_err() && grants::programs_can(grants::IPC_LOCK);
     let found = match tried {
         Ok(()) => format!("granted (RLIMIT_MEMLOCK {limit})"),
+        Err(_) if by_file => "granted to the programs (capabilities)".into(),
         Err(error) => format!("refused: {error} (RLIMIT_MEMLOCK {limit})"),
     };
-    Finding::new("locked memory", tried.is_ok(), found, &grants::lines())
+    let is_ok = tried.is_ok() || by_file;
+    Finding::new("locked memory", is_ok, found, &grants::lines())
 }
 
 fn memory() -> Finding {
@@ -263,6 +269,9 @@ fn cores() -> Finding {
 fn isolated() -> Finding {
     let cores = read("/sys/devices/system/cpu/isolated").unwrap_or_default();
     let found = match cores.is_empty() {
+        true if own_cores().len() < CORES_MIN => {
+            "none, and too few cores to give anybody one of its own".into()
+        }
         true => "none; everything else on the machine runs beside the ticks".into(),
         false => cores.clone(),
     };

@@ -1,6 +1,9 @@
 //! How rights are granted: the files of `supervisor/grants`, as lines for a
 //! terminal. What `doctor` prints is read out of the files themselves.
 
+use crate::child::own_folder;
+use crate::table::TABLE;
+
 /// Limits of a user, for pam_limits.
 pub const LIMITS: &str = include_str!("../grants/limits.conf");
 /// Capabilities of the programs.
@@ -43,9 +46,45 @@ pub fn lines() -> Vec<String> {
             properties.join(" ")
         ),
         "or as a service: supervisor/grants/vlaps.service".into(),
-        "in a container: docker run --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1 ..."
+        "in a container: docker run --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1 --shm-size=1g ..."
             .into(),
     ]
+}
+
+/// Capabilities, by their numbers in `linux/capability.h`.
+pub const IPC_LOCK: u32 = 14;
+/// The other one.
+pub const SYS_NICE: u32 = 23;
+
+/// Whether the files of all programs with a priority hold a capability, and begin
+/// with it.
+pub fn programs_can(capability: u32) -> bool {
+    let Ok(folder) = own_folder() else {
+        return false;
+    };
+    let mut rows = TABLE.iter().filter(|row| row.priority > 0);
+    rows.all(|row| {
+        let mut bytes = [0; CAPABILITIES_MAX];
+        let program = folder.join(row.binary);
+        let length = rustix::fs::getxattr(program, c"security.capability", &mut bytes[..]);
+        length.is_ok_and(|length| holds(&bytes[..length], capability))
+    })
+}
+
+/// The longest a file's capabilities are, bytes.
+const CAPABILITIES_MAX: usize = 64;
+
+/// A file's capabilities are 32-bit words, the lowest byte first: the format with
+/// bit 0 for *effective*, then those that are permitted.
+fn holds(bytes: &[u8], capability: u32) -> bool {
+    let word = |k: usize| {
+        let bytes = bytes.get(4 * k..4 * k + 4)?;
+        Some(u32::from_le_bytes(bytes.try_into().ok()?))
+    };
+    match (word(0), word(1)) {
+        (Some(format), Some(permitted)) => format & 1 == 1 && permitted >> capability & 1 == 1,
+        _ => false,
+    }
 }
 
 /// How to grant the bound on sleeping processors.
@@ -83,6 +122,18 @@ mod tests {
         ] {
             assert!(text.contains(part), "'{part}' is missing in\n{text}");
         }
+    }
+
+    #[test]
+    fn capabilities_of_a_file_are_read_as_setcap_writes_them() {
+        // `setcap cap_sys_nice,cap_ipc_lock+ep`, by `getfattr -e hex`.
+        let words: [u32; 5] = [0x0200_0001, 0x0080_4000, 0, 0, 0];
+        let bytes: Vec<_> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        assert!(holds(&bytes, SYS_NICE) && holds(&bytes, IPC_LOCK));
+        assert!(!holds(&bytes, 21) && !holds(&bytes[..7], SYS_NICE) && !holds(&[], SYS_NICE));
+        // Permitted, and not effective.
+        let idle = [&[0, 0, 0, 2], &bytes[4..]].concat();
+        assert!(!holds(&idle, SYS_NICE));
     }
 
     #[test]

@@ -27,6 +27,8 @@ pub struct View {
     pub episode: Option<EpisodeView>,
     /// Who drives, and why; `None` before the first step.
     pub driver: Option<(&'static str, &'static str)>,
+    /// The world has no command to obey, and brakes.
+    pub is_unled: bool,
     /// The policy's weights; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
     /// Finished episodes by outcome.
@@ -151,6 +153,7 @@ impl View {
                 .steps
                 .newest
                 .map(|(driver, reason)| (driver.word(), reason.word())),
+            is_unled: tally.is_unled,
             policy: tally.policy.as_ref().and_then(PolicyView::of),
             outcomes: Outcome::ALL
                 .iter()
@@ -186,6 +189,9 @@ impl View {
     pub fn drive_line(&self) -> String {
         let speed_mps = self.episode.map_or(0.0, |episode| episode.speed_mps);
         match self.driver {
+            _ if self.is_unled => {
+                format!("nobody drives: the car brakes for want of a command, {speed_mps:.1} m/s")
+            }
             Some((driver, reason)) => {
                 let policy = self.policy.as_ref();
                 let policy = policy.map_or(String::new(), |policy| format!("; {policy}"));
@@ -197,24 +203,29 @@ impl View {
                 };
                 format!("{who} ({reason}), {speed_mps:.1} m/s{policy}")
             }
-            None => "nobody drives yet".into(),
+            None => "nobody drives".into(),
         }
     }
 
     /// The processes as a table, one line each.
     pub fn table(&self) -> String {
-        let mut text = String::from(
-            "  process    state          pid    Hz    ticks  late skipped restarts prio    MB",
+        // Only its supervisor knows how often a process was restarted.
+        let knows_restarts = self.processes.iter().any(|row| row.restarts.is_some());
+        let restarts = if knows_restarts { " restarts" } else { "" };
+        let mut text = format!(
+            "  process    state          pid    Hz    ticks  late skipped{restarts} prio    MB"
         );
         for row in &self.processes {
             let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
             let rate = row
                 .rate_hz
                 .map_or("-".into(), |rate_hz| rate_hz.to_string());
-            let restarts = row.restarts.map_or("-".into(), |count| count.to_string());
+            let restarts = row
+                .restarts
+                .map_or(String::new(), |count| format!(" {count:>8}"));
             let _ = write!(
                 text,
-                "\n  {:<10} {:<10} {pid:>7} {rate:>5} {:>8} {:>5} {:>7} {restarts:>8} {:>4} {:>5.1}",
+                "\n  {:<10} {:<10} {pid:>7} {rate:>5} {:>8} {:>5} {:>7}{restarts} {:>4} {:>5.1}",
                 row.process,
                 row.state,
                 row.ticks,

@@ -23,9 +23,12 @@ pub struct ProcessRow {
     pub ticks: u64,
     /// Ticks of the grid skipped.
     pub skipped: u64,
+    /// Ticks of the grid on which it was dead, or not back yet: between its lives.
+    pub absent: u64,
     /// Time from tick to tick, s; `None` of a process without a grid.
     pub period_s: Option<f64>,
-    /// From its first tick due to its next one due, s on the run's clock:
+    /// From its first tick due to its next one due, over all its lives, s on the
+    /// run's clock:
     /// `elapsed_s / period_s == ticks + skipped`.
     pub elapsed_s: Option<f64>,
     /// Ticks completed after their deadline.
@@ -140,6 +143,10 @@ impl ProcessRow {
             rate_hz: config.rate_hz(process),
             ticks: totals.ticks,
             skipped: totals.skipped,
+            absent: match config.tick_ns(process) {
+                Some(period_ns) => totals.absent_ns / period_ns.max(1),
+                None => 0,
+            },
             period_s,
             elapsed_s: period_s.map(|_| totals.elapsed_ns as f64 / 1e9),
             late: totals.late,

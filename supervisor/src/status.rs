@@ -131,7 +131,7 @@ fn listen(
 /// # Errors
 /// When it is just starting or ending, or shared memory refuses.
 pub fn look(paths: &RunPaths, clock: Clock) -> Result<(Config, Tally), Failure> {
-    let config = config::load(&paths.dir().join("config.toml")).map_err(|_| {
+    let config = config::load(&paths.config_file()).map_err(|_| {
         Failure::GivenUp(format!(
             "run '{}' is just starting or ending; try again",
             paths.name()
@@ -163,7 +163,9 @@ fn hear(paths: &RunPaths, config: &Config, tally: &mut Tally, clock: Clock) -> R
     let begun = clock();
     while clock().since_ns(begun) < LISTEN_NS {
         ports.drain(tally);
-        let all = rows(config).all(|row| tally.process(row.process).is_some());
+        // A timing alone says nothing of how it is.
+        let said = |process| tally.process(process).and_then(ProcessTally::newest);
+        let all = rows(config).all(|row| said(row.process).is_some());
         if all && tally.steps.newest.is_some() && tally.progress.is_some() {
             break;
         }

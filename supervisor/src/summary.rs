@@ -66,12 +66,28 @@ pub struct Summary {
     pub oldest_obeyed_ms: f64,
     /// The policy's weights at the end; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
+    /// What each version of the weights did, the oldest first; of a run with many,
+    /// the last 1,000.
+    pub weights: Vec<WeightsRow>,
     /// What the judge was asked and said; `None` where nobody judges.
     pub judge: Option<shm_config::judged::Judged>,
     /// Whether the processors were kept from sleeping: granted, refused or not asked.
     pub cpu_latency: &'static str,
     /// Each process.
     pub processes: BTreeMap<&'static str, ProcessRow>,
+}
+
+/// One version of the weights.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct WeightsRow {
+    /// Its number.
+    pub version: u64,
+    /// First 8 bytes of its SHA-256, hex.
+    pub hash: String,
+    /// Steps in which it proposed.
+    pub proposed: u64,
+    /// Steps in which it drove.
+    pub drove: u64,
 }
 
 /// One finished episode.
@@ -177,6 +193,16 @@ impl Summary {
             reasons,
             braked: tally.episodes.values().map(|episode| episode.braked).sum(),
             policy: tally.policy.as_ref().and_then(PolicyView::of),
+            weights: tally
+                .steps
+                .weights()
+                .map(|(version, hash, counted)| WeightsRow {
+                    version,
+                    hash: format!("{hash:016x}"),
+                    proposed: counted.proposed,
+                    drove: counted.drove,
+                })
+                .collect(),
             oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
             judge: judged::read(config, std::process::id()),
             cpu_latency: Grant::Unasked.word(),
@@ -239,6 +265,8 @@ pub fn clock_word(config: &Config) -> &'static str {
     }
 }
 
+/// Versions of the weights that are listed, the newest first.
+const WEIGHTS_SHOWN: usize = 5;
 /// Episodes listed one by one at each end of a long run.
 const EPISODES_SHOWN: usize = 20;
 
@@ -322,6 +350,18 @@ impl Summary {
         if let Some(policy) = &self.policy {
             writeln!(f, "policy: {policy}")?;
         }
+        if self.weights.len() > 1 {
+            let rows = self.weights.iter().rev().take(WEIGHTS_SHOWN);
+            let rows: Vec<_> = rows
+                .map(|row| format!("{} drove {} of {}", row.version, row.drove, row.proposed))
+                .collect();
+            let more = self.weights.len() - rows.len();
+            let more = match more {
+                0 => String::new(),
+                _ => format!("; {more} more in the JSON"),
+            };
+            writeln!(f, "  steps by weights: {}{more}", rows.join(", "))?;
+        }
         if let Some(judge) = self.judge.as_ref().filter(|judge| judge.questions > 0) {
             writeln!(f, "judge: {judge}")?;
         }
@@ -338,8 +378,8 @@ impl Summary {
         let relation = if counted == due { "==" } else { "!=" };
         writeln!(
             f,
-            "\nticks {} + skipped {} = {counted} {relation} {due} = elapsed {:.3} s / period {} s\n\
-             world braked for want of a command on {} ticks; oldest command obeyed: {:.1} ms",
+            "\nworld: ticks {} + skipped {} = {counted} {relation} {due} = elapsed {:.3} s / period {} s\n\
+             it braked for want of a command on {} of traffic's ticks; oldest command obeyed: {:.1} ms",
             self.ticks,
             self.skipped,
             self.elapsed_s,
@@ -358,14 +398,20 @@ impl Summary {
         if self.clock == LOCKSTEP {
             return self.fmt_restarts(f);
         }
-        writeln!(f, "\nreal-time rights")?;
+        writeln!(
+            f,
+            "\nreal-time rights (processors kept from sleeping: {})",
+            self.cpu_latency
+        )?;
         for (process, row) in &self.processes {
             let rights = &row.realtime;
             writeln!(
                 f,
-                "  {process:<10}  priority {} (asked {}, got {}), own core {}, locked memory {}",
+                "  {process:<10}  priority {} (asked {} {}, got {} {}), own core {}, locked memory {}",
                 rights.priority,
+                rights.scheduling_asked,
                 rights.priority_asked,
+                rights.scheduling_got,
                 rights.priority_got,
                 rights.core,
                 rights.memory
@@ -392,7 +438,7 @@ impl Summary {
         self.fmt_overruns(f)?;
         writeln!(
             f,
-            "\nrelease lateness, us       p50         p99       p99.9         max    late  restarts"
+            "\nrelease lateness, us       p50         p99       p99.9         max     ticks  skipped  absent    late  restarts"
         )?;
         for (process, row) in &self.processes {
             let [p50, p99, p999, max] = match row.release_lateness_us {
@@ -404,8 +450,8 @@ impl Summary {
                 .map_or(String::new(), |rate_hz| format!("{rate_hz} Hz"));
             writeln!(
                 f,
-                "  {process:<10}{rate:>8}{p50:>10}{p99:>12}{p999:>12}{max:>12}  {:>6}  {:>8}",
-                row.late, row.restarts
+                "  {process:<10}{rate:>8}{p50:>10}{p99:>12}{p999:>12}{max:>12}{:>10}{:>9}{:>8}{:>8}{:>10}",
+                row.ticks, row.skipped, row.absent, row.late, row.restarts
             )?;
         }
         Ok(())

@@ -17,6 +17,9 @@ use crate::threads::{Thread, threads};
 /// timing may come after its successor's first, never after four successors'.
 const TIMINGS_APART: usize = 4;
 
+/// Versions of the weights that are kept apart: a run may swap for ever.
+pub const WEIGHTS_KEPT: usize = 1000;
+
 /// Everything counted so far.
 #[derive(Debug, Default)]
 pub struct Tally {
@@ -26,6 +29,8 @@ pub struct Tally {
     pub episodes: BTreeMap<u32, Episode>,
     /// How the current episode goes.
     pub progress: Option<Progress>,
+    /// The world braked since its word before for want of a command.
+    pub is_unled: bool,
     /// What the controller says of its weights.
     pub policy: Option<PolicyStatus>,
     /// Greatest age of a command that the car obeyed, ns.
@@ -49,8 +54,20 @@ pub struct StepTally {
     /// The newest driver and reason.
     pub newest: Option<(Driver, Reason)>,
     counts: BTreeMap<(u32, u32), u64>,
+    weights: BTreeMap<(u64, u64), WeightsTally>,
     last_sequence: BTreeMap<u32, u64>,
+    /// The first instant that the world had no tick for any more.
+    end: Option<Instant>,
     is_closed: bool,
+}
+
+/// What one version of the weights did.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct WeightsTally {
+    /// Steps in which they proposed.
+    pub proposed: u64,
+    /// Steps in which they drove.
+    pub drove: u64,
 }
 
 /// One process over all its restarts.
@@ -71,6 +88,9 @@ pub struct Totals {
     pub ticks: u64,
     /// Ticks of the grid skipped.
     pub skipped: u64,
+    /// Time from one life's next tick due to the first one due of the life after
+    /// it: nobody was there, ns on the run's clock.
+    pub absent_ns: u64,
     /// Ticks completed after their deadline.
     pub late: u64,
     /// Messages refused at the door.
@@ -104,7 +124,11 @@ impl Tally {
         let tally = self.processes.entry(process.code()).or_default();
         tally.healths.insert(health.header.producer, *health);
         tally.newest = Some(*health);
-        HealthState::from_code(health.state)
+        let state = HealthState::from_code(health.state);
+        if process == Process::World && state == Some(HealthState::Finished) {
+            self.steps.end = Some(Instant(health.next_scheduled_ns));
+        }
+        state
     }
 
     /// Takes a timing in: the last of each producer counts, since each holds
@@ -151,7 +175,8 @@ impl Tally {
         match progress.check() {
             Ok(()) => {
                 self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(progress.oldest_obeyed_ns);
-                self.progress = Some(progress);
+                let before = self.progress.replace(progress);
+                self.is_unled = before.is_some_and(|before| progress.braked > before.braked);
             }
             Err(_) => self.refused += 1,
         }
@@ -177,7 +202,9 @@ impl Tally {
 
     /// Takes a step in.
     pub fn count_step(&mut self, step: &Step) {
-        if self.steps.is_closed {
+        let scheduled = Instant(step.timings.scheduled_ns);
+        // What a controller does after the world's last tick drives nothing.
+        if self.steps.is_closed || self.steps.end.is_some_and(|end| scheduled >= end) {
             return;
         }
         if step.command.check().is_err() {
@@ -239,6 +266,15 @@ impl StepTally {
         let (driver, reason) = (step.driver(), step.reason());
         let reason_code = reason.map_or(u32::MAX, Reason::code);
         *self.counts.entry((driver.code(), reason_code)).or_default() += 1;
+        if step.weights_version > 0 {
+            let key = (step.weights_version, step.weights_hash);
+            let weights = self.weights.entry(key).or_default();
+            weights.proposed += 1;
+            weights.drove += u64::from(driver == Driver::Policy);
+            if self.weights.len() > WEIGHTS_KEPT {
+                self.weights.pop_first();
+            }
+        }
         self.newest = Some((driver, reason.unwrap_or(Reason::Blind)));
     }
 
@@ -247,6 +283,14 @@ impl StepTally {
     pub fn lost(&self) -> u64 {
         let sent: u64 = self.last_sequence.values().sum();
         sent.saturating_sub(self.received)
+    }
+
+    /// What each version of the weights did, the oldest first; the last
+    /// [`WEIGHTS_KEPT`] of a run that has seen more. With the first 8 bytes of their
+    /// SHA-256.
+    pub fn weights(&self) -> impl Iterator<Item = (u64, u64, WeightsTally)> + '_ {
+        let all = self.weights.iter();
+        all.map(|(&(version, hash), &counted)| (version, hash, counted))
     }
 
     /// Steps driven by one driver, for any reason.
@@ -284,7 +328,10 @@ impl ProcessTally {
 
     /// Counts over all restarts.
     pub fn totals(&self) -> Totals {
-        let mut totals = Totals::default();
+        let mut totals = Totals {
+            absent_ns: self.absent_ns(),
+            ..Totals::default()
+        };
         for health in self.healths.values() {
             totals.ticks += health.ticks;
             totals.skipped += health.skipped;
@@ -302,6 +349,20 @@ impl ProcessTally {
                 .saturating_sub(health.first_scheduled_ns);
         }
         totals
+    }
+
+    /// Between its lives.
+    fn absent_ns(&self) -> u64 {
+        let lives = self.healths.values();
+        let mut lives: Vec<_> = lives
+            .map(|health| (health.first_scheduled_ns, health.next_scheduled_ns))
+            .filter(|(first_ns, _)| *first_ns > 0)
+            .collect();
+        lives.sort_unstable();
+        lives
+            .windows(2)
+            .map(|pair| pair[1].0.saturating_sub(pair[0].1))
+            .sum()
     }
 
     /// Histograms over all restarts.

@@ -1,6 +1,6 @@
 //! `up`: start, watch, restart, stop, add up.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -94,14 +94,22 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
         ));
     }
     check_shared_memory(shared_memory()?.0)?;
-    let folder = prepare_folder(&config, &place)?;
+    let (folder, _alone) = prepare_folder(&config, &place)?;
     let run = (&config, &place, folder.as_path());
-    let (end, summary) = drive(run, keys, signals, (clock, started))?;
+    let (end, summary, timing) = drive(run, keys, signals, (clock, started))?;
     drop(place);
+    // First on the screen: a full disk takes no file.
     if summary.ticks > 0 {
         say(format_args!("\n{summary}"));
         say(format_args!("logs and summary in {}", folder.display()));
     }
+    let path = folder.join(timing::FILE);
+    write_whole(&path, &timing).map_err(|error| {
+        Failure::GivenUp(format!(
+            "{}: cannot keep the timing: {error}",
+            path.display()
+        ))
+    })?;
     write_summary(&summary, &folder.join("summary.json"))?;
     if let Some(path) = &arguments.json {
         write_summary(&summary, path)?;
@@ -124,9 +132,10 @@ fn write_summary(summary: &Summary, path: &Path) -> Result<(), Failure> {
     })
 }
 
-/// Makes the run's folder with its resolved configuration; onlookers find a copy
-/// beside the run's other files.
-fn prepare_folder(config: &Config, place: &Place) -> Result<PathBuf, Failure> {
+/// Makes the run's folder with its resolved configuration, locked against other
+/// runs as long as the file that is returned is open; processes and onlookers find
+/// a copy beside the run's other files.
+fn prepare_folder(config: &Config, place: &Place) -> Result<(PathBuf, File), Failure> {
     let failed = |what: &Path, error: &dyn std::fmt::Display| {
         Failure::GivenUp(format!(
             "{}: cannot keep the run's files: {error}; choose another folder with \
@@ -139,14 +148,19 @@ fn prepare_folder(config: &Config, place: &Place) -> Result<PathBuf, Failure> {
     let folder = folder
         .canonicalize()
         .map_err(|error| failed(&folder, &error))?;
+    let lock = File::open(&folder).map_err(|error| failed(&folder, &error))?;
+    if let Err(TryLockError::WouldBlock) = lock.try_lock() {
+        return Err(Failure::Usage(format!(
+            "{}: another run keeps its files there; `./vlaps status` shows it; choose another \
+             folder with `--set run.folder=DIR`",
+            folder.display()
+        )));
+    }
     let text = toml::to_string(config).map_err(|error| failed(&folder, &error))?;
-    for path in [
-        folder.join("config.toml"),
-        place.paths().dir().join("config.toml"),
-    ] {
+    for path in [folder.join("config.toml"), place.paths().config_file()] {
         write_whole(&path, &text).map_err(|error| failed(&path, &error))?;
     }
-    Ok(folder)
+    Ok((folder, lock))
 }
 
 fn drive(
@@ -154,7 +168,7 @@ fn drive(
     keys: Option<Keys>,
     signals: Signals,
     (clock, started): (Clock, Instant),
-) -> Result<(End, Summary), Failure> {
+) -> Result<(End, Summary, String), Failure> {
     let binaries = match std::env::var_os(BINARIES_VARIABLE) {
         Some(folder) => folder.into(),
         None => own_folder()
@@ -162,7 +176,8 @@ fn drive(
     };
     let launch = Launch {
         binaries,
-        config: folder.join("config.toml"),
+        // Not the copy in the folder: anybody may edit that one meanwhile.
+        config: place.paths().config_file(),
         rights: rights(config),
         world: match config.world.simulator {
             Simulator::BuiltIn => None,
@@ -211,14 +226,7 @@ fn drive(
     };
     let summary = Summary::of(config, &run.tally, &run.set, ended).with_idle(&idle);
     run.screen.close();
-    let path = folder.join(timing::FILE);
-    write_whole(&path, &timing::csv(&run.tally)).map_err(|error| {
-        Failure::GivenUp(format!(
-            "{}: cannot keep the timing: {error}",
-            path.display()
-        ))
-    })?;
-    Ok((end, summary))
+    Ok((end, summary, timing::csv(&run.tally)))
 }
 
 /// What the processes ask for: nothing in lockstep, which has no deadline and

@@ -214,6 +214,68 @@ fn a_second_set_of_the_same_name_is_refused_and_the_first_drives_on() {
 }
 
 #[test]
+fn a_second_run_in_the_same_folder_is_refused_before_it_writes() {
+    let bench = Bench::new("folder", "idle");
+    let first = bench.up();
+    let folder = bench.dir.path().join("runs").join(&bench.run);
+    let before = fs::read_to_string(folder.join("config.toml")).expect("a configuration");
+    let other = format!("{}b", bench.run);
+    let setting = format!("run.folder={}", folder.display());
+    let output = bench.vlaps(&["up", "--run", &other, "--set", &setting]);
+    assert_error(&output, 2, &["another run", "run.folder=DIR"]);
+    let after = fs::read_to_string(folder.join("config.toml")).expect("a configuration");
+    assert_eq!(before, after);
+    signal(&first, Signal::TERM);
+    assert_eq!(
+        first.wait_with_output().expect("it ends").status.code(),
+        Some(0)
+    );
+    bench.assert_nothing_left();
+}
+
+#[test]
+fn a_supervisors_file_that_was_written_over_hides_no_run() {
+    let bench = Bench::new("over", "idle");
+    let up = bench.up();
+    for junk in ["", "junk", "1\n"] {
+        fs::write(bench.paths().supervisor_file(), junk).expect("written over");
+        assert_eq!(bench.paths().supervisor_pid(), Some(up.id()), "{junk:?}");
+    }
+    let output = bench.vlaps(&["down", "--run", &bench.run]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("is stopped"), "{text}");
+    assert_eq!(
+        up.wait_with_output().expect("it ends").status.code(),
+        Some(0)
+    );
+    bench.assert_nothing_left();
+}
+
+#[test]
+fn a_set_that_loses_what_others_join_it_by_says_so() {
+    for (label, lost) in [
+        ("nodes", "nodes"),
+        ("serv", "services"),
+        ("conf", "config.toml"),
+    ] {
+        let bench = Bench::new(label, "idle");
+        let up = bench.up();
+        let lost = bench.paths().dir().join(lost);
+        match lost.is_dir() {
+            true => fs::remove_dir_all(&lost).expect("removed"),
+            false => fs::remove_file(&lost).expect("removed"),
+        }
+        let output = up.wait_with_output().expect("it ends");
+        assert_error(
+            &output,
+            1,
+            &["the run's files were removed while it drives"],
+        );
+        bench.assert_nothing_left();
+    }
+}
+
+#[test]
 fn every_stop_signal_ends_in_order_and_leaves_nothing() {
     for (label, stop) in [
         ("int", Signal::INT),

@@ -9,7 +9,7 @@ use shm_config::message::{
 };
 use shm_config::services::Process;
 use supervisor::summary::{Summary, command_digest};
-use supervisor::tally::{Quantiles, Tally};
+use supervisor::tally::{Quantiles, Tally, WEIGHTS_KEPT};
 
 fn step(producer: u32, sequence: u64, driver: Driver, reason: Reason) -> Step {
     let mut step = Step::default();
@@ -100,6 +100,76 @@ fn steps_after_the_end_of_the_drive_count_for_nothing() {
     tally.count_step(&step(11, 3, Driver::Brake, Reason::Stopping));
     assert_eq!((tally.steps.received, tally.steps.lost()), (1, 0));
     assert_eq!(tally.steps.share(Driver::Brake), 0.0);
+}
+
+#[test]
+fn what_a_controller_does_after_the_worlds_last_tick_counts_for_nothing() {
+    let mut tally = Tally::default();
+    let mut world = health(5, 18, 2);
+    world.state = HealthState::Finished.code();
+    tally.count_health(Process::World, &world);
+    let scheduled = |sequence, scheduled_ns| {
+        let mut step = step(6, sequence, Driver::Expert, Reason::Unloaded);
+        step.timings.scheduled_ns = scheduled_ns;
+        step
+    };
+    // The last one may be read after the world has said its last word.
+    tally.count_step(&scheduled(1, world.next_scheduled_ns - 1));
+    tally.count_step(&scheduled(2, world.next_scheduled_ns));
+    assert_eq!((tally.steps.received, tally.steps.lost()), (1, 0));
+}
+
+#[test]
+fn what_each_version_of_the_weights_did_is_kept() {
+    let mut tally = Tally::default();
+    for (sequence, version, driver) in [
+        (1, 0, Driver::Expert),
+        (2, 7, Driver::Policy),
+        (3, 7, Driver::Expert),
+        (4, 8, Driver::Policy),
+    ] {
+        let mut step = step(1, sequence, driver, Reason::Advised);
+        (step.weights_version, step.weights_hash) = (version, 10 * version);
+        tally.count_step(&step);
+    }
+    let rig = Rig::new("idle", |_| ());
+    let summary = Summary::of(&rig.config, &tally, &rig.set, String::new());
+    let rows = summary.weights.iter();
+    let rows: Vec<_> = rows
+        .map(|row| (row.version, row.hash.as_str(), row.proposed, row.drove))
+        .collect();
+    assert_eq!(
+        rows,
+        [(7, "0000000000000046", 2, 1), (8, "0000000000000050", 1, 1)]
+    );
+    let text = summary.to_string();
+    assert!(text.contains("8 drove 1 of 1, 7 drove 1 of 2"), "{text}");
+    // A run that swaps for ever does not grow.
+    for version in 9..5_000 {
+        let mut step = step(1, version, Driver::Policy, Reason::Advised);
+        step.weights_version = version;
+        tally.count_step(&step);
+    }
+    assert_eq!(tally.steps.weights().count(), WEIGHTS_KEPT);
+}
+
+#[test]
+fn ticks_on_which_nobody_was_there_are_counted() {
+    let mut tally = Tally::default();
+    tally.count_health(Process::Controller, &health(1, 50, 2));
+    let mut successor = health(2, 10, 0);
+    // Three seconds after its predecessor's last one.
+    successor.first_scheduled_ns = health(1, 50, 2).next_scheduled_ns + 3_000_000_000;
+    successor.next_scheduled_ns = successor.first_scheduled_ns + 1_000_000_000;
+    tally.count_health(Process::Controller, &successor);
+    // One that never came to a grid says nothing of when it was there.
+    let mut dead = health(3, 0, 0);
+    (dead.first_scheduled_ns, dead.next_scheduled_ns) = (0, 0);
+    tally.count_health(Process::Controller, &dead);
+    let rig = Rig::new("idle", |_| ());
+    let summary = Summary::of(&rig.config, &tally, &rig.set, String::new());
+    let controller = &summary.processes["controller"];
+    assert_eq!((controller.skipped, controller.absent), (2, 30));
 }
 
 #[test]
@@ -315,7 +385,7 @@ fn the_table_says_what_the_json_says() {
         "2 episodes: 2 arrived (1 without contact), 0 out of road",
         "expert 100.0 %, policy 0.0 %, brake 0.0 % of 18 steps (0 lost",
         "ticks 18 + skipped 2 = 20 == 20 = elapsed 2.000 s / period 0.1 s",
-        "priority refused (asked 48, got 0)",
+        "priority refused (asked ordinary 48, got ordinary 0)",
     ] {
         assert!(text.contains(part), "'{part}' is missing in\n{text}");
     }

@@ -235,3 +235,46 @@ fn in_lockstep_a_run_outlives_the_learner_it_waits_for() {
     assert_accounts(&mark);
     assert!(!policies(&set).is_empty(), "the successor learnt");
 }
+
+#[test]
+fn a_run_that_goes_on_waits_for_the_updates_that_its_learner_was_killed_in() {
+    let set = Set::new("learndue");
+    let settings = overrides(&[
+        "learner.enabled=true",
+        "learner.algorithm=dagger",
+        "learner.block_steps=50",
+        // Seconds: the whole run would be driven meanwhile.
+        "learner.updates=600",
+        "learner.batch=256",
+        "learner.imagined_scenes=1",
+        "policy.veto_rate_max=1.0",
+        "policy.jump_max=2.0",
+        "policy.probation_ticks=0",
+    ]);
+    let words = [
+        "--lockstep",
+        "--seed",
+        "3",
+        "--duration",
+        "6",
+        "--gate",
+        "policy",
+    ];
+    let drive = || {
+        let output = set.run(&[&words[..], &settings].concat());
+        assert!(output.status.success(), "{output:?}\n{}", set.logs());
+        set.json()["reasons"].clone()
+    };
+    let before = drive().to_string();
+    assert!(
+        before.contains("unloaded"),
+        "a block has no policy yet: {before}"
+    );
+    // As if it had been killed before its first networks were written down.
+    fs::remove_file(folder(&set).join("learner.bin")).expect("networks");
+    let after = drive().to_string();
+    assert!(
+        !after.contains("unloaded"),
+        "driven without a policy: {after}"
+    );
+}

@@ -121,7 +121,7 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
         ))
         .into());
     }
-    let config = config::load(&paths.dir().join("config.toml")).map_err(|_| {
+    let config = config::load(&paths.config_file()).map_err(|_| {
         Failure::GivenUp(format!(
             "run '{name}' is just starting or ending; try again"
         ))
