@@ -202,9 +202,10 @@ impl Tally {
 
     /// Takes a step in.
     pub fn count_step(&mut self, step: &Step) {
-        let scheduled = Instant(step.timings.scheduled_ns);
-        // What a controller does after the world's last tick drives nothing.
-        if self.steps.is_closed || self.steps.end.is_some_and(|end| scheduled >= end) {
+        // What a controller does after the world's last tick drives nothing. Both
+        // instants are on the run's clock.
+        let taken = step.header.taken();
+        if self.steps.is_closed || self.steps.end.is_some_and(|end| taken >= end) {
             return;
         }
         if step.command.check().is_err() {

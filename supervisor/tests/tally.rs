@@ -108,14 +108,14 @@ fn what_a_controller_does_after_the_worlds_last_tick_counts_for_nothing() {
     let mut world = health(5, 18, 2);
     world.state = HealthState::Finished.code();
     tally.count_health(Process::World, &world);
-    let scheduled = |sequence, scheduled_ns| {
+    let taken = |sequence, taken_ns| {
         let mut step = step(6, sequence, Driver::Expert, Reason::Unloaded);
-        step.timings.scheduled_ns = scheduled_ns;
+        step.header.taken_ns = taken_ns;
         step
     };
     // The last one may be read after the world has said its last word.
-    tally.count_step(&scheduled(1, world.next_scheduled_ns - 1));
-    tally.count_step(&scheduled(2, world.next_scheduled_ns));
+    tally.count_step(&taken(1, world.next_scheduled_ns - 1));
+    tally.count_step(&taken(2, world.next_scheduled_ns));
     assert_eq!((tally.steps.received, tally.steps.lost()), (1, 0));
 }
 
