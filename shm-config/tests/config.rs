@@ -210,11 +210,20 @@ fn a_models_server_is_an_address_and_holds_no_key() {
     }
     for (key, value) in [
         ("server", "https://me:sk-secret@api.openai.com/v1"),
+        ("server", "me:sk-secret@api.openai.com/v1"),
+        ("server", "https://api.openai.com/v1?key=sk-secret"),
+        ("server", "https://api.openai.com/v1#sk-secret"),
+        ("server", "https://api.openai.com/v1 sk-secret"),
+        ("server", "sk-secret"),
         ("key_env", "sk-secret"),
+        ("key_file", "sk-secret"),
     ] {
         let text = error(&format!("[vlm]\n{key} = \"{value}\"\n"));
         assert!(text.contains(&format!("vlm.{key}")), "{text}");
         assert!(!text.contains("sk-secret"), "it may be a key: {text}");
+    }
+    for path in ["/home/me/key", "./key.txt", "../keys/openai"] {
+        assert!(from_toml(&format!("[vlm]\nkey_file = \"{path}\"\n"), "x").is_ok());
     }
 }
 

@@ -119,8 +119,8 @@ pub struct Vlm {
     /// Environment variable that holds the key; empty for none. For
     /// api.openai.com OPENAI_API_KEY is looked at, too.
     pub key_env: String,
-    /// File that holds the key, in place of a variable; only its owner may have
-    /// rights to it (chmod 600).
+    /// File that holds the key, in place of a variable: a path with a / in it,
+    /// such as ./key.txt. Only its owner may have rights to it (chmod 600).
     pub key_file: String,
     /// File with certificates (PEM) of authorities that are trusted for https
     /// beside the system's own, such as a firm's; empty for none.
@@ -238,6 +238,9 @@ impl Default for Vlm {
     }
 }
 
+/// In the place of a value that may be a key.
+const HIDDEN: &str = "(not shown)";
+
 impl Vlm {
     /// The model's name as the server is told it.
     pub fn model_name(&self) -> &str {
@@ -301,42 +304,54 @@ impl Vlm {
         )
     }
 
+    /// Of what may hold a key by mistake, nothing is told but which setting it is.
     fn check_names(&self) -> Result<(), OutOfRange> {
         let refuse = |key: &str, value: &str, expected: &str| {
             Err(OutOfRange {
                 key: key.into(),
-                value: format!("{value:?}"),
+                value: value.into(),
                 expected: expected.into(),
             })
         };
         let begins = ["http://", "https://"].map(|scheme| self.server.strip_prefix(scheme));
         let rest = begins.into_iter().flatten().next().unwrap_or_default();
-        if rest.is_empty() || rest.contains(|c: char| c.is_whitespace() || "?#".contains(c)) {
+        if self.server.contains(['@', '?', '#']) {
             return refuse(
                 "vlm.server",
-                &self.server,
-                "an address such as http://127.0.0.1:8080/v1 or https://api.openai.com/v1",
+                HIDDEN,
+                "an address without name, password or query (@, ?, #); a key belongs into the \
+                 environment variable of vlm.key_env or into the file of vlm.key_file",
             );
         }
-        // The value is not told: it may be a key.
-        if rest.contains('@') {
+        if rest.is_empty() || rest.contains(char::is_whitespace) {
             return refuse(
                 "vlm.server",
-                "(not shown)",
-                "an address without name or password; a key belongs into the environment \
-                 variable of vlm.key_env or into vlm.key_file",
+                HIDDEN,
+                "an address such as http://127.0.0.1:8080/v1 or https://api.openai.com/v1",
             );
         }
         let needs_model = !matches!(self.dialect, Dialect::Openai | Dialect::LlamaCpp);
         if self.model.is_empty() && needs_model {
-            return refuse("vlm.model", "", "the name of a model that the server has");
+            return refuse(
+                "vlm.model",
+                "\"\"",
+                "the name of a model that the server has",
+            );
         }
         let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if !self.key_env.chars().all(is_name) {
             return refuse(
                 "vlm.key_env",
-                "(not shown)",
+                HIDDEN,
                 "the name of an environment variable, not the key itself",
+            );
+        }
+        // Paths are written down and told; keys hardly ever have a slash.
+        if !self.key_file.is_empty() && !self.key_file.contains('/') {
+            return refuse(
+                "vlm.key_file",
+                HIDDEN,
+                "the path of a file with a / in it, such as ./key.txt, not the key itself",
             );
         }
         Ok(())
