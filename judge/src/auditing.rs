@@ -83,9 +83,9 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
     };
     let link = link(&out, &records.folder);
     let page = page(&records, arguments.pictures, &link);
-    // Out of reach of a link that may be moved with the page.
-    if home(&out).join(&link) != absolute(&records.folder) {
-        copy(&page.linked, &records.folder, &home(&out).join(&link))?;
+    let pictures = home(&out).join(&link);
+    if pictures != absolute(&records.folder) {
+        copy(&page.linked, &records.folder, &pictures)?;
     }
     std::fs::write(&out, page.html).with_context(|| format!("cannot write {}", out.display()))?;
     let figures = Figures::of(&records.questions);
