@@ -137,6 +137,10 @@ fn mistakes_are_named_with_exit_code_2() {
             "--draw /proc/pictures",
         ),
         (&["bench", "sim", "--json", "."], "--json ."),
+        (
+            &["bench", "swap", "--seconds", "4", "--rate", "10"],
+            "--seconds 4: too short for a swap; at least 5",
+        ),
         (&["train", "--seeds", "-1"], "from 1 to 1000"),
         (
             &["train", "--out", "/proc/experiment"],
@@ -161,6 +165,28 @@ fn an_evaluation_without_metadrive_says_what_to_run() {
     assert_eq!(output.status.code(), Some(2), "{text}");
     assert!(text.contains("./vlaps setup metadrive"), "{text}");
     assert_eq!(text.lines().count(), 1, "{text}");
+}
+
+#[test]
+fn a_judge_that_answers_nothing_is_an_error_that_says_why() {
+    // Port 9 is discard: nobody listens there.
+    let words = "bench judge --scenes 2 --view top_down --server http://127.0.0.1:9/v1 \
+                 --set vlm.attempts_max=1";
+    let output = bench(&words.split_whitespace().collect::<Vec<_>>());
+    let [text, error] = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+    assert_eq!(output.status.code(), Some(1), "{text} {error}");
+    let why = "no answer to any of 2 scenes; top_down: 2 connection_refused";
+    assert!(error.contains(why), "{error}");
+    assert!(!text.contains("NaN") && !text.contains("stand-in"), "{text}");
+}
+
+#[test]
+fn an_address_that_may_hold_a_key_is_not_told() {
+    let words = ["bench", "judge", "--server", "http://127.0.0.1:9/v1?key=sk-secret"];
+    let output = bench(&words);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(text.contains("vlm.server") && !text.contains("sk-secret"), "{text}");
 }
 
 #[test]
@@ -211,10 +237,21 @@ fn a_policy_file_is_a_driver() {
         Value::Null,
         "nothing is planned"
     );
-    let output = bench(&[&words[..], &["nowhere.onnx"]].concat());
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        !output.status.success() && text.contains("nowhere.onnx"),
-        "{text}"
-    );
+    let pipe = scratch("pipe.onnx");
+    if !pipe.exists() {
+        let made = Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+        assert!(made.success());
+    }
+    let pipe = pipe.display().to_string();
+    for (file, why) in [
+        ("nowhere.onnx", "No such file"),
+        (&pipe, "is no regular file"),
+    ] {
+        let output = bench(&[&words[..], &[file]].concat());
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && text.contains(file) && text.contains(why),
+            "{text}"
+        );
+    }
 }

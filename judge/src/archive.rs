@@ -1,11 +1,12 @@
 use std::fs;
 use std::io;
+use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
-use shm_config::config::Config;
-use shm_config::judged::{Judged, RUN, SUMMARY};
+use shm_config::config::{Config, GateMode};
+use shm_config::judged::{Judged, SUMMARY};
 
 use crate::store::{Lost, Store, StoreError};
 use crate::{Filed, tally};
@@ -13,77 +14,118 @@ use crate::{Filed, tally};
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
 
-/// Writes records on a thread of its own: a disk that stalls holds up no advice.
+/// Counts what was asked and said, and keeps the records where that is wanted, on
+/// a thread of its own: a disk that stalls holds up no advice.
 pub struct Archive {
-    records: Option<SyncSender<Filed>>,
+    entries: Option<SyncSender<Entry>>,
     thread: Option<JoinHandle<()>>,
     lost: u64,
+    /// As it was last handed over.
+    trouble: String,
+}
+
+/// What the archive takes in.
+enum Entry {
+    Record(Box<Filed>),
+    Trouble(String),
 }
 
 impl Archive {
-    /// Of the run's folder, `judge` in it. The records of a run of the same name
-    /// before go to `judge-before`; those of this one are gone on with, when the
-    /// gate was restarted.
+    /// Of the run's folder, records in `judge` in it. Those of a run of the same
+    /// name before go to `judge-before`; those of this one are gone on with, when
+    /// the gate was restarted. A replay has a record already.
     ///
     /// # Errors
     /// When the folder cannot be made.
     pub fn open(config: &Config) -> Result<Self, StoreError> {
         let run_folder = PathBuf::from(&config.run.folder);
-        let folder = run_folder.join("judge");
-        make_room(&run_folder);
-        let mut store = Store::open(&folder, config.vlm.record_bytes_max)?;
-        // Without it the next gate of this run begins anew: no harm.
-        let _ = fs::write(run_folder.join(RUN), run_id());
-        let (records, filed) = sync_channel::<Filed>(WAITING_MAX);
-        let mut judged = tally::begin(config);
+        let ours = before(&run_folder);
+        let is_kept = config.gate.record && config.gate.mode != GateMode::Replay;
+        if is_kept && ours.is_none() {
+            make_room(&run_folder);
+        }
+        let mut store = is_kept
+            .then(|| Store::open(&run_folder.join("judge"), config.vlm.record_bytes_max))
+            .transpose()?;
+        let (entries, inbox) = sync_channel::<Entry>(WAITING_MAX);
+        let mut judged = ours.unwrap_or_else(|| tally::begin(config, parent_id()));
         let thread = thread::spawn(move || {
             write_summary(&run_folder, &judged);
-            while let Ok(Filed { record, pictures }) = filed.recv() {
-                tally::count(&mut judged, &record);
-                let question = store.begin(record, &pictures);
-                store.complete(question);
-                let lost = store.lost();
-                judged.lost = lost.lines + lost.pictures;
+            while let Ok(entry) = inbox.recv() {
+                match entry {
+                    Entry::Record(filed) => {
+                        tally::count(&mut judged, &filed.record);
+                        if let Some(store) = &mut store {
+                            judged.lost = keep(store, *filed);
+                        }
+                    }
+                    Entry::Trouble(trouble) => judged.trouble = trouble,
+                }
                 write_summary(&run_folder, &judged);
             }
-            let Lost {
-                lines,
-                pictures,
-                reason,
-            } = store.lost();
-            if lines + pictures > 0 {
-                tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
+            if let Some(store) = &store {
+                warn_of_lost(store.lost());
             }
         });
         Ok(Self {
-            records: Some(records),
+            entries: Some(entries),
             thread: Some(thread),
             lost: 0,
+            trouble: String::new(),
         })
     }
 
     /// Hands records over; those for which there is no room are lost.
     pub fn keep(&mut self, filed: Vec<Filed>) {
-        let Some(records) = &self.records else {
-            return;
-        };
         for filed in filed {
-            match records.try_send(filed) {
-                Ok(()) => {}
-                Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.lost += 1,
+            if !self.hand_over(Entry::Record(Box::new(filed))) {
+                self.lost += 1;
             }
         }
     }
 
+    /// Says at once why the server is not asked any more: records wait for what
+    /// follows their questions.
+    pub fn warn(&mut self, trouble: &str) {
+        if self.trouble != trouble && self.hand_over(Entry::Trouble(trouble.into())) {
+            self.trouble = trouble.into();
+        }
+    }
+
+    /// Whether there was room.
+    fn hand_over(&self, entry: Entry) -> bool {
+        let entries = self.entries.as_ref();
+        entries.is_some_and(|entries| entries.try_send(entry).is_ok())
+    }
+
     /// Waits until all that was handed over is written.
-    pub fn close(mut self) {
-        drop(self.records.take());
+    pub fn close(&mut self) {
+        drop(self.entries.take());
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
         if self.lost > 0 {
             tracing::warn!(lost = self.lost, "records of questions were lost");
         }
+    }
+}
+
+/// Keeps a record; how much could not be kept so far.
+fn keep(store: &mut Store, filed: Filed) -> u64 {
+    let question = store.begin(filed.record, &filed.pictures);
+    store.complete(question);
+    let lost = store.lost();
+    lost.lines + lost.pictures
+}
+
+fn warn_of_lost(lost: &Lost) {
+    let Lost {
+        lines,
+        pictures,
+        reason,
+    } = lost;
+    if lines + pictures > 0 {
+        tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
     }
 }
 
@@ -95,16 +137,18 @@ fn write_summary(run_folder: &Path, judged: &Judged) {
     let _ = fs::write(&part, text).and_then(|()| fs::rename(&part, &path));
 }
 
-/// The supervisor's process, which outlives its gates.
-fn run_id() -> String {
-    std::os::unix::process::parent_id().to_string()
+/// What an earlier gate of this run has written: the supervisor outlives its gates.
+/// Where it could not, this one begins anew: no harm.
+fn before(run_folder: &Path) -> Option<Judged> {
+    let text = fs::read_to_string(run_folder.join(SUMMARY)).ok()?;
+    let judged: Judged = serde_json::from_str(&text).ok()?;
+    (judged.supervisor == parent_id()).then_some(judged)
 }
 
 /// Moves the records of another run out of the way.
 fn make_room(run_folder: &Path) {
     let folder = &run_folder.join("judge");
-    let is_ours = fs::read_to_string(run_folder.join(RUN)).is_ok_and(|run| run == run_id());
-    if is_ours || !folder.exists() {
+    if !folder.exists() {
         return;
     }
     let before = folder.with_file_name("judge-before");

@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::Parser as _;
 use judge::standin::{NAME, Server};
+use shm_config::judged::counted;
 
 use crate::arguments::{Arguments, Command, ServerArguments};
 
@@ -41,7 +42,8 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
     })?;
     let url = server.url();
     say(format_args!(
-        "{NAME} listens on {url}: a stand-in that judges coloured pixels, no model. Ctrl-C stops it"
+        "{NAME} listens on {url}: a stand-in that judges coloured pixels, no model; asked as \
+         vlm.model={NAME}, it costs nothing. Ctrl-C stops it"
     ));
     if let Some(mishap) = arguments.fault {
         let share = arguments.fault_share;
@@ -51,7 +53,8 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
         ));
     }
     stop.forever().next();
-    say(format_args!("answered {} questions", server.requests()));
+    let questions = counted(server.requests(), "question");
+    say(format_args!("answered {questions}"));
     Ok(())
 }
 

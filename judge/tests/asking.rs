@@ -175,6 +175,8 @@ fn a_spent_budget_asks_nobody() {
         assert!(asked < 1000, "it ends");
     };
     assert_eq!((last.reply, last.attempts), (Err(Fault::Budget), 0));
+    let trouble = asker.trouble().expect("it is spent");
+    assert!(trouble.contains("vlm.budget_usd"), "{trouble}");
     assert_eq!(server.requests(), asked);
     assert!(asker.spent_usd() <= 1.5 * once);
 }
@@ -186,7 +188,7 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
         ..Options::default()
     });
     let asker = asker(&Vlm {
-        attempts_max: 1,
+        attempts_max: 2,
         breaker_failures: 2,
         breaker_open_s: 2.0,
         ..vlm(server.url())
@@ -195,8 +197,8 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
         let asked = ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
         (asked.reply.err(), asked.attempts)
     };
-    assert_eq!(next(), (Some(Fault::ServerError), 1));
-    assert_eq!(next(), (Some(Fault::ServerError), 1));
+    assert_eq!(next(), (Some(Fault::ServerError), 2));
+    assert_eq!(next(), (Some(Fault::ServerError), 2));
     let asked = server.requests();
     let mut alone = 0;
     while next() == (Some(Fault::BreakerOpen), 0) {
@@ -204,7 +206,58 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
         runtime().block_on(async { tokio::time::sleep(Duration::from_millis(50)).await });
     }
     assert!(alone > 0, "left alone");
-    assert_eq!(server.requests(), asked + 1, "one question tries it");
+    assert_eq!(server.requests(), asked + 1, "one request tries it");
+}
+
+#[test]
+fn a_question_is_one_breakdown_however_many_attempts_it_took() {
+    let server = start(Options {
+        mishap: Some(Mishap::ServerError),
+        ..Options::default()
+    });
+    let asker = asker(&Vlm {
+        attempts_max: 3,
+        breaker_failures: 2,
+        breaker_open_s: PATIENCE_S,
+        ..vlm(server.url())
+    });
+    let next = || {
+        let asked = ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
+        (asked.reply.err(), asked.attempts)
+    };
+    assert_eq!(next(), (Some(Fault::ServerError), 3));
+    assert_eq!(asker.trouble(), None, "it may pass");
+    assert_eq!(next(), (Some(Fault::ServerError), 3));
+    assert_eq!(next(), (Some(Fault::BreakerOpen), 0));
+    assert_eq!(server.requests(), 6);
+    let trouble = asker.trouble().expect("it is left alone");
+    assert!(
+        trouble.contains("http_500") && trouble.contains("vlm.server"),
+        "{trouble}"
+    );
+}
+
+#[test]
+fn who_is_not_asked_any_more_is_told_with_what_to_do() {
+    for (mishap, word, hint) in [
+        (Mishap::Unauthorized, "http_401", "vlm.key_file"),
+        (Mishap::Quota, "quota", "top up"),
+        (Mishap::NotFound, "http_404", "vlm.model"),
+    ] {
+        let server = start(Options {
+            mishap: Some(mishap),
+            ..Options::default()
+        });
+        let asker = asker(&vlm(server.url()));
+        assert_eq!(asker.trouble(), None);
+        ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
+        let trouble = asker.trouble().expect("no more is asked");
+        let parts = [word, "until the next start", hint];
+        assert!(
+            parts.iter().all(|part| trouble.contains(part)),
+            "{trouble}"
+        );
+    }
 }
 
 #[test]

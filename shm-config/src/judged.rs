@@ -7,25 +7,24 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 /// The file of it in the run's folder, JSON.
-pub const SUMMARY: &str = "judge/summary.json";
-
-/// The file that says which run it is of: the process id of its supervisor.
-pub const RUN: &str = "judge/run.txt";
+pub const SUMMARY: &str = "judged.json";
 
 /// Questions and answers of a run, so far.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
+    /// Which run it is of: the process id of its supervisor.
+    pub supervisor: u32,
     /// Who was asked.
     pub judge: String,
     /// Questions that are filed: those of the last seconds may be missing.
     pub questions: u64,
-    /// With a preference for the expert.
+    /// Answered for the expert.
     pub expert: u64,
-    /// With one for the policy, "similar" among them.
+    /// Answered for the policy, "similar" among them.
     pub policy: u64,
-    /// Of those: neither is clearly safer.
+    /// Of those: neither is clearly safer. Of a replay nobody knows.
     pub similar: u64,
-    /// Without a preference.
+    /// Without an answer that counts: the replies disagree.
     pub abstained: u64,
     /// Without an answer.
     pub failed: u64,
@@ -35,18 +34,38 @@ pub struct Judged {
     pub cost_usd: f64,
     /// Records or pictures that could not be kept.
     pub lost: u64,
+    /// Why the server was not asked any more, for good or for a while, and what to
+    /// do; empty where it always was.
+    #[serde(default)]
+    pub trouble: String,
+}
+
+/// So many of them, such as `1 question` and `2 questions`.
+pub fn counted(count: u64, noun: &str) -> String {
+    match count {
+        1 => format!("1 {noun}"),
+        _ => format!("{count} {noun}s"),
+    }
+}
+
+/// What is added to the answers for the policy, where there were such.
+pub fn of_these_similar(similar: u64) -> String {
+    match similar {
+        0 => String::new(),
+        _ => format!(" (of these similar {similar})"),
+    }
 }
 
 impl fmt::Display for Judged {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{}: {} questions: expert {}, policy {} (of these similar {}), abstained {}, failed {}",
+            "{}: {}: expert {}, policy {}{}, abstained {}, failed {}",
             self.judge,
-            self.questions,
+            counted(self.questions, "question"),
             self.expert,
             self.policy,
-            self.similar,
+            of_these_similar(self.similar),
             self.abstained,
             self.failed
         )?;
@@ -63,6 +82,9 @@ impl fmt::Display for Judged {
         }
         if self.lost > 0 {
             write!(f, "\n  {} records or pictures could not be kept", self.lost)?;
+        }
+        if !self.trouble.is_empty() {
+            write!(f, "\n  warning: {}", self.trouble)?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The configuration: the paper's numbers by default, and clear errors.
 
-use shm_config::config::{Clock, Config, GateMode, from_toml, load};
+use shm_config::config::{Clock, Config, GateMode, Vlm, from_toml, load};
 
 fn error(text: &str) -> String {
     let error = from_toml(text, "vlaps.toml")
@@ -210,11 +210,20 @@ fn a_models_server_is_an_address_and_holds_no_key() {
     }
     for (key, value) in [
         ("server", "https://me:sk-secret@api.openai.com/v1"),
+        ("server", "me:sk-secret@api.openai.com/v1"),
+        ("server", "https://api.openai.com/v1?key=sk-secret"),
+        ("server", "https://api.openai.com/v1#sk-secret"),
+        ("server", "https://api.openai.com/v1 sk-secret"),
+        ("server", "sk-secret"),
         ("key_env", "sk-secret"),
+        ("key_file", "sk-secret"),
     ] {
         let text = error(&format!("[vlm]\n{key} = \"{value}\"\n"));
         assert!(text.contains(&format!("vlm.{key}")), "{text}");
         assert!(!text.contains("sk-secret"), "it may be a key: {text}");
+    }
+    for path in ["/home/me/key", "./key.txt", "../keys/openai"] {
+        assert!(from_toml(&format!("[vlm]\nkey_file = \"{path}\"\n"), "x").is_ok());
     }
 }
 
@@ -227,4 +236,34 @@ fn a_server_of_ones_own_needs_a_models_name_and_costs_nothing() {
     assert_eq!(config.vlm.model_name(), "qwen2.5vl");
     assert_eq!(Config::default().vlm.model_name(), "gpt-4o-mini");
     assert_eq!(Config::default().vlm.prices_usd(), [0.15, 0.60]);
+}
+
+#[test]
+fn the_stand_in_has_a_name_of_its_own_and_is_free() {
+    let vlm = from_toml("[vlm]\nmodel = \"vlaps-stand-in\"\n", "x").unwrap().vlm;
+    assert_eq!(vlm.model_name(), "vlaps-stand-in");
+    assert_eq!(vlm.prices_usd(), [0.0, 0.0]);
+    let priced = Vlm {
+        price_in_usd: 1.0,
+        ..vlm
+    };
+    assert_eq!(priced.prices_usd(), [1.0, 0.0], "unless it is told");
+}
+
+#[test]
+fn a_quorum_is_told_that_the_number_of_judges_limits_it() {
+    let committee = |jurors: &str, quorum: u32| {
+        format!("[gate]\nmode = \"committee\"\ncommittee = [{jurors}]\nquorum = {quorum}\n")
+    };
+    let (two, three) = (
+        "\"rules\", \"vlm\"",
+        "\"rules\", \"vlm\", \"vlm\"",
+    );
+    assert!(from_toml(&committee(two, 2), "x").is_ok());
+    let text = error(&committee(two, 5));
+    let limit = "gate.quorum = 5: must be 2, more than half of the judges in gate.committee";
+    assert!(text.contains(limit) && text.contains("has 2"), "{text}");
+    assert!(from_toml(&committee(three, 3), "x").is_ok());
+    let text = error(&committee(three, 1));
+    assert!(text.contains("must be within 2 and 3, more than"), "{text}");
 }

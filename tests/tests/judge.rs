@@ -52,9 +52,12 @@ fn drive(set: &Set, server: &str, more: &[&str]) -> Value {
     set.json()
 }
 
+fn folder_of(set: &Set) -> PathBuf {
+    set.folder().join("runs").join(set.name().to_string())
+}
+
 fn records(set: &Set) -> Vec<Record> {
-    let folder = set.folder().join("runs").join(set.name().to_string());
-    let read = store::read(&folder.join("judge"));
+    let read = store::read(&folder_of(set).join("judge"));
     read.expect("records of questions").questions
 }
 
@@ -80,8 +83,7 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
     let drove = json["share"]["policy"].as_f64().expect("a share") > 0.0;
     assert_eq!(drove, answered(Verdict::Policy) > 0, "{json}");
 
-    let folder = asked.folder().join("runs").join(asked.name().to_string());
-    let recording = format!("gate.recording={}", folder.join("judge").display());
+    let recording = format!("gate.recording={}", folder_of(&asked).join("judge").display());
     drop(server);
     let replayed = Set::new("replayed");
     let again = drive(
@@ -89,6 +91,10 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
         "http://127.0.0.1:9/v1",
         &["--gate", "replay", "--set", &recording],
     );
+    for key in ["questions", "expert", "policy", "abstained", "failed"] {
+        assert_eq!(json["judge"][key], again["judge"][key], "{key}");
+    }
+    assert!(!folder_of(&replayed).join("judge").exists(), "kept once");
     assert_eq!(json["command_digest"], again["command_digest"]);
     assert_eq!(json["reasons"], again["reasons"]);
 }
@@ -112,6 +118,9 @@ fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
         ];
         let json = drive(&set, &server.url(), &quick);
         assert_eq!(json["share"]["policy"], 0.0, "{}", mishap.word());
+        let trouble = json["judge"]["trouble"].as_str().expect("a text");
+        let is_told = trouble.contains("http_401") && trouble.contains("vlm.key_env");
+        assert_eq!(is_told, mishap == Mishap::Unauthorized, "{trouble}");
         assert_eq!(json["skipped"], 0);
         let records = records(&set);
         assert!(!records.is_empty());
@@ -163,7 +172,11 @@ fn in_real_time_a_judge_that_hangs_or_dies_costs_no_tick() {
 fn the_papers_mode_pauses_the_world_and_names_both() {
     let server = stand_in();
     let set = Set::new("paper");
-    let json = drive(&set, &server.url(), &["--gate", "paper"]);
+    let own_name = ["--gate", "paper", "--set", "vlm.model=vlaps-stand-in"];
+    let json = drive(&set, &server.url(), &own_name);
+    assert_eq!(json["judge"]["cost_usd"], 0.0, "{json}");
+    let judge = json["judge"]["judge"].as_str().expect("a text");
+    assert!(judge.starts_with("paper, vlaps-stand-in at "), "{judge}");
     let records = records(&set);
     let ticks: Vec<u64> = records.iter().map(|record| record.tick).collect();
     assert!(ticks.len() >= 3, "{ticks:?}");

@@ -114,13 +114,14 @@ pub struct Vlm {
     /// What the server is: openai, vllm, llama_cpp, ollama, lm_studio or sglang.
     pub dialect: Dialect,
     /// Which model; empty for gpt-4o-mini with openai, and for the one that is
-    /// loaded with llama_cpp.
+    /// loaded with llama_cpp. vlaps-stand-in for ./vlaps judge-server, which is no
+    /// model and costs nothing.
     pub model: String,
     /// Environment variable that holds the key; empty for none. For
     /// api.openai.com OPENAI_API_KEY is looked at, too.
     pub key_env: String,
-    /// File that holds the key, in place of a variable; only its owner may have
-    /// rights to it (chmod 600).
+    /// File that holds the key, in place of a variable: a path with a / in it,
+    /// such as ./key.txt. Only its owner may have rights to it (chmod 600).
     pub key_file: String,
     /// File with certificates (PEM) of authorities that are trusted for https
     /// beside the system's own, such as a firm's; empty for none.
@@ -181,7 +182,8 @@ pub struct Vlm {
     /// Price of a million tokens out, US dollars; negative for the dialect's own:
     /// gpt-4o-mini's 0.60 for openai, nothing for the others.
     pub price_out_usd: f64,
-    /// Breakdowns of the server in a row after which it is left alone.
+    /// Questions in a row at which the server broke down in every attempt; then
+    /// it is left alone. One that is asked twice counts twice.
     pub breaker_failures: u32,
     /// For how long, s; then one question tries it again.
     pub breaker_open_s: f64,
@@ -231,12 +233,19 @@ impl Default for Vlm {
             budget_usd: 1.0,
             price_in_usd: -1.0,
             price_out_usd: -1.0,
-            breaker_failures: 5,
+            // Three questions, each asked twice.
+            breaker_failures: 6,
             breaker_open_s: 30.0,
             record_bytes_max: 512_000_000,
         }
     }
 }
+
+/// What `./vlaps judge-server` calls itself where a model would say its name.
+pub const STAND_IN: &str = "vlaps-stand-in";
+
+/// In the place of a value that may be a key.
+const HIDDEN: &str = "(not shown)";
 
 impl Vlm {
     /// The model's name as the server is told it.
@@ -251,9 +260,10 @@ impl Vlm {
 
     /// Prices of a million tokens in and out, US dollars.
     pub fn prices_usd(&self) -> [f64; 2] {
-        let own = match self.dialect {
-            Dialect::Openai => [0.15, 0.60],
-            _ => [0.0, 0.0],
+        let own = match (self.dialect, self.model_name()) {
+            (_, STAND_IN) => [0.0, 0.0],
+            (Dialect::Openai, _) => [0.15, 0.60],
+            (_, _) => [0.0, 0.0],
         };
         let given = [self.price_in_usd, self.price_out_usd];
         std::array::from_fn(|i| if given[i] < 0.0 { own[i] } else { given[i] })
@@ -301,42 +311,54 @@ impl Vlm {
         )
     }
 
+    /// Of what may hold a key by mistake, nothing is told but which setting it is.
     fn check_names(&self) -> Result<(), OutOfRange> {
         let refuse = |key: &str, value: &str, expected: &str| {
             Err(OutOfRange {
                 key: key.into(),
-                value: format!("{value:?}"),
+                value: value.into(),
                 expected: expected.into(),
             })
         };
         let begins = ["http://", "https://"].map(|scheme| self.server.strip_prefix(scheme));
         let rest = begins.into_iter().flatten().next().unwrap_or_default();
-        if rest.is_empty() || rest.contains(|c: char| c.is_whitespace() || "?#".contains(c)) {
+        if self.server.contains(['@', '?', '#']) {
             return refuse(
                 "vlm.server",
-                &self.server,
-                "an address such as http://127.0.0.1:8080/v1 or https://api.openai.com/v1",
+                HIDDEN,
+                "an address without name, password or query (@, ?, #); a key belongs into the \
+                 environment variable of vlm.key_env or into the file of vlm.key_file",
             );
         }
-        // The value is not told: it may be a key.
-        if rest.contains('@') {
+        if rest.is_empty() || rest.contains(char::is_whitespace) {
             return refuse(
                 "vlm.server",
-                "(not shown)",
-                "an address without name or password; a key belongs into the environment \
-                 variable of vlm.key_env or into vlm.key_file",
+                HIDDEN,
+                "an address such as http://127.0.0.1:8080/v1 or https://api.openai.com/v1",
             );
         }
         let needs_model = !matches!(self.dialect, Dialect::Openai | Dialect::LlamaCpp);
         if self.model.is_empty() && needs_model {
-            return refuse("vlm.model", "", "the name of a model that the server has");
+            return refuse(
+                "vlm.model",
+                "\"\"",
+                "the name of a model that the server has",
+            );
         }
         let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if !self.key_env.chars().all(is_name) {
             return refuse(
                 "vlm.key_env",
-                "(not shown)",
+                HIDDEN,
                 "the name of an environment variable, not the key itself",
+            );
+        }
+        // Paths are written down and told; keys hardly ever have a slash.
+        if !self.key_file.is_empty() && !self.key_file.contains('/') {
+            return refuse(
+                "vlm.key_file",
+                HIDDEN,
+                "the path of a file with a / in it, such as ./key.txt, not the key itself",
             );
         }
         Ok(())
