@@ -2,13 +2,16 @@
 //! rights: what they count adds up, is kept, and leaves nothing behind.
 
 use std::fs;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, getuid, kill_process_group};
 use serde_json::Value;
+use shm_config::run::USER_DIR;
 use vlaps_tests::{programs, until};
 
+/// In a process group of its own, as a terminal starts it.
 fn bench(words: &[&str], out: &Path) -> Child {
     Command::new(programs().join("vlaps-bench"))
         .arg("bench")
@@ -17,8 +20,15 @@ fn bench(words: &[&str], out: &Path) -> Child {
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
+        .process_group(0)
         .spawn()
         .expect("vlaps-bench")
+}
+
+/// Ctrl-C in the terminal: a signal to everybody in the group.
+fn interrupt(child: &Child) {
+    let group = Pid::from_child(child);
+    kill_process_group(group, Signal::INT).expect("a signal");
 }
 
 fn output(child: Child) -> Output {
@@ -30,15 +40,19 @@ fn json(path: &Path) -> Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// Shared memory of the runs of a process that is still there.
+/// Shared memory and folders of the runs of a process that are still there.
 fn left_behind(pid: u32) -> Vec<String> {
-    let of_run = format!("-{pid}.");
-    fs::read_dir("/dev/shm")
-        .expect("shared memory")
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| name.starts_with("vlaps-") && name.contains(&of_run))
-        .collect()
+    let names = |folder: &str| -> Vec<String> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        names.collect()
+    };
+    let mut left = names("/dev/shm");
+    left.retain(|name| name.starts_with("vlaps-") && name.contains(&format!("-{pid}.")));
+    let runs = names(&USER_DIR.replace("{user}", &getuid().as_raw().to_string()));
+    let of_run = format!("-{pid}");
+    left.extend(runs.into_iter().filter(|name| name.ends_with(&of_run)));
+    left
 }
 
 const ROWS: &[&str] = &[
@@ -123,14 +137,45 @@ fn who_stops_keeps_the_rows_that_are_done() {
     let child = bench(&words, folder.path());
     let first = folder.path().join("out/rows/100-hz-none-ordinary.json");
     until("the first row", || first.exists());
-    let pid = Pid::from_raw(child.id() as i32).expect("its id");
-    kill_process(pid, Signal::INT).expect("a signal");
+    interrupt(&child);
+    let pid = child.id();
     let done = output(child);
     assert_eq!(done.status.code(), Some(1), "{done:?}");
     let told = String::from_utf8_lossy(&done.stderr);
     assert!(told.contains("1 rows are left"), "{told}");
     let second = folder.path().join("out/rows/100-hz-cpu-ordinary.json");
     assert!(first.exists() && !second.exists());
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+#[test]
+fn ctrl_c_reaches_set_and_load_through_the_benchmark_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut words = ROWS.to_vec();
+    let chosen = [(2, "cpu"), (6, "60"), (10, "auto"), (12, "auto")];
+    for (place, word) in chosen {
+        words[place] = word;
+    }
+    let child = bench(&words, folder.path());
+    let pid = child.id();
+    until("the load and its witnesses", || has_thread(pid, "stalls-"));
+    interrupt(&child);
+    let done = output(child);
+    assert_eq!(done.status.code(), Some(1), "{done:?}");
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(told.contains("error: stopped, 1 rows are left"), "{told}");
+    assert!(!told.contains("second signal"), "{told}");
+    assert!(done.stdout.is_empty(), "no row, no table: {done:?}");
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+fn has_thread(pid: u32, name: &str) -> bool {
+    let threads = fs::read_dir(format!("/proc/{pid}/task"));
+    let mut threads = threads.into_iter().flatten().flatten();
+    threads.any(|thread| {
+        let word = fs::read_to_string(thread.path().join("comm"));
+        word.is_ok_and(|word| word.starts_with(name))
+    })
 }
 
 #[test]

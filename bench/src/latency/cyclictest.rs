@@ -1,6 +1,7 @@
 //! The machine's floor by `cyclictest`, of the rt-tests.
 
 use std::collections::BTreeMap;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -64,6 +65,8 @@ impl Cyclictest {
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
+            // Ctrl-C in the terminal is ours to act on.
+            .process_group(0)
             .spawn()
             .context("cyclictest")?;
         Ok(Self {

@@ -4,7 +4,6 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
-use supervisor::clean::{Cleaned, clean_run};
 
 use super::Bench;
 use super::arguments::Case;
@@ -16,14 +15,11 @@ use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Priority, claim};
 use crate::stalls::{StallWatch, Stalls};
-use shm_config::run::RunPaths;
 
 /// How long a set may take to drive, ns.
 const START_NS: u64 = 60_000_000_000;
 /// From look to look at the steps: far within their queue.
 const LOOK: Duration = Duration::from_millis(20);
-/// Looks until a run's last process has let go of it.
-const CLEANINGS: u32 = 100;
 /// Seconds from block to block of the learner.
 const BLOCK_S: f64 = 2.0;
 
@@ -79,6 +75,10 @@ pub fn drive(
         }
         supervisor::signals::pause(LOOK);
     }
+    // A row that was cut short is none, whatever else has ended meanwhile.
+    if bench.stop.is_asked() {
+        return Ok(None);
+    }
     if let Some(floors) = floors.take() {
         counted = Some(floors.finish(bench)?);
     }
@@ -87,19 +87,7 @@ pub fn drive(
     let stalls = noting.finish()?;
     watch.look();
     let seen = watch.finish();
-    // Whoever looks keeps a run alive: what it left is removed now.
-    let paths = RunPaths::new(name);
-    for _ in 0..CLEANINGS {
-        match clean_run(&paths) {
-            Ok(Cleaned::Alive) => supervisor::signals::pause(LOOK),
-            Ok(Cleaned::Removed(_)) | Err(_) => break,
-        }
-    }
-    let summary = driven.summary();
-    if bench.stop.is_asked() {
-        return Ok(None);
-    }
-    let summary = summary?;
+    let summary = driven.summary()?;
     let Some(counted) = counted else {
         bail!("the set never drove");
     };

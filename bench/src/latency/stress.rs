@@ -3,6 +3,7 @@
 
 use std::fs::File;
 use std::io::Write;
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -186,6 +187,8 @@ fn stress_ng(beside: &Beside, seconds: f64, folder: &Path) -> anyhow::Result<Chi
     command
         .stdin(Stdio::null())
         .stdout(Stdio::null())
+        // Ctrl-C in the terminal is ours to act on: the row is given up first.
+        .process_group(0)
         .spawn()
         .context("stress-ng")
 }

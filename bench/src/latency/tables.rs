@@ -11,9 +11,12 @@ const LISTED_MAX: usize = 5;
 /// The columns of [`four`].
 const FOUR: [&str; 4] = ["p50", "p99", "p99.9", "max"];
 
-/// Prints all of it.
+/// Prints all of it; nothing of no rows.
 pub fn print(measured: &Measured, seconds: f64) {
     let rows = &measured.rows;
+    if rows.is_empty() {
+        return;
+    }
     say("release lateness, us: from the scheduled instant to the begin of the tick");
     say(lateness(rows));
     say("\nwake-up, us: from the event that released the tick to its begin");
