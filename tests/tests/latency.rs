@@ -8,7 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 
 use rustix::process::{Pid, Signal, getuid, kill_process_group};
 use serde_json::Value;
-use shm_config::run::USER_DIR;
+use shm_config::run::{RunPaths, USER_DIR};
 use vlaps_tests::{programs, until};
 
 /// In a process group of its own, as a terminal starts it.
@@ -167,6 +167,43 @@ fn ctrl_c_reaches_set_and_load_through_the_benchmark_alone() {
     assert!(!told.contains("second signal"), "{told}");
     assert!(done.stdout.is_empty(), "no row, no table: {done:?}");
     assert_eq!(left_behind(pid), [""; 0]);
+}
+
+#[test]
+fn a_killed_benchmark_takes_its_load_and_its_floor_with_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut words = ROWS.to_vec();
+    let chosen = [(2, "cpu"), (6, "60"), (10, "auto"), (12, "auto")];
+    for (place, word) in chosen {
+        words[place] = word;
+    }
+    let mut child = bench(&words, folder.path());
+    let pid = child.id();
+    // The floor comes last.
+    until("all that runs beside the set", || has_thread(pid, "floor"));
+    let children = children(pid);
+    assert!(!children.is_empty(), "the set at least");
+    child.kill().expect("a signal");
+    child.wait().expect("its end");
+    let ended = |pid: &&u32| !Path::new(&format!("/proc/{pid}/exe")).exists();
+    until("the end of everybody it started", || {
+        children.iter().filter(ended).count() == children.len()
+    });
+    let files = fs::read_dir(folder.path().join("out")).expect("out");
+    assert_eq!(files.count(), 1, "rows, and nothing of the load");
+    // Nobody is left to do it.
+    let run = format!("latency-0-{pid}").parse().expect("a run's name");
+    bench::driven::remove(&RunPaths::new(run));
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+/// Processes that the main thread of a process has started and that live.
+fn children(pid: u32) -> Vec<u32> {
+    let list = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
+    let list = list.unwrap_or_default();
+    list.split_whitespace()
+        .map(|pid| pid.parse().expect("a process id"))
+        .collect()
 }
 
 fn has_thread(pid: u32, name: &str) -> bool {

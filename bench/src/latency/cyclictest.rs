@@ -1,9 +1,8 @@
 //! The machine's floor by `cyclictest`, of the rt-tests.
 
 use std::collections::BTreeMap;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 
 use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, kill_process};
@@ -42,11 +41,11 @@ impl Cyclictest {
     /// When it cannot be started.
     pub fn start(rate_hz: f64, priority: Priority, seconds: f64) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
-        let mut command = Command::new("cyclictest");
+        let mut command = super::beside("cyclictest");
         let period_us = (1e6 / rate_hz).round() as u64;
         command.args(["--quiet", "--threads=1", "--default-system"]);
         command.arg(format!("--interval={period_us}"));
-        // It ends by itself, should this program be killed.
+        // It ends by itself, should this program be killed and nobody end it.
         let end_s = (seconds + SPARE_S).ceil();
         command.arg(format!("--duration={end_s}"));
         command.arg(format!("--histogram={LONGEST_US}"));
@@ -65,8 +64,6 @@ impl Cyclictest {
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
-            // Ctrl-C in the terminal is ours to act on.
-            .process_group(0)
             .spawn()
             .context("cyclictest")?;
         Ok(Self {

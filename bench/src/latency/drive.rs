@@ -47,7 +47,8 @@ pub fn drive(
     }
     let mut watch = Watch::begin(&name)?;
     let seconds = bench.settings.seconds;
-    let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
+    let places = (bench.scratch, bench.disk);
+    let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), places)?;
     let noting = StallWatch::start(case.priority, clock)?;
     let mut floors = None;
     let mut counted = None;

@@ -12,6 +12,7 @@ mod stress;
 mod tables;
 mod watch;
 
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -49,7 +50,10 @@ struct Bench<'a> {
     /// The floor must be by cyclictest: the user said so.
     insist: bool,
     policy: &'a Path,
+    /// Folder of what goes with the benchmark.
     scratch: &'a Path,
+    /// The disk that is loaded: the one that results go to.
+    disk: &'a Path,
     stop: Stop,
     clock: Clock,
 }
@@ -91,12 +95,13 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
         cyclictest,
         insist: arguments.floor == FloorChoice::Cyclictest,
         policy: &policy,
-        // The disk that is loaded is the one that results go to.
-        scratch: arguments.out.as_deref().unwrap_or(folder.path()),
+        scratch: folder.path(),
+        disk: arguments.out.as_deref().unwrap_or(folder.path()),
         stop: Stop::listen()?,
         clock,
     };
     let shelf = Shelf::open(arguments.out.as_deref())?;
+    stress::remove_stale(bench.disk);
     let cases = arguments.cases();
     let total = cases.len() as u64;
     let mut progress = Progress::begin("latency".into(), "rows", (0, total), clock)?;
@@ -151,6 +156,23 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
         }
         left => anyhow::bail!("stopped, {left} rows are left; with --out rows are kept"),
     }
+}
+
+/// A program beside a set. The kernel ends it when this one has ended, however it did,
+/// where setpriv(1) is there to ask for that; Ctrl-C in the terminal does not reach it,
+/// since what is measured beside it is given up first.
+fn beside(program: &str) -> Command {
+    let tie = ["--pdeathsig", "TERM"];
+    let mut tied = Command::new("setpriv");
+    tied.args(tie).arg(program);
+    let mut probe = Command::new("setpriv");
+    let probe = probe.args(tie).arg("true").stderr(Stdio::null()).status();
+    let mut command = match probe {
+        Ok(status) if status.success() => tied,
+        _ => Command::new(program),
+    };
+    command.process_group(0);
+    command
 }
 
 /// A program is on PATH and answers.
