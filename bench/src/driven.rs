@@ -1,15 +1,25 @@
 //! A whole process set, driven for a measurement.
 
 use std::ffi::OsString;
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use shm_config::run::RunPaths;
+use supervisor::clean::{Cleaned, clean_run};
+use supervisor::signals::pause;
 pub use supervisor::tally::Quantiles;
 
-/// A running set. It is killed should anything fail before it has ended.
+/// Looks until a run's last process has let go of it, and from one to the next.
+const CLEANINGS: u32 = 100;
+const LOOK: Duration = Duration::from_millis(20);
+
+/// A running set. It is killed should anything fail before it has ended; what its run
+/// has left is removed with this value, which whoever looks at the run drops first.
 pub struct Driven {
     child: Child,
     name: String,
@@ -41,6 +51,8 @@ impl Driven {
             .current_dir(folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
+            // Ctrl-C in the terminal is ours to pass on: twice would kill.
+            .process_group(0)
             .spawn()
             .with_context(|| supervisor.display().to_string())?;
         Ok(Self {
@@ -106,6 +118,21 @@ impl Drop for Driven {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+        let Ok(name) = self.name.parse() else {
+            return;
+        };
+        // Whoever looks keeps a run alive, as does a process that is being killed.
+        remove(&RunPaths::new(name));
+    }
+}
+
+/// Removes what a run has left, once its last process has let go of it.
+pub fn remove(paths: &RunPaths) {
+    for _ in 0..CLEANINGS {
+        match clean_run(paths) {
+            Ok(Cleaned::Alive) => pause(LOOK),
+            Ok(Cleaned::Removed(_)) | Err(_) => return,
+        }
     }
 }
 

@@ -2,13 +2,17 @@
 //! rights: what they count adds up, is kept, and leaves nothing behind.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, getuid, kill_process_group};
 use serde_json::Value;
+use shm_config::run::{RunPaths, USER_DIR};
 use vlaps_tests::{programs, until};
 
+/// In a process group of its own, as a terminal starts it.
 fn bench(words: &[&str], out: &Path) -> Child {
     Command::new(programs().join("vlaps-bench"))
         .arg("bench")
@@ -17,8 +21,15 @@ fn bench(words: &[&str], out: &Path) -> Child {
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
+        .process_group(0)
         .spawn()
         .expect("vlaps-bench")
+}
+
+/// Ctrl-C in the terminal: a signal to everybody in the group.
+fn interrupt(child: &Child) {
+    let group = Pid::from_child(child);
+    kill_process_group(group, Signal::INT).expect("a signal");
 }
 
 fn output(child: Child) -> Output {
@@ -30,15 +41,19 @@ fn json(path: &Path) -> Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// Shared memory of the runs of a process that is still there.
+/// Shared memory and folders of the runs of a process that are still there.
 fn left_behind(pid: u32) -> Vec<String> {
-    let of_run = format!("-{pid}.");
-    fs::read_dir("/dev/shm")
-        .expect("shared memory")
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| name.starts_with("vlaps-") && name.contains(&of_run))
-        .collect()
+    let names = |folder: &str| -> Vec<String> {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        names.collect()
+    };
+    let mut left = names("/dev/shm");
+    left.retain(|name| name.starts_with("vlaps-") && name.contains(&format!("-{pid}.")));
+    let runs = names(&USER_DIR.replace("{user}", &getuid().as_raw().to_string()));
+    let of_run = format!("-{pid}");
+    left.extend(runs.into_iter().filter(|name| name.ends_with(&of_run)));
+    left
 }
 
 const ROWS: &[&str] = &[
@@ -113,6 +128,15 @@ fn rows_account_for_every_tick_and_are_kept() {
     let again = output(bench(ROWS, folder.path()));
     assert!(again.status.success(), "{again:?}");
     assert_eq!(json(&out.join("latency.json"))["rows"], measured["rows"]);
+
+    // Rows of other settings are nobody's to overwrite unasked.
+    let mut longer = ROWS.to_vec();
+    longer[6] = "3";
+    let refused = output(bench(&longer, folder.path()));
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(told.contains("--seconds 2 in place of 3"), "{told}");
+    assert_eq!(json(&out.join("latency.json"))["rows"], measured["rows"]);
 }
 
 #[test]
@@ -123,14 +147,122 @@ fn who_stops_keeps_the_rows_that_are_done() {
     let child = bench(&words, folder.path());
     let first = folder.path().join("out/rows/100-hz-none-ordinary.json");
     until("the first row", || first.exists());
-    let pid = Pid::from_raw(child.id() as i32).expect("its id");
-    kill_process(pid, Signal::INT).expect("a signal");
+    interrupt(&child);
+    let pid = child.id();
     let done = output(child);
     assert_eq!(done.status.code(), Some(1), "{done:?}");
     let told = String::from_utf8_lossy(&done.stderr);
     assert!(told.contains("1 rows are left"), "{told}");
     let second = folder.path().join("out/rows/100-hz-cpu-ordinary.json");
     assert!(first.exists() && !second.exists());
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+#[test]
+fn ctrl_c_reaches_set_and_load_through_the_benchmark_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut words = ROWS.to_vec();
+    let chosen = [(2, "cpu"), (6, "60"), (10, "auto"), (12, "auto")];
+    for (place, word) in chosen {
+        words[place] = word;
+    }
+    let child = bench(&words, folder.path());
+    let pid = child.id();
+    until("the load and its witnesses", || has_thread(pid, "stalls-"));
+    interrupt(&child);
+    let done = output(child);
+    assert_eq!(done.status.code(), Some(1), "{done:?}");
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert!(told.contains("error: stopped, 1 rows are left"), "{told}");
+    assert!(!told.contains("second signal"), "{told}");
+    assert!(done.stdout.is_empty(), "no row, no table: {done:?}");
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+#[test]
+fn a_killed_benchmark_takes_its_load_and_its_floor_with_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut words = ROWS.to_vec();
+    let chosen = [(2, "cpu"), (6, "60"), (10, "auto"), (12, "auto")];
+    for (place, word) in chosen {
+        words[place] = word;
+    }
+    let mut child = bench(&words, folder.path());
+    let pid = child.id();
+    // The floor comes last.
+    until("all that runs beside the set", || has_thread(pid, "floor"));
+    let children = children(pid);
+    assert!(!children.is_empty(), "the set at least");
+    child.kill().expect("a signal");
+    child.wait().expect("its end");
+    let ended = |pid: &&u32| !Path::new(&format!("/proc/{pid}/exe")).exists();
+    until("the end of everybody it started", || {
+        children.iter().filter(ended).count() == children.len()
+    });
+    let files = fs::read_dir(folder.path().join("out")).expect("out");
+    assert_eq!(files.count(), 1, "rows, and nothing of the load");
+    // Nobody is left to do it.
+    let run = format!("latency-0-{pid}").parse().expect("a run's name");
+    bench::driven::remove(&RunPaths::new(run));
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+/// Processes that the main thread of a process has started and that live.
+fn children(pid: u32) -> Vec<u32> {
+    let list = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
+    let list = list.unwrap_or_default();
+    list.split_whitespace()
+        .map(|pid| pid.parse().expect("a process id"))
+        .collect()
+}
+
+fn has_thread(pid: u32, name: &str) -> bool {
+    let threads = fs::read_dir(format!("/proc/{pid}/task"));
+    let mut threads = threads.into_iter().flatten().flatten();
+    threads.any(|thread| {
+        let word = fs::read_to_string(thread.path().join("comm"));
+        word.is_ok_and(|word| word.starts_with(name))
+    })
+}
+
+#[test]
+fn a_comparison_of_the_wire_that_is_stopped_prints_the_rows_it_has() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let words = "ipc --message command,step --wake bell --rate 1000 --seconds 0.5";
+    let words: Vec<&str> = words.split(' ').collect();
+    let mut child = bench(&words, folder.path());
+    let pid = child.id();
+    let errors = child.stderr.take().expect("a pipe");
+    let mut lines = BufReader::new(errors).lines().map_while(Result::ok);
+    let first = lines.find(|line| line.starts_with("ipc: 1 of 2 rows"));
+    assert!(first.is_some(), "it ended before its first row");
+    interrupt(&child);
+    let told: Vec<String> = lines.collect();
+    let done = output(child);
+    assert_eq!(done.status.code(), Some(1), "{told:?}");
+    assert_eq!(told, ["error: stopped, 1 rows are left"]);
+    let table = String::from_utf8_lossy(&done.stdout);
+    assert!(table.contains("command 56 B") && !table.contains("step"), "{table}");
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+#[test]
+fn a_stopped_soak_judges_the_samples_it_has_and_leaves_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let words = "soak --ticks 1000000 --samples 2000 --out out";
+    let words: Vec<&str> = words.split(' ').collect();
+    let child = bench(&words, folder.path());
+    let pid = child.id();
+    let samples = folder.path().join("out/samples.csv");
+    let lines = || fs::read_to_string(&samples).map_or(0, |text| text.lines().count());
+    until("a sample", || lines() > 1);
+    interrupt(&child);
+    let done = output(child);
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{told}");
+    assert!(told.contains("error: stopped after"), "{told}");
+    assert!(told.contains("of 1000000 ticks"), "{told}");
+    assert_eq!(left_behind(pid), [""; 0]);
 }
 
 #[test]

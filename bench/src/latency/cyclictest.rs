@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 
 use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, kill_process};
@@ -41,11 +41,11 @@ impl Cyclictest {
     /// When it cannot be started.
     pub fn start(rate_hz: f64, priority: Priority, seconds: f64) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
-        let mut command = Command::new("cyclictest");
+        let mut command = super::beside("cyclictest");
         let period_us = (1e6 / rate_hz).round() as u64;
         command.args(["--quiet", "--threads=1", "--default-system"]);
         command.arg(format!("--interval={period_us}"));
-        // It ends by itself, should this program be killed.
+        // It ends by itself, should this program be killed and nobody end it.
         let end_s = (seconds + SPARE_S).ceil();
         command.arg(format!("--duration={end_s}"));
         command.arg(format!("--histogram={LONGEST_US}"));
@@ -151,6 +151,8 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
         ticks,
         skipped: missed,
         missed,
+        // By its own count, as the processes' grids have it.
+        elapsed_s: ((ticks + missed) * period_ns) as f64 / 1e9,
         lateness_us,
         priority: match priority {
             Priority::Asked => "granted".into(),
@@ -198,6 +200,7 @@ mod tests {
         let (floor, series) = read(text, 10_000_000, Priority::Asked).expect("its JSON");
         // Two ticks slept through by each of the 25 ms, 100 by the longest.
         assert_eq!((floor.ticks, floor.missed), (100, 2 * 2 + 100));
+        assert_eq!(floor.elapsed_s, 2.04);
         assert_eq!(series.count(), 204);
         let late = |from_ns| {
             let mut buckets = series.buckets.iter();

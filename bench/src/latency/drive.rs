@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
-use supervisor::clean::{Cleaned, clean_run};
+use shm_config::config::Config;
 
 use super::Bench;
 use super::arguments::Case;
@@ -15,15 +15,13 @@ use super::stress::Stress;
 use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Priority, claim};
+use crate::settings;
 use crate::stalls::{StallWatch, Stalls};
-use shm_config::run::RunPaths;
 
 /// How long a set may take to drive, ns.
 const START_NS: u64 = 60_000_000_000;
 /// From look to look at the steps: far within their queue.
 const LOOK: Duration = Duration::from_millis(20);
-/// Looks until a run's last process has let go of it.
-const CLEANINGS: u32 = 100;
 /// Seconds from block to block of the learner.
 const BLOCK_S: f64 = 2.0;
 
@@ -35,7 +33,7 @@ pub fn drive(
     k: usize,
 ) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
     let mut judge = case.beside.judge.begin()?;
-    let plan_rate_hz = plan_rate(bench, case);
+    let plan_rate_hz = configuration(bench, case)?.planner_rate_hz();
     let mut up = judge.arguments();
     up.extend(arguments(bench, case));
     let mut driven = Driven::start(&format!("latency-{k}"), up)?;
@@ -51,7 +49,8 @@ pub fn drive(
     }
     let mut watch = Watch::begin(&name)?;
     let seconds = bench.settings.seconds;
-    let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), bench.scratch)?;
+    let places = (bench.scratch, bench.disk);
+    let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), places)?;
     let noting = StallWatch::start(case.priority, clock)?;
     let mut floors = None;
     let mut counted = None;
@@ -79,6 +78,10 @@ pub fn drive(
         }
         supervisor::signals::pause(LOOK);
     }
+    // A row that was cut short is none, whatever else has ended meanwhile.
+    if bench.stop.is_asked() {
+        return Ok(None);
+    }
     if let Some(floors) = floors.take() {
         counted = Some(floors.finish(bench)?);
     }
@@ -87,19 +90,7 @@ pub fn drive(
     let stalls = noting.finish()?;
     watch.look();
     let seen = watch.finish();
-    // Whoever looks keeps a run alive: what it left is removed now.
-    let paths = RunPaths::new(name);
-    for _ in 0..CLEANINGS {
-        match clean_run(&paths) {
-            Ok(Cleaned::Alive) => supervisor::signals::pause(LOOK),
-            Ok(Cleaned::Removed(_)) | Err(_) => break,
-        }
-    }
-    let summary = driven.summary();
-    if bench.stop.is_asked() {
-        return Ok(None);
-    }
-    let summary = summary?;
+    let summary = driven.summary()?;
     let Some(counted) = counted else {
         bail!("the set never drove");
     };
@@ -196,16 +187,14 @@ fn granted(priority: Priority) -> Priority {
     }
 }
 
-/// A plan at every tick, unless the user says otherwise.
-fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
-    let set = bench.settings.overrides.iter().rev().find_map(|text| {
-        let (key, value) = text.split_once('=')?;
-        (key.trim() == "planner.rate_hz").then(|| value.trim().parse::<f64>().ok())?
-    });
-    match set {
-        Some(rate_hz) if rate_hz > 0.0 => rate_hz,
-        Some(_) | None => case.rate_hz,
-    }
+/// The configuration of a row's set.
+///
+/// # Errors
+/// When no set could drive with it.
+pub fn configuration(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Config> {
+    let mut up = case.beside.judge.arguments();
+    up.extend(arguments(bench, case));
+    settings::of_set(up)
 }
 
 fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {

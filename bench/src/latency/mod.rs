@@ -12,6 +12,7 @@ mod stress;
 mod tables;
 mod watch;
 
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -22,10 +23,12 @@ use serde::Serialize;
 use crate::Clock;
 use crate::inference::net;
 use crate::report::{Machine, say, write_json};
+use crate::settings;
 use crate::stop::Stop;
 use crate::train::progress::Progress;
 pub use arguments::BenchLatency;
-use arguments::{FloorChoice, Settings};
+use arguments::{Case, FloorChoice, OWN_KEYS, Settings};
+use buckets::Series;
 use row::{METHOD, Row};
 use shelf::Shelf;
 use stress::Maker;
@@ -49,7 +52,10 @@ struct Bench<'a> {
     /// The floor must be by cyclictest: the user said so.
     insist: bool,
     policy: &'a Path,
+    /// Folder of what goes with the benchmark.
     scratch: &'a Path,
+    /// The disk that is loaded: the one that results go to.
+    disk: &'a Path,
     stop: Stop,
     clock: Clock,
 }
@@ -57,8 +63,10 @@ struct Bench<'a> {
 /// `./vlaps bench latency`.
 ///
 /// # Errors
-/// When a set does not start, fails, or does not account for its ticks.
+/// When a set does not start, fails, or does not account for its ticks, or a file
+/// cannot be written; what was measured until then is printed all the same.
 pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
+    settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
     let folder = tempfile::tempdir()?;
     // There is nothing to judge without a policy; what it proposes is all one.
@@ -66,91 +74,137 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     let bytes = encode(&net(256, 0), &Provenance::default(), &[vec![0.5; 259]]);
     std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
     let maker = Maker::of(arguments.stress)?;
-    let cyclictest = match arguments.floor {
-        FloorChoice::Own => false,
-        FloorChoice::Auto => cyclictest::is_there(),
-        FloorChoice::Cyclictest if cyclictest::is_there() => true,
-        FloorChoice::Cyclictest => anyhow::bail!(
-            "--floor cyclictest: it is not on PATH; `sudo apt-get install rt-tests`, or --floor own"
-        ),
-    };
+    let cyclictest = is_by_cyclictest(arguments.floor)?;
+    let floor = if cyclictest { "cyclictest" } else { "own thread" };
     let bench = Bench {
         settings: Settings {
             seconds: arguments.seconds,
             method: METHOD,
             overrides: arguments.overrides.clone(),
             stress: maker.word().into(),
-            floor: if cyclictest {
-                "cyclictest"
-            } else {
-                "own thread"
-            }
-            .into(),
+            floor: floor.into(),
         },
         maker,
         cyclictest,
         insist: arguments.floor == FloorChoice::Cyclictest,
         policy: &policy,
-        // The disk that is loaded is the one that results go to.
-        scratch: arguments.out.as_deref().unwrap_or(folder.path()),
+        scratch: folder.path(),
+        disk: arguments.out.as_deref().unwrap_or(folder.path()),
         stop: Stop::listen()?,
         clock,
     };
-    let shelf = Shelf::open(arguments.out.as_deref())?;
     let cases = arguments.cases();
-    let total = cases.len() as u64;
-    let mut progress = Progress::begin("latency".into(), "rows", (0, total), clock)?;
-    let mut rows = Vec::new();
-    for (k, case) in cases.iter().enumerate() {
-        let kept = match arguments.fresh {
-            true => None,
-            false => shelf.kept(case, &bench.settings),
-        };
-        let row = match kept {
-            Some(row) => row,
-            None => {
-                progress.now(&case.words());
-                match drive::drive(&bench, case, k).with_context(|| case.words())? {
-                    Some((row, series)) => {
-                        shelf.keep(case, &row, &series)?;
-                        row
-                    }
-                    None => break,
-                }
-            }
-        };
-        rows.push(row);
-        progress.at(rows.len() as u64);
+    // All of them before the first: nobody waits for a row that cannot be.
+    for case in &cases {
+        drive::configuration(&bench, case).with_context(|| case.words())?;
     }
-    progress.end();
+    let shelf = Shelf::open(arguments.out.as_deref())?;
+    stress::remove_stale(bench.disk);
+    if arguments.fresh {
+        cases.iter().for_each(|case| shelf.forget(case));
+    }
+    let mut rows = Vec::new();
+    let done = measure(&bench, &cases, &shelf, &mut rows);
     let measured = Measured {
         left: cases.len() - rows.len(),
         rows,
         conditions,
     };
     tables::print(&measured, arguments.seconds);
-    if let Some(out) = &arguments.out {
-        pictures::draw(
-            &measured.rows,
-            &shelf.series(&cases[..measured.rows.len()])?,
-            out,
-        )?;
-        write_json(&out.join("latency.json"), &measured)?;
-        say(format_args!(
-            "rows, histograms and pictures: {}",
-            out.display()
-        ));
-    }
-    if let Some(path) = &arguments.json {
-        write_json(path, &measured)?;
-    }
+    done?;
+    write(arguments, &measured, &shelf.series(&cases[..measured.rows.len()])?)?;
     match measured.left {
         0 => Ok(()),
+        left if arguments.fresh => {
+            anyhow::bail!("stopped, {left} rows are left; the same without --fresh goes on")
+        }
         left if arguments.out.is_some() => {
             anyhow::bail!("stopped, {left} rows are left; the same command goes on")
         }
         left => anyhow::bail!("stopped, {left} rows are left; with --out rows are kept"),
     }
+}
+
+fn is_by_cyclictest(choice: FloorChoice) -> anyhow::Result<bool> {
+    match choice {
+        FloorChoice::Own => Ok(false),
+        FloorChoice::Auto => Ok(cyclictest::is_there()),
+        FloorChoice::Cyclictest if cyclictest::is_there() => Ok(true),
+        FloorChoice::Cyclictest => anyhow::bail!(
+            "--floor cyclictest: it is not on PATH; `sudo apt-get install rt-tests`, or --floor own"
+        ),
+    }
+}
+
+/// Adds a row for each case, kept or driven, until somebody stops.
+///
+/// # Errors
+/// When one cannot be driven or kept. The rows until then are there, the one that could
+/// not be kept among them.
+fn measure(
+    bench: &Bench<'_>,
+    cases: &[Case],
+    shelf: &Shelf,
+    rows: &mut Vec<Row>,
+) -> anyhow::Result<()> {
+    let kept = cases.iter().map(|case| shelf.kept(case, &bench.settings));
+    let kept = kept.collect::<Result<Vec<_>, _>>()?;
+    let total = cases.len() as u64;
+    let mut progress = Progress::begin("latency".into(), "rows", (0, total), bench.clock)?;
+    for (k, (case, kept)) in cases.iter().zip(kept).enumerate() {
+        if let Some(row) = kept {
+            rows.push(row);
+        } else {
+            progress.now(&case.words());
+            let driven = drive::drive(bench, case, k).with_context(|| case.words())?;
+            let Some((row, series)) = driven else {
+                break;
+            };
+            let kept = shelf.keep(case, &row, &series);
+            rows.push(row);
+            kept?;
+        }
+        progress.at(rows.len() as u64);
+    }
+    progress.end();
+    Ok(())
+}
+
+/// Writes what the options ask for.
+fn write(
+    arguments: &BenchLatency,
+    measured: &Measured,
+    series: &[Vec<Series>],
+) -> anyhow::Result<()> {
+    if let Some(out) = &arguments.out {
+        pictures::draw(&measured.rows, series, out)?;
+        write_json(&out.join("latency.json"), measured)?;
+        say(format_args!(
+            "rows, histograms and pictures: {}",
+            out.display()
+        ));
+    }
+    match &arguments.json {
+        Some(path) => write_json(path, measured),
+        None => Ok(()),
+    }
+}
+
+/// A program beside a set. The kernel ends it when this one has ended, however it did,
+/// where setpriv(1) is there to ask for that; Ctrl-C in the terminal does not reach it,
+/// since what is measured beside it is given up first.
+fn beside(program: &str) -> Command {
+    let tie = ["--pdeathsig", "TERM"];
+    let mut tied = Command::new("setpriv");
+    tied.args(tie).arg(program);
+    let mut probe = Command::new("setpriv");
+    let probe = probe.args(tie).arg("true").stderr(Stdio::null()).status();
+    let mut command = match probe {
+        Ok(status) if status.success() => tied,
+        _ => Command::new(program),
+    };
+    command.process_group(0);
+    command
 }
 
 /// A program is on PATH and answers.

@@ -9,6 +9,7 @@ use plotters::prelude::*;
 
 use super::buckets::Series;
 use super::row::Row;
+use crate::bitmap::Bitmap;
 use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 
 /// Size of a panel, pixels.
@@ -63,7 +64,7 @@ pub fn draw(rows: &[Row], series: &[Vec<Series>], out: &Path) -> anyhow::Result<
             let root = SVGBackend::new(&path, size).into_drawing_area();
             paint(&root, &picture, &of).with_context(|| path.display().to_string())?;
             let path = out.join(format!("{}.png", picture.file));
-            let root = BitMapBackend::new(&path, size).into_drawing_area();
+            let root = Bitmap(BitMapBackend::new(&path, size)).into_drawing_area();
             paint(&root, &picture, &of).with_context(|| path.display().to_string())?;
         }
     }

@@ -4,7 +4,7 @@
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
@@ -25,6 +25,8 @@ const CHUNKS: u64 = 64;
 /// Seconds after a row's end at which stress-ng ends by itself, should this program be
 /// killed and nobody end it.
 pub const SPARE_S: f64 = 90.0;
+/// Folder of the files that load the disk, within the one of `--out`.
+const FILES: &str = ".load";
 
 /// Who makes the load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,17 +74,21 @@ pub struct Stress {
 }
 
 impl Stress {
-    /// Begins what a row asks for; files are written in a folder of their own
-    /// within `scratch`.
+    /// Begins what a row asks for; files that load the disk are written in a folder of
+    /// their own within `disk`, what else a program writes within `scratch`.
     ///
     /// # Errors
     /// When a program, thread or file cannot be had.
     pub fn begin(
         beside: &Beside,
         (maker, seconds): (Maker, f64),
-        scratch: &Path,
+        (scratch, disk): (&Path, &Path),
     ) -> anyhow::Result<Self> {
-        let folder = tempfile::tempdir_in(scratch).context("a folder for the load's files")?;
+        let place = if beside.disk { disk } else { scratch };
+        let mut folder = tempfile::Builder::new();
+        // One name, so that what a killed benchmark leaves is found by the next.
+        let folder = folder.prefix(FILES).rand_bytes(0).tempdir_in(place);
+        let folder = folder.with_context(|| place.join(FILES).display().to_string())?;
         let mut stress = Self {
             child: None,
             threads: Vec::new(),
@@ -168,8 +174,14 @@ impl Drop for Stress {
     }
 }
 
+/// Removes the files that a killed benchmark has left on the disk it loaded.
+pub fn remove_stale(disk: &Path) {
+    // What cannot be removed is told when the next row wants the place.
+    let _ = std::fs::remove_dir_all(disk.join(FILES));
+}
+
 fn stress_ng(beside: &Beside, seconds: f64, folder: &Path) -> anyhow::Result<Child> {
-    let mut command = Command::new("stress-ng");
+    let mut command = super::beside("stress-ng");
     let end_s = (seconds + SPARE_S).ceil().to_string();
     command.args(["--quiet", "--timeout", &end_s, "--temp-path"]);
     command.arg(folder);
@@ -238,12 +250,16 @@ fn write(mut file: &File, stop: &AtomicBool, done: &AtomicU64) {
 mod tests {
     use super::*;
     use crate::latency::arguments::Load;
+    use std::process::Command;
     use std::time::Duration;
 
     fn works(maker: Maker, load: Load) {
-        let scratch = tempfile::tempdir().expect("a folder");
+        let (scratch, disk) = folders();
         let row = load.rows()[0];
-        let mut stress = Stress::begin(&row, (maker, 1.0), scratch.path()).expect("a load");
+        let places = (scratch.path(), disk.path());
+        let mut stress = Stress::begin(&row, (maker, 1.0), places).expect("a load");
+        let is_on_disk = disk.path().join(FILES).exists();
+        assert_eq!(is_on_disk, row.disk, "files are where the disk is loaded");
         let mut looks = 0;
         // Its first pass may take a moment on a machine that is busy.
         while stress.check().is_err() && maker == Maker::Own && looks < 600 {
@@ -253,8 +269,25 @@ mod tests {
         supervisor::signals::pause(Duration::from_millis(300));
         stress.check().expect("it works");
         drop(stress);
-        let left = std::fs::read_dir(scratch.path()).expect("a folder").count();
-        assert_eq!(left, 0, "it leaves nothing behind");
+        for folder in [scratch, disk] {
+            let left = std::fs::read_dir(folder.path()).expect("a folder").count();
+            assert_eq!(left, 0, "it leaves nothing behind");
+        }
+    }
+
+    fn folders() -> (tempfile::TempDir, tempfile::TempDir) {
+        let folder = || tempfile::tempdir().expect("a folder");
+        (folder(), folder())
+    }
+
+    #[test]
+    fn what_a_killed_benchmark_left_on_the_disk_is_removed() {
+        let (_, disk) = folders();
+        let left = disk.path().join(FILES);
+        std::fs::create_dir(&left).expect("a folder");
+        std::fs::write(left.join("load"), [7; 16]).expect("a file");
+        remove_stale(disk.path());
+        assert!(!left.exists());
     }
 
     #[test]
@@ -274,9 +307,10 @@ mod tests {
 
     #[test]
     fn a_load_that_has_ended_is_an_error() {
-        let scratch = tempfile::tempdir().expect("a folder");
+        let (scratch, disk) = folders();
         let row = Load::None.rows()[0];
-        let mut stress = Stress::begin(&row, (Maker::Own, 1.0), scratch.path()).expect("no load");
+        let places = (scratch.path(), disk.path());
+        let mut stress = Stress::begin(&row, (Maker::Own, 1.0), places).expect("no load");
         stress.check().expect("nothing was asked for");
         stress.child = Some(Command::new("true").spawn().expect("true"));
         let mut looks = 0;
