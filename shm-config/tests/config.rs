@@ -237,3 +237,18 @@ fn a_server_of_ones_own_needs_a_models_name_and_costs_nothing() {
     assert_eq!(Config::default().vlm.model_name(), "gpt-4o-mini");
     assert_eq!(Config::default().vlm.prices_usd(), [0.15, 0.60]);
 }
+
+#[test]
+fn a_quorum_is_told_that_the_number_of_judges_limits_it() {
+    let committee = |jurors: &str, quorum: u32| {
+        format!("[gate]\nmode = \"committee\"\ncommittee = [{jurors}]\nquorum = {quorum}\n")
+    };
+    let (two, three) = ("\"rules\", \"vlm\"", "\"rules\", \"vlm\", \"vlm\"");
+    assert!(from_toml(&committee(two, 2), "x").is_ok());
+    let text = error(&committee(two, 5));
+    let limit = "gate.quorum = 5: must be 2, more than half of the judges in gate.committee";
+    assert!(text.contains(limit) && text.contains("has 2"), "{text}");
+    assert!(from_toml(&committee(three, 3), "x").is_ok());
+    let text = error(&committee(three, 1));
+    assert!(text.contains("must be within 2 and 3, more than"), "{text}");
+}

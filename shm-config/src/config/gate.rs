@@ -202,10 +202,29 @@ impl Gate {
                     let expected = "a list with rules once at most: geometry has one opinion";
                     return refuse("gate.committee", "rules twice".into(), expected);
                 }
-                in_range("gate.quorum", self.quorum as usize, jurors / 2 + 1..=jurors)
+                self.check_quorum(jurors as u32)
             }
             _ => Ok(()),
         }
+    }
+
+    /// Two opinions of less than half each would both be the committee's.
+    fn check_quorum(&self, jurors: u32) -> Result<(), OutOfRange> {
+        let least = jurors / 2 + 1;
+        if (least..=jurors).contains(&self.quorum) {
+            return Ok(());
+        }
+        let range = match least == jurors {
+            true => least.to_string(),
+            false => format!("within {least} and {jurors}"),
+        };
+        Err(OutOfRange {
+            key: "gate.quorum".into(),
+            value: self.quorum.to_string(),
+            expected: format!(
+                "{range}, more than half of the judges in gate.committee, which has {jurors}"
+            ),
+        })
     }
 
     /// The mode has a process that gives advice.
