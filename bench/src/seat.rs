@@ -7,6 +7,7 @@ use planner::Planner;
 use shm_config::Instant;
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, GateMode};
+use shm_config::file::regular;
 use shm_config::message::{BEAMS_MAX, Bend, Command, Driver, Header, Observation, Plan, Reason};
 use sim::World;
 use sim::idm::Idm;
@@ -187,7 +188,11 @@ impl Seat {
             DriverKind::Lane => Seated::Lane,
             DriverKind::Idm => Seated::Idm(Idm::new(0, 0)),
             DriverKind::Policy(file) => {
-                let bytes = std::fs::read(file).with_context(|| file.to_string())?;
+                let read = || {
+                    regular(file.as_ref())?;
+                    std::fs::read(file)
+                };
+                let bytes = read().with_context(|| file.to_string())?;
                 let terms = Terms {
                     config: &config,
                     version: 1,

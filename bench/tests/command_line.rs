@@ -211,10 +211,21 @@ fn a_policy_file_is_a_driver() {
         Value::Null,
         "nothing is planned"
     );
-    let output = bench(&[&words[..], &["nowhere.onnx"]].concat());
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        !output.status.success() && text.contains("nowhere.onnx"),
-        "{text}"
-    );
+    let pipe = scratch("pipe.onnx");
+    if !pipe.exists() {
+        let made = Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+        assert!(made.success());
+    }
+    let pipe = pipe.display().to_string();
+    for (file, why) in [
+        ("nowhere.onnx", "No such file"),
+        (&pipe, "is no regular file"),
+    ] {
+        let output = bench(&[&words[..], &[file]].concat());
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && text.contains(file) && text.contains(why),
+            "{text}"
+        );
+    }
 }

@@ -4,6 +4,7 @@
 //! on stands here and nowhere else.
 
 pub mod config;
+pub mod file;
 pub mod histogram;
 pub mod judged;
 pub mod layout;

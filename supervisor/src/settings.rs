@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load, text_of};
+use shm_config::file;
 use toml::{Table, Value};
 
 use crate::arguments::{GateChoice, Up};
@@ -130,14 +131,13 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
 
 /// The whole path: the processes of a run need not share the folder.
 fn policy_file(path: &Path) -> Result<String, Failure> {
+    let failed = |why: String| Failure::Usage(format!("--policy {}: {why}", path.display()));
     let whole = path
         .canonicalize()
-        .map_err(|error| Failure::Usage(format!("--policy {}: {error}", path.display())))?;
-    let text = whole.to_str().filter(|_| whole.is_file());
-    text.map(String::from).ok_or_else(|| {
-        let path = path.display();
-        Failure::Usage(format!("--policy {path}: not a file with a name in UTF-8"))
-    })
+        .map_err(|error| failed(error.to_string()))?;
+    file::regular(&whole).map_err(|error| failed(error.to_string()))?;
+    let text = whole.to_str().map(String::from);
+    text.ok_or_else(|| failed("its name is no UTF-8".into()))
 }
 
 /// A TOML value; what is none, such as a bare word, is a string.

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use sha2::{Digest, Sha256};
 use shm_config::Instant;
+use shm_config::file;
 use shm_config::message::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 use shm_config::run::RunPaths;
 use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
@@ -123,16 +124,13 @@ fn offer(paths: &RunPaths, arguments: &Swap, bytes: &[u8], clock: Clock) -> Resu
 
 /// The file, if an offer can carry it.
 fn read(path: &Path) -> Result<Vec<u8>, Failure> {
-    let failed = |error: std::io::Error| Failure::Usage(format!("{}: {error}", path.display()));
-    let metadata = fs::metadata(path).map_err(failed)?;
-    // Before it is opened: a pipe would wait for ever, a device has no end.
-    if !metadata.is_file() {
-        return Err(Failure::Usage(format!(
-            "{}: is no regular file; name a policy file, such as policy.onnx",
+    let failed = |error: std::io::Error| {
+        Failure::Usage(format!(
+            "{}: {error}; name a policy file, such as policy.onnx",
             path.display()
-        )));
-    }
-    let bytes = metadata.len();
+        ))
+    };
+    let bytes = file::regular(path).map_err(failed)?.len();
     if bytes > WEIGHTS_BYTES_MAX as u64 {
         return Err(Failure::GivenUp(format!(
             "{}: refused: {bytes} bytes are over the limit of {WEIGHTS_BYTES_MAX}",

@@ -10,6 +10,7 @@ use std::time::Duration;
 use policy::{Net, PolicyFile, Refusal, check_answers, check_hash, decode_within, short_hash};
 use shm_config::Instant;
 use shm_config::config::{Backend, Config};
+use shm_config::file;
 use shm_config::message::{FEATURES, PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
 use shm_config::wire::{PUBLISHERS_MAX, Publisher, Subscriber, Wire, WireError};
@@ -419,7 +420,7 @@ impl Bench {
 
 /// A file that fits into an offer.
 fn read_limited(path: &std::path::Path) -> Result<Vec<u8>, String> {
-    let bytes = std::fs::metadata(path)
+    let bytes = file::regular(path)
         .map_err(|error| error.to_string())?
         .len();
     let limit = WEIGHTS_BYTES_MAX as u64;
@@ -427,4 +428,17 @@ fn read_limited(path: &std::path::Path) -> Result<Vec<u8>, String> {
         return Err(Refusal::TooLarge { bytes, limit }.to_string());
     }
     std::fs::read(path).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_file_is_refused_and_not_waited_for() {
+        for path in ["/dev/null", "/"] {
+            let refusal = read_limited(path.as_ref()).expect_err(path);
+            assert!(refusal.contains("is no regular file"), "{path}: {refusal}");
+        }
+    }
 }

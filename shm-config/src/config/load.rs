@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Config, OutOfRange};
+use crate::file;
 
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
@@ -68,17 +69,13 @@ pub fn text_of(path: &Path) -> Result<String, ConfigError> {
         path: path.into(),
         source,
     };
-    let metadata = std::fs::metadata(path).map_err(read)?;
-    // Before it is opened: a pipe would wait for ever, a device has no end.
-    let why = match metadata {
-        metadata if !metadata.is_file() => "is no regular file",
-        metadata if metadata.len() > BYTES_MAX => "is larger than any configuration",
-        _ => return std::fs::read_to_string(path).map_err(read),
-    };
-    Err(read(std::io::Error::new(
-        std::io::ErrorKind::InvalidInput,
-        why,
-    )))
+    if file::regular(path).map_err(read)?.len() > BYTES_MAX {
+        return Err(read(std::io::Error::new(
+            std::io::ErrorKind::InvalidInput,
+            "is larger than any configuration",
+        )));
+    }
+    std::fs::read_to_string(path).map_err(read)
 }
 
 /// Checks and completes a configuration; `origin` names it in errors.
