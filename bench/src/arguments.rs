@@ -225,7 +225,8 @@ pub struct BenchLearner {
         ./vlaps bench swap --seconds 300 --rate 10,100 --json swap.json"
 )]
 pub struct BenchSwap {
-    /// Seconds for each row.
+    /// Seconds for each row, 5 at least: nothing is swapped in the first and the
+    /// last two.
     #[arg(long, value_name = "S", default_value_t = 30.0, allow_negative_numbers = true,
           value_parser = seconds)]
     pub seconds: f64,

@@ -9,6 +9,7 @@ use serde::Serialize;
 use shm_config::run::RunPaths;
 use shm_config::services::Process;
 use shm_config::wire::Wire;
+use supervisor::failure::Failure;
 use supervisor::swap::{Answer, Offers};
 
 use crate::Clock;
@@ -18,8 +19,8 @@ use crate::floor::{Floor, Priority};
 use crate::inference::net;
 use crate::report::{Machine, say, table, write_json};
 
-/// From offer to offer, ns.
-const EVERY_NS: u64 = 1_000_000_000;
+/// From offer to offer, s.
+const EVERY_S: f64 = 1.0;
 /// How long the set may take to start, ns.
 const START_NS: u64 = 20_000_000_000;
 /// How long an offer may take, ns.
@@ -33,6 +34,8 @@ const LOOK: Duration = Duration::from_millis(2);
 pub struct Row {
     /// Ticks a second asked for.
     pub rate_hz: f64,
+    /// From offer to offer, s; `None` without swaps.
+    pub every_s: Option<f64>,
     /// Weights offered.
     pub offered: u64,
     /// Of those, adopted.
@@ -45,6 +48,16 @@ pub struct Row {
     pub controller: Punctuality,
     /// A thread beside it that only wakes up, at the same rate and priority.
     pub floor: Punctuality,
+}
+
+impl Row {
+    /// By what was asked for, whatever came of it.
+    fn name(&self) -> String {
+        match self.every_s {
+            None => format!("{} Hz, no swaps", self.rate_hz),
+            Some(_) => format!("{} Hz, a swap a second", self.rate_hz),
+        }
+    }
 }
 
 /// All rows.
@@ -63,11 +76,24 @@ pub struct Swapped {
 /// # Errors
 /// When a set does not start, or does not answer.
 pub fn bench(arguments: &BenchSwap, clock: Clock) -> anyhow::Result<()> {
+    if offers(arguments.seconds) == 0 {
+        return Err(Failure::Usage(format!(
+            "--seconds {}: too short for a swap; at least {}",
+            arguments.seconds,
+            2.0 * MARGIN_S + EVERY_S
+        ))
+        .into());
+    }
     let conditions = Machine::here()?;
     let mut rows = Vec::new();
     for &rate_hz in &arguments.rate {
-        for swaps in [false, true] {
-            rows.push(drive(arguments, rate_hz, swaps.then_some(EVERY_NS), clock)?);
+        for every_s in [None, Some(EVERY_S)] {
+            let row = Row {
+                rate_hz,
+                every_s,
+                ..Row::default()
+            };
+            rows.push(drive(arguments, row, clock)?);
         }
     }
     let swapped = Swapped {
@@ -82,12 +108,14 @@ pub fn bench(arguments: &BenchSwap, clock: Clock) -> anyhow::Result<()> {
     }
 }
 
-fn drive(
-    arguments: &BenchSwap,
-    rate_hz: f64,
-    every_ns: Option<u64>,
-    clock: Clock,
-) -> anyhow::Result<Row> {
+/// How many offers fit into a row of so many seconds.
+fn offers(seconds: f64) -> u64 {
+    ((seconds - 2.0 * MARGIN_S).max(0.0) / EVERY_S) as u64
+}
+
+/// Drives the row that was asked for, and fills it in.
+fn drive(arguments: &BenchSwap, mut row: Row, clock: Clock) -> anyhow::Result<Row> {
+    let rate_hz = row.rate_hz;
     let mut up: Vec<String> = ["--gate", "expert", "--seed", "3", "--rate"]
         .map(String::from)
         .to_vec();
@@ -104,30 +132,16 @@ fn drive(
     }
     let floor = Floor::start(rate_hz, Priority::Asked, clock)?;
     let driven = Driven::start("swap", up)?;
-    let mut row = Row {
-        rate_hz,
-        ..Row::default()
-    };
-    if let Some(every_ns) = every_ns {
-        offer(
-            driven.name(),
-            &mut row,
-            (arguments.seconds, every_ns),
-            clock,
-        )?;
+    if row.every_s.is_some() {
+        offer(driven.name(), &mut row, offers(arguments.seconds), clock)?;
     }
     row.controller = Punctuality::of(&driven.finish()?, "controller");
     row.floor = floor.finish()?.punctuality;
     Ok(row)
 }
 
-/// New weights on an absolute grid until shortly before the run's end.
-fn offer(
-    name: &str,
-    row: &mut Row,
-    (seconds, every_ns): (f64, u64),
-    clock: Clock,
-) -> anyhow::Result<()> {
+/// New weights on an absolute grid, so many times.
+fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<()> {
     let name = name.parse()?;
     let paths = RunPaths::new(name);
     let until = clock().after_ns(START_NS);
@@ -141,11 +155,10 @@ fn offer(
     let mut offers = Offers::open(&wire)?;
     offers.next_version(clock);
     let begun = clock().after_ns((MARGIN_S * 1e9) as u64);
-    let count = ((seconds - 2.0 * MARGIN_S).max(0.0) * 1e9 / every_ns as f64) as u64;
     let mut after_ms = Histogram::<u64>::new_with_bounds(1, 60_000_000, 3)?;
     for k in 0..count {
         let bytes = encode(&net(256, k), &Provenance::default(), &[vec![0.5; 259]]);
-        let due = begun.after_ns(k * every_ns);
+        let due = begun.after_ns((k as f64 * EVERY_S * 1e9) as u64);
         while clock() < due {
             supervisor::signals::pause(LOOK);
         }
@@ -180,12 +193,12 @@ fn print(swapped: &Swapped) {
     ]);
     for row in &swapped.rows {
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
-        let swaps = match row.offered {
-            0 => "no swaps",
-            _ => "a swap a second",
+        let adopted = match row.every_s {
+            None => "-".into(),
+            Some(_) => format!("{} of {}", row.adopted, row.offered),
         };
         table.add_row([
-            format!("{} Hz, {swaps}", row.rate_hz),
+            row.name(),
             row.controller.ticks.to_string(),
             row.controller.missed.to_string(),
             number(row.controller.lateness_us.map(|us| us.p99)),
@@ -193,7 +206,7 @@ fn print(swapped: &Swapped) {
             row.floor.missed.to_string(),
             number(row.floor.lateness_us.map(|us| us.p99)),
             number(row.floor.lateness_us.map(|us| us.max)),
-            format!("{} of {}", row.adopted, row.offered),
+            adopted,
             number(row.adopted_after_p50_ms),
             number(row.adopted_after_max_ms),
         ]);
@@ -206,4 +219,26 @@ fn print(swapped: &Swapped) {
          thread that only wakes up, at the same rate and priority in the same seconds",
         swapped.seconds, swapped.conditions
     ));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_is_named_by_what_was_asked_for() {
+        let row = |every_s| Row {
+            rate_hz: 10.0,
+            every_s,
+            ..Row::default()
+        };
+        assert_eq!(row(None).name(), "10 Hz, no swaps");
+        // Nothing was offered in it.
+        assert_eq!(row(Some(1.0)).name(), "10 Hz, a swap a second");
+    }
+
+    #[test]
+    fn offers_keep_away_from_both_ends() {
+        assert_eq!([4.0, 4.9, 5.0, 30.0].map(offers), [0, 0, 1, 26]);
+    }
 }

@@ -137,6 +137,10 @@ fn mistakes_are_named_with_exit_code_2() {
             "--draw /proc/pictures",
         ),
         (&["bench", "sim", "--json", "."], "--json ."),
+        (
+            &["bench", "swap", "--seconds", "4", "--rate", "10"],
+            "--seconds 4: too short for a swap; at least 5",
+        ),
         (&["train", "--seeds", "-1"], "from 1 to 1000"),
         (
             &["train", "--out", "/proc/experiment"],
