@@ -1,7 +1,7 @@
 use std::time::Duration;
 
 /// Leaves a server alone that broke down again and again, and tries it with one
-/// question after a while. Arithmetic: instants are times since any one moment.
+/// request after a while. Arithmetic: instants are times since any one moment.
 #[derive(Debug, Clone)]
 pub struct Breaker {
     failures_max: u32,
@@ -54,7 +54,7 @@ impl Breaker {
         self.state = State::Closed { failures: 0 };
     }
 
-    /// The server was not there.
+    /// The server was not there, in no attempt of a question.
     pub fn failed(&mut self, now: Duration) {
         let failures = match self.state {
             State::Closed { failures } => failures + 1,

@@ -216,6 +216,7 @@ impl Asker {
         if let Ok(_place) = self.places.try_acquire() {
             self.insist(prompt, picture, begun + deadline, &mut asked)
                 .await;
+            self.judge_server(&asked);
         }
         asked.latency = begun.elapsed();
         tracing::debug!(
@@ -380,9 +381,8 @@ impl Asker {
         if let Some(wait) = outcome.wait {
             state.hold_until = state.hold_until.max(now + wait);
         }
-        match outcome.reply {
-            Err(fault) if fault.is_outage() => state.breaker.failed(now),
-            _ => state.breaker.succeeded(),
+        if !outcome.reply.is_err_and(Fault::is_outage) {
+            state.breaker.succeeded();
         }
         let permanent = outcome.reply.err().filter(|fault| fault.is_permanent());
         if let (None, Some(fault)) = (state.closed, permanent) {
@@ -394,6 +394,14 @@ impl Asker {
                 "no more questions are asked until the next start: {}",
                 fault.advice()
             );
+        }
+    }
+
+    /// A question that is given up because of the server is one breakdown,
+    /// however many attempts it took; one that was not asked says nothing.
+    fn judge_server(&self, asked: &Asked) {
+        if asked.attempts > 0 && asked.reply.is_err_and(Fault::is_outage) {
+            self.state().breaker.failed(self.begun.elapsed());
         }
     }
 

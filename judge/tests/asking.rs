@@ -186,7 +186,7 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
         ..Options::default()
     });
     let asker = asker(&Vlm {
-        attempts_max: 1,
+        attempts_max: 2,
         breaker_failures: 2,
         breaker_open_s: 2.0,
         ..vlm(server.url())
@@ -195,8 +195,8 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
         let asked = ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
         (asked.reply.err(), asked.attempts)
     };
-    assert_eq!(next(), (Some(Fault::ServerError), 1));
-    assert_eq!(next(), (Some(Fault::ServerError), 1));
+    assert_eq!(next(), (Some(Fault::ServerError), 2));
+    assert_eq!(next(), (Some(Fault::ServerError), 2));
     let asked = server.requests();
     let mut alone = 0;
     while next() == (Some(Fault::BreakerOpen), 0) {
@@ -204,7 +204,29 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
         runtime().block_on(async { tokio::time::sleep(Duration::from_millis(50)).await });
     }
     assert!(alone > 0, "left alone");
-    assert_eq!(server.requests(), asked + 1, "one question tries it");
+    assert_eq!(server.requests(), asked + 1, "one request tries it");
+}
+
+#[test]
+fn a_question_is_one_breakdown_however_many_attempts_it_took() {
+    let server = start(Options {
+        mishap: Some(Mishap::ServerError),
+        ..Options::default()
+    });
+    let asker = asker(&Vlm {
+        attempts_max: 3,
+        breaker_failures: 2,
+        breaker_open_s: PATIENCE_S,
+        ..vlm(server.url())
+    });
+    let next = || {
+        let asked = ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
+        (asked.reply.err(), asked.attempts)
+    };
+    assert_eq!(next(), (Some(Fault::ServerError), 3));
+    assert_eq!(next(), (Some(Fault::ServerError), 3));
+    assert_eq!(next(), (Some(Fault::BreakerOpen), 0));
+    assert_eq!(server.requests(), 6);
 }
 
 #[test]

@@ -181,7 +181,8 @@ pub struct Vlm {
     /// Price of a million tokens out, US dollars; negative for the dialect's own:
     /// gpt-4o-mini's 0.60 for openai, nothing for the others.
     pub price_out_usd: f64,
-    /// Breakdowns of the server in a row after which it is left alone.
+    /// Questions in a row at which the server broke down in every attempt; then
+    /// it is left alone. One that is asked twice counts twice.
     pub breaker_failures: u32,
     /// For how long, s; then one question tries it again.
     pub breaker_open_s: f64,
@@ -231,7 +232,8 @@ impl Default for Vlm {
             budget_usd: 1.0,
             price_in_usd: -1.0,
             price_out_usd: -1.0,
-            breaker_failures: 5,
+            // Three questions, each asked twice.
+            breaker_failures: 6,
             breaker_open_s: 30.0,
             record_bytes_max: 512_000_000,
         }
