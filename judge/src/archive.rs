@@ -1,7 +1,7 @@
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
 use shm_config::config::Config;
@@ -15,9 +15,17 @@ const WAITING_MAX: usize = 64;
 
 /// Writes records on a thread of its own: a disk that stalls holds up no advice.
 pub struct Archive {
-    records: Option<SyncSender<Filed>>,
+    entries: Option<SyncSender<Entry>>,
     thread: Option<JoinHandle<()>>,
     lost: u64,
+    /// As it was last handed over.
+    trouble: String,
+}
+
+/// What the archive takes in.
+enum Entry {
+    Record(Box<Filed>),
+    Trouble(String),
 }
 
 impl Archive {
@@ -34,16 +42,21 @@ impl Archive {
         let mut store = Store::open(&folder, config.vlm.record_bytes_max)?;
         // Without it the next gate of this run begins anew: no harm.
         let _ = fs::write(run_folder.join(RUN), run_id());
-        let (records, filed) = sync_channel::<Filed>(WAITING_MAX);
+        let (entries, inbox) = sync_channel::<Entry>(WAITING_MAX);
         let mut judged = tally::begin(config);
         let thread = thread::spawn(move || {
             write_summary(&run_folder, &judged);
-            while let Ok(Filed { record, pictures }) = filed.recv() {
-                tally::count(&mut judged, &record);
-                let question = store.begin(record, &pictures);
-                store.complete(question);
-                let lost = store.lost();
-                judged.lost = lost.lines + lost.pictures;
+            while let Ok(entry) = inbox.recv() {
+                match entry {
+                    Entry::Record(filed) => {
+                        tally::count(&mut judged, &filed.record);
+                        let question = store.begin(filed.record, &filed.pictures);
+                        store.complete(question);
+                        let lost = store.lost();
+                        judged.lost = lost.lines + lost.pictures;
+                    }
+                    Entry::Trouble(trouble) => judged.trouble = trouble,
+                }
                 write_summary(&run_folder, &judged);
             }
             let Lost {
@@ -56,28 +69,39 @@ impl Archive {
             }
         });
         Ok(Self {
-            records: Some(records),
+            entries: Some(entries),
             thread: Some(thread),
             lost: 0,
+            trouble: String::new(),
         })
     }
 
     /// Hands records over; those for which there is no room are lost.
     pub fn keep(&mut self, filed: Vec<Filed>) {
-        let Some(records) = &self.records else {
-            return;
-        };
         for filed in filed {
-            match records.try_send(filed) {
-                Ok(()) => {}
-                Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => self.lost += 1,
+            if !self.hand_over(Entry::Record(Box::new(filed))) {
+                self.lost += 1;
             }
         }
     }
 
+    /// Says at once why the server is not asked any more: records wait for what
+    /// follows their questions.
+    pub fn warn(&mut self, trouble: &str) {
+        if self.trouble != trouble && self.hand_over(Entry::Trouble(trouble.into())) {
+            self.trouble = trouble.into();
+        }
+    }
+
+    /// Whether there was room.
+    fn hand_over(&self, entry: Entry) -> bool {
+        let entries = self.entries.as_ref();
+        entries.is_some_and(|entries| entries.try_send(entry).is_ok())
+    }
+
     /// Waits until all that was handed over is written.
     pub fn close(mut self) {
-        drop(self.records.take());
+        drop(self.entries.take());
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }

@@ -35,6 +35,8 @@ pub struct Evidence {
     pub latency_s: f64,
     /// What the simulator foresaw.
     pub foresight: Option<[Outlook; 2]>,
+    /// Why the server is not asked any more; [`crate::Asker::trouble`].
+    pub trouble: Option<String>,
 }
 
 /// A record that is complete, with its pictures.

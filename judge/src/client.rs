@@ -102,6 +102,8 @@ struct State {
     budget: Budget,
     // Why nothing more is asked.
     closed: Option<Fault>,
+    // The last reason not to ask.
+    trouble: Option<Fault>,
     // The server asked to be left alone until then.
     hold_until: Duration,
     random: Xoshiro256PlusPlus,
@@ -175,6 +177,7 @@ impl Asker {
                 rate: Rate::new(vlm.per_minute_max),
                 budget: Budget::new(vlm.budget_usd),
                 closed: None,
+                trouble: None,
                 hold_until: Duration::ZERO,
                 random: Xoshiro256PlusPlus::seed_from_u64(random),
             }),
@@ -192,6 +195,23 @@ impl Asker {
     /// Why nothing more is asked, if that is so.
     pub fn closed(&self) -> Option<Fault> {
         self.state().closed
+    }
+
+    /// Why questions are not asked, for good or for a while, and what to do: the
+    /// last reason there was, in words.
+    pub fn trouble(&self) -> Option<String> {
+        let fault = self.state().trouble?;
+        let what = match fault {
+            Fault::Budget => "what the run may cost is spent".into(),
+            fault if fault.is_permanent() => {
+                "no more questions are asked until the next start".into()
+            }
+            _ => format!(
+                "the server is left alone for {} s at a time",
+                self.vlm.breaker_open_s
+            ),
+        };
+        Some(format!("{}: {what}; {}", fault.word(), fault.advice()))
     }
 
     /// What all questions so far cost, with what is set aside for those being
@@ -216,7 +236,9 @@ impl Asker {
         if let Ok(_place) = self.places.try_acquire() {
             self.insist(prompt, picture, begun + deadline, &mut asked)
                 .await;
-            self.judge_server(&asked);
+        }
+        if let Err(fault) = asked.reply {
+            self.note(fault);
         }
         asked.latency = begun.elapsed();
         tracing::debug!(
@@ -397,11 +419,17 @@ impl Asker {
         }
     }
 
-    /// A question that is given up because of the server is one breakdown,
-    /// however many attempts it took; one that was not asked says nothing.
-    fn judge_server(&self, asked: &Asked) {
-        if asked.attempts > 0 && asked.reply.is_err_and(Fault::is_outage) {
-            self.state().breaker.failed(self.begun.elapsed());
+    /// Takes note of a question without a reply. One that is given up because of
+    /// the server is one breakdown, however many attempts it took.
+    fn note(&self, fault: Fault) {
+        let now = self.begun.elapsed();
+        let mut state = self.state();
+        if fault.is_outage() {
+            state.breaker.failed(now);
+        }
+        let is_left_alone = fault.is_outage() && state.breaker.is_open(now);
+        if is_left_alone || fault.is_permanent() || fault == Fault::Budget {
+            state.trouble = Some(fault);
         }
     }
 

@@ -274,13 +274,15 @@ impl Fault {
         }
     }
 
-    /// What to do about a permanent one.
+    /// What to do about one after which no more is asked, or not for a while.
     pub fn advice(self) -> &'static str {
         match self {
             Self::Unauthorized => "check the key (vlm.key_env, vlm.key_file)",
             Self::Forbidden => "ask for the right to use the model, or name another in vlm.model",
             Self::Quota => "top up the account, or point vlm.server elsewhere",
             Self::NotFound => "check vlm.model and the end of vlm.server, usually /v1",
+            Self::Budget => "raise vlm.budget_usd, or ask less often (gate.spacing_s)",
+            fault if fault.is_outage() => "check that the server at vlm.server runs and answers",
             _ => "try again",
         }
     }

@@ -256,6 +256,7 @@ impl Court {
             }
             Some(shot) => self.ask(question, shot, &mut evidence).await,
         };
+        evidence.trouble = self.asker.trouble();
         evidence.latency_s = (self.clock)().since_ns(begun) as f64 / 1e9;
         let cost_usd = evidence.askings.iter().map(|asking| asking.cost_usd).sum();
         let ruling = Ruling::new(answer, cost_usd);

@@ -175,6 +175,8 @@ fn a_spent_budget_asks_nobody() {
         assert!(asked < 1000, "it ends");
     };
     assert_eq!((last.reply, last.attempts), (Err(Fault::Budget), 0));
+    let trouble = asker.trouble().expect("it is spent");
+    assert!(trouble.contains("vlm.budget_usd"), "{trouble}");
     assert_eq!(server.requests(), asked);
     assert!(asker.spent_usd() <= 1.5 * once);
 }
@@ -224,9 +226,35 @@ fn a_question_is_one_breakdown_however_many_attempts_it_took() {
         (asked.reply.err(), asked.attempts)
     };
     assert_eq!(next(), (Some(Fault::ServerError), 3));
+    assert_eq!(asker.trouble(), None, "it may pass");
     assert_eq!(next(), (Some(Fault::ServerError), 3));
     assert_eq!(next(), (Some(Fault::BreakerOpen), 0));
     assert_eq!(server.requests(), 6);
+    let trouble = asker.trouble().expect("it is left alone");
+    assert!(
+        trouble.contains("http_500") && trouble.contains("vlm.server"),
+        "{trouble}"
+    );
+}
+
+#[test]
+fn who_is_not_asked_any_more_is_told_with_what_to_do() {
+    for (mishap, word, hint) in [
+        (Mishap::Unauthorized, "http_401", "vlm.key_file"),
+        (Mishap::Quota, "quota", "top up"),
+        (Mishap::NotFound, "http_404", "vlm.model"),
+    ] {
+        let server = start(Options {
+            mishap: Some(mishap),
+            ..Options::default()
+        });
+        let asker = asker(&vlm(server.url()));
+        assert_eq!(asker.trouble(), None);
+        ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
+        let trouble = asker.trouble().expect("no more is asked");
+        let parts = [word, "until the next start", hint];
+        assert!(parts.iter().all(|part| trouble.contains(part)), "{trouble}");
+    }
 }
 
 #[test]

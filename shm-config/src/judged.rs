@@ -35,6 +35,10 @@ pub struct Judged {
     pub cost_usd: f64,
     /// Records or pictures that could not be kept.
     pub lost: u64,
+    /// Why the server was not asked any more, for good or for a while, and what to
+    /// do; empty where it always was.
+    #[serde(default)]
+    pub trouble: String,
 }
 
 impl fmt::Display for Judged {
@@ -63,6 +67,9 @@ impl fmt::Display for Judged {
         }
         if self.lost > 0 {
             write!(f, "\n  {} records or pictures could not be kept", self.lost)?;
+        }
+        if !self.trouble.is_empty() {
+            write!(f, "\n  warning: {}", self.trouble)?;
         }
         Ok(())
     }

@@ -14,6 +14,7 @@ use crate::arguments::Up;
 use crate::child::{Launch, own_folder};
 use crate::failure::Failure;
 use crate::idle::IdleBound;
+use crate::judged;
 use crate::kernel::Memory;
 use crate::live::View;
 use crate::log::LogFile;
@@ -193,6 +194,7 @@ fn drive(
         shown: now,
         logs_tended: now,
         is_warned: false,
+        judge_trouble: String::new(),
         stops_asked: 0,
         ending: None,
     };
@@ -286,6 +288,7 @@ struct Run<'a> {
     shown: Instant,
     logs_tended: Instant,
     is_warned: bool,
+    judge_trouble: String,
     stops_asked: usize,
     ending: Option<(End, Stop)>,
 }
@@ -415,6 +418,7 @@ impl Run<'_> {
         }
         if now.since_ns(self.logs_tended) >= LOGS_NS {
             self.logs_tended = now;
+            self.warn_of_judge(now);
             for member in self.set.members() {
                 if let Some(pid) = member.pid() {
                     self.tally.count_threads(member.row().process, pid);
@@ -455,6 +459,19 @@ impl Run<'_> {
             self.journal.line(now, &line);
             self.screen.line(line);
         }
+    }
+
+    /// A judge that is not asked any more costs no tick, so nothing else shows it.
+    fn warn_of_judge(&mut self, now: Instant) {
+        let judged = judged::read(self.config, std::process::id());
+        let trouble = judged.map(|judged| judged.trouble).unwrap_or_default();
+        if trouble.is_empty() || trouble == self.judge_trouble {
+            return;
+        }
+        self.judge_trouble = trouble;
+        let line = format!("warning: the judge: {}", self.judge_trouble);
+        self.journal.line(now, &line);
+        self.screen.line(line);
     }
 
     fn pause_ns(&self, now: Instant) -> u64 {

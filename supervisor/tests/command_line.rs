@@ -8,6 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::yield_now;
 
 use rustix::process::{Pid, Signal, kill_process};
+use shm_config::judged::{Judged, RUN, SUMMARY};
 use shm_config::run::{RunName, RunPaths};
 use tempfile::TempDir;
 
@@ -325,6 +326,34 @@ fn status_of_a_silent_set_says_so_and_does_not_disturb_it() {
     signal(&up, Signal::TERM);
     let output = up.wait_with_output().expect("it ends");
     assert_eq!(output.status.code(), Some(0), "{output:?}");
+    bench.assert_nothing_left();
+}
+
+#[test]
+fn a_judge_that_is_not_asked_any_more_is_warned_of_once() {
+    let bench = Bench::new("judge", "idle");
+    let up = bench.up();
+    let folder = bench.dir.path().join("runs").join(&bench.run);
+    let judged = Judged {
+        trouble: "http_401: no more questions are asked; check the key".into(),
+        ..Judged::default()
+    };
+    fs::create_dir_all(folder.join("judge")).expect("a folder");
+    fs::write(folder.join(RUN), up.id().to_string()).expect("written");
+    let text = serde_json::to_string(&judged).expect("JSON");
+    fs::write(folder.join(SUMMARY), text).expect("written");
+    let journal = || fs::read_to_string(folder.join("logs/supervisor.log")).unwrap_or_default();
+    while !journal().contains("http_401") {
+        yield_now();
+    }
+    signal(&up, Signal::TERM);
+    let output = up.wait_with_output().expect("it ends");
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert_eq!(
+        text.matches("warning: the judge: http_401").count(),
+        1,
+        "{text}"
+    );
     bench.assert_nothing_left();
 }
 

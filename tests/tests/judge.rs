@@ -112,6 +112,9 @@ fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
         ];
         let json = drive(&set, &server.url(), &quick);
         assert_eq!(json["share"]["policy"], 0.0, "{}", mishap.word());
+        let trouble = json["judge"]["trouble"].as_str().expect("a text");
+        let is_told = trouble.contains("http_401") && trouble.contains("vlm.key_env");
+        assert_eq!(is_told, mishap == Mishap::Unauthorized, "{trouble}");
         assert_eq!(json["skipped"], 0);
         let records = records(&set);
         assert!(!records.is_empty());

@@ -161,6 +161,9 @@ impl Gate {
                     "no preference"
                 );
             }
+            if let (Some(archive), Some(trouble)) = (&mut self.archive, &evidence.trouble) {
+                archive.warn(trouble);
+            }
             self.clerk.learn(evidence);
         }
         if let Some(heard) = &heard {
