@@ -1,11 +1,12 @@
 use std::fs;
 use std::io;
+use std::os::unix::process::parent_id;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
-use shm_config::config::Config;
-use shm_config::judged::{Judged, RUN, SUMMARY};
+use shm_config::config::{Config, GateMode};
+use shm_config::judged::{Judged, SUMMARY};
 
 use crate::store::{Lost, Store, StoreError};
 use crate::{Filed, tally};
@@ -13,7 +14,8 @@ use crate::{Filed, tally};
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
 
-/// Writes records on a thread of its own: a disk that stalls holds up no advice.
+/// Counts what was asked and said, and keeps the records where that is wanted, on
+/// a thread of its own: a disk that stalls holds up no advice.
 pub struct Archive {
     entries: Option<SyncSender<Entry>>,
     thread: Option<JoinHandle<()>>,
@@ -29,43 +31,40 @@ enum Entry {
 }
 
 impl Archive {
-    /// Of the run's folder, `judge` in it. The records of a run of the same name
-    /// before go to `judge-before`; those of this one are gone on with, when the
-    /// gate was restarted.
+    /// Of the run's folder, records in `judge` in it. Those of a run of the same
+    /// name before go to `judge-before`; those of this one are gone on with, when
+    /// the gate was restarted. A replay has a record already.
     ///
     /// # Errors
     /// When the folder cannot be made.
     pub fn open(config: &Config) -> Result<Self, StoreError> {
         let run_folder = PathBuf::from(&config.run.folder);
-        let folder = run_folder.join("judge");
-        make_room(&run_folder);
-        let mut store = Store::open(&folder, config.vlm.record_bytes_max)?;
-        // Without it the next gate of this run begins anew: no harm.
-        let _ = fs::write(run_folder.join(RUN), run_id());
+        let ours = before(&run_folder);
+        let is_kept = config.gate.record && config.gate.mode != GateMode::Replay;
+        if is_kept && ours.is_none() {
+            make_room(&run_folder);
+        }
+        let mut store = is_kept
+            .then(|| Store::open(&run_folder.join("judge"), config.vlm.record_bytes_max))
+            .transpose()?;
         let (entries, inbox) = sync_channel::<Entry>(WAITING_MAX);
-        let mut judged = tally::begin(config);
+        let mut judged = ours.unwrap_or_else(|| tally::begin(config, parent_id()));
         let thread = thread::spawn(move || {
             write_summary(&run_folder, &judged);
             while let Ok(entry) = inbox.recv() {
                 match entry {
                     Entry::Record(filed) => {
                         tally::count(&mut judged, &filed.record);
-                        let question = store.begin(filed.record, &filed.pictures);
-                        store.complete(question);
-                        let lost = store.lost();
-                        judged.lost = lost.lines + lost.pictures;
+                        if let Some(store) = &mut store {
+                            judged.lost = keep(store, *filed);
+                        }
                     }
                     Entry::Trouble(trouble) => judged.trouble = trouble,
                 }
                 write_summary(&run_folder, &judged);
             }
-            let Lost {
-                lines,
-                pictures,
-                reason,
-            } = store.lost();
-            if lines + pictures > 0 {
-                tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
+            if let Some(store) = &store {
+                warn_of_lost(store.lost());
             }
         });
         Ok(Self {
@@ -100,7 +99,7 @@ impl Archive {
     }
 
     /// Waits until all that was handed over is written.
-    pub fn close(mut self) {
+    pub fn close(&mut self) {
         drop(self.entries.take());
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -108,6 +107,25 @@ impl Archive {
         if self.lost > 0 {
             tracing::warn!(lost = self.lost, "records of questions were lost");
         }
+    }
+}
+
+/// Keeps a record; how much could not be kept so far.
+fn keep(store: &mut Store, filed: Filed) -> u64 {
+    let question = store.begin(filed.record, &filed.pictures);
+    store.complete(question);
+    let lost = store.lost();
+    lost.lines + lost.pictures
+}
+
+fn warn_of_lost(lost: &Lost) {
+    let Lost {
+        lines,
+        pictures,
+        reason,
+    } = lost;
+    if lines + pictures > 0 {
+        tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
     }
 }
 
@@ -119,16 +137,18 @@ fn write_summary(run_folder: &Path, judged: &Judged) {
     let _ = fs::write(&part, text).and_then(|()| fs::rename(&part, &path));
 }
 
-/// The supervisor's process, which outlives its gates.
-fn run_id() -> String {
-    std::os::unix::process::parent_id().to_string()
+/// What an earlier gate of this run has written: the supervisor outlives its gates.
+/// Where it could not, this one begins anew: no harm.
+fn before(run_folder: &Path) -> Option<Judged> {
+    let text = fs::read_to_string(run_folder.join(SUMMARY)).ok()?;
+    let judged: Judged = serde_json::from_str(&text).ok()?;
+    (judged.supervisor == parent_id()).then_some(judged)
 }
 
 /// Moves the records of another run out of the way.
 fn make_room(run_folder: &Path) {
     let folder = &run_folder.join("judge");
-    let is_ours = fs::read_to_string(run_folder.join(RUN)).is_ok_and(|run| run == run_id());
-    if is_ours || !folder.exists() {
+    if !folder.exists() {
         return;
     }
     let before = folder.with_file_name("judge-before");

@@ -1,21 +1,22 @@
-use shm_config::config::Config;
+use shm_config::config::{Config, GateMode};
 use shm_config::judged::Judged;
 
 use crate::record::{Record, Verdict};
 
-/// Nothing asked yet, of the configured judge.
-pub fn begin(config: &Config) -> Judged {
-    let mode = config.gate.mode;
-    let judge = match config.gate.asks_model() {
-        true => format!(
-            "{mode:?}, {} at {}",
-            config.vlm.model_name(),
-            config.vlm.server
-        ),
-        false => format!("{mode:?}"),
+/// Nothing asked yet, of the configured judge, in the run of this supervisor.
+pub fn begin(config: &Config, supervisor: u32) -> Judged {
+    let mode = format!("{:?}", config.gate.mode).to_lowercase();
+    let judge = match config.gate.mode {
+        _ if config.gate.asks_model() => {
+            let (model, server) = (config.vlm.model_name(), &config.vlm.server);
+            format!("{mode}, {model} at {server}")
+        }
+        GateMode::Replay => format!("{mode} of {}", config.gate.recording),
+        _ => mode,
     };
     Judged {
-        judge: judge.to_lowercase(),
+        supervisor,
+        judge,
         ..Judged::default()
     }
 }

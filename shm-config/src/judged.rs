@@ -7,14 +7,13 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 /// The file of it in the run's folder, JSON.
-pub const SUMMARY: &str = "judge/summary.json";
-
-/// The file that says which run it is of: the process id of its supervisor.
-pub const RUN: &str = "judge/run.txt";
+pub const SUMMARY: &str = "judged.json";
 
 /// Questions and answers of a run, so far.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
+    /// Which run it is of: the process id of its supervisor.
+    pub supervisor: u32,
     /// Who was asked.
     pub judge: String,
     /// Questions that are filed: those of the last seconds may be missing.

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use shm_config::config::Config;
-use shm_config::judged::{Judged, RUN, SUMMARY};
+use shm_config::judged::{Judged, SUMMARY};
 
 /// Longest file that is read, bytes.
 const BYTES_MAX: u64 = 1 << 16;
@@ -15,14 +15,10 @@ pub fn read(config: &Config, supervisor: u32) -> Option<Judged> {
     if !config.gate.has_process() {
         return None;
     }
-    let folder = Path::new(&config.run.folder);
-    let run = fs::read_to_string(folder.join(RUN)).ok()?;
-    if run != supervisor.to_string() {
-        return None;
-    }
-    let path = folder.join(SUMMARY);
+    let path = Path::new(&config.run.folder).join(SUMMARY);
     if fs::metadata(&path).ok()?.len() > BYTES_MAX {
         return None;
     }
-    serde_json::from_str(&fs::read_to_string(path).ok()?).ok()
+    let judged: Judged = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
+    (judged.supervisor == supervisor).then_some(judged)
 }

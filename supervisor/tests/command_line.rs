@@ -8,7 +8,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::yield_now;
 
 use rustix::process::{Pid, Signal, kill_process};
-use shm_config::judged::{Judged, RUN, SUMMARY};
+use shm_config::judged::{Judged, SUMMARY};
 use shm_config::run::{RunName, RunPaths};
 use tempfile::TempDir;
 
@@ -335,11 +335,10 @@ fn a_judge_that_is_not_asked_any_more_is_warned_of_once() {
     let up = bench.up();
     let folder = bench.dir.path().join("runs").join(&bench.run);
     let judged = Judged {
+        supervisor: up.id(),
         trouble: "http_401: no more questions are asked; check the key".into(),
         ..Judged::default()
     };
-    fs::create_dir_all(folder.join("judge")).expect("a folder");
-    fs::write(folder.join(RUN), up.id().to_string()).expect("written");
     let text = serde_json::to_string(&judged).expect("JSON");
     fs::write(folder.join(SUMMARY), text).expect("written");
     let journal = || fs::read_to_string(folder.join("logs/supervisor.log")).unwrap_or_default();

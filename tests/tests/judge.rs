@@ -52,9 +52,12 @@ fn drive(set: &Set, server: &str, more: &[&str]) -> Value {
     set.json()
 }
 
+fn folder_of(set: &Set) -> PathBuf {
+    set.folder().join("runs").join(set.name().to_string())
+}
+
 fn records(set: &Set) -> Vec<Record> {
-    let folder = set.folder().join("runs").join(set.name().to_string());
-    let read = store::read(&folder.join("judge"));
+    let read = store::read(&folder_of(set).join("judge"));
     read.expect("records of questions").questions
 }
 
@@ -80,8 +83,10 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
     let drove = json["share"]["policy"].as_f64().expect("a share") > 0.0;
     assert_eq!(drove, answered(Verdict::Policy) > 0, "{json}");
 
-    let folder = asked.folder().join("runs").join(asked.name().to_string());
-    let recording = format!("gate.recording={}", folder.join("judge").display());
+    let recording = format!(
+        "gate.recording={}",
+        folder_of(&asked).join("judge").display()
+    );
     drop(server);
     let replayed = Set::new("replayed");
     let again = drive(
@@ -89,6 +94,10 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
         "http://127.0.0.1:9/v1",
         &["--gate", "replay", "--set", &recording],
     );
+    for key in ["questions", "expert", "policy", "abstained", "failed"] {
+        assert_eq!(json["judge"][key], again["judge"][key], "{key}");
+    }
+    assert!(!folder_of(&replayed).join("judge").exists(), "kept once");
     assert_eq!(json["command_digest"], again["command_digest"]);
     assert_eq!(json["reasons"], again["reasons"]);
 }

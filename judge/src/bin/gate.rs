@@ -41,7 +41,7 @@ struct Gate {
     counsel: Counsel,
     evidence: Receiver<Evidence>,
     clerk: Clerk,
-    archive: Option<Archive>,
+    archive: Archive,
 }
 
 fn advise(arguments: &Arguments) -> Result<(), SetUpError> {
@@ -60,12 +60,7 @@ impl Gate {
         let config = &member.config;
         let Bench { docket, evidence } =
             Bench::open(config, monotonic).map_err(|error| own(&error))?;
-        // A replay has a record already.
-        let is_kept = config.gate.record && config.gate.mode != GateMode::Replay;
-        let archive = is_kept
-            .then(|| Archive::open(config))
-            .transpose()
-            .map_err(|error| own(&error))?;
+        let archive = Archive::open(config).map_err(|error| own(&error))?;
         let bell = member.wire.doorbell(Process::Gate)?;
         let steps = member.wire.latest(STEP)?;
         let port = member.wire.publisher(ADVICE)?;
@@ -161,8 +156,8 @@ impl Gate {
                     "no preference"
                 );
             }
-            if let (Some(archive), Some(trouble)) = (&mut self.archive, &evidence.trouble) {
-                archive.warn(trouble);
+            if let Some(trouble) = &evidence.trouble {
+                self.archive.warn(trouble);
             }
             self.clerk.learn(evidence);
         }
@@ -171,18 +166,14 @@ impl Gate {
         }
         self.clerk.saw(step);
         let filed = self.clerk.filed();
-        if let Some(archive) = &mut self.archive {
-            archive.keep(filed);
-        }
+        self.archive.keep(filed);
     }
 
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn close(&mut self) {
         let filed = self.clerk.finish();
-        if let Some(mut archive) = self.archive.take() {
-            archive.keep(filed);
-            archive.close();
-        }
+        self.archive.keep(filed);
+        self.archive.close();
         tracing::info!(cost_usd = self.counsel.cost_usd(), "judged");
         self.pulse.enter(HealthState::Finished, monotonic());
     }
