@@ -27,7 +27,7 @@ fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
         let asked: usize = row.confusion.iter().flatten().sum();
         assert_eq!((asked, row.failed), (30, 0), "{row:?}");
     }
-    let share = |row: &bench::judging::court::Row| row.right_of_answered.mean();
+    let share = |row: &bench::judging::court::Row| row.right_of_preferences.mean();
     assert!(share(once) >= 0.9 && share(twice) >= 0.9, "{rows:#?}");
     assert!(share(biased) < share(once), "a bias shows: {rows:#?}");
     assert!(share(mended) > share(biased), "and is mended: {rows:#?}");

@@ -8,11 +8,12 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use judge::Asker;
 use judge::audit::{Figures, page};
-use judge::record::{Record, Verdict};
+use judge::record::{Record, Said, Verdict};
 use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
 use judge::store::{Records, read};
 use shm_config::config::{Config, from_toml};
+use shm_config::judged::{counted, of_these_similar};
 use toml::{Table, Value};
 
 use crate::say;
@@ -111,19 +112,29 @@ fn tell(records: &Records, figures: &Figures) {
     } = figures;
     let folder = records.folder.display();
     say(format_args!(
-        "{folder}: {questions} questions: expert {expert}, policy {policy} (of these \
-         similar {similar}), abstained {abstained}, failed {failed}"
+        "{folder}: {}: expert {expert}, policy {policy}{}, abstained {abstained}, failed {failed}",
+        counted(*questions as u64, "question"),
+        of_these_similar(*similar as u64)
     ));
-    for (word, count) in &figures.faults {
-        say(format_args!("  {count} x {word}"));
+    let faults = figures.faults.iter();
+    let faults: Vec<_> = faults
+        .map(|(word, count)| format!("{count} {word}"))
+        .collect();
+    if !faults.is_empty() {
+        say(format_args!("  no answer: {}", faults.join(", ")));
     }
     if records.is_torn {
         say("the last line is torn and left out: the run was killed while it was written");
     }
+    let agreement = &figures.agreement;
     say(format_args!(
-        "right of {} that the simulator can check: {}",
-        figures.agreement.of_all().trials,
-        share(figures.agreement.of_answered())
+        "the simulator can check {}: similar {}, abstained {}, failed {}; of the preferences \
+         right: {}",
+        counted(agreement.of_all().trials as u64, "question"),
+        agreement.said(Said::Similar),
+        agreement.said(Said::Abstained),
+        agreement.said(Said::Failed),
+        share(agreement.of_preferences())
     ));
     say(format_args!(
         "first place preferred: {}; cost {:.4} USD",
@@ -193,15 +204,18 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
         ));
     }
     if gone > 0 {
+        let questions = counted(gone, "question");
         say(format_args!(
-            "{gone} questions have lost their pictures and were not asked"
+            "not asked, since pictures are lost: {questions}"
         ));
     }
     let lost = replay.lost();
     if lost.lines + lost.pictures > 0 {
         let (lines, pictures) = (lost.lines, lost.pictures);
         say(format_args!(
-            "lost {lines} lines, {pictures} pictures: {}",
+            "lost {}, {}: {}",
+            counted(lines, "line"),
+            counted(pictures, "picture"),
             lost.reason
         ));
     }

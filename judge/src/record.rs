@@ -63,10 +63,18 @@ pub struct Record {
 }
 
 impl Record {
-    /// All replies say that neither is clearly safer.
-    pub fn is_similar(&self) -> bool {
-        let mut replies = self.askings.iter().map(|asking| asking.reply);
-        !self.askings.is_empty() && replies.all(|reply| reply == Some(Reply::Similar))
+    /// What was said.
+    pub fn said(&self) -> Said {
+        Said::of(self.verdict, &self.askings)
+    }
+
+    /// Why there is no answer, in one word; `None` where there is one.
+    pub fn failure(&self) -> Option<&str> {
+        match (self.verdict, self.fault.as_str()) {
+            (Verdict::Failed, "") => Some("unknown"),
+            (Verdict::Failed, fault) => Some(fault),
+            (Verdict::Expert | Verdict::Policy | Verdict::Abstain, _) => None,
+        }
     }
 }
 
@@ -190,6 +198,67 @@ pub enum Verdict {
     Abstain,
     /// No answer: never read as a preference.
     Failed,
+}
+
+/// A verdict, "similar" told apart: an answer that lets the policy drive, as the
+/// paper's 0 does, but prefers nobody.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Said {
+    /// The expert's path is safer.
+    Expert,
+    /// The policy's path is safer.
+    Policy,
+    /// Neither is clearly safer: an answer for the policy, and no preference.
+    Similar,
+    /// The replies disagree.
+    Abstained,
+    /// No answer.
+    Failed,
+}
+
+impl Said {
+    /// All of them, in the order of tables.
+    pub const ALL: [Self; 5] = [
+        Self::Expert,
+        Self::Policy,
+        Self::Similar,
+        Self::Abstained,
+        Self::Failed,
+    ];
+
+    /// What a verdict on these askings says.
+    pub fn of(verdict: Verdict, askings: &[Asking]) -> Self {
+        let is_similar = |asking: &Asking| asking.reply == Some(Reply::Similar);
+        match verdict {
+            Verdict::Policy if !askings.is_empty() && askings.iter().all(is_similar) => {
+                Self::Similar
+            }
+            Verdict::Expert => Self::Expert,
+            Verdict::Policy => Self::Policy,
+            Verdict::Abstain => Self::Abstained,
+            Verdict::Failed => Self::Failed,
+        }
+    }
+
+    /// Whom it prefers.
+    pub fn preference(self) -> Option<Party> {
+        match self {
+            Self::Expert => Some(Party::Expert),
+            Self::Policy => Some(Party::Policy),
+            Self::Similar | Self::Abstained | Self::Failed => None,
+        }
+    }
+
+    /// In one word.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Expert => "expert",
+            Self::Policy => "policy",
+            Self::Similar => "similar",
+            Self::Abstained => "abstained",
+            Self::Failed => "failed",
+        }
+    }
 }
 
 impl From<gate::Answer> for Verdict {

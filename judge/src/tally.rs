@@ -1,7 +1,7 @@
 use shm_config::config::{Config, GateMode};
 use shm_config::judged::Judged;
 
-use crate::record::{Record, Verdict};
+use crate::record::{Record, Said, Verdict};
 
 /// Nothing asked yet, of the configured judge, in the run of this supervisor.
 pub fn begin(config: &Config, supervisor: u32) -> Judged {
@@ -32,12 +32,8 @@ pub fn count(judged: &mut Judged, record: &Record) {
         Verdict::Failed => &mut judged.failed,
     };
     *count += 1;
-    judged.similar += u64::from(record.is_similar());
-    if record.verdict == Verdict::Failed {
-        let fault = match record.fault.as_str() {
-            "" => "unknown",
-            fault => fault,
-        };
+    judged.similar += u64::from(record.said() == Said::Similar);
+    if let Some(fault) = record.failure() {
         *judged.faults.entry(fault.into()).or_default() += 1;
     }
 }

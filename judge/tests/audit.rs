@@ -23,7 +23,9 @@ fn failed(word: &str) -> Record {
     let mut asking = asking(SHOWING, Reply::First, 0.0);
     (asking.reply, asking.confidence) = (None, None);
     asking.fault = Some(word.into());
-    record(vec![asking], Verdict::Failed, Party::Expert)
+    let mut record = record(vec![asking], Verdict::Failed, Party::Expert);
+    record.fault = word.into();
+    record
 }
 
 #[test]
@@ -36,16 +38,21 @@ fn figures_are_those_counted_by_hand() {
         pair([First, Second], Verdict::Expert, Party::Policy),
         pair([First, First], Verdict::Abstain, Party::Expert),
         pair([First, Similar], Verdict::Abstain, Party::Policy),
+        pair([Similar, Similar], Verdict::Policy, Party::Policy),
         failed("timeout"),
     ];
     let figures = Figures::of(&records);
-    assert_eq!((figures.expert, figures.policy), (3, 1));
+    assert_eq!((figures.expert, figures.policy, figures.similar), (3, 2, 1));
     assert_eq!((figures.abstained, figures.failed), (2, 1));
     assert_eq!(figures.faults["timeout"], 1);
-    assert_eq!(figures.agreement.counts, [[2, 0, 1, 1], [1, 1, 1, 0]]);
-    let right = figures.agreement.of_answered();
-    assert_eq!((right.hits, right.trials), (3, 4));
-    assert_eq!(figures.agreement.of_all().trials, 7);
+    assert_eq!(
+        figures.agreement.counts,
+        [[2, 0, 0, 1, 1], [1, 1, 1, 1, 0]],
+        "expert, policy, similar, abstained, failed"
+    );
+    let right = figures.agreement.of_preferences();
+    assert_eq!((right.hits, right.trials), (3, 4), "similar is neither");
+    assert_eq!(figures.agreement.of_all().trials, 8);
     // Rows [2, 0] and [1, 1]: agreed 3/4, by chance 2/4 * 3/4 + 2/4 * 1/4 = 1/2.
     assert_eq!(figures.agreement.kappa(), Some(0.5));
     // First place: 3 + 1 of the six clear pairs' eight, both of the fifth, one of
@@ -53,7 +60,7 @@ fn figures_are_those_counted_by_hand() {
     let first = figures.first_place;
     assert_eq!((first.hits, first.trials), (7, 11));
     let flips = figures.flips;
-    assert_eq!((flips.consistent, flips.place, flips.mixed), (4, 1, 1));
+    assert_eq!((flips.consistent, flips.place, flips.mixed), (5, 1, 1));
     // Red was the first one's colour both times, as the places are swapped and the
     // colours with them.
     assert_eq!(figures.hues["red"].hits, 7);
@@ -64,8 +71,47 @@ fn figures_are_those_counted_by_hand() {
     assert_eq!((bin.right.hits, bin.right.trials), (7, 11));
     let off = figures.calibration_error.expect("there are some");
     assert!((off - (0.85 - 7.0 / 11.0)).abs() < 1e-9, "{off}");
-    assert_eq!(figures.latencies_s.len(), 6, "failures have no latency");
-    assert!((figures.cost_usd - 0.013).abs() < 1e-12);
+    assert_eq!(figures.latencies_s.len(), 7, "failures have no latency");
+    assert!((figures.cost_usd - 0.015).abs() < 1e-12);
+}
+
+#[test]
+fn faults_are_counted_by_question_and_add_up_to_those_that_failed() {
+    let mut alone = failed("connection_refused");
+    alone.askings.push(alone.askings[0].clone());
+    alone.fault = "connection_refused".into();
+    let mut left = alone.clone();
+    for asking in &mut left.askings {
+        asking.fault = Some("breaker_open".into());
+    }
+    left.fault = "breaker_open".into();
+    let mut unheard = failed("");
+    unheard.askings.clear();
+    let figures = Figures::of(&[left.clone(), alone, left, unheard]);
+    let faults: Vec<_> = figures.faults.iter().collect();
+    let words = ["breaker_open", "connection_refused", "unknown"].map(String::from);
+    assert_eq!(faults, [(&words[0], &2), (&words[1], &1), (&words[2], &1)]);
+    assert_eq!(figures.faults.values().sum::<usize>(), figures.failed);
+}
+
+#[test]
+fn similar_is_an_answer_that_is_neither_right_nor_wrong_on_the_page() {
+    let similar = pair(
+        [Reply::Similar, Reply::Similar],
+        Verdict::Policy,
+        Party::Policy,
+    );
+    let records = Records {
+        folder: "judge".into(),
+        questions: vec![similar],
+        is_torn: false,
+    };
+    let html = page(&records, 0, Path::new("."));
+    assert!(html.contains("1 question, 2 requests"), "{html}");
+    assert!(html.contains("policy 1 (of these similar 1)"), "{html}");
+    assert!(html.contains("badge similar"), "{html}");
+    assert!(html.contains("right: 0 of 0 preferences, in 1 question "));
+    assert!(!html.contains("✓ right") && !html.contains("✗ wrong"));
 }
 
 #[test]

@@ -18,13 +18,13 @@ pub struct Judged {
     pub judge: String,
     /// Questions that are filed: those of the last seconds may be missing.
     pub questions: u64,
-    /// With a preference for the expert.
+    /// Answered for the expert.
     pub expert: u64,
-    /// With one for the policy, "similar" among them.
+    /// Answered for the policy, "similar" among them.
     pub policy: u64,
-    /// Of those: neither is clearly safer.
+    /// Of those: neither is clearly safer. Of a replay nobody knows.
     pub similar: u64,
-    /// Without a preference.
+    /// Without an answer that counts: the replies disagree.
     pub abstained: u64,
     /// Without an answer.
     pub failed: u64,
@@ -40,16 +40,32 @@ pub struct Judged {
     pub trouble: String,
 }
 
+/// So many of them, such as `1 question` and `2 questions`.
+pub fn counted(count: u64, noun: &str) -> String {
+    match count {
+        1 => format!("1 {noun}"),
+        _ => format!("{count} {noun}s"),
+    }
+}
+
+/// What is added to the answers for the policy, where there were such.
+pub fn of_these_similar(similar: u64) -> String {
+    match similar {
+        0 => String::new(),
+        _ => format!(" (of these similar {similar})"),
+    }
+}
+
 impl fmt::Display for Judged {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{}: {} questions: expert {}, policy {} (of these similar {}), abstained {}, failed {}",
+            "{}: {}: expert {}, policy {}{}, abstained {}, failed {}",
             self.judge,
-            self.questions,
+            counted(self.questions, "question"),
             self.expert,
             self.policy,
-            self.similar,
+            of_these_similar(self.similar),
             self.abstained,
             self.failed
         )?;

@@ -1,15 +1,17 @@
 //! One judge, asked about scene after scene.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use judge::audit::Agreement;
 use judge::picture::{Style, picture};
-use judge::record::{Asking, Occasion, Record, Verdict};
+use judge::record::{Asking, Occasion, Record, Said};
+use judge::replay::verdict;
 use judge::statistics::Share;
 use judge::store::Store;
-use judge::{Asker, Fault, Party, Prompt, Reply, Showing};
+use judge::{Asker, Fault, Party, Prompt, Showing};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
 use serde::Serialize;
@@ -30,22 +32,26 @@ pub struct Row {
     pub who: String,
     /// Once, or twice with the paths swapped.
     pub asked: &'static str,
-    /// Right answers of those given.
-    pub right_of_answered: Share,
-    /// Right answers of all questions.
+    /// Right ones of the preferences.
+    pub right_of_preferences: Share,
+    /// Right preferences of all questions.
     pub right_of_all: Share,
-    /// Cohen's kappa of the answers given.
+    /// Cohen's kappa of the preferences.
     pub kappa: Option<f64>,
     /// Answers for the path that was in the first place (when it was asked first),
     /// of those that prefer one.
     pub first_place: Share,
-    /// Rows: who truly is safer (expert, policy); columns: who was said to be
-    /// (expert, policy, abstained, failed).
-    pub confusion: [[usize; 4]; 2],
-    /// Without a preference.
+    /// Rows: who truly is safer (expert, policy); columns: what was said (expert,
+    /// policy, similar, abstained, failed).
+    pub confusion: [[usize; Said::ALL.len()]; 2],
+    /// Answered that neither is clearly safer.
+    pub similar: usize,
+    /// Without an answer that counts: the replies disagree.
     pub abstained: usize,
     /// Without an answer.
     pub failed: usize,
+    /// Why, in one word each.
+    pub faults: BTreeMap<String, usize>,
 }
 
 /// What was counted of one way to ask.
@@ -53,16 +59,21 @@ pub struct Row {
 struct Tally {
     agreement: Agreement,
     first_place: Share,
+    faults: BTreeMap<String, usize>,
 }
 
 impl Tally {
-    /// Counts what was said where `safer` is right and `first` was in the first
-    /// place.
-    fn count(&mut self, safer: Party, first: Party, said: (Verdict, Option<Party>)) {
-        self.agreement.count(safer, said.0);
-        if let Some(party) = said.1 {
+    /// Counts what these askings say together where `safer` is right and `first`
+    /// was in the first place.
+    fn count(&mut self, safer: Party, first: Party, askings: &[Asking]) {
+        let said = Said::of(verdict(askings), askings);
+        self.agreement.count(safer, said);
+        if let Some(party) = said.preference() {
             self.first_place.trials += 1;
             self.first_place.hits += usize::from(party == first);
+        }
+        if said == Said::Failed {
+            *self.faults.entry(fault(askings)).or_default() += 1;
         }
     }
 }
@@ -149,10 +160,8 @@ impl Court {
             pictures.push(shown);
         }
         let first = showing.first;
-        let said = of_replies(&askings[..1]);
-        self.once.count(scene.safer(), first, said);
-        let said = of_replies(&askings);
-        self.twice.count(scene.safer(), first, said);
+        self.once.count(scene.safer(), first, &askings[..1]);
+        self.twice.count(scene.safer(), first, &askings);
         if let Some(store) = &mut self.store {
             let record = record(scene, askings, &self.vlm);
             let question = store.begin(record, &pictures);
@@ -164,36 +173,29 @@ impl Court {
     /// What it has said: asked once, and asked twice.
     pub fn rows(self) -> [Row; 2] {
         [("once", self.once), ("twice, swapped", self.twice)].map(|(asked, tally)| {
-            let counts = tally.agreement.counts;
+            let agreement = tally.agreement;
             Row {
                 view: view_word(self.vlm.view),
                 who: self.name.clone(),
                 asked,
-                right_of_answered: tally.agreement.of_answered(),
-                right_of_all: tally.agreement.of_all(),
-                kappa: tally.agreement.kappa(),
+                right_of_preferences: agreement.of_preferences(),
+                right_of_all: agreement.of_all(),
+                kappa: agreement.kappa(),
                 first_place: tally.first_place,
-                confusion: counts,
-                abstained: counts[0][2] + counts[1][2],
-                failed: counts[0][3] + counts[1][3],
+                confusion: agreement.counts,
+                similar: agreement.said(Said::Similar),
+                abstained: agreement.said(Said::Abstained),
+                failed: agreement.said(Said::Failed),
+                faults: tally.faults,
             }
         })
     }
 }
 
-/// What askings say together, and whom they prefer: "similar" lets the policy
-/// drive, but is no preference for a place.
-fn of_replies(askings: &[Asking]) -> (Verdict, Option<Party>) {
-    let verdict = judge::replay::verdict(askings);
-    let is_similar = askings
-        .iter()
-        .all(|asking| asking.reply == Some(Reply::Similar));
-    let party = match verdict {
-        Verdict::Expert => Some(Party::Expert),
-        Verdict::Policy if !is_similar => Some(Party::Policy),
-        Verdict::Policy | Verdict::Abstain | Verdict::Failed => None,
-    };
-    (verdict, party)
+/// Why there is no answer: the first fault there was.
+fn fault(askings: &[Asking]) -> String {
+    let mut faults = askings.iter().filter_map(|asking| asking.fault.clone());
+    faults.next().unwrap_or_default()
 }
 
 fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
@@ -210,12 +212,9 @@ fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
         speed_mps: scene.speed_mps,
         expert: Some(scene.proposed[0]),
         policy: Some(scene.proposed[1]),
-        verdict: of_replies(&askings).0,
+        verdict: verdict(&askings),
         votes: Vec::new(),
-        fault: askings
-            .iter()
-            .find_map(|asking| asking.fault.clone())
-            .unwrap_or_default(),
+        fault: fault(&askings),
         latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
         cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),
         heard_tick: 0,

@@ -191,13 +191,13 @@ fn print(rows: &[Row]) {
         "view",
         "who",
         "asked",
-        "right of answered",
+        "right of preferences",
         "95 %",
         "right of all",
         "kappa",
         "for the first place",
         "95 %",
-        "no answer",
+        "no preference",
     ];
     let mut table = table(&header);
     for row in rows {
@@ -207,13 +207,13 @@ fn print(rows: &[Row]) {
             row.view.to_string(),
             row.who.clone(),
             row.asked.to_string(),
-            percent(row.right_of_answered.mean()),
-            interval(row.right_of_answered.interval()),
+            percent(row.right_of_preferences.mean()),
+            interval(row.right_of_preferences.interval()),
             percent(row.right_of_all.mean()),
             row.kappa.map_or("-".into(), |kappa| format!("{kappa:.2}")),
             percent(row.first_place.mean()),
             interval(row.first_place.interval()),
-            (row.abstained + row.failed).to_string(),
+            (row.similar + row.abstained + row.failed).to_string(),
         ]);
     }
     say(table);

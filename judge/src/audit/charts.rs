@@ -3,23 +3,13 @@
 use maud::{Markup, html};
 
 use super::figures::{BINS, Bin};
-use crate::record::{Record, Verdict};
+use crate::record::{Record, Said};
 use crate::statistics::Share;
 
 /// Bars of the histogram of latencies.
 const BARS: usize = 28;
 /// Whole, half and fifth decades: where a logarithmic axis has its marks.
 const MARKS: [f64; 3] = [1.0, 2.0, 5.0];
-
-/// The class that colours what belongs to a verdict.
-pub fn verdict_class(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Expert => "expert",
-        Verdict::Policy => "policy",
-        Verdict::Abstain => "abstain",
-        Verdict::Failed => "failed",
-    }
-}
 
 /// Shares with their intervals on one axis from 0 to 1, one row each, beside the
 /// share that has no bias.
@@ -131,16 +121,10 @@ pub fn latencies(latencies_s: &[f64]) -> Markup {
     }
 }
 
-/// Every question of the run where it was asked, a row for each answer.
+/// Every question of the run where it was asked, a row for each thing to say.
 pub fn timeline(records: &[Record]) -> Markup {
     const LEFT: f64 = 84.0;
     const WIDE: f64 = 850.0;
-    let rows = [
-        Verdict::Expert,
-        Verdict::Policy,
-        Verdict::Abstain,
-        Verdict::Failed,
-    ];
     let instants = || records.iter().map(|record| record.taken_ns);
     let first_ns = instants().min().unwrap_or(0);
     let span_s = (instants().max().unwrap_or(0) - first_ns) as f64 * 1e-9;
@@ -149,36 +133,26 @@ pub fn timeline(records: &[Record]) -> Markup {
         LEFT + WIDE * since_s / span_s.max(1e-3)
     };
     html! {
-        svg viewBox="0 0 960 160" role="img" {
-            @for (index, verdict) in rows.into_iter().enumerate() {
+        svg viewBox="0 0 960 190" role="img" {
+            @for (index, said) in Said::ALL.into_iter().enumerate() {
                 @let y = 20.0 + 30.0 * index as f64;
-                text class=(verdict_class(verdict)) x=(px(LEFT - 14.0)) y=(px(y + 5.0)) text-anchor="end" {
-                    (verdict_word(verdict))
+                text class=(said.word()) x=(px(LEFT - 14.0)) y=(px(y + 5.0)) text-anchor="end" {
+                    (said.word())
                 }
                 line class="grid" x1=(px(LEFT)) x2=(px(LEFT + WIDE)) y1=(px(y)) y2=(px(y)) {}
-                @for record in records.iter().filter(|record| record.verdict == verdict) {
+                @for record in records.iter().filter(|record| record.said() == said) {
                     @let at = x(record.taken_ns);
                     a href=(format!("#q{}", record.question)) {
-                        line class=(format!("mark {}", verdict_class(verdict)))
+                        line class=(format!("mark {}", said.word()))
                             x1=(px(at)) x2=(px(at)) y1=(px(y - 9.0)) y2=(px(y + 9.0)) {
                             title { (format!("question {}, tick {}", record.question, record.tick)) }
                         }
                     }
                 }
             }
-            text class="tick" x=(px(LEFT)) y="150" { "0 s" }
-            text class="tick" x=(px(LEFT + WIDE)) y="150" text-anchor="end" { (format!("{span_s:.0} s")) }
+            text class="tick" x=(px(LEFT)) y="180" { "0 s" }
+            text class="tick" x=(px(LEFT + WIDE)) y="180" text-anchor="end" { (format!("{span_s:.0} s")) }
         }
-    }
-}
-
-/// As people say it.
-pub fn verdict_word(verdict: Verdict) -> &'static str {
-    match verdict {
-        Verdict::Expert => "expert",
-        Verdict::Policy => "policy",
-        Verdict::Abstain => "abstained",
-        Verdict::Failed => "failed",
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::record::{Asking, Record, Verdict};
+use crate::record::{Asking, Record, Said, Verdict};
 use crate::statistics::{Share, kappa, quantile};
 use crate::{Hue, Party, Reply};
 
@@ -44,32 +44,32 @@ impl Truth {
     }
 }
 
-/// Answers against the simulator. Rows: who truly is safer (expert, policy);
-/// columns: who was said to be (expert, policy, neither, failed).
+/// What was said against the simulator. Rows: who truly is safer (expert, policy);
+/// columns: what was said, as in [`Said::ALL`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Agreement {
     /// The counts.
-    pub counts: [[usize; 4]; 2],
+    pub counts: [[usize; Said::ALL.len()]; 2],
 }
 
 impl Agreement {
-    /// Counts one answer.
-    pub fn count(&mut self, safer: Party, verdict: Verdict) {
+    /// Counts one question, or one asking.
+    pub fn count(&mut self, safer: Party, said: Said) {
         let row = match safer {
             Party::Expert => 0,
             Party::Policy => 1,
         };
-        let column = match verdict {
-            Verdict::Expert => 0,
-            Verdict::Policy => 1,
-            Verdict::Abstain => 2,
-            Verdict::Failed => 3,
-        };
-        self.counts[row][column] += 1;
+        self.counts[row][said as usize] += 1;
     }
 
-    /// Right answers, of those that were given.
-    pub fn of_answered(&self) -> Share {
+    /// How often this was said, whoever is safer.
+    pub fn said(&self, said: Said) -> usize {
+        self.counts.iter().map(|row| row[said as usize]).sum()
+    }
+
+    /// Right ones, of the preferences. "Similar" prefers nobody: it must not count
+    /// as right where the policy happens to be safer.
+    pub fn of_preferences(&self) -> Share {
         let [expert, policy] = self.counts;
         Share {
             hits: expert[0] + policy[1],
@@ -77,15 +77,15 @@ impl Agreement {
         }
     }
 
-    /// Right answers, of all questions.
+    /// Right preferences, of all that was asked.
     pub fn of_all(&self) -> Share {
         Share {
             trials: self.counts.iter().flatten().sum(),
-            ..self.of_answered()
+            ..self.of_preferences()
         }
     }
 
-    /// Cohen's kappa of the answers that were given.
+    /// Cohen's kappa of the preferences.
     pub fn kappa(&self) -> Option<f64> {
         let [expert, policy] = self.counts;
         kappa(&[[expert[0], expert[1]], [policy[0], policy[1]]])
@@ -117,17 +117,17 @@ pub struct Bin {
 pub struct Figures {
     /// Questions.
     pub questions: usize,
-    /// With a preference for the expert.
+    /// Answered for the expert.
     pub expert: usize,
-    /// With a preference for the policy.
+    /// Answered for the policy, "similar" among them.
     pub policy: usize,
-    /// Of those for the policy: they said "similar", which lets it drive.
+    /// Of those for the policy: they said "similar", which prefers nobody.
     pub similar: usize,
-    /// Without one: the askings disagree.
+    /// Without an answer that counts: the askings disagree.
     pub abstained: usize,
     /// Without an answer.
     pub failed: usize,
-    /// Why askings failed, by the word of the fault.
+    /// Why these questions failed, by the word of the fault.
     pub faults: BTreeMap<String, usize>,
     /// Seconds from question to answer, of those answered, in order.
     pub latencies_s: Vec<f64>,
@@ -175,22 +175,18 @@ impl Figures {
         let cost_usd = records.iter().map(|record| record.cost_usd).sum::<f64>();
         let askings = || records.iter().flat_map(|record| &record.askings);
         let mut faults = BTreeMap::new();
-        for fault in askings().filter_map(|asking| asking.fault.as_ref()) {
-            *faults.entry(fault.clone()).or_default() += 1;
-        }
-        // Nothing was asked, or the run ended before the answer: no_frame, unheard.
-        let unasked = records
-            .iter()
-            .filter(|record| record.verdict == Verdict::Failed && record.askings.is_empty());
-        for record in unasked.filter(|record| !record.fault.is_empty()) {
-            *faults.entry(record.fault.clone()).or_default() += 1;
+        for fault in records.iter().filter_map(Record::failure) {
+            *faults.entry(fault.to_string()).or_default() += 1;
         }
         let calibration = calibration(records);
         Self {
             questions: records.len(),
             expert: count(Verdict::Expert),
             policy: count(Verdict::Policy),
-            similar: records.iter().filter(|record| record.is_similar()).count(),
+            similar: records
+                .iter()
+                .filter(|record| record.said() == Said::Similar)
+                .count(),
             abstained: count(Verdict::Abstain),
             failed,
             faults,
@@ -219,29 +215,30 @@ impl Figures {
     }
 }
 
-/// Whose path a reply prefers.
-fn preferred(asking: &Asking) -> Option<Party> {
-    match asking.reply? {
-        Reply::First => Some(asking.showing.first),
-        Reply::Second => Some(asking.showing.first.other()),
-        Reply::Similar => None,
+/// What one asking says on its own.
+fn said(asking: &Asking) -> Said {
+    let preferred = match asking.reply {
+        None => return Said::Failed,
+        Some(Reply::Similar) => return Said::Similar,
+        Some(Reply::First) => asking.showing.first,
+        Some(Reply::Second) => asking.showing.first.other(),
+    };
+    match preferred {
+        Party::Expert => Said::Expert,
+        Party::Policy => Said::Policy,
     }
 }
 
-/// What a judge preferred. "Similar" lets the policy drive, and prefers nobody: it
-/// must not count as right where the policy happens to be safer.
-fn preference(record: &Record) -> Verdict {
-    match record.is_similar() {
-        true => Verdict::Abstain,
-        false => record.verdict,
-    }
+/// Whose path a reply prefers.
+fn preferred(asking: &Asking) -> Option<Party> {
+    said(asking).preference()
 }
 
 fn agreement(records: &[Record]) -> Agreement {
     let mut agreement = Agreement::default();
     for record in records {
         if let Truth::Safer(party) = Truth::of(record) {
-            agreement.count(party, preference(record));
+            agreement.count(party, record.said());
         }
     }
     agreement
@@ -254,13 +251,7 @@ fn asking_agreement(records: &[Record]) -> Agreement {
             continue;
         };
         for asking in &record.askings {
-            let verdict = match (asking.reply, preferred(asking)) {
-                (None, _) => Verdict::Failed,
-                (Some(_), Some(Party::Expert)) => Verdict::Expert,
-                (Some(_), Some(Party::Policy)) => Verdict::Policy,
-                (Some(_), None) => Verdict::Abstain,
-            };
-            agreement.count(party, verdict);
+            agreement.count(party, said(asking));
         }
     }
     agreement

@@ -13,7 +13,7 @@ use base64::engine::general_purpose::STANDARD;
 
 pub use figures::{Agreement, BINS, Bin, Figures, Flips, Truth};
 
-use crate::record::{Record, Verdict};
+use crate::record::Record;
 use crate::store::Records;
 
 /// A picture larger than this is linked and not embedded, bytes.
@@ -77,10 +77,9 @@ impl Pictures {
 }
 
 fn rank(record: &Record) -> u8 {
-    match (Truth::of(record), record.verdict) {
-        (Truth::Safer(crate::Party::Expert), Verdict::Policy)
-        | (Truth::Safer(crate::Party::Policy), Verdict::Expert) => 0,
-        (Truth::Safer(_), Verdict::Abstain | Verdict::Failed) => 1,
+    match (Truth::of(record), record.said().preference()) {
+        (Truth::Safer(safer), Some(preferred)) if preferred != safer => 0,
+        (Truth::Safer(_), None) => 1,
         _ => 2,
     }
 }

@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use shm_config::judged::{counted, of_these_similar};
 
 use super::charts::{self, seconds};
 use super::figures::{Agreement, Figures};
 use super::{Pictures, questions};
+use crate::record::Said;
 use crate::statistics::Share;
 use crate::store::Records;
 
@@ -67,7 +69,8 @@ fn head(records: &Records, figures: &Figures) -> Markup {
             }
             " · prompt " b { (preset) }
             @if mixed { " (and others: not all questions are alike)" }
-            " · " (figures.questions) " questions, " (figures.requests) " requests"
+            " · " (counted(figures.questions as u64, "question"))
+            ", " (counted(figures.requests, "request"))
             @if records.is_torn { " · the last line is torn and left out" }
         }
     }
@@ -76,21 +79,32 @@ fn head(records: &Records, figures: &Figures) -> Markup {
 fn tiles(figures: &Figures) -> Markup {
     let answered = figures.expert + figures.policy;
     let latency = |value: Option<f64>| value.map_or("–".into(), seconds);
-    let right = figures.agreement.of_answered();
+    let agreement = &figures.agreement;
+    let right = agreement.of_preferences();
     let tiles = [
         (figures.questions.to_string(), "questions".into()),
         (
             answered.to_string(),
             format!(
-                "answered: expert {}, policy {} (similar {})",
-                figures.expert, figures.policy, figures.similar
+                "answered: expert {}, policy {}{}",
+                figures.expert,
+                figures.policy,
+                of_these_similar(figures.similar as u64)
             ),
         ),
-        (figures.abstained.to_string(), "abstained".into()),
+        (
+            figures.abstained.to_string(),
+            "abstained: the replies disagree".into(),
+        ),
         (figures.failed.to_string(), faults(figures)),
         (
             percent(right),
-            format!("right, of {} that can be checked", right.trials),
+            format!(
+                "right: {} of {} preferences, in {} that the simulator can check",
+                right.hits,
+                right.trials,
+                counted(agreement.of_all().trials as u64, "question")
+            ),
         ),
         (latency(figures.latency_median_s), "median latency".into()),
         (latency(figures.latency_p99_s), "99 % answer within".into()),
@@ -109,7 +123,7 @@ fn tiles(figures: &Figures) -> Markup {
 }
 
 fn faults(figures: &Figures) -> String {
-    let mut text = "failed".to_string();
+    let mut text = "failed, without an answer".to_string();
     let mut faults: Vec<_> = figures.faults.iter().collect();
     faults.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
     for (at, (word, count)) in faults.into_iter().enumerate() {
@@ -127,10 +141,12 @@ fn agreement(figures: &Figures) -> Markup {
             p class="note" {
                 "Questions where one proposal, held for the horizon, hits something or leaves \
                  the road and the other does not. Besides: both end well " (both_safe)
-                ", both in an accident " (neither_safe) ", unknown " (unknown) "."
+                ", both in an accident " (neither_safe) ", unknown " (unknown) ". "
+                i { "Similar" } " is an answer that lets the policy drive; it prefers nobody, and \
+                 is neither right nor wrong."
             }
             div class="two" {
-                (matrix("Answers", &figures.agreement))
+                (matrix("Each question", &figures.agreement))
                 (matrix("Each asking on its own", &figures.asking_agreement))
             }
         }
@@ -138,7 +154,6 @@ fn agreement(figures: &Figures) -> Markup {
 }
 
 fn matrix(title: &str, agreement: &Agreement) -> Markup {
-    let columns = ["expert", "policy", "neither", "failed"];
     let rows = ["the expert is safer", "the policy is safer"];
     let class = |row: usize, column: usize| match (agreement.counts[row][column], column) {
         (0, _) => "zero",
@@ -146,23 +161,23 @@ fn matrix(title: &str, agreement: &Agreement) -> Markup {
         (_, 0 | 1) => "miss",
         _ => "",
     };
-    let share = agreement.of_answered();
+    let share = agreement.of_preferences();
     html! {
         div {
             h2 { (title) }
             table class="matrix" {
-                tr { th {} @for column in columns { th { "said " (column) } } }
+                tr { th {} @for said in Said::ALL { th { (said.word()) } } }
                 @for (row, name) in rows.into_iter().enumerate() {
                     tr {
                         th { (name) }
-                        @for column in 0..columns.len() {
+                        @for column in 0..Said::ALL.len() {
                             td class=(class(row, column)) { (agreement.counts[row][column]) }
                         }
                     }
                 }
             }
             p {
-                span class="big" { (percent(share)) } " right of those answered "
+                span class="big" { (percent(share)) } " right of the preferences "
                 span class="note" { (interval(share)) }
                 br;
                 (percent(agreement.of_all())) " right of all "

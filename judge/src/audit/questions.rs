@@ -2,10 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::charts::{seconds, verdict_class, verdict_word};
+use super::charts::seconds;
 use super::figures::Truth;
 use super::{Pictures, Shown};
-use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Verdict, Vote};
+use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Said, Vote};
 use crate::{Hue, Party, Reply, Showing};
 
 pub fn question(record: &Record, pictures: &Pictures) -> Markup {
@@ -13,9 +13,7 @@ pub fn question(record: &Record, pictures: &Pictures) -> Markup {
         details class="card question" id=(format!("q{}", record.question)) {
             summary {
                 b { "#" (record.question) }
-                span class=(format!("badge {}", verdict_class(record.verdict))) {
-                    (verdict_word(record.verdict))
-                }
+                span class=(format!("badge {}", record.said().word())) { (record.said().word()) }
                 (mark(record))
                 span class="note" {
                     "episode " (record.episode) ", tick " (record.tick) " · "
@@ -38,7 +36,8 @@ pub fn question(record: &Record, pictures: &Pictures) -> Markup {
 /// What each juror said.
 fn votes(votes: &[Vote]) -> String {
     let said = votes.iter().map(|vote| {
-        let word = vote.verdict.map_or("not heard", verdict_word);
+        let said = vote.verdict.map(|verdict| Said::of(verdict, &[]));
+        let word = said.map_or("not heard", Said::word);
         format!("{} {word}", vote.juror)
     });
     let said: Vec<String> = said.collect();
@@ -50,16 +49,10 @@ fn mark(record: &Record) -> Markup {
     let Truth::Safer(party) = Truth::of(record) else {
         return html! {};
     };
-    match (record.verdict, party) {
-        (Verdict::Expert, Party::Expert) | (Verdict::Policy, Party::Policy) => {
-            html! { span class="right" { "✓ right" } }
-        }
-        (Verdict::Expert, Party::Policy) | (Verdict::Policy, Party::Expert) => {
-            html! { span class="wrong" { "✗ wrong: the " (word(party)) " is safer" } }
-        }
-        (Verdict::Abstain | Verdict::Failed, _) => {
-            html! { span class="note" { "the " (word(party)) " is safer" } }
-        }
+    match record.said().preference() {
+        Some(preferred) if preferred == party => html! { span class="right" { "✓ right" } },
+        Some(_) => html! { span class="wrong" { "✗ wrong: the " (word(party)) " is safer" } },
+        None => html! { span class="note" { "the " (word(party)) " is safer" } },
     }
 }
 
