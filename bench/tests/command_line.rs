@@ -168,6 +168,39 @@ fn an_evaluation_without_metadrive_says_what_to_run() {
 }
 
 #[test]
+fn a_judge_that_answers_nothing_is_an_error_that_says_why() {
+    // Port 9 is discard: nobody listens there.
+    let words = "bench judge --scenes 2 --view top_down --server http://127.0.0.1:9/v1 \
+                 --set vlm.attempts_max=1";
+    let output = bench(&words.split_whitespace().collect::<Vec<_>>());
+    let [text, error] = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+    assert_eq!(output.status.code(), Some(1), "{text} {error}");
+    let why = "no answer to any of 2 scenes; top_down: 2 connection_refused";
+    assert!(error.contains(why), "{error}");
+    assert!(
+        !text.contains("NaN") && !text.contains("stand-in"),
+        "{text}"
+    );
+}
+
+#[test]
+fn an_address_that_may_hold_a_key_is_not_told() {
+    let words = [
+        "bench",
+        "judge",
+        "--server",
+        "http://127.0.0.1:9/v1?key=sk-secret",
+    ];
+    let output = bench(&words);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{text}");
+    assert!(
+        text.contains("vlm.server") && !text.contains("sk-secret"),
+        "{text}"
+    );
+}
+
+#[test]
 fn parity_without_recordings_says_what_is_missing() {
     let empty = scratch("no-recordings");
     std::fs::create_dir_all(&empty).expect("a folder");

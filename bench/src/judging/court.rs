@@ -20,6 +20,8 @@ use vehicle::Vehicle;
 
 use super::scenes::Scene;
 
+/// Asked without swapping the paths.
+pub const ONCE: &str = "once";
 /// How long is waited when the own limit of requests per minute is reached.
 const PACE: Duration = Duration::from_secs(1);
 
@@ -52,6 +54,13 @@ pub struct Row {
     pub failed: usize,
     /// Why, in one word each.
     pub faults: BTreeMap<String, usize>,
+}
+
+impl Row {
+    /// Not one question got an answer, whatever was said.
+    pub fn is_unanswered(&self) -> bool {
+        self.failed == self.confusion.iter().flatten().sum::<usize>()
+    }
 }
 
 /// What was counted of one way to ask.
@@ -172,7 +181,7 @@ impl Court {
 
     /// What it has said: asked once, and asked twice.
     pub fn rows(self) -> [Row; 2] {
-        [("once", self.once), ("twice, swapped", self.twice)].map(|(asked, tally)| {
+        [(ONCE, self.once), ("twice, swapped", self.twice)].map(|(asked, tally)| {
             let agreement = tally.agreement;
             Row {
                 view: view_word(self.vlm.view),

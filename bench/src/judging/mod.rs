@@ -8,18 +8,20 @@ pub mod scenes;
 
 use std::sync::Arc;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use judge::standin::{Options, Server};
+use judge::statistics::Share;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::SeedableRng;
 use serde::Serialize;
 use shm_config::config::{Config, View, Vlm};
+use shm_config::judged::counted;
 
 use crate::report::{Machine, say, table, write_json};
 use crate::{Clock, settings};
 pub use arguments::{BenchJudge, Views};
-use court::{Court, Row};
+use court::{Court, ONCE, Row};
 use scenes::{Search, search};
 
 /// The object of `--json`.
@@ -42,18 +44,32 @@ struct Conditions {
 /// Asks about every scene, once and twice, and prints how often that was right.
 ///
 /// # Errors
-/// When the configuration is wrong, no server can be had, or hardly any scene is
-/// found.
+/// When the configuration is wrong, no server can be had, hardly any scene is
+/// found, or nothing is answered.
 pub fn bench(arguments: &BenchJudge, clock: Clock) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
-    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+    // Checked like any other address.
+    let server = arguments.server.iter();
+    let server = server.map(|url| format!("vlm.server={url}"));
+    let overrides: Vec<_> = chosen.overrides.iter().cloned().chain(server).collect();
+    let config = settings::config(chosen.config.as_deref(), &overrides)?;
     let machine = Machine::here()?;
     let bar = ProgressBar::new(u64::from(arguments.scenes));
     let style = "{elapsed_precise} {wide_bar} {pos}/{len} scenes, {eta} left";
     bar.set_style(ProgressStyle::with_template(style)?);
     let rows = measure(arguments, &config, clock, || bar.inc(1))?;
     bar.finish_and_clear();
+    if rows.iter().all(Row::is_unanswered) {
+        bail!(
+            "no answer to any of {}{}",
+            counted(u64::from(arguments.scenes), "scene"),
+            reasons(&rows)
+        );
+    }
     print(&rows);
+    if arguments.server.is_none() {
+        say("The stand-in is no model: it judges from coloured pixels.");
+    }
     let Some(path) = &arguments.json else {
         return Ok(());
     };
@@ -201,21 +217,48 @@ fn print(rows: &[Row]) {
     ];
     let mut table = table(&header);
     for row in rows {
-        let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        let interval = |[low, high]: [f64; 2]| format!("{:.1} to {:.1}", 100.0 * low, 100.0 * high);
         table.add_row([
             row.view.to_string(),
             row.who.clone(),
             row.asked.to_string(),
-            percent(row.right_of_preferences.mean()),
-            interval(row.right_of_preferences.interval()),
-            percent(row.right_of_all.mean()),
+            percent(row.right_of_preferences),
+            interval(row.right_of_preferences),
+            percent(row.right_of_all),
             row.kappa.map_or("-".into(), |kappa| format!("{kappa:.2}")),
-            percent(row.first_place.mean()),
-            interval(row.first_place.interval()),
+            percent(row.first_place),
+            interval(row.first_place),
             (row.similar + row.abstained + row.failed).to_string(),
         ]);
     }
     say(table);
-    say("The stand-in is no model: it judges from coloured pixels.");
+}
+
+/// Why there are no answers, as each view was asked once.
+fn reasons(rows: &[Row]) -> String {
+    let once = rows.iter().filter(|row| row.asked == ONCE);
+    let texts = once.map(|row| {
+        let faults = row.faults.iter();
+        let faults: Vec<_> = faults
+            .map(|(word, count)| format!("{count} {word}"))
+            .collect();
+        format!("; {}: {}", row.view, faults.join(", "))
+    });
+    texts.collect()
+}
+
+/// In per cent; a dash of nothing.
+fn percent(share: Share) -> String {
+    match share.trials {
+        0 => "-".into(),
+        _ => format!("{:.1} %", 100.0 * share.mean()),
+    }
+}
+
+/// Its 95 % interval; a dash of nothing.
+fn interval(share: Share) -> String {
+    let [low, high] = share.interval().map(|end| 100.0 * end);
+    match share.trials {
+        0 => "-".into(),
+        _ => format!("{low:.1} to {high:.1}"),
+    }
 }
