@@ -14,7 +14,12 @@ fn no_clock() -> Instant {
 
 #[test]
 fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
-    let words = "vlaps bench judge --scenes 30 --view top_down --first-seed 1000";
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("judging");
+    let _ = std::fs::remove_dir_all(&folder);
+    let words = format!(
+        "vlaps bench judge --scenes 30 --view top_down --first-seed 1000 --record {}",
+        folder.display()
+    );
     let arguments = Arguments::try_parse_from(words.split(' ')).expect("a command");
     let Command::Bench(Bench::Judge(arguments)) = arguments.command else {
         panic!("no judge: {words}");
@@ -26,6 +31,9 @@ fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
     for row in &rows {
         let asked: usize = row.confusion.iter().flatten().sum();
         assert_eq!((asked, row.failed), (30, 0), "{row:?}");
+    }
+    for name in ["top_down-stand-in", "top_down-stand-in-bias-0.72"] {
+        assert!(folder.join(name).is_dir(), "a folder of each judge: {name}");
     }
     let share = |row: &bench::judging::court::Row| row.right_of_preferences.mean();
     assert!(share(once) >= 0.9 && share(twice) >= 0.9, "{rows:#?}");

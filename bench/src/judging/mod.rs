@@ -117,7 +117,7 @@ pub fn measure(
                 _ => folder.join(format!(
                     "{}-{}",
                     court::view_word(view),
-                    name.replace(' ', "-")
+                    name.replace(", ", "-").replace(' ', "-")
                 )),
             });
             let vlm = vlm(arguments, config, url, view);
