@@ -23,7 +23,7 @@ pub enum Command {
     /// For tests and offline work: it speaks the OpenAI-compatible protocol over
     /// HTTP, and judges by coloured pixels alone which of the two paths in the
     /// picture is safer. Set vlm.server to http://127.0.0.1:PORT/v1 to have it
-    /// asked.
+    /// asked, and vlm.model to vlaps-stand-in to have it counted as what it is.
     #[command(allow_negative_numbers = true)]
     Server(ServerArguments),
     /// Make a page of what a judge was asked in a run, and how right it was

@@ -42,7 +42,8 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
     })?;
     let url = server.url();
     say(format_args!(
-        "{NAME} listens on {url}: a stand-in that judges coloured pixels, no model. Ctrl-C stops it"
+        "{NAME} listens on {url}: a stand-in that judges coloured pixels, no model; asked as \
+         vlm.model={NAME}, it costs nothing. Ctrl-C stops it"
     ));
     if let Some(mishap) = arguments.fault {
         let share = arguments.fault_share;

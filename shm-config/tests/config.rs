@@ -1,6 +1,6 @@
 //! The configuration: the paper's numbers by default, and clear errors.
 
-use shm_config::config::{Clock, Config, GateMode, from_toml, load};
+use shm_config::config::{Clock, Config, GateMode, Vlm, from_toml, load};
 
 fn error(text: &str) -> String {
     let error = from_toml(text, "vlaps.toml")
@@ -236,6 +236,20 @@ fn a_server_of_ones_own_needs_a_models_name_and_costs_nothing() {
     assert_eq!(config.vlm.model_name(), "qwen2.5vl");
     assert_eq!(Config::default().vlm.model_name(), "gpt-4o-mini");
     assert_eq!(Config::default().vlm.prices_usd(), [0.15, 0.60]);
+}
+
+#[test]
+fn the_stand_in_has_a_name_of_its_own_and_is_free() {
+    let vlm = from_toml("[vlm]\nmodel = \"vlaps-stand-in\"\n", "x")
+        .unwrap()
+        .vlm;
+    assert_eq!(vlm.model_name(), "vlaps-stand-in");
+    assert_eq!(vlm.prices_usd(), [0.0, 0.0]);
+    let priced = Vlm {
+        price_in_usd: 1.0,
+        ..vlm
+    };
+    assert_eq!(priced.prices_usd(), [1.0, 0.0], "unless it is told");
 }
 
 #[test]

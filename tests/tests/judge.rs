@@ -175,7 +175,11 @@ fn in_real_time_a_judge_that_hangs_or_dies_costs_no_tick() {
 fn the_papers_mode_pauses_the_world_and_names_both() {
     let server = stand_in();
     let set = Set::new("paper");
-    let json = drive(&set, &server.url(), &["--gate", "paper"]);
+    let own_name = ["--gate", "paper", "--set", "vlm.model=vlaps-stand-in"];
+    let json = drive(&set, &server.url(), &own_name);
+    assert_eq!(json["judge"]["cost_usd"], 0.0, "{json}");
+    let judge = json["judge"]["judge"].as_str().expect("a text");
+    assert!(judge.starts_with("paper, vlaps-stand-in at "), "{judge}");
     let records = records(&set);
     let ticks: Vec<u64> = records.iter().map(|record| record.tick).collect();
     assert!(ticks.len() >= 3, "{ticks:?}");

@@ -15,7 +15,7 @@ use judge::statistics::Share;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::SeedableRng;
 use serde::Serialize;
-use shm_config::config::{Config, View, Vlm};
+use shm_config::config::{Config, STAND_IN, View, Vlm};
 use shm_config::judged::counted;
 
 use crate::report::{Machine, say, table, write_json};
@@ -196,6 +196,7 @@ fn vlm(arguments: &BenchJudge, config: &Config, url: &str, view: View) -> Vlm {
     };
     if arguments.server.is_none() {
         // A stand-in charges nothing, and nobody else waits for it.
+        vlm.model = STAND_IN.into();
         vlm.per_minute_max = 10_000;
         (vlm.price_in_usd, vlm.price_out_usd) = (0.0, 0.0);
     }

@@ -30,7 +30,7 @@ pub use mishap::Mishap;
 use crate::limits::Rate;
 
 /// What the stand-in calls itself, wherever a model would say its name.
-pub const NAME: &str = "vlaps-stand-in";
+pub use shm_config::config::STAND_IN as NAME;
 
 /// How a stand-in is.
 #[derive(Clone)]

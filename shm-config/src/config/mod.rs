@@ -34,7 +34,7 @@ pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Scheduling, Supervisor};
-pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, View, Vlm};
+pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, STAND_IN, View, Vlm};
 pub use world::{Simulator, World};
 
 /// Everything a run is configured by.

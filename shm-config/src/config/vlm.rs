@@ -114,7 +114,8 @@ pub struct Vlm {
     /// What the server is: openai, vllm, llama_cpp, ollama, lm_studio or sglang.
     pub dialect: Dialect,
     /// Which model; empty for gpt-4o-mini with openai, and for the one that is
-    /// loaded with llama_cpp.
+    /// loaded with llama_cpp. vlaps-stand-in for ./vlaps judge-server, which is no
+    /// model and costs nothing.
     pub model: String,
     /// Environment variable that holds the key; empty for none. For
     /// api.openai.com OPENAI_API_KEY is looked at, too.
@@ -240,6 +241,9 @@ impl Default for Vlm {
     }
 }
 
+/// What `./vlaps judge-server` calls itself where a model would say its name.
+pub const STAND_IN: &str = "vlaps-stand-in";
+
 /// In the place of a value that may be a key.
 const HIDDEN: &str = "(not shown)";
 
@@ -256,9 +260,10 @@ impl Vlm {
 
     /// Prices of a million tokens in and out, US dollars.
     pub fn prices_usd(&self) -> [f64; 2] {
-        let own = match self.dialect {
-            Dialect::Openai => [0.15, 0.60],
-            _ => [0.0, 0.0],
+        let own = match (self.dialect, self.model_name()) {
+            (_, STAND_IN) => [0.0, 0.0],
+            (Dialect::Openai, _) => [0.15, 0.60],
+            (_, _) => [0.0, 0.0],
         };
         let given = [self.price_in_usd, self.price_out_usd];
         std::array::from_fn(|i| if given[i] < 0.0 { own[i] } else { given[i] })
