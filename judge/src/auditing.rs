@@ -1,6 +1,6 @@
 //! `vlaps-judge audit` and `replay`.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -18,6 +18,10 @@ use toml::{Table, Value};
 
 use crate::say;
 
+/// Pictures that are copied beside a page, bytes: twice what a run keeps unless it
+/// is told otherwise (vlm.record_bytes_max).
+const COPIED_BYTES_MAX: u64 = 1_000_000_000;
+
 /// Read from the current folder when it is there and no other file is named.
 const DEFAULT_FILE: &str = "vlaps.toml";
 
@@ -34,7 +38,7 @@ pub struct AuditArguments {
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Pictures to put into the page, those of wrong answers first; the others are
-    /// linked
+    /// linked, and copied beside the page where it does not lie with the records
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub pictures: usize,
     /// Write the figures to this file, too
@@ -78,8 +82,12 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
         None => records.folder.join("audit.html"),
     };
     let link = link(&out, &records.folder);
-    let html = page(&records, arguments.pictures, &link);
-    std::fs::write(&out, html).with_context(|| format!("cannot write {}", out.display()))?;
+    let page = page(&records, arguments.pictures, &link);
+    let pictures = home(&out).join(&link);
+    if pictures != absolute(&records.folder) {
+        copy(&page.linked, &records.folder, &pictures)?;
+    }
+    std::fs::write(&out, page.html).with_context(|| format!("cannot write {}", out.display()))?;
     let figures = Figures::of(&records.questions);
     tell(&records, &figures);
     if let Some(path) = &arguments.json {
@@ -90,14 +98,50 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The way from a page to the folder of records.
+/// The way from a page to the pictures it links: into the folder of records where
+/// that lies below the page, else into a folder of the page's own, so that both
+/// can be moved together.
 fn link(page: &Path, folder: &Path) -> PathBuf {
-    let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.into());
-    let (page, folder) = (absolute(page), absolute(folder));
-    let beside = page
-        .parent()
-        .and_then(|home| folder.strip_prefix(home).ok());
-    beside.map_or(folder.clone(), Path::to_path_buf)
+    let folder = absolute(folder);
+    if let Ok(below) = folder.strip_prefix(home(page)) {
+        return below.into();
+    }
+    let mut own = page.file_stem().unwrap_or_default().to_os_string();
+    own.push("-files");
+    own.into()
+}
+
+/// The folder that a page lies in.
+fn home(page: &Path) -> PathBuf {
+    let page = absolute(page);
+    page.parent().map_or(page.clone(), Path::to_path_buf)
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.into())
+}
+
+/// Copies pictures of the records to where the page finds them.
+fn copy(names: &BTreeSet<String>, from: &Path, to: &Path) -> anyhow::Result<()> {
+    let sizes = names.iter().map(|name| std::fs::metadata(from.join(name)));
+    let bytes: u64 = sizes.flatten().map(|size| size.len()).sum();
+    if bytes > COPIED_BYTES_MAX {
+        bail!(
+            "{} of {} MB would have to be copied beside the page; write it into {} or above, or \
+             raise --pictures",
+            counted(names.len() as u64, "picture"),
+            bytes / 1_000_000,
+            from.display()
+        );
+    }
+    for name in names {
+        let path = to.join(name);
+        let folder = path.parent().unwrap_or(to);
+        std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::copy(from.join(name), &path))
+            .with_context(|| format!("cannot copy a picture to {}", path.display()))?;
+    }
+    Ok(())
 }
 
 fn tell(records: &Records, figures: &Figures) {
@@ -307,4 +351,19 @@ fn file_word(name: &str) -> String {
     name.chars()
         .map(|c| if is_plain(c) { c } else { '-' })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_never_lead_out_of_the_pages_folder() {
+        let link = |page: &str, folder: &str| link(Path::new(page), Path::new(folder));
+        let judge = "/runs/a/judge";
+        assert_eq!(link("/runs/a/judge/audit.html", judge), Path::new(""));
+        assert_eq!(link("/runs/page.html", judge), Path::new("a/judge"));
+        assert_eq!(link("/tmp/page.html", judge), Path::new("page-files"));
+        assert_eq!(link("runs/page.html", "runs/a"), Path::new("a"));
+    }
 }

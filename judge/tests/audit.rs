@@ -3,6 +3,7 @@
 mod records;
 
 use std::path::Path;
+use std::process::Command;
 
 use judge::audit::{Figures, page};
 use judge::record::{Record, Verdict};
@@ -106,7 +107,7 @@ fn similar_is_an_answer_that_is_neither_right_nor_wrong_on_the_page() {
         questions: vec![similar],
         is_torn: false,
     };
-    let html = page(&records, 0, Path::new("."));
+    let html = page(&records, 0, Path::new(".")).html;
     assert!(html.contains("1 question, 2 requests"), "{html}");
     assert!(html.contains("policy 1 (of these similar 1)"), "{html}");
     assert!(html.contains("badge similar"), "{html}");
@@ -138,7 +139,7 @@ fn what_a_model_said_stays_text() {
         questions: vec![record, fault],
         is_torn: true,
     };
-    let html = page(&records, 10, Path::new("."));
+    let html = page(&records, 10, Path::new(".")).html;
     assert!(
         !html.contains("<script") && !html.contains("<img"),
         "{html}"
@@ -159,7 +160,7 @@ fn pictures_are_embedded_up_to_the_limit_and_linked_beyond() {
     }
     store.finish();
     let records = read(folder.path()).expect("reads");
-    let html = page(&records, 2, Path::new("judge"));
+    let html = page(&records, 2, Path::new("judge")).html;
     let embedded = html.matches("src=\"data:image/png;base64,").count();
     assert_eq!(
         (embedded, html.matches("href=\"judge/pictures/").count()),
@@ -168,6 +169,45 @@ fn pictures_are_embedded_up_to_the_limit_and_linked_beyond() {
     // The wrong answer is what one looks for: its pictures come first.
     assert!(!html.contains("href=\"judge/pictures/000003-a.png"));
     std::fs::remove_dir_all(folder.path().join("pictures")).expect("removed");
-    let html = page(&records, 2, Path::new("judge"));
+    let html = page(&records, 2, Path::new("judge")).html;
     assert_eq!(html.matches("not kept any more").count(), 6);
+}
+
+#[test]
+fn a_page_that_is_written_elsewhere_has_its_pictures_beside_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let judge = folder.path().join("run/judge");
+    let mut store = Store::open(&judge, 1 << 20).expect("opens");
+    let record = pair(
+        [Reply::First, Reply::Second],
+        Verdict::Expert,
+        Party::Expert,
+    );
+    store.begin(record, &[picture(1), picture(2)]);
+    store.finish();
+    let out = folder.path().join("elsewhere/page.html");
+    std::fs::create_dir(folder.path().join("elsewhere")).expect("a folder");
+    let audit = |out: &Path| {
+        let output = Command::new(env!("CARGO_BIN_EXE_vlaps-judge"))
+            .args(["audit", "--pictures", "1", "--out"])
+            .args([out, judge.as_path()])
+            .output()
+            .expect("it runs");
+        assert!(output.status.success(), "{output:?}");
+        std::fs::read_to_string(out).expect("a page")
+    };
+    let html = audit(&out);
+    let link = "page-files/pictures/000001-b.png";
+    assert!(html.contains(&format!("href=\"{link}\"")), "{html}");
+    let beside = out.with_file_name(link);
+    let kept = judge.join("pictures/000001-b.png");
+    let read = |path: &Path| std::fs::read(path).expect("a picture");
+    assert_eq!(read(&beside), read(&kept));
+    // With the records nothing needs to be copied.
+    let html = audit(&folder.path().join("run/page.html"));
+    assert!(
+        html.contains("href=\"judge/pictures/000001-b.png\""),
+        "{html}"
+    );
+    assert!(!folder.path().join("run/page-files").exists());
 }

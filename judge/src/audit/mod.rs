@@ -5,7 +5,7 @@ mod figures;
 mod page;
 mod questions;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
 use base64::Engine as _;
@@ -19,19 +19,33 @@ use crate::store::Records;
 /// A picture larger than this is linked and not embedded, bytes.
 const PICTURE_BYTES_MAX: u64 = 4 << 20;
 
+/// The page, and what it needs beside it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Page {
+    /// The page itself.
+    pub html: String,
+    /// Names of the pictures that it links.
+    pub linked: BTreeSet<String>,
+}
+
 /// The page of a folder of records, self-contained but for pictures beyond the
 /// first `pictures_max`, which it links as `link` says: from the page's folder to
-/// the records'. Whatever a model said is escaped, and the page forbids scripts.
-pub fn page(records: &Records, pictures_max: usize, link: &Path) -> String {
+/// that of the pictures. Whatever a model said is escaped, and the page forbids
+/// scripts.
+pub fn page(records: &Records, pictures_max: usize, link: &Path) -> Page {
     let pictures = Pictures::of(records, pictures_max, link);
-    page::page(records, &Figures::of(&records.questions), &pictures).into_string()
+    Page {
+        html: page::page(records, &Figures::of(&records.questions), &pictures).into_string(),
+        linked: pictures.linked,
+    }
 }
 
 /// The pictures that the page shows, and where the others are.
 struct Pictures {
     /// Data URLs by name.
     embedded: BTreeMap<String, String>,
-    folder: PathBuf,
+    /// Names of those that are there and not embedded.
+    linked: BTreeSet<String>,
     link: PathBuf,
 }
 
@@ -49,18 +63,22 @@ impl Pictures {
         order.sort_by_key(|record| (rank(record), record.question));
         let askings = order.into_iter().flat_map(|record| &record.askings);
         let names = askings.map(|asking| &asking.picture);
-        let mut embedded = BTreeMap::new();
+        let (mut embedded, mut linked) = (BTreeMap::new(), BTreeSet::new());
         for name in names.filter(|name| is_inside(name)) {
-            if embedded.len() >= most {
-                break;
-            }
-            if let Some(url) = data_url(&records.folder.join(name)) {
-                embedded.insert(name.clone(), url);
+            let path = records.folder.join(name);
+            let url = match embedded.len() < most {
+                true => data_url(&path),
+                false => None,
+            };
+            match url {
+                Some(url) => _ = embedded.insert(name.clone(), url),
+                None if path.is_file() => _ = linked.insert(name.clone()),
+                None => {}
             }
         }
         Self {
             embedded,
-            folder: records.folder.clone(),
+            linked,
             link: link.into(),
         }
     }
@@ -69,7 +87,7 @@ impl Pictures {
         if let Some(url) = self.embedded.get(name) {
             return Shown::Embedded(url);
         }
-        match is_inside(name) && self.folder.join(name).is_file() {
+        match self.linked.contains(name) {
             true => Shown::Linked(self.link.join(name).display().to_string()),
             false => Shown::Nowhere,
         }

@@ -23,7 +23,7 @@ pub fn records(bytes: &[u8]) -> Said {
         return Said::Refused;
     };
     Recorded::new(&records.questions);
-    let page = audit::page(&records, 4, Path::new("."));
+    let page = audit::page(&records, 4, Path::new(".")).html;
     assert!(page.starts_with("<!DOCTYPE html>"));
     // Who goes on writing does so after a whole line.
     let mut open = store::Store::open(folder.path(), 1 << 20).expect("a store");
