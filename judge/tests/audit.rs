@@ -113,6 +113,8 @@ fn similar_is_an_answer_that_is_neither_right_nor_wrong_on_the_page() {
     assert!(html.contains("badge similar"), "{html}");
     assert!(html.contains("right: 0 of 0 preferences, in 1 question "));
     assert!(!html.contains("✓ right") && !html.contains("✗ wrong"));
+    assert!(html.contains("(nothing to count)") && !html.contains("0.0 to 100.0 %"));
+    assert!(html.contains("No asking preferred a path."), "and no chart");
 }
 
 #[test]

@@ -32,9 +32,7 @@ pub fn shares(rows: &[(String, Share)]) -> Markup {
                 @let [low, high] = share.interval();
                 text x=(px(LEFT - 14.0)) y=(px(y + 5.0)) text-anchor="end" { (name) }
                 line class="whisker" x1=(px(x(low))) x2=(px(x(high))) y1=(px(y)) y2=(px(y)) {}
-                @if share.trials > 0 {
-                    circle class="dot" cx=(px(x(share.mean()))) cy=(px(y)) r="6" {}
-                }
+                circle class="dot" cx=(px(x(share.mean()))) cy=(px(y)) r="6" {}
                 text class="tick" x=(px(LEFT + WIDE + 18.0)) y=(px(y + 5.0)) {
                     (format!("{} of {}", share.hits, share.trials))
                 }

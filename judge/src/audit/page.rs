@@ -201,7 +201,11 @@ fn slots(figures: &Figures) -> Markup {
                 "How often an asking preferred the first path, and the path of each colour \
                  where it was shown, with 95 % intervals; shown at random, each is half."
             }
-            (charts::shares(&rows))
+            @if figures.first_place.trials > 0 {
+                (charts::shares(&rows))
+            } @else {
+                p { "No asking preferred a path." }
+            }
             p {
                 "Asked twice, the paths swapped: " b { (flips.consistent) } " agree, "
                 b { (flips.place) } " chose the same place both times, " b { (flips.mixed) }
@@ -251,11 +255,11 @@ pub fn percent(share: Share) -> String {
     }
 }
 
-/// Its 95 % interval in words.
+/// Its 95 % interval in words; of nothing there is none.
 pub fn interval(share: Share) -> String {
     let [low, high] = share.interval().map(|end| 100.0 * end);
-    format!(
-        "({low:.1} to {high:.1} %, {} of {})",
-        share.hits, share.trials
-    )
+    match share.trials {
+        0 => "(nothing to count)".into(),
+        trials => format!("({low:.1} to {high:.1} %, {} of {trials})", share.hits),
+    }
 }

@@ -66,8 +66,10 @@ fn one_asking(asking: &Asking, pictures: &Pictures) -> Markup {
             }
             p {
                 @for party in [asking.showing.first, asking.showing.first.other()] {
-                    (swatch(asking.showing.hue(party)))
-                    (asking.showing.letter(party)) " = " (word(party)) "   "
+                    span class="legend" {
+                        (swatch(asking.showing.hue(party)))
+                        (asking.showing.letter(party)) " = " (word(party))
+                    }
                 }
             }
             p {
