@@ -193,16 +193,27 @@ fn a_judge_that_answers_nothing_is_an_error_that_says_why() {
     assert_eq!(output.status.code(), Some(1), "{text} {error}");
     let why = "no answer to any of 2 scenes; top_down: 2 connection_refused";
     assert!(error.contains(why), "{error}");
-    assert!(!text.contains("NaN") && !text.contains("stand-in"), "{text}");
+    assert!(
+        !text.contains("NaN") && !text.contains("stand-in"),
+        "{text}"
+    );
 }
 
 #[test]
 fn an_address_that_may_hold_a_key_is_not_told() {
-    let words = ["bench", "judge", "--server", "http://127.0.0.1:9/v1?key=sk-secret"];
+    let words = [
+        "bench",
+        "judge",
+        "--server",
+        "http://127.0.0.1:9/v1?key=sk-secret",
+    ];
     let output = bench(&words);
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{text}");
-    assert!(text.contains("vlm.server") && !text.contains("sk-secret"), "{text}");
+    assert!(
+        text.contains("vlm.server") && !text.contains("sk-secret"),
+        "{text}"
+    );
 }
 
 #[test]

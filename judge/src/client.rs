@@ -11,7 +11,7 @@ use bytes::Bytes;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use reqwest::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE};
-use reqwest::{Certificate, Response, Url, redirect};
+use reqwest::{Response, Url};
 use shm_config::config::Vlm;
 use tokio::sync::Semaphore;
 use tokio::time::Instant;
@@ -19,16 +19,13 @@ use tokio::time::Instant;
 use crate::breaker::Breaker;
 use crate::cost::{Estimate, cost_usd, estimate};
 use crate::dialect::body;
-use crate::key::{Key, KeyError, is_loopback};
+use crate::key::{Key, KeyError};
 use crate::limits::{Budget, Rate};
 use crate::picture::Picture;
-use crate::{Fault, Prompt, Reply, answer, json, retry, transport};
+use crate::{Fault, Prompt, Reply, answer, connection, json, retry, transport};
 
 /// What is kept of what a model or a server said, bytes.
 pub const SAID_BYTES_MAX: usize = 4096;
-
-/// Largest file of certificates, bytes; a system's whole collection has 250 kB.
-const CA_BYTES_MAX: u64 = 4 << 20;
 
 /// Longest name of a model that is kept, bytes.
 const SERVED_BYTES_MAX: usize = 128;
@@ -166,7 +163,7 @@ impl Asker {
         let key = Key::find(vlm, &url, variable)?;
         let random = std::hash::RandomState::new().build_hasher().finish();
         Ok(Self {
-            client: client(&url, &authorities(vlm)?).map_err(|error| unusable(vlm, &error))?,
+            client: connection::client(vlm, &url)?,
             places: Semaphore::new(vlm.in_flight_max as usize),
             begun: Instant::now(),
             state: Mutex::new(State {
@@ -460,60 +457,6 @@ impl Asker {
         // Whoever panicked left numbers behind that are still numbers.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// The authorities that are trusted beside the system's own.
-fn authorities(vlm: &Vlm) -> Result<Vec<Certificate>, AskerError> {
-    if vlm.ca_file.is_empty() {
-        return Ok(Vec::new());
-    }
-    let failed = |why: String| AskerError::Authorities {
-        path: vlm.ca_file.clone(),
-        why,
-    };
-    let size = std::fs::metadata(&vlm.ca_file).map_err(|error| failed(error.to_string()))?;
-    if !size.is_file() || size.len() > CA_BYTES_MAX {
-        return Err(failed(format!("no file of at most {CA_BYTES_MAX} bytes")));
-    }
-    let pem = std::fs::read(&vlm.ca_file).map_err(|error| failed(error.to_string()))?;
-    let found = Certificate::from_pem_bundle(&pem).map_err(|error| failed(error.to_string()))?;
-    match found.is_empty() {
-        true => Err(failed("no certificate in it".into())),
-        false => Ok(found),
-    }
-}
-
-/// No client can be made: with authorities of one's own, it is one of theirs.
-fn unusable(vlm: &Vlm, error: &reqwest::Error) -> AskerError {
-    match vlm.ca_file.as_str() {
-        "" => AskerError::Client(error.to_string()),
-        path => AskerError::Authorities {
-            path: path.into(),
-            why: error.to_string(),
-        },
-    }
-}
-
-fn client(url: &Url, authorities: &[Certificate]) -> Result<reqwest::Client, reqwest::Error> {
-    // Somebody else in this process may have installed one already; any will do.
-    let _ = rustls::crypto::ring::default_provider().install_default();
-    let mut builder = reqwest::Client::builder()
-        .http1_only()
-        .retry(reqwest::retry::never())
-        // The key must not follow to where a server points.
-        .redirect(redirect::Policy::none())
-        .user_agent(concat!("vlaps/", env!("CARGO_PKG_VERSION")));
-    if is_loopback(url) {
-        builder = builder.no_proxy();
-    }
-    if !authorities.is_empty() {
-        builder = builder.tls_certs_merge(authorities.iter().cloned());
-    }
-    if url.scheme() == "http" {
-        // Nothing is looked at, so no certificates need to be there.
-        builder = builder.tls_certs_only([]);
-    }
-    builder.build()
 }
 
 /// Reads at most `bytes_max`, and says whether that was all.

@@ -17,6 +17,7 @@ mod bench;
 mod breaker;
 mod clerk;
 mod client;
+mod connection;
 mod cost;
 mod dialect;
 pub mod eyes;

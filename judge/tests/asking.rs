@@ -253,10 +253,7 @@ fn who_is_not_asked_any_more_is_told_with_what_to_do() {
         ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
         let trouble = asker.trouble().expect("no more is asked");
         let parts = [word, "until the next start", hint];
-        assert!(
-            parts.iter().all(|part| trouble.contains(part)),
-            "{trouble}"
-        );
+        assert!(parts.iter().all(|part| trouble.contains(part)), "{trouble}");
     }
 }
 

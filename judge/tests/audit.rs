@@ -207,6 +207,9 @@ fn a_page_that_is_written_elsewhere_has_its_pictures_beside_it() {
     assert_eq!(read(&beside), read(&kept));
     // With the records nothing needs to be copied.
     let html = audit(&folder.path().join("run/page.html"));
-    assert!(html.contains("href=\"judge/pictures/000001-b.png\""), "{html}");
+    assert!(
+        html.contains("href=\"judge/pictures/000001-b.png\""),
+        "{html}"
+    );
     assert!(!folder.path().join("run/page-files").exists());
 }

@@ -240,7 +240,9 @@ fn a_server_of_ones_own_needs_a_models_name_and_costs_nothing() {
 
 #[test]
 fn the_stand_in_has_a_name_of_its_own_and_is_free() {
-    let vlm = from_toml("[vlm]\nmodel = \"vlaps-stand-in\"\n", "x").unwrap().vlm;
+    let vlm = from_toml("[vlm]\nmodel = \"vlaps-stand-in\"\n", "x")
+        .unwrap()
+        .vlm;
     assert_eq!(vlm.model_name(), "vlaps-stand-in");
     assert_eq!(vlm.prices_usd(), [0.0, 0.0]);
     let priced = Vlm {
@@ -255,10 +257,7 @@ fn a_quorum_is_told_that_the_number_of_judges_limits_it() {
     let committee = |jurors: &str, quorum: u32| {
         format!("[gate]\nmode = \"committee\"\ncommittee = [{jurors}]\nquorum = {quorum}\n")
     };
-    let (two, three) = (
-        "\"rules\", \"vlm\"",
-        "\"rules\", \"vlm\", \"vlm\"",
-    );
+    let (two, three) = ("\"rules\", \"vlm\"", "\"rules\", \"vlm\", \"vlm\"");
     assert!(from_toml(&committee(two, 2), "x").is_ok());
     let text = error(&committee(two, 5));
     let limit = "gate.quorum = 5: must be 2, more than half of the judges in gate.committee";

@@ -132,7 +132,9 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
 /// The whole path: the processes of a run need not share the folder.
 fn policy_file(path: &Path) -> Result<String, Failure> {
     let failed = |why: String| Failure::Usage(format!("--policy {}: {why}", path.display()));
-    let whole = path.canonicalize().map_err(|error| failed(error.to_string()))?;
+    let whole = path
+        .canonicalize()
+        .map_err(|error| failed(error.to_string()))?;
     file::regular(&whole).map_err(|error| failed(error.to_string()))?;
     let text = whole.to_str().map(String::from);
     text.ok_or_else(|| failed("its name is no UTF-8".into()))

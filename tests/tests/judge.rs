@@ -83,7 +83,10 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
     let drove = json["share"]["policy"].as_f64().expect("a share") > 0.0;
     assert_eq!(drove, answered(Verdict::Policy) > 0, "{json}");
 
-    let recording = format!("gate.recording={}", folder_of(&asked).join("judge").display());
+    let recording = format!(
+        "gate.recording={}",
+        folder_of(&asked).join("judge").display()
+    );
     drop(server);
     let replayed = Set::new("replayed");
     let again = drive(

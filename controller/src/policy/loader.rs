@@ -420,7 +420,9 @@ impl Bench {
 
 /// A file that fits into an offer.
 fn read_limited(path: &std::path::Path) -> Result<Vec<u8>, String> {
-    let bytes = file::regular(path).map_err(|error| error.to_string())?.len();
+    let bytes = file::regular(path)
+        .map_err(|error| error.to_string())?
+        .len();
     let limit = WEIGHTS_BYTES_MAX as u64;
     if bytes > limit {
         return Err(Refusal::TooLarge { bytes, limit }.to_string());
