@@ -137,6 +137,19 @@ fn mistakes_are_named_with_exit_code_2() {
             "--draw /proc/pictures",
         ),
         (&["bench", "sim", "--json", "."], "--json ."),
+        (
+            &["bench", "latency", "--rate", "10,2000"],
+            "2000 Hz, none, real-time: run.rate_hz = 2000: must be",
+        ),
+        (&["bench", "latency", "--rate", "10,nan"], "run.rate_hz"),
+        (&["bench", "latency", "--rate", "-5"], "run.rate_hz = -5"),
+        (
+            &["bench", "latency", "--set", "planner.rate_hz=7"],
+            "planner.rate_hz = 7",
+        ),
+        (&["bench", "latency", "--set", "planner.rat=7"], "planner.rate_hz"),
+        (&["bench", "latency", "--set", "run.rate_hz=50"], "use --rate"),
+        (&["bench", "latency", "--set", "run.name=x"], "leave it out"),
         (&["train", "--seeds", "-1"], "from 1 to 1000"),
         (
             &["train", "--out", "/proc/experiment"],

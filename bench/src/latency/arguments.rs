@@ -39,12 +39,14 @@ pub struct BenchLatency {
     )]
     pub load: Vec<Load>,
     /// Seconds for each row.
-    #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = crate::arguments::seconds)]
+    #[arg(long, value_name = "S", default_value_t = 20.0, allow_negative_numbers = true,
+          value_parser = crate::arguments::seconds)]
     pub seconds: f64,
     /// Ticks per second, one or more.
     #[arg(
         long,
         value_name = "HZ",
+        allow_negative_numbers = true,
         value_delimiter = ',',
         default_value = "10,100,1000"
     )]
@@ -59,7 +61,7 @@ pub struct BenchLatency {
     /// Who measures the machine's floor.
     #[arg(long, value_name = "WHO", default_value = "auto")]
     pub floor: FloorChoice,
-    /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
+    /// Override a key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
     /// Write rows, histograms (CSV) and pictures (SVG, PNG) into this folder.
@@ -210,7 +212,7 @@ fn judged() -> Vec<Beside> {
 }
 
 /// One row to drive.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
     /// Ticks per second.
     pub rate_hz: f64,
@@ -235,23 +237,42 @@ pub struct Settings {
     pub floor: String,
 }
 
+/// Keys that each row sets, and the option that says them.
+pub const OWN_KEYS: [(&str, &str); 11] = [
+    ("run.name", ""),
+    ("run.folder", ""),
+    ("run.clock", ""),
+    ("run.seed", ""),
+    ("run.episodes", "--seconds"),
+    ("run.duration_s", "--seconds"),
+    ("run.rate_hz", "--rate"),
+    ("supervisor.realtime", "--priority"),
+    ("gate.mode", "--load"),
+    ("learner.enabled", "--load"),
+    ("policy.file", ""),
+];
+
 impl BenchLatency {
-    /// The rows in the order in which they are driven.
+    /// The rows in the order in which they are driven, each once.
     pub fn cases(&self) -> Vec<Case> {
         let priorities: &[Priority] = match self.priority {
             PriorityChoice::Granted => &[Priority::Asked],
             PriorityChoice::Refused => &[Priority::Ordinary],
             PriorityChoice::Both => &[Priority::Asked, Priority::Ordinary],
         };
-        let mut cases = Vec::new();
+        let mut cases: Vec<Case> = Vec::new();
         for &rate_hz in &self.rate {
             for &priority in priorities {
-                let rows = self.load.iter().flat_map(|load| load.rows());
-                cases.extend(rows.map(|beside| Case {
-                    rate_hz,
-                    priority,
-                    beside,
-                }));
+                for beside in self.load.iter().flat_map(|load| load.rows()) {
+                    let case = Case {
+                        rate_hz,
+                        priority,
+                        beside,
+                    };
+                    if !cases.contains(&case) {
+                        cases.push(case);
+                    }
+                }
             }
         }
         cases
@@ -293,7 +314,7 @@ mod tests {
 
     #[test]
     fn every_row_has_files_of_its_own() {
-        let arguments = BenchLatency {
+        let mut arguments = BenchLatency {
             load: Load::value_variants().to_vec(),
             seconds: 1.0,
             rate: vec![10.0, 100.0, 1000.0],
@@ -310,5 +331,9 @@ mod tests {
         assert_eq!(slugs.len(), cases.len(), "{slugs:?}");
         assert_eq!(cases.len(), (7 + 10) * 3 * 2);
         assert!(slugs.contains("100-hz-judge-answers-in-0.1-s-real-time"));
+        // Who asks for a row twice gets it once.
+        arguments.rate.push(100.0);
+        arguments.load.push(Load::Cpu);
+        assert_eq!(arguments.cases(), cases);
     }
 }

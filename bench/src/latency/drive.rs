@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
+use shm_config::config::Config;
 
 use super::Bench;
 use super::arguments::Case;
@@ -14,6 +15,7 @@ use super::stress::Stress;
 use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Priority, claim};
+use crate::settings;
 use crate::stalls::{StallWatch, Stalls};
 
 /// How long a set may take to drive, ns.
@@ -31,7 +33,7 @@ pub fn drive(
     k: usize,
 ) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
     let mut judge = case.beside.judge.begin()?;
-    let plan_rate_hz = plan_rate(bench, case);
+    let plan_rate_hz = configuration(bench, case)?.planner_rate_hz();
     let mut up = judge.arguments();
     up.extend(arguments(bench, case));
     let mut driven = Driven::start(&format!("latency-{k}"), up)?;
@@ -185,16 +187,14 @@ fn granted(priority: Priority) -> Priority {
     }
 }
 
-/// A plan at every tick, unless the user says otherwise.
-fn plan_rate(bench: &Bench<'_>, case: &Case) -> f64 {
-    let set = bench.settings.overrides.iter().rev().find_map(|text| {
-        let (key, value) = text.split_once('=')?;
-        (key.trim() == "planner.rate_hz").then(|| value.trim().parse::<f64>().ok())?
-    });
-    match set {
-        Some(rate_hz) if rate_hz > 0.0 => rate_hz,
-        Some(_) | None => case.rate_hz,
-    }
+/// The configuration of a row's set.
+///
+/// # Errors
+/// When no set could drive with it.
+pub fn configuration(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Config> {
+    let mut up = case.beside.judge.arguments();
+    up.extend(arguments(bench, case));
+    settings::of_set(up)
 }
 
 fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {

@@ -54,6 +54,14 @@ impl Conduct {
         }
     }
 
+    /// What a run beside it is started with, whatever its address will be.
+    pub fn arguments(self) -> Vec<String> {
+        match self {
+            Self::Absent => words(None),
+            _ => words(Some("http://localhost/v1")),
+        }
+    }
+
     /// The judge, ready to be asked.
     ///
     /// # Errors
@@ -93,6 +101,28 @@ fn broken(mishap: Mishap) -> Options {
     }
 }
 
+/// The words of a run with a judge at this address, or without one.
+fn words(url: Option<&str>) -> Vec<String> {
+    let Some(url) = url else {
+        return vec!["--gate".into(), "expert".into()];
+    };
+    let mut words = vec!["--gate".into(), "vlm".into()];
+    for text in [
+        format!("vlm.server={url}"),
+        // Every question is asked, however many there are and fail.
+        "vlm.deadline_s=60".into(),
+        "vlm.attempt_s=50".into(),
+        "vlm.per_minute_max=10000".into(),
+        "vlm.breaker_failures=1000".into(),
+        "vlm.budget_usd=1000".into(),
+        "gate.in_flight=8".into(),
+        "vlm.in_flight_max=16".into(),
+    ] {
+        words.extend(["--set".into(), text]);
+    }
+    words
+}
+
 /// An address where nobody listens: it was free a moment ago.
 fn nobody() -> anyhow::Result<String> {
     let address = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?;
@@ -110,24 +140,7 @@ pub struct Seat {
 impl Seat {
     /// What the run is started with.
     pub fn arguments(&self) -> Vec<String> {
-        let Some(url) = &self.url else {
-            return vec!["--gate".into(), "expert".into()];
-        };
-        let mut arguments = vec!["--gate".into(), "vlm".into()];
-        for text in [
-            format!("vlm.server={url}"),
-            // Every question is asked, however many there are and fail.
-            "vlm.deadline_s=60".into(),
-            "vlm.attempt_s=50".into(),
-            "vlm.per_minute_max=10000".into(),
-            "vlm.breaker_failures=1000".into(),
-            "vlm.budget_usd=1000".into(),
-            "gate.in_flight=8".into(),
-            "vlm.in_flight_max=16".into(),
-        ] {
-            arguments.extend(["--set".into(), text]);
-        }
-        arguments
+        words(self.url.as_deref())
     }
 
     /// Half of the run is over: who has to die dies.

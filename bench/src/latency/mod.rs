@@ -23,10 +23,11 @@ use serde::Serialize;
 use crate::Clock;
 use crate::inference::net;
 use crate::report::{Machine, say, write_json};
+use crate::settings;
 use crate::stop::Stop;
 use crate::train::progress::Progress;
 pub use arguments::BenchLatency;
-use arguments::{FloorChoice, Settings};
+use arguments::{Case, FloorChoice, OWN_KEYS, Settings};
 use row::{METHOD, Row};
 use shelf::Shelf;
 use stress::Maker;
@@ -63,6 +64,7 @@ struct Bench<'a> {
 /// # Errors
 /// When a set does not start, fails, or does not account for its ticks.
 pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
+    settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
     let folder = tempfile::tempdir()?;
     // There is nothing to judge without a policy; what it proposes is all one.
@@ -100,9 +102,13 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
         stop: Stop::listen()?,
         clock,
     };
+    let cases = arguments.cases();
+    // All of them before the first: nobody waits for a row that cannot be.
+    for case in &cases {
+        drive::configuration(&bench, case).with_context(|| case.words())?;
+    }
     let shelf = Shelf::open(arguments.out.as_deref())?;
     stress::remove_stale(bench.disk);
-    let cases = arguments.cases();
     let total = cases.len() as u64;
     let mut progress = Progress::begin("latency".into(), "rows", (0, total), clock)?;
     let mut rows = Vec::new();
