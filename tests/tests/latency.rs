@@ -127,6 +127,15 @@ fn rows_account_for_every_tick_and_are_kept() {
     let again = output(bench(ROWS, folder.path()));
     assert!(again.status.success(), "{again:?}");
     assert_eq!(json(&out.join("latency.json"))["rows"], measured["rows"]);
+
+    // Rows of other settings are nobody's to overwrite unasked.
+    let mut longer = ROWS.to_vec();
+    longer[6] = "3";
+    let refused = output(bench(&longer, folder.path()));
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(told.contains("--seconds 2 in place of 3"), "{told}");
+    assert_eq!(json(&out.join("latency.json"))["rows"], measured["rows"]);
 }
 
 #[test]

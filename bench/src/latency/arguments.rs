@@ -22,7 +22,7 @@ use crate::floor::Priority;
         the same priority and period (where it is not installed, by a thread that does the same), \
         and a thread on each core, which wakes up 1,000 times a second, notes when the machine stalled.\n\n\
         With --out each row is kept as it is done: who stops with Ctrl-C and starts again with the \
-        same settings goes on; --fresh measures all of them anew. All rows of the defaults take \
+        same settings goes on; with others it is refused; --fresh measures all of them anew. All rows of the defaults take \
         about 20 minutes.\n\n\
         Examples:\n  \
         ./vlaps bench latency --out latency\n  \
@@ -276,6 +276,30 @@ impl BenchLatency {
             }
         }
         cases
+    }
+}
+
+impl Settings {
+    /// What differs from what is asked for, in words; empty when nothing does.
+    pub fn unlike(&self, asked: &Self) -> String {
+        let set = |overrides: &[String]| match overrides {
+            [] => "nothing".to_string(),
+            some => some.join(" "),
+        };
+        let all = [
+            (
+                "--seconds",
+                self.seconds.to_string(),
+                asked.seconds.to_string(),
+            ),
+            ("--set", set(&self.overrides), set(&asked.overrides)),
+            ("load by", self.stress.clone(), asked.stress.clone()),
+            ("floor by", self.floor.clone(), asked.floor.clone()),
+            ("method", self.method.to_string(), asked.method.to_string()),
+        ];
+        let differing = all.iter().filter(|(_, was, asked)| was != asked);
+        let words = differing.map(|(what, was, asked)| format!("{what} {was} in place of {asked}"));
+        words.collect::<Vec<_>>().join(", ")
     }
 }
 

@@ -109,14 +109,17 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     }
     let shelf = Shelf::open(arguments.out.as_deref())?;
     stress::remove_stale(bench.disk);
+    let mut kept = Vec::new();
+    for case in &cases {
+        if arguments.fresh {
+            shelf.forget(case);
+        }
+        kept.push(shelf.kept(case, &bench.settings)?);
+    }
     let total = cases.len() as u64;
     let mut progress = Progress::begin("latency".into(), "rows", (0, total), clock)?;
     let mut rows = Vec::new();
-    for (k, case) in cases.iter().enumerate() {
-        let kept = match arguments.fresh {
-            true => None,
-            false => shelf.kept(case, &bench.settings),
-        };
+    for (k, (case, kept)) in cases.iter().zip(kept).enumerate() {
         let row = match kept {
             Some(row) => row,
             None => {
@@ -157,6 +160,9 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     }
     match measured.left {
         0 => Ok(()),
+        left if arguments.fresh => {
+            anyhow::bail!("stopped, {left} rows are left; the same without --fresh goes on")
+        }
         left if arguments.out.is_some() => {
             anyhow::bail!("stopped, {left} rows are left; the same command goes on")
         }

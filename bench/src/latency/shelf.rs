@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use supervisor::failure::Failure;
 
 use super::arguments::{Case, Settings};
 use super::buckets::{self, Series};
@@ -11,6 +12,7 @@ use super::row::Row;
 use crate::report::write_json;
 
 /// The folder, if there is one.
+#[derive(Debug)]
 pub struct Shelf {
     folder: Option<PathBuf>,
 }
@@ -34,11 +36,35 @@ impl Shelf {
     }
 
     /// A row that was done with the same settings.
-    pub fn kept(&self, case: &Case, settings: &Settings) -> Option<Row> {
+    ///
+    /// # Errors
+    /// When it was done with others: nobody's measurement is overwritten unasked.
+    pub fn kept(&self, case: &Case, settings: &Settings) -> Result<Option<Row>, Failure> {
+        let Some(row) = self.read(case) else {
+            return Ok(None);
+        };
+        let unlike = row.settings.unlike(settings);
+        match unlike.is_empty() {
+            true => Ok(Some(row)),
+            false => Err(Failure::Usage(format!(
+                "--out: has '{}' already, measured with {unlike}; --fresh measures anew, or give \
+                 another folder",
+                case.words()
+            ))),
+        }
+    }
+
+    /// What cannot be read is measured anew.
+    fn read(&self, case: &Case) -> Option<Row> {
         let text = fs::read_to_string(self.file(case, "json")?).ok()?;
-        // What cannot be read is measured anew.
-        let row: Row = serde_json::from_str(&text).ok()?;
-        (row.settings == *settings && self.file(case, "csv")?.exists()).then_some(row)
+        let row = serde_json::from_str(&text).ok()?;
+        self.file(case, "csv")?.exists().then_some(row)
+    }
+
+    /// Forgets a row, so that who stops after it goes on.
+    pub fn forget(&self, case: &Case) {
+        // What cannot be removed is told as other settings, or when it is kept anew.
+        let _ = self.file(case, "json").map(fs::remove_file);
     }
 
     /// Keeps a row; it counts once its JSON is there, which comes last.
@@ -47,7 +73,7 @@ impl Shelf {
     /// When a file cannot be written.
     pub fn keep(&self, case: &Case, row: &Row, series: &[Series]) -> anyhow::Result<()> {
         if let (Some(csv), Some(json)) = (self.file(case, "csv"), self.file(case, "json")) {
-            let _ = fs::remove_file(&json);
+            self.forget(case);
             buckets::write(&csv, series)?;
             write_json(&json, row)?;
         }
@@ -82,21 +108,28 @@ mod tests {
             beside: Load::None.rows()[0],
         };
         let row = row();
-        assert_eq!(shelf.kept(&case, &row.settings), None);
+        let kept = |case: &Case, settings: &Settings| shelf.kept(case, settings).expect("a look");
+        assert_eq!(kept(&case, &row.settings), None);
         shelf.keep(&case, &row, &[]).expect("kept");
-        assert_eq!(shelf.kept(&case, &row.settings), Some(row.clone()));
-        let longer = Settings {
-            seconds: 60.0,
-            ..row.settings.clone()
-        };
-        assert_eq!(shelf.kept(&case, &longer), None);
+        assert_eq!(kept(&case, &row.settings), Some(row.clone()));
         let other = Case {
             rate_hz: 10.0,
             ..case
         };
-        assert_eq!(shelf.kept(&other, &row.settings), None);
+        assert_eq!(kept(&other, &row.settings), None);
+        let longer = Settings {
+            seconds: 60.0,
+            overrides: vec!["planner.rate_hz=10".into()],
+            ..row.settings.clone()
+        };
+        let refused = shelf.kept(&case, &longer).expect_err("another row's file");
+        let told = refused.to_string();
+        let differ = "--seconds 20 in place of 60, --set nothing in place of planner.rate_hz=10;";
+        assert!(told.contains(differ) && told.contains("--fresh"), "{told}");
+        shelf.forget(&case);
+        assert_eq!(kept(&case, &longer), None);
         let nowhere = Shelf::open(None).expect("no shelf");
         nowhere.keep(&case, &row, &[]).expect("nothing to do");
-        assert_eq!(nowhere.kept(&case, &row.settings), None);
+        assert_eq!(nowhere.kept(&case, &row.settings).expect("a look"), None);
     }
 }
