@@ -38,7 +38,7 @@ pub fn say(text: impl std::fmt::Display) {
 pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
     let mut text = serde_json::to_string_pretty(value).context("the JSON")?;
     text.push('\n');
-    std::fs::write(path, text).with_context(|| format!("--json {}", path.display()))
+    std::fs::write(path, text).with_context(|| path.display().to_string())
 }
 
 /// The machine that figures are from.

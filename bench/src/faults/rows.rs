@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
@@ -87,17 +88,23 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Row>> {
 /// Adds a row to a file, which is begun with its header.
 ///
 /// # Errors
-/// When it cannot be written.
+/// When it cannot be written. The file is then as it was: `--resume` reads it.
 pub fn append(path: &Path, row: &Row) -> anyhow::Result<()> {
-    let is_new = !path.exists();
-    let file = OpenOptions::new().append(true).create(true).open(path);
-    let file = file.with_context(|| path.display().to_string())?;
+    let named = || path.display().to_string();
+    let mut options = OpenOptions::new();
+    let file = options.append(true).create(true).open(path);
+    let mut file = file.with_context(named)?;
+    let before = file.metadata().with_context(named)?.len();
     let mut writer = csv::WriterBuilder::new()
-        .has_headers(is_new)
-        .from_writer(file);
+        .has_headers(before == 0)
+        .from_writer(Vec::new());
     writer.serialize(row)?;
     writer.flush()?;
-    Ok(())
+    file.write_all(writer.get_ref()).with_context(|| {
+        // A part of a line would be no row; of what is no plain file none stays.
+        let _ = file.set_len(before);
+        named()
+    })
 }
 
 /// A share of the rows in figures.
@@ -320,6 +327,16 @@ mod tests {
         assert_eq!(rows.len(), 3);
         assert_eq!((rows[2].number, rows[2].safe_ms), (2, Some(1.5)));
         assert_eq!(rows[2].recovered_ms, None);
+    }
+
+    #[test]
+    fn a_full_disk_is_told_with_the_file() {
+        let error = append(Path::new("/dev/full"), &row("kill", 1.5)).expect_err("it is full");
+        let told = format!("{error:#}");
+        assert!(
+            told.starts_with("/dev/full: ") && told.contains("No space"),
+            "{told}"
+        );
     }
 
     #[test]

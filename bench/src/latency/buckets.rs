@@ -116,24 +116,51 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Series>> {
 /// # Errors
 /// When it cannot be written.
 pub fn write(path: &Path, all: &[Series]) -> anyhow::Result<()> {
-    let mut writer = csv::Writer::from_path(path).with_context(|| path.display().to_string())?;
+    let named = || path.display().to_string();
+    let mut writer = csv::Writer::from_path(path).with_context(named)?;
     for series in all {
         for bucket in &series.buckets {
-            writer.serialize(Line {
+            let line = Line {
                 process: series.of.clone(),
                 measure: series.measure.clone(),
                 from_ns: bucket.from_ns,
                 below_ns: bucket.below_ns,
                 count: bucket.count,
-            })?;
+            };
+            writer.serialize(line).with_context(named)?;
         }
     }
-    writer.flush().with_context(|| path.display().to_string())
+    writer.flush().with_context(named)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// /dev/full refuses each byte: no space left.
+    #[test]
+    fn a_full_disk_is_told_with_the_file() {
+        let bucket = |from_ns| Bucket {
+            from_ns,
+            below_ns: from_ns + 1,
+            count: 1,
+        };
+        let mut series = Series {
+            of: "controller".into(),
+            measure: "execution".into(),
+            buckets: Vec::new(),
+        };
+        // In the buffer until its end, and over it.
+        for count in [1, 10_000] {
+            series.buckets = (0..count).map(bucket).collect();
+            let error = write(Path::new("/dev/full"), std::slice::from_ref(&series));
+            let told = format!("{:#}", error.expect_err("it is full"));
+            assert!(
+                told.starts_with("/dev/full: ") && told.contains("No space"),
+                "{told}"
+            );
+        }
+    }
 
     #[test]
     fn what_is_written_is_read_and_nothing_is_lost() {

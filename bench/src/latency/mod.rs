@@ -28,6 +28,7 @@ use crate::stop::Stop;
 use crate::train::progress::Progress;
 pub use arguments::BenchLatency;
 use arguments::{Case, FloorChoice, OWN_KEYS, Settings};
+use buckets::Series;
 use row::{METHOD, Row};
 use shelf::Shelf;
 use stress::Maker;
@@ -62,7 +63,8 @@ struct Bench<'a> {
 /// `./vlaps bench latency`.
 ///
 /// # Errors
-/// When a set does not start, fails, or does not account for its ticks.
+/// When a set does not start, fails, or does not account for its ticks, or a file
+/// cannot be written; what was measured until then is printed all the same.
 pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
@@ -72,13 +74,11 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     let bytes = encode(&net(256, 0), &Provenance::default(), &[vec![0.5; 259]]);
     std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
     let maker = Maker::of(arguments.stress)?;
-    let cyclictest = match arguments.floor {
-        FloorChoice::Own => false,
-        FloorChoice::Auto => cyclictest::is_there(),
-        FloorChoice::Cyclictest if cyclictest::is_there() => true,
-        FloorChoice::Cyclictest => anyhow::bail!(
-            "--floor cyclictest: it is not on PATH; `sudo apt-get install rt-tests`, or --floor own"
-        ),
+    let cyclictest = is_by_cyclictest(arguments.floor)?;
+    let floor = if cyclictest {
+        "cyclictest"
+    } else {
+        "own thread"
     };
     let bench = Bench {
         settings: Settings {
@@ -86,12 +86,7 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
             method: METHOD,
             overrides: arguments.overrides.clone(),
             stress: maker.word().into(),
-            floor: if cyclictest {
-                "cyclictest"
-            } else {
-                "own thread"
-            }
-            .into(),
+            floor: floor.into(),
         },
         maker,
         cyclictest,
@@ -109,55 +104,23 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     }
     let shelf = Shelf::open(arguments.out.as_deref())?;
     stress::remove_stale(bench.disk);
-    let mut kept = Vec::new();
-    for case in &cases {
-        if arguments.fresh {
-            shelf.forget(case);
-        }
-        kept.push(shelf.kept(case, &bench.settings)?);
+    if arguments.fresh {
+        cases.iter().for_each(|case| shelf.forget(case));
     }
-    let total = cases.len() as u64;
-    let mut progress = Progress::begin("latency".into(), "rows", (0, total), clock)?;
     let mut rows = Vec::new();
-    for (k, (case, kept)) in cases.iter().zip(kept).enumerate() {
-        let row = match kept {
-            Some(row) => row,
-            None => {
-                progress.now(&case.words());
-                match drive::drive(&bench, case, k).with_context(|| case.words())? {
-                    Some((row, series)) => {
-                        shelf.keep(case, &row, &series)?;
-                        row
-                    }
-                    None => break,
-                }
-            }
-        };
-        rows.push(row);
-        progress.at(rows.len() as u64);
-    }
-    progress.end();
+    let done = measure(&bench, &cases, &shelf, &mut rows);
     let measured = Measured {
         left: cases.len() - rows.len(),
         rows,
         conditions,
     };
     tables::print(&measured, arguments.seconds);
-    if let Some(out) = &arguments.out {
-        pictures::draw(
-            &measured.rows,
-            &shelf.series(&cases[..measured.rows.len()])?,
-            out,
-        )?;
-        write_json(&out.join("latency.json"), &measured)?;
-        say(format_args!(
-            "rows, histograms and pictures: {}",
-            out.display()
-        ));
-    }
-    if let Some(path) = &arguments.json {
-        write_json(path, &measured)?;
-    }
+    done?;
+    write(
+        arguments,
+        &measured,
+        &shelf.series(&cases[..measured.rows.len()])?,
+    )?;
     match measured.left {
         0 => Ok(()),
         left if arguments.fresh => {
@@ -167,6 +130,74 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
             anyhow::bail!("stopped, {left} rows are left; the same command goes on")
         }
         left => anyhow::bail!("stopped, {left} rows are left; with --out rows are kept"),
+    }
+}
+
+fn is_by_cyclictest(choice: FloorChoice) -> anyhow::Result<bool> {
+    match choice {
+        FloorChoice::Own => Ok(false),
+        FloorChoice::Auto => Ok(cyclictest::is_there()),
+        FloorChoice::Cyclictest if cyclictest::is_there() => Ok(true),
+        FloorChoice::Cyclictest => anyhow::bail!(
+            "--floor cyclictest: it is not on PATH; `sudo apt-get install rt-tests`, or --floor own"
+        ),
+    }
+}
+
+/// Adds a row for each case, kept or driven, until somebody stops.
+///
+/// # Errors
+/// When one cannot be driven or kept. The rows until then are there, the one that could
+/// not be kept among them.
+fn measure(
+    bench: &Bench<'_>,
+    cases: &[Case],
+    shelf: &Shelf,
+    rows: &mut Vec<Row>,
+) -> anyhow::Result<()> {
+    let kept = cases.iter().map(|case| shelf.kept(case, &bench.settings));
+    let kept = kept.collect::<Result<Vec<_>, _>>()?;
+    let total = cases.len() as u64;
+    let mut progress = Progress::begin("latency".into(), "rows", (0, total), bench.clock)?;
+    for (k, (case, kept)) in cases.iter().zip(kept).enumerate() {
+        if let Some(row) = kept {
+            rows.push(row);
+        } else {
+            progress.now(&case.words());
+            let driven = drive::drive(bench, case, k).with_context(|| case.words())?;
+            let Some((row, series)) = driven else {
+                break;
+            };
+            let kept = shelf.keep(case, &row, &series);
+            rows.push(row);
+            kept?;
+        }
+        progress.at(rows.len() as u64);
+    }
+    progress.end();
+    Ok(())
+}
+
+/// Writes what the options ask for; nothing of no rows.
+fn write(
+    arguments: &BenchLatency,
+    measured: &Measured,
+    series: &[Vec<Series>],
+) -> anyhow::Result<()> {
+    if measured.rows.is_empty() {
+        return Ok(());
+    }
+    if let Some(out) = &arguments.out {
+        pictures::draw(&measured.rows, series, out)?;
+        write_json(&out.join("latency.json"), measured)?;
+        say(format_args!(
+            "rows, histograms and pictures: {}",
+            out.display()
+        ));
+    }
+    match &arguments.json {
+        Some(path) => write_json(path, measured),
+        None => Ok(()),
     }
 }
 
