@@ -1,9 +1,13 @@
 //! A short campaign of faults on a real set.
 
+use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
 
+use rustix::process::{Pid, Signal, kill_process_group};
 use serde_json::Value;
+use supervisor::signals::pause;
 
 fn campaign(words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
@@ -48,6 +52,12 @@ fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
     assert!(first.status.success(), "{first:?}");
     let again = campaign(&[&words[..], &["--faults", "6"]].concat());
     assert!(!again.status.success(), "nothing is overwritten: {again:?}");
+    let other = ["--faults", "6", "--resume", "--rate", "20"];
+    let other = campaign(&[&words[..], &other].concat());
+    assert!(
+        !other.status.success(),
+        "nor gone on with as another: {other:?}"
+    );
     let file = json.display().to_string();
     let more = ["--faults", "6", "--resume", "--json", &file];
     let more = campaign(&[&words[..], &more].concat());
@@ -68,4 +78,48 @@ fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
     for picture in ["faults.svg", "faults.png"] {
         assert!(Path::new(&out).join(picture).exists());
     }
+}
+
+#[test]
+fn a_fault_that_ctrl_c_cuts_short_is_made_anew() {
+    if !is_built() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("campaign").display().to_string();
+    let words = [
+        "--seed",
+        "5",
+        "--kinds",
+        "kill,hang",
+        "--faults",
+        "4",
+        "--out",
+        &out,
+    ];
+    let child = Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
+        .args(["bench", "faults"])
+        .args(words)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        // As a terminal starts it: Ctrl-C is a signal to everybody in the group.
+        .process_group(0)
+        .spawn()
+        .expect("the program starts");
+    let file = Path::new(&out).join("faults.csv");
+    let rows = || std::fs::read_to_string(&file).unwrap_or_default();
+    while rows().lines().count() < 2 {
+        pause(Duration::from_millis(1));
+    }
+    kill_process_group(Pid::from_child(&child), Signal::INT).expect("a signal");
+    let stopped = child.wait_with_output().expect("its end");
+    let told = String::from_utf8_lossy(&stopped.stderr);
+    assert_eq!(stopped.status.code(), Some(1), "{told}");
+    assert!(told.contains("faults are left; --resume goes on"), "{told}");
+    for row in rows().lines().skip(1) {
+        assert!(row.ends_with(",ok"), "{row}");
+    }
+    let resumed = campaign(&[&words[..], &["--resume"]].concat());
+    assert!(resumed.status.success(), "{resumed:?}");
+    assert_eq!(rows().lines().count(), 5, "{}", rows());
 }

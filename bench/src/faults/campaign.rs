@@ -1,10 +1,11 @@
 //! A campaign: fault after fault on a set that keeps running, set after set.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::Context;
 use shm_config::services::Process;
+use supervisor::failure::Failure;
 
 use super::room::Room;
 use super::rows::{Row, append};
@@ -13,6 +14,7 @@ use super::strike::{Blow, Came, await_recovery, came, strike};
 use super::trouble::{Kind, Trouble};
 use super::{BenchFaults, kinds};
 use crate::Clock;
+use crate::settings;
 use crate::stop::Stop;
 use crate::train::progress::Progress;
 
@@ -55,31 +57,89 @@ impl<'a> Campaign<'a> {
         self.skipped.iter().map(told).collect()
     }
 
-    /// Makes all faults that are not done; the rows of all.
+    /// Everything that can be known before the first fault.
     ///
     /// # Errors
-    /// When a set does not start, or a row cannot be kept.
+    /// When no set can be configured so, or this machine allows none of the kinds.
+    pub fn check(&self) -> anyhow::Result<()> {
+        // The first set, and the first of the slow ones.
+        for number in [0, OF_A_SET] {
+            settings::of_set(self.scene(number).words())?;
+        }
+        let kinds = kinds(self.arguments);
+        let reasons: Vec<String> = kinds.iter().filter_map(|k| self.hindrance(*k)).collect();
+        if reasons.len() == kinds.len() {
+            let told = format!("--kinds: nothing can be tested: {}", reasons.join("; "));
+            return Err(Failure::Usage(told).into());
+        }
+        Ok(())
+    }
+
+    /// Rows of the folder are of this campaign.
+    ///
+    /// # Errors
+    /// The first that is not, and what to do.
+    pub fn check_same(&self, done: &[Row]) -> anyhow::Result<()> {
+        let refused = |told: String| {
+            let told = format!("--resume: {told}, or another --out");
+            Err(Failure::Usage(told).into())
+        };
+        for row in done {
+            if row.seed != self.arguments.seed {
+                let seed = row.seed;
+                return refused(format!(
+                    "the folder's campaign has seed {seed}; give it with --seed"
+                ));
+            }
+            let trouble = Trouble::draw(row.seed, row.number, kinds(self.arguments));
+            let drawn = (
+                trouble.kind.word(),
+                trouble.whom(),
+                self.rate_hz(row.number),
+            );
+            if (row.kind.as_str(), row.target.as_str(), row.rate_hz) != drawn {
+                let (kind, target, rate_hz) = drawn;
+                return refused(format!(
+                    "fault {} of the folder is '{} {}' at {} Hz, and would be '{kind} {target}' at \
+                     {rate_hz} Hz; give the same --kinds and --rate",
+                    row.number, row.kind, row.target, row.rate_hz
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Numbers of the faults that are not done.
+    pub fn left(&self, done: &[Row]) -> Vec<u64> {
+        let numbers = match self.arguments.only {
+            Some(number) => number..number + 1,
+            None => 0..self.arguments.faults,
+        };
+        let known: BTreeSet<u64> = done.iter().map(|row| row.number).collect();
+        numbers.filter(|number| !known.contains(number)).collect()
+    }
+
+    /// Makes all faults that are not done, until somebody asks to stop; the one that is
+    /// in progress then is made anew another time.
+    ///
+    /// # Errors
+    /// When a set does not start, or a row cannot be kept. The rows until then are
+    /// there, the one that could not be kept among them.
     pub fn run(
         &mut self,
-        done: Vec<Row>,
+        rows: &mut Vec<Row>,
         file: Option<&Path>,
         stop: &Stop,
-    ) -> anyhow::Result<Vec<Row>> {
-        let numbers: Vec<u64> = match self.arguments.only {
-            Some(number) => vec![number],
-            None => (0..self.arguments.faults).collect(),
-        };
-        let mut rows = done;
-        let known: Vec<u64> = rows.iter().map(|row| row.number).collect();
-        let left: Vec<u64> = numbers.into_iter().filter(|k| !known.contains(k)).collect();
+    ) -> anyhow::Result<()> {
+        let left = self.left(rows);
         let span = (rows.len() as u64, (rows.len() + left.len()) as u64);
         let mut progress = Progress::begin("faults".into(), "faults", span, self.clock)?;
         for (index, &number) in left.iter().enumerate() {
+            let mut row = self.fault(number, stop)?;
             if stop.is_asked() {
                 break;
             }
-            let mut row = self.fault(number)?;
-            let next = left.get(index + 1).filter(|_| !stop.is_asked());
+            let next = left.get(index + 1);
             let rate_hz = self.rate_hz(number);
             let is_last = next.is_none_or(|&next| {
                 next / OF_A_SET != number / OF_A_SET || self.rate_hz(next) != rate_hz
@@ -87,10 +147,9 @@ impl<'a> Campaign<'a> {
             if is_last && let Some(stage) = self.stage.take() {
                 note(&mut row, stage.end()?);
             }
-            if let Some(file) = file {
-                append(file, &row)?;
-            }
+            let kept = file.map_or(Ok(()), |file| append(file, &row));
             rows.push(row);
+            kept?;
             progress.note(format!(
                 "{} wrong",
                 rows.iter()
@@ -102,12 +161,7 @@ impl<'a> Campaign<'a> {
             }
         }
         progress.end();
-        if let Some(stage) = self.stage.take()
-            && let Some(last) = rows.last_mut()
-        {
-            note(last, stage.end()?);
-        }
-        Ok(rows)
+        self.stage.take().map_or(Ok(()), Stage::give_up)
     }
 
     fn rate_hz(&self, number: u64) -> f64 {
@@ -119,7 +173,7 @@ impl<'a> Campaign<'a> {
     }
 
     /// One fault, from a set that drives to one that does again.
-    fn fault(&mut self, number: u64) -> anyhow::Result<Row> {
+    fn fault(&mut self, number: u64, stop: &Stop) -> anyhow::Result<Row> {
         let clock = self.clock;
         let mut trouble = Trouble::draw(self.arguments.seed, number, kinds(self.arguments));
         let mut row = Row {
@@ -157,10 +211,10 @@ impl<'a> Campaign<'a> {
             }
             Blow::Goes { detail } => {
                 row.detail = detail;
-                let came = await_recovery(&mut stage, &trouble, old_pid, clock);
+                let came = await_recovery(&mut stage, &trouble, old_pid, (clock, stop));
                 tell(&mut row, &came);
                 self.count(&mut stage, &mut row);
-                if came.recovered_ns.is_none() {
+                if came.recovered_ns.is_none() && !stop.is_asked() {
                     row.verdict = "did not come back".into();
                     self.give_up(stage, &mut row)?;
                 } else {
@@ -191,15 +245,18 @@ impl<'a> Campaign<'a> {
 
     fn begin(&mut self, number: u64) -> anyhow::Result<Stage> {
         self.counted = [0; 6];
-        let scene = Scene {
+        Stage::start(self.scene(number), self.clock)
+    }
+
+    fn scene(&self, number: u64) -> Scene {
+        Scene {
             // The dead run's name again: its successor clears away what it left.
             run: format!("faults-{}", std::process::id()),
             folder: self.room.folder.join("set"),
             rate_hz: self.rate_hz(number),
             seed: 1000 + number,
             overrides: self.arguments.overrides.clone(),
-        };
-        Stage::start(scene, self.clock)
+        }
     }
 
     /// What the account has come to since the fault before.

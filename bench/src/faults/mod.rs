@@ -19,10 +19,12 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use supervisor::failure::Failure;
 use supervisor::numbers::whole;
 
 use crate::Clock;
 use crate::report::{Machine, say, write_json};
+use crate::settings;
 use crate::stop::Stop;
 use campaign::Campaign;
 use room::Room;
@@ -38,7 +40,8 @@ use trouble::Kind;
         no command older than one and a half periods. Disk and shared memory are filled in a mount \
         namespace of the campaign's own.\n\n\
         Exit code 1 when a command violates a limit, something is left behind, a tick is not \
-        accounted for, or a set does not come back.\n\n\
+        accounted for, a set does not come back, or no fault could be made. Who stops with Ctrl-C \
+        goes on with --resume; the fault in progress is made anew.\n\n\
         Examples:\n  \
         ./vlaps bench faults --faults 30 --seed 1\n  \
         ./vlaps bench faults --faults 2000 --out campaign --json faults.json\n  \
@@ -61,25 +64,43 @@ pub struct BenchFaults {
     #[arg(long, value_name = "K")]
     pub only: Option<u64>,
     /// Ticks per second of all sets, in place of 100 and 10.
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     pub rate: Option<f64>,
     /// Let the wall clock of this machine jump by an hour and back, for everybody
     /// on it; without this, such faults are skipped.
     #[arg(long)]
     pub step_clock: bool,
-    /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
+    /// Override a key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
     /// Keep a row for each fault and the histogram in this folder.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Go on with the campaign of the folder.
-    #[arg(long, requires = "out")]
+    #[arg(long, requires = "out", conflicts_with = "fresh")]
     pub resume: bool,
+    /// Make the campaign of the folder anew.
+    #[arg(long, requires = "out")]
+    pub fresh: bool,
     /// Write the figures to this file, too.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
+
+/// Keys that each set has from the campaign, and the option that says them.
+const OWN_KEYS: [(&str, &str); 10] = [
+    ("run.name", ""),
+    ("run.folder", ""),
+    ("run.clock", ""),
+    ("run.seed", ""),
+    ("run.episodes", ""),
+    ("run.duration_s", ""),
+    ("run.rate_hz", "--rate"),
+    ("run.faults", ""),
+    // Faults befall all processes there are.
+    ("gate.mode", ""),
+    ("learner.enabled", ""),
+];
 
 /// A campaign in figures.
 #[derive(Debug, Serialize)]
@@ -98,28 +119,26 @@ struct Figures {
 /// `./vlaps bench faults`.
 ///
 /// # Errors
-/// When a set does not start, or a file cannot be written.
+/// When a set does not start, or a file cannot be written; what was made until then is
+/// printed all the same.
 pub fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
+    settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let room = Room::enter()?;
     let stop = Stop::listen()?;
     let conditions = Machine::here()?;
+    let mut campaign = Campaign::new(arguments, &room, clock);
+    campaign.check()?;
     let file = match &arguments.out {
-        Some(folder) => Some(begin_file(folder, arguments.resume)?),
+        Some(folder) => Some(begin_file(folder, arguments)?),
         None => None,
     };
-    let done = match &file {
+    let mut rows = match &file {
         Some(file) => rows::read(file)?,
         None => Vec::new(),
     };
-    if let Some(other) = done.iter().find(|row| row.seed != arguments.seed) {
-        anyhow::bail!(
-            "--resume: the campaign of the folder has seed {}; give it with --seed, or another --out",
-            other.seed
-        );
-    }
+    campaign.check_same(&rows)?;
     let begun = clock();
-    let mut campaign = Campaign::new(arguments, &room, clock);
-    let rows = campaign.run(done, file.as_deref(), &stop)?;
+    let done = campaign.run(&mut rows, file.as_deref(), &stop);
     let figures = Figures {
         rows: rows::lines(&rows),
         bars: Bars::of(&rows),
@@ -129,17 +148,24 @@ pub fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> 
         elapsed_s: clock().since_ns(begun) as f64 * 1e-9,
         conditions,
     };
-    print(&figures);
+    if !rows.is_empty() {
+        print(&figures);
+    }
+    done?;
     if let Some(folder) = &arguments.out {
         picture::draw(&rows, folder)?;
     }
     if let Some(path) = &arguments.json {
         write_json(path, &figures)?;
     }
-    Ok(match figures.bars.hold() {
-        true => ExitCode::SUCCESS,
-        false => ExitCode::FAILURE,
-    })
+    match (campaign.left(&rows).len(), figures.bars.hold()) {
+        (0, true) => Ok(ExitCode::SUCCESS),
+        (0, false) => Ok(ExitCode::FAILURE),
+        (left, _) if arguments.out.is_some() => {
+            anyhow::bail!("stopped, {left} faults are left; --resume goes on")
+        }
+        (left, _) => anyhow::bail!("stopped, {left} faults are left; with --out rows are kept"),
+    }
 }
 
 /// The kinds wished for.
@@ -150,14 +176,19 @@ fn kinds(arguments: &BenchFaults) -> &[Kind] {
     }
 }
 
-fn begin_file(folder: &Path, resume: bool) -> anyhow::Result<PathBuf> {
+fn begin_file(folder: &Path, arguments: &BenchFaults) -> anyhow::Result<PathBuf> {
     fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     let file = folder.join("faults.csv");
-    if !resume && file.exists() {
-        anyhow::bail!(
-            "--out {}: holds a campaign; go on with it with --resume, or give another folder",
+    if arguments.fresh && file.exists() {
+        fs::remove_file(&file).with_context(|| file.display().to_string())?;
+    }
+    if !arguments.resume && file.exists() {
+        let told = format!(
+            "--out {}: holds a campaign; go on with it with --resume, make it anew with --fresh, or \
+             give another folder",
             folder.display()
         );
+        return Err(Failure::Usage(told).into());
     }
     Ok(file)
 }

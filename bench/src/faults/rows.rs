@@ -188,9 +188,12 @@ impl Bars {
         }
     }
 
-    /// Everything that does not depend on how fast the machine is holds.
+    /// Everything that does not depend on how fast the machine is holds, of a fault at
+    /// least.
     pub fn hold(&self) -> bool {
-        self.violations + self.leftovers + self.unaccounted == 0 && self.wrong == 0
+        self.faults > 0
+            && self.violations + self.leftovers + self.unaccounted == 0
+            && self.wrong == 0
     }
 }
 
@@ -300,6 +303,7 @@ mod tests {
         let bars = Bars::of(&good);
         assert!(bars.hold());
         assert_eq!((bars.deaths, bars.deaths_safe), (2, 1));
+        assert!(!Bars::of(&[]).hold(), "nothing was tested");
         let spoils: [fn(&mut Row); 4] = [
             |row| row.violations = 1,
             |row| row.leftovers = 1,

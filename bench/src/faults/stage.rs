@@ -2,8 +2,9 @@
 //! it leaves.
 
 use std::fs;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -11,11 +12,13 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use shm_config::run::RunPaths;
 use shm_config::services::Process;
+use supervisor::child::Exit;
 use supervisor::signals::pause;
 
 use super::ledger::Limits;
 use super::watch::{CHILDREN, Watch};
 use crate::Clock;
+use crate::driven::remove;
 
 /// From look to look of the watcher.
 pub const LOOK: Duration = Duration::from_micros(500);
@@ -91,6 +94,17 @@ impl Scene {
         settings.extend(self.overrides.iter().cloned());
         settings
     }
+
+    /// What `./vlaps up` makes the set of.
+    pub fn words(&self) -> Vec<String> {
+        let mut words = vec!["--run".into(), self.run.clone()];
+        words.extend(["--seed".into(), self.seed.to_string()]);
+        words.extend(["--rate".into(), self.rate_hz.to_string()]);
+        for setting in self.settings() {
+            words.extend(["--set".into(), setting]);
+        }
+        words
+    }
 }
 
 impl Stage {
@@ -104,20 +118,16 @@ impl Stage {
         fs::create_dir_all(&scene.folder)?;
         let errors = fs::File::create(scene.folder.join("errors"))?;
         let program = std::env::current_exe()?.with_file_name("vlaps-supervisor");
-        let mut command = Command::new(&program);
-        command
-            .args(["up", "--run", &scene.run, "--json", "up.json"])
-            .args(["--seed", &scene.seed.to_string()])
-            .args(["--rate", &scene.rate_hz.to_string()])
-            .args(["--parent", &std::process::id().to_string()]);
-        for setting in scene.settings() {
-            command.args(["--set", &setting]);
-        }
-        let child = command
+        let child = Command::new(&program)
+            .args(["up", "--json", "up.json"])
+            .args(["--parent", &std::process::id().to_string()])
+            .args(scene.words())
             .current_dir(&scene.folder)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(errors)
+            // Ctrl-C in the terminal is ours to act on: to the set it would be a fault.
+            .process_group(0)
             .spawn()
             .with_context(|| program.display().to_string())?;
         let paths = RunPaths::new(scene.run.parse()?);
@@ -239,11 +249,11 @@ impl Stage {
         self.watch();
         self.watch = None;
         self.signal_supervisor(Signal::INT);
-        let code = self.await_end()?;
-        if code != Some(0) {
-            let words = self.last_words();
+        let status = self.await_end()?;
+        if !status.success() {
+            let (exit, words) = (Exit::from(status), self.last_words());
             end.wrongs
-                .push(format!("an orderly stop ended with {code:?}: {words}"));
+                .push(format!("an orderly stop ended with {exit}: {words}"));
         }
         end.wrongs.extend(self.summary_wrongs());
         end.leftovers = self.leftovers(true)?;
@@ -270,14 +280,28 @@ impl Stage {
     /// When it does not end, or cannot be looked at.
     pub fn resign(mut self) -> anyhow::Result<End> {
         self.watch = None;
-        let code = self.await_end()?;
+        let status = self.await_end()?;
         let mut end = End::default();
-        if code != Some(1) {
+        if status.code() != Some(1) {
+            let exit = Exit::from(status);
             end.wrongs
-                .push(format!("a run beyond help ended with {code:?}"));
+                .push(format!("a run beyond help ended with {exit}"));
         }
         end.leftovers = self.leftovers(true)?;
         Ok(end)
+    }
+
+    /// Ends the set whatever has befallen it, and removes what it leaves: nothing is
+    /// said of a fault that was cut short.
+    ///
+    /// # Errors
+    /// When it does not end.
+    pub fn give_up(mut self) -> anyhow::Result<()> {
+        self.watch = None;
+        self.signal_supervisor(Signal::INT);
+        self.await_end()?;
+        remove(&self.paths);
+        Ok(())
     }
 
     fn signal_supervisor(&mut self, signal: Signal) {
@@ -285,11 +309,11 @@ impl Stage {
         let _ = kill_process(Pid::from_child(&self.child), signal);
     }
 
-    fn await_end(&mut self) -> anyhow::Result<Option<i32>> {
+    fn await_end(&mut self) -> anyhow::Result<ExitStatus> {
         let until = (self.clock)().after_ns(PATIENCE_NS);
         loop {
             if let Some(status) = self.child.try_wait()? {
-                return Ok(status.code());
+                return Ok(status);
             }
             if (self.clock)() > until {
                 self.child.kill()?;

@@ -15,6 +15,7 @@ use super::stage::{LOOK, Stage};
 use super::trouble::{Kind, Trouble};
 use super::watch::{CHILDREN, Trial};
 use crate::Clock;
+use crate::stop::Stop;
 
 /// How long a set may take to drive again, ns.
 const RECOVERY_NS: u64 = 20_000_000_000;
@@ -166,19 +167,20 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
     Ok(Blow::Goes { detail })
 }
 
-/// Waits until the set drives again; what came of the fault.
+/// Waits until the set drives again, or somebody asks to stop; what came of the fault
+/// until then.
 pub fn await_recovery(
     stage: &mut Stage,
     trouble: &Trouble,
     old_pid: Option<i32>,
-    clock: Clock,
+    (clock, stop): (Clock, &Stop),
 ) -> Came {
     let over = stage.watch().trial().and_then(|trial| trial.over);
     let over = over.unwrap_or_else(clock);
     let dies = trouble.kind.is_a_death() || trouble.kind == Kind::Hang;
     let until = clock().after_ns(RECOVERY_NS);
     let mut recovered = None;
-    while recovered.is_none() && clock() < until && !stage.has_ended() {
+    while recovered.is_none() && clock() < until && !stage.has_ended() && !stop.is_asked() {
         let watch = stage.watch();
         let fresh = watch.trial().and_then(|trial| trial.fresh);
         let replaced = match (dies, trouble.target) {
