@@ -49,8 +49,9 @@ where
 {
     root.fill(&WHITE)?;
     let title = format!(
-        "{} ticks in lockstep: {}",
+        "{} ticks in lockstep{}: {}",
         soaked.ticks,
+        if soaked.was_stopped { ", stopped" } else { "" },
         if soaked.is_flat { "flat" } else { "not flat" }
     );
     let body = root.titled(&title, (FACE, 22))?;

@@ -15,7 +15,6 @@ use anyhow::{Context, bail};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use serde_json::Value;
 use shm_config::message::Progress;
 use shm_config::run::RunPaths;
 use shm_config::services::{PROGRESS, Process};
@@ -26,6 +25,7 @@ use crate::Clock;
 use crate::driven::Driven;
 use crate::report::{Machine, write_json};
 use crate::settings;
+use crate::stop::Stop;
 use sample::Sample;
 use verdict::{Flatness, Rule};
 
@@ -37,17 +37,19 @@ use verdict::{Flatness, Rule};
         and 60,000 ticks at least, is for warming up. Flat means: over the rest, the Theil-Sen slope of the anonymous memory is \
         within the limit, the median of the last tenth is not above that of the first by more than \
         another limit, nobody holds more files or threads at the end than at the begin, and nobody \
-        was restarted. The supervisor may grow by its list of episodes. samples.csv, memory.svg and memory.png go to --out; exit 1 when it is not flat.\n\n\
+        was restarted. The supervisor may grow by its list of episodes. samples.csv, memory.svg and \
+        memory.png go to --out; exit 1 when it is not flat, or was stopped: Ctrl-C ends a soak with \
+        the verdict on its samples so far.\n\n\
         Examples:\n  \
         ./vlaps bench soak --ticks 100000\n  \
         ./vlaps bench soak --ticks 10000000 --out soak --json soak.json\n  \
         ./vlaps bench soak --ticks 1000000 --set learner.enabled=true"
 )]
 pub struct BenchSoak {
-    /// How many ticks.
+    /// How many ticks, 70,000 at least: 60,000 are for warming up.
     #[arg(long, value_name = "N", default_value_t = 10_000_000,
           allow_negative_numbers = true,
-          value_parser = whole::<u64>(verdict::WARM_UP_TICKS_MIN + 10_000..=1_000_000_000))]
+          value_parser = whole::<u64>(TICKS_MIN..=1_000_000_000))]
     pub ticks: u64,
     /// Seed of the first episode.
     #[arg(long, value_name = "N", default_value_t = 3, allow_negative_numbers = true,
@@ -68,6 +70,17 @@ pub struct BenchSoak {
     pub json: Option<PathBuf>,
 }
 
+/// Fewest ticks that say something after the warm-up.
+const TICKS_MIN: u64 = verdict::WARM_UP_TICKS_MIN + 10_000;
+/// Keys that a soak sets itself, and the option that says them.
+const OWN_KEYS: [(&str, &str); 6] = [
+    ("run.name", ""),
+    ("run.folder", ""),
+    ("run.clock", ""),
+    ("run.seed", "--seed"),
+    ("run.episodes", "--ticks"),
+    ("run.duration_s", "--ticks"),
+];
 /// How long to wait between two looks at the tick.
 const LOOK: Duration = Duration::from_millis(100);
 /// The set has to say something within this time, ns.
@@ -78,6 +91,8 @@ const START_NS: u64 = 60_000_000_000;
 pub struct Soaked {
     /// All of it was flat.
     pub is_flat: bool,
+    /// Somebody stopped it before its end: it is about the ticks until then.
+    pub was_stopped: bool,
     /// What was measured of each process, and of the run.
     pub rows: Vec<Flatness>,
     /// What flat means.
@@ -101,21 +116,31 @@ pub struct Soaked {
 /// `./vlaps bench soak`.
 ///
 /// # Errors
-/// When the set does not start or fails, or a file cannot be written.
+/// When the set does not start or fails, when it is not flat or was stopped, or a file
+/// cannot be written.
 pub fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
+    settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
+    let stop = Stop::listen()?;
     let begun = clock();
-    let driven = start(arguments)?;
-    let (samples, summary) = watch(arguments, driven, clock)?;
+    let mut driven = start(arguments)?;
+    let samples = watch(arguments, &mut driven, &stop, clock)?;
+    let summary = driven.finish()?;
     let wall_s = clock().since_ns(begun) as f64 * 1e-9;
     let count = |key: &str| summary[key].as_u64().unwrap_or(0);
     let episodes = summary["episodes"].as_array().map_or(0, Vec::len) as u64;
-    let rule = Rule::of(arguments.ticks, episodes);
-    let rows = verdict::rows(&samples, &rule)?;
     let (ticks, restarts) = (count("ticks"), count("restarts"));
+    let was_stopped = stop.is_asked() && ticks < arguments.ticks;
+    let planned = if was_stopped { ticks } else { arguments.ticks };
+    let rule = Rule::of(planned, episodes);
+    let rows = verdict::rows(&samples, &rule).with_context(|| match was_stopped {
+        true => format!("stopped after {ticks} of {} ticks", arguments.ticks),
+        false => arguments.out.join(SAMPLES).display().to_string(),
+    })?;
     let soaked = Soaked {
-        is_flat: rows.iter().all(|row| row.is_flat) && restarts == 0 && ticks >= arguments.ticks,
+        is_flat: rows.iter().all(|row| row.is_flat) && restarts == 0 && ticks >= planned,
+        was_stopped,
         rows,
         rule,
         ticks,
@@ -131,11 +156,15 @@ pub fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
     if let Some(path) = &arguments.json {
         write_json(path, &soaked)?;
     }
-    match soaked.is_flat {
-        true => Ok(ExitCode::SUCCESS),
-        false => bail!(
-            "not flat; the samples are in {}",
-            arguments.out.join(SAMPLES).display()
+    let word = if soaked.is_flat { "flat" } else { "not flat" };
+    let path = arguments.out.join(SAMPLES);
+    match (soaked.is_flat, soaked.was_stopped) {
+        (true, false) => Ok(ExitCode::SUCCESS),
+        (false, false) => bail!("{word}; the samples are in {}", path.display()),
+        (_, true) => bail!(
+            "stopped after {ticks} of {} ticks, {word} so far; the samples are in {}",
+            arguments.ticks,
+            path.display()
         ),
     }
 }
@@ -160,32 +189,39 @@ fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
 /// The file of samples.
 const SAMPLES: &str = "samples.csv";
 
-/// Samples until the end, written as they are taken: a soak that is cut off
-/// leaves what it has seen.
+/// Samples until the end, or until somebody asks to stop, written as they are taken: a
+/// soak that is cut off leaves what it has seen.
 fn watch(
     arguments: &BenchSoak,
-    mut driven: Driven,
+    driven: &mut Driven,
+    stop: &Stop,
     clock: Clock,
-) -> anyhow::Result<(Vec<Sample>, Value)> {
+) -> anyhow::Result<Vec<Sample>> {
     let paths = RunPaths::new(driven.name().parse()?);
-    let (_wire, mut progress) = listen(&mut driven, &paths, clock)?;
+    let (_wire, mut progress) = listen(driven, &paths, clock)?;
     let path = arguments.out.join(SAMPLES);
-    let mut file = BufWriter::new(File::create(&path).context(path.display().to_string())?);
-    writeln!(file, "{}", Sample::HEADER)?;
+    let named = || path.display().to_string();
+    let mut file = BufWriter::new(File::create(&path).with_context(named)?);
+    writeln!(file, "{}", Sample::HEADER).with_context(named)?;
     let bar = ProgressBar::new(arguments.ticks);
     bar.set_style(ProgressStyle::with_template(
         "{elapsed_precise} {wide_bar} {pos}/{len} ticks, {eta} left",
     )?);
     let step = (arguments.ticks / arguments.samples).max(1);
-    let (mut samples, mut due) = (Vec::new(), step);
+    let (mut samples, mut due, mut stopping) = (Vec::new(), step, false);
     while !driven.has_ended()? {
+        if stop.is_asked() && !stopping {
+            // Once: a second time would kill it.
+            driven.stop();
+            stopping = true;
+        }
         if let Some(progress) = progress.newest() {
             let tick = progress.header.tick;
             bar.set_position(tick);
             // None near the end: processes that leave hold less and less.
-            if tick >= due && tick < arguments.ticks {
+            if tick >= due && tick < arguments.ticks && !stopping {
                 let sample = Sample::take(tick, driven.pid(), &paths)?;
-                sample.write(&mut file)?;
+                sample.write(&mut file).with_context(named)?;
                 samples.push(sample);
                 due = tick + step;
             }
@@ -194,8 +230,7 @@ fn watch(
         supervisor::signals::pause(LOOK);
     }
     bar.finish_and_clear();
-    file.flush()?;
-    Ok((samples, driven.finish()?))
+    Ok(samples)
 }
 
 /// The world's word on how far it is; it comes when the world does.
