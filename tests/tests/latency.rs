@@ -2,6 +2,7 @@
 //! rights: what they count adds up, is kept, and leaves nothing behind.
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -17,6 +18,8 @@ fn bench(words: &[&str], out: &Path) -> Child {
         .arg("bench")
         .args(words)
         .current_dir(out)
+        // What a killed one leaves goes with the test.
+        .env("TMPDIR", out)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -198,7 +201,7 @@ fn a_killed_benchmark_takes_its_load_and_its_floor_with_it() {
     until("the end of everybody it started", || {
         children.iter().filter(ended).count() == children.len()
     });
-    let files = fs::read_dir(folder.path().join("out")).expect("out");
+    let files = fs::read_dir(folder.path().join("out")).expect("--out");
     assert_eq!(files.count(), 1, "rows, and nothing of the load");
     // Nobody is left to do it.
     let run = format!("latency-0-{pid}").parse().expect("a run's name");
@@ -222,6 +225,49 @@ fn has_thread(pid: u32, name: &str) -> bool {
         let word = fs::read_to_string(thread.path().join("comm"));
         word.is_ok_and(|word| word.starts_with(name))
     })
+}
+
+#[test]
+fn a_comparison_of_the_wire_that_is_stopped_prints_the_rows_it_has() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let words = "ipc --message command,step --wake bell --rate 1000 --seconds 0.5";
+    let words: Vec<&str> = words.split(' ').collect();
+    let mut child = bench(&words, folder.path());
+    let pid = child.id();
+    let errors = child.stderr.take().expect("a pipe");
+    let mut lines = BufReader::new(errors).lines().map_while(Result::ok);
+    let first = lines.find(|line| line.starts_with("ipc: 1 of 2 rows"));
+    assert!(first.is_some(), "it ended before its first row");
+    interrupt(&child);
+    let told: Vec<String> = lines.collect();
+    let done = output(child);
+    assert_eq!(done.status.code(), Some(1), "{told:?}");
+    assert_eq!(told, ["error: stopped, 1 rows are left"]);
+    let table = String::from_utf8_lossy(&done.stdout);
+    assert!(
+        table.contains("command 56 B") && !table.contains("step"),
+        "{table}"
+    );
+    assert_eq!(left_behind(pid), [""; 0]);
+}
+
+#[test]
+fn a_stopped_soak_judges_the_samples_it_has_and_leaves_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let words = "soak --ticks 1000000 --samples 2000 --out out";
+    let words: Vec<&str> = words.split(' ').collect();
+    let child = bench(&words, folder.path());
+    let pid = child.id();
+    let samples = folder.path().join("out/samples.csv");
+    let lines = || fs::read_to_string(&samples).map_or(0, |text| text.lines().count());
+    until("a sample", || lines() > 1);
+    interrupt(&child);
+    let done = output(child);
+    let told = String::from_utf8_lossy(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{told}");
+    assert!(told.contains("error: stopped after"), "{told}");
+    assert!(told.contains("of 1000000 ticks"), "{told}");
+    assert_eq!(left_behind(pid), [""; 0]);
 }
 
 #[test]

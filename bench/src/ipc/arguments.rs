@@ -19,6 +19,7 @@ use clap::{Args, ValueEnum};
         --dds builds bench/cyclone with Cyclone DDS where it is installed (Debian's cyclonedds-dev) \
         and measures the same sizes over its loopback; --zenoh builds bench/zenoh from the package \
         registry, some minutes the first time, and does the same.\n\n\
+        Ctrl-C ends it with the rows that are done.\n\n\
         Examples:\n  \
         ./vlaps bench ipc\n  \
         ./vlaps bench ipc --dds --zenoh --json ipc.json\n  \

@@ -17,6 +17,7 @@ use supervisor::up::own_cores;
 
 use crate::Clock;
 use crate::report::{Machine, say, table, write_json};
+use crate::stop::Stop;
 use crate::train::progress::Progress;
 pub use arguments::{BenchIpc, IpcEcho};
 use arguments::{MessageChoice, Wake};
@@ -105,13 +106,29 @@ struct Session<'a> {
     wire: Wire,
     run: RunName,
     echo: Echo,
+    stop: &'a Stop,
     clock: Clock,
+}
+
+/// All rows that are asked for.
+fn total(arguments: &BenchIpc) -> usize {
+    let paced = arguments
+        .rate
+        .iter()
+        .filter(|&&rate_hz| rate_hz > 0)
+        .count();
+    let rates = arguments.wake.iter().map(|wake| match wake {
+        Wake::Grid => paced,
+        Wake::Spin | Wake::Bell => arguments.rate.len(),
+    });
+    rates.sum::<usize>() * arguments.message.len()
 }
 
 /// `./vlaps bench ipc`.
 ///
 /// # Errors
-/// When the other process cannot be started, or a message is lost or refused.
+/// When the other process cannot be started, a message is lost or refused, or somebody
+/// stops; the rows until then are printed all the same.
 pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
     let cores = match own_cores()[..] {
@@ -122,41 +139,57 @@ pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     let run: RunName = format!("ipc-{}", std::process::id()).parse()?;
     let paths = RunPaths::new(run.clone());
     stay_on(cores.first().copied());
-    let measured = measure(arguments, (&run, &cores), &programs, clock);
+    let stop = Stop::listen()?;
+    let mut rows = Vec::new();
+    let done = measure(
+        arguments,
+        (&run, &cores),
+        &programs,
+        (clock, &stop),
+        &mut rows,
+    );
     // The two are its only members, and both have left it.
     let _ = clean_run(&paths);
     let measurement = Measurement {
-        rows: measured?,
+        rows,
         cores,
         others: programs.into_iter().map(|program| program.other).collect(),
         conditions,
     };
-    print(&measurement);
-    match &arguments.json {
-        Some(path) => write_json(path, &measurement),
-        None => Ok(()),
+    if !measurement.rows.is_empty() {
+        print(&measurement);
+    }
+    done?;
+    if let Some(path) = &arguments.json {
+        write_json(path, &measurement)?;
+    }
+    match total(arguments) - measurement.rows.len() {
+        0 => Ok(()),
+        left => anyhow::bail!("stopped, {left} rows are left"),
     }
 }
 
+/// Adds all rows, until somebody stops.
 fn measure(
     arguments: &BenchIpc,
     (run, cores): (&RunName, &[usize]),
     programs: &[Program],
-    clock: Clock,
-) -> anyhow::Result<Vec<Row>> {
+    (clock, stop): (Clock, &Stop),
+    rows: &mut Vec<Row>,
+) -> anyhow::Result<()> {
     let mut session = Session {
         arguments,
         wire: Wire::join(run, End::Ping.process())?,
         run: run.clone(),
         echo: Echo::start(run, cores.get(1).copied())?,
+        stop,
         clock,
     };
     // Spinning comes first: priority is not given back.
     let mut wakes = arguments.wake.clone();
     wakes.sort_by_key(|wake| *wake != Wake::Spin);
-    let total = wakes.len() * arguments.message.len() * arguments.rate.len();
-    let mut progress = Progress::begin("ipc".into(), "rows", (0, total as u64), clock)?;
-    let mut rows = Vec::new();
+    let total = total(arguments) as u64;
+    let mut progress = Progress::begin("ipc".into(), "rows", (0, total), clock)?;
     for wake in wakes {
         for &message in &arguments.message {
             let more = match message {
@@ -176,15 +209,18 @@ fn measure(
                 rows.push(row);
             }
             progress.at(rows.len() as u64);
+            if stop.is_asked() {
+                return Ok(());
+            }
         }
     }
     progress.end();
-    Ok(rows)
+    Ok(())
 }
 
 impl Session<'_> {
-    /// All rates of one message and receiver; flat out on a grid says where on the
-    /// grid an answer falls, and nothing else.
+    /// All rates of one message and receiver, until somebody stops; flat out on a grid
+    /// says where on the grid an answer falls, and nothing else.
     fn rows<M: Measured>(&mut self, wake: Wake) -> anyhow::Result<Vec<Row>> {
         let priority = claim_for(wake);
         let mut ends = Ends::<M>::open(&self.wire, &self.run, End::Ping, wake)?;
@@ -196,7 +232,12 @@ impl Session<'_> {
             if wake == Wake::Grid && rate_hz == 0 {
                 continue;
             }
-            rows.push(self.row(&mut ends, (wake, rate_hz, priority))?);
+            let row = self.row(&mut ends, (wake, rate_hz, priority))?;
+            // It may have been cut short.
+            if self.stop.is_asked() {
+                break;
+            }
+            rows.push(row);
         }
         self.echo.order("close")?;
         Ok(rows)
@@ -219,7 +260,7 @@ impl Session<'_> {
         let begun = (self.clock)();
         let enough_ns = (self.arguments.seconds * PATIENCE * 1e9) as u64;
         for _ in 0..BLOCKS {
-            if (self.clock)().since_ns(begun) > enough_ns {
+            if (self.clock)().since_ns(begun) > enough_ns || self.stop.is_asked() {
                 break;
             }
             for ((side, &count), into) in sides.into_iter().zip(&counts).zip(&mut all) {

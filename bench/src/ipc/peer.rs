@@ -1,6 +1,7 @@
 //! The two processes: who asks, who answers, and what they say to each other.
 
 use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, anyhow, bail};
@@ -95,6 +96,8 @@ impl Echo {
             .args(core.map(|core| core.to_string()))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
+            // Ctrl-C in the terminal is for the one that asks.
+            .process_group(0)
             .spawn()
             .with_context(|| program.display().to_string())?;
         let answers = child.stdout.take().context("no pipe")?;

@@ -4,6 +4,7 @@
 mod cyclone;
 mod zenoh;
 
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -89,6 +90,8 @@ impl Program {
             .args([message.as_str(), row.wake])
             .args([period_ns(row.rate_hz), count / 20, count].map(|number| number.to_string()))
             .args([core(0), core(1)])
+            // Ctrl-C in the terminal is ours to act on: it ends in a moment.
+            .process_group(0)
             .output()
             .with_context(|| format!("{name}: its program"))?;
         if !output.status.success() {
