@@ -151,6 +151,8 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
         ticks,
         skipped: missed,
         missed,
+        // By its own count, as the processes' grids have it.
+        elapsed_s: ((ticks + missed) * period_ns) as f64 / 1e9,
         lateness_us,
         priority: match priority {
             Priority::Asked => "granted".into(),
@@ -198,6 +200,7 @@ mod tests {
         let (floor, series) = read(text, 10_000_000, Priority::Asked).expect("its JSON");
         // Two ticks slept through by each of the 25 ms, 100 by the longest.
         assert_eq!((floor.ticks, floor.missed), (100, 2 * 2 + 100));
+        assert_eq!(floor.elapsed_s, 2.04);
         assert_eq!(series.count(), 204);
         let late = |from_ns| {
             let mut buckets = series.buckets.iter();

@@ -8,6 +8,11 @@ use crate::report::{say, table};
 
 /// Misses that are listed for one row; the JSON has all.
 const LISTED_MAX: usize = 5;
+/// What the figures alone do not say.
+const READING: &str = "ticks go on until the set has stopped, so there are some more than seconds x \
+    rate; a row's own policy counts as one of its weights, a learner's each; beside cyclictest a \
+    thread of this program measures the floor, too ('floor: own thread' in the pictures, own_floor \
+    in the JSON), to show that both agree";
 /// The columns of [`four`].
 const FOUR: [&str; 4] = ["p50", "p99", "p99.9", "max"];
 
@@ -282,6 +287,7 @@ fn conditions(measured: &Measured, seconds: f64) {
         .collect();
     let plans: Vec<String> = plans.into_iter().collect();
     say(format_args!("plans a second: {}", plans.join(", ")));
+    say(READING);
     say(format_args!(
         "bars: 99.9 % of lateness and of wake-up of controller and planner at most {FLOOR_RATIO_MAX} times the \
          floor's; 99 % of response under {} us beside nothing, {} us beside anything",
