@@ -27,7 +27,7 @@
 //! | [`floor`] | how late the machine wakes a thread that does nothing else |
 //! | [`stalls`] | when the machine stood still, core by core |
 //! | [`latency`] | how punctual the set is, whatever happens beside it |
-//! | [`chart`] | what charts have in common |
+//! | [`chart`], [`bitmap`] | what charts have in common, and their letters in a PNG |
 //! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS and Zenoh |
 //! | [`soak`] | a set that drives for millions of ticks: does it grow? |
 //! | [`swapping`] | a running set whose weights are swapped |
@@ -36,6 +36,7 @@
 //! | [`draw`] | pictures of maps, episodes and plans |
 
 pub mod arguments;
+pub mod bitmap;
 pub mod chart;
 pub mod draw;
 pub mod driven;

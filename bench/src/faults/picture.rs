@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::OnceLock;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::register_font;
 
 use super::rows::Row;
+use crate::bitmap::Bitmap;
+use crate::chart::{FACE, FAINT, INK, know_font};
 
 /// Width, and height of one kind's row, pixels.
 const WIDTH: u32 = 1000;
@@ -19,9 +19,6 @@ const HEAD: u32 = 70;
 /// Bars of a row, over so many periods.
 const BARS: usize = 60;
 const PERIODS: f64 = 3.0;
-const FACE: &str = "sans-serif";
-const INK: RGBColor = RGBColor(34, 40, 49);
-const FAINT: RGBColor = RGBColor(110, 118, 129);
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
 
@@ -34,20 +31,14 @@ type Bars = [[u32; 2]; BARS];
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(rows: &[Row], folder: &Path) -> anyhow::Result<()> {
-    static FONT: OnceLock<bool> = OnceLock::new();
-    let known = FONT.get_or_init(|| {
-        register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok()
-    });
-    if !known {
-        return Err(anyhow!("the font cannot be read"));
-    }
+    know_font()?;
     let kinds = bars(rows);
     let size = (WIDTH, HEAD + ROW * kinds.len().max(1) as u32);
     let svg = folder.join("faults.svg");
     let root = SVGBackend::new(&svg, size).into_drawing_area();
     picture(&kinds, &root).with_context(|| svg.display().to_string())?;
     let png = folder.join("faults.png");
-    let root = BitMapBackend::new(&png, size).into_drawing_area();
+    let root = Bitmap(BitMapBackend::new(&png, size)).into_drawing_area();
     picture(&kinds, &root).with_context(|| png.display().to_string())
 }
 
@@ -83,10 +74,11 @@ where
     for (area, (kind, bars)) in body.split_evenly((kinds.len().max(1), 1)).iter().zip(kinds) {
         let highest = bars.iter().map(|bar| bar[0] + bar[1]).max().unwrap_or(1);
         let mut chart = ChartBuilder::on(area)
+            .margin_left(6)
             .margin_right(16)
             .margin_top(6)
             .x_label_area_size(20)
-            .y_label_area_size(70)
+            .y_label_area_size(64)
             .build_cartesian_2d(0.0..PERIODS, 0.0..f64::from(highest) * 1.05)?;
         chart
             .configure_mesh()
@@ -95,6 +87,8 @@ where
             .y_labels(2)
             .x_label_formatter(&|x| format!("{x:.1}"))
             .y_label_formatter(&|y| format!("{y:.0}"))
+            .y_desc("faults")
+            .axis_desc_style((FACE, 13).into_font().color(&FAINT))
             .label_style((FACE, 13).into_font().color(&INK))
             .axis_style(FAINT)
             .draw()?;
@@ -138,6 +132,6 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         draw(&rows, folder.path()).expect("drawn");
         let svg = std::fs::read_to_string(folder.path().join("faults.svg")).expect("SVG");
-        assert!(svg.contains("kill"));
+        assert!(svg.contains("kill") && svg.contains("faults"));
     }
 }

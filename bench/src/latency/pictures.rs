@@ -9,6 +9,7 @@ use plotters::prelude::*;
 
 use super::buckets::Series;
 use super::row::Row;
+use crate::bitmap::Bitmap;
 use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 
 /// Size of a panel, pixels.
@@ -63,7 +64,7 @@ pub fn draw(rows: &[Row], series: &[Vec<Series>], out: &Path) -> anyhow::Result<
             let root = SVGBackend::new(&path, size).into_drawing_area();
             paint(&root, &picture, &of).with_context(|| path.display().to_string())?;
             let path = out.join(format!("{}.png", picture.file));
-            let root = BitMapBackend::new(&path, size).into_drawing_area();
+            let root = Bitmap(BitMapBackend::new(&path, size)).into_drawing_area();
             paint(&root, &picture, &of).with_context(|| path.display().to_string())?;
         }
     }
@@ -239,10 +240,11 @@ where
     let heights = lines.iter().flat_map(|(corners, _)| corners);
     let top = heights.map(|corner| corner.1).fold(1.0, f64::max).ceil();
     let mut chart = ChartBuilder::on(&body)
+        .margin_left(6)
         .margin_right(14)
         .margin_bottom(4)
         .x_label_area_size(34)
-        .y_label_area_size(66)
+        .y_label_area_size(60)
         .build_cartesian_2d(span.0..span.1, NONE.log10()..top)?;
     chart
         .configure_mesh()

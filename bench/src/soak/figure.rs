@@ -2,17 +2,17 @@
 
 use std::path::Path;
 
+use anyhow::Context;
 use plotters::coord::Shift;
 use plotters::prelude::*;
-use plotters::style::register_font;
 
 use super::Soaked;
 use super::sample::Sample;
+use crate::bitmap::Bitmap;
+use crate::chart::{FACE, know_font};
 
 const PANEL: (u32, u32) = (480, 260);
 const COLUMNS: usize = 3;
-/// The pictures need no font of the system.
-const FACE: &str = "sans-serif";
 const LINE: RGBColor = RGBColor(31, 105, 178);
 
 /// Draws `memory.svg` and `memory.png`.
@@ -20,9 +20,7 @@ const LINE: RGBColor = RGBColor(31, 105, 178);
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(samples: &[Sample], soaked: &Soaked, out: &Path) -> anyhow::Result<()> {
-    let is_read =
-        register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok();
-    anyhow::ensure!(is_read, "the font cannot be read");
+    know_font()?;
     let lines = soaked.rows.len().div_ceil(COLUMNS).max(1);
     let size = (PANEL.0 * COLUMNS as u32, 40 + PANEL.1 * lines as u32);
     let svg = out.join("memory.svg");
@@ -30,13 +28,15 @@ pub fn draw(samples: &[Sample], soaked: &Soaked, out: &Path) -> anyhow::Result<(
         samples,
         soaked,
         &SVGBackend::new(&svg, size).into_drawing_area(),
-    )?;
+    )
+    .with_context(|| svg.display().to_string())?;
     let png = out.join("memory.png");
     panels(
         samples,
         soaked,
-        &BitMapBackend::new(&png, size).into_drawing_area(),
+        &Bitmap(BitMapBackend::new(&png, size)).into_drawing_area(),
     )
+    .with_context(|| png.display().to_string())
 }
 
 fn panels<B: DrawingBackend>(
