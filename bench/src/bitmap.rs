@@ -13,8 +13,8 @@ use plotters_backend::{
 };
 
 /// Where the letters stand below the point that words are placed by, as a share of their
-/// height: capitals are 0.69 of an em, which is 0.89 of the height of the face.
-const BELOW_TOP: f32 = 0.68;
+/// size, which is 1.12 em of the face: b and k are 0.78 em high, capitals 0.69.
+const BELOW_TOP: f32 = 0.75;
 const BELOW_CENTER: f32 = 0.31;
 const ABOVE_BOTTOM: f32 = 0.22;
 
@@ -173,10 +173,10 @@ mod tests {
             let style = (FACE, 13).into_font().transform(FontTransform::Rotate270);
             let at = plotters::style::text_anchor::Pos::new(HPos::Center, VPos::Top);
             let style = TextStyle::from(style).pos(at);
-            root.draw_text("ticks", &style, (0, 20)).expect("drawn");
+            root.draw_text("bfkl", &style, (0, 20)).expect("drawn");
         });
         // As tall as upright ones.
-        let upright = draw(|root| write(root, "ticks", (4, 4), (13, BLACK)).expect("drawn"));
+        let upright = draw(|root| write(root, "bfkl", (4, 4), (13, BLACK)).expect("drawn"));
         let height = |runs: Vec<(u32, u32)>| runs[runs.len() - 1].1 - runs[0].0;
         let turned = height(runs(&pixels, SIZE.0, |x, y| (x, y)));
         let upright = height(runs(&upright, SIZE.1, |y, x| (x, y)));

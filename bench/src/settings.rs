@@ -14,7 +14,9 @@ const PHYSICS_HZ: f64 = 10.0;
 
 /// The configuration of `./vlaps up` with these words.
 fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
-    let words = ["vlaps".into(), "up".into()].into_iter().chain(words);
+    let words = [OsString::from("vlaps"), "up".into()]
+        .into_iter()
+        .chain(words);
     let arguments =
         Arguments::try_parse_from(words).map_err(|error| Failure::Usage(error.to_string()))?;
     match &arguments.command {
@@ -30,7 +32,7 @@ fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
 /// When an option or an override is wrong, or the system gives no file.
 pub fn of_set(words: impl IntoIterator<Item = impl Into<OsString>>) -> anyhow::Result<Config> {
     let empty = tempfile::NamedTempFile::new()?;
-    let none = ["--config".into(), empty.path().into()];
+    let none = [OsString::from("--config"), empty.path().into()];
     let config = of_up(words.into_iter().map(Into::into).chain(none));
     Ok(config.map_err(|failure| match failure {
         // The file is none of the user's.
@@ -49,7 +51,10 @@ pub fn refuse_own(overrides: &[String], own: &[(&str, &str)]) -> Result<(), Fail
         let key = text.split('=').next().unwrap_or_default().trim();
         // A whole section as one value has its keys in it.
         let is_meant = |(own, _): &&(&str, &str)| {
-            *own == key || own.strip_prefix(key).is_some_and(|rest| rest.starts_with('.'))
+            *own == key
+                || own
+                    .strip_prefix(key)
+                    .is_some_and(|rest| rest.starts_with('.'))
         };
         if let Some((own, option)) = own.iter().find(is_meant) {
             let instead = match *option {
@@ -106,7 +111,10 @@ mod tests {
     fn a_set_is_configured_by_its_words_alone() {
         let words = |rate: &str| ["--rate", rate, "--set", "planner.rate_hz=20"].map(String::from);
         let config = of_set(words("100")).expect("a configuration");
-        assert_eq!((config.run.rate_hz, config.planner_rate_hz()), (100.0, 20.0));
+        assert_eq!(
+            (config.run.rate_hz, config.planner_rate_hz()),
+            (100.0, 20.0)
+        );
         for rate in ["2000", "0", "nan", "-5", "15"] {
             let error = of_set(words(rate)).expect_err(rate);
             let text = error.to_string();
@@ -123,7 +131,12 @@ mod tests {
         assert!(refused("run.rate_hz=50").ends_with("; use --rate"));
         assert!(refused(" run.name = x").ends_with("; leave it out"));
         assert!(refused("run={rate_hz=50}").contains("run.rate_hz"));
-        for other in ["run.rate=50", "planner.rate_hz=20", "run.rate_hz_max=1", "runs=1"] {
+        for other in [
+            "run.rate=50",
+            "planner.rate_hz=20",
+            "run.rate_hz_max=1",
+            "runs=1",
+        ] {
             assert_eq!(told(other), Ok(()), "{other}");
         }
     }

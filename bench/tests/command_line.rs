@@ -151,11 +151,20 @@ fn mistakes_are_named_with_exit_code_2() {
             &["bench", "latency", "--set", "planner.rate_hz=7"],
             "planner.rate_hz = 7",
         ),
-        (&["bench", "latency", "--set", "planner.rat=7"], "planner.rate_hz"),
-        (&["bench", "latency", "--set", "run.rate_hz=50"], "use --rate"),
+        (
+            &["bench", "latency", "--set", "planner.rat=7"],
+            "planner.rate_hz",
+        ),
+        (
+            &["bench", "latency", "--set", "run.rate_hz=50"],
+            "use --rate",
+        ),
         (&["bench", "latency", "--set", "run.name=x"], "leave it out"),
         (&["bench", "faults", "--kinds", "clock"], "--step-clock"),
-        (&["bench", "faults", "--set", "run.faults=false"], "run.faults is set by"),
+        (
+            &["bench", "faults", "--set", "run.faults=false"],
+            "run.faults is set by",
+        ),
         (&["bench", "faults", "--rate", "15"], "run.rate_hz = 15"),
         (&["train", "--seeds", "-1"], "from 1 to 1000"),
         (

@@ -54,7 +54,10 @@ fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
     assert!(!again.status.success(), "nothing is overwritten: {again:?}");
     let other = ["--faults", "6", "--resume", "--rate", "20"];
     let other = campaign(&[&words[..], &other].concat());
-    assert!(!other.status.success(), "nor gone on with as another: {other:?}");
+    assert!(
+        !other.status.success(),
+        "nor gone on with as another: {other:?}"
+    );
     let file = json.display().to_string();
     let more = ["--faults", "6", "--resume", "--json", &file];
     let more = campaign(&[&words[..], &more].concat());
@@ -84,7 +87,16 @@ fn a_fault_that_ctrl_c_cuts_short_is_made_anew() {
     }
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("campaign").display().to_string();
-    let words = ["--seed", "5", "--kinds", "kill,hang", "--faults", "4", "--out", &out];
+    let words = [
+        "--seed",
+        "5",
+        "--kinds",
+        "kill,hang",
+        "--faults",
+        "4",
+        "--out",
+        &out,
+    ];
     let child = Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
         .args(["bench", "faults"])
         .args(words)

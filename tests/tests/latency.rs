@@ -18,6 +18,8 @@ fn bench(words: &[&str], out: &Path) -> Child {
         .arg("bench")
         .args(words)
         .current_dir(out)
+        // What a killed one leaves goes with the test.
+        .env("TMPDIR", out)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -199,7 +201,7 @@ fn a_killed_benchmark_takes_its_load_and_its_floor_with_it() {
     until("the end of everybody it started", || {
         children.iter().filter(ended).count() == children.len()
     });
-    let files = fs::read_dir(folder.path().join("out")).expect("out");
+    let files = fs::read_dir(folder.path().join("out")).expect("--out");
     assert_eq!(files.count(), 1, "rows, and nothing of the load");
     // Nobody is left to do it.
     let run = format!("latency-0-{pid}").parse().expect("a run's name");
@@ -242,7 +244,10 @@ fn a_comparison_of_the_wire_that_is_stopped_prints_the_rows_it_has() {
     assert_eq!(done.status.code(), Some(1), "{told:?}");
     assert_eq!(told, ["error: stopped, 1 rows are left"]);
     let table = String::from_utf8_lossy(&done.stdout);
-    assert!(table.contains("command 56 B") && !table.contains("step"), "{table}");
+    assert!(
+        table.contains("command 56 B") && !table.contains("step"),
+        "{table}"
+    );
     assert_eq!(left_behind(pid), [""; 0]);
 }
 

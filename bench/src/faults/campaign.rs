@@ -80,14 +80,23 @@ impl<'a> Campaign<'a> {
     /// # Errors
     /// The first that is not, and what to do.
     pub fn check_same(&self, done: &[Row]) -> anyhow::Result<()> {
-        let refused = |told| Err(Failure::Usage(format!("--resume: {told}, or another --out")).into());
+        let refused = |told: String| {
+            let told = format!("--resume: {told}, or another --out");
+            Err(Failure::Usage(told).into())
+        };
         for row in done {
             if row.seed != self.arguments.seed {
                 let seed = row.seed;
-                return refused(format!("the folder's campaign has seed {seed}; give it with --seed"));
+                return refused(format!(
+                    "the folder's campaign has seed {seed}; give it with --seed"
+                ));
             }
             let trouble = Trouble::draw(row.seed, row.number, kinds(self.arguments));
-            let drawn = (trouble.kind.word(), trouble.whom(), self.rate_hz(row.number));
+            let drawn = (
+                trouble.kind.word(),
+                trouble.whom(),
+                self.rate_hz(row.number),
+            );
             if (row.kind.as_str(), row.target.as_str(), row.rate_hz) != drawn {
                 let (kind, target, rate_hz) = drawn;
                 return refused(format!(

@@ -74,10 +74,11 @@ where
     for (area, (kind, bars)) in body.split_evenly((kinds.len().max(1), 1)).iter().zip(kinds) {
         let highest = bars.iter().map(|bar| bar[0] + bar[1]).max().unwrap_or(1);
         let mut chart = ChartBuilder::on(area)
+            .margin_left(6)
             .margin_right(16)
             .margin_top(6)
             .x_label_area_size(20)
-            .y_label_area_size(70)
+            .y_label_area_size(64)
             .build_cartesian_2d(0.0..PERIODS, 0.0..f64::from(highest) * 1.05)?;
         chart
             .configure_mesh()

@@ -99,7 +99,8 @@ pub fn append(path: &Path, row: &Row) -> anyhow::Result<()> {
         .has_headers(before == 0)
         .from_writer(Vec::new());
     writer.serialize(row)?;
-    file.write_all(&writer.into_inner()?).with_context(|| {
+    writer.flush()?;
+    file.write_all(writer.get_ref()).with_context(|| {
         // A part of a line would be no row; of what is no plain file none stays.
         let _ = file.set_len(before);
         named()
@@ -190,7 +191,9 @@ impl Bars {
     /// Everything that does not depend on how fast the machine is holds, of a fault at
     /// least.
     pub fn hold(&self) -> bool {
-        self.faults > 0 && self.violations + self.leftovers + self.unaccounted == 0 && self.wrong == 0
+        self.faults > 0
+            && self.violations + self.leftovers + self.unaccounted == 0
+            && self.wrong == 0
     }
 }
 
@@ -334,7 +337,10 @@ mod tests {
     fn a_full_disk_is_told_with_the_file() {
         let error = append(Path::new("/dev/full"), &row("kill", 1.5)).expect_err("it is full");
         let told = format!("{error:#}");
-        assert!(told.starts_with("/dev/full: ") && told.contains("No space"), "{told}");
+        assert!(
+            told.starts_with("/dev/full: ") && told.contains("No space"),
+            "{told}"
+        );
     }
 
     #[test]

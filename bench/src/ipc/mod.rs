@@ -112,7 +112,11 @@ struct Session<'a> {
 
 /// All rows that are asked for.
 fn total(arguments: &BenchIpc) -> usize {
-    let paced = arguments.rate.iter().filter(|&&rate_hz| rate_hz > 0).count();
+    let paced = arguments
+        .rate
+        .iter()
+        .filter(|&&rate_hz| rate_hz > 0)
+        .count();
     let rates = arguments.wake.iter().map(|wake| match wake {
         Wake::Grid => paced,
         Wake::Spin | Wake::Bell => arguments.rate.len(),
@@ -137,7 +141,13 @@ pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     stay_on(cores.first().copied());
     let stop = Stop::listen()?;
     let mut rows = Vec::new();
-    let done = measure(arguments, (&run, &cores), &programs, (clock, &stop), &mut rows);
+    let done = measure(
+        arguments,
+        (&run, &cores),
+        &programs,
+        (clock, &stop),
+        &mut rows,
+    );
     // The two are its only members, and both have left it.
     let _ = clean_run(&paths);
     let measurement = Measurement {

@@ -287,7 +287,11 @@ impl Settings {
             some => some.join(" "),
         };
         let all = [
-            ("--seconds", self.seconds.to_string(), asked.seconds.to_string()),
+            (
+                "--seconds",
+                self.seconds.to_string(),
+                asked.seconds.to_string(),
+            ),
             ("--set", set(&self.overrides), set(&asked.overrides)),
             ("load by", self.stress.clone(), asked.stress.clone()),
             ("floor by", self.floor.clone(), asked.floor.clone()),

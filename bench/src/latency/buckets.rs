@@ -155,7 +155,10 @@ mod tests {
             series.buckets = (0..count).map(bucket).collect();
             let error = write(Path::new("/dev/full"), std::slice::from_ref(&series));
             let told = format!("{:#}", error.expect_err("it is full"));
-            assert!(told.starts_with("/dev/full: ") && told.contains("No space"), "{told}");
+            assert!(
+                told.starts_with("/dev/full: ") && told.contains("No space"),
+                "{told}"
+            );
         }
     }
 

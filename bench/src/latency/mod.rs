@@ -75,7 +75,11 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
     let maker = Maker::of(arguments.stress)?;
     let cyclictest = is_by_cyclictest(arguments.floor)?;
-    let floor = if cyclictest { "cyclictest" } else { "own thread" };
+    let floor = if cyclictest {
+        "cyclictest"
+    } else {
+        "own thread"
+    };
     let bench = Bench {
         settings: Settings {
             seconds: arguments.seconds,
@@ -112,7 +116,11 @@ pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     };
     tables::print(&measured, arguments.seconds);
     done?;
-    write(arguments, &measured, &shelf.series(&cases[..measured.rows.len()])?)?;
+    write(
+        arguments,
+        &measured,
+        &shelf.series(&cases[..measured.rows.len()])?,
+    )?;
     match measured.left {
         0 => Ok(()),
         left if arguments.fresh => {
@@ -170,12 +178,15 @@ fn measure(
     Ok(())
 }
 
-/// Writes what the options ask for.
+/// Writes what the options ask for; nothing of no rows.
 fn write(
     arguments: &BenchLatency,
     measured: &Measured,
     series: &[Vec<Series>],
 ) -> anyhow::Result<()> {
+    if measured.rows.is_empty() {
+        return Ok(());
+    }
     if let Some(out) = &arguments.out {
         pictures::draw(&measured.rows, series, out)?;
         write_json(&out.join("latency.json"), measured)?;

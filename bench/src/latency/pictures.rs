@@ -240,10 +240,11 @@ where
     let heights = lines.iter().flat_map(|(corners, _)| corners);
     let top = heights.map(|corner| corner.1).fold(1.0, f64::max).ceil();
     let mut chart = ChartBuilder::on(&body)
+        .margin_left(6)
         .margin_right(14)
         .margin_bottom(4)
         .x_label_area_size(34)
-        .y_label_area_size(66)
+        .y_label_area_size(60)
         .build_cartesian_2d(span.0..span.1, NONE.log10()..top)?;
     chart
         .configure_mesh()
