@@ -9,6 +9,7 @@ use clap::Args;
 use plotters::prelude::*;
 use serde::Serialize;
 use shm_config::config::Algorithm;
+use shm_config::counted;
 use supervisor::numbers::whole;
 
 use crate::Clock;
@@ -139,11 +140,11 @@ pub fn bench(arguments: &BenchSweep, clock: Clock) -> anyhow::Result<()> {
         conditions,
     };
     say(format_args!(
-        "{}, {} steps, {} seeds, {} episodes each; {}; plot: {}",
+        "{}, {}, {}, {} each; {}; plot: {}",
         swept.algorithm,
-        swept.steps,
-        arguments.seeds,
-        arguments.final_episodes,
+        counted(swept.steps, "step"),
+        counted(arguments.seeds, "seed"),
+        counted(arguments.final_episodes, "episode"),
         swept.conditions,
         plot.display()
     ));

@@ -13,6 +13,7 @@ use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
 use judge::store::{Records, read};
 use shm_config::config::{Config, from_toml};
+use shm_config::counted;
 use toml::{Table, Value};
 
 use crate::say;
@@ -111,8 +112,9 @@ fn tell(records: &Records, figures: &Figures) {
     } = figures;
     let folder = records.folder.display();
     say(format_args!(
-        "{folder}: {questions} questions: expert {expert}, policy {policy} (of these \
-         similar {similar}), abstained {abstained}, failed {failed}"
+        "{folder}: {}: expert {expert}, policy {policy} (of these similar {similar}), abstained \
+         {abstained}, failed {failed}",
+        counted(*questions, "question")
     ));
     for (word, count) in &figures.faults {
         say(format_args!("  {count} x {word}"));
@@ -194,16 +196,17 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     }
     if gone > 0 {
         say(format_args!(
-            "{gone} questions have lost their pictures and were not asked"
+            "not asked, since the pictures are lost: {}",
+            counted(gone, "question")
         ));
     }
     let lost = replay.lost();
     if lost.lines + lost.pictures > 0 {
-        let (lines, pictures) = (lost.lines, lost.pictures);
-        say(format_args!(
-            "lost {lines} lines, {pictures} pictures: {}",
-            lost.reason
-        ));
+        let (lines, pictures) = (
+            counted(lost.lines, "line"),
+            counted(lost.pictures, "picture"),
+        );
+        say(format_args!("lost {lines}, {pictures}: {}", lost.reason));
     }
     drop(replay);
     let mut now = read(&out)?;

@@ -10,6 +10,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::Parser as _;
 use judge::standin::{NAME, Server};
+use shm_config::counted;
 
 use crate::arguments::{Arguments, Command, ServerArguments};
 
@@ -51,7 +52,8 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
         ));
     }
     stop.forever().next();
-    say(format_args!("answered {} questions", server.requests()));
+    let answered = counted(server.requests(), "question");
+    say(format_args!("answered {answered}"));
     Ok(())
 }
 

@@ -6,6 +6,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::counted;
+
 /// The file of it in the run's folder, JSON.
 pub const SUMMARY: &str = "judge/summary.json";
 
@@ -41,9 +43,9 @@ impl fmt::Display for Judged {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{}: {} questions: expert {}, policy {} (of these similar {}), abstained {}, failed {}",
+            "{}: {}: expert {}, policy {} (of these similar {}), abstained {}, failed {}",
             self.judge,
-            self.questions,
+            counted(self.questions, "question"),
             self.expert,
             self.policy,
             self.similar,

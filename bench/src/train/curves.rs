@@ -6,9 +6,9 @@ use anyhow::Context;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
+use shm_config::counted;
 
 use super::results::{Results, Seed};
-use super::table::count_of_seeds;
 use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 use crate::metric::Metric;
 
@@ -128,7 +128,7 @@ where
     root.fill(&WHITE)?;
     let (head, body) = root.split_vertically(HEAD);
     let count = results.seeds.len();
-    let title = format!("{}, {}", results.algorithm(), count_of_seeds(count));
+    let title = format!("{}, {}", results.algorithm(), counted(count, "seed"));
     let left = (GAP + SCALE) as i32;
     write(&head, &title, (left, 22), (28, INK))?;
     let explained = match count {

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use comfy_table::Table;
+use shm_config::counted;
 
 use super::results::{Exam, Results, Seed};
 use crate::metric::{FOOTNOTE, Metric};
@@ -49,14 +50,6 @@ fn cell(values: &[f64], digits: usize) -> String {
     match over_seeds(values) {
         (mean, Some(half)) => format!("{mean:.digits$} ± {half:.digits$}"),
         (mean, None) => format!("{mean:.digits$}"),
-    }
-}
-
-/// A number of seeds in words.
-pub fn count_of_seeds(count: usize) -> String {
-    match count {
-        1 => "1 seed".into(),
-        count => format!("{count} seeds"),
     }
 }
 
@@ -116,11 +109,16 @@ fn column(results: &Results, of: impl Fn(&Seed) -> Option<Exam>) -> Option<Colum
     let steps = of.iter().map(|(_, exam)| exam.steps);
     let (least, most) = (steps.clone().min()?, steps.max()?);
     let mut name = match least == most {
-        true => format!("ours, {least} steps"),
+        true => format!("ours, {}", counted(least, "step")),
         false => format!("ours, {least} to {most} steps"),
     };
     if of.len() < results.seeds.len() {
-        let _ = write!(name, " ({} of {} seeds)", of.len(), results.seeds.len());
+        let _ = write!(
+            name,
+            " ({} of {})",
+            of.len(),
+            counted(results.seeds.len(), "seed")
+        );
     }
     Some(Column { name, of })
 }
@@ -135,9 +133,12 @@ pub fn finals(results: &Results) -> Option<Table> {
         .collect();
     let first = lasts.first()?;
     let name = format!(
-        "last policy, {} x {} episodes",
-        count_of_seeds(lasts.len()),
-        first.evaluation["episodes"]
+        "last policy, {} x {}",
+        counted(lasts.len(), "seed"),
+        counted(
+            first.evaluation["episodes"].as_u64().unwrap_or_default(),
+            "episode"
+        )
     );
     let header = match lasts.len() {
         1 => vec![name.as_str(), "ours"],
