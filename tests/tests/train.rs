@@ -72,6 +72,16 @@ impl Experiment {
         self.command(words).output().expect("it starts")
     }
 
+    /// Goes on with nothing but these words.
+    fn resume(&self, words: &[&str]) -> Output {
+        let mut command = Command::new(programs().join("vlaps-bench"));
+        command
+            .args(["train", "--resume", "--out", &self.name])
+            .args(words)
+            .current_dir(&self.folder);
+        command.output().expect("it starts")
+    }
+
     fn start(&mut self, words: &[&str]) {
         self.child = Some(self.command(words).spawn().expect("it starts"));
     }
@@ -210,9 +220,18 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
         "{output:?}"
     );
 
-    // Longer is the same experiment; the figures of the last policy are then gone.
+    let output = experiment.resume(&["--algorithm", "pvp"]);
+    assert!(
+        text(&output.stderr).contains(r#"learner.algorithm = "hg-dagger", not "pvp""#),
+        "{output:?}"
+    );
+
+    // Longer is the same experiment, whatever file the folder has now; the figures of
+    // the last policy are then gone.
+    let other = experiment.folder.join("vlaps.toml");
+    fs::write(other, "[mpc]\nspeed_mps = 3.0\n").expect("a file");
     let longer = (4 * BLOCK).to_string();
-    let output = experiment.run(&["--resume", "--steps", &longer, "--final-episodes", "0"]);
+    let output = experiment.resume(&["--steps", &longer, "--final-episodes", "0"]);
     assert!(output.status.success(), "{output:?}");
     assert_eq!(experiment.blocks(0), multiples(4));
     assert!(!text(&output.stdout).contains("last policy"), "{output:?}");

@@ -11,7 +11,6 @@ use std::time::Duration;
 use anyhow::anyhow;
 use shm_config::config::Config;
 
-use super::arguments::Train;
 use super::experiment::Experiment;
 use super::progress::Progress;
 use super::protocol::{EVALUATION_SEED, Protocol};
@@ -211,7 +210,7 @@ fn evaluated(
 /// # Errors
 /// When a policy cannot be read or a file not written.
 pub fn examine_finals(
-    (arguments, experiment): (&Train, &Experiment),
+    experiment: &Experiment,
     results: &Results,
     out: &Path,
     (clock, stop): (Clock, &Stop),
@@ -221,13 +220,13 @@ pub fn examine_finals(
             continue;
         };
         let file = seed.folder.join("final.json");
-        let episodes = arguments.final_episodes;
+        let episodes = experiment.final_episodes;
         let last = seed.last.as_ref();
         let is_known = last.is_some_and(|last| last.evaluation["episodes"] == episodes);
         if is_known || episodes == 0 {
             continue;
         }
-        let protocol = Protocol::new(arguments, experiment, (seed.seed, out))?;
+        let protocol = Protocol::new(experiment, (seed.seed, out))?;
         let task = Task {
             driver: driver(&path),
             world: WorldChoice::Sim,

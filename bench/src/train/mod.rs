@@ -3,7 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`arguments`] | the command line |
-//! | [`experiment`] | which seeds and how many steps a folder holds |
+//! | [`experiment`] | with which options a folder was begun, and who trains in it |
 //! | [`protocol`] | the experiment's numbers, as configuration |
 //! | [`student`] | one training: the process set in lockstep, watched |
 //! | [`examiner`] | 50 episodes without intervention after every block |
@@ -55,10 +55,9 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     let (experiment, out) = Experiment::open(arguments)?;
     let protocols: Vec<Protocol> = experiment
         .all_seeds()
-        .map(|seed| Protocol::new(arguments, &experiment, (seed, &out)))
+        .map(|seed| Protocol::new(&experiment, (seed, &out)))
         .collect::<anyhow::Result<_>>()?;
-    // Not before all options are known to be right: they would have to be given
-    // again with --resume.
+    // Not before all options are known to be right: --resume would go on with them.
     experiment.write(&out)?;
     for protocol in &protocols {
         let end = student::train(protocol, &stop, clock)?;
@@ -74,7 +73,7 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     }
     let results = Results::read(&out)?;
     let watch = (clock, &stop);
-    let end = examiner::examine_finals((arguments, &experiment), &results, &out, watch)?;
+    let end = examiner::examine_finals(&experiment, &results, &out, watch)?;
     tell(arguments, &out)?;
     match end {
         End::Complete => Ok(()),

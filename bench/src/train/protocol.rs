@@ -7,7 +7,6 @@ use shm_config::config::{Algorithm, Config, load};
 use shm_config::run::name_max;
 use toml::{Table, Value};
 
-use super::arguments::Train;
 use super::experiment::Experiment;
 use crate::arguments::WorldChoice;
 use crate::settings;
@@ -32,9 +31,6 @@ pub struct Protocol {
     pub steps: u64,
     /// Episodes after each block.
     pub episodes: u64,
-    /// In which world is trained; evaluated is in the built-in one, which is
-    /// fast enough for an evaluation after every block.
-    pub world: WorldChoice,
     /// The run's configuration, without its length.
     pub config: Config,
 }
@@ -44,17 +40,12 @@ impl Protocol {
     ///
     /// # Errors
     /// When the configuration or an override is wrong.
-    pub fn new(
-        arguments: &Train,
-        experiment: &Experiment,
-        (seed, out): (u64, &Path),
-    ) -> anyhow::Result<Protocol> {
+    pub fn new(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Protocol> {
         let folder = out.join(format!("seed-{seed}"));
-        let chosen = &arguments.configuration;
-        let mut overrides = preset(arguments, seed);
+        let mut overrides = preset(experiment, seed);
         overrides.push(format!("run.name={}", run_name(out, seed)));
-        overrides.extend(chosen.overrides.iter().cloned());
-        let mut config = settings::config(chosen.config.as_deref(), &overrides)?;
+        overrides.extend(experiment.set.iter().cloned());
+        let mut config = settings::config(experiment.config.as_deref(), &overrides)?;
         config.run.folder = folder.display().to_string();
         let block_steps = u64::from(config.learner.block_steps);
         if !experiment.steps.is_multiple_of(block_steps) {
@@ -68,7 +59,6 @@ impl Protocol {
             folder,
             steps: experiment.steps,
             episodes: experiment.eval_episodes,
-            world: arguments.world,
             config,
         };
         protocol.check_same()?;
@@ -100,8 +90,8 @@ impl Protocol {
         }
         if !differences.is_empty() {
             bail!(
-                "{}: the training was begun otherwise: {}; give the options it was begun with, \
-                 --out DIR begins another experiment",
+                "{}: the training was begun otherwise: {}; leave these options out, or give \
+                 those it was begun with; --out DIR begins another experiment",
                 file.display(),
                 differences.join(", ")
             );
@@ -155,9 +145,9 @@ fn run_name(out: &Path, seed: u64) -> String {
 }
 
 /// What the experiment sets, before the user's own overrides.
-fn preset(arguments: &Train, seed: u64) -> Vec<String> {
+fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
     // Of an expert's own driving nothing but the expert's own driving is learnt.
-    let gate = match arguments.algorithm {
+    let gate = match experiment.algorithm {
         Algorithm::Bc => "expert",
         Algorithm::Pvp | Algorithm::Ppl | Algorithm::HgDagger | Algorithm::Dagger => "rules",
     };
@@ -168,7 +158,7 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         format!("run.shuffle={}", seed + 1),
         format!("gate.mode={gate}"),
         "learner.enabled=true".into(),
-        format!("learner.algorithm={}", arguments.algorithm.word()),
+        format!("learner.algorithm={}", experiment.algorithm.word()),
         format!("learner.seed={seed}"),
         // A policy that learns may fail; the judge in the tick protects the car.
         "policy.probation_ticks=0".into(),
@@ -182,7 +172,7 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         // No tick waits on the wall: a learner that gets no processor on a busy
         // machine is late, not dead.
         "supervisor.silence_s=60.0".into(),
-        format!("planner.method={}", arguments.expert.key()),
+        format!("planner.method={}", experiment.expert.key()),
         // A teacher keeps more distance than a driver must, because a pupil does
         // not repeat it to the decimetre (ARCHITECTURE.md): 0.6 m and 1.2 m are
         // what they drive with alone.
@@ -191,7 +181,7 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         "mpc.steps=8".into(),
         "informed.inflation_m=2.0".into(),
     ];
-    if arguments.world == WorldChoice::Metadrive {
+    if experiment.world == WorldChoice::Metadrive {
         keys.push("world.simulator=metadrive".into());
     }
     keys
