@@ -42,12 +42,17 @@ fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
     }
 }
 
-fn report(out: &Path) -> Output {
+fn train(out: &Path, words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
-        .args(["train", "--report", "--out"])
+        .args(["train", "--out"])
         .arg(out)
+        .args(words)
         .output()
         .expect("the program starts")
+}
+
+fn report(out: &Path) -> Output {
+    train(out, &["--report"])
 }
 
 #[test]
@@ -110,6 +115,30 @@ fn a_short_training_has_no_empty_column_and_an_old_final_is_not_shown() {
     .expect("written");
     let said = String::from_utf8_lossy(&report(out.path()).stdout).into_owned();
     assert!(said.contains("last policy, 1 seed x 50 episodes"), "{said}");
+}
+
+#[test]
+fn what_a_training_sets_itself_is_refused_before_anything_is_made() {
+    let place = TempDir::new().expect("a folder");
+    let out = place.path().join("out");
+    for (words, hint) in [
+        (
+            &["--steps", "300"][..],
+            "a multiple of learner.block_steps, 200",
+        ),
+        (&["--set", "run.clock=real_time"], "drives in lockstep"),
+        (&["--set", "run.duration_s = 3"], "--steps says how long"),
+        (&["--set", "run.folder=there"], "--out names the folder"),
+        (&["--set", "learner.enabled=false"], "always learns"),
+        (&["--set", "learner.algorithm=bc"], "--algorithm says"),
+        (&["--set", "learner.seed=4"], "--seed and --seeds"),
+    ] {
+        let output = train(&out, words);
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{words:?}: {said}");
+        assert!(said.contains(hint), "{words:?}: {said}");
+        assert!(!out.exists(), "{words:?}");
+    }
 }
 
 #[test]

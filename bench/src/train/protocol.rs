@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use shm_config::config::{Algorithm, Config, load};
 use shm_config::run::name_max;
+use supervisor::failure::Failure;
 use toml::{Table, Value};
 
 use super::experiment::Experiment;
@@ -41,6 +42,7 @@ impl Protocol {
     /// # Errors
     /// When the configuration or an override is wrong.
     pub fn new(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Protocol> {
+        check_own(&experiment.set)?;
         let folder = out.join(format!("seed-{seed}"));
         let mut overrides = preset(experiment, seed);
         overrides.push(format!("run.name={}", run_name(out, seed)));
@@ -49,10 +51,11 @@ impl Protocol {
         config.run.folder = folder.display().to_string();
         let block_steps = u64::from(config.learner.block_steps);
         if !experiment.steps.is_multiple_of(block_steps) {
-            bail!(
+            let message = format!(
                 "--steps {}: must be a multiple of learner.block_steps, {block_steps}",
                 experiment.steps
             );
+            return Err(Failure::Usage(message).into());
         }
         let protocol = Protocol {
             seed,
@@ -129,6 +132,30 @@ fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<
     {
         out.push(format!("{key} = {begun}, not {now}"));
     }
+}
+
+/// Keys that an experiment sets by itself, whatever they are set to, and what to do
+/// in place of that.
+const OWN: [(&str, &str); 6] = [
+    ("run.clock", "a training drives in lockstep"),
+    ("run.duration_s", "--steps says how long it drives"),
+    ("run.folder", "--out names the folder"),
+    ("learner.enabled", "a training always learns"),
+    ("learner.algorithm", "--algorithm says how it learns"),
+    ("learner.seed", "--seed and --seeds say it"),
+];
+
+/// No override is of a key that would be passed over, or give all seeds the same. In
+/// a configuration file these keys are for other commands.
+fn check_own(overrides: &[String]) -> Result<(), Failure> {
+    for text in overrides {
+        if let Some((_, instead)) = OWN.iter().find(|(own, _)| *own == settings::key(text)) {
+            return Err(Failure::Usage(format!(
+                "--set {text}: is not for ./vlaps train to choose: {instead}"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// The folder's name, as much of it as a run's name may hold, and the seed: experiments
