@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process};
+use shm_config::config::from_toml;
 use shm_config::run::RunPaths;
 use vlaps_tests::{pids_within, programs, until};
 
@@ -137,7 +138,9 @@ impl Drop for Experiment {
             self.pids("").is_empty()
         });
         for seed in 0..3 {
-            if let Ok(name) = format!("{}-{seed}", self.name).parse() {
+            let begun = fs::read_to_string(self.seed(seed).join("train.toml"));
+            let config = begun.ok().and_then(|text| from_toml(&text, "").ok());
+            if let Some(Ok(name)) = config.map(|config| config.run.name.parse()) {
                 let paths = RunPaths::new(name);
                 until("the run is dead", || {
                     !matches!(paths.clean_if_dead(), Ok(None))

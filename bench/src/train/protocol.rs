@@ -1,5 +1,6 @@
 //! The experiment's numbers, as configuration of a run.
 
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
@@ -158,17 +159,31 @@ fn check_own(overrides: &[String]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The folder's name, as much of it as a run's name may hold, and the seed: experiments
-/// run side by side.
+/// The folder's name, as much of it as a run's name may hold, a sum of its whole path,
+/// and the seed: experiments run side by side, whatever their folders are called.
 fn run_name(out: &Path, seed: u64) -> String {
+    let out = whole(out);
     let folder = out.file_name().unwrap_or_default().to_string_lossy();
     let name = folder.chars().map(|c| match c.is_ascii_alphanumeric() {
         true => c,
         false => '-',
     });
-    let end = format!("-{seed}");
+    // Six digits: one pair of folders in 17 million has the same.
+    let sum = crc32c::crc32c(out.as_os_str().as_bytes()) & 0xff_ffff;
+    let end = format!("-{sum:06x}-{seed}");
     let letters = name_max().saturating_sub(end.len());
     name.take(letters).chain(end.chars()).collect()
+}
+
+/// A folder's path without links and detours, the same before and after it is made.
+fn whole(folder: &Path) -> PathBuf {
+    let path = std::path::absolute(folder).unwrap_or_else(|_| folder.into());
+    let found = path.ancestors().find_map(|there| {
+        let rest = path.strip_prefix(there).ok()?;
+        Some(there.canonicalize().ok()?.join(rest))
+    });
+    // Without the slash behind a folder that is there.
+    found.unwrap_or(path).components().collect()
 }
 
 /// What the experiment sets, before the user's own overrides.
@@ -225,5 +240,20 @@ mod tests {
         let name = run_name(Path::new("runs/an experiment of many words"), 17);
         assert!(name.ends_with("-17"), "{name}");
         assert!(name.parse::<RunName>().is_ok(), "{name}");
+    }
+
+    #[test]
+    fn each_folder_has_a_name_of_its_own_and_keeps_it() {
+        let place = tempfile::tempdir().expect("a folder");
+        let out = place.path().join("p1/eyes56-t");
+        let name = run_name(&out, 0);
+        for other in ["p2/eyes56-t", "p1/eyes56-t2"] {
+            assert_ne!(run_name(&place.path().join(other), 0), name, "{other}");
+        }
+        std::fs::create_dir_all(&out).expect("a folder");
+        std::os::unix::fs::symlink(&out, place.path().join("link")).expect("a link");
+        for same in ["p1/eyes56-t", "p1/eyes56-t/", "p1/../p1/eyes56-t", "link"] {
+            assert_eq!(run_name(&place.path().join(same), 0), name, "{same}");
+        }
     }
 }
