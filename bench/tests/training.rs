@@ -1,8 +1,9 @@
 //! `train --report`: what a folder of an experiment holds, drawn and printed.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::fs;
-use std::path::Path;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use tempfile::TempDir;
@@ -53,6 +54,18 @@ fn train(out: &Path, words: &[&str]) -> Output {
 
 fn report(out: &Path) -> Output {
     train(out, &["--report"])
+}
+
+/// All files of a folder with what they hold.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let entries = fs::read_dir(folder).expect("the folder");
+    let paths = entries.map(|entry| entry.expect("an entry").path());
+    paths
+        .flat_map(|path| match path.is_dir() {
+            true => files(&path),
+            false => BTreeMap::from([(path.clone(), fs::read(&path).expect("the file"))]),
+        })
+        .collect()
 }
 
 #[test]
@@ -115,6 +128,39 @@ fn a_short_training_has_no_empty_column_and_an_old_final_is_not_shown() {
     .expect("written");
     let said = String::from_utf8_lossy(&report(out.path()).stdout).into_owned();
     assert!(said.contains("last policy, 1 seed x 50 episodes"), "{said}");
+}
+
+#[test]
+fn a_folder_that_holds_other_files_is_refused_and_left_alone() {
+    let out = TempDir::new().expect("a folder");
+    fs::write(out.path().join("policy.onnx"), b"mine").expect("written");
+    let before = files(out.path());
+    let output = train(out.path(), &["--steps", "200"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("holds policy.onnx and no experiment"),
+        "{said}"
+    );
+    assert!(said.contains("name a new or an empty folder"), "{said}");
+    assert_eq!(files(out.path()), before);
+}
+
+#[test]
+fn a_folder_that_is_trained_in_is_refused_and_left_alone() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 0, 2, 0);
+    fs::write(out.path().join("seed-0/drive.log"), b"drives").expect("written");
+    fs::remove_file(out.path().join("seed-0/train.toml")).expect("the file");
+    let lock = File::create(out.path().join(".lock")).expect("written");
+    lock.try_lock().expect("nobody has it");
+    let before = files(out.path());
+    let words = ["--resume", "--algorithm", "ppl", "--expert", "informed"];
+    let output = train(out.path(), &words);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("is being trained in by another"), "{said}");
+    assert_eq!(files(out.path()), before);
 }
 
 #[test]

@@ -233,12 +233,19 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
     // the last policy are then gone.
     let other = experiment.folder.join("vlaps.toml");
     fs::write(other, "[mpc]\nspeed_mps = 3.0\n").expect("a file");
+    let log = experiment.seed(0).join("drive.log");
+    let before = fs::read_to_string(&log).expect("the log");
     let longer = (4 * BLOCK).to_string();
     let output = experiment.resume(&["--steps", &longer, "--final-episodes", "0"]);
     assert!(output.status.success(), "{output:?}");
     assert_eq!(experiment.blocks(0), multiples(4));
     assert!(!text(&output.stdout).contains("last policy"), "{output:?}");
     assert_eq!(driven(&experiment.seed(0)), 4 * BLOCK);
+    let after = fs::read_to_string(&log).expect("the log");
+    assert!(
+        after.len() > before.len() && after.starts_with(&before),
+        "{after}"
+    );
 }
 
 #[test]

@@ -1,12 +1,13 @@
 //! Which experiment a folder holds: the options it was begun with.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use shm_config::config::{Algorithm, text_of};
+use supervisor::failure::Failure;
 use supervisor::settings::DEFAULT_FILE;
 
 use super::arguments::{ExpertChoice, Train};
@@ -18,6 +19,8 @@ use crate::settings::key;
 const FILE: &str = "experiment.toml";
 /// The configuration file as it was, whatever becomes of the user's; empty of none.
 const CONFIG: &str = "config.toml";
+/// Locked by who trains in the folder; the kernel drops the lock.
+const LOCK: &str = ".lock";
 
 /// What all trainings of an experiment share. What the note of an older version
 /// lacks is as by default, and has to be given again.
@@ -72,8 +75,8 @@ impl Experiment {
     /// get more seeds, anything else would be another one.
     ///
     /// # Errors
-    /// When the folder holds another experiment, or none where one is gone on
-    /// with, or cannot be read.
+    /// When the folder holds another experiment or somebody's files, or none where
+    /// one is gone on with, or cannot be read.
     pub fn open(arguments: &Train) -> anyhow::Result<(Experiment, PathBuf)> {
         let out = folder(arguments);
         let begun = Experiment::read(&out)?;
@@ -86,7 +89,8 @@ impl Experiment {
                 "{}: there is nothing to go on with; without --resume an experiment begins there",
                 out.display()
             ),
-            (None, false) | (Some(_), true) => {}
+            (None, false) => check_free(&out)?,
+            (Some(_), true) => {}
         }
         let asked = begun.clone().unwrap_or_default().with(arguments, &out);
         if let Some(begun) = begun {
@@ -118,14 +122,13 @@ impl Experiment {
         }))
     }
 
-    /// Notes it in its folder.
+    /// Notes it in its folder, which is held.
     ///
     /// # Errors
     /// When the folder cannot be written.
     pub fn write(&self, out: &Path) -> anyhow::Result<()> {
         let config = self.config.as_deref().map(text_of).transpose()?;
         let note = toml::to_string(self)?;
-        fs::create_dir_all(out).with_context(|| out.display().to_string())?;
         for (file, text) in [(CONFIG, config.unwrap_or_default()), (FILE, note)] {
             let file = out.join(file);
             fs::write(&file, text).with_context(|| file.display().to_string())?;
@@ -195,6 +198,53 @@ pub fn folder(arguments: &Train) -> PathBuf {
     })
 }
 
+/// Makes the folder if it is missing, and holds it until the file is dropped or the
+/// process ends, in whatever way: nobody else trains there meanwhile.
+///
+/// # Errors
+/// When somebody does, or the folder cannot be made.
+pub fn hold(out: &Path) -> anyhow::Result<File> {
+    fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    let path = out.join(LOCK);
+    let named = || path.display().to_string();
+    let mut options = File::options();
+    let file = options.write(true).create(true).truncate(false);
+    let file = file.open(&path).with_context(named)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => bail!(
+            "{}: is being trained in by another ./vlaps train; stop that first, or train \
+             elsewhere with --out DIR",
+            out.display()
+        ),
+        Err(TryLockError::Error(error)) => Err(error).with_context(named),
+    }
+}
+
+/// An experiment may begin in a folder that is missing or empty: in any other it
+/// would replace files of the same names. A lock alone is of one that was killed
+/// before it had begun.
+fn check_free(out: &Path) -> anyhow::Result<()> {
+    let entries = match fs::read_dir(out) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error).with_context(|| out.display().to_string()),
+    };
+    for entry in entries {
+        let name = entry?.file_name();
+        if name != LOCK {
+            let message = format!(
+                "--out {}: holds {} and no experiment, whose files might replace what is there; \
+                 name a new or an empty folder",
+                out.display(),
+                name.display()
+            );
+            return Err(Failure::Usage(message).into());
+        }
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use clap::Parser;
@@ -221,6 +271,7 @@ mod tests {
         let mut words: Vec<&str> = words.split_whitespace().collect();
         words.push(file.to_str().expect("UTF-8"));
         let begun = open(&out, &words).expect("an experiment");
+        let _held = hold(&out).expect("the folder");
         begun.write(&out).expect("a note");
         // The user's file may change; the experiment has its own.
         fs::write(&file, "[learner]\nbatch = 128\n").expect("a file");

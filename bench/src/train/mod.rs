@@ -57,6 +57,7 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
         .all_seeds()
         .map(|seed| Protocol::new(&experiment, (seed, &out)))
         .collect::<anyhow::Result<_>>()?;
+    let _held = experiment::hold(&out)?;
     // Not before all options are known to be right: --resume would go on with them.
     experiment.write(&out)?;
     for protocol in &protocols {

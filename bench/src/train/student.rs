@@ -142,7 +142,10 @@ impl ProcessSet {
         let file = protocol.file();
         fs::write(&file, toml::to_string(&config)?).with_context(|| file.display().to_string())?;
         let log = protocol.folder.join(DRIVE_LOG);
-        let output = File::create(&log).with_context(|| log.display().to_string())?;
+        // Behind what the sets before have said.
+        let mut options = File::options();
+        let output = options.create(true).append(true).open(&log);
+        let output = output.with_context(|| log.display().to_string())?;
         let summary = protocol.folder.join(format!("summary-{begun}.json"));
         let child = Command::new(supervisor_path()?)
             .arg("up")
