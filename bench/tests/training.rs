@@ -131,6 +131,33 @@ fn a_short_training_has_no_empty_column_and_an_old_final_is_not_shown() {
 }
 
 #[test]
+fn it_is_told_which_policies_there_are_and_what_the_early_column_is() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 3, 10, 0);
+    // The fourth block is the best one, whatever comes after it.
+    let path = out.path().join("seed-3/evaluations.csv");
+    let text = fs::read_to_string(&path).expect("the file");
+    let text = text.replace("\n800,0.4,0.4,", "\n800,1.0,1.0,");
+    fs::write(&path, text.replace("\n2000,1,1,", "\n2000,0.5,0.5,")).expect("written");
+    let best = out.path().join("seed-3/learner/policies/00000800.onnx");
+    fs::write(best, b"best").expect("written");
+    let output = report(out.path());
+    assert!(output.status.success(), "{output:?}");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let table = fs::read_to_string(out.path().join("table.md")).expect("the table");
+    for words in [
+        "policy.onnx is the policy of seed 3 after step 800",
+        "After the last block: seed-3/learner/policies/00002000.onnx",
+        "\"ours, 400 steps\" is the last block within the first fifth",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+        assert!(table.contains(words), "{words}: {table}");
+    }
+    let taken = fs::read(out.path().join("policy.onnx")).expect("the best");
+    assert_eq!(taken, b"best");
+}
+
+#[test]
 fn a_folder_that_holds_other_files_is_refused_and_left_alone() {
     let out = TempDir::new().expect("a folder");
     fs::write(out.path().join("policy.onnx"), b"mine").expect("written");

@@ -187,6 +187,18 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
         said.contains(&format!("seed 0: {steps} of {steps} steps")),
         "{said}"
     );
+    let evaluated = said.lines().filter(|line| line.contains("success "));
+    let evaluated: Vec<&str> = evaluated.collect();
+    assert!(
+        evaluated.iter().all(|line| line.contains(" after step ")),
+        "{said}"
+    );
+    assert!(
+        evaluated
+            .last()
+            .is_some_and(|line| line.ends_with(&format!("after step {steps}"))),
+        "{said}"
+    );
     assert_eq!(experiment.blocks(0), multiples(3));
     let exams = experiment.column(0, "evaluations.csv", "steps");
     assert_eq!(exams.len(), 3, "{exams:?}");

@@ -42,7 +42,7 @@ pub struct Examiner {
     /// Its own: training goes on to its orderly end when somebody asks to stop.
     stop: Stop,
     protocol: Protocol,
-    news: Receiver<f64>,
+    news: Receiver<Exam>,
     thread: Option<JoinHandle<anyhow::Result<()>>>,
 }
 
@@ -57,9 +57,9 @@ impl Examiner {
         let thread = {
             let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
             std::thread::spawn(move || {
-                watch(&protocol, clock, (&order, &stop), |success| {
+                watch(&protocol, clock, (&order, &stop), |exam| {
                     // Nobody may listen any more.
-                    let _ = send.send(success);
+                    let _ = send.send(exam);
                 })
             })
         };
@@ -72,11 +72,11 @@ impl Examiner {
         })
     }
 
-    /// The newest success rate, when there is a new one.
+    /// The newest evaluation, when there is a new one.
     ///
     /// # Errors
     /// When the thread has failed.
-    pub fn news(&mut self) -> anyhow::Result<Option<f64>> {
+    pub fn news(&mut self) -> anyhow::Result<Option<Exam>> {
         if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             self.join()?;
         }
@@ -124,7 +124,7 @@ fn watch(
     protocol: &Protocol,
     clock: Clock,
     (order, stop): (&AtomicU8, &Stop),
-    mut tell: impl FnMut(f64),
+    mut tell: impl FnMut(Exam),
 ) -> anyhow::Result<()> {
     let done = exams(&protocol.folder)?.last().map_or(0, |exam| exam.steps);
     let mut done = done;
@@ -159,7 +159,7 @@ fn watch(
             return Ok(());
         };
         append_exam(&protocol.folder, &exam)?;
-        tell(exam.success);
+        tell(exam);
         done = steps;
     }
 }

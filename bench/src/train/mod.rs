@@ -118,7 +118,8 @@ fn report(out: &Path) -> anyhow::Result<Results> {
     tensorboard::write(&results, out)?;
     fs::write(out.join("table.md"), table::markdown(&results)).context("table.md")?;
     if let Some(best) = results.best() {
-        fs::copy(&best, out.join("policy.onnx")).with_context(|| format!("{}", best.display()))?;
+        let file = best.policy();
+        fs::copy(&file, out.join("policy.onnx")).with_context(|| file.display().to_string())?;
     }
     Ok(results)
 }

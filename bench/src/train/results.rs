@@ -94,6 +94,22 @@ pub struct Seed {
     pub last: Option<Final>,
 }
 
+/// The best of all evaluations.
+#[derive(Clone, Copy, Debug)]
+pub struct Best<'a> {
+    /// Of which training.
+    pub seed: &'a Seed,
+    /// Its figures.
+    pub exam: &'a Exam,
+}
+
+impl Best<'_> {
+    /// The file of its policy.
+    pub fn policy(&self) -> PathBuf {
+        self.seed.folder.join(policy_file(self.exam.steps))
+    }
+}
+
 /// All trainings of an experiment.
 #[derive(Clone, Debug)]
 pub struct Results {
@@ -136,21 +152,20 @@ impl Results {
         word.unwrap_or_else(|| "unknown algorithm".into())
     }
 
-    /// The policy file of the best evaluation: the most untouched arrivals, then
+    /// The best evaluation: the most untouched arrivals, then the most arrivals, then
     /// the farthest completion, then the latest.
-    pub fn best(&self) -> Option<PathBuf> {
+    pub fn best(&self) -> Option<Best<'_>> {
         let all = self
             .seeds
             .iter()
-            .flat_map(|seed| seed.exams.iter().map(move |exam| (seed, exam)));
-        let best = all.max_by(|(_, a), (_, b)| {
+            .flat_map(|seed| seed.exams.iter().map(move |exam| Best { seed, exam }));
+        all.max_by(|a, b| {
             let key = |exam: &Exam| (exam.strict_success, exam.success, exam.completion);
-            let by_figures = key(a).partial_cmp(&key(b));
+            let by_figures = key(a.exam).partial_cmp(&key(b.exam));
             by_figures
                 .unwrap_or(std::cmp::Ordering::Equal)
-                .then(a.steps.cmp(&b.steps))
-        });
-        best.map(|(seed, exam)| policy_path(&seed.folder, exam.steps))
+                .then(a.exam.steps.cmp(&b.exam.steps))
+        })
     }
 
     /// The JSON object of `--json`.
@@ -244,8 +259,9 @@ pub fn policies(folder: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
     Ok(found)
 }
 
-fn policy_path(folder: &Path, steps: u64) -> PathBuf {
-    folder.join(format!("learner/policies/{steps:08}.onnx"))
+/// A block's policy within the folder of its training.
+pub fn policy_file(steps: u64) -> String {
+    format!("learner/policies/{steps:08}.onnx")
 }
 
 fn blocks_path(folder: &Path) -> PathBuf {

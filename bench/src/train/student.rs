@@ -12,7 +12,7 @@ use supervisor::signals::pause;
 use super::examiner::Examiner;
 use super::progress::Progress;
 use super::protocol::{Protocol, STEP_S};
-use super::results;
+use super::results::{self, Exam};
 use crate::Clock;
 use crate::stop::Stop;
 
@@ -51,11 +51,20 @@ pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<E
         }
         End::Complete => {
             progress.now("evaluating the last blocks");
-            examiner.finish(stop)?
+            let end = examiner.finish(stop)?;
+            if let Some(exam) = results::exams(folder)?.last() {
+                progress.now(&success(exam));
+            }
+            end
         }
     };
     progress.end();
     Ok(end)
+}
+
+/// With its block: training does not wait for evaluations, and may be ahead of it.
+fn success(exam: &Exam) -> String {
+    format!("success {:.2} after step {}", exam.success, exam.steps)
 }
 
 /// Drives process sets until the last block is learnt. One is enough unless the
@@ -106,8 +115,8 @@ fn watch(
 ) -> anyhow::Result<bool> {
     loop {
         pause(LOOK);
-        if let Some(success) = examiner.news()? {
-            progress.note(format!("success {success:.2}"));
+        if let Some(exam) = examiner.news()? {
+            progress.note(success(&exam));
         }
         progress.at(results::steps(&protocol.folder)?);
         if stop.is_asked() {

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use comfy_table::Table;
 use shm_config::counted;
 
-use super::results::{Exam, Results, Seed};
+use super::results::{Exam, Results, Seed, policy_file};
 use crate::metric::{FOOTNOTE, Metric};
 use crate::report::table;
 
@@ -59,14 +59,16 @@ struct Column<'a> {
     of: Vec<(&'a Seed, Exam)>,
 }
 
-/// Table 1: the evaluation after the last block, and after the block whose steps
-/// are nearest below a fifth of all, where there was one.
+/// The evaluation after the last block within a fifth of the steps so far.
+fn early(seed: &Seed) -> Option<Exam> {
+    let end = seed.exams.last()?.steps / 5;
+    let before = seed.exams.iter().rev().find(|exam| exam.steps <= end);
+    before.copied()
+}
+
+/// Table 1: the evaluation after the last block, and an early one, where there was
+/// one.
 pub fn blocks(results: &Results) -> Table {
-    let early = |seed: &Seed| {
-        let end = seed.exams.last()?.steps / 5;
-        let before = seed.exams.iter().rev().find(|exam| exam.steps <= end);
-        before.copied()
-    };
     let columns: Vec<Column> = [
         column(results, early),
         column(results, |seed| seed.exams.last().copied()),
@@ -167,12 +169,36 @@ pub fn finals(results: &Results) -> Option<Table> {
     Some(table)
 }
 
+/// Which policies there are to take away.
+fn policies(results: &Results) -> Option<String> {
+    let best = results.best()?;
+    let lasts = results.seeds.iter().filter_map(|seed| {
+        let steps = seed.blocks.last()?.steps;
+        Some(format!("seed-{}/{}", seed.seed, policy_file(steps)))
+    });
+    Some(format!(
+        "policy.onnx is the policy of seed {} after step {}: of all evaluated blocks the one with \
+         the most strict successes, among these with the most successes, then the farthest \
+         completion, then the most steps. After the last block: {}.",
+        best.seed.seed,
+        best.exam.steps,
+        lasts.collect::<Vec<_>>().join(", ")
+    ))
+}
+
 /// What has to be known to read the tables.
 pub fn notes(results: &Results) -> Vec<String> {
     let mut notes = vec![FOOTNOTE.to_string()];
+    if let Some(Column { name, .. }) = column(results, early) {
+        notes.push(format!(
+            "\"{name}\" is the last block within the first fifth of the training: how fast it \
+             learns."
+        ));
+    }
     if results.seeds.len() > 1 {
         notes.push("± is half the 95 % interval of the mean over seeds (Student).".into());
     }
+    notes.extend(policies(results));
     for seed in &results.seeds {
         if let Some(block) = seed.blocks.last().filter(|block| block.lost > 0) {
             notes.push(format!(
