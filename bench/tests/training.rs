@@ -130,6 +130,31 @@ fn a_short_training_has_no_empty_column_and_an_old_final_is_not_shown() {
     assert!(said.contains("last policy, 1 seed x 50 episodes"), "{said}");
 }
 
+/// A line of the table that is printed, by its first words.
+fn row(said: &str, name: &str) -> String {
+    let line = said.lines().find(|line| line.trim().starts_with(name));
+    line.unwrap_or_else(|| panic!("{name}: {said}")).into()
+}
+
+#[test]
+fn a_mean_has_no_interval_that_cannot_be() {
+    let out = TempDir::new().expect("a folder");
+    for (number, blocks) in [(0, 10), (1, 2), (2, 5)] {
+        seed(out.path(), number, blocks, 0);
+        // Success after the first block: 0.1, 0.5 and 0.2.
+        let path = out.path().join(format!("seed-{number}/evaluations.csv"));
+        let text = fs::read_to_string(&path).expect("the file");
+        let first: Vec<&str> = text.lines().take(2).collect();
+        fs::write(&path, first.join("\n") + "\n").expect("written");
+        let said = String::from_utf8_lossy(&report(out.path()).stdout).into_owned();
+        let expected = ["0.100", "0.300 (0.100, 0.500)", "0.267 (0.000 to 0.784)"];
+        let found = row(&said, "success");
+        assert!(found.contains(expected[number as usize]), "{found}");
+        let is_explained = said.contains("In brackets: the 95 % interval");
+        assert_eq!(is_explained, number > 0, "{said}");
+    }
+}
+
 #[test]
 fn it_is_told_which_policies_there_are_and_what_the_early_column_is() {
     let out = TempDir::new().expect("a folder");

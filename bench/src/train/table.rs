@@ -23,35 +23,41 @@ fn reported(metric: Metric) -> [&'static str; 2] {
 }
 
 /// Two-sided 95 % quantiles of Student's distribution, by degrees of freedom
-/// from 1.
-const STUDENT: [f64; 9] = [
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262,
-];
+/// from 2: the one before is 12.7, an interval as wide as all that is possible.
+const STUDENT: [f64; 8] = [4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
 
-/// Mean over seeds and half its 95 % interval; none of one seed.
-pub fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
+/// Mean over seeds, and half its 95 % interval of three or more.
+fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let spread = values
         .iter()
         .map(|value| (value - mean).powi(2))
         .sum::<f64>();
-    let half = (values.len() > 1).then(|| {
-        let student = STUDENT.get(values.len() - 2).copied().unwrap_or(1.96);
+    let half = (values.len() > 2).then(|| {
+        let student = STUDENT.get(values.len() - 3).copied().unwrap_or(1.96);
         student * (spread / (n - 1.0)).sqrt() / n.sqrt()
     });
     (mean, half)
 }
 
-fn cell(values: &[f64], digits: usize) -> String {
-    if values.is_empty() {
-        return String::new();
-    }
-    match over_seeds(values) {
-        (mean, Some(half)) => format!("{mean:.digits$} ± {half:.digits$}"),
-        (mean, None) => format!("{mean:.digits$}"),
+/// What [`INTERVALS`] says, of a figure that is at least 0 and at most this.
+fn cell(values: &[f64], digits: usize, most: f64) -> String {
+    let (mean, half) = over_seeds(values);
+    match (values, half) {
+        ([], _) => String::new(),
+        ([one, other], _) => format!("{mean:.digits$} ({one:.digits$}, {other:.digits$})"),
+        (_, None) => format!("{mean:.digits$}"),
+        (_, Some(half)) => {
+            let (low, high) = ((mean - half).max(0.0), (mean + half).min(most));
+            format!("{mean:.digits$} ({low:.digits$} to {high:.digits$})")
+        }
     }
 }
+
+/// What stands in brackets behind a mean.
+const INTERVALS: &str = "In brackets: the 95 % interval of the mean over seeds (Student), as far \
+    as the figure can go; of two seeds, which make no interval, both.";
 
 /// A column of ours: its name and what it is of.
 struct Column<'a> {
@@ -84,7 +90,7 @@ pub fn blocks(results: &Results) -> Table {
         row.extend(reported(metric).map(String::from));
         row.extend(columns.iter().map(|column| {
             let values: Vec<f64> = column.of.iter().map(|(_, exam)| exam.of(metric)).collect();
-            cell(&values, metric.digits())
+            cell(&values, metric.digits(), metric.most())
         }));
         table.add_row(row);
     }
@@ -98,7 +104,7 @@ pub fn blocks(results: &Results) -> Table {
             let block = seed.blocks.iter().find(|block| block.steps == exam.steps)?;
             Some(block.interventions as f64)
         });
-        cell(&at.collect::<Vec<_>>(), 0)
+        cell(&at.collect::<Vec<_>>(), 0, f64::INFINITY)
     }));
     table.add_row(row);
     table
@@ -143,7 +149,7 @@ pub fn finals(results: &Results) -> Option<Table> {
         )
     );
     let header = match lasts.len() {
-        1 => vec![name.as_str(), "ours"],
+        1 | 2 => vec![name.as_str(), "ours"],
         _ => vec![name.as_str(), "mean over seeds", "each"],
     };
     let mut table = table(&header);
@@ -160,8 +166,11 @@ pub fn finals(results: &Results) -> Option<Table> {
             .iter()
             .map(|value| format!("{value:.digits$}"))
             .collect();
-        let mut row = vec![metric.name().to_string(), cell(&values, digits)];
-        if lasts.len() > 1 {
+        let mut row = vec![
+            metric.name().to_string(),
+            cell(&values, digits, metric.most()),
+        ];
+        if lasts.len() > 2 {
             row.push(each.join(" "));
         }
         table.add_row(row);
@@ -196,7 +205,7 @@ pub fn notes(results: &Results) -> Vec<String> {
         ));
     }
     if results.seeds.len() > 1 {
-        notes.push("± is half the 95 % interval of the mean over seeds (Student).".into());
+        notes.push(INTERVALS.into());
     }
     notes.extend(policies(results));
     for seed in &results.seeds {
