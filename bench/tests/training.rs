@@ -17,8 +17,10 @@ fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
         "steps,success,strict_success,contact,crash_last_step,out_of_road,max_step,completion,\
          mean_length,mean_speed_mps\n",
     );
-    let mut rows =
-        String::from("steps,updates,lost,interventions,actor_loss,imitation_loss,critic_loss\n");
+    let mut rows = String::from(
+        "steps,updates,lost,interventions,labels_expert,labels_policy,actor_loss,imitation_loss,\
+         critic_loss\n",
+    );
     for block in 1..=blocks {
         let (steps, success) = (200 * block, block as f64 / blocks as f64);
         let lost = if block > 1 { lost } else { 0 };
@@ -27,7 +29,12 @@ fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
             "{steps},{success},{success},0.0,0.5,0.0,0.1,{success},700.0,4.5"
         )
         .expect("text");
-        writeln!(rows, "{steps},{steps},{lost},{},0.1,0.1,0.0", 50 * block).expect("text");
+        let (others, labels) = (50 * block, 20 * block);
+        writeln!(
+            rows,
+            "{steps},{steps},{lost},{others},{labels},{labels},0.1,0.1,0.0"
+        )
+        .expect("text");
     }
     fs::write(folder.join("evaluations.csv"), evaluations).expect("written");
     fs::write(folder.join("learner/blocks.csv"), rows).expect("written");
@@ -180,6 +187,26 @@ fn it_is_told_which_policies_there_are_and_what_the_early_column_is() {
     }
     let taken = fs::read(out.path().join("policy.onnx")).expect("the best");
     assert_eq!(taken, b"best");
+}
+
+#[test]
+fn blocks_that_taught_nothing_are_told() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 0, 3, 0);
+    let path = out.path().join("seed-0/learner/blocks.csv");
+    let text = fs::read_to_string(&path).expect("the file");
+    fs::write(
+        &path,
+        text.replace("400,400,0,100,40,40,", "400,400,0,250,20,20,"),
+    )
+    .expect("written");
+    let said = String::from_utf8_lossy(&report(out.path()).stdout).into_owned();
+    for words in [
+        "seed 0: in 1 block no step got a label",
+        "seed 0: in 1 block the policy drove no step, though there was one (ending at step 400).",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
 }
 
 #[test]

@@ -8,6 +8,7 @@
 //! | [`student`] | one training: the process set in lockstep, watched |
 //! | [`examiner`] | 50 episodes without intervention after every block |
 //! | [`results`] | what the folders hold, read back |
+//! | [`doubts`] | blocks that taught nothing, or whose policy did not drive |
 //! | [`progress`] | a bar in a terminal, lines elsewhere |
 //! | [`curves`] | Figure 4, as SVG and PNG |
 //! | [`table`] | Table 1, and the mean over seeds |
@@ -19,6 +20,7 @@
 
 pub mod arguments;
 pub mod curves;
+pub mod doubts;
 pub mod examiner;
 pub mod experiment;
 pub mod progress;

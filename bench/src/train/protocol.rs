@@ -10,6 +10,7 @@ use supervisor::failure::Failure;
 use toml::{Table, Value};
 
 use super::experiment::Experiment;
+use super::results::CONFIG;
 use crate::arguments::WorldChoice;
 use crate::settings;
 
@@ -71,7 +72,7 @@ impl Protocol {
 
     /// The file that a training's process set is configured with.
     pub fn file(&self) -> PathBuf {
-        self.folder.join("train.toml")
+        self.folder.join(CONFIG)
     }
 
     /// A training that is gone on with has the configuration that it began with,

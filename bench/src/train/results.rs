@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::metric::Metric;
 
+/// What a training's process set is configured with, in its folder.
+pub const CONFIG: &str = "train.toml";
+
 /// An evaluation after a block: shares and means over its episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Exam {
@@ -60,6 +63,10 @@ pub struct Block {
     pub updates: u64,
     /// Steps at which the policy did not drive, from the start.
     pub interventions: u64,
+    /// Steps whose label prefers the expert, from the start.
+    pub labels_expert: u64,
+    /// Steps whose label prefers the policy, from the start.
+    pub labels_policy: u64,
     /// Loss of the actor.
     pub actor_loss: f64,
     /// Loss of the imitation.
@@ -92,6 +99,13 @@ pub struct Seed {
     pub exams: Vec<Exam>,
     /// The last policy, if it was evaluated on many episodes.
     pub last: Option<Final>,
+}
+
+impl Seed {
+    /// What its process set is configured with.
+    pub fn config_file(&self) -> PathBuf {
+        self.folder.join(CONFIG)
+    }
 }
 
 /// The best of all evaluations.
@@ -127,7 +141,7 @@ impl Results {
         for (seed, folder) in seed_folders(out)? {
             let seed = Seed {
                 seed,
-                blocks: rows(&blocks_path(&folder))?,
+                blocks: blocks(&folder)?,
                 exams: exams(&folder)?,
                 last: last(&folder)?,
                 folder,
@@ -141,10 +155,7 @@ impl Results {
 
     /// What learnt, by the configuration of the first seed.
     pub fn algorithm(&self) -> String {
-        let file = self
-            .seeds
-            .first()
-            .map(|seed| seed.folder.join("train.toml"));
+        let file = self.seeds.first().map(Seed::config_file);
         let text = file.and_then(|file| fs::read_to_string(file).ok());
         let table: Option<toml::Table> = text.and_then(|text| text.parse().ok());
         let word =
@@ -212,15 +223,15 @@ pub fn seed_folders(out: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
 /// # Errors
 /// When the file cannot be read.
 pub fn steps(folder: &Path) -> anyhow::Result<u64> {
-    Ok(last_block(folder)?.map_or(0, |block| block.steps))
+    Ok(blocks(folder)?.last().map_or(0, |block| block.steps))
 }
 
-/// A training's last block.
+/// A training's blocks.
 ///
 /// # Errors
 /// When the file cannot be read.
-pub fn last_block(folder: &Path) -> anyhow::Result<Option<Block>> {
-    Ok(rows(&blocks_path(folder))?.pop())
+pub fn blocks(folder: &Path) -> anyhow::Result<Vec<Block>> {
+    rows(&blocks_path(folder))
 }
 
 /// Steps that a training has driven and that its learner knows of, after the last

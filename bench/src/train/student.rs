@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use supervisor::signals::pause;
 
+use super::doubts::doubts;
 use super::examiner::Examiner;
 use super::progress::Progress;
 use super::protocol::{Protocol, STEP_S};
@@ -113,12 +114,23 @@ fn watch(
     stop: &Stop,
     (examiner, progress): (&mut Examiner, &mut Progress),
 ) -> anyhow::Result<bool> {
+    let mut said = results::steps(&protocol.folder)?;
     loop {
         pause(LOOK);
         if let Some(exam) = examiner.news()? {
             progress.note(success(&exam));
         }
-        progress.at(results::steps(&protocol.folder)?);
+        let blocks = results::blocks(&protocol.folder)?;
+        for (steps, doubt) in doubts(&blocks, &protocol.config) {
+            if steps > said {
+                progress.warn(&format!(
+                    "in the block up to step {steps} {}",
+                    doubt.words()
+                ));
+            }
+        }
+        said = blocks.last().map_or(0, |block| block.steps);
+        progress.at(said);
         if stop.is_asked() {
             set.stop();
         }

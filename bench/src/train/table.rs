@@ -3,8 +3,10 @@
 use std::fmt::Write;
 
 use comfy_table::Table;
+use shm_config::config::load;
 use shm_config::counted;
 
+use super::doubts::{Doubt, doubts};
 use super::results::{Exam, Results, Seed, policy_file};
 use crate::metric::{FOOTNOTE, Metric};
 use crate::report::table;
@@ -216,8 +218,38 @@ pub fn notes(results: &Results) -> Vec<String> {
                 seed.seed, block.lost, block.steps
             ));
         }
+        notes.extend(doubtful(seed));
     }
     notes
+}
+
+/// Blocks listed one by one.
+const BLOCKS_SHOWN: usize = 10;
+
+/// Each doubt of a training, with the blocks that it is of.
+fn doubtful(seed: &Seed) -> Vec<String> {
+    let Ok(config) = load(&seed.config_file()) else {
+        return Vec::new();
+    };
+    let found = doubts(&seed.blocks, &config);
+    let of = |doubt: Doubt| {
+        let ends = found.iter().filter(|(_, other)| *other == doubt);
+        let ends: Vec<String> = ends.map(|(steps, _)| steps.to_string()).collect();
+        let more = match ends.len().saturating_sub(BLOCKS_SHOWN) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        (!ends.is_empty()).then(|| {
+            format!(
+                "seed {}: in {} {} (ending at step {}{more}).",
+                seed.seed,
+                counted(ends.len(), "block"),
+                doubt.words(),
+                ends[..ends.len().min(BLOCKS_SHOWN)].join(", ")
+            )
+        })
+    };
+    Doubt::ALL.into_iter().filter_map(of).collect()
 }
 
 /// Both tables as Markdown.
