@@ -210,6 +210,22 @@ fn blocks_that_taught_nothing_are_told() {
 }
 
 #[test]
+fn each_seed_is_numbered_at_the_end_of_its_curves() {
+    let out = TempDir::new().expect("a folder");
+    let numbers = || {
+        report(out.path());
+        let picture = fs::read_to_string(out.path().join("curves.svg")).expect("the picture");
+        let count = |word: &str| picture.lines().filter(|line| line.trim() == word).count();
+        [count("16"), count("17")]
+    };
+    seed(out.path(), 16, 10, 0);
+    assert_eq!(numbers(), [0, 0], "one seed needs no number");
+    seed(out.path(), 17, 10, 0);
+    // Two curves in three panels, and one in the fourth.
+    assert_eq!(numbers(), [7, 7]);
+}
+
+#[test]
 fn a_folder_that_holds_other_files_is_refused_and_left_alone() {
     let out = TempDir::new().expect("a folder");
     fs::write(out.path().join("policy.onnx"), b"mine").expect("written");
