@@ -6,6 +6,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use serde::{Deserialize, Serialize};
 use supervisor::numbers::whole;
 
 use crate::faults::BenchFaults;
@@ -95,7 +96,8 @@ pub struct Eval {
 }
 
 /// The worlds that an evaluation can run in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
 pub enum WorldChoice {
     /// The built-in world.
     Sim,

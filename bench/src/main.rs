@@ -19,6 +19,7 @@ use bench::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
+use shm_config::counted;
 use shm_config::time::monotonic;
 use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
 use supervisor::failure::{EXIT_FAILED, Failure};
@@ -157,12 +158,12 @@ fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
     let evaluation = Evaluation::new(&task, &drives);
     let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
     say(format_args!(
-        "{} in {}, seeds {} to {last_seed}: {} episodes on {} threads in {elapsed_s:.1} s",
+        "{} in {}, seeds {} to {last_seed}: {} on {} in {elapsed_s:.1} s",
         task.driver.word(),
         task.world.name(),
         task.first_seed,
-        task.episodes,
-        task.threads
+        counted(task.episodes, "episode"),
+        counted(task.threads.get(), "thread")
     ));
     say(evaluation.table());
     say(FOOTNOTE);

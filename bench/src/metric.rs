@@ -72,6 +72,14 @@ impl Metric {
         }
     }
 
+    /// What it cannot exceed: shares have a limit.
+    pub fn most(self) -> f64 {
+        match self {
+            Metric::MeanLength | Metric::MeanSpeed => f64::INFINITY,
+            _ => 1.0,
+        }
+    }
+
     /// Digits behind the point that mean anything.
     pub fn digits(self) -> usize {
         match self {

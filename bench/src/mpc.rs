@@ -7,6 +7,7 @@ use planner::Mpc;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
+use shm_config::counted;
 use shm_config::message::{Header, Observation, Plan};
 use sim::{World, WorldConfig};
 use vehicle::{Action, Point, Pose, pose};
@@ -335,10 +336,10 @@ fn print(soaked: &Soaked) {
     say(table);
     let conditions = &soaked.conditions;
     say(format_args!(
-        "{} steps, one thread, {} episodes from seed {}, load {}; times are of whole plans: \
+        "{}, one thread, {} from seed {}, load {}; times are of whole plans: \
          \"core\" by processor time, \"wall\" by the clock",
-        conditions.steps,
-        conditions.episodes,
+        counted(conditions.steps, "step"),
+        counted(conditions.episodes, "episode"),
         conditions.first_seed,
         conditions
             .load

@@ -103,6 +103,11 @@ pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failu
     Ok(config)
 }
 
+/// The key of an override, `KEY=VALUE`.
+pub fn key(text: &str) -> &str {
+    text.split('=').next().unwrap_or_default().trim()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -9,12 +9,14 @@ use clap::Args;
 use plotters::prelude::*;
 use serde::Serialize;
 use shm_config::config::Algorithm;
+use shm_config::counted;
 use supervisor::numbers::whole;
 
 use crate::Clock;
 use crate::arguments::{Configuration, WorldChoice};
 use crate::report::{Machine, say, table, write_json};
 use crate::train::arguments::{ExpertChoice, Train, algorithm};
+use crate::train::experiment::Experiment;
 use crate::train::results::Results;
 use crate::train::train;
 
@@ -139,11 +141,11 @@ pub fn bench(arguments: &BenchSweep, clock: Clock) -> anyhow::Result<()> {
         conditions,
     };
     say(format_args!(
-        "{}, {} steps, {} seeds, {} episodes each; {}; plot: {}",
+        "{}, {}, {}, {} each; {}; plot: {}",
         swept.algorithm,
-        swept.steps,
-        arguments.seeds,
-        arguments.final_episodes,
+        counted(swept.steps, "step"),
+        counted(arguments.seeds, "seed"),
+        counted(arguments.final_episodes, "episode"),
         swept.conditions,
         plot.display()
     ));
@@ -163,19 +165,19 @@ fn row(arguments: &BenchSweep, flawed: Option<(Flaw, f64)>, clock: Clock) -> any
     if let Some((flaw, value)) = flawed {
         overrides.push(format!("{}={value:?}", flaw.key()));
     }
-    let resume = out.exists();
+    let resume = Experiment::read(&out)?.is_some();
     train(
         &Train {
-            algorithm: arguments.algorithm,
+            algorithm: Some(arguments.algorithm),
             steps: Some(arguments.steps),
             // The last policy is evaluated on many; those before need no more
             // than a curve.
             eval_episodes: Some(10),
-            final_episodes: arguments.final_episodes,
+            final_episodes: Some(arguments.final_episodes),
             seed: Some(0),
             seeds: Some(arguments.seeds),
-            expert: ExpertChoice::Mpc,
-            world: WorldChoice::Sim,
+            expert: Some(ExpertChoice::Mpc),
+            world: Some(WorldChoice::Sim),
             out: Some(out.clone()),
             resume,
             report: false,

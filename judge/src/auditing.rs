@@ -13,7 +13,8 @@ use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
 use judge::store::{Records, read};
 use shm_config::config::{Config, from_toml};
-use shm_config::judged::{counted, of_these_similar};
+use shm_config::counted;
+use shm_config::judged::of_these_similar;
 use toml::{Table, Value};
 
 use crate::say;

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::Parser as _;
 use judge::standin::{NAME, Server};
-use shm_config::judged::counted;
+use shm_config::counted;
 
 use crate::arguments::{Arguments, Command, ServerArguments};
 
@@ -53,8 +53,8 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
         ));
     }
     stop.forever().next();
-    let questions = counted(server.requests(), "question");
-    say(format_args!("answered {questions}"));
+    let answered = counted(server.requests(), "question");
+    say(format_args!("answered {answered}"));
     Ok(())
 }
 

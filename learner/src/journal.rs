@@ -64,12 +64,13 @@ pub struct Recovered {
 }
 
 impl Journal {
-    /// Opens the file, or begins it, and reads what it holds.
+    /// Opens the file, or begins it, and reads what it holds; `learnt` transitions
+    /// were in it at the end of the last block.
     ///
     /// # Errors
-    /// When the file cannot be read or written, or is of another format: it is
-    /// left as it is then.
-    pub fn open(path: &Path, capacity: usize) -> io::Result<Recovered> {
+    /// When the file cannot be read or written, is of another format, or holds
+    /// less than was learnt from: it is left as it is then.
+    pub fn open(path: &Path, capacity: usize, learnt: u64) -> io::Result<Recovered> {
         let mut replay = Replay::new(capacity);
         let mut mark = None;
         let mut file = OpenOptions::new()
@@ -100,7 +101,9 @@ impl Journal {
                 mark = Some(at);
                 records += 1;
             }
-        } else {
+        }
+        check_whole(mark, learnt)?;
+        if magic.len() < MAGIC.len() {
             // Killed while it began the file.
             file.set_len(0)?;
             file.rewind()?;
@@ -140,6 +143,15 @@ impl Journal {
         self.file.flush()
     }
 
+    /// Hands everything to the disk: from now on a power cut loses nothing of it.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn sync(&mut self) -> io::Result<()> {
+        self.file.flush()?;
+        self.file.get_ref().sync_data()
+    }
+
     /// Writes the file anew when it holds much more than the replay does.
     ///
     /// # Errors
@@ -166,6 +178,21 @@ impl Journal {
         self.records = records;
         Ok(())
     }
+}
+
+/// A kill tears no more than the last record, and every transition was in the file
+/// before it was learnt from: what is missing, somebody else has cut off. Going on
+/// would count the missing steps a second time and never come to the end.
+fn check_whole(mark: Option<Mark>, learnt: u64) -> io::Result<()> {
+    let held = mark.map_or(0, |mark| mark.counts.transitions());
+    if held >= learnt {
+        return Ok(());
+    }
+    let what = format!(
+        "is damaged: it holds {held} of the {learnt} transitions that were learnt from; put the \
+         whole file back, or move its folder away to begin anew"
+    );
+    Err(io::Error::new(io::ErrorKind::InvalidData, what))
 }
 
 /// How far the steps had come when a file's last whole record was written; `None`

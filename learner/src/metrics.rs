@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::assembler::Counts;
 use crate::checkpoint::write_whole;
@@ -34,7 +34,7 @@ pub struct Row {
 }
 
 /// A row as it stands in the file.
-#[derive(Serialize)]
+#[derive(Serialize, Deserialize)]
 struct Line {
     steps: u64,
     updates: u64,
@@ -56,6 +56,7 @@ struct Line {
 /// The file, open for more.
 pub struct Metrics {
     writer: csv::Writer<fs::File>,
+    transitions: u64,
 }
 
 impl Metrics {
@@ -75,11 +76,24 @@ impl Metrics {
             }
         }
         write_whole(path, &kept)?;
+        let lines = csv::Reader::from_reader(&kept[..]).into_deserialize::<Line>();
+        let last = lines.filter_map(Result::ok).last();
         let file = fs::OpenOptions::new().append(true).open(path)?;
         let writer = csv::WriterBuilder::new()
             .has_headers(kept.is_empty())
             .from_writer(file);
-        Ok(Metrics { writer })
+        Ok(Metrics {
+            writer,
+            transitions: last.map_or(0, |line| {
+                line.labels_expert + line.labels_policy + line.unlabelled
+            }),
+        })
+    }
+
+    /// Transitions made at the end of the last block that was in the file; what
+    /// cannot be read says nothing.
+    pub fn transitions(&self) -> u64 {
+        self.transitions
     }
 
     /// Writes a row.

@@ -74,13 +74,16 @@ impl Session {
             }
             None => begin(config),
         };
+        let metrics = Metrics::open(&folder.join("blocks.csv"), state.blocks)?;
         let path = folder.join("replay.bin");
+        let capacity = settings.capacity as usize;
         let Recovered {
             journal,
             replay,
             mark,
             torn_bytes,
-        } = Journal::open(&path, settings.capacity as usize).map_err(|error| name(error, &path))?;
+        } = Journal::open(&path, capacity, metrics.transitions())
+            .map_err(|error| name(error, &path))?;
         if torn_bytes > 0 {
             tracing::warn!(torn_bytes, "the end of the replay was torn and is cut off");
         }
@@ -103,7 +106,7 @@ impl Session {
             false => None,
         };
         Ok(Session {
-            metrics: Metrics::open(&folder.join("blocks.csv"), state.blocks)?,
+            metrics,
             config: config.clone(),
             folder: folder.into(),
             assembler,
@@ -272,6 +275,8 @@ impl Session {
     fn write_down(&mut self, policy: &[u8], losses: &Losses) -> io::Result<()> {
         let mark = self.mark();
         self.journal.compact(&self.replay, &mark)?;
+        // Before a block says what it was learnt from.
+        self.journal.sync()?;
         let file = format!("policies/{:08}.onnx", self.state.steps);
         write_whole(&self.folder.join(file), policy)?;
         self.metrics.write(&Row {

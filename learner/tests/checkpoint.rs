@@ -164,6 +164,41 @@ fn a_damaged_checkpoint_is_refused_with_its_name() {
 }
 
 #[test]
+fn a_replay_that_lacks_what_was_learnt_from_is_refused_and_left_alone() {
+    let config = config(Algorithm::HgDagger);
+    let folder = TempDir::new().expect("a folder");
+    drive(&mut open(&config, folder.path()), 0..3 * BLOCK + 7);
+    let path = folder.path().join("replay.bin");
+    let bytes = fs::read(&path).expect("a replay");
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 3] ^= 0x04;
+    let half = bytes[..bytes.len() / 2].to_vec();
+    for (what, bad) in [("half", half), ("empty", Vec::new()), ("flipped", flipped)] {
+        fs::write(&path, &bad).expect("a file");
+        let error = Session::open(&config, folder.path()).err();
+        let said = error
+            .unwrap_or_else(|| panic!("{what}: accepted"))
+            .to_string();
+        for words in ["replay.bin", "is damaged", "put the whole file back"] {
+            assert!(said.contains(words), "{what}: {said}");
+        }
+        assert_eq!(
+            fs::read(&path).expect("the file"),
+            bad,
+            "{what}: left alone"
+        );
+    }
+    fs::remove_file(&path).expect("the file");
+    Session::open(&config, folder.path())
+        .err()
+        .expect("a refusal");
+
+    // What a kill may tear, was not learnt from yet.
+    fs::write(&path, &bytes[..bytes.len() - 1]).expect("a file");
+    assert_eq!(open(&config, folder.path()).driven(), 3 * BLOCK + 6);
+}
+
+#[test]
 fn a_folder_of_another_algorithm_is_refused_with_both_names() {
     let folder = TempDir::new().expect("a folder");
     drive(

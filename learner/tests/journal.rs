@@ -80,7 +80,7 @@ fn append(journal: &mut Journal, replay: &mut Replay, number: u64) {
 }
 
 fn open(path: &Path) -> Recovered {
-    Journal::open(path, CAPACITY).expect("a journal")
+    Journal::open(path, CAPACITY, 0).expect("a journal")
 }
 
 /// A file with these many transitions; its bytes.
@@ -220,7 +220,7 @@ fn a_file_of_another_kind_is_refused_and_left_alone() {
         &other_version,
     ] {
         fs::write(&path, foreign).expect("a file");
-        let error = Journal::open(&path, CAPACITY).err().expect("a refusal");
+        let error = Journal::open(&path, CAPACITY, 0).err().expect("a refusal");
         assert!(
             error.to_string().contains("no replay of this version"),
             "{error}"
@@ -259,7 +259,7 @@ fn compaction_keeps_what_the_rings_hold() {
             .compact(&replay, &mark(number))
             .expect("room on the disk");
         lengths.push(fs::metadata(&path).expect("the file").len());
-        let found = Journal::open(&path, CAPACITY).expect("a journal");
+        let found = Journal::open(&path, CAPACITY, 0).expect("a journal");
         assert_same(&found.replay, &replay, &format!("after {number}"));
         assert_eq!(found.mark, Some(mark(number)));
     }

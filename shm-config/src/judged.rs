@@ -6,6 +6,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::counted;
+
 /// The file of it in the run's folder, JSON.
 pub const SUMMARY: &str = "judged.json";
 
@@ -38,14 +40,6 @@ pub struct Judged {
     /// do; empty where it always was.
     #[serde(default)]
     pub trouble: String,
-}
-
-/// So many of them, such as `1 question` and `2 questions`.
-pub fn counted(count: u64, noun: &str) -> String {
-    match count {
-        1 => format!("1 {noun}"),
-        _ => format!("{count} {noun}s"),
-    }
 }
 
 /// What is added to the answers for the policy, where there were such.

@@ -4,6 +4,7 @@
 //! on stands here and nowhere else.
 
 pub mod config;
+mod counted;
 pub mod file;
 pub mod histogram;
 pub mod judged;
@@ -18,6 +19,7 @@ pub mod turns;
 #[allow(clippy::disallowed_types)] // the one place that may name iceoryx2
 pub mod wire;
 
+pub use counted::counted;
 pub use message::Message;
 pub use time::Instant;
 pub use turns::PlanTurns;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use shm_config::config::Config;
+use shm_config::counted;
 use shm_config::message::{Driver, Episode, Grant, Outcome};
 use shm_config::services::Process;
 
@@ -321,7 +322,8 @@ impl Summary {
         };
         writeln!(
             f,
-            "{count} episodes: {} arrived ({} without contact), {} out of road, {} max step, {} stopped",
+            "{}: {} arrived ({} without contact), {} out of road, {} max step, {} stopped",
+            counted(count, "episode"),
             with(Outcome::Arrived),
             self.episodes.iter().filter(|row| row.strict).count(),
             with(Outcome::OutOfRoad),
@@ -333,11 +335,11 @@ impl Summary {
     fn fmt_drivers(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "\ndrove: expert {:.1} %, policy {:.1} %, brake {:.1} % of {} steps ({} lost before they were read)",
+            "\ndrove: expert {:.1} %, policy {:.1} %, brake {:.1} % of {} ({} lost before they were read)",
             self.share.expert * 100.0,
             self.share.policy * 100.0,
             self.share.brake * 100.0,
-            self.steps,
+            counted(self.steps, "step"),
             self.lost_steps
         )?;
         for (driver, reasons) in &self.reasons {
@@ -374,17 +376,17 @@ impl Summary {
             true => (self.elapsed_s / self.period_s).round() as u64,
             false => 0,
         };
-        let counted = self.ticks + self.skipped;
-        let relation = if counted == due { "==" } else { "!=" };
+        let total = self.ticks + self.skipped;
+        let relation = if total == due { "==" } else { "!=" };
         writeln!(
             f,
-            "\nworld: ticks {} + skipped {} = {counted} {relation} {due} = elapsed {:.3} s / period {} s\n\
-             it braked for want of a command on {} of traffic's ticks; oldest command obeyed: {:.1} ms",
+            "\nworld: ticks {} + skipped {} = {total} {relation} {due} = elapsed {:.3} s / period {} s\n\
+             it braked for want of a command on {} of traffic; oldest command obeyed: {:.1} ms",
             self.ticks,
             self.skipped,
             self.elapsed_s,
             self.period_s,
-            self.braked,
+            counted(self.braked, "tick"),
             self.oldest_obeyed_ms
         )?;
         match self.first_command_s {

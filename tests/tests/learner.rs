@@ -37,7 +37,7 @@ fn journal_bytes(set: &Set) -> u64 {
 /// The journal after the run, and how far its last record says the steps came.
 fn recovered(set: &Set) -> (Recovered, Mark) {
     let path = folder(set).join("replay.bin");
-    let found = Journal::open(&path, 50_000).expect("a journal");
+    let found = Journal::open(&path, 50_000, 0).expect("a journal");
     let mark = found.mark.expect("a record at least");
     (found, mark)
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use rustix::process::{Pid, Signal, kill_process};
+use shm_config::config::from_toml;
 use shm_config::run::RunPaths;
 use vlaps_tests::{pids_within, programs, until};
 
@@ -72,6 +73,16 @@ impl Experiment {
         self.command(words).output().expect("it starts")
     }
 
+    /// Goes on with nothing but these words.
+    fn resume(&self, words: &[&str]) -> Output {
+        let mut command = Command::new(programs().join("vlaps-bench"));
+        command
+            .args(["train", "--resume", "--out", &self.name])
+            .args(words)
+            .current_dir(&self.folder);
+        command.output().expect("it starts")
+    }
+
     fn start(&mut self, words: &[&str]) {
         self.child = Some(self.command(words).spawn().expect("it starts"));
     }
@@ -127,7 +138,9 @@ impl Drop for Experiment {
             self.pids("").is_empty()
         });
         for seed in 0..3 {
-            if let Ok(name) = format!("{}-{seed}", self.name).parse() {
+            let begun = fs::read_to_string(self.seed(seed).join("train.toml"));
+            let config = begun.ok().and_then(|text| from_toml(&text, "").ok());
+            if let Some(Ok(name)) = config.map(|config| config.run.name.parse()) {
                 let paths = RunPaths::new(name);
                 until("the run is dead", || {
                     !matches!(paths.clean_if_dead(), Ok(None))
@@ -174,6 +187,18 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
         said.contains(&format!("seed 0: {steps} of {steps} steps")),
         "{said}"
     );
+    let evaluated = said.lines().filter(|line| line.contains("success "));
+    let evaluated: Vec<&str> = evaluated.collect();
+    assert!(
+        evaluated.iter().all(|line| line.contains(" after step ")),
+        "{said}"
+    );
+    assert!(
+        evaluated
+            .last()
+            .is_some_and(|line| line.ends_with(&format!("after step {steps}"))),
+        "{said}"
+    );
     assert_eq!(experiment.blocks(0), multiples(3));
     let exams = experiment.column(0, "evaluations.csv", "steps");
     assert_eq!(exams.len(), 3, "{exams:?}");
@@ -210,13 +235,29 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
         "{output:?}"
     );
 
-    // Longer is the same experiment; the figures of the last policy are then gone.
+    let output = experiment.resume(&["--algorithm", "pvp"]);
+    assert!(
+        text(&output.stderr).contains(r#"learner.algorithm = "hg-dagger", not "pvp""#),
+        "{output:?}"
+    );
+
+    // Longer is the same experiment, whatever file the folder has now; the figures of
+    // the last policy are then gone.
+    let other = experiment.folder.join("vlaps.toml");
+    fs::write(other, "[mpc]\nspeed_mps = 3.0\n").expect("a file");
+    let log = experiment.seed(0).join("drive.log");
+    let before = fs::read_to_string(&log).expect("the log");
     let longer = (4 * BLOCK).to_string();
-    let output = experiment.run(&["--resume", "--steps", &longer, "--final-episodes", "0"]);
+    let output = experiment.resume(&["--steps", &longer, "--final-episodes", "0"]);
     assert!(output.status.success(), "{output:?}");
     assert_eq!(experiment.blocks(0), multiples(4));
     assert!(!text(&output.stdout).contains("last policy"), "{output:?}");
     assert_eq!(driven(&experiment.seed(0)), 4 * BLOCK);
+    let after = fs::read_to_string(&log).expect("the log");
+    assert!(
+        after.len() > before.len() && after.starts_with(&before),
+        "{after}"
+    );
 }
 
 #[test]

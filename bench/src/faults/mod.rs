@@ -19,6 +19,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use shm_config::counted;
 use supervisor::failure::Failure;
 use supervisor::numbers::whole;
 
@@ -211,15 +212,15 @@ fn exceptions(rows: &[Row], arguments: &BenchFaults) -> Vec<String> {
             .safe_ms
             .map_or("never".into(), |ms| format!("after {ms:.1} ms"));
         format!(
-            "{} {} {}: safe {safe} by {}, {} violations, {} leftovers, {} ticks unaccounted, {}; \
+            "{} {} {}: safe {safe} by {}, {}, {}, {} unaccounted, {}; \
              repeat: ./vlaps bench faults --seed {}{kinds} --only {} --rate {}",
             row.kind,
             row.target,
             row.detail,
             row.by,
-            row.violations,
-            row.leftovers,
-            row.unaccounted,
+            counted(row.violations, "violation"),
+            counted(row.leftovers, "leftover"),
+            counted(row.unaccounted, "tick"),
             row.verdict,
             row.seed,
             row.number,
@@ -239,21 +240,20 @@ fn print(figures: &Figures) {
         say(format_args!("exception: {exception}"));
     }
     say(format_args!(
-        "{} faults in {:.0} s, {} skipped; {} commands beyond a limit; {} of {} deaths safe within \
-         2 periods; {} leftovers; {} sets that did not come back as they should",
-        bars.faults,
+        "{} in {:.0} s, {} skipped; {} beyond a limit; {} of {} safe within 2 periods; {}; {} that did not come back as they should",
+        counted(bars.faults, "fault"),
         figures.elapsed_s,
         bars.skipped,
-        bars.violations,
+        counted(bars.violations, "command"),
         bars.deaths_safe,
-        bars.deaths,
-        bars.leftovers,
-        bars.wrong
+        counted(bars.deaths, "death"),
+        counted(bars.leftovers, "leftover"),
+        counted(bars.wrong, "set")
     ));
     say(format_args!(
-        "{} steps read, {} lost before they were read; of the grid's ticks {} skipped, {} without a \
+        "{} read, {} lost before they were read; of the grid's ticks {} skipped, {} without a \
          controller, {} unaccounted for; {}",
-        bars.steps,
+        counted(bars.steps, "step"),
         bars.lost,
         bars.skipped_ticks,
         bars.unmanned,

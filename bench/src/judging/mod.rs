@@ -16,7 +16,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::SeedableRng;
 use serde::Serialize;
 use shm_config::config::{Config, STAND_IN, View, Vlm};
-use shm_config::judged::counted;
+use shm_config::counted;
 
 use crate::report::{Machine, say, table, write_json};
 use crate::{Clock, settings};

@@ -14,6 +14,7 @@ use std::process::ExitCode;
 
 use comfy_table::Table;
 use serde::Serialize;
+use shm_config::counted;
 use sim::model::Forces;
 use sim::{World, WorldConfig};
 
@@ -258,8 +259,10 @@ pub fn bench(arguments: &Parity) -> anyhow::Result<ExitCode> {
     let comparison = Comparison::of(&arguments.data)?;
     let Conditions { seeds, drives, .. } = comparison.conditions;
     say(format_args!(
-        "the built-in world against MetaDrive: {seeds} seeds, {drives} recorded drives; \
-         replayed without any correction, up to the first contact"
+        "the built-in world against MetaDrive: {}, {}; replayed without any \
+         correction, up to the first contact",
+        counted(seeds, "seed"),
+        counted(drives, "recorded drive")
     ));
     say(comparison.table());
     if let Some(path) = &arguments.json {

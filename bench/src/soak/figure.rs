@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use shm_config::counted;
 
 use super::Soaked;
 use super::sample::Sample;
@@ -49,8 +50,8 @@ where
 {
     root.fill(&WHITE)?;
     let title = format!(
-        "{} ticks in lockstep{}: {}",
-        soaked.ticks,
+        "{} in lockstep{}: {}",
+        counted(soaked.ticks, "tick"),
         if soaked.was_stopped { ", stopped" } else { "" },
         if soaked.is_flat { "flat" } else { "not flat" }
     );

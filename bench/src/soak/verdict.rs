@@ -2,6 +2,7 @@
 
 use anyhow::{Context, bail};
 use serde::Serialize;
+use shm_config::counted;
 
 use super::Soaked;
 use super::sample::{Held, Sample};
@@ -211,13 +212,13 @@ pub fn print(soaked: &Soaked) {
         rule.warm_up_ticks, rule.growth_max_kb, rule.episodes_kb
     ));
     say(format_args!(
-        "{} ticks in {} episodes in {:.0} s, {} skipped, {} restarts, {} samples; {}",
-        soaked.ticks,
-        soaked.episodes,
+        "{} in {} in {:.0} s, {} skipped, {}, {}; {}",
+        counted(soaked.ticks, "tick"),
+        counted(soaked.episodes, "episode"),
         soaked.wall_s,
         soaked.skipped,
-        soaked.restarts,
-        soaked.samples,
+        counted(soaked.restarts, "restart"),
+        counted(soaked.samples, "sample"),
         soaked.conditions
     ));
 }

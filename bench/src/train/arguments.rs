@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
 use shm_config::config::Algorithm;
 use supervisor::numbers::whole;
 
@@ -21,14 +22,14 @@ use crate::arguments::{Configuration, WorldChoice};
         Examples:\n  \
         ./vlaps train --algorithm dagger --steps 10000\n  \
         ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
-        ./vlaps train --algorithm pvp --out runs/pvp --resume\n  \
+        ./vlaps train --out runs/pvp --resume\n  \
         ./vlaps train --out runs/pvp --report\n  \
         ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
 )]
 pub struct Train {
-    /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
-    #[arg(long, value_name = "HOW", default_value = "pvp", value_parser = algorithm)]
-    pub algorithm: Algorithm,
+    /// How it learns: pvp, ppl, bc, hg-dagger or dagger; without it pvp.
+    #[arg(long, value_name = "HOW", value_parser = algorithm)]
+    pub algorithm: Option<Algorithm>,
     /// Steps to train for; without it 50000.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=100_000_000))]
@@ -37,10 +38,10 @@ pub struct Train {
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=100_000))]
     pub eval_episodes: Option<u64>,
-    /// Episodes of the evaluation of the last policy; 0 for none.
-    #[arg(long, value_name = "N", default_value_t = 1000, allow_negative_numbers = true,
+    /// Episodes of the evaluation of the last policy, 0 for none; without it 1000.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=1_000_000))]
-    pub final_episodes: u64,
+    pub final_episodes: Option<u64>,
     /// Seed of networks, replay and the order of episodes; without it 0.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=1_000_000_000))]
@@ -49,12 +50,12 @@ pub struct Train {
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u32>(1..=1000))]
     pub seeds: Option<u32>,
-    /// The expert that is learnt from.
-    #[arg(long, value_name = "WHO", default_value = "mpc")]
-    pub expert: ExpertChoice,
-    /// In which world is trained.
-    #[arg(long, value_name = "WORLD", default_value = "sim")]
-    pub world: WorldChoice,
+    /// The expert that is learnt from; without it mpc.
+    #[arg(long, value_name = "WHO")]
+    pub expert: Option<ExpertChoice>,
+    /// In which world is trained; without it sim.
+    #[arg(long, value_name = "WORLD")]
+    pub world: Option<WorldChoice>,
     /// Folder of the experiment; without it, runs/train-HOW.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -74,7 +75,8 @@ pub struct Train {
 }
 
 /// The experts that can be learnt from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
 pub enum ExpertChoice {
     /// The paper's RRT* and PD.
     RrtStar,

@@ -6,9 +6,9 @@ use anyhow::Context;
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
+use shm_config::counted;
 
 use super::results::{Results, Seed};
-use super::table::count_of_seeds;
 use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 use crate::metric::Metric;
 
@@ -22,6 +22,10 @@ const PANEL_HEAD: u32 = 72;
 const GAP: u32 = 14;
 /// Width of a panel's scale, pixels; its legend begins where its axes do.
 const SCALE: u32 = 62;
+/// Most seeds that are numbered at their ends; two curves of more fill a panel's side.
+const NUMBERED_MAX: usize = 10;
+/// From one number at a curve's end to the next, pixels.
+const NUMBER_PITCH: i32 = 13;
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
 
@@ -32,7 +36,7 @@ type Point = (f64, f64);
 struct Curve {
     name: &'static str,
     colour: RGBColor,
-    seeds: Vec<Vec<Point>>,
+    seeds: Vec<(u64, Vec<Point>)>,
 }
 
 /// One of the four charts.
@@ -128,11 +132,15 @@ where
     root.fill(&WHITE)?;
     let (head, body) = root.split_vertically(HEAD);
     let count = results.seeds.len();
-    let title = format!("{}, {}", results.algorithm(), count_of_seeds(count));
+    let title = format!("{}, {}", results.algorithm(), counted(count, "seed"));
     let left = (GAP + SCALE) as i32;
     write(&head, &title, (left, 22), (28, INK))?;
     let explained = match count {
         1 => "evaluated without intervention after every block",
+        2..=NUMBERED_MAX => {
+            "evaluated without intervention after every block; thin: each seed, numbered at its \
+             end; thick: their mean where all have come"
+        }
         _ => {
             "evaluated without intervention after every block; thin: each seed, thick: their mean \
              where all have come"
@@ -158,14 +166,14 @@ where
         panel
             .curves
             .iter()
-            .flat_map(|curve| curve.seeds.iter().flatten())
+            .flat_map(|curve| curve.seeds.iter().flat_map(|(_, points)| points))
     };
     let end = all().map(|point| point.0).fold(1.0, f64::max);
     let highest = all().map(|point| point.1).fold(1.0, f64::max);
     // A line along the upper end is seen whole.
     let top = 1.03 * panel.top.unwrap_or(highest);
     let mut chart = ChartBuilder::on(&body)
-        .margin_right(16)
+        .margin_right(24)
         .x_label_area_size(46)
         .y_label_area_size(SCALE)
         .build_cartesian_2d(0.0..end, 0.0..top)?;
@@ -193,6 +201,48 @@ where
     for curve in &panel.curves {
         draw_curve(&mut chart, curve)?;
     }
+    number_seeds(&body, chart.plotting_area(), &panel.curves)
+}
+
+/// Each seed's number behind the end of its curves: one below the other where curves
+/// end in the same place.
+fn number_seeds<B>(
+    body: &DrawingArea<B, Shift>,
+    axes: &DrawingArea<B, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
+    curves: &[Curve],
+) -> anyhow::Result<()>
+where
+    B: DrawingBackend,
+    B::ErrorType: 'static,
+{
+    let (left, top) = body.get_base_pixel();
+    let mut numbers = Vec::new();
+    for curve in curves {
+        if !(2..=NUMBERED_MAX).contains(&curve.seeds.len()) {
+            return Ok(());
+        }
+        for (seed, points) in &curve.seeds {
+            if let Some(end) = points.last() {
+                let (x, y) = axes.map_coordinate(end);
+                numbers.push((y - top, x - left, seed.to_string(), curve.colour));
+            }
+        }
+    }
+    numbers.sort_by_key(|&(y, ..)| y);
+    let mut free = i32::MIN;
+    for number in &mut numbers {
+        number.0 = number.0.max(free);
+        free = number.0 + NUMBER_PITCH;
+    }
+    // Those that were moved below the axis go up again.
+    let mut free = axes.get_pixel_range().1.end - top;
+    for number in numbers.iter_mut().rev() {
+        number.0 = number.0.min(free);
+        free = number.0 - NUMBER_PITCH;
+    }
+    for (y, x, words, colour) in numbers {
+        write(body, &words, (x + 5, y - 7), (13, colour))?;
+    }
     Ok(())
 }
 
@@ -205,7 +255,7 @@ where
     B::ErrorType: 'static,
 {
     if curve.seeds.len() > 1 {
-        for seed in &curve.seeds {
+        for (_, seed) in &curve.seeds {
             let faint = curve.colour.mix(0.35).stroke_width(1);
             chart.draw_series(LineSeries::new(seed.iter().copied(), faint))?;
         }
@@ -243,18 +293,18 @@ where
     Ok(())
 }
 
-fn each(results: &Results, of: impl Fn(&Seed) -> Vec<Point>) -> Vec<Vec<Point>> {
-    let seeds = results.seeds.iter().map(of);
-    seeds.filter(|points| !points.is_empty()).collect()
+fn each(results: &Results, of: impl Fn(&Seed) -> Vec<Point>) -> Vec<(u64, Vec<Point>)> {
+    let seeds = results.seeds.iter().map(|seed| (seed.seed, of(seed)));
+    seeds.filter(|(_, points)| !points.is_empty()).collect()
 }
 
 /// The mean over the seeds at the steps that all of them were looked at.
-fn mean(seeds: &[Vec<Point>]) -> Vec<Point> {
-    let Some((first, others)) = seeds.split_first() else {
+fn mean(seeds: &[(u64, Vec<Point>)]) -> Vec<Point> {
+    let Some(((_, first), others)) = seeds.split_first() else {
         return Vec::new();
     };
     let at = |&(steps, value): &Point| {
-        let values = others.iter().map(|seed| {
+        let values = others.iter().map(|(_, seed)| {
             let place = seed.binary_search_by(|point| point.0.total_cmp(&steps));
             Some(seed[place.ok()?].1)
         });
@@ -271,10 +321,10 @@ mod tests {
 
     #[test]
     fn the_mean_is_of_all_seeds_or_not_there() {
-        let long = vec![(200.0, 0.0), (400.0, 0.5), (600.0, 1.0)];
-        let gap = vec![(200.0, 1.0), (600.0, 0.0)];
+        let long = (0, vec![(200.0, 0.0), (400.0, 0.5), (600.0, 1.0)]);
+        let gap = (1, vec![(200.0, 1.0), (600.0, 0.0)]);
         assert_eq!(mean(&[long.clone(), gap]), [(200.0, 0.5), (600.0, 0.5)]);
-        assert_eq!(mean(std::slice::from_ref(&long)), long);
+        assert_eq!(mean(std::slice::from_ref(&long)), long.1);
         assert_eq!(mean(&[]), []);
     }
 }

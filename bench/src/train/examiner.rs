@@ -11,7 +11,6 @@ use std::time::Duration;
 use anyhow::anyhow;
 use shm_config::config::Config;
 
-use super::arguments::Train;
 use super::experiment::Experiment;
 use super::progress::Progress;
 use super::protocol::{EVALUATION_SEED, Protocol};
@@ -43,7 +42,7 @@ pub struct Examiner {
     /// Its own: training goes on to its orderly end when somebody asks to stop.
     stop: Stop,
     protocol: Protocol,
-    news: Receiver<f64>,
+    news: Receiver<Exam>,
     thread: Option<JoinHandle<anyhow::Result<()>>>,
 }
 
@@ -58,9 +57,9 @@ impl Examiner {
         let thread = {
             let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
             std::thread::spawn(move || {
-                watch(&protocol, clock, (&order, &stop), |success| {
+                watch(&protocol, clock, (&order, &stop), |exam| {
                     // Nobody may listen any more.
-                    let _ = send.send(success);
+                    let _ = send.send(exam);
                 })
             })
         };
@@ -73,11 +72,11 @@ impl Examiner {
         })
     }
 
-    /// The newest success rate, when there is a new one.
+    /// The newest evaluation, when there is a new one.
     ///
     /// # Errors
     /// When the thread has failed.
-    pub fn news(&mut self) -> anyhow::Result<Option<f64>> {
+    pub fn news(&mut self) -> anyhow::Result<Option<Exam>> {
         if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             self.join()?;
         }
@@ -125,7 +124,7 @@ fn watch(
     protocol: &Protocol,
     clock: Clock,
     (order, stop): (&AtomicU8, &Stop),
-    mut tell: impl FnMut(f64),
+    mut tell: impl FnMut(Exam),
 ) -> anyhow::Result<()> {
     let done = exams(&protocol.folder)?.last().map_or(0, |exam| exam.steps);
     let mut done = done;
@@ -160,7 +159,7 @@ fn watch(
             return Ok(());
         };
         append_exam(&protocol.folder, &exam)?;
-        tell(exam.success);
+        tell(exam);
         done = steps;
     }
 }
@@ -211,7 +210,7 @@ fn evaluated(
 /// # Errors
 /// When a policy cannot be read or a file not written.
 pub fn examine_finals(
-    (arguments, experiment): (&Train, &Experiment),
+    experiment: &Experiment,
     results: &Results,
     out: &Path,
     (clock, stop): (Clock, &Stop),
@@ -221,13 +220,13 @@ pub fn examine_finals(
             continue;
         };
         let file = seed.folder.join("final.json");
-        let episodes = arguments.final_episodes;
+        let episodes = experiment.final_episodes;
         let last = seed.last.as_ref();
         let is_known = last.is_some_and(|last| last.evaluation["episodes"] == episodes);
         if is_known || episodes == 0 {
             continue;
         }
-        let protocol = Protocol::new(arguments, experiment, (seed.seed, out))?;
+        let protocol = Protocol::new(experiment, (seed.seed, out))?;
         let task = Task {
             driver: driver(&path),
             world: WorldChoice::Sim,

@@ -3,11 +3,12 @@
 //! | module | holds |
 //! |---|---|
 //! | [`arguments`] | the command line |
-//! | [`experiment`] | which seeds and how many steps a folder holds |
+//! | [`experiment`] | with which options a folder was begun, and who trains in it |
 //! | [`protocol`] | the experiment's numbers, as configuration |
 //! | [`student`] | one training: the process set in lockstep, watched |
 //! | [`examiner`] | 50 episodes without intervention after every block |
 //! | [`results`] | what the folders hold, read back |
+//! | [`doubts`] | blocks that taught nothing, or whose policy did not drive |
 //! | [`progress`] | a bar in a terminal, lines elsewhere |
 //! | [`curves`] | Figure 4, as SVG and PNG |
 //! | [`table`] | Table 1, and the mean over seeds |
@@ -19,6 +20,7 @@
 
 pub mod arguments;
 pub mod curves;
+pub mod doubts;
 pub mod examiner;
 pub mod experiment;
 pub mod progress;
@@ -55,10 +57,10 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     let (experiment, out) = Experiment::open(arguments)?;
     let protocols: Vec<Protocol> = experiment
         .all_seeds()
-        .map(|seed| Protocol::new(arguments, &experiment, (seed, &out)))
+        .map(|seed| Protocol::new(&experiment, (seed, &out)))
         .collect::<anyhow::Result<_>>()?;
-    // Not before all options are known to be right: they would have to be given
-    // again with --resume.
+    let _held = experiment::hold(&out)?;
+    // Not before all options are known to be right: --resume would go on with them.
     experiment.write(&out)?;
     for protocol in &protocols {
         let end = student::train(protocol, &stop, clock)?;
@@ -74,7 +76,7 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     }
     let results = Results::read(&out)?;
     let watch = (clock, &stop);
-    let end = examiner::examine_finals((arguments, &experiment), &results, &out, watch)?;
+    let end = examiner::examine_finals(&experiment, &results, &out, watch)?;
     tell(arguments, &out)?;
     match end {
         End::Complete => Ok(()),
@@ -118,7 +120,8 @@ fn report(out: &Path) -> anyhow::Result<Results> {
     tensorboard::write(&results, out)?;
     fs::write(out.join("table.md"), table::markdown(&results)).context("table.md")?;
     if let Some(best) = results.best() {
-        fs::copy(&best, out.join("policy.onnx")).with_context(|| format!("{}", best.display()))?;
+        let file = best.policy();
+        fs::copy(&file, out.join("policy.onnx")).with_context(|| file.display().to_string())?;
     }
     Ok(results)
 }

@@ -97,6 +97,15 @@ impl Progress {
         }
     }
 
+    /// Something is not as it should be; said at once, and it stays there.
+    pub fn warn(&self, what: &str) {
+        let line = format!("{}: warning: {what}", self.name);
+        match &self.bar {
+            Some(bar) => bar.println(line),
+            None => write_line(&line),
+        }
+    }
+
     /// Something that takes a while begins; said at once.
     pub fn now(&mut self, what: &str) {
         match &self.bar {

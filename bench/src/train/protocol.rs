@@ -1,14 +1,16 @@
 //! The experiment's numbers, as configuration of a run.
 
+use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use shm_config::config::{Algorithm, Config, load};
 use shm_config::run::name_max;
+use supervisor::failure::Failure;
 use toml::{Table, Value};
 
-use super::arguments::Train;
 use super::experiment::Experiment;
+use super::results::CONFIG;
 use crate::arguments::WorldChoice;
 use crate::settings;
 
@@ -32,9 +34,6 @@ pub struct Protocol {
     pub steps: u64,
     /// Episodes after each block.
     pub episodes: u64,
-    /// In which world is trained; evaluated is in the built-in one, which is
-    /// fast enough for an evaluation after every block.
-    pub world: WorldChoice,
     /// The run's configuration, without its length.
     pub config: Config,
 }
@@ -44,31 +43,27 @@ impl Protocol {
     ///
     /// # Errors
     /// When the configuration or an override is wrong.
-    pub fn new(
-        arguments: &Train,
-        experiment: &Experiment,
-        (seed, out): (u64, &Path),
-    ) -> anyhow::Result<Protocol> {
+    pub fn new(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Protocol> {
+        check_own(&experiment.set)?;
         let folder = out.join(format!("seed-{seed}"));
-        let chosen = &arguments.configuration;
-        let mut overrides = preset(arguments, seed);
+        let mut overrides = preset(experiment, seed);
         overrides.push(format!("run.name={}", run_name(out, seed)));
-        overrides.extend(chosen.overrides.iter().cloned());
-        let mut config = settings::config(chosen.config.as_deref(), &overrides)?;
+        overrides.extend(experiment.set.iter().cloned());
+        let mut config = settings::config(experiment.config.as_deref(), &overrides)?;
         config.run.folder = folder.display().to_string();
         let block_steps = u64::from(config.learner.block_steps);
         if !experiment.steps.is_multiple_of(block_steps) {
-            bail!(
+            let message = format!(
                 "--steps {}: must be a multiple of learner.block_steps, {block_steps}",
                 experiment.steps
             );
+            return Err(Failure::Usage(message).into());
         }
         let protocol = Protocol {
             seed,
             folder,
             steps: experiment.steps,
             episodes: experiment.eval_episodes,
-            world: arguments.world,
             config,
         };
         protocol.check_same()?;
@@ -77,7 +72,7 @@ impl Protocol {
 
     /// The file that a training's process set is configured with.
     pub fn file(&self) -> PathBuf {
-        self.folder.join("train.toml")
+        self.folder.join(CONFIG)
     }
 
     /// A training that is gone on with has the configuration that it began with,
@@ -100,8 +95,8 @@ impl Protocol {
         }
         if !differences.is_empty() {
             bail!(
-                "{}: the training was begun otherwise: {}; give the options it was begun with, \
-                 --out DIR begins another experiment",
+                "{}: the training was begun otherwise: {}; leave these options out, or give \
+                 those it was begun with; --out DIR begins another experiment",
                 file.display(),
                 differences.join(", ")
             );
@@ -141,23 +136,61 @@ fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<
     }
 }
 
-/// The folder's name, as much of it as a run's name may hold, and the seed: experiments
-/// run side by side.
+/// Keys that an experiment sets by itself, whatever they are set to, and what to do
+/// in place of that.
+const OWN: [(&str, &str); 6] = [
+    ("run.clock", "a training drives in lockstep"),
+    ("run.duration_s", "--steps says how long it drives"),
+    ("run.folder", "--out names the folder"),
+    ("learner.enabled", "a training always learns"),
+    ("learner.algorithm", "--algorithm says how it learns"),
+    ("learner.seed", "--seed and --seeds say it"),
+];
+
+/// No override is of a key that would be passed over, or give all seeds the same. In
+/// a configuration file these keys are for other commands.
+fn check_own(overrides: &[String]) -> Result<(), Failure> {
+    for text in overrides {
+        if let Some((_, instead)) = OWN.iter().find(|(own, _)| *own == settings::key(text)) {
+            return Err(Failure::Usage(format!(
+                "--set {text}: is not for ./vlaps train to choose: {instead}"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The folder's name, as much of it as a run's name may hold, a sum of its whole path,
+/// and the seed: experiments run side by side, whatever their folders are called.
 fn run_name(out: &Path, seed: u64) -> String {
+    let out = whole(out);
     let folder = out.file_name().unwrap_or_default().to_string_lossy();
     let name = folder.chars().map(|c| match c.is_ascii_alphanumeric() {
         true => c,
         false => '-',
     });
-    let end = format!("-{seed}");
+    // Six digits: one pair of folders in 17 million has the same.
+    let sum = crc32c::crc32c(out.as_os_str().as_bytes()) & 0xff_ffff;
+    let end = format!("-{sum:06x}-{seed}");
     let letters = name_max().saturating_sub(end.len());
     name.take(letters).chain(end.chars()).collect()
 }
 
+/// A folder's path without links and detours, the same before and after it is made.
+fn whole(folder: &Path) -> PathBuf {
+    let path = std::path::absolute(folder).unwrap_or_else(|_| folder.into());
+    let found = path.ancestors().find_map(|there| {
+        let rest = path.strip_prefix(there).ok()?;
+        Some(there.canonicalize().ok()?.join(rest))
+    });
+    // Without the slash behind a folder that is there.
+    found.unwrap_or(path).components().collect()
+}
+
 /// What the experiment sets, before the user's own overrides.
-fn preset(arguments: &Train, seed: u64) -> Vec<String> {
+fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
     // Of an expert's own driving nothing but the expert's own driving is learnt.
-    let gate = match arguments.algorithm {
+    let gate = match experiment.algorithm {
         Algorithm::Bc => "expert",
         Algorithm::Pvp | Algorithm::Ppl | Algorithm::HgDagger | Algorithm::Dagger => "rules",
     };
@@ -168,7 +201,7 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         format!("run.shuffle={}", seed + 1),
         format!("gate.mode={gate}"),
         "learner.enabled=true".into(),
-        format!("learner.algorithm={}", arguments.algorithm.word()),
+        format!("learner.algorithm={}", experiment.algorithm.word()),
         format!("learner.seed={seed}"),
         // A policy that learns may fail; the judge in the tick protects the car.
         "policy.probation_ticks=0".into(),
@@ -182,7 +215,7 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         // No tick waits on the wall: a learner that gets no processor on a busy
         // machine is late, not dead.
         "supervisor.silence_s=60.0".into(),
-        format!("planner.method={}", arguments.expert.key()),
+        format!("planner.method={}", experiment.expert.key()),
         // A teacher keeps more distance than a driver must, because a pupil does
         // not repeat it to the decimetre (ARCHITECTURE.md): 0.6 m and 1.2 m are
         // what they drive with alone.
@@ -191,7 +224,7 @@ fn preset(arguments: &Train, seed: u64) -> Vec<String> {
         "mpc.steps=8".into(),
         "informed.inflation_m=2.0".into(),
     ];
-    if arguments.world == WorldChoice::Metadrive {
+    if experiment.world == WorldChoice::Metadrive {
         keys.push("world.simulator=metadrive".into());
     }
     keys
@@ -208,5 +241,20 @@ mod tests {
         let name = run_name(Path::new("runs/an experiment of many words"), 17);
         assert!(name.ends_with("-17"), "{name}");
         assert!(name.parse::<RunName>().is_ok(), "{name}");
+    }
+
+    #[test]
+    fn each_folder_has_a_name_of_its_own_and_keeps_it() {
+        let place = tempfile::tempdir().expect("a folder");
+        let out = place.path().join("p1/eyes56-t");
+        let name = run_name(&out, 0);
+        for other in ["p2/eyes56-t", "p1/eyes56-t2"] {
+            assert_ne!(run_name(&place.path().join(other), 0), name, "{other}");
+        }
+        std::fs::create_dir_all(&out).expect("a folder");
+        std::os::unix::fs::symlink(&out, place.path().join("link")).expect("a link");
+        for same in ["p1/eyes56-t", "p1/eyes56-t/", "p1/../p1/eyes56-t", "link"] {
+            assert_eq!(run_name(&place.path().join(same), 0), name, "{same}");
+        }
     }
 }

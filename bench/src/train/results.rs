@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::metric::Metric;
 
+/// What a training's process set is configured with, in its folder.
+pub const CONFIG: &str = "train.toml";
+
 /// An evaluation after a block: shares and means over its episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Exam {
@@ -60,6 +63,10 @@ pub struct Block {
     pub updates: u64,
     /// Steps at which the policy did not drive, from the start.
     pub interventions: u64,
+    /// Steps whose label prefers the expert, from the start.
+    pub labels_expert: u64,
+    /// Steps whose label prefers the policy, from the start.
+    pub labels_policy: u64,
     /// Loss of the actor.
     pub actor_loss: f64,
     /// Loss of the imitation.
@@ -94,6 +101,29 @@ pub struct Seed {
     pub last: Option<Final>,
 }
 
+impl Seed {
+    /// What its process set is configured with.
+    pub fn config_file(&self) -> PathBuf {
+        self.folder.join(CONFIG)
+    }
+}
+
+/// The best of all evaluations.
+#[derive(Clone, Copy, Debug)]
+pub struct Best<'a> {
+    /// Of which training.
+    pub seed: &'a Seed,
+    /// Its figures.
+    pub exam: &'a Exam,
+}
+
+impl Best<'_> {
+    /// The file of its policy.
+    pub fn policy(&self) -> PathBuf {
+        self.seed.folder.join(policy_file(self.exam.steps))
+    }
+}
+
 /// All trainings of an experiment.
 #[derive(Clone, Debug)]
 pub struct Results {
@@ -111,7 +141,7 @@ impl Results {
         for (seed, folder) in seed_folders(out)? {
             let seed = Seed {
                 seed,
-                blocks: rows(&blocks_path(&folder))?,
+                blocks: blocks(&folder)?,
                 exams: exams(&folder)?,
                 last: last(&folder)?,
                 folder,
@@ -125,10 +155,7 @@ impl Results {
 
     /// What learnt, by the configuration of the first seed.
     pub fn algorithm(&self) -> String {
-        let file = self
-            .seeds
-            .first()
-            .map(|seed| seed.folder.join("train.toml"));
+        let file = self.seeds.first().map(Seed::config_file);
         let text = file.and_then(|file| fs::read_to_string(file).ok());
         let table: Option<toml::Table> = text.and_then(|text| text.parse().ok());
         let word =
@@ -136,21 +163,20 @@ impl Results {
         word.unwrap_or_else(|| "unknown algorithm".into())
     }
 
-    /// The policy file of the best evaluation: the most untouched arrivals, then
+    /// The best evaluation: the most untouched arrivals, then the most arrivals, then
     /// the farthest completion, then the latest.
-    pub fn best(&self) -> Option<PathBuf> {
+    pub fn best(&self) -> Option<Best<'_>> {
         let all = self
             .seeds
             .iter()
-            .flat_map(|seed| seed.exams.iter().map(move |exam| (seed, exam)));
-        let best = all.max_by(|(_, a), (_, b)| {
+            .flat_map(|seed| seed.exams.iter().map(move |exam| Best { seed, exam }));
+        all.max_by(|a, b| {
             let key = |exam: &Exam| (exam.strict_success, exam.success, exam.completion);
-            let by_figures = key(a).partial_cmp(&key(b));
+            let by_figures = key(a.exam).partial_cmp(&key(b.exam));
             by_figures
                 .unwrap_or(std::cmp::Ordering::Equal)
-                .then(a.steps.cmp(&b.steps))
-        });
-        best.map(|(seed, exam)| policy_path(&seed.folder, exam.steps))
+                .then(a.exam.steps.cmp(&b.exam.steps))
+        })
     }
 
     /// The JSON object of `--json`.
@@ -197,15 +223,15 @@ pub fn seed_folders(out: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
 /// # Errors
 /// When the file cannot be read.
 pub fn steps(folder: &Path) -> anyhow::Result<u64> {
-    Ok(last_block(folder)?.map_or(0, |block| block.steps))
+    Ok(blocks(folder)?.last().map_or(0, |block| block.steps))
 }
 
-/// A training's last block.
+/// A training's blocks.
 ///
 /// # Errors
 /// When the file cannot be read.
-pub fn last_block(folder: &Path) -> anyhow::Result<Option<Block>> {
-    Ok(rows(&blocks_path(folder))?.pop())
+pub fn blocks(folder: &Path) -> anyhow::Result<Vec<Block>> {
+    rows(&blocks_path(folder))
 }
 
 /// Steps that a training has driven and that its learner knows of, after the last
@@ -244,8 +270,9 @@ pub fn policies(folder: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
     Ok(found)
 }
 
-fn policy_path(folder: &Path, steps: u64) -> PathBuf {
-    folder.join(format!("learner/policies/{steps:08}.onnx"))
+/// A block's policy within the folder of its training.
+pub fn policy_file(steps: u64) -> String {
+    format!("learner/policies/{steps:08}.onnx")
 }
 
 fn blocks_path(folder: &Path) -> PathBuf {

@@ -9,10 +9,11 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use supervisor::signals::pause;
 
+use super::doubts::doubts;
 use super::examiner::Examiner;
 use super::progress::Progress;
 use super::protocol::{Protocol, STEP_S};
-use super::results;
+use super::results::{self, Exam};
 use crate::Clock;
 use crate::stop::Stop;
 
@@ -51,11 +52,20 @@ pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<E
         }
         End::Complete => {
             progress.now("evaluating the last blocks");
-            examiner.finish(stop)?
+            let end = examiner.finish(stop)?;
+            if let Some(exam) = results::exams(folder)?.last() {
+                progress.now(&success(exam));
+            }
+            end
         }
     };
     progress.end();
     Ok(end)
+}
+
+/// With its block: training does not wait for evaluations, and may be ahead of it.
+fn success(exam: &Exam) -> String {
+    format!("success {:.2} after step {}", exam.success, exam.steps)
 }
 
 /// Drives process sets until the last block is learnt. One is enough unless the
@@ -104,12 +114,23 @@ fn watch(
     stop: &Stop,
     (examiner, progress): (&mut Examiner, &mut Progress),
 ) -> anyhow::Result<bool> {
+    let mut said = results::steps(&protocol.folder)?;
     loop {
         pause(LOOK);
-        if let Some(success) = examiner.news()? {
-            progress.note(format!("success {success:.2}"));
+        if let Some(exam) = examiner.news()? {
+            progress.note(success(&exam));
         }
-        progress.at(results::steps(&protocol.folder)?);
+        let blocks = results::blocks(&protocol.folder)?;
+        for (steps, doubt) in doubts(&blocks, &protocol.config) {
+            if steps > said {
+                progress.warn(&format!(
+                    "in the block up to step {steps} {}",
+                    doubt.words()
+                ));
+            }
+        }
+        said = blocks.last().map_or(0, |block| block.steps);
+        progress.at(said);
         if stop.is_asked() {
             set.stop();
         }
@@ -142,7 +163,10 @@ impl ProcessSet {
         let file = protocol.file();
         fs::write(&file, toml::to_string(&config)?).with_context(|| file.display().to_string())?;
         let log = protocol.folder.join(DRIVE_LOG);
-        let output = File::create(&log).with_context(|| log.display().to_string())?;
+        // Behind what the sets before have said.
+        let mut options = File::options();
+        let output = options.create(true).append(true).open(&log);
+        let output = output.with_context(|| log.display().to_string())?;
         let summary = protocol.folder.join(format!("summary-{begun}.json"));
         let child = Command::new(supervisor_path()?)
             .arg("up")

@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use shm_config::judged::{counted, of_these_similar};
+use shm_config::counted;
+use shm_config::judged::of_these_similar;
 
 use super::charts::{self, seconds};
 use super::figures::{Agreement, Figures};

@@ -1,6 +1,7 @@
 //! One question on the page.
 
 use maud::{Markup, html};
+use shm_config::counted;
 
 use super::charts::seconds;
 use super::figures::Truth;
@@ -172,9 +173,14 @@ fn aftermath(aftermath: Option<&Aftermath>) -> String {
         return "What happened next is not known: the run ended.".into();
     };
     let mut text = format!(
-        "In the {} ticks after: expert {}, policy {}, brake {}; vetoed in {}; least distance \
+        "In the {} after: expert {}, policy {}, brake {}; vetoed in {}; least distance \
          {:.1} m.",
-        after.ticks, after.expert, after.policy, after.brake, after.vetoed, after.clearance_m
+        counted(after.ticks, "tick"),
+        after.expert,
+        after.policy,
+        after.brake,
+        after.vetoed,
+        after.clearance_m
     );
     if after.ended {
         text += " The episode ended.";

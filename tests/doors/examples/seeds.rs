@@ -263,7 +263,7 @@ fn of_recordings() {
 
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("replay.bin");
-    let mut journal = Journal::open(&path, 8).expect("a journal").journal;
+    let mut journal = Journal::open(&path, 8, 0).expect("a journal").journal;
     for (k, label) in [Label::None, Label::Expert, Label::Policy]
         .into_iter()
         .enumerate()

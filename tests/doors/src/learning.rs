@@ -54,12 +54,12 @@ pub fn journal(bytes: &[u8]) -> Said {
     let path = folder.path().join("replay.bin");
     std::fs::write(&path, &file).expect("a file");
     last_mark(&path).expect("it can be read");
-    let Ok(recovered) = Journal::open(&path, CAPACITY) else {
+    let Ok(recovered) = Journal::open(&path, CAPACITY, 0) else {
         return Said::Refused;
     };
     drop(recovered.journal);
     // What is torn is cut off: opened again, it is whole.
-    let again = Journal::open(&path, CAPACITY).expect("as it was left");
+    let again = Journal::open(&path, CAPACITY, 0).expect("as it was left");
     assert_eq!(again.torn_bytes, 0);
     assert_eq!(again.mark, recovered.mark);
     Said::of(recovered.mark.is_some())

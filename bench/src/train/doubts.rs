@@ -1,0 +1,102 @@
+//! Blocks that make one doubt a training: it goes on, but learns or shows less than
+//! it seems to.
+
+use shm_config::config::{Algorithm, Config, GateMode};
+
+use super::results::Block;
+
+/// What is doubtful about a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Doubt {
+    /// None of its steps got a label.
+    Unlabelled,
+    /// There was a policy, and it drove none of its steps.
+    Undriven,
+}
+
+impl Doubt {
+    /// All of them.
+    pub const ALL: [Doubt; 2] = [Doubt::Unlabelled, Doubt::Undriven];
+
+    /// Of one block, as a sentence.
+    pub fn words(self) -> &'static str {
+        match self {
+            Doubt::Unlabelled => "no step got a label: nothing new was learnt from the judge",
+            Doubt::Undriven => "the policy drove no step, though there was one",
+        }
+    }
+}
+
+/// The doubts of blocks that follow one another, by the steps at their ends; those of
+/// the first one are not told: it has no policy that could drive or be preferred.
+pub fn doubts(blocks: &[Block], config: &Config) -> Vec<(u64, Doubt)> {
+    // `dagger` imitates the expert at every step, whatever the judge prefers.
+    let needs_labels = config.learner.algorithm != Algorithm::Dagger;
+    let may_drive = config.gate.mode != GateMode::Expert;
+    let mut found = Vec::new();
+    for pair in blocks.windows(2) {
+        let [before, block] = [pair[0], pair[1]];
+        let labels = |block: Block| block.labels_expert + block.labels_policy;
+        if needs_labels && labels(block) <= labels(before) {
+            found.push((block.steps, Doubt::Unlabelled));
+        }
+        let seen = |block: Block| block.steps.saturating_sub(block.lost);
+        let driven_by_others = block.interventions.saturating_sub(before.interventions);
+        if may_drive && driven_by_others >= seen(block).saturating_sub(seen(before)) {
+            found.push((block.steps, Doubt::Undriven));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(steps: u64, interventions: u64, labels: u64) -> Block {
+        Block {
+            steps,
+            updates: steps,
+            interventions,
+            labels_expert: labels / 2,
+            labels_policy: labels - labels / 2,
+            actor_loss: 0.0,
+            imitation_loss: 0.0,
+            critic_loss: 0.0,
+            lost: 0,
+        }
+    }
+
+    fn config(algorithm: Algorithm, mode: GateMode) -> Config {
+        let mut config = Config::default();
+        config.learner.algorithm = algorithm;
+        config.gate.mode = mode;
+        config
+    }
+
+    #[test]
+    fn a_block_without_labels_or_without_the_policy_is_doubted() {
+        let blocks = [
+            block(200, 200, 0),
+            block(400, 300, 150),
+            block(600, 400, 150),
+            block(800, 600, 151),
+        ];
+        let all = [(600, Doubt::Unlabelled), (800, Doubt::Undriven)];
+        let of = |algorithm, mode| doubts(&blocks, &config(algorithm, mode));
+        assert_eq!(of(Algorithm::Pvp, GateMode::Rules), all);
+        assert_eq!(of(Algorithm::Dagger, GateMode::Rules), all[1..]);
+        assert_eq!(of(Algorithm::Bc, GateMode::Expert), all[..1]);
+        assert_eq!(doubts(&blocks[..1], &Config::default()), []);
+    }
+
+    #[test]
+    fn lost_steps_were_driven_by_nobody_known() {
+        let mut blocks = [block(200, 200, 0), block(400, 300, 150)];
+        blocks[1].lost = 100;
+        let config = config(Algorithm::Pvp, GateMode::Rules);
+        assert_eq!(doubts(&blocks, &config), [(400, Doubt::Undriven)]);
+        blocks[1].lost = 99;
+        assert_eq!(doubts(&blocks, &config), []);
+    }
+}
