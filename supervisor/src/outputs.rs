@@ -63,7 +63,10 @@ fn check_existing_folder((option, path): (&str, &Path), folder: &Path) -> Result
         .truncate(true)
         .open(&probe)
         .and_then(|_| fs::remove_file(&probe))
-        .map_err(|error| refused(option, path, &format!("{}: {error}", folder.display())))
+        .map_err(|error| {
+            let why = format!("no file can be made in {}: {error}", folder.display());
+            refused(option, path, &why)
+        })
 }
 
 fn refused(option: &str, path: &Path, why: &str) -> Failure {

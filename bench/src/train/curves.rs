@@ -9,6 +9,7 @@ use plotters::prelude::*;
 use shm_config::counted;
 
 use super::results::{Results, Seed};
+use crate::bitmap::Bitmap;
 use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 use crate::metric::Metric;
 
@@ -59,7 +60,7 @@ pub fn draw(results: &Results, out: &Path) -> anyhow::Result<()> {
     let root = SVGBackend::new(&svg, SIZE).into_drawing_area();
     picture(results, &root).with_context(|| svg.display().to_string())?;
     let png = out.join("curves.png");
-    let root = BitMapBackend::new(&png, SIZE).into_drawing_area();
+    let root = Bitmap(BitMapBackend::new(&png, SIZE)).into_drawing_area();
     picture(results, &root).with_context(|| png.display().to_string())
 }
 
