@@ -105,16 +105,18 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
         say(format_args!("logs and summary in {}", folder.display()));
     }
     let path = folder.join(timing::FILE);
-    write_whole(&path, &timing).map_err(|error| {
+    let timing = write_whole(&path, &timing).map_err(|error| {
         Failure::GivenUp(format!(
             "{}: cannot keep the timing: {error}",
             path.display()
         ))
-    })?;
-    write_summary(&summary, &folder.join("summary.json"))?;
+    });
+    let kept = write_summary(&summary, &folder.join("summary.json"));
+    // It may lie on another disk: what was refused before is told after it.
     if let Some(path) = &arguments.json {
         write_summary(&summary, path)?;
     }
+    timing.and(kept)?;
     match end {
         End::Finished | End::Stopped => Ok(()),
         End::Killed => Err(Failure::GivenUp(
