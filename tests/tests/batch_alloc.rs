@@ -15,7 +15,7 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 const WORLDS: usize = 16;
 const FIRST_SEED: u64 = 100;
-/// Ticks in which threads and locks may still come to life.
+/// Ticks in which threads and locks, the test harness's too, may still come to life.
 const WARM_UP: u64 = 20;
 const TICKS: u64 = 200;
 
