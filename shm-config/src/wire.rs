@@ -89,6 +89,10 @@ pub struct Publisher<M: Message> {
 /// Reads one service.
 pub struct Subscriber<M: Message> {
     port: iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>,
+    topic: Topic<Ipc, M, ()>,
+    /// At the last tending at most one message could wait.
+    holds_one: bool,
+    depth: usize,
     producer: u32,
     sequence: u64,
     lost: u64,
@@ -212,8 +216,8 @@ impl Wire {
         service: Service<M>,
         depth: usize,
     ) -> Result<Subscriber<M>, WireError> {
-        let port = self
-            .topic(service)?
+        let topic = self.topic(service)?;
+        let port = topic
             .subscriber_builder()
             .buffer_size(depth)
             .create()
@@ -223,6 +227,9 @@ impl Wire {
             })?;
         Ok(Subscriber {
             port,
+            topic,
+            holds_one: false,
+            depth,
             producer: 0,
             sequence: 0,
             lost: 0,
@@ -454,8 +461,10 @@ impl<M: Message> Subscriber<M> {
 
     /// The newest message since the last look, not yet admitted; `None` when
     /// nothing new came. Two publishers exist while a dead one is replaced, so
-    /// this reads until there is nothing left; of several messages one that makes
-    /// no sense never hides one that does.
+    /// this reads until there is nothing left, unless the last [`tend`](Self::tend)
+    /// found one publisher and room for one message: a second look costs as much as
+    /// the first, and who came since then is heard at the next. Of several messages
+    /// one that makes no sense never hides one that does.
     pub fn newest(&mut self) -> Option<M> {
         let mut newest = None;
         self.newest_into(&mut newest);
@@ -477,6 +486,9 @@ impl<M: Message> Subscriber<M> {
                 *kept = Some(*message);
                 came = true;
             }
+            if self.holds_one {
+                break;
+            }
         }
         came
     }
@@ -486,11 +498,13 @@ impl<M: Message> Subscriber<M> {
         self.lost
     }
 
-    /// Connects to publishers that came since the last look. To be called
-    /// between ticks, so that no tick pays for it.
-    pub fn tend(&self) {
+    /// Connects to publishers that came since the last look, and counts them. To be
+    /// called between ticks, so that no tick pays for it.
+    pub fn tend(&mut self) {
         // A failure here shows again at the next receive.
         let _ = self.port.update_connections();
+        let publishers = self.topic.dynamic_config().number_of_publishers();
+        self.holds_one = self.depth * publishers <= 1;
     }
 }
 

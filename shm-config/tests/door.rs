@@ -76,6 +76,9 @@ fn observations() {
             code: 3
         }
     );
+    let mut least = observation();
+    (least.ranges_m[0], least.ranges_m[1]) = (-0.0, least.lidar_max_m);
+    assert_eq!(least.check(), Ok(()), "both ends of the range");
     let mut hidden = observation();
     hidden.ranges_m[240] = f32::NAN;
     assert_eq!(

@@ -82,10 +82,39 @@ fn a_message_that_makes_no_sense_hides_none_that_does() {
     assert_eq!(reader.newest().map(|c| c.header.tick), Some(1));
     first.send(&mut broken(3));
     second.send(&mut command(4));
+    reader.tend();
     assert_eq!(reader.newest().map(|c| c.header.tick), Some(4));
     first.send(&mut broken(5));
     let alone = reader.newest().expect("it is handed over, to be counted");
     assert!(alone.check().is_err());
+}
+
+#[test]
+fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
+    let run = TestRun::new("comes");
+    let (one, other) = (run.join(Process::Controller), run.join(Process::Learner));
+    let world = run.join(Process::World);
+    let mut reader = world.subscriber(COMMAND).unwrap();
+    let mut first = one.publisher(COMMAND).unwrap();
+    reader.tend();
+    // Tended with one publisher: one look a tick, and the other one is not lost.
+    let mut second = other.publisher(COMMAND).unwrap();
+    first.send(&mut command(1));
+    second.send(&mut command(2));
+    let seen = [reader.newest(), reader.newest()].map(|c| c.map(|c| c.header.tick));
+    assert!(
+        seen == [Some(1), Some(2)] || seen == [Some(2), Some(1)],
+        "{seen:?}"
+    );
+    reader.tend();
+    first.send(&mut command(3));
+    second.send(&mut command(4));
+    assert!(reader.newest().is_some());
+    assert_eq!(reader.newest(), None, "of two the look takes both");
+    drop(first);
+    reader.tend();
+    second.send(&mut command(5));
+    assert_eq!(reader.newest().map(|c| c.header.tick), Some(5));
 }
 
 #[test]

@@ -22,7 +22,7 @@ pub const OBSERVATION_LAYOUT: u64 = fnv1a(
 /// No position of a run is further from its origin than this, m.
 const POSITION_LIMIT_M: f64 = 1e6;
 /// No car of this repository is faster, m/s.
-const SPEED_LIMIT_MPS: f64 = 150.0;
+pub(super) const SPEED_LIMIT_MPS: f64 = 150.0;
 /// No road is wider, m.
 const LATERAL_LIMIT_M: f64 = 1e3;
 
@@ -190,11 +190,14 @@ impl Message for Observation {
         }
         within("lidar_max_m", f64::from(self.lidar_max_m), 0.1..=1e3)?;
         fits("beam_count", u64::from(self.beam_count), BEAMS_MAX)?;
-        // One pass without an early exit keeps this loop vectorised; NaN fails it.
+        // Bits of floats are in order as their values are; those of a sign and of NaN
+        // are above all. One pass without an early exit keeps this loop vectorised.
         let max_m = self.lidar_max_m;
-        let good = self.ranges().iter().fold(true, |good, &range_m| {
-            good & (range_m >= 0.0) & (range_m <= max_m)
-        });
+        let bits_max = max_m.to_bits();
+        let good = self
+            .ranges()
+            .iter()
+            .fold(true, |good, range_m| good & (range_m.to_bits() <= bits_max));
         if good {
             return Ok(());
         }

@@ -1,7 +1,10 @@
 use vehicle::{Action, Point, Pose, pose};
 
+use super::observation::SPEED_LIMIT_MPS;
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
 
+/// No plan leads further from the car, m.
+const FAR_M: f64 = 1e4;
 /// Most waypoints of a plan: 30 m at the 2 m step needs 15, rewired trees fewer.
 pub const WAYPOINTS_MAX: usize = 64;
 
@@ -125,19 +128,29 @@ impl Message for Plan {
             self.origin_heading_world_rad,
             -1e3..=1e3,
         )?;
-        within("goal_x_body_m", self.goal_x_body_m, -1e4..=1e4)?;
-        within("goal_y_body_m", self.goal_y_body_m, -1e4..=1e4)?;
-        within("cost_m", self.cost_m, 0.0..=1e4)?;
+        within("goal_x_body_m", self.goal_x_body_m, -FAR_M..=FAR_M)?;
+        within("goal_y_body_m", self.goal_y_body_m, -FAR_M..=FAR_M)?;
+        within("cost_m", self.cost_m, 0.0..=FAR_M)?;
         known("outcome", self.outcome, PlanOutcome::from_code)?;
         fits(
             "waypoint_count",
             u64::from(self.waypoint_count),
             WAYPOINTS_MAX,
         )?;
-        for waypoint in self.waypoints() {
-            within("waypoint.x_body_m", waypoint.x_body_m, -1e4..=1e4)?;
-            within("waypoint.y_body_m", waypoint.y_body_m, -1e4..=1e4)?;
-            within("waypoint.speed_mps", waypoint.speed_mps, 0.0..=150.0)?;
+        // One pass without an early exit; which one it was is asked when one was bad.
+        let good = self.waypoints().iter().fold(true, |good, waypoint| {
+            good & (waypoint.x_body_m.abs() <= FAR_M)
+                & (waypoint.y_body_m.abs() <= FAR_M)
+                & (waypoint.speed_mps >= 0.0)
+                & (waypoint.speed_mps <= SPEED_LIMIT_MPS)
+        });
+        if !good {
+            for waypoint in self.waypoints() {
+                within("waypoint.x_body_m", waypoint.x_body_m, -FAR_M..=FAR_M)?;
+                within("waypoint.y_body_m", waypoint.y_body_m, -FAR_M..=FAR_M)?;
+                let speeds = 0.0..=SPEED_LIMIT_MPS;
+                within("waypoint.speed_mps", waypoint.speed_mps, speeds)?;
+            }
         }
         fits("action_count", u64::from(self.action_count), PLANNED_MAX)?;
         let steps_s = match self.action_count {
