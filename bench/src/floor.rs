@@ -9,11 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::Context;
-use rustix::thread::{ClockId, clock_nanosleep_absolute};
+use rustix::thread::{ClockId, CpuSet, clock_nanosleep_absolute, sched_setaffinity};
 use shm_config::Instant;
 use shm_config::message::Histogram;
 use shm_config::services::Process;
-use supervisor::table::{Row, TABLE};
+use supervisor::cores::own_cores;
+use supervisor::table::{Rights, Row, TABLE};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
@@ -79,6 +80,18 @@ impl Floor {
     }
 }
 
+/// The core that a set's controller asks for on this machine; `None` for none.
+pub fn controllers_core() -> Option<usize> {
+    controller().and_then(|row| Rights::RealTime(own_cores()).core(row))
+}
+
+/// Keeps the calling thread on a core. Refused, it is only noisier.
+pub fn stay_on(core: usize) {
+    let mut cores = CpuSet::new();
+    cores.set(core);
+    let _ = sched_setaffinity(None, &cores);
+}
+
 /// Asks for the controller's real-time priority for the calling thread; the word
 /// for what became of it, as the processes say it.
 pub fn claim(priority: Priority) -> &'static str {
@@ -125,6 +138,9 @@ fn note(
     stop: &AtomicBool,
 ) -> anyhow::Result<Noted> {
     let priority = claim(priority);
+    if let Some(core) = controllers_core().filter(|_| priority == "granted") {
+        stay_on(core);
+    }
     let period_ns = (1e9 / rate_hz) as u64;
     let mut lateness = Box::<Histogram>::default();
     let (mut ticks, mut missed) = (0, 0);

@@ -10,12 +10,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use anyhow::Context;
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::thread::{CpuSet, sched_getaffinity};
 use shm_config::Instant;
 use supervisor::table::TABLE;
 
 use crate::Clock;
-use crate::floor::{Priority, claim_fifo, wake};
+use crate::floor::{Priority, claim_fifo, stay_on, wake};
 
 /// Width of a moment for which the largest lateness is kept, ns.
 pub const MOMENT_NS: u64 = 100_000_000;
@@ -153,10 +153,8 @@ fn note(
     clock: Clock,
     stop: &AtomicBool,
 ) -> Stalls {
-    let mut cores = CpuSet::new();
-    cores.set(core);
     // A core that is gone since is noted from wherever this runs.
-    let _ = sched_setaffinity(None, &cores);
+    stay_on(core);
     if priority == Priority::Asked {
         let of_set = TABLE.iter().map(|row| row.priority).max();
         claim_fifo(of_set.unwrap_or(0) + 1);

@@ -16,9 +16,9 @@ const HEAP_BYTES: usize = 1 << 20;
 /// What a process asks the kernel for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ask {
-    /// `SCHED_FIFO` priority; 0 for no right at all but the core.
+    /// `SCHED_FIFO` priority; 0 for no right at all.
     pub priority: u32,
-    /// Core to stay on.
+    /// Core to stay on, with that priority.
     pub core: Option<usize>,
     /// `SCHED_DEADLINE` in place of `SCHED_FIFO`, where it is granted.
     pub reservation: Option<Reservation>,
@@ -89,11 +89,6 @@ impl Rights {
                 .ask
                 .reservation
                 .is_some_and(|time| set_deadline(time.runtime_ns, time.period_ns));
-        // The kernel places reservations itself: it refuses them to a thread that
-        // may not use every core.
-        if let Some(core) = self.ask.core.filter(|_| !reserved) {
-            self.core = grant(stay_on(core));
-        }
         if !wants {
             return;
         }
@@ -102,6 +97,12 @@ impl Rights {
         }
         (self.scheduling, self.priority_got) = own_scheduling();
         self.priority = grant(self.scheduling != Scheduling::Ordinary);
+        // The kernel places reservations itself, and whom others may keep from a core
+        // must be free to leave it.
+        let stays = self.scheduling == Scheduling::Fifo;
+        if let Some(core) = self.ask.core.filter(|_| stays) {
+            self.core = grant(stay_on(core));
+        }
         // Pages are locked as they are first touched: locking the whole address
         // space would also fill the reserved but unused parts of large queues.
         let flags = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;

@@ -16,6 +16,7 @@ use thread_priority::{
 };
 
 use crate::Clock;
+use crate::cores::own_cores;
 use crate::down::living_runs;
 use crate::failure::Failure;
 use crate::grants;
@@ -23,8 +24,7 @@ use crate::idle::IdleBound;
 use crate::place::{SHARED_MEMORY_NEED_BYTES, check_shared_memory, shared_memory};
 use crate::screen::say;
 use crate::status::look;
-use crate::table::{CORES_MIN, TABLE, rows};
-use crate::up::own_cores;
+use crate::table::{CORES_MIN, CORES_SHARED, TABLE, rows};
 
 /// What a finding means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -257,11 +257,15 @@ fn memory() -> Finding {
 
 fn cores() -> Finding {
     let count = own_cores().len();
+    let meanwhile = match count {
+        ..CORES_SHARED => "the kernel places the processes; use a larger machine",
+        _ => "they share one that the kernel gives to others when they sleep; use a larger machine",
+    };
     Finding::new(
         "cores",
         count >= CORES_MIN,
         format!("{count} usable; {CORES_MIN} give world, planner and controller one each"),
-        &["the kernel places the processes; for cores of their own use a larger machine"],
+        &[meanwhile],
     )
 }
 

@@ -12,9 +12,10 @@
 //!
 //! The world starts last: it owns the clock, and when its first tick comes
 //! everybody who answers is ready. [`table::TABLE`] is this table; a test
-//! compares the two. Cores are asked for on machines with at least
-//! [`table::CORES_MIN`] of them, cores and priorities only in real time:
-//! lockstep has no deadline. The gate is absent when the configured gate has no
+//! compares the two. Cores are in the order of [`cores::own_cores`]; with fewer than
+//! [`table::CORES_MIN`] of them the three share the last, with one nobody asks. Cores
+//! and priorities are asked for only in real time, since lockstep has no deadline, and
+//! cores only by who got the priority: others could keep the rest from theirs. The gate is absent when the configured gate has no
 //! process.
 //!
 //! # What ends a process, and what then
@@ -51,6 +52,7 @@ pub mod backoff;
 pub mod checkout;
 pub mod child;
 pub mod clean;
+pub mod cores;
 pub mod doctor;
 pub mod down;
 pub mod event;

@@ -3,10 +3,13 @@
 use shm_config::config::Config;
 use shm_config::services::Process;
 
-/// Cores the process may use before any is reserved. With fewer, a fixed place
-/// costs more than it gives: the kernel's own balancing of real-time threads
-/// finds the core that is free.
+/// Cores the supervisor may use before world, planner and controller get one each.
 pub const CORES_MIN: usize = 4;
+/// Cores it may use before those three share one. They work one after the other, so
+/// they lose little by it, and win twice: who is woken on another core waits until that
+/// one has noticed, and with two cores either of them can stand still while a chain
+/// that runs over both waits for it (results/latency.md).
+pub const CORES_SHARED: usize = 2;
 
 /// What follows a death.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,8 +26,9 @@ pub enum Restart {
 pub enum Core {
     /// None.
     Any,
-    /// The n-th from the last of those the supervisor may use; the first ones
-    /// get most of the machine's interrupts.
+    /// The n-th from the last of those the supervisor may use, in the order of
+    /// [`own_cores`](crate::cores::own_cores): the first ones get most of the
+    /// machine's interrupts. The last, where there are few.
     FromLast(usize),
 }
 
@@ -111,7 +115,7 @@ pub fn rows(config: &Config) -> impl Iterator<Item = &'static Row> {
 pub enum Rights {
     /// Neither priority nor cores: switched off, or lockstep.
     Ordinary,
-    /// Priorities, and cores out of these if there are enough.
+    /// Priorities, and cores out of these.
     RealTime(Vec<usize>),
 }
 
@@ -127,9 +131,11 @@ impl Rights {
     /// The core asked for; `None` for none.
     pub fn core(&self, row: &Row) -> Option<usize> {
         match (self, row.core) {
-            (Self::RealTime(cores), Core::FromLast(back)) if cores.len() >= CORES_MIN => {
-                cores.iter().rev().nth(back).copied()
-            }
+            (Self::RealTime(cores), Core::FromLast(back)) => match cores.len() {
+                ..CORES_SHARED => None,
+                ..CORES_MIN => cores.last().copied(),
+                _ => cores.iter().rev().nth(back).copied(),
+            },
             _ => None,
         }
     }

@@ -12,6 +12,7 @@ use shm_config::wire::Wire;
 use crate::Clock;
 use crate::arguments::Up;
 use crate::child::{Launch, own_folder};
+use crate::cores::own_cores;
 use crate::failure::Failure;
 use crate::idle::IdleBound;
 use crate::judged;
@@ -240,16 +241,6 @@ fn rights(config: &Config) -> Rights {
         return Rights::Ordinary;
     }
     Rights::RealTime(own_cores())
-}
-
-/// The cores that the supervisor may use, in order.
-pub fn own_cores() -> Vec<usize> {
-    let Ok(allowed) = rustix::thread::sched_getaffinity(None) else {
-        return Vec::new();
-    };
-    (0..rustix::thread::CpuSet::MAX_CPU)
-        .filter(|core| allowed.is_set(*core))
-        .collect()
 }
 
 /// The supervisor's own log.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use shm_config::config::{Config, GateMode, Supervisor};
 use shm_config::services::Process;
 use supervisor::backoff::{After, Backoff};
-use supervisor::table::{CORES_MIN, Core, Rights, Row, TABLE, rows};
+use supervisor::table::{CORES_MIN, CORES_SHARED, Core, Rights, Row, TABLE, rows};
 
 fn row(process: Process) -> &'static Row {
     TABLE
@@ -88,12 +88,20 @@ fn the_documented_table_is_the_table() {
 }
 
 #[test]
-fn cores_are_asked_for_only_where_there_are_enough() {
-    let few = Rights::RealTime((0..CORES_MIN - 1).collect());
+fn few_cores_are_shared_and_one_is_everybodys() {
+    let one = Rights::RealTime(vec![5]);
+    let few = Rights::RealTime(vec![1, 0]);
     let enough = Rights::RealTime(vec![2, 3, 8, 9]);
     let controller = row(Process::Controller);
-    assert_eq!(few.core(controller), None);
-    assert_eq!(few.priority(controller), 50);
+    assert_eq!(one.core(controller), None);
+    assert_eq!(one.priority(controller), 50);
+    for process in [Process::World, Process::Planner, Process::Controller] {
+        assert_eq!(few.core(row(process)), Some(0), "the last in their order");
+        let more = Rights::RealTime((0..CORES_MIN - 1).collect());
+        assert_eq!(more.core(row(process)), Some(CORES_MIN - 2));
+    }
+    assert_eq!(few.core(row(Process::Learner)), None);
+    assert!(CORES_SHARED > 1, "somebody else has to run, too");
     assert_eq!(enough.core(controller), Some(9));
     assert_eq!(enough.core(row(Process::Planner)), Some(8));
     assert_eq!(enough.core(row(Process::World)), Some(3));

@@ -13,9 +13,10 @@ use shm_config::message::{Advice, Command, Observation, Plan, Step};
 use shm_config::run::{RunName, RunPaths};
 use shm_config::wire::Wire;
 use supervisor::clean::clean_run;
-use supervisor::up::own_cores;
+use supervisor::cores::own_cores;
 
 use crate::Clock;
+use crate::floor::stay_on;
 use crate::report::{Machine, say, table, write_json};
 use crate::stop::Stop;
 use crate::train::progress::Progress;
@@ -23,7 +24,7 @@ pub use arguments::{BenchIpc, IpcEcho};
 use arguments::{MessageChoice, Wake};
 use link::{Turns, histogram, ping};
 use others::{Other, Program};
-use peer::{Echo, Ends, Side, claim_for, stay_on};
+use peer::{Echo, Ends, Side, claim_for};
 use port::{Door, End, Measured};
 
 /// Blocks of each side, by turns.
@@ -138,7 +139,9 @@ pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     let programs = others::build(arguments)?;
     let run: RunName = format!("ipc-{}", std::process::id()).parse()?;
     let paths = RunPaths::new(run.clone());
-    stay_on(cores.first().copied());
+    if let Some(&core) = cores.first() {
+        stay_on(core);
+    }
     let stop = Stop::listen()?;
     let mut rows = Vec::new();
     let done = measure(

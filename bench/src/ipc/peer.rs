@@ -6,7 +6,6 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, anyhow, bail};
 use clap::ValueEnum;
-use rustix::thread::{CpuSet, sched_setaffinity};
 use shm_config::message::{Advice, Command as Driven, Observation, Plan, Step};
 use shm_config::run::RunName;
 use shm_config::wire::Wire;
@@ -16,7 +15,7 @@ use super::bare::Bare;
 use super::link::{Turns, echo};
 use super::port::{Door, End, Measured, Port};
 use crate::Clock;
-use crate::floor::{Priority, claim};
+use crate::floor::{Priority, claim, stay_on};
 use crate::report::say;
 
 /// What is compared.
@@ -55,16 +54,6 @@ impl<M: Measured> Ends<M> {
             bare: Bare::open(run, &bare, (end, wake), M::full())?,
             tiny: Bare::open(run, &tiny, (end, wake), 0)?,
         })
-    }
-}
-
-/// Keeps the calling thread on a core, if there is one for it.
-pub fn stay_on(core: Option<usize>) {
-    if let Some(core) = core {
-        let mut cores = CpuSet::new();
-        cores.set(core);
-        // Refused, it is only noisier; the ratio is of blocks by turns.
-        let _ = sched_setaffinity(None, &cores);
     }
 }
 
@@ -146,7 +135,9 @@ impl Drop for Echo {
 /// # Errors
 /// When a message is lost or refused, or an order makes no sense.
 pub fn answer(arguments: &IpcEcho, clock: Clock) -> anyhow::Result<()> {
-    stay_on(arguments.core);
+    if let Some(core) = arguments.core {
+        stay_on(core);
+    }
     let wire = Wire::join(&arguments.run, End::Echo.process())?;
     let mut orders = std::io::stdin().lines();
     while let Some(order) = orders.next() {

@@ -7,13 +7,11 @@ use std::process::{Child, Stdio};
 use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-use supervisor::table::Rights;
-use supervisor::up::own_cores;
 
 use super::buckets::{Bucket, Series};
 use super::stress::SPARE_S;
 use crate::driven::Punctuality;
-use crate::floor::{Priority, controller};
+use crate::floor::{Priority, controller, controllers_core};
 
 /// Longest lateness that its histogram tells apart, us: 1 s, which it holds 8 MB
 /// for. Longer ones are counted and keep their maximum.
@@ -54,9 +52,8 @@ impl Cyclictest {
             && let Some(row) = controller()
         {
             command.arg("--mlockall");
-            let rights = Rights::RealTime(own_cores());
-            command.arg(format!("--priority={}", rights.priority(row)));
-            if let Some(core) = rights.core(row) {
+            command.arg(format!("--priority={}", row.priority));
+            if let Some(core) = controllers_core() {
                 command.arg(format!("--affinity={core}"));
             }
         }
