@@ -60,6 +60,9 @@ fn fail(order: &Fault) {
         Some(FaultKind::Hang) => loop {
             std::thread::park();
         },
+        Some(FaultKind::Spin) => loop {
+            std::hint::spin_loop();
+        },
         Some(FaultKind::Slow) => {
             let moment = Duration::from_nanos(order.duration_ns.min(SLOW_MAX_NS));
             // The stop on order of a campaign, in no loop that drives.

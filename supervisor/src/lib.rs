@@ -5,10 +5,10 @@
 //! | process | binary | core | priority | when it dies | starts after |
 //! |---|---|---|---|---|---|
 //! | planner | `vlaps-planner` | last but one | 45 | restarted | |
-//! | controller | `vlaps-controller` | last | 50 | restarted | planner |
+//! | controller | `vlaps-controller` | last | 48 | restarted | planner |
 //! | gate | `vlaps-gate` | any | 0 | restarted | controller |
 //! | learner | `vlaps-learner` | any | 0 | restarted; goes on where it was | gate |
-//! | world | `vlaps-world` | last but two | 48 | restarted at the episode it died in; exit 0 ends the run | learner |
+//! | world | `vlaps-world` | last but two | 50 | restarted at the episode it died in; exit 0 ends the run | learner |
 //!
 //! The world starts last: it owns the clock, and when its first tick comes
 //! everybody who answers is ready. [`table::TABLE`] is this table; a test

@@ -66,9 +66,8 @@ pub const TABLE: &[Row] = &[
         process: Process::Controller,
         binary: "vlaps-controller",
         core: Core::FromLast(0),
-        // Highest: it always answers, whatever the others do. 50 is where the
-        // kernel puts its own interrupt threads.
-        priority: 50,
+        // It answers whatever the planner does.
+        priority: 48,
         restart: Restart::Again,
         after: Some(Process::Planner),
     },
@@ -94,7 +93,10 @@ pub const TABLE: &[Row] = &[
         process: Process::World,
         binary: "vlaps-world",
         core: Core::FromLast(2),
-        priority: 48,
+        // Highest: it brakes when commands are too old, so that a controller which
+        // spins must not keep it from a core they share. 50 is where the kernel puts
+        // its own interrupt threads.
+        priority: 50,
         restart: Restart::AtEpisode,
         after: Some(Process::Learner),
     },

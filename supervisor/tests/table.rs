@@ -47,10 +47,10 @@ fn the_order_of_start_is_the_order_of_the_rows() {
 }
 
 #[test]
-fn the_controller_answers_before_all_others_and_the_gate_after() {
+fn who_brakes_when_the_others_fail_comes_first_and_the_gate_last() {
     let of = |process| row(process).priority;
-    assert!(of(Process::Controller) > of(Process::World));
-    assert!(of(Process::World) > of(Process::Planner));
+    assert!(of(Process::World) > of(Process::Controller));
+    assert!(of(Process::Controller) > of(Process::Planner));
     assert_eq!(of(Process::Gate), 0);
     assert!(
         TABLE.iter().all(|row| row.priority < 99),
@@ -94,7 +94,7 @@ fn few_cores_are_shared_and_one_is_everybodys() {
     let enough = Rights::RealTime(vec![2, 3, 8, 9]);
     let controller = row(Process::Controller);
     assert_eq!(one.core(controller), None);
-    assert_eq!(one.priority(controller), 50);
+    assert_eq!(one.priority(controller), 48);
     for process in [Process::World, Process::Planner, Process::Controller] {
         assert_eq!(few.core(row(process)), Some(0), "the last in their order");
         let more = Rights::RealTime((0..CORES_MIN - 1).collect());

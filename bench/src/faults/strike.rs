@@ -88,6 +88,7 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
             stage.signal(target, Signal::CONT);
         }
         Kind::Hang => order(stage, target, (FaultKind::Hang, 0), clock),
+        Kind::Spin => order(stage, target, (FaultKind::Spin, 0), clock),
         Kind::Panic => order(stage, target, (FaultKind::Panic, 0), clock),
         Kind::Allocation => order(stage, target, (FaultKind::Allocation, 0), clock),
         Kind::Slow => {
@@ -156,7 +157,7 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
         return Ok(Blow::Ended);
     }
     let now = clock();
-    let lasts = !(trouble.kind.is_a_death() || trouble.kind == Kind::Hang);
+    let lasts = !(trouble.kind.is_a_death() || trouble.kind.is_a_hang());
     if !lasts && target == Process::Controller {
         // Before the ports are read again.
         stage.doom(controller);
@@ -177,7 +178,7 @@ pub fn await_recovery(
 ) -> Came {
     let over = stage.watch().trial().and_then(|trial| trial.over);
     let over = over.unwrap_or_else(clock);
-    let dies = trouble.kind.is_a_death() || trouble.kind == Kind::Hang;
+    let dies = trouble.kind.is_a_death() || trouble.kind.is_a_hang();
     let until = clock().after_ns(RECOVERY_NS);
     let mut recovered = None;
     while recovered.is_none() && clock() < until && !stage.has_ended() && !stop.is_asked() {

@@ -14,6 +14,8 @@ pub enum Kind {
     Stop,
     /// The process lives, its loop waits for ever.
     Hang,
+    /// The loop turns for ever and leaves its core to nobody below its priority.
+    Spin,
     /// The loop stands still for a while.
     Slow,
     /// A panic.
@@ -40,9 +42,10 @@ impl Kind {
     /// How many in a hundred and one, when all kinds are wished for.
     fn weight(self) -> u64 {
         match self {
-            Kind::Kill => 30,
+            Kind::Kill => 29,
             Kind::Stop => 12,
-            Kind::Hang => 5,
+            Kind::Hang => 3,
+            Kind::Spin => 3,
             Kind::Slow => 12,
             Kind::Panic => 10,
             Kind::Allocation => 6,
@@ -67,7 +70,7 @@ impl Kind {
             Kind::Stop => &[
                 Controller, Controller, Planner, World, Gate, Learner, Supervisor,
             ],
-            Kind::Hang | Kind::Slow | Kind::Panic | Kind::Allocation => &[
+            Kind::Hang | Kind::Spin | Kind::Slow | Kind::Panic | Kind::Allocation => &[
                 Controller, Controller, Planner, Planner, World, Gate, Learner,
             ],
             Kind::Memory => &[Controller, Planner, World, Gate],
@@ -86,12 +89,18 @@ impl Kind {
         )
     }
 
+    /// The process lives and does nothing until somebody kills it.
+    pub fn is_a_hang(self) -> bool {
+        matches!(self, Kind::Hang | Kind::Spin)
+    }
+
     /// As on the command line.
     pub fn word(self) -> &'static str {
         match self {
             Kind::Kill => "kill",
             Kind::Stop => "stop",
             Kind::Hang => "hang",
+            Kind::Spin => "spin",
             Kind::Slow => "slow",
             Kind::Panic => "panic",
             Kind::Allocation => "allocation",

@@ -12,6 +12,8 @@ crate::word_list! {
         Panic = 2 "panic",
         /// The allocator has nothing to give.
         Allocation = 3 "allocation",
+        /// Its loop turns for ever and leaves its core to nobody below its priority.
+        Spin = 4 "spin",
     }
 }
 
