@@ -58,6 +58,16 @@ pub fn set_fifo(priority: u32) -> bool {
     unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
 }
 
+/// Ordinary scheduling for the calling thread.
+#[allow(unsafe_code)]
+pub fn set_ordinary() -> bool {
+    let parameters = libc::sched_param { sched_priority: 0 };
+    // Only the privileged may take the flag away again.
+    let policy = libc::SCHED_OTHER | libc::SCHED_RESET_ON_FORK;
+    // SAFETY: pid 0 is the calling thread and the parameters live through the call.
+    unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
+}
+
 /// `struct sched_attr` of sched_setattr(2), its first version.
 #[repr(C)]
 struct Attributes {

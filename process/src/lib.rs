@@ -20,6 +20,7 @@ use shm_config::services::Process;
 use shm_config::wire::{Wire, WireError};
 
 pub use kernel::Usage;
+use kernel::set_ordinary;
 pub use pulse::{Pulse, Skipped, Tick};
 pub use realtime::{Ask, Reservation, Rights};
 
@@ -72,8 +73,21 @@ pub struct Member {
     /// What it asked the kernel for, and got.
     pub rights: Rights,
     stop: Arc<AtomicBool>,
-    // Writes out what is still queued when the process ends.
-    _logs: tracing_appender::non_blocking::WorkerGuard,
+    _logs: Logs,
+}
+
+/// Writes out what is still queued when the process ends.
+struct Logs {
+    _guard: tracing_appender::non_blocking::WorkerGuard,
+}
+
+impl Drop for Logs {
+    /// The guard waits for its thread in a loop. That thread has no rights: were it
+    /// kept from the core by those of this one, both would wait for as long as the
+    /// kernel lets a real-time thread run, and everybody on that core with them.
+    fn drop(&mut self) {
+        set_ordinary();
+    }
 }
 
 impl Member {
@@ -90,7 +104,7 @@ impl Member {
         }
         // A logging thread, and lines are dropped when the disk cannot follow:
         // no disk ever holds up a process.
-        let (writer, logs) = tracing_appender::non_blocking(std::io::stderr());
+        let (writer, guard) = tracing_appender::non_blocking(std::io::stderr());
         tracing_subscriber::fmt()
             .with_writer(writer)
             .with_ansi(false)
@@ -126,7 +140,7 @@ impl Member {
             wire,
             rights,
             stop,
-            _logs: logs,
+            _logs: Logs { _guard: guard },
         })
     }
 
@@ -169,5 +183,25 @@ pub fn exit_code(process: Process, result: Result<(), SetUpError>) -> ExitCode {
             eprintln!("vlaps-{process}: {error}");
             ExitCode::from(SET_UP_FAILED)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_config::message::Scheduling;
+
+    use super::*;
+    use crate::kernel::{own_scheduling, set_fifo};
+
+    #[test]
+    fn a_process_that_ends_waits_for_its_log_without_rights() {
+        if !set_fifo(1) {
+            println!("skipped: the log of a real-time thread: no real-time priority here");
+            return;
+        }
+        assert_eq!(own_scheduling().0, Scheduling::Fifo);
+        let (_, guard) = tracing_appender::non_blocking(std::io::sink());
+        drop(Logs { _guard: guard });
+        assert_eq!(own_scheduling(), (Scheduling::Ordinary, 0));
     }
 }
