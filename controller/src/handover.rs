@@ -11,6 +11,8 @@ use shm_config::services::LEARNING;
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Subscriber};
 
+/// Between two looks at a desk that somebody holds.
+const MOMENT: Duration = Duration::from_micros(50);
 /// From look to look at the learner and the loader, in lockstep.
 const NAP: Duration = Duration::from_millis(2);
 /// How long what the run begins with may take to be loaded, ns: ONNX Runtime's
@@ -106,10 +108,11 @@ impl Handover {
         }
     }
 
-    /// The same where there is time: the desk is held for moving pointers only.
+    /// The same where there is time: the desk is held for moving pointers only. Asleep
+    /// between two looks, since who holds it has no rights to a core they share.
     fn take(&mut self, controller: &mut Controller) {
         while !self.look(controller) {
-            std::thread::yield_now();
+            std::thread::park_timeout(MOMENT);
         }
     }
 

@@ -380,7 +380,7 @@ fn cameras_of_frames() {
 fn orders_to_fail() {
     let good = Fault::default();
     assert_eq!(good.check(), Ok(()));
-    let refusal = Fault { kind: 4, ..good }.check();
+    let refusal = Fault { kind: 5, ..good }.check();
     assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));
     let refusal = Fault { target: 6, ..good }.check();
     assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));

@@ -1,4 +1,4 @@
-"""A run's shared memory: the mirror of `shm-config/src/run.rs` and `wire.rs`.
+"""A run's shared memory: the mirror of `shm-config/src/run.rs` and `wire/`.
 
 Every name, limit and layout comes from `wire_layout.py`, which is generated.
 """

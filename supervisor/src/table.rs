@@ -134,9 +134,9 @@ impl Rights {
     pub fn core(&self, row: &Row) -> Option<usize> {
         match (self, row.core) {
             (Self::RealTime(cores), Core::FromLast(back)) => match cores.len() {
-                ..CORES_SHARED => None,
-                ..CORES_MIN => cores.last().copied(),
-                _ => cores.iter().rev().nth(back).copied(),
+                CORES_MIN.. => cores.iter().rev().nth(back).copied(),
+                CORES_SHARED.. => cores.last().copied(),
+                _ => None,
             },
             _ => None,
         }

@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::sync::{Mutex, PoisonError};
 
 use serde_json::Value;
 use vlaps_tests::Set;
@@ -128,6 +129,10 @@ fn raw_counts(set: &Set) -> BTreeMap<(String, String), u64> {
     counts
 }
 
+/// Two planners of one priority that never rest starve one another where sets share
+/// a core.
+static ALONE: Mutex<()> = Mutex::new(());
+
 /// A planner that never is in time: each search takes many periods.
 const SLOW_PLANNER: [&str; 6] = [
     "--rate",
@@ -140,6 +145,7 @@ const SLOW_PLANNER: [&str; 6] = [
 
 #[test]
 fn a_slow_planner_is_named_and_late_plans_are_counted() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let set = Set::new("late-count");
     let json = drive(&set, &SLOW_PLANNER);
     let planner = &json["processes"]["planner"];
@@ -155,6 +161,7 @@ fn a_slow_planner_is_named_and_late_plans_are_counted() {
 
 #[test]
 fn late_plans_are_held_back_where_that_is_configured() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let set = Set::new("late-skip");
     let skip = ["--set", "deadlines.planner=\"skip\""];
     let json = drive(&set, &[&SLOW_PLANNER[..], &skip].concat());
@@ -166,6 +173,7 @@ fn late_plans_are_held_back_where_that_is_configured() {
 
 #[test]
 fn late_plans_brake_where_that_is_configured() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let set = Set::new("late-brake");
     let brake = ["--set", "deadlines.planner=\"brake\""];
     let json = drive(&set, &[&SLOW_PLANNER[..], &brake].concat());

@@ -1,0 +1,286 @@
+//! Ports on shared memory: the only place that talks to iceoryx2.
+
+mod doorbell;
+mod publisher;
+mod subscriber;
+
+use std::rc::Rc;
+use std::time::Duration;
+
+use iceoryx2::prelude::*;
+use iceoryx2::service::Service as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
+
+pub use doorbell::Doorbell;
+pub use publisher::Publisher;
+pub use subscriber::Subscriber;
+
+use crate::message::Message;
+use crate::run::{RunError, RunLock, RunName, RunPaths};
+use crate::services::{Process, Service};
+
+type Ipc = ipc::Service;
+
+/// Publishers of one service at a time: the living one, and dead ones that have
+/// not been swept yet.
+pub const PUBLISHERS_MAX: usize = 4;
+/// Readers of one service at a time: processes, command-line tools, recorders.
+pub const SUBSCRIBERS_MAX: usize = 16;
+/// Publishers that have gone and left something unread, of one service and reader. Each
+/// look passes over a place for every one: the library's own 128 cost 0.1 us a look.
+const GONE_MAX: usize = 2 * PUBLISHERS_MAX;
+/// Processes that may look at one service.
+pub const NODES_MAX: usize = 32;
+
+/// The service attribute that carries the layout's fingerprint.
+pub const LAYOUT_KEY: &str = "layout";
+
+/// Why a port could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum WireError {
+    /// The run's folder.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// Two binaries disagree on a message.
+    #[error(
+        "service '{service}': the running side uses message layout {theirs}, this binary {ours}; \
+         stop the run (./vlaps down) and rebuild both sides from one source"
+    )]
+    Layout {
+        /// The service.
+        service: &'static str,
+        /// The other side's layout.
+        theirs: String,
+        /// This side's layout.
+        ours: String,
+    },
+    /// Shared memory refused.
+    #[error(
+        "service '{service}': shared memory refuses ({what}): no space in /dev/shm, or its files \
+         were removed or written over while the run drives; `./vlaps doctor` shows the space, `./vlaps down` ends the run"
+    )]
+    Port {
+        /// The service.
+        service: &'static str,
+        /// What iceoryx2 said.
+        what: String,
+    },
+}
+
+/// A process's membership in a run.
+pub struct Wire {
+    node: Node<Ipc>,
+    config: Config,
+    _alive: RunLock,
+}
+
+fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
+    let port_error = |what: String| WireError::Port {
+        service: "run",
+        what,
+    };
+    let mut config = Config::default();
+    let root = paths.dir();
+    let root = root.to_string_lossy();
+    let root = iceoryx2::prelude::Path::new(root.as_bytes())
+        .map_err(|error| port_error(format!("folder {root}: {error:?}")))?;
+    config.global.set_root_path(&root);
+    config.global.prefix = FileName::new(paths.prefix().as_bytes())
+        .map_err(|error| port_error(format!("prefix {}: {error:?}", paths.prefix())))?;
+    let topics = &mut config.defaults.publish_subscribe;
+    topics.subscriber_expired_connection_buffer = GONE_MAX;
+    Ok(config)
+}
+
+impl Wire {
+    /// Joins a run, making it if it does not exist. Dead members are swept.
+    ///
+    /// # Errors
+    /// When the run's folder or shared memory cannot be used.
+    pub fn join(name: &RunName, process: Process) -> Result<Self, WireError> {
+        let paths = RunPaths::new(name.clone());
+        let alive = paths.hold_alive()?;
+        // Its messages go to stderr from inside ports; errors come as values.
+        set_log_level(LogLevel::Fatal);
+        let config = iceoryx_config(&paths)?;
+        let node_name = NodeName::new(process.word()).map_err(|error| WireError::Port {
+            service: "run",
+            what: format!("node name: {error:?}"),
+        })?;
+        let node = NodeBuilder::new()
+            .name(&node_name)
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|error| WireError::Port {
+                service: "run",
+                what: format!("cannot join run '{name}': {error:?}"),
+            })?;
+        paths.make_private()?;
+        Ok(Self {
+            node,
+            config,
+            _alive: alive,
+        })
+    }
+
+    /// Frees what dead processes held, so that their successors can start. Slow;
+    /// never from a tick.
+    pub fn sweep(&self) {
+        self.node
+            .blocking_cleanup_dead_nodes(Duration::from_millis(200));
+    }
+
+    /// Opens the publishing end of a service.
+    ///
+    /// # Errors
+    /// When the layout differs from the running side's, or shared memory refuses.
+    pub fn publisher<M: Message>(&self, service: Service<M>) -> Result<Publisher<M>, WireError> {
+        let topic = self.topic(service)?;
+        let failed = |what: String| WireError::Port {
+            service: service.name,
+            what,
+        };
+        let port = topic
+            .publisher_builder()
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|error| failed(format!("{error:?}")))?;
+        let mut bells = Vec::new();
+        for process in service.to {
+            let bell = self.bell(*process)?;
+            let notifier = bell
+                .notifier_builder()
+                .create()
+                .map_err(|error| failed(format!("doorbell of {process}: {error:?}")))?;
+            bells.push(Rc::new(notifier));
+        }
+        Ok(Publisher::new(port, bells))
+    }
+
+    /// Opens the reading end of a service, with the table's queue.
+    ///
+    /// # Errors
+    /// As [`Wire::publisher`].
+    pub fn subscriber<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
+        let (depth, _) = service.delivery.queue();
+        self.subscriber_of_depth(service, depth)
+    }
+
+    /// Opens the reading end of a queue that is read for its newest message only.
+    ///
+    /// # Errors
+    /// As [`Wire::publisher`].
+    pub fn latest<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
+        self.subscriber_of_depth(service, 1)
+    }
+
+    fn subscriber_of_depth<M: Message>(
+        &self,
+        service: Service<M>,
+        depth: usize,
+    ) -> Result<Subscriber<M>, WireError> {
+        let topic = self.topic(service)?;
+        let port = topic
+            .subscriber_builder()
+            .buffer_size(depth)
+            .create()
+            .map_err(|error| WireError::Port {
+                service: service.name,
+                what: format!("{error:?}"),
+            })?;
+        Ok(Subscriber::new(port, topic, depth))
+    }
+
+    /// Opens the process's own doorbell.
+    ///
+    /// # Errors
+    /// When shared memory or the socket refuses.
+    pub fn doorbell(&self, process: Process) -> Result<Doorbell, WireError> {
+        let listener = self
+            .bell(process)?
+            .listener_builder()
+            .create()
+            .map_err(|error| WireError::Port {
+                service: "doorbell",
+                what: format!("{process}: {error:?}"),
+            })?;
+        Ok(Doorbell::new(listener))
+    }
+
+    fn bell(
+        &self,
+        process: Process,
+    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<Ipc>, WireError> {
+        let failed = |what: String| WireError::Port {
+            service: "doorbell",
+            what,
+        };
+        let name = ServiceName::new(&format!("doorbell/{process}"))
+            .map_err(|error| failed(format!("{process}: {error:?}")))?;
+        self.node
+            .service_builder(&name)
+            .event()
+            .max_nodes(NODES_MAX)
+            .max_listeners(PUBLISHERS_MAX)
+            .max_notifiers(NODES_MAX)
+            .event_id_max_value(1)
+            .open_or_create()
+            .map_err(|error| failed(format!("{process}: {error:?}")))
+    }
+
+    fn topic<M: Message>(&self, service: Service<M>) -> Result<Topic<Ipc, M, ()>, WireError> {
+        let failed = |what: String| WireError::Port {
+            service: service.name,
+            what,
+        };
+        let name = ServiceName::new(service.name).map_err(|error| failed(format!("{error:?}")))?;
+        let ours = format!("{:016x}", M::FINGERPRINT);
+        let verifier = attributes(&ours).map_err(&failed)?;
+        let (depth, history) = service.delivery.queue();
+        self.node
+            .service_builder(&name)
+            .publish_subscribe::<M>()
+            .enable_safe_overflow(true)
+            .subscriber_max_buffer_size(depth)
+            .subscriber_max_borrowed_samples(1)
+            .history_size(history)
+            .max_publishers(PUBLISHERS_MAX)
+            .max_subscribers(SUBSCRIBERS_MAX)
+            .max_nodes(NODES_MAX)
+            .open_or_create_with_attributes(&verifier)
+            .map_err(|error| {
+                self.layout_error(&name, service.name, &ours)
+                    .unwrap_or_else(|| failed(format!("{error:?}")))
+            })
+    }
+
+    /// The error that names both layouts, when it is a layout that differs.
+    fn layout_error(
+        &self,
+        name: &ServiceName,
+        service: &'static str,
+        ours: &str,
+    ) -> Option<WireError> {
+        let details =
+            Ipc::details(name, &self.config, MessagingPattern::PublishSubscribe).ok()??;
+        let attributes = details.static_details.attributes();
+        let key = LAYOUT_KEY.try_into().ok()?;
+        let theirs = attributes.key_value(&key, 0)?.to_string();
+        (theirs != ours).then(|| WireError::Layout {
+            service,
+            theirs,
+            ours: ours.into(),
+        })
+    }
+}
+
+fn attributes(layout: &str) -> Result<AttributeVerifier, String> {
+    let failed = |error: SemanticStringError| format!("{error:?}");
+    let key = LAYOUT_KEY.try_into().map_err(failed)?;
+    let layout = layout.try_into().map_err(failed)?;
+    AttributeVerifier::new()
+        .require(&key, &layout)
+        .map_err(|error| format!("{error:?}"))
+}

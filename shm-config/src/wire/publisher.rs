@@ -1,0 +1,144 @@
+//! The publishing end of a service.
+
+use std::mem::MaybeUninit;
+use std::rc::Rc;
+
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
+
+use super::Ipc;
+use crate::message::{
+    Camera, FRAME_BYTES_MAX, Frame, Header, Message, PixelFormat, WEIGHTS_BYTES_MAX, Weights,
+};
+
+type Port<M> = iceoryx2::port::publisher::Publisher<Ipc, M, ()>;
+
+/// Publishes one service and wakes its readers.
+pub struct Publisher<M: Message> {
+    /// Room for the next message, borrowed between ticks: the library allocates
+    /// a handle for each loan.
+    room: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
+    port: Port<M>,
+    bells: Vec<Rc<Notifier<Ipc>>>,
+    sequence: u64,
+    producer: u32,
+}
+
+impl<M: Message> Publisher<M> {
+    /// Over an open port, with the bells of its readers.
+    pub(super) fn new(port: Port<M>, bells: Vec<Rc<Notifier<Ipc>>>) -> Self {
+        Self {
+            room: port.loan_uninit().ok(),
+            port,
+            bells,
+            sequence: 0,
+            producer: std::process::id(),
+        }
+    }
+
+    /// Numbers the message, publishes it and wakes its readers. Never blocks,
+    /// never waits for a reader. Returns whether it went out: only exhausted
+    /// shared memory can prevent that, and the next message tries again.
+    pub fn send(&mut self, message: &mut M) -> bool {
+        let sent = self.send_quietly(message);
+        for bell in &self.bells {
+            // A full bell is already ringing; a dead one is swept by others.
+            let _ = bell.notify();
+        }
+        sent
+    }
+
+    /// The same, but nobody is woken: who is awake finds the newest.
+    pub fn send_quietly(&mut self, message: &mut M) -> bool {
+        self.sequence += 1;
+        let (sequence, producer) = (self.sequence, self.producer);
+        let header = message.header_mut();
+        header.sequence = sequence;
+        header.producer = producer;
+        let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
+        room.is_some_and(|room| room.write_payload(*message).send().is_ok())
+    }
+
+    /// Connects to readers that came since the last message, gives them the
+    /// history, and borrows room for the next message. To be called between
+    /// ticks, so that no tick pays for it.
+    pub fn tend(&mut self) {
+        // A failure here shows again at the next send.
+        let _ = self.port.update_connections();
+        if self.room.is_none() {
+            self.room = self.port.loan_uninit().ok();
+        }
+    }
+}
+
+impl<M: Message> Publisher<M> {
+    /// Publishes a message that is written where it will be read, over zeros:
+    /// megabytes do not belong on a stack. Returns whether it went out.
+    fn send_written(&mut self, write: impl FnOnce(&mut M)) -> bool
+    where
+        M: Numbers,
+    {
+        self.sequence += 1;
+        let (sequence, producer) = (self.sequence, self.producer);
+        let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
+        let Some(mut room) = room else {
+            return false;
+        };
+        // SAFETY: the pointer is to the room's payload, which is ours alone until
+        // it is sent; `Numbers` is only said of messages made of numbers and arrays
+        // of them, so all zeros are one, and the rest is written over it.
+        #[allow(unsafe_code)]
+        let room = unsafe {
+            let payload = room.payload_mut().as_mut_ptr();
+            payload.write_bytes(0, 1);
+            let message = &mut *payload;
+            write(message);
+            let header = message.header_mut();
+            (header.sequence, header.producer) = (sequence, producer);
+            room.assume_init()
+        };
+        let sent = room.send().is_ok();
+        for bell in &self.bells {
+            let _ = bell.notify();
+        }
+        sent
+    }
+}
+
+/// Messages of megabytes. They are made of numbers and arrays of them alone.
+trait Numbers {}
+impl Numbers for Weights {}
+impl Numbers for Frame {}
+
+impl Publisher<Weights> {
+    /// Publishes a policy file. Returns whether it went out; it does not when it is
+    /// over [`WEIGHTS_BYTES_MAX`] or shared memory is exhausted.
+    pub fn offer(&mut self, version: u64, sha256: [u8; 32], file: &[u8]) -> bool {
+        file.len() <= WEIGHTS_BYTES_MAX
+            && self.send_written(|weights| {
+                weights.version = version;
+                weights.byte_count = file.len() as u64;
+                weights.sha256 = sha256;
+                weights.bytes[..file.len()].copy_from_slice(file);
+            })
+    }
+}
+
+impl Publisher<Frame> {
+    /// Publishes a picture of that width, pixels row by row from the top, in three bytes a
+    /// pixel. Returns whether it went out; it does not when it is over
+    /// [`FRAME_BYTES_MAX`] or shared memory is exhausted.
+    pub fn show(&mut self, header: Header, camera: Camera, width: u32, rgb: &[u8]) -> bool {
+        let row_bytes = width as usize * 3;
+        row_bytes > 0
+            && rgb.len() <= FRAME_BYTES_MAX
+            && rgb.len().is_multiple_of(row_bytes)
+            && self.send_written(|frame| {
+                (frame.header, frame.camera) = (header, camera);
+                (frame.width, frame.height) = (width, (rgb.len() / row_bytes) as u32);
+                frame.format = PixelFormat::Rgb8.code();
+                frame.pixels[..rgb.len()].copy_from_slice(rgb);
+            })
+    }
+}
