@@ -12,7 +12,12 @@ use vlaps_tests::Set;
 /// Bars of resident memory, MB of 10^6 bytes.
 const BARS_MB: [(&str, f64); 2] = [("controller", 64.0), ("planner", 32.0)];
 
+/// Sets share a core where there are few, and a planner that never rests starves all
+/// others of its priority: one set at a time.
+static ALONE: Mutex<()> = Mutex::new(());
+
 fn drive(set: &Set, more: &[&str]) -> Value {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let arguments = [&["--seed", "3", "--duration", "4"], more].concat();
     let output = set.run(&arguments);
     assert!(output.status.success(), "{output:?}\n{}", set.logs());
@@ -129,10 +134,6 @@ fn raw_counts(set: &Set) -> BTreeMap<(String, String), u64> {
     counts
 }
 
-/// Two planners of one priority that never rest starve one another where sets share
-/// a core.
-static ALONE: Mutex<()> = Mutex::new(());
-
 /// A planner that never is in time: each search takes many periods.
 const SLOW_PLANNER: [&str; 6] = [
     "--rate",
@@ -145,7 +146,6 @@ const SLOW_PLANNER: [&str; 6] = [
 
 #[test]
 fn a_slow_planner_is_named_and_late_plans_are_counted() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let set = Set::new("late-count");
     let json = drive(&set, &SLOW_PLANNER);
     let planner = &json["processes"]["planner"];
@@ -161,7 +161,6 @@ fn a_slow_planner_is_named_and_late_plans_are_counted() {
 
 #[test]
 fn late_plans_are_held_back_where_that_is_configured() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let set = Set::new("late-skip");
     let skip = ["--set", "deadlines.planner=\"skip\""];
     let json = drive(&set, &[&SLOW_PLANNER[..], &skip].concat());
@@ -173,7 +172,6 @@ fn late_plans_are_held_back_where_that_is_configured() {
 
 #[test]
 fn late_plans_brake_where_that_is_configured() {
-    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let set = Set::new("late-brake");
     let brake = ["--set", "deadlines.planner=\"brake\""];
     let json = drive(&set, &[&SLOW_PLANNER[..], &brake].concat());
