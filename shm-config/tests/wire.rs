@@ -98,6 +98,8 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
     let mut first = one.publisher(COMMAND).unwrap();
     reader.tend();
     // Tended with one publisher: one look a tick, and the other one is not lost.
+    first.send(&mut command(0));
+    assert!(reader.newest().is_some());
     let mut second = other.publisher(COMMAND).unwrap();
     first.send(&mut command(1));
     second.send(&mut command(2));

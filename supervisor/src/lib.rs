@@ -15,8 +15,8 @@
 //! compares the two. Cores are in the order of [`cores::own_cores`]; with fewer than
 //! [`table::CORES_MIN`] of them the three share the last, with one nobody asks. Cores
 //! and priorities are asked for only in real time, since lockstep has no deadline, and
-//! cores only by who got the priority: others could keep the rest from theirs. The gate is absent when the configured gate has no
-//! process.
+//! cores only by who got the priority: others could keep the rest from theirs. The gate
+//! is absent when the configured gate has no process.
 //!
 //! # What ends a process, and what then
 //!

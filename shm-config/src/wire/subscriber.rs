@@ -61,9 +61,10 @@ impl<M: Message> Subscriber<M> {
     /// The newest message since the last look, not yet admitted; `None` when
     /// nothing new came. Two publishers exist while a dead one is replaced, so
     /// this reads until there is nothing left, unless the last [`tend`](Self::tend)
-    /// found one publisher and room for one message: a second look costs as much as
-    /// the first, and who came since then is heard at the next. Of several messages
-    /// one that makes no sense never hides one that does.
+    /// found one publisher and room for one message, and it is the publisher of the
+    /// last message who speaks: a second look costs as much as the first, and who came
+    /// since then is heard at the next. Of several messages one that makes no sense
+    /// hides none that does.
     pub fn newest(&mut self) -> Option<M> {
         let mut newest = None;
         self.newest_into(&mut newest);
@@ -80,12 +81,13 @@ impl<M: Message> Subscriber<M> {
                 break;
             };
             let message = sample.payload();
+            let is_expected = message.header().producer == self.producer;
             self.count(message.header());
             if !came || message.check().is_ok() {
                 *kept = Some(*message);
                 came = true;
             }
-            if self.holds_one {
+            if self.holds_one && is_expected {
                 break;
             }
         }
