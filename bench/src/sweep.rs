@@ -18,6 +18,7 @@ use crate::report::{Machine, say, table, write_json};
 use crate::train::arguments::{ExpertChoice, Train, algorithm};
 use crate::train::experiment::Experiment;
 use crate::train::results::Results;
+use crate::train::table::{INTERVALS, cell, over_seeds};
 use crate::train::train;
 
 /// Train under a judge with one flaw at a time: label noise, abstention, delay
@@ -25,10 +26,13 @@ use crate::train::train;
 #[command(
     after_help = "Each row is a training of its own (./vlaps train) with gate.noise, \
         gate.abstention or gate.delay_s set; all rows share the first, without a flaw. What is \
-        done is kept in --out: a sweep that was stopped goes on.\n\n\
+        done is kept in --out: a sweep that was stopped goes on. Sweeps of other seeds, made \
+        elsewhere, are put together by moving their seed-N folders into one sweep's and \
+        --report.\n\n\
         Examples:\n  \
-        ./vlaps bench sweep\n  \
-        ./vlaps bench sweep --algorithm pvp --steps 20000 --seeds 3 --out runs/sweep-pvp"
+        ./vlaps bench sweep --seeds 5\n  \
+        ./vlaps bench sweep --algorithm pvp --steps 20000 --seeds 3 --out runs/sweep-pvp\n  \
+        ./vlaps bench sweep --out runs/sweep-pvp --report"
 )]
 pub struct BenchSweep {
     /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
@@ -37,7 +41,10 @@ pub struct BenchSweep {
     /// Steps of each training.
     #[arg(long, value_name = "N", default_value_t = 6000, value_parser = whole::<u64>(200..=100_000_000))]
     pub steps: u64,
-    /// Trainings for each row.
+    /// Seed of the first training of each row.
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u64>(0..=1_000_000_000))]
+    pub seed: u64,
+    /// Trainings for each row, each with the next seed.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole::<u32>(1..=100))]
     pub seeds: u32,
     /// Episodes that the last policy of each is evaluated on.
@@ -46,6 +53,10 @@ pub struct BenchSweep {
     /// Folder of all trainings, table and plot.
     #[arg(long, value_name = "DIR", default_value = "runs/sweep")]
     pub out: PathBuf,
+    /// Train nothing: print and draw anew what the folder holds.
+    #[arg(long, conflicts_with_all = ["algorithm", "steps", "seed", "seeds", "final_episodes",
+          "overrides"])]
+    pub report: bool,
     /// Override any key of the configuration; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
@@ -91,11 +102,25 @@ const SWEPT: [(Flaw, &[f64]); 3] = [
     (Flaw::Delay, &[1.0, 10.0, 30.0]),
 ];
 
-/// Trainings with one flaw; means over their seeds.
+/// Trainings with one flaw.
 #[derive(Clone, Debug, Serialize)]
-pub struct Row {
+struct Row {
     flaw: Option<Flaw>,
     value: f64,
+    trainings: Vec<Training>,
+}
+
+impl Row {
+    /// A figure of each training.
+    fn each(&self, of: fn(&Training) -> f64) -> Vec<f64> {
+        self.trainings.iter().map(of).collect()
+    }
+}
+
+/// What came of one training.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Training {
+    seed: u64,
     /// Of the last policy, on the evaluation's episodes.
     success: f64,
     strict_success: f64,
@@ -107,45 +132,63 @@ pub struct Row {
     policy_share: f64,
     /// Of the steps while training: those the judge in the tick vetoed.
     vetoed_share: f64,
-    seeds: usize,
 }
 
-/// All rows.
+/// All rows, and what all their trainings have in common.
 #[derive(Debug, Serialize)]
-struct Swept<'a> {
-    rows: &'a [Row],
-    algorithm: &'static str,
+struct Swept {
+    rows: Vec<Row>,
+    algorithm: String,
     steps: u64,
+    episodes: u64,
     conditions: Machine,
 }
 
 /// `./vlaps bench sweep`.
 ///
 /// # Errors
-/// When a training fails or is stopped.
+/// When a training fails or is stopped; with `--report`, when the folder holds
+/// no finished training.
 pub fn bench(arguments: &BenchSweep, clock: Clock) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
-    let mut rows = vec![row(arguments, None, clock)?];
-    for (flaw, values) in SWEPT {
-        for &value in values {
-            rows.push(row(arguments, Some((flaw, value)), clock)?);
+    let flawed = SWEPT
+        .iter()
+        .flat_map(|&(flaw, values)| values.iter().map(move |&value| Some((flaw, value))));
+    let mut rows = Vec::new();
+    let mut common = None;
+    for flawed in std::iter::once(None).chain(flawed) {
+        let out = arguments.out.join(name(flawed));
+        if !arguments.report {
+            drive(arguments, flawed, &out, clock)?;
+        }
+        let Some(experiment) = Experiment::read(&out)? else {
+            continue;
+        };
+        let row = read(&out, flawed)?;
+        if !row.trainings.is_empty() {
+            rows.push(row);
+            common.get_or_insert(experiment);
         }
     }
-    let plot = arguments.out.join("sweep.svg");
-    draw(&rows, arguments, &plot).with_context(|| plot.display().to_string())?;
-    print(&rows);
+    let experiment = common.with_context(|| {
+        let out = arguments.out.display();
+        format!("{out}: holds no finished training of a sweep; look at --out")
+    })?;
     let swept = Swept {
-        rows: &rows,
-        algorithm: arguments.algorithm.word(),
-        steps: arguments.steps,
+        rows,
+        algorithm: experiment.algorithm.word().into(),
+        steps: experiment.steps,
+        episodes: experiment.final_episodes,
         conditions,
     };
+    let plot = arguments.out.join("sweep.svg");
+    draw(&swept, &plot).with_context(|| plot.display().to_string())?;
+    print(&swept.rows);
     say(format_args!(
-        "{}, {}, {}, {} each; {}; plot: {}",
+        "{}, {}, {} each; {}; plot: {}\n{INTERVALS}",
         swept.algorithm,
         counted(swept.steps, "step"),
-        counted(arguments.seeds, "seed"),
-        counted(arguments.final_episodes, "episode"),
+        counted(swept.episodes, "episode"),
         swept.conditions,
         plot.display()
     ));
@@ -155,17 +198,26 @@ pub fn bench(arguments: &BenchSweep, clock: Clock) -> anyhow::Result<()> {
     }
 }
 
-fn row(arguments: &BenchSweep, flawed: Option<(Flaw, f64)>, clock: Clock) -> anyhow::Result<Row> {
-    let name = match flawed {
+/// A row's folder.
+fn name(flawed: Option<(Flaw, f64)>) -> String {
+    match flawed {
         None => "flawless".to_string(),
         Some((flaw, value)) => format!("{}-{value}", flaw.key().trim_start_matches("gate.")),
-    };
-    let out = arguments.out.join(name);
+    }
+}
+
+/// Makes the trainings of a row that are missing.
+fn drive(
+    arguments: &BenchSweep,
+    flawed: Option<(Flaw, f64)>,
+    out: &Path,
+    clock: Clock,
+) -> anyhow::Result<()> {
     let mut overrides = arguments.overrides.clone();
     if let Some((flaw, value)) = flawed {
         overrides.push(format!("{}={value:?}", flaw.key()));
     }
-    let resume = Experiment::read(&out)?.is_some();
+    let resume = Experiment::read(out)?.is_some();
     train(
         &Train {
             algorithm: Some(arguments.algorithm),
@@ -174,11 +226,11 @@ fn row(arguments: &BenchSweep, flawed: Option<(Flaw, f64)>, clock: Clock) -> any
             // than a curve.
             eval_episodes: Some(10),
             final_episodes: Some(arguments.final_episodes),
-            seed: Some(0),
+            seed: Some(arguments.seed),
             seeds: Some(arguments.seeds),
             expert: Some(ExpertChoice::Mpc),
             world: Some(WorldChoice::Sim),
-            out: Some(out.clone()),
+            out: Some(out.to_path_buf()),
             resume,
             report: false,
             configuration: Configuration {
@@ -188,41 +240,34 @@ fn row(arguments: &BenchSweep, flawed: Option<(Flaw, f64)>, clock: Clock) -> any
             json: None,
         },
         clock,
-    )?;
-    read(&out, flawed)
+    )
 }
 
+/// The finished trainings of a row.
 fn read(out: &Path, flawed: Option<(Flaw, f64)>) -> anyhow::Result<Row> {
-    let results = Results::read(out)?;
-    let mut row = Row {
+    let mut trainings = Vec::new();
+    for seed in &Results::read(out)?.seeds {
+        let Some(last) = &seed.last else {
+            continue;
+        };
+        let mean = |key: &str| last.evaluation[key]["mean"].as_f64().unwrap_or(f64::NAN);
+        let driven = Driven::read(&seed.folder)?;
+        let steps = driven.steps.max(1) as f64;
+        trainings.push(Training {
+            seed: seed.seed,
+            success: mean("success"),
+            strict_success: mean("strict_success"),
+            out_of_road: mean("out_of_road"),
+            unsafe_episodes: driven.unsafe_episodes as f64 / driven.episodes.max(1) as f64,
+            policy_share: driven.policy as f64 / steps,
+            vetoed_share: driven.vetoed as f64 / steps,
+        });
+    }
+    Ok(Row {
         flaw: flawed.map(|(flaw, _)| flaw),
         value: flawed.map_or(0.0, |(_, value)| value),
-        success: 0.0,
-        strict_success: 0.0,
-        out_of_road: 0.0,
-        unsafe_episodes: 0.0,
-        policy_share: 0.0,
-        vetoed_share: 0.0,
-        seeds: results.seeds.len(),
-    };
-    let share = 1.0 / results.seeds.len().max(1) as f64;
-    for seed in &results.seeds {
-        let last = seed
-            .last
-            .as_ref()
-            .context("a training without its last evaluation")?;
-        let mean = |key: &str| last.evaluation[key]["mean"].as_f64().unwrap_or(f64::NAN);
-        row.success += share * mean("success");
-        row.strict_success += share * mean("strict_success");
-        row.out_of_road += share * mean("out_of_road");
-        let driven = Driven::read(&seed.folder)?;
-        row.unsafe_episodes +=
-            share * driven.unsafe_episodes as f64 / driven.episodes.max(1) as f64;
-        let steps = driven.steps.max(1) as f64;
-        row.policy_share += share * driven.policy as f64 / steps;
-        row.vetoed_share += share * driven.vetoed as f64 / steps;
-    }
-    Ok(row)
+        trainings,
+    })
 }
 
 /// What happened while training, over all sets that a training started.
@@ -273,31 +318,30 @@ impl Driven {
     }
 }
 
+/// A column: its name and figure.
+type Column = (&'static str, fn(&Training) -> f64);
+const COLUMNS: [Column; 6] = [
+    ("success", |training| training.success),
+    ("strict", |training| training.strict_success),
+    ("out of road", |training| training.out_of_road),
+    ("policy drove", |training| training.policy_share),
+    ("vetoed", |training| training.vetoed_share),
+    ("unsafe training episodes", |training| {
+        training.unsafe_episodes
+    }),
+];
+
 fn print(rows: &[Row]) {
-    let mut table = table(&[
-        "judge",
-        "success",
-        "strict",
-        "out of road",
-        "policy drove",
-        "vetoed",
-        "unsafe training episodes",
-    ]);
+    let names = COLUMNS.iter().map(|(name, _)| *name);
+    let header: Vec<&str> = ["judge", "seeds"].into_iter().chain(names).collect();
+    let mut table = table(&header);
     for row in rows {
         let judge = match row.flaw {
             None => "without a flaw".into(),
             Some(flaw) => format!("{} {}", flaw.words(), row.value),
         };
-        let shares = [
-            row.success,
-            row.strict_success,
-            row.out_of_road,
-            row.policy_share,
-            row.vetoed_share,
-            row.unsafe_episodes,
-        ];
-        let mut cells = vec![judge];
-        cells.extend(shares.map(|share| format!("{share:.3}")));
+        let mut cells = vec![judge, row.trainings.len().to_string()];
+        cells.extend(COLUMNS.map(|(_, of)| cell(&row.each(of), 3, 1.0)));
         table.add_row(cells);
     }
     say(table);
@@ -305,32 +349,33 @@ fn print(rows: &[Row]) {
 
 const SIZE: (u32, u32) = (1360, 460);
 /// Name, colour and height.
-type Curve = (&'static str, RGBColor, fn(&Row) -> f64);
+type Curve = (&'static str, RGBColor, fn(&Training) -> f64);
 const CURVES: [Curve; 3] = [
     (
         "strict success of the last policy",
         RGBColor(31, 105, 178),
-        |row| row.strict_success,
+        |training| training.strict_success,
     ),
     (
         "unsafe episodes while training",
         RGBColor(211, 84, 0),
-        |row| row.unsafe_episodes,
+        |training| training.unsafe_episodes,
     ),
     (
         "steps the policy drove while training",
         RGBColor(110, 118, 129),
-        |row| row.policy_share,
+        |training| training.policy_share,
     ),
 ];
 
-fn draw(rows: &[Row], arguments: &BenchSweep, path: &Path) -> anyhow::Result<()> {
+/// A curve through the means of the rows, and a small dot for each training.
+fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
     let root = SVGBackend::new(path, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
-        "{}, {} steps: what a flawed judge costs",
-        arguments.algorithm.word(),
-        arguments.steps
+        "{}, {}: what a flawed judge costs (means; a dot for each training)",
+        swept.algorithm,
+        counted(swept.steps, "step")
     );
     let body = root.titled(&title, ("sans-serif", 24))?;
     for (area, (flaw, values)) in body.split_evenly((1, 3)).iter().zip(SWEPT) {
@@ -339,7 +384,7 @@ fn draw(rows: &[Row], arguments: &BenchSweep, path: &Path) -> anyhow::Result<()>
             .margin(14)
             .x_label_area_size(46)
             .y_label_area_size(44)
-            .build_cartesian_2d(0.0..1.03 * end, 0.0..1.03)?;
+            .build_cartesian_2d(-0.02 * end..1.03 * end, 0.0..1.03)?;
         chart
             .configure_mesh()
             .x_desc(flaw.words())
@@ -347,19 +392,24 @@ fn draw(rows: &[Row], arguments: &BenchSweep, path: &Path) -> anyhow::Result<()>
             .label_style(("sans-serif", 14))
             .light_line_style(WHITE)
             .draw()?;
-        for (name, colour, value) in CURVES {
-            let of_flaw = rows
+        for (name, colour, of) in CURVES {
+            let of_flaw: Vec<&Row> = swept
+                .rows
                 .iter()
-                .filter(|row| row.flaw.is_none_or(|other| other == flaw));
-            let points: Vec<(f64, f64)> = of_flaw.map(|row| (row.value, value(row))).collect();
-            let line = LineSeries::new(points.clone(), colour.stroke_width(2));
+                .filter(|row| row.flaw.is_none_or(|other| other == flaw))
+                .collect();
+            let means = of_flaw
+                .iter()
+                .map(|row| (row.value, over_seeds(&row.each(of)).0));
+            let line = LineSeries::new(means, colour.stroke_width(2));
             chart
                 .draw_series(line)?
                 .label(name)
                 .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour));
-            let dots = points
-                .into_iter()
-                .map(|at| Circle::new(at, 4, colour.filled()));
+            let each = of_flaw
+                .iter()
+                .flat_map(|row| row.each(of).into_iter().map(|figure| (row.value, figure)));
+            let dots = each.map(|at| Circle::new(at, 3, colour.mix(0.6).filled()));
             chart.draw_series(dots)?;
         }
         chart

@@ -29,7 +29,7 @@ fn reported(metric: Metric) -> [&'static str; 2] {
 const STUDENT: [f64; 8] = [4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
 
 /// Mean over seeds, and half its 95 % interval of three or more.
-fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
+pub(crate) fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     let spread = values
@@ -44,7 +44,7 @@ fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
 }
 
 /// What [`INTERVALS`] says, of a figure that is at least 0 and at most this.
-fn cell(values: &[f64], digits: usize, most: f64) -> String {
+pub(crate) fn cell(values: &[f64], digits: usize, most: f64) -> String {
     let (mean, half) = over_seeds(values);
     match (values, half) {
         ([], _) => String::new(),
@@ -58,7 +58,7 @@ fn cell(values: &[f64], digits: usize, most: f64) -> String {
 }
 
 /// What stands in brackets behind a mean.
-const INTERVALS: &str = "In brackets: the 95 % interval of the mean over seeds (Student), as far \
+pub(crate) const INTERVALS: &str = "In brackets: the 95 % interval of the mean over seeds (Student), as far \
     as the figure can go; of two seeds, which make no interval, both.";
 
 /// A column of ours: its name and what it is of.
