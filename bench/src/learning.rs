@@ -55,11 +55,18 @@ impl Kind {
 }
 
 /// One kind of update at one size.
-#[derive(Clone, Debug, Serialize)]
-struct Row {
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Case {
     kind: Kind,
     batch: usize,
     threads: usize,
+}
+
+/// How fast it is.
+#[derive(Clone, Debug, Serialize)]
+struct Row {
+    #[serde(flatten)]
+    case: Case,
     /// Gradient steps per second, ours; drawing the batch included.
     steps_per_s: f64,
     /// PyTorch's; none where there is none.
@@ -93,18 +100,13 @@ pub fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
     for kind in [Kind::Pvp, Kind::Regression] {
         for batch in BATCHES {
             for threads in THREADS {
-                let size = Size {
-                    hidden: HIDDEN,
+                let case = Case {
+                    kind,
                     batch,
                     threads,
                 };
                 let theirs = torch.as_mut().ok();
-                rows.push(row(
-                    (kind, size),
-                    &replay,
-                    theirs,
-                    (arguments.seconds, clock),
-                )?);
+                rows.push(row(case, &replay, theirs, (arguments.seconds, clock))?);
             }
         }
     }
@@ -112,7 +114,7 @@ pub fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
         Ok(torch) => torch.version.clone(),
         Err(note) => note.clone(),
     };
-    let judged = |row: &&Row| row.kind == Kind::Pvp && row.batch == BATCHES[0];
+    let judged = |row: &&Row| row.case.kind == Kind::Pvp && row.case.batch == BATCHES[0];
     let ratios: Option<Vec<f64>> = rows.iter().filter(judged).map(|row| row.ratio).collect();
     let learnt = Learnt {
         is_met: ratios.map(|ratios| ratios.iter().all(|&ratio| ratio >= BAR)),
@@ -135,13 +137,14 @@ fn replay(held: usize) -> Replay {
     let mut replay = Replay::new(held);
     for k in 0..2 * held {
         let mut action = || -> [f32; ACTIONS] { [2.0 * unit() - 1.0, 2.0 * unit() - 1.0] };
-        let (applied, policy, expert) = (action(), action(), action());
+        let (applied, policy, other) = (action(), action(), action());
         let transition = Transition {
             state: std::array::from_fn(|_| unit()),
             next: std::array::from_fn(|_| unit()),
             applied,
             policy,
-            expert,
+            // Who drives is obeyed, but for hand-overs.
+            expert: [applied, other][k % 2],
             label: [Label::Expert, Label::Policy][k % 2],
             then: [Then::On, Then::End][usize::from(k % 500 < 2)],
         };
@@ -151,13 +154,17 @@ fn replay(held: usize) -> Replay {
 }
 
 fn row(
-    (kind, size): (Kind, Size),
+    case: Case,
     replay: &Replay,
     mut torch: Option<&mut Torch>,
     (seconds, clock): (f64, Clock),
 ) -> anyhow::Result<Row> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
-    let mut student = match kind {
+    let size = Size {
+        hidden: HIDDEN,
+        batch: case.batch,
+    };
+    let mut student = match case.kind {
         Kind::Pvp => {
             let settings = pvp::Settings {
                 rate: RATE,
@@ -176,12 +183,12 @@ fn row(
         let mut pace = Pace::default();
         let begun = clock();
         while pace.steps < STEPS_MIN || pace.seconds < turn_s {
-            student.update(replay, &mut random);
+            student.update(replay, &mut random, case.threads);
             pace.steps += 1;
             pace.seconds = clock().since_ns(begun) as f64 * 1e-9;
         }
         let their_pace = match &mut torch {
-            Some(torch) => torch.measure((kind, size), turn_s)?,
+            Some(torch) => torch.measure(case, turn_s)?,
             None => Pace::default(),
         };
         if turn > 0 {
@@ -191,9 +198,7 @@ fn row(
     }
     let torch_steps_per_s = torch.map(|_| theirs.steps_per_s());
     Ok(Row {
-        kind,
-        batch: size.batch,
-        threads: size.threads,
+        case,
         steps_per_s: ours.steps_per_s(),
         torch_steps_per_s,
         ratio: torch_steps_per_s.map(|theirs| ours.steps_per_s() / theirs),
@@ -265,15 +270,15 @@ impl Torch {
         Ok(line.trim_end().to_string())
     }
 
-    fn measure(&mut self, (kind, size): (Kind, Size), seconds: f64) -> anyhow::Result<Pace> {
-        let Size {
-            hidden,
+    fn measure(&mut self, case: Case, seconds: f64) -> anyhow::Result<Pace> {
+        let Case {
+            kind,
             batch,
             threads,
-        } = size;
+        } = case;
         writeln!(
             self.turns,
-            "{} {hidden} {batch} {threads} {seconds} {STEPS_MIN}",
+            "{} {HIDDEN} {batch} {threads} {seconds} {STEPS_MIN}",
             kind.word()
         )
         .context("PyTorch's script")?;
@@ -309,9 +314,9 @@ fn print(learnt: &Learnt) {
             value.map_or("-".into(), |value| format!("{value:.digits$}"))
         };
         table.add_row([
-            row.kind.word().into(),
-            row.batch.to_string(),
-            row.threads.to_string(),
+            row.case.kind.word().into(),
+            row.case.batch.to_string(),
+            row.case.threads.to_string(),
             number(Some(row.steps_per_s), 1),
             number(row.torch_steps_per_s, 1),
             number(row.ratio, 2),

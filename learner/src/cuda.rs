@@ -173,8 +173,8 @@ mod tests {
             ];
             for (a, b) in views {
                 let mut out = vec![0.5; rows * columns];
-                product(&mut out, Old::Replace, a, b, 1);
-                product(&mut out, Old::Add, a, b, 1);
+                product(&mut out, Old::Replace, a, b);
+                product(&mut out, Old::Add, a, b);
                 for (found, expected) in out.iter().zip(&expected) {
                     assert!((found - 2.0 * expected).abs() < 1e-4, "{sizes:?}: {out:?}");
                 }

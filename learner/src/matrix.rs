@@ -70,21 +70,18 @@ pub enum Old {
     Add,
 }
 
-/// `out = a b`, or `out += a b`; `out` has its rows one after the other.
+/// `out = a b`, or `out += a b`, on the calling thread; `out` has its rows one
+/// after the other.
 ///
 /// # Panics
 /// When the sizes do not fit.
-pub fn product(out: &mut [f32], old: Old, a: View, b: View, threads: usize) {
+pub fn product(out: &mut [f32], old: Old, a: View, b: View) {
     assert_eq!(a.columns, b.rows, "inner sizes differ");
     assert_eq!(out.len(), a.rows * b.columns, "a result of another size");
     #[cfg(feature = "cuda")]
     if crate::cuda::is_open() {
         return crate::cuda::product(out, old, a, b);
     }
-    let parallelism = match threads {
-        0 | 1 => Parallelism::None,
-        threads => Parallelism::Rayon(threads),
-    };
     // SAFETY: `View::new` and `transposed` keep every (row, column) within the
     // slice, the asserts above keep the sizes equal, and `out` is borrowed
     // mutably, so nothing else reads or writes it.
@@ -109,7 +106,7 @@ pub fn product(out: &mut [f32], old: Old, a: View, b: View, threads: usize) {
             false,
             false,
             false,
-            parallelism,
+            Parallelism::None,
         );
     }
 }

@@ -8,6 +8,12 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
 use crate::matrix::{Old, View, product};
+use crate::share::share;
+
+/// Rows of a batch that one thread works on at a time. Neither they nor the sums
+/// over them depend on how many threads there are, so that any number learns the
+/// same to the last bit.
+const ROWS: usize = 128;
 
 /// What the last layer ends with; the others end with a ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -85,14 +91,24 @@ impl TryFrom<Stored> for Network {
     }
 }
 
-/// The activations of one pass over a batch, for the pass back.
+/// One pass over a batch, for the pass back.
 #[derive(Clone, Debug, Default)]
 pub struct Tape {
-    /// Of every layer: `batch x outputs`.
+    /// At least as many as the batch needs.
+    parts: Vec<Part>,
+    /// `batch x outputs`.
+    outputs: Vec<f32>,
+}
+
+/// What belongs to at most [`ROWS`] rows of a batch.
+#[derive(Clone, Debug, Default)]
+struct Part {
+    /// Of every layer: `rows x outputs`.
     activations: Vec<Vec<f32>>,
-    /// Of the layer at hand: `batch x outputs`, two by turns.
+    /// Of the layer at hand: `rows x outputs`; the other is for the one before.
     deltas: [Vec<f32>; 2],
-    batch: usize,
+    /// Of the parameters.
+    gradient: Vec<f32>,
 }
 
 impl Network {
@@ -165,37 +181,56 @@ impl Network {
         })
     }
 
-    /// Outputs, `batch x outputs`, of the inputs, `batch x inputs`.
+    /// Outputs, `batch x outputs`, of the inputs, `batch x inputs`, computed by at
+    /// most this many threads.
     pub fn forward<'a>(&self, inputs: &[f32], threads: usize, tape: &'a mut Tape) -> &'a [f32] {
-        let batch = inputs.len() / self.inputs();
-        tape.batch = batch;
-        tape.activations.resize_with(self.layers.len(), Vec::new);
+        let inputs = inputs.chunks(ROWS * self.inputs());
+        let count = inputs.len();
+        if tape.parts.len() < count {
+            tape.parts.resize_with(count, Part::default);
+        }
+        let parts = &mut tape.parts[..count];
+        share(threads, inputs.zip(&mut *parts), |(inputs, part)| {
+            self.forward_rows(inputs, part);
+        });
+        tape.outputs.clear();
+        for part in parts {
+            tape.outputs
+                .extend_from_slice(&part.activations[self.layers.len() - 1]);
+        }
+        &tape.outputs
+    }
+
+    fn forward_rows(&self, inputs: &[f32], part: &mut Part) {
+        let rows = inputs.len() / self.inputs();
+        part.activations.resize_with(self.layers.len(), Vec::new);
         for (k, layer) in self.layers.iter().enumerate() {
-            let (before, rest) = tape.activations.split_at_mut(k);
+            let (before, rest) = part.activations.split_at_mut(k);
             let input = before.last().map_or(inputs, Vec::as_slice);
             let output = &mut rest[0];
             output.clear();
-            for _ in 0..batch {
+            for _ in 0..rows {
                 output.extend_from_slice(&self.parameters[layer.bias()]);
             }
-            let weights = View::new(
-                &self.parameters[layer.weights()],
-                layer.outputs,
-                layer.inputs,
-            );
-            let input = View::new(input, batch, layer.inputs);
-            product(output, Old::Add, input, weights.transposed(), threads);
+            let input = View::new(input, rows, layer.inputs);
+            let weights = self.weights(layer);
+            product(output, Old::Add, input, weights.transposed());
             match (k + 1 == self.layers.len(), self.head) {
                 (false, _) => output.iter_mut().for_each(|value| *value = value.max(0.0)),
                 (true, Head::Tanh) => output.iter_mut().for_each(|value| *value = value.tanh()),
                 (true, Head::Linear) => {}
             }
         }
-        &tape.activations[self.layers.len() - 1]
+    }
+
+    /// `outputs x inputs`.
+    fn weights(&self, layer: &Dense) -> View<'_> {
+        let weights = &self.parameters[layer.weights()];
+        View::new(weights, layer.outputs, layer.inputs)
     }
 
     /// The pass back: adds the gradient of the parameters to `gradient`, and
-    /// writes that of the inputs, when asked for, to `input_gradient`.
+    /// writes that of the inputs to `input_gradient`, where they are asked for.
     ///
     /// `delta` is the gradient of the outputs, `batch x outputs`; `tape` that of
     /// the forward pass over the same inputs.
@@ -204,16 +239,48 @@ impl Network {
         (inputs, delta): (&[f32], &[f32]),
         threads: usize,
         tape: &mut Tape,
-        mut gradient: Option<&mut [f32]>,
+        gradient: Option<&mut [f32]>,
         input_gradient: Option<&mut Vec<f32>>,
     ) {
-        let batch = tape.batch;
-        let [delta_here, delta_before] = &mut tape.deltas;
+        let inputs = inputs.chunks(ROWS * self.inputs());
+        let deltas = delta.chunks(ROWS * self.outputs());
+        let parts = &mut tape.parts[..inputs.len()];
+        let wanted = (gradient.is_some(), input_gradient.is_some());
+        let rows = inputs.zip(deltas).zip(&mut *parts);
+        share(threads, rows, |(rows, part)| {
+            self.backward_rows(rows, wanted, part);
+        });
+        if let Some(gradient) = gradient {
+            for part in &*parts {
+                for (slope, of_part) in gradient.iter_mut().zip(&part.gradient) {
+                    *slope += of_part;
+                }
+            }
+        }
+        if let Some(input_gradient) = input_gradient {
+            input_gradient.clear();
+            for part in parts {
+                input_gradient.extend_from_slice(&part.deltas[0]);
+            }
+        }
+    }
+
+    /// Writes the gradients that are wanted, of the parameters and of the inputs,
+    /// to the part's `gradient` and first `deltas`.
+    fn backward_rows(
+        &self,
+        (inputs, delta): (&[f32], &[f32]),
+        (wants_gradient, wants_input_gradient): (bool, bool),
+        part: &mut Part,
+    ) {
+        let rows = inputs.len() / self.inputs();
+        let [delta_here, delta_before] = &mut part.deltas;
         delta_here.clear();
         delta_here.extend_from_slice(delta);
+        part.gradient.resize(self.parameters.len(), 0.0);
         let last = self.layers.len() - 1;
         for (k, layer) in self.layers.iter().enumerate().rev() {
-            let output = &tape.activations[k];
+            let output = &part.activations[k];
             match (k == last, self.head) {
                 (true, Head::Linear) => {}
                 (true, Head::Tanh) => {
@@ -227,37 +294,29 @@ impl Network {
                     }
                 }
             }
-            let input = match k {
-                0 => inputs,
-                _ => &tape.activations[k - 1],
-            };
-            let deltas = View::new(delta_here, batch, layer.outputs);
-            if let Some(gradient) = gradient.as_deref_mut() {
-                let input = View::new(input, batch, layer.inputs);
-                let slope = &mut gradient[layer.weights()];
-                product(slope, Old::Add, deltas.transposed(), input, threads);
-                let bias = &mut gradient[layer.bias()];
+            let deltas = View::new(delta_here, rows, layer.outputs);
+            if wants_gradient {
+                let input = match k {
+                    0 => inputs,
+                    _ => &part.activations[k - 1],
+                };
+                let input = View::new(input, rows, layer.inputs);
+                let slope = &mut part.gradient[layer.weights()];
+                product(slope, Old::Replace, deltas.transposed(), input);
+                let bias = &mut part.gradient[layer.bias()];
+                bias.fill(0.0);
                 for row in delta_here.chunks_exact(layer.outputs) {
                     for (slope, delta) in bias.iter_mut().zip(row) {
                         *slope += delta;
                     }
                 }
             }
-            if k == 0 && input_gradient.is_none() {
+            if k == 0 && !wants_input_gradient {
                 break;
             }
-            delta_before.resize(batch * layer.inputs, 0.0);
-            let weights = View::new(
-                &self.parameters[layer.weights()],
-                layer.outputs,
-                layer.inputs,
-            );
-            product(delta_before, Old::Replace, deltas, weights, threads);
+            delta_before.resize(rows * layer.inputs, 0.0);
+            product(delta_before, Old::Replace, deltas, self.weights(layer));
             std::mem::swap(delta_here, delta_before);
-        }
-        if let Some(input_gradient) = input_gradient {
-            input_gradient.clear();
-            input_gradient.extend_from_slice(delta_here);
         }
     }
 

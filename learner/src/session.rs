@@ -2,7 +2,9 @@
 
 use std::fs;
 use std::io;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::thread::available_parallelism;
 
 use policy::Provenance;
 use rand::SeedableRng;
@@ -37,6 +39,8 @@ pub struct Session {
     journal: Journal,
     metrics: Metrics,
     state: Checkpoint,
+    /// Of an update. In lockstep nobody drives meanwhile; else the other cores do.
+    threads: usize,
     /// A disk that refuses is told of once; learning goes on without it.
     disk_failed: bool,
 }
@@ -105,7 +109,12 @@ impl Session {
             true => Some(Imagination::new(config).map_err(io::Error::other)?),
             false => None,
         };
+        let threads = match config.run.is_lockstep() {
+            true => available_parallelism().map_or(1, NonZeroUsize::get),
+            false => 1,
+        };
         Ok(Session {
+            threads,
             metrics,
             config: config.clone(),
             folder: folder.into(),
@@ -163,7 +172,9 @@ impl Session {
         for _ in 0..updates {
             beat();
             let state = &mut self.state;
-            let losses = state.student.update(&self.replay, &mut state.random);
+            let losses = state
+                .student
+                .update(&self.replay, &mut state.random, self.threads);
             sum.actor += losses.actor;
             sum.imitation += losses.imitation;
             sum.critic += losses.critic;
@@ -350,8 +361,6 @@ fn begin(config: &Config) -> Checkpoint {
     let size = Size {
         hidden: settings.hidden as usize,
         batch: settings.batch as usize,
-        // One thread: results repeat, and the other cores drive and evaluate.
-        threads: 1,
     };
     let rate = |own: f32| match settings.rate > 0.0 {
         true => settings.rate as f32,

@@ -24,6 +24,10 @@ struct Case {
 
 impl Case {
     fn new(head: Head, seed: u64) -> Case {
+        Case::of(head, seed, BATCH)
+    }
+
+    fn of(head: Head, seed: u64, batch: usize) -> Case {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
         let network = Network::new(&SIZES, head, &mut random);
         let mut numbers = |count: usize| -> Vec<f32> {
@@ -31,8 +35,8 @@ impl Case {
         };
         Case {
             network,
-            inputs: numbers(BATCH * SIZES[0]),
-            weights: numbers(BATCH * SIZES[3]),
+            inputs: numbers(batch * SIZES[0]),
+            weights: numbers(batch * SIZES[3]),
         }
     }
 
@@ -143,11 +147,40 @@ fn slopes_of_the_inputs_do_not_need_those_of_the_parameters() {
 }
 
 #[test]
-fn two_threads_give_the_slopes_of_one() {
-    let case = Case::new(Head::Tanh, 3);
-    let (one, two) = (case.slopes(1), case.slopes(2));
-    for (one, two) in one.0.iter().zip(&two.0).chain(one.1.iter().zip(&two.1)) {
-        assert!((one - two).abs() <= 1e-5, "{one} and {two}");
+fn any_number_of_threads_gives_the_same_slopes_to_the_last_bit() {
+    // Many parts of a batch, the last of them short.
+    let case = Case::of(Head::Tanh, 3, 1001);
+    let one = case.slopes(1);
+    for threads in [0, 2, 3] {
+        assert_eq!(case.slopes(threads), one, "{threads} threads");
+    }
+}
+
+#[test]
+fn a_batch_in_parts_has_the_slopes_of_its_rows() {
+    let case = Case::of(Head::Linear, 4, 301);
+    let (whole, inputs) = case.slopes(1);
+    let mut tape = Tape::default();
+    let mut sum = vec![0.0; whole.len()];
+    let mut each = Vec::new();
+    for (input, weight) in case
+        .inputs
+        .chunks(SIZES[0])
+        .zip(case.weights.chunks(SIZES[3]))
+    {
+        case.network.forward(input, 1, &mut tape);
+        let mut slope = Vec::new();
+        let pass = (input, weight);
+        case.network
+            .backward(pass, 1, &mut tape, Some(&mut sum), Some(&mut slope));
+        each.extend(slope);
+    }
+    let rows = whole.iter().zip(&sum).chain(inputs.iter().zip(&each));
+    for (whole, rows) in rows {
+        assert!(
+            (whole - rows).abs() <= 1e-4 * (1.0 + rows.abs()),
+            "{whole} and {rows}"
+        );
     }
 }
 

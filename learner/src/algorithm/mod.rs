@@ -32,8 +32,6 @@ pub struct Size {
     pub hidden: usize,
     /// Transitions of an update.
     pub batch: usize,
-    /// Threads of the matrix products; a result depends on it in its last bits.
-    pub threads: usize,
 }
 
 impl Size {
@@ -106,12 +104,13 @@ pub enum Student {
 }
 
 impl Student {
-    /// One update from the replay; nothing when it holds nothing to learn from.
-    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+    /// One update from the replay, on at most this many threads, whose number
+    /// changes no bit of it; nothing when it holds nothing to learn from.
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
         match self {
-            Student::Regression(student) => student.update(replay, random),
-            Student::Pvp(student) => student.update(replay, random),
-            Student::Ppl(student) => student.update(replay, random),
+            Student::Regression(student) => student.update(replay, random, threads),
+            Student::Pvp(student) => student.update(replay, random, threads),
+            Student::Ppl(student) => student.update(replay, random, threads),
         }
     }
 

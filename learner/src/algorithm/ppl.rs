@@ -34,12 +34,16 @@ impl Ppl {
     }
 
     /// One update: steps whose label prefers the expert, and predicted states.
-    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
         let rings = [Ring::Expert, Ring::Predicted];
-        self.0
-            .update((replay, &rings), random, |actions, batch, delta| {
+        self.0.update(
+            (replay, &rings),
+            random,
+            threads,
+            |actions, batch, delta| {
                 PREFERENCE_WEIGHT * prefer(actions, &batch.expert, &batch.policy, delta)
-            })
+            },
+        )
     }
 
     /// What it was begun with, by configuration key.

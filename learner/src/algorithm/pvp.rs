@@ -62,6 +62,7 @@ struct Room {
     values: Vec<f32>,
     delta: Vec<f32>,
     slope: Vec<f32>,
+    bounds: Vec<f32>,
 }
 
 impl Pvp {
@@ -84,7 +85,7 @@ impl Pvp {
     }
 
     /// `y = gamma min_i Q'_i(s', a')` where the episode went on: no reward.
-    fn targets(&mut self, random: &mut impl Rng) {
+    fn targets(&mut self, random: &mut impl Rng, threads: usize) {
         let Room {
             batch,
             tape,
@@ -93,7 +94,6 @@ impl Pvp {
             values,
             ..
         } = &mut self.room;
-        let threads = self.size.threads;
         actions.clear();
         actions.extend_from_slice(self.actor_target.forward(&batch.nexts, threads, tape));
         for action in actions.iter_mut() {
@@ -110,9 +110,9 @@ impl Pvp {
         }
     }
 
-    /// For each critic `[Q(s, a) - y]^2 + I [Q(s, a_applied) - 1]^2
+    /// For each critic `[Q(s, a_applied) - y]^2 + I [Q(s, a_expert) - 1]^2
     /// + I [Q(s, a_policy) + 1]^2`, means over the batch, and its gradient.
-    fn judge_critics(&mut self) -> f32 {
+    fn judge_critics(&mut self, threads: usize) -> f32 {
         let Room {
             batch,
             tape,
@@ -120,21 +120,21 @@ impl Pvp {
             inputs,
             values,
             delta,
-            slope: rejected,
+            slope: judged,
+            bounds,
             ..
         } = &mut self.room;
-        let threads = self.size.threads;
         let share = 1.0 / batch.len() as f32;
         join(&batch.states, &batch.applied, inputs);
-        // Only half of the rows: the others have no part in the last term.
-        join_preferred(batch, rejected);
+        join_judged(batch, judged, bounds);
         let mut loss = 0.0;
         for critic in &mut self.critics {
             let taken = critic.network.forward(inputs, threads, tape);
             delta.clear();
             for (k, &value) in taken.iter().enumerate() {
                 let [td, margin] = [value - values[k], value - VALUE_BOUND];
-                let [known, preferred] = [batch.is_known[k], batch.is_preferred[k]];
+                let known = batch.is_known[k];
+                let preferred = batch.is_preferred[k] * f32::from(is_experts(batch, k));
                 loss += share * (known * td * td + preferred * margin * margin);
                 delta.push(2.0 * share * (known * td + preferred * margin));
             }
@@ -142,15 +142,15 @@ impl Pvp {
             critic
                 .network
                 .backward((inputs, delta), threads, tape, gradient, None);
-            let refused = critic.network.forward(rejected, threads, critic_tape);
+            let values = critic.network.forward(judged, threads, critic_tape);
             delta.clear();
-            for &value in refused {
-                let margin = value + VALUE_BOUND;
+            for (value, bound) in values.iter().zip(&*bounds) {
+                let margin = value - bound;
                 loss += share * margin * margin;
                 delta.push(2.0 * share * margin);
             }
             let gradient = Some(&mut critic.gradient[..]);
-            let pass = (&rejected[..], &delta[..]);
+            let pass = (&judged[..], &delta[..]);
             critic
                 .network
                 .backward(pass, threads, critic_tape, gradient, None);
@@ -159,7 +159,7 @@ impl Pvp {
     }
 
     /// Eq. 2: `-mean Q(s, mu(s)) + lambda_BC` times Eq. 1, and its gradient.
-    fn judge_actor(&mut self) -> Losses {
+    fn judge_actor(&mut self, threads: usize) -> Losses {
         let Room {
             batch,
             tape,
@@ -170,7 +170,6 @@ impl Pvp {
             slope,
             ..
         } = &mut self.room;
-        let threads = self.size.threads;
         let share = 1.0 / batch.len() as f32;
         actions.clear();
         actions.extend_from_slice(self.actor.network.forward(&batch.states, threads, tape));
@@ -188,7 +187,7 @@ impl Pvp {
         let preferred = batch.is_preferred.iter().sum::<f32>() + FEW;
         let weight = self.settings.imitation_weight / (preferred * ACTIONS as f32);
         let mut imitation = 0.0;
-        for (k, (action, expert)) in actions.iter().zip(&batch.applied).enumerate() {
+        for (k, (action, expert)) in actions.iter().zip(&batch.expert).enumerate() {
             let error = batch.is_preferred[k / ACTIONS] * (action - expert);
             imitation += error * error / (preferred * ACTIONS as f32);
             delta[k] += 2.0 * weight * error;
@@ -208,17 +207,17 @@ impl Pvp {
 
 impl Pvp {
     /// One update of the critics, every second time one of the actor.
-    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
         replay.sample_evenly(self.size.batch, random, &mut self.room.batch);
         if self.room.batch.is_empty() {
             return Losses::default();
         }
-        self.targets(random);
-        let critic = self.judge_critics();
+        self.targets(random, threads);
+        let critic = self.judge_critics(threads);
         self.critics.iter_mut().for_each(Learned::step);
         self.updates += 1;
         if self.updates.is_multiple_of(POLICY_DELAY) {
-            self.last_actor = self.judge_actor();
+            self.last_actor = self.judge_actor(threads);
             self.actor.step();
             self.actor_target.follow(&self.actor.network, TAU);
             for (target, critic) in self.critic_targets.iter_mut().zip(&self.critics) {
@@ -255,16 +254,31 @@ fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
     }
 }
 
-/// The same of the rows whose label prefers the expert, with what the policy
-/// proposed there.
-fn join_preferred(batch: &Batch, out: &mut Vec<f32>) {
+/// What was applied is what the expert proposed: but for hand-overs, which are
+/// eased, it is, wherever the expert drives.
+fn is_experts(batch: &Batch, row: usize) -> bool {
+    let action = row * ACTIONS..(row + 1) * ACTIONS;
+    batch.applied[action.clone()] == batch.expert[action]
+}
+
+/// Where the label prefers the expert: states with what the policy proposed, and
+/// with what the expert did unless that was applied and is judged as such; and
+/// the value that each should have.
+fn join_judged(batch: &Batch, out: &mut Vec<f32>, bounds: &mut Vec<f32>) {
     out.clear();
-    let rows = batch.states.chunks_exact(FEATURES);
-    let rows = rows.zip(batch.policy.chunks_exact(ACTIONS));
-    for ((state, action), &preferred) in rows.zip(&batch.is_preferred) {
-        if preferred > 0.0 {
+    bounds.clear();
+    for (k, state) in batch.states.chunks_exact(FEATURES).enumerate() {
+        if batch.is_preferred[k] == 0.0 {
+            continue;
+        }
+        let action = k * ACTIONS..(k + 1) * ACTIONS;
+        out.extend_from_slice(state);
+        out.extend_from_slice(&batch.policy[action.clone()]);
+        bounds.push(-VALUE_BOUND);
+        if !is_experts(batch, k) {
             out.extend_from_slice(state);
-            out.extend_from_slice(action);
+            out.extend_from_slice(&batch.expert[action]);
+            bounds.push(VALUE_BOUND);
         }
     }
 }
@@ -311,12 +325,14 @@ mod tests {
                     random.random_range(-1.0..1.0),
                 ]
             };
+            let (applied, policy, other) = (pair(), pair(), pair());
             let transition = Transition {
                 state,
                 next,
-                applied: pair(),
-                policy: pair(),
-                expert: pair(),
+                applied,
+                policy,
+                // Otherwise in a hand-over alone.
+                expert: [applied, other][k / 3 % 2],
                 label: [Label::Expert, Label::Policy, Label::None][k % 3],
                 then: [Then::On, Then::On, Then::End, Then::Unknown][k % 4],
             };
@@ -325,7 +341,6 @@ mod tests {
         let size = Size {
             hidden: 12,
             batch: 32,
-            threads: 1,
         };
         let settings = Settings {
             rate: 1e-3,
@@ -333,7 +348,7 @@ mod tests {
         };
         let mut pvp = Pvp::new(settings, size, &mut random);
         replay.sample_evenly(size.batch, &mut random, &mut pvp.room.batch);
-        pvp.targets(&mut random);
+        pvp.targets(&mut random, 1);
         pvp
     }
 
@@ -395,7 +410,7 @@ mod tests {
                 assert_gradient(
                     (seed, CRITIC_EPSILON),
                     |pvp| &mut pvp.critics[k],
-                    Pvp::judge_critics,
+                    |pvp| pvp.judge_critics(1),
                     &mut errors,
                 );
             }
@@ -407,7 +422,7 @@ mod tests {
     fn the_actors_gradient_is_that_of_finite_differences() {
         let mut errors = Vec::new();
         for seed in 0..4 {
-            let loss = |pvp: &mut Pvp| pvp.judge_actor().actor;
+            let loss = |pvp: &mut Pvp| pvp.judge_actor(1).actor;
             assert_gradient(
                 (seed, ACTOR_EPSILON),
                 |pvp| &mut pvp.actor,
@@ -434,7 +449,7 @@ mod tests {
         };
         replay.push(transition.ring(), transition);
         for _ in 0..10 {
-            let losses = pvp.update(&replay, &mut random);
+            let losses = pvp.update(&replay, &mut random, 1);
             assert!(
                 losses.critic.is_finite() && losses.actor.is_finite(),
                 "{losses:?}"
@@ -459,7 +474,7 @@ mod tests {
         // With one target far above, the other one counts.
         let last = pvp.critic_targets[0].parameters().len() - 1;
         pvp.critic_targets[0].parameters_mut()[last] += 100.0;
-        pvp.targets(&mut Xoshiro256PlusPlus::seed_from_u64(1));
+        pvp.targets(&mut Xoshiro256PlusPlus::seed_from_u64(1), 1);
         assert!(pvp.room.values.iter().all(|value| value.abs() < 10.0));
         assert_eq!(ACTIONS * 32, pvp.room.actions.len());
     }

@@ -41,12 +41,13 @@ impl Regression {
     }
 
     /// One update; none when there is nothing to imitate.
-    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng) -> Losses {
+    pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
         let rings: &[Ring] = match self.source {
             Source::Preferred => &[Ring::Expert],
             Source::All => &Ring::ALL,
         };
-        self.imitator.update((replay, rings), random, |_, _, _| 0.0)
+        self.imitator
+            .update((replay, rings), random, threads, |_, _, _| 0.0)
     }
 
     /// What it was begun with, by configuration key.
@@ -95,6 +96,7 @@ impl Imitator {
         &mut self,
         (replay, rings): (&Replay, &[Ring]),
         random: &mut impl Rng,
+        threads: usize,
         also: impl FnOnce(&[f32], &Batch, &mut [f32]) -> f32,
     ) -> Losses {
         let Room { batch, tape, delta } = &mut self.room;
@@ -102,7 +104,6 @@ impl Imitator {
         if batch.is_empty() {
             return Losses::default();
         }
-        let threads = self.size.threads;
         let network = &self.actor.network;
         let actions = network.forward(&batch.states, threads, tape);
         let imitation = imitate(actions, &batch.expert, delta);

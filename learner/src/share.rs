@@ -1,0 +1,61 @@
+//! The work on the parts of a batch, shared by threads.
+
+use std::sync::{Mutex, PoisonError};
+
+/// Does the work on all items: here, and on other threads of the process's pool,
+/// on at most `threads` in all. Returns when all is done.
+pub fn share<T: Send>(
+    threads: usize,
+    items: impl ExactSizeIterator<Item = T> + Send,
+    work: impl Fn(T) + Sync,
+) {
+    let helpers = threads.min(items.len()).saturating_sub(1);
+    if helpers == 0 {
+        return items.for_each(work);
+    }
+    let items = Mutex::new(items);
+    let help = || {
+        // The lock is let go before the work begins.
+        let next = || items.lock().unwrap_or_else(PoisonError::into_inner).next();
+        while let Some(item) = next() {
+            work(item);
+        }
+    };
+    rayon::in_place_scope(|scope| {
+        for _ in 0..helpers {
+            scope.spawn(|_| help());
+        }
+        help();
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::HashSet;
+    use std::sync::Mutex;
+    use std::thread;
+    use std::time::Duration;
+
+    use super::share;
+
+    #[test]
+    fn each_item_is_worked_on_once_whatever_the_threads() {
+        for threads in 0..5 {
+            let mut items = [0_u32; 7];
+            share(threads, items.iter_mut(), |item| *item += 1);
+            assert_eq!(items, [1; 7], "{threads} threads");
+        }
+    }
+
+    #[test]
+    fn no_more_threads_than_allowed_take_part() {
+        let seen = Mutex::new(HashSet::new());
+        share(2, 0..20, |_| {
+            seen.lock().unwrap().insert(thread::current().id());
+            thread::sleep(Duration::from_millis(1));
+        });
+        let seen = seen.into_inner().unwrap();
+        assert!(seen.contains(&thread::current().id()));
+        assert!(seen.len() <= 2, "{seen:?}");
+    }
+}
