@@ -10,9 +10,11 @@ use learner::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
+use shm_config::message::FEATURES;
 
 use crate::Clock;
 use crate::arguments::BenchLearner;
+use crate::products::{Pass, Room};
 use crate::report::{Machine, say, table, write_json};
 
 /// Neurons of each of the two hidden layers: those of the experiment.
@@ -46,6 +48,14 @@ enum Kind {
 }
 
 impl Kind {
+    /// Updates after which the same passes come again.
+    fn period(self) -> u32 {
+        match self {
+            Kind::Pvp => 2,
+            Kind::Regression => 1,
+        }
+    }
+
     fn word(self) -> &'static str {
         match self {
             Kind::Pvp => "pvp",
@@ -62,11 +72,54 @@ struct Case {
     threads: usize,
 }
 
+impl Case {
+    /// The passes of as many updates as [`Kind::period`] says.
+    fn passes(self) -> Vec<Pass> {
+        let actor = Pass {
+            sizes: [FEATURES, HIDDEN, HIDDEN, ACTIONS],
+            rows: self.batch,
+            weights: false,
+            inputs: false,
+        };
+        let critic = Pass {
+            sizes: [FEATURES + ACTIONS, HIDDEN, HIDDEN, 1],
+            ..actor
+        };
+        let learns = |pass| Pass {
+            weights: true,
+            ..pass
+        };
+        let half = Pass {
+            rows: self.batch / 2,
+            ..critic
+        };
+        match self.kind {
+            Kind::Regression => vec![learns(actor)],
+            Kind::Pvp => {
+                let mut passes = Vec::new();
+                for _ in 0..self.kind.period() {
+                    let targets = [actor, critic, critic];
+                    let critics = [learns(critic), learns(half), learns(critic), learns(half)];
+                    passes.extend(targets.into_iter().chain(critics));
+                }
+                let value = Pass {
+                    inputs: true,
+                    ..critic
+                };
+                passes.extend([learns(actor), value]);
+                passes
+            }
+        }
+    }
+}
+
 /// How fast it is.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     #[serde(flatten)]
     case: Case,
+    /// Gradient steps per second of the matrix products alone: the limit.
+    products_per_s: f64,
     /// Gradient steps per second, ours; drawing the batch included.
     steps_per_s: f64,
     /// PyTorch's; none where there is none.
@@ -169,6 +222,7 @@ fn row(
             let settings = pvp::Settings {
                 rate: RATE,
                 imitation_weight: 1.0,
+                target_noise: 0.2,
             };
             Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }
@@ -176,22 +230,25 @@ fn row(
             Student::Regression(Regression::new(Source::All, size, RATE, &mut random))
         }
     };
+    let passes = case.passes();
+    let mut room = Room::new(&passes);
     let turn_s = seconds / f64::from(TURNS);
-    let (mut ours, mut theirs) = (Pace::default(), Pace::default());
+    let [mut bare, mut ours, mut theirs] = [Pace::default(); 3];
     // The first turn warms up: memory is touched, kernels are chosen.
     for turn in 0..=TURNS {
-        let mut pace = Pace::default();
-        let begun = clock();
-        while pace.steps < STEPS_MIN || pace.seconds < turn_s {
+        let bare_pace = Pace::of((turn_s, clock), || room.multiply(&passes, case.threads));
+        let pace = Pace::of((turn_s, clock), || {
             student.update(replay, &mut random, case.threads);
-            pace.steps += 1;
-            pace.seconds = clock().since_ns(begun) as f64 * 1e-9;
-        }
+        });
         let their_pace = match &mut torch {
             Some(torch) => torch.measure(case, turn_s)?,
             None => Pace::default(),
         };
         if turn > 0 {
+            bare.add(Pace {
+                steps: bare_pace.steps * case.kind.period(),
+                ..bare_pace
+            });
             ours.add(pace);
             theirs.add(their_pace);
         }
@@ -199,6 +256,7 @@ fn row(
     let torch_steps_per_s = torch.map(|_| theirs.steps_per_s());
     Ok(Row {
         case,
+        products_per_s: bare.steps_per_s(),
         steps_per_s: ours.steps_per_s(),
         torch_steps_per_s,
         ratio: torch_steps_per_s.map(|theirs| ours.steps_per_s() / theirs),
@@ -213,6 +271,18 @@ struct Pace {
 }
 
 impl Pace {
+    /// How often this is done in a turn.
+    fn of((turn_s, clock): (f64, Clock), mut work: impl FnMut()) -> Pace {
+        let mut pace = Pace::default();
+        let begun = clock();
+        while pace.steps < STEPS_MIN || pace.seconds < turn_s {
+            work();
+            pace.steps += 1;
+            pace.seconds = clock().since_ns(begun) as f64 * 1e-9;
+        }
+        pace
+    }
+
     fn add(&mut self, other: Pace) {
         self.steps += other.steps;
         self.seconds += other.seconds;
@@ -304,6 +374,7 @@ fn print(learnt: &Learnt) {
         "",
         "batch",
         "threads",
+        "products alone",
         "steps/s",
         "PyTorch steps/s",
         "ratio",
@@ -317,6 +388,7 @@ fn print(learnt: &Learnt) {
             row.case.kind.word().into(),
             row.case.batch.to_string(),
             row.case.threads.to_string(),
+            number(Some(row.products_per_s), 1),
             number(Some(row.steps_per_s), 1),
             number(row.torch_steps_per_s, 1),
             number(row.ratio, 2),
@@ -334,7 +406,7 @@ fn print(learnt: &Learnt) {
         None => {}
     }
     say(format_args!(
-        "2 x {HIDDEN} neurons, {} s each by turns after a warm-up, no real-time priority, {}, {}",
+        "2 x {HIDDEN} neurons, {} s each by turns after a warm-up, no real-time priority, {}, {}; products alone: the matrix products of such an update and nothing else, which no program on this library can pass",
         learnt.seconds, learnt.torch, learnt.conditions
     ));
 }

@@ -58,6 +58,7 @@ pub mod outside;
 pub mod parity;
 pub mod photography;
 pub mod planning;
+mod products;
 pub mod report;
 pub mod scene;
 pub mod seat;

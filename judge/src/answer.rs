@@ -63,7 +63,12 @@ pub fn read(body: &[u8], prompt: &Prompt) -> Reading {
     let tokens = tokens(&envelope);
     let content = content(&envelope);
     let reply = content.and_then(|content| reply(content, prompt));
-    let said = content.unwrap_or_else(|_| refusal(&envelope).unwrap_or(text));
+    let cut_off = || message(&envelope)?.get("content")?.as_str();
+    let said = content
+        .ok()
+        .or_else(|| refusal(&envelope))
+        .or_else(cut_off)
+        .unwrap_or(text);
     let served = envelope.get("model").and_then(Value::as_str);
     Reading {
         reply,
@@ -84,8 +89,11 @@ fn tokens(envelope: &Value) -> Option<[u64; 2]> {
 
 /// What a model says in place of an answer; only OpenAI has a field for it.
 fn refusal(envelope: &Value) -> Option<&str> {
-    let message = envelope.get("choices")?.get(0)?.get("message")?;
-    message.get("refusal")?.as_str()
+    message(envelope)?.get("refusal")?.as_str()
+}
+
+fn message(envelope: &Value) -> Option<&Value> {
+    envelope.get("choices")?.get(0)?.get("message")
 }
 
 /// What the model said, if it came to its end.

@@ -251,7 +251,7 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     if gone > 0 {
         let questions = counted(gone, "question");
         say(format_args!(
-            "not asked, since pictures are lost: {questions}"
+            "not asked, since there is no picture of them: {questions}"
         ));
     }
     let lost = replay.lost();

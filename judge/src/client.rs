@@ -30,6 +30,9 @@ pub const SAID_BYTES_MAX: usize = 4096;
 /// Longest name of a model that is kept, bytes.
 const SERVED_BYTES_MAX: usize = 128;
 
+/// What is shown of what a server said of an error, characters.
+const SHOWN_MAX: usize = 200;
+
 /// Nesting of a server's own errors.
 const ERROR_DEPTH_MAX: u32 = 16;
 
@@ -99,11 +102,18 @@ struct State {
     budget: Budget,
     // Why nothing more is asked.
     closed: Option<Fault>,
-    // The last reason not to ask.
-    trouble: Option<Fault>,
+    // The last reason for which questions go unasked or unanswered.
+    trouble: Option<Trouble>,
     // The server asked to be left alone until then.
     hold_until: Duration,
     random: Xoshiro256PlusPlus,
+}
+
+/// Why questions go unasked or unanswered until somebody changes something.
+struct Trouble {
+    fault: Fault,
+    /// The server's own words when it was first met, on one line.
+    said: String,
 }
 
 /// What became of one request.
@@ -194,11 +204,16 @@ impl Asker {
         self.state().closed
     }
 
-    /// Why questions are not asked, for good or for a while, and what to do: the
-    /// last reason there was, in words.
+    /// Why questions go unasked or unanswered, for good or for a while, and what
+    /// to do: the last reason there was, with the server's words for it.
     pub fn trouble(&self) -> Option<String> {
-        let fault = self.state().trouble?;
+        let state = self.state();
+        let Trouble { fault, said } = state.trouble.as_ref()?;
         let what = match fault {
+            Fault::Length => "the model is cut off before it has answered".into(),
+            fault if fault.is_of_the_question() => {
+                "the server does not take what it is asked".into()
+            }
             Fault::Budget => "what the run may cost is spent".into(),
             fault if fault.is_permanent() => {
                 "no more questions are asked until the next start".into()
@@ -208,7 +223,15 @@ impl Asker {
                 self.vlm.breaker_open_s
             ),
         };
-        Some(format!("{}: {what}; {}", fault.word(), fault.advice()))
+        let said = match said.as_str() {
+            "" => String::new(),
+            said => format!("; it says: {said}"),
+        };
+        Some(format!(
+            "{}: {what}; {}{said}",
+            fault.word(),
+            fault.advice()
+        ))
     }
 
     /// What all questions so far cost, with what is set aside for those being
@@ -235,7 +258,7 @@ impl Asker {
                 .await;
         }
         if let Err(fault) = asked.reply {
-            self.note(fault);
+            self.note(fault, &asked.said);
         }
         asked.latency = begun.elapsed();
         tracing::debug!(
@@ -418,15 +441,29 @@ impl Asker {
 
     /// Takes note of a question without a reply. One that is given up because of
     /// the server is one breakdown, however many attempts it took.
-    fn note(&self, fault: Fault) {
+    fn note(&self, fault: Fault, said: &str) {
         let now = self.begun.elapsed();
         let mut state = self.state();
         if fault.is_outage() {
             state.breaker.failed(now);
         }
         let is_left_alone = fault.is_outage() && state.breaker.is_open(now);
-        if is_left_alone || fault.is_permanent() || fault == Fault::Budget {
-            state.trouble = Some(fault);
+        let is_trouble = is_left_alone
+            || fault.is_permanent()
+            || fault.is_of_the_question()
+            || fault == Fault::Budget;
+        // Told once, whatever numbers are in the server's words next time.
+        let is_news = state
+            .trouble
+            .as_ref()
+            .is_none_or(|trouble| trouble.fault != fault);
+        if is_trouble && is_news {
+            // A proxy's page says less than its status.
+            let has_words = fault.is_status() && !said.trim_start().starts_with('<');
+            state.trouble = Some(Trouble {
+                fault,
+                said: one_line(if has_words { said } else { "" }),
+            });
         }
     }
 
@@ -457,6 +494,14 @@ impl Asker {
         // Whoever panicked left numbers behind that are still numbers.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// A server's words as they may be shown in a terminal: neither lines nor escape
+/// sequences, and not too much.
+fn one_line(said: &str) -> String {
+    let plain = said.replace(char::is_control, " ");
+    let words: Vec<&str> = plain.split_whitespace().collect();
+    words.join(" ").chars().take(SHOWN_MAX).collect()
 }
 
 /// Reads at most `bytes_max`, and says whether that was all.

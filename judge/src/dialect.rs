@@ -18,8 +18,8 @@ struct Body<'a> {
     stream: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     temperature: Option<f64>,
-    // Reasoning models of OpenAI refuse `max_tokens`; llama.cpp, Ollama and
-    // LM Studio document only that one, and pass over the other in silence.
+    // Reasoning models of OpenAI refuse `max_tokens`; Ollama and LM Studio
+    // document only that one, and pass over the other in silence.
     #[serde(skip_serializing_if = "Option::is_none")]
     max_completion_tokens: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -166,6 +166,37 @@ impl Fault {
         (self.is_retryable() && !asked_to_wait) || not_retried
     }
 
+    /// The question as it is put gets no answer, and the next will be put alike.
+    pub fn is_of_the_question(self) -> bool {
+        matches!(
+            self,
+            Self::BadRequest | Self::RequestTooLarge | Self::Unprocessable | Self::Length
+        )
+    }
+
+    /// It is a status that the server gave, mostly with words of its own.
+    pub(crate) fn is_status(self) -> bool {
+        matches!(
+            self,
+            Self::BadRequest
+                | Self::Unauthorized
+                | Self::Quota
+                | Self::Forbidden
+                | Self::NotFound
+                | Self::RequestTimeout
+                | Self::Conflict
+                | Self::RequestTooLarge
+                | Self::Unprocessable
+                | Self::RateLimited
+                | Self::ServerError
+                | Self::BadGateway
+                | Self::ServiceUnavailable
+                | Self::GatewayTimeout
+                | Self::Overloaded
+                | Self::OtherStatus
+        )
+    }
+
     /// A request was made and cost nothing: it did not reach a model.
     pub(crate) fn is_free(self) -> bool {
         matches!(
@@ -274,7 +305,7 @@ impl Fault {
         }
     }
 
-    /// What to do about one after which no more is asked, or not for a while.
+    /// What to do about one that will not pass, or not for a while.
     pub fn advice(self) -> &'static str {
         match self {
             Self::Unauthorized => "check the key (vlm.key_env, vlm.key_file)",
@@ -282,6 +313,11 @@ impl Fault {
             Self::Quota => "top up the account, or point vlm.server elsewhere",
             Self::NotFound => "check vlm.model and the end of vlm.server, usually /v1",
             Self::Budget => "raise vlm.budget_usd, or ask less often (gate.spacing_s)",
+            Self::BadRequest | Self::Unprocessable => {
+                "check vlm.model, vlm.dialect and how long a context the server was started with"
+            }
+            Self::RequestTooLarge => "ask with a smaller picture (vlm.width_px, vlm.height_px)",
+            Self::Length => "raise vlm.tokens_max, the more for a model that thinks first",
             fault if fault.is_outage() => "check that the server at vlm.server runs and answers",
             _ => "try again",
         }

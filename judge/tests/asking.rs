@@ -232,9 +232,37 @@ fn a_question_is_one_breakdown_however_many_attempts_it_took() {
     assert_eq!(server.requests(), 6);
     let trouble = asker.trouble().expect("it is left alone");
     assert!(
-        trouble.contains("http_500") && trouble.contains("vlm.server"),
+        ["http_500", "vlm.server", "it says: the stand-in was told"]
+            .iter()
+            .all(|part| trouble.contains(part)),
         "{trouble}"
     );
+}
+
+#[test]
+fn a_question_that_gets_no_answer_as_it_is_put_is_told_once_with_the_servers_words() {
+    for (mishap, word, parts) in [
+        (
+            Mishap::BadRequest,
+            "http_400",
+            ["vlm.model", "it says: the stand-in was told to say 400"],
+        ),
+        (Mishap::Length, "length", ["cut off", "vlm.tokens_max"]),
+    ] {
+        let server = start(Options {
+            mishap: Some(mishap),
+            ..Options::default()
+        });
+        let asker = asker(&vlm(server.url()));
+        assert_eq!(asker.trouble(), None);
+        ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
+        let trouble = asker.trouble().expect("the next is put alike");
+        assert!(trouble.starts_with(word), "{trouble}");
+        assert!(parts.iter().all(|part| trouble.contains(part)), "{trouble}");
+        ask(&asker, &prompt(BLIND), &red_ahead(), PATIENCE_S);
+        assert_eq!(asker.trouble(), Some(trouble));
+        assert_eq!(asker.closed(), None, "the next may be another");
+    }
 }
 
 #[test]

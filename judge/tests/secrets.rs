@@ -62,7 +62,7 @@ fn no_log_line_and_no_record_holds_the_key() {
             "it was sent: {}",
             asked.said
         );
-        format!("{asker:?} {asked:?}")
+        format!("{asker:?} {asked:?} {:?}", asker.trouble())
     });
     let log = String::from_utf8(log.0.lock().expect("whole").clone()).expect("UTF-8");
     assert!(log.contains("http_401"), "something was logged: {log}");

@@ -5,7 +5,7 @@
 //! | [`assembler`] | steps to transitions, with the label of their question |
 //! | [`replay`], [`journal`] | the rings of transitions, in memory and on disk |
 //! | [`algorithm`] | the ways to learn, a file each |
-//! | [`network`], [`adam`], `matrix`, `share` | perceptrons, their gradients, their optimiser, the threads; `cuda` in place of `matrix` with that feature |
+//! | [`network`], [`adam`], [`matrix`], [`share`] | perceptrons, their gradients, their optimiser, the threads; `cuda` in place of [`matrix`] with that feature |
 //! | [`features`], [`export`] | the networks' input; a network becomes a policy file |
 //! | [`elsewhere`], [`oracle`], [`imagine`] | what would be seen and done where nobody was |
 //! | [`session`], [`checkpoint`], [`metrics`] | a learner's life, on disk after every block |
@@ -23,13 +23,13 @@ pub mod export;
 pub mod features;
 pub mod imagine;
 pub mod journal;
-mod matrix;
+pub mod matrix;
 pub mod metrics;
 pub mod network;
 pub mod oracle;
 pub mod replay;
 pub mod session;
-mod share;
+pub mod share;
 
 pub use adam::Adam;
 pub use network::{Network, Tape};

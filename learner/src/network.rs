@@ -13,7 +13,7 @@ use crate::share::share;
 /// Rows of a batch that one thread works on at a time. Neither they nor the sums
 /// over them depend on how many threads there are, so that any number learns the
 /// same to the last bit.
-const ROWS: usize = 128;
+pub const ROWS: usize = 128;
 
 /// What the last layer ends with; the others end with a ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -372,6 +372,7 @@ fn begin(config: &Config) -> Checkpoint {
             let settings = pvp::Settings {
                 rate: rate(VALUE_RATE),
                 imitation_weight: settings.imitation_weight as f32,
+                target_noise: settings.target_noise as f32,
             };
             Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }

@@ -276,7 +276,7 @@ fn other_sizes_and_rates_are_refused_with_both_values() {
     let folder = TempDir::new().expect("a folder");
     drive(&mut open(&config(Algorithm::Pvp), folder.path()), 0..BLOCK);
     type Change = (&'static str, fn(&mut Config));
-    let changes: [Change; 4] = [
+    let changes: [Change; 5] = [
         ("learner.hidden = 16, and 32", |config| {
             config.learner.hidden = 32
         }),
@@ -284,6 +284,9 @@ fn other_sizes_and_rates_are_refused_with_both_values() {
             config.learner.batch = 64
         }),
         ("learner.rate = ", |config| config.learner.rate = 0.5),
+        ("learner.target_noise = ", |config| {
+            config.learner.target_noise = 0.0;
+        }),
         ("learner.imitation_weight = 1, and 2", |config| {
             config.learner.imitation_weight = 2.0;
         }),

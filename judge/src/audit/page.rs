@@ -47,7 +47,12 @@ pub fn page(records: &Records, figures: &Figures, pictures: &Pictures) -> Markup
 }
 
 fn head(records: &Records, figures: &Figures) -> Markup {
-    let first = records.questions.first();
+    // What the end of the run cut short was asked nobody in no words.
+    let mut asked = records
+        .questions
+        .iter()
+        .filter(|record| !record.preset.is_empty());
+    let first = asked.next();
     let model = first.map_or("", |record| &record.model);
     let preset = first.map_or("", |record| &record.preset);
     let askings = records.questions.iter().flat_map(|record| &record.askings);
@@ -56,10 +61,7 @@ fn head(records: &Records, figures: &Figures) -> Markup {
         .map(|asking| asking.served.as_str())
         .collect();
     let served: Vec<_> = served.into_iter().collect();
-    let mixed = records
-        .questions
-        .iter()
-        .any(|record| record.model != model || record.preset != preset);
+    let mixed = asked.any(|record| record.model != model || record.preset != preset);
     html! {
         h1 { "The judge's record" }
         p class="lead" {

@@ -17,10 +17,8 @@ const GAMMA: f32 = 0.99;
 const TAU: f32 = 0.005;
 /// Updates of the critics for one of the actor; PVP4Real.
 const POLICY_DELAY: u64 = 2;
-/// Standard deviation of the noise on target actions; TD3.
-const TARGET_NOISE: f32 = 0.2;
-/// Bound of that noise; TD3.
-const TARGET_NOISE_CLIP: f32 = 0.5;
+/// Bound of the noise on target actions, in its standard deviations; TD3.
+const TARGET_NOISE_CLIP: f32 = 2.5;
 /// Value of a preferred action, and less this of a rejected one; PVP4Real.
 const VALUE_BOUND: f32 = 1.0;
 /// Keeps the mean over interventions finite; PVP4Real.
@@ -33,6 +31,8 @@ pub struct Settings {
     pub rate: f32,
     /// `lambda_BC` of Eq. 2; PVP4Real has 1.
     pub imitation_weight: f32,
+    /// Standard deviation of the noise on target actions; TD3 has 0.2.
+    pub target_noise: f32,
 }
 
 /// Twin critics and an actor.
@@ -97,9 +97,8 @@ impl Pvp {
         actions.clear();
         actions.extend_from_slice(self.actor_target.forward(&batch.nexts, threads, tape));
         for action in actions.iter_mut() {
-            let noise =
-                (TARGET_NOISE * normal(random)).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
-            *action = (*action + noise).clamp(-1.0, 1.0);
+            let noise = normal(random).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
+            *action = (*action + self.settings.target_noise * noise).clamp(-1.0, 1.0);
         }
         join(&batch.nexts, actions, inputs);
         values.clear();
@@ -235,6 +234,8 @@ impl Pvp {
         let mut begun = self.size.begun_with(self.settings.rate);
         let weight = f64::from(self.settings.imitation_weight);
         begun.push(("learner.imitation_weight", weight));
+        let noise = f64::from(self.settings.target_noise);
+        begun.push(("learner.target_noise", noise));
         begun
     }
 
@@ -345,6 +346,7 @@ mod tests {
         let settings = Settings {
             rate: 1e-3,
             imitation_weight: 0.7,
+            target_noise: 0.2,
         };
         let mut pvp = Pvp::new(settings, size, &mut random);
         replay.sample_evenly(size.batch, &mut random, &mut pvp.room.batch);

@@ -57,6 +57,9 @@ pub struct Learner {
     pub rate: f64,
     /// Weight of the imitation beside the value: lambda_BC of Eq. 2; PVP4Real.
     pub imitation_weight: f64,
+    /// Standard deviation of the noise on the actions that pvp's targets are
+    /// computed with; TD3 and PVP4Real.
+    pub target_noise: f64,
     /// Transitions that each ring of the replay holds; PVP4Real.
     pub capacity: u32,
     /// States that a rejected action is followed for, of ppl: 0.2 s apart.
@@ -85,6 +88,7 @@ impl Default for Learner {
             hidden: 256,
             rate: 0.0,
             imitation_weight: 1.0,
+            target_noise: 0.2,
             capacity: 50_000,
             predicted_states: 4,
             imagined_scenes: 3,
@@ -111,6 +115,7 @@ impl Learner {
         }
         in_range("learner.rate", self.rate, 0.0..=1.0)?;
         in_range("learner.imitation_weight", self.imitation_weight, 0.0..=1e3)?;
+        in_range("learner.target_noise", self.target_noise, 0.0..=1.0)?;
         in_range("learner.label_wait_s", self.label_wait_s, 0.0..=3600.0)?;
         in_range(
             "learner.lockstep_wait_s",

@@ -113,8 +113,8 @@ pub struct Vlm {
     pub server: String,
     /// What the server is: openai, vllm, llama_cpp, ollama, lm_studio or sglang.
     pub dialect: Dialect,
-    /// Which model; empty for gpt-4o-mini with openai, and for the one that is
-    /// loaded with llama_cpp. vlaps-stand-in for ./vlaps judge-server, which is no
+    /// Which model; empty for gpt-4o-mini with openai, and for the one that a
+    /// llama-server was started with (-m). vlaps-stand-in for ./vlaps judge-server, which is no
     /// model and costs nothing.
     pub model: String,
     /// Environment variable that holds the key; empty for none. For
@@ -252,7 +252,7 @@ impl Vlm {
     pub fn model_name(&self) -> &str {
         match (self.model.as_str(), self.dialect) {
             ("", Dialect::Openai) => "gpt-4o-mini",
-            // llama-server looks at no name, and wants one.
+            // llama-server wants a name, and looks at it only as a router.
             ("", _) => "default",
             (name, _) => name,
         }
