@@ -14,6 +14,7 @@ use supervisor::numbers::whole;
 
 use crate::Clock;
 use crate::arguments::{Configuration, WorldChoice};
+use crate::chart::{FACE, know_font};
 use crate::report::{Machine, say, table, write_json};
 use crate::train::arguments::{ExpertChoice, Train, algorithm};
 use crate::train::experiment::Experiment;
@@ -370,6 +371,7 @@ const CURVES: [Curve; 3] = [
 
 /// A curve through the means of the rows, and a small dot for each training.
 fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
+    know_font()?;
     let root = SVGBackend::new(path, SIZE).into_drawing_area();
     root.fill(&WHITE)?;
     let title = format!(
@@ -377,7 +379,7 @@ fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
         swept.algorithm,
         counted(swept.steps, "step")
     );
-    let body = root.titled(&title, ("sans-serif", 24))?;
+    let body = root.titled(&title, (FACE, 24))?;
     for (area, (flaw, values)) in body.split_evenly((1, 3)).iter().zip(SWEPT) {
         let end = values.last().copied().unwrap_or(1.0);
         let mut chart = ChartBuilder::on(area)
@@ -388,8 +390,8 @@ fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
         chart
             .configure_mesh()
             .x_desc(flaw.words())
-            .axis_desc_style(("sans-serif", 16))
-            .label_style(("sans-serif", 14))
+            .axis_desc_style((FACE, 16))
+            .label_style((FACE, 14))
             .light_line_style(WHITE)
             .draw()?;
         for (name, colour, of) in CURVES {
@@ -416,9 +418,59 @@ fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
             .configure_series_labels()
             .position(SeriesLabelPosition::MiddleLeft)
             .background_style(WHITE.mix(0.8))
-            .label_font(("sans-serif", 13))
+            .label_font((FACE, 13))
             .draw()?;
     }
     root.present()?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::{CURVES, Flaw, Row, SWEPT, Swept, Training, draw, name};
+    use crate::report::Machine;
+
+    fn row(flaw: Option<Flaw>, value: f64, seeds: u64) -> Row {
+        let training = |seed| Training {
+            seed,
+            success: 0.9,
+            strict_success: 0.8,
+            out_of_road: 0.05,
+            unsafe_episodes: 0.1,
+            policy_share: 0.6,
+            vetoed_share: 0.01,
+        };
+        Row {
+            flaw,
+            value,
+            trainings: (0..seeds).map(training).collect(),
+        }
+    }
+
+    #[test]
+    fn the_plot_has_a_dot_for_each_training_and_needs_no_training_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("sweep.svg");
+        let swept = Swept {
+            rows: vec![row(None, 0.0, 3), row(Some(Flaw::Noise), 0.1, 2)],
+            algorithm: "hg-dagger".into(),
+            steps: 6000,
+            episodes: 500,
+            conditions: Machine::here().expect("a machine"),
+        };
+        draw(&swept, &path).expect("drawn");
+        let drawn = fs::read_to_string(&path).expect("an SVG");
+        // Without a flaw in each of the charts, with noise in one.
+        let dots = CURVES.len() * (3 * SWEPT.len() + 2);
+        assert_eq!(drawn.matches("<circle").count(), dots);
+    }
+
+    #[test]
+    fn each_row_has_a_folder_of_its_own() {
+        assert_eq!(name(None), "flawless");
+        assert_eq!(name(Some((Flaw::Noise, 0.1))), "noise-0.1");
+        assert_eq!(name(Some((Flaw::Delay, 30.0))), "delay_s-30");
+    }
 }
