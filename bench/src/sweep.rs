@@ -416,7 +416,7 @@ fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
         }
         chart
             .configure_series_labels()
-            .position(SeriesLabelPosition::MiddleLeft)
+            .position(SeriesLabelPosition::UpperRight)
             .background_style(WHITE.mix(0.8))
             .label_font((FACE, 13))
             .draw()?;

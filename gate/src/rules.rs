@@ -41,19 +41,10 @@ impl Judge for Rules {
             (_, None) => Answer::Abstain,
             (None, Some(_)) if policy.is_vetoed() => Answer::Abstain,
             (None, Some(_)) => Answer::Policy,
-            (Some(_), Some(_)) if self.limits.urges_on && is_held_up(&expert, &policy) => {
-                Answer::Expert
-            }
             (Some(_), Some(_)) => compare(&expert, &policy),
         };
         Ruling::new(answer, 0.0)
     }
-}
-
-/// The policy would stand where the expert would drive on, and may.
-fn is_held_up(expert: &Assessment, policy: &Assessment) -> bool {
-    let drives_on = expert.progress_m > NO_PROGRESS_M && !expert.is_vetoed();
-    drives_on && policy.progress_m < NO_PROGRESS_M
 }
 
 /// Safety first, then progress; similar means the policy may drive (the

@@ -152,32 +152,6 @@ fn rules_prefer_whoever_stays_on_the_road_and_abstain_without_a_pair() {
 }
 
 #[test]
-fn a_policy_that_stands_before_something_is_safer_unless_the_rules_urge_on() {
-    let vehicle = Vehicle::default();
-    let pedal = |pedal| Some(Action { steer: 0.0, pedal });
-    let limits = |urges_on| JudgeLimits {
-        urges_on,
-        ..JudgeLimits::default()
-    };
-    // Room before the car, m: driving on ends in a contact within the rollout; at
-    // once, which is vetoed; not at all.
-    for (room_m, calm, urged) in [
-        (1.0, Answer::Policy, Answer::Expert),
-        (0.01, Answer::Policy, Answer::Policy),
-        (40.0, Answer::Expert, Answer::Expert),
-    ] {
-        for (urges_on, expected) in [(false, calm), (true, urged)] {
-            let mut step = step_at(SECOND, pedal(1.0), pedal(-1.0));
-            step.observation.ego.speed_mps = 0.0;
-            let range_m = 0.5 * vehicle.length_m + limits(urges_on).margin_m + room_m;
-            step.observation.ranges_m[0] = range_m as f32;
-            let ruling = Rules::new(vehicle, limits(urges_on)).ask(&Question::about(&step));
-            assert_eq!(ruling.answer, expected, "{room_m} m, urges on: {urges_on}");
-        }
-    }
-}
-
-#[test]
 fn rules_prefer_the_expert_to_a_policy_that_lags_at_any_speed() {
     let pedal = |pedal| Some(Action { steer: 0.0, pedal });
     let rows = [

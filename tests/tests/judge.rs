@@ -14,7 +14,7 @@ use vlaps_tests::{Set, until};
 
 /// A policy that was trained for 9,800 steps: something to judge.
 fn policy() -> String {
-    let file = "../results/learning/ppl-9800.onnx";
+    let file = "../results/learning/ppl-10000.onnx";
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(file);
     path.display().to_string()
 }

@@ -70,9 +70,6 @@ pub struct JudgeLimits {
     pub edge_margin_m: f64,
     /// A contact or exit sooner than the time to stop plus this vetoes, s.
     pub reaction_s: f64,
-    /// For experiments: `--gate rules` prefers an expert that would drive on, and is
-    /// not vetoed, to a policy that would stand, however much safer standing is.
-    pub urges_on: bool,
 }
 
 impl Default for JudgeLimits {
@@ -85,7 +82,6 @@ impl Default for JudgeLimits {
             edge_margin_m: 0.0,
             // Two periods: this tick's command acts over the next one.
             reaction_s: 0.2,
-            urges_on: false,
         }
     }
 }
