@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::algorithm::Student;
 
 /// First bytes of the file: name and version of the format.
-const MAGIC: &[u8; 8] = b"VLLRNR01";
+const MAGIC: &[u8; 8] = b"VLLRNR02";
 
 /// First letters of a file that is being written.
 pub const UNFINISHED: &str = ".tmp";

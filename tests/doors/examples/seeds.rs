@@ -306,7 +306,6 @@ fn checkpoints(folder: &Path) {
     let size = Size {
         hidden: 2,
         batch: 4,
-        threads: 1,
     };
     let state = Checkpoint {
         algorithm: "bc".into(),

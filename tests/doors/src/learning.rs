@@ -68,7 +68,7 @@ pub fn journal(bytes: &[u8]) -> Said {
 /// A learner's networks; the checksum is that of the bytes, so that what is behind
 /// it is reached.
 pub fn checkpoint(bytes: &[u8]) -> Said {
-    let mut file = b"VLLRNR01".to_vec();
+    let mut file = b"VLLRNR02".to_vec();
     file.extend_from_slice(&crc32fast::hash(bytes).to_le_bytes());
     file.extend_from_slice(bytes);
     let folder = tempfile::tempdir().expect("a folder");
