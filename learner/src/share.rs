@@ -32,9 +32,9 @@ pub fn share<T: Send>(
 #[cfg(test)]
 mod tests {
     use std::collections::HashSet;
+    use std::hint::black_box;
     use std::sync::Mutex;
     use std::thread;
-    use std::time::Duration;
 
     use super::share;
 
@@ -52,7 +52,7 @@ mod tests {
         let seen = Mutex::new(HashSet::new());
         share(2, 0..20, |_| {
             seen.lock().unwrap().insert(thread::current().id());
-            thread::sleep(Duration::from_millis(1));
+            black_box((0..100_000_u64).map(black_box).sum::<u64>());
         });
         let seen = seen.into_inner().unwrap();
         assert!(seen.contains(&thread::current().id()));
