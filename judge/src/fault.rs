@@ -176,25 +176,7 @@ impl Fault {
 
     /// It is a status that the server gave, mostly with words of its own.
     pub(crate) fn is_status(self) -> bool {
-        matches!(
-            self,
-            Self::BadRequest
-                | Self::Unauthorized
-                | Self::Quota
-                | Self::Forbidden
-                | Self::NotFound
-                | Self::RequestTimeout
-                | Self::Conflict
-                | Self::RequestTooLarge
-                | Self::Unprocessable
-                | Self::RateLimited
-                | Self::ServerError
-                | Self::BadGateway
-                | Self::ServiceUnavailable
-                | Self::GatewayTimeout
-                | Self::Overloaded
-                | Self::OtherStatus
-        )
+        self == Self::Quota || self.word().starts_with("http_")
     }
 
     /// A request was made and cost nothing: it did not reach a model.
