@@ -436,6 +436,45 @@ mod tests {
     }
 
     #[test]
+    fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
+        let mut pvp = drawn(5);
+        let mut replay = Replay::new(10);
+        // The pedal, since a mirror leaves it as it is.
+        let transition = Transition {
+            state: [0.5; FEATURES],
+            next: [0.5; FEATURES],
+            applied: [0.0, 0.6],
+            policy: [0.0, 0.9],
+            expert: [0.0, -0.6],
+            label: Label::Expert,
+            then: Then::Unknown,
+        };
+        replay.push(transition.ring(), transition);
+        replay.sample_evenly(8, &mut random, &mut pvp.room.batch);
+        let (mut rows, mut bounds) = (Vec::new(), Vec::new());
+        super::join_judged(&pvp.room.batch, &mut rows, &mut bounds);
+        let pedals = rows
+            .chunks_exact(FEATURES + ACTIONS)
+            .map(|row| row[FEATURES + 1]);
+        let judged: Vec<_> = pedals.zip(bounds).collect();
+        assert_eq!(judged, [(0.9, -1.0), (-0.6, 1.0)].repeat(8));
+        // The actor's imitation is of the expert, too.
+        let states = pvp.room.batch.states.clone();
+        let mut tape = crate::network::Tape::default();
+        let action = pvp.actor.network.forward(&states[..FEATURES], 1, &mut tape);
+        let off = (action[1] + 0.6).powi(2);
+        let steer: f32 = action[0].powi(2);
+        replay.sample_evenly(1, &mut random, &mut pvp.room.batch);
+        pvp.room.batch.states = states[..FEATURES].to_vec();
+        let imitation = pvp.judge_actor(1).imitation;
+        assert!(
+            (imitation - 0.5 * (off + steer)).abs() < 1e-3,
+            "{imitation}"
+        );
+    }
+
+    #[test]
     fn a_replay_without_preferences_is_learnt_from_all_the_same() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
         let mut pvp = drawn(3);
