@@ -10,6 +10,8 @@ pub enum Intent {
     Drive,
     /// Bring the car to rest.
     Stop,
+    /// Brake: two processes send one state, so none of it can be trusted.
+    Contested,
 }
 
 /// How far a policy is on its way to the wheel.
@@ -78,8 +80,10 @@ pub struct Choice {
 /// proposal. A person who takes over goes before all but blindness and the end of
 /// the run. Total: every standing has an answer.
 pub fn choose(standing: &Standing) -> Choice {
-    if standing.intent == Intent::Stop {
-        return brake(standing, Reason::Stopping);
+    match standing.intent {
+        Intent::Drive => {}
+        Intent::Stop => return brake(standing, Reason::Stopping),
+        Intent::Contested => return brake(standing, Reason::Contested),
     }
     if !standing.sees {
         return brake(standing, Reason::Blind);

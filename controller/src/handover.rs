@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use controller::{Controller, Hand, Loader, Look};
 use process::{Member, Pulse, SetUpError};
-use shm_config::Instant;
 use shm_config::message::Learning;
 use shm_config::services::LEARNING;
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Subscriber};
+use shm_config::{Instant, Message};
 
 /// Between two looks at a desk that somebody holds.
 const MOMENT: Duration = Duration::from_micros(50);
@@ -239,7 +239,7 @@ impl Learner {
 
     fn hear(&mut self) -> Heard {
         self.port.tend();
-        let Some(learning) = self.port.newest() else {
+        let Some(learning) = self.port.newest(Message::check) else {
             return Heard::Same;
         };
         let before = std::mem::replace(&mut self.newest, learning)

@@ -7,14 +7,15 @@ use std::time::Duration;
 
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Release, Slot, Slots};
-use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use process::{Arguments, Contest, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Observation, Part, Plan, Step, Takeover, Timing,
+    Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Refusal, Step,
+    Takeover, Timing,
 };
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
-use shm_config::{Instant, PlanTurns, config::Config};
+use shm_config::{Instant, PlanTurns, RunGrid, config::Config};
 
 use handover::Handover;
 
@@ -74,12 +75,15 @@ impl Ports {
 
 /// Waits for what a tick needs, never longer than its deadline.
 struct Waiting {
+    grid: RunGrid,
     slots: Slots,
     turns: PlanTurns,
     lockstep: bool,
     asks_gate: bool,
     period_ns: u64,
     plan_wait_ns: u64,
+    plan_age_ns: u64,
+    takeover_age_ns: u64,
     lockstep_wait_ns: u64,
     /// A peer that let a wait run out is not waited for until it speaks again.
     planner_silent: bool,
@@ -95,12 +99,15 @@ impl Waiting {
         let period_ns = config.run.period_ns();
         let share = |share: f64| (period_ns as f64 * share) as u64;
         Self {
+            grid: RunGrid::of(config),
             slots: Slots::new(period_ns, share(config.limits.observation_wait)),
             turns: PlanTurns::every(config.plan_ticks()),
             lockstep: config.run.is_lockstep(),
             asks_gate: config.gate.has_process(),
             period_ns,
             plan_wait_ns: share(config.limits.plan_wait),
+            plan_age_ns: config.plan_age_ns(),
+            takeover_age_ns: config.limits.takeover_age_ns(),
             lockstep_wait_ns: config.peer_wait_ns(),
             planner_silent: false,
             gate_silent: false,
@@ -113,8 +120,13 @@ impl Waiting {
     /// the time given has passed without either.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn slot(&mut self, ports: &mut Ports, inputs: &mut Inputs) -> Option<Slot> {
+        let grid = self.grid;
+        // What is refused at the door is given no tick: the clock is read after the
+        // message came, else it would be from the future.
+        let door = |observation: &Observation| grid.admit(observation, monotonic());
+        let newest = ports.observations.newest(door);
         let now = monotonic();
-        if let Some(observation) = ports.observations.newest() {
+        if let Some(observation) = newest {
             let scheduled = Instant(observation.scheduled_ns);
             let is_new = self.answered != Some(origin(&observation));
             let slot = match (self.lockstep, is_new) {
@@ -144,6 +156,13 @@ impl Waiting {
         None
     }
 
+    fn clock(&self, inputs: &Inputs) -> RunClock {
+        match (self.lockstep, &inputs.observation) {
+            (true, Some(observation)) => RunClock::Stands(observation.header.taken()),
+            _ => RunClock::Machine,
+        }
+    }
+
     /// Waits for the plan of the new observation where the planner makes one, and
     /// in lockstep for the gate to have seen the step before.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
@@ -160,11 +179,17 @@ impl Waiting {
             true => begun.after_ns(self.lockstep_wait_ns),
             false => slot.scheduled.after_ns(self.plan_wait_ns),
         };
+        let clock = self.clock(inputs);
+        let episode = inputs.observation.map(|o| o.header.episode);
+        let plan_age_ns = self.plan_age_ns;
+        let plan_door = |plan: &Plan| admit_plan(plan, clock.now(), plan_age_ns, episode);
+        // Advice has its own expiry; its age says nothing.
+        let advice_door = |advice: &Advice| advice.admit(clock.now(), u64::MAX);
         loop {
-            if ports.plans.newest_into(&mut inputs.plan) {
+            if ports.plans.newest_into(&mut inputs.plan, plan_door) {
                 self.planner_silent = false;
             }
-            if ports.advices.newest_into(&mut inputs.advice) {
+            if ports.advices.newest_into(&mut inputs.advice, advice_door) {
                 self.gate_silent = false;
             }
             let planned =
@@ -194,6 +219,42 @@ impl Waiting {
     }
 }
 
+/// The run's clock within one tick.
+#[derive(Clone, Copy)]
+enum RunClock {
+    /// The machine's.
+    Machine,
+    /// In lockstep, that of the tick's observation.
+    Stands(Instant),
+}
+
+impl RunClock {
+    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    fn now(self) -> Instant {
+        match self {
+            Self::Machine => monotonic(),
+            Self::Stands(now) => now,
+        }
+    }
+}
+
+/// The door for plans: also of the episode that is driven, where there is one.
+fn admit_plan(
+    plan: &Plan,
+    now: Instant,
+    limit_ns: u64,
+    episode: Option<u32>,
+) -> Result<(), Refusal> {
+    plan.admit(now, limit_ns)?;
+    match episode {
+        Some(expected) if expected != plan.header.episode => Err(Refusal::Episode {
+            episode: plan.header.episode,
+            expected,
+        }),
+        _ => Ok(()),
+    }
+}
+
 /// Which world said it, and of which tick.
 fn origin(observation: &Observation) -> (u32, u64) {
     (observation.header.producer, observation.header.tick)
@@ -212,6 +273,8 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
     pulse.set_rights(&member.rights);
     pulse.enter(HealthState::Ready, monotonic());
     let mut inputs = Inputs::default();
+    let mut contest = Contest::default();
+    let mut counted_refused = 0;
     let mut stop_until = None;
     let mut seen = monotonic();
     let blind_ns = member.config.limits.observation_age_ns();
@@ -237,8 +300,12 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
         }
         let intent = match stop_until {
             Some(_) => Intent::Stop,
+            None if contest.look(&member.wire, now) => Intent::Contested,
             None => Intent::Drive,
         };
+        let refused = member.wire.refused().total();
+        inputs.refused = refused - counted_refused;
+        counted_refused = refused;
         handover.await_first_word(&mut controller, &member, &mut pulse, &ports.bell);
         let stands = tick(
             &mut controller,
@@ -251,6 +318,7 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
         if intent == Intent::Stop && stands {
             break;
         }
+        pulse.count_refused(&member.wire);
         handover.after_tick(&mut controller);
         handover.await_learner(&mut controller, &member, &mut pulse, &ports.bell);
     }
@@ -293,12 +361,15 @@ fn tick(
         (Release::Observation | Release::TimeOut, _) => slot.due,
     };
     waiting.peers(ports, inputs, &slot, pulse);
-    inputs.takeover = ports.takeovers.newest();
+    let clock = waiting.clock(inputs);
+    let takeover_age_ns = waiting.takeover_age_ns;
+    let takeover_door = |takeover: &Takeover| takeover.admit(clock.now(), takeover_age_ns);
+    inputs.takeover = ports.takeovers.newest(takeover_door);
     let planned = monotonic();
     pulse.end(Part::Wait, planned);
-    let now = match (waiting.lockstep, &inputs.observation) {
-        (true, Some(observation)) => observation.header.taken(),
-        _ => planned,
+    let now = match clock {
+        RunClock::Machine => planned,
+        RunClock::Stands(now) => now,
     };
     // What is refused at the door must not number the tick, nor what came after the
     // tick of its own instant: that has its number.
@@ -365,13 +436,12 @@ fn tick(
     let health = &mut pulse.health;
     health.header.tick = tick;
     health.skipped = step.skipped;
-    health.refused = step.refused;
     health.late += u64::from(commanded > due_by);
     if health.ticks == 1 {
         health.first_scheduled_ns = slot.scheduled.0;
     }
     health.next_scheduled_ns = slot.scheduled.after_ns(waiting.period_ns).0;
-    if intent == Intent::Drive {
+    if intent != Intent::Stop {
         health.state = HealthState::Running.code();
     }
     let ego = &step.observation.ego;

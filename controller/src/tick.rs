@@ -8,7 +8,8 @@ use vehicle::Action;
 
 use crate::{Choice, Intent, Pd, PolicySlot, Standing, Transfer, choose};
 
-/// What came since the last tick, not yet admitted.
+/// What came since the last tick. The ports have refused what was inadmissible when it
+/// was read; the tick decides at a later instant, and looks at each once more.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Inputs {
     /// The newest observation.
@@ -19,6 +20,8 @@ pub struct Inputs {
     pub advice: Option<Advice>,
     /// The newest word of a person.
     pub takeover: Option<Takeover>,
+    /// Messages that the ports have refused since the last tick.
+    pub refused: u64,
 }
 
 /// The controller without its ports: inputs in, step out.
@@ -115,6 +118,7 @@ impl Controller {
     /// good one stays. Returns whether an observation came and was let in.
     pub fn admit(&mut self, inputs: &Inputs, now: Instant) -> bool {
         let limits = &self.config.limits;
+        self.step.refused += inputs.refused;
         let mut sees = false;
         if let Some(observation) = &inputs.observation {
             match observation.admit(now, limits.observation_age_ns()) {

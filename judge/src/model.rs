@@ -80,10 +80,8 @@ struct Ports {
 
 impl Ports {
     fn open(config: &Config) -> Result<Self, WireError> {
-        let failed = |error: shm_config::run::InvalidRunName| WireError::Port {
-            service: "run",
-            what: error.to_string(),
-        };
+        let failed =
+            |error: shm_config::run::InvalidRunName| WireError::port("run", error.to_string());
         let wire = Wire::join(&config.run.name.parse().map_err(failed)?, Process::Gate)?;
         Ok(Self {
             requests: wire.publisher(FRAME_REQUEST)?,
@@ -211,9 +209,8 @@ impl Ports {
                 seen.shot = Some(shot);
                 until = (court.clock)().after_ns(FORESIGHT_NS);
             }
-            let foresight = self.foresights.newest();
-            let foresight = foresight
-                .filter(|foresight| is_same(&foresight.header) && foresight.check().is_ok());
+            let foresight = self.foresights.newest(Message::check);
+            let foresight = foresight.filter(|foresight| is_same(&foresight.header));
             seen.foresight = seen.foresight.or(foresight.as_ref().map(outlooks));
             tokio::time::sleep(LOOK).await;
         }

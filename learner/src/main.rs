@@ -105,10 +105,11 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
             match step.check() {
                 Ok(()) => learner.consider(&step, &mut pulse),
                 Err(refusal) => {
-                    pulse.health.refused += 1;
+                    member.wire.refuse(&refusal);
                     tracing::warn!(%refusal, "step refused");
                 }
             }
+            pulse.count_refused(&member.wire);
             pulse.health.state = HealthState::Running.code();
             pulse.health.header.tick = step.header.tick;
             pulse.count_tick(Tick {
@@ -157,12 +158,9 @@ impl Learner {
 
     /// Takes in what the controller says of the offers.
     fn hear(&mut self) {
-        let Some(status) = self.ports.statuses.newest() else {
+        let Some(status) = self.ports.statuses.newest(Message::check) else {
             return;
         };
-        if status.check().is_err() {
-            return;
-        }
         self.offered = self.offered.max(status.offered_version);
         let reason = status.refusal();
         match status.state() {

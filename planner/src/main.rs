@@ -1,5 +1,6 @@
 //! The planner process: a plan for every observation whose turn it is.
 
+use std::cell::Cell;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -7,10 +8,10 @@ use clap::Parser;
 use planner::Planner;
 use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::config::Late;
-use shm_config::message::{Health, HealthState, Message, Part, Plan, PlanOutcome};
+use shm_config::message::{Health, HealthState, Observation, Part, Plan, PlanOutcome};
 use shm_config::services::{OBSERVATION, PLAN, Process};
 use shm_config::time::monotonic;
-use shm_config::{Instant, PlanTurns};
+use shm_config::{Instant, PlanTurns, RunGrid};
 
 /// Answers observations with plans, at its own rate
 #[derive(Parser)]
@@ -75,7 +76,13 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
         Planner::new(&member.config).map_err(|error| SetUpError::Own(error.to_string()))?;
     let mut plan = Box::<Plan>::default();
     let lockstep = member.config.run.is_lockstep();
-    let limit_ns = member.config.limits.observation_age_ns();
+    let grid = RunGrid::of(&member.config);
+    // A tick begins when its observation is there, before that is checked.
+    let came = Cell::new(Instant(0));
+    let door = |observation: &Observation| {
+        came.set(monotonic());
+        grid.admit(observation, came.get())
+    };
     let mut turns = PlanTurns::every(member.config.plan_ticks());
     let period_ns = member.config.run.period_ns() * member.config.plan_ticks();
     let slots = Slots { period_ns };
@@ -86,53 +93,50 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     pulse.set_rights(&member.rights);
     pulse.enter(HealthState::Ready, monotonic());
     while !member.is_stopping() {
-        if let Some(observation) = observations.newest() {
-            let begun = monotonic();
+        if let Some(observation) = observations.newest(door)
+            // Between two turns the controller moves the last plan on.
+            && turns.take(&observation.header)
+        {
+            let begun = came.get();
             pulse.begin(begun);
             let now = match lockstep {
                 true => observation.header.taken(),
                 false => begun,
             };
-            match observation.admit(now, limit_ns) {
-                // Between two turns the controller moves the last plan on.
-                Ok(()) if !turns.take(&observation.header) => {}
-                Ok(()) => {
-                    pulse.end(Part::Admit, monotonic());
-                    let prepared = || pulse.end(Part::Grid, monotonic());
-                    planner.plan_in_parts(&observation, &mut plan, prepared);
-                    let planned = monotonic();
-                    pulse.end(Part::Search, planned);
-                    plan.planning_ns = planned.since_ns(begun);
-                    let is_late = !lockstep && planned.0 > observation.scheduled_ns + period_ns;
-                    if !is_late || answer_late(&mut plan, member.config.deadlines.planner) {
-                        plans.send(&mut plan);
-                    }
-                    let done = monotonic();
-                    pulse.end(Part::Send, done);
-                    pulse.count_tick(Tick {
-                        due: Instant(observation.scheduled_ns),
-                        released: Some(observation.published()),
-                        begun,
-                        done,
-                    });
-                    let age_ns = now.since_ns(observation.header.taken());
-                    pulse.timing.observation_age.record(age_ns);
-                    let due = match lockstep {
-                        true => observation.header.taken(),
-                        false => Instant(observation.scheduled_ns),
-                    };
-                    let skipped = slots.account(due, &mut pulse.health);
-                    if keeps_grid {
-                        pulse.record_skipped(skipped, begun);
-                    }
-                    let health = &mut pulse.health;
-                    health.header.tick = observation.header.tick;
-                    health.late += u64::from(done.0 > observation.scheduled_ns + period_ns);
-                    health.state = HealthState::Running.code();
-                }
-                Err(_) => pulse.health.refused += 1,
+            pulse.end(Part::Admit, monotonic());
+            let prepared = || pulse.end(Part::Grid, monotonic());
+            planner.plan_in_parts(&observation, &mut plan, prepared);
+            let planned = monotonic();
+            pulse.end(Part::Search, planned);
+            plan.planning_ns = planned.since_ns(begun);
+            let is_late = !lockstep && planned.0 > observation.scheduled_ns + period_ns;
+            if !is_late || answer_late(&mut plan, member.config.deadlines.planner) {
+                plans.send(&mut plan);
             }
+            let done = monotonic();
+            pulse.end(Part::Send, done);
+            pulse.count_tick(Tick {
+                due: Instant(observation.scheduled_ns),
+                released: Some(observation.published()),
+                begun,
+                done,
+            });
+            let age_ns = now.since_ns(observation.header.taken());
+            pulse.timing.observation_age.record(age_ns);
+            let due = match lockstep {
+                true => observation.header.taken(),
+                false => Instant(observation.scheduled_ns),
+            };
+            let skipped = slots.account(due, &mut pulse.health);
+            if keeps_grid {
+                pulse.record_skipped(skipped, begun);
+            }
+            let health = &mut pulse.health;
+            health.header.tick = observation.header.tick;
+            health.late += u64::from(done.0 > observation.scheduled_ns + period_ns);
+            health.state = HealthState::Running.code();
         }
+        pulse.count_refused(&member.wire);
         pulse.beat(monotonic());
         observations.tend();
         plans.tend();

@@ -1,7 +1,7 @@
 use shm_config::Instant;
 use shm_config::message::{Health, HealthState, PARTS, Part, Timing};
 use shm_config::services::{health, timing};
-use shm_config::wire::{Publisher, WireError};
+use shm_config::wire::{Publisher, Wire, WireError};
 
 use crate::fault::Failing;
 use crate::{Member, Rights, Usage};
@@ -113,6 +113,17 @@ impl Pulse {
             self.timing_port.send(&mut self.timing);
             self.timing_port.tend();
             self.timing_due = now.after_ns(TIMING_NS);
+        }
+    }
+
+    /// Takes in what the ports of a membership refused, and whether a process that the
+    /// run did not start sends in the place of one that it did. To be called once a
+    /// tick, after the ports were read.
+    pub fn count_refused(&mut self, wire: &Wire) {
+        self.health.refused = wire.refused().counts;
+        if let Some(foreigner) = wire.foreigner() {
+            self.health.foreign_pid = foreigner.pid;
+            self.health.foreign_as = foreigner.place.code();
         }
     }
 

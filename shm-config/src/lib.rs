@@ -6,6 +6,7 @@
 pub mod config;
 mod counted;
 pub mod file;
+mod grid;
 pub mod histogram;
 pub mod judged;
 pub mod layout;
@@ -20,6 +21,7 @@ pub mod turns;
 pub mod wire;
 
 pub use counted::counted;
+pub use grid::RunGrid;
 pub use message::Message;
 pub use time::Instant;
 pub use turns::PlanTurns;

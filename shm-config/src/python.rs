@@ -11,8 +11,8 @@ use crate::layout::Layout;
 use crate::message::{
     Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FRAME_BYTES_MAX, FRAME_SIDES_PX,
     FUTURE_TOLERANCE_NS, Frame, FrameRequest, Grant, Header, Health, HealthState, Histogram,
-    Observation, Outcome, PixelFormat, Progress, Proposal, Reason, Road, Scheduling,
-    TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, Timing, View,
+    Observation, Outcome, PixelFormat, Progress, Proposal, Reason, RefusalKind, Road, Roster,
+    Scheduling, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, Timing, View,
 };
 use crate::palette;
 use crate::run;
@@ -63,6 +63,13 @@ pub fn module() -> String {
     );
     word_list(&mut out, "Driver", Driver::ALL, Driver::code, Driver::word);
     word_list(&mut out, "Reason", Reason::ALL, Reason::code, Reason::word);
+    word_list(
+        &mut out,
+        "RefusalKind",
+        RefusalKind::ALL,
+        RefusalKind::code,
+        RefusalKind::word,
+    );
     word_list(&mut out, "Bend", Bend::ALL, Bend::code, Bend::word);
     word_list(&mut out, "View", View::ALL, View::code, View::word);
     word_list(
@@ -87,6 +94,7 @@ pub fn module() -> String {
     message::<Frame>(&mut out);
     message::<Proposal>(&mut out);
     message::<FrameRequest>(&mut out);
+    message::<Roster>(&mut out);
     out.push_str(
         "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history\")\n\n",
     );
@@ -94,6 +102,7 @@ pub fn module() -> String {
     service(&mut out, "COMMAND", &services::COMMAND);
     service(&mut out, "FRAME_REQUEST", &services::FRAME_REQUEST);
     service(&mut out, "FRAME", &services::FRAME);
+    service(&mut out, "ROSTER", &services::ROSTER);
     service(&mut out, "PROGRESS", &services::PROGRESS);
     service(&mut out, "EPISODE", &services::EPISODE);
     service(&mut out, "HEALTH_WORLD", &services::health(Process::World));

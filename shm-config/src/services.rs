@@ -18,13 +18,14 @@
 //! | `episode` | world | supervisor | how an episode ended; a queue |
 //! | `health/*` | each process | supervisor | how the process does |
 //! | `timing/*` | each process | supervisor | how punctual it is |
+//! | `roster` | supervisor | every process | which process ids the run has started; a reader takes state from no other |
 //! | `fault` | `bench faults` | each process, with `run.faults` alone | an order to fail; a queue, so that nobody who is restarted gets an old one |
 
 use std::marker::PhantomData;
 
 use crate::message::{
     Advice, Command, Episode, Fault, Foresight, Frame, FrameRequest, Health, Learning, Observation,
-    Plan, PolicyStatus, Progress, Step, Takeover, Timing, Weights,
+    Plan, PolicyStatus, Progress, Roster, Step, Takeover, Timing, Weights,
 };
 
 crate::word_list! {
@@ -66,6 +67,16 @@ impl Delivery {
     }
 }
 
+/// From which processes a reader takes the messages of a service.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TakenFrom {
+    /// From the one that the run has started as the row's producer.
+    Producer,
+    /// From every process of the user: offers and requests, which decide nothing by
+    /// themselves and are checked for what they are.
+    Anyone,
+}
+
 /// One row of the service table.
 #[derive(Debug, Clone, Copy)]
 pub struct Service<M> {
@@ -78,6 +89,8 @@ pub struct Service<M> {
     pub to: &'static [Process],
     /// What a reader finds.
     pub delivery: Delivery,
+    /// From which processes a reader takes it.
+    pub taken_from: TakenFrom,
     message: PhantomData<fn() -> M>,
 }
 
@@ -94,7 +107,16 @@ impl<M> Service<M> {
             from,
             to,
             delivery,
+            taken_from: TakenFrom::Producer,
             message: PhantomData,
+        }
+    }
+
+    /// The same, taken from every process of the user.
+    const fn open(self) -> Self {
+        Self {
+            taken_from: TakenFrom::Anyone,
+            ..self
         }
     }
 }
@@ -136,7 +158,7 @@ pub const TAKEOVER: Service<Takeover> = Service::custom("takeover", P::Superviso
 /// Which picture is wanted. No bell rings: it would wake the tick's thread, and the
 /// photographer beside it looks every few milliseconds.
 pub const FRAME_REQUEST: Service<FrameRequest> =
-    Service::custom("frame_request", P::Gate, &[], Latest);
+    Service::custom("frame_request", P::Gate, &[], Latest).open();
 /// A picture of the scene.
 pub const FRAME: Service<Frame> = Service::custom("frame", P::World, &[P::Gate], Latest);
 /// What holding either proposal would lead to; for the record alone.
@@ -144,7 +166,7 @@ pub const FORESIGHT: Service<Foresight> =
     Service::custom("foresight", P::World, &[P::Gate], Latest);
 /// A policy file offered for adoption. No bell rings: it would wake the tick's
 /// thread, and the loader beside it looks every few milliseconds.
-pub const WEIGHTS: Service<Weights> = Service::custom("weights", P::Learner, &[], Latest);
+pub const WEIGHTS: Service<Weights> = Service::custom("weights", P::Learner, &[], Latest).open();
 /// How far the learner is.
 pub const LEARNING: Service<Learning> =
     Service::custom("learning", P::Learner, &[P::Controller], Latest);
@@ -158,7 +180,12 @@ pub const EPISODE: Service<Episode> =
     Service::custom("episode", P::World, &[], Queue(EPISODE_QUEUE));
 
 /// An order to fail. No bell rings: each process looks for it between two ticks.
-pub const FAULT: Service<Fault> = Service::custom("fault", P::Supervisor, &[], Queue(FAULT_QUEUE));
+pub const FAULT: Service<Fault> =
+    Service::custom("fault", P::Supervisor, &[], Queue(FAULT_QUEUE)).open();
+
+/// Which processes the run has started. No bell rings: a reader looks for it when a
+/// message comes from a process that it does not know.
+pub const ROSTER: Service<Roster> = Service::custom("roster", P::Supervisor, &[], Latest);
 
 /// How a process does.
 pub const fn health(process: Process) -> Service<Health> {

@@ -2,10 +2,12 @@
 
 use std::time::Duration;
 
-use shm_config::message::{Advice, Command, Header, Preference, Step};
+use shm_config::message::{
+    Advice, Command, Header, Preference, Refusal, RefusalKind, Roster, Step,
+};
 use shm_config::run::{RunName, RunPaths, name_max};
-use shm_config::services::{ADVICE, COMMAND, Process, STEP, STEP_QUEUE, Service};
-use shm_config::wire::{PUBLISHERS_MAX, Wire, WireError};
+use shm_config::services::{ADVICE, COMMAND, Process, ROSTER, STEP, STEP_QUEUE, Service};
+use shm_config::wire::{Foreigner, PUBLISHERS_MAX, Wire, WireError};
 use shm_config::{Instant, Message};
 
 /// A run of this test alone; its folder goes with it.
@@ -55,38 +57,143 @@ fn the_latest_value_wins_and_late_joiners_get_it() {
     for tick in 1..=3 {
         assert!(publisher.send(&mut command(tick)));
     }
-    assert_eq!(early.newest().map(|c| c.header.tick), Some(3));
-    assert_eq!(early.newest(), None);
+    assert_eq!(early.newest(Message::check).map(|c| c.header.tick), Some(3));
+    assert_eq!(early.newest(Message::check), None);
     let mut late = there.subscriber(COMMAND).unwrap();
     publisher.tend();
-    let seen = late.newest().expect("history");
+    let seen = late.newest(Message::check).expect("history");
     assert_eq!((seen.header.tick, seen.header.sequence), (3, 3));
     assert_eq!(seen.header.producer, std::process::id());
 }
 
+/// What hides nothing: each spoils one thing, and is refused for it.
+const SPOILS: [(RefusalKind, fn(&mut Command)); 5] = [
+    (RefusalKind::Content, |c| c.steer = f64::NAN),
+    (RefusalKind::Content, |c| c.driver = u32::MAX),
+    (RefusalKind::Stale, |c| {
+        c.header.taken_ns = NOW.0 - 2 * LIMIT_NS
+    }),
+    (RefusalKind::Future, |c| {
+        c.header.taken_ns = NOW.0 + LIMIT_NS
+    }),
+    (RefusalKind::Episode, |c| c.header.episode = 7),
+];
+const NOW: Instant = Instant(10_000_000_000);
+const LIMIT_NS: u64 = 250_000_000;
+
+/// The door of a world: content, age, episode.
+fn admit(command: &Command) -> Result<(), Refusal> {
+    command.admit(NOW, LIMIT_NS)?;
+    match command.header.episode {
+        0 => Ok(()),
+        episode => Err(Refusal::Episode {
+            episode,
+            expected: 0,
+        }),
+    }
+}
+
 #[test]
-fn a_message_that_makes_no_sense_hides_none_that_does() {
-    let run = TestRun::new("sense");
+fn an_inadmissible_message_never_hides_an_admissible_one() {
+    let run = TestRun::new("hides");
     let (one, other) = (run.join(Process::Controller), run.join(Process::Learner));
     let world = run.join(Process::World);
     let mut reader = world.subscriber(COMMAND).unwrap();
     let mut first = one.publisher(COMMAND).unwrap();
     let mut second = other.publisher(COMMAND).unwrap();
-    let broken = |tick| Command {
-        steer: f64::NAN,
-        ..command(tick)
+    let good = |tick| {
+        let mut command = command(tick);
+        command.header.taken_ns = NOW.0;
+        command
     };
-    // Whichever of the two is read first.
-    first.send(&mut command(1));
-    second.send(&mut broken(2));
-    assert_eq!(reader.newest().map(|c| c.header.tick), Some(1));
-    first.send(&mut broken(3));
-    second.send(&mut command(4));
-    reader.tend();
-    assert_eq!(reader.newest().map(|c| c.header.tick), Some(4));
-    first.send(&mut broken(5));
-    let alone = reader.newest().expect("it is handed over, to be counted");
-    assert!(alone.check().is_err());
+    let mut tick = 0;
+    for (kind, spoil) in SPOILS {
+        let before = world.refused().counts[kind.code() as usize];
+        // Whichever of the two is read first.
+        for good_first in [true, false] {
+            tick += 1;
+            let (mut good, mut bad) = (good(tick), good(1000 + tick));
+            spoil(&mut bad);
+            match good_first {
+                true => (first.send(&mut good), second.send(&mut bad)),
+                false => (first.send(&mut bad), second.send(&mut good)),
+            };
+            reader.tend();
+            let seen = reader.newest(admit).map(|c| c.header.tick);
+            assert_eq!(seen, Some(tick), "{kind}, the good one first: {good_first}");
+        }
+        let after = world.refused().counts[kind.code() as usize];
+        assert_eq!(after - before, 2, "{kind}: each refusal is counted");
+    }
+    let mut alone = good(1);
+    alone.pedal = f64::INFINITY;
+    first.send(&mut alone);
+    assert_eq!(reader.newest(admit), None, "alone it is refused, too");
+}
+
+#[test]
+fn a_process_that_the_run_did_not_start_is_not_heard() {
+    let run = TestRun::new("foreign");
+    let (here, there) = (run.join(Process::Controller), run.join(Process::World));
+    let mut publisher = here.publisher(COMMAND).unwrap();
+    let mut reader = there.subscriber(COMMAND).unwrap();
+    let mut roster = Roster::default();
+    // Of a process that lives, and is not this one.
+    roster.set(Process::Controller, Some(1));
+    there.trust(&roster);
+    publisher.send(&mut command(1));
+    assert_eq!(reader.newest(Message::check), None);
+    let foreign = RefusalKind::Foreign.code() as usize;
+    assert_eq!((there.contests(), there.refused().counts[foreign]), (1, 1));
+    let place = Process::Controller;
+    let pid = std::process::id();
+    assert_eq!(there.foreigner(), Some(Foreigner { pid, place }));
+    // What it says of itself counts for nothing: the library tells who sent it.
+    let mut forged = command(2);
+    forged.header.producer = 1;
+    publisher.send(&mut forged);
+    assert_eq!(reader.newest(Message::check), None);
+    roster.set(Process::Controller, Some(pid));
+    there.trust(&roster);
+    publisher.send(&mut command(3));
+    assert_eq!(
+        reader.newest(Message::check).map(|c| c.header.tick),
+        Some(3)
+    );
+    assert_eq!(there.contests(), 2, "its own are no contest");
+}
+
+#[test]
+fn a_roster_is_taken_from_its_author_alone() {
+    let run = TestRun::new("roster");
+    let (here, there) = (run.join(Process::Supervisor), run.join(Process::World));
+    let mut port = here.publisher(ROSTER).unwrap();
+    let mut roster = Roster::default();
+    roster.set(Process::Controller, Some(std::process::id()));
+    port.send(&mut roster);
+    // Not this process's, which publishes it.
+    there.follow(1).unwrap();
+    port.tend();
+    assert_eq!(there.named(Process::Controller), None);
+    there.follow(std::process::id()).unwrap();
+    port.tend();
+    assert_eq!(there.named(Process::Controller), Some(std::process::id()));
+}
+
+#[test]
+fn places_that_are_held_are_named_as_the_cause() {
+    let run = TestRun::new("held");
+    let wire = run.join(Process::Controller);
+    let held: Vec<_> = (0..PUBLISHERS_MAX)
+        .map(|_| wire.publisher(COMMAND).expect("a place"))
+        .collect();
+    let error = wire.publisher(COMMAND).err().expect("no place is left");
+    assert!(
+        error.to_string().contains("all places are taken"),
+        "{error}"
+    );
+    drop(held);
+    wire.publisher(COMMAND).expect("places again");
 }
 
 #[test]
@@ -99,11 +206,12 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
     reader.tend();
     // Tended with one publisher: one look a tick, and the other one is not lost.
     first.send(&mut command(0));
-    assert!(reader.newest().is_some());
+    assert!(reader.newest(Message::check).is_some());
     let mut second = other.publisher(COMMAND).unwrap();
     first.send(&mut command(1));
     second.send(&mut command(2));
-    let seen = [reader.newest(), reader.newest()].map(|c| c.map(|c| c.header.tick));
+    let seen = [reader.newest(Message::check), reader.newest(Message::check)]
+        .map(|c| c.map(|c| c.header.tick));
     assert!(
         seen == [Some(1), Some(2)] || seen == [Some(2), Some(1)],
         "{seen:?}"
@@ -111,12 +219,19 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
     reader.tend();
     first.send(&mut command(3));
     second.send(&mut command(4));
-    assert!(reader.newest().is_some());
-    assert_eq!(reader.newest(), None, "of two the look takes both");
+    assert!(reader.newest(Message::check).is_some());
+    assert_eq!(
+        reader.newest(Message::check),
+        None,
+        "of two the look takes both"
+    );
     drop(first);
     reader.tend();
     second.send(&mut command(5));
-    assert_eq!(reader.newest().map(|c| c.header.tick), Some(5));
+    assert_eq!(
+        reader.newest(Message::check).map(|c| c.header.tick),
+        Some(5)
+    );
 }
 
 #[test]
@@ -186,7 +301,7 @@ fn runs_do_not_hear_each_other() {
         preference: Preference::Policy.code(),
         ..Advice::default()
     });
-    assert!(reader.newest().is_none());
+    assert!(reader.newest(Message::check).is_none());
 }
 
 #[test]

@@ -1,19 +1,20 @@
 //! The world process: owns the run's clock and the car.
 
+use std::cmp::Ordering;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use process::{Arguments, Contest, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use rustix::time::{ClockId, Timespec};
-use shm_config::config::{Late, Run};
+use shm_config::config::Late;
 use shm_config::message::{
-    Command, Header, HealthState, Message, Observation, Outcome, Part, Progress,
+    Command, Header, HealthState, Message, Observation, Outcome, Part, Progress, Refusal,
 };
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
-use shm_config::{Instant, message::Episode};
+use shm_config::{Instant, RunGrid, message::Episode};
 use sim::grid::Grid;
 use sim::photographer::{Move, Photographer, Recorder, Seen};
 use sim::{World, WorldConfig, score::Score};
@@ -90,6 +91,7 @@ struct Session {
     score: Score,
     observation: Box<Observation>,
     command: Option<Command>,
+    contest: Contest,
     episode: u32,
     episode_skipped: u64,
     /// The run's newest tick that was published.
@@ -100,16 +102,44 @@ struct Session {
     missed: u64,
 }
 
-/// The first instant lies at least one period ahead: everybody can be there. All
-/// worlds of a run, the restarted ones too, share the phase of their grid, so that
-/// `elapsed / period` stays a whole number over restarts; runs side by side do not.
-fn first_instant(run: &Run, now: Instant) -> Instant {
-    let period_ns = run.period_ns();
-    let mix = |hash: u64, byte: u8| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3);
-    let phase_ns = run.name.bytes().fold(0xcbf2_9ce4_8422_2325, mix) % period_ns;
-    let least_ns = now.0 + period_ns;
-    let passed_ns = (least_ns - phase_ns) % period_ns;
-    Instant(least_ns + (period_ns - passed_ns) % period_ns)
+/// The door for commands: also of the episode that is driven.
+fn admit(command: &Command, now: Instant, limit_ns: u64, episode: u32) -> Result<(), Refusal> {
+    command.admit(now, limit_ns)?;
+    check_episode(command, episode)
+}
+
+/// The door for commands in lockstep, where time is counted in ticks: only the answer
+/// to the tick that was asked about is in time.
+fn admit_answer(
+    command: &Command,
+    asked: u64,
+    period_ns: u64,
+    episode: u32,
+) -> Result<(), Refusal> {
+    command.check()?;
+    check_episode(command, episode)?;
+    let tick = command.header.tick;
+    let ticks_ns = |ticks: u64| ticks.saturating_mul(period_ns);
+    match tick.cmp(&asked) {
+        Ordering::Equal => Ok(()),
+        Ordering::Less => Err(Refusal::Stale {
+            age_ns: ticks_ns(asked - tick),
+            limit_ns: 0,
+        }),
+        Ordering::Greater => Err(Refusal::Future {
+            ahead_ns: ticks_ns(tick - asked),
+        }),
+    }
+}
+
+fn check_episode(command: &Command, episode: u32) -> Result<(), Refusal> {
+    match command.header.episode == episode {
+        true => Ok(()),
+        false => Err(Refusal::Episode {
+            episode: command.header.episode,
+            expected: episode,
+        }),
+    }
 }
 
 fn run(cli: &Cli) -> Result<(), SetUpError> {
@@ -136,7 +166,7 @@ impl Session {
         pulse.enter(HealthState::Ready, monotonic());
         let first = match member.config.run.is_lockstep() {
             true => Instant(0),
-            false => first_instant(&member.config.run, monotonic()),
+            false => RunGrid::of(&member.config).first_instant(monotonic()),
         };
         Ok(Self {
             grid: Grid::new(&member.config, first),
@@ -150,6 +180,7 @@ impl Session {
             _photographer: photographer,
             observation: Box::default(),
             command: None,
+            contest: Contest::default(),
             episode,
             episode_skipped: 0,
             told: None,
@@ -274,23 +305,26 @@ impl Session {
     /// run is done.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn advance(&mut self, begun: Instant) -> Result<bool, SetUpError> {
-        let newest = self.ports.commands.newest();
-        // Read after the port: of a command that came meanwhile, an earlier instant
-        // would say that it is from the future.
-        let now = match self.lockstep {
+        // Read after the command came, which else would be from the future.
+        let clock = || match self.lockstep {
             true => begun,
             false => monotonic(),
         };
-        self.take(newest, now);
+        let limit_ns = self.member.config.limits.command_age_ns();
+        let episode = self.episode;
+        let door = |command: &Command| admit(command, clock(), limit_ns, episode);
+        self.ports.commands.newest_into(&mut self.command, door);
+        let now = clock();
+        let is_contested = self.contest.look(&self.member.wire, now);
+        self.pulse.count_refused(&self.member.wire);
         let substeps = self.grid.take_substeps();
         if substeps == 0 {
             return Ok(self.ends(now));
         }
-        let limit_ns = self.member.config.limits.command_age_ns();
+        let is_braked = is_contested || self.is_late() && self.deadline() == Late::Brake;
         let young = self
             .command
-            .filter(|command| command.admit(now, limit_ns).is_ok())
-            .filter(|_| !(self.is_late() && self.deadline() == Late::Brake));
+            .filter(|command| !is_braked && command.admit(now, limit_ns).is_ok());
         let action = self.score.obey(young.as_ref(), now);
         self.recorder.moved(Move { action, substeps });
         for _ in 0..substeps {
@@ -331,19 +365,6 @@ impl Session {
         let elapsed_ns = self.driven_ns + now.since_ns(self.grid.tick_instant(0));
         let passed = duration_s > 0.0 && elapsed_ns as f64 >= duration_s * 1e9;
         passed || self.member.is_stopping()
-    }
-
-    /// Keeps the newest command that is for this episode and well formed.
-    fn take(&mut self, newest: Option<Command>, now: Instant) {
-        let Some(command) = newest else {
-            return;
-        };
-        let limit_ns = self.member.config.limits.command_age_ns();
-        match command.admit(now, limit_ns) {
-            Ok(()) if command.header.episode == self.episode => self.command = Some(command),
-            Ok(()) => {}
-            Err(_) => self.pulse.health.refused += 1,
-        }
     }
 
     fn close_episode(&mut self, outcome: Outcome, now: Instant) {
@@ -426,19 +447,14 @@ impl Session {
     /// Nobody is waited for endlessly: then the car brakes.
     #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn await_command(&mut self) {
-        let asked = self.told;
+        let asked = self.told.unwrap_or_default();
+        let (episode, period_ns) = (self.episode, self.member.config.run.period_ns());
+        let door = |command: &Command| admit_answer(command, asked, period_ns, episode);
         let wait_ns = self.member.config.world_wait_ns();
         let until = monotonic().after_ns(wait_ns);
         loop {
-            if let Some(command) = self.ports.commands.newest() {
-                let answers = Some(command.header.tick) == asked
-                    && command.header.episode == self.episode
-                    && command.check().is_ok();
-                if answers {
-                    self.command = Some(command);
-                    return;
-                }
-                self.pulse.health.refused += u64::from(command.check().is_err());
+            if self.ports.commands.newest_into(&mut self.command, door) {
+                return;
             }
             let now = monotonic();
             if now >= until || self.member.is_stopping() {
@@ -449,27 +465,5 @@ impl Session {
             let left = Duration::from_nanos(until.since_ns(now));
             self.ports.bell.wait(NAP.min(left));
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn worlds_of_a_run_share_the_phase_of_their_grid() {
-        let mut run = Run::default();
-        let period_ns = run.period_ns();
-        let first = first_instant(&run, Instant(5_123_456_789));
-        for passed_ns in [0, 1, period_ns / 3, period_ns, 7 * period_ns + 12_345] {
-            let now = Instant(5_123_456_789 + passed_ns);
-            let next = first_instant(&run, now);
-            assert_eq!(next.since_ns(first) % period_ns, 0, "{passed_ns}");
-            let ahead_ns = next.since_ns(now);
-            assert!((period_ns..2 * period_ns).contains(&ahead_ns), "{ahead_ns}");
-        }
-        run.name = "another".into();
-        let other = first_instant(&run, Instant(5_123_456_789));
-        assert_ne!(other, first, "sets side by side do not tick at once");
     }
 }

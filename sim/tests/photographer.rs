@@ -245,7 +245,7 @@ impl Gate {
 
     fn foresight(&mut self) -> Foresight {
         for _ in 0..LOOKS {
-            if let Some(foresight) = self.foresights.newest() {
+            if let Some(foresight) = self.foresights.newest(Message::check) {
                 assert_eq!(foresight.check(), Ok(()));
                 return foresight;
             }
@@ -328,5 +328,5 @@ fn a_gate_gets_the_picture_of_the_tick_it_asks_for() {
     gate.ask(plain);
     assert_eq!(gate.frame(LOOKS).map(|print| print.header.tick), Some(100));
     drop(photographer);
-    assert_eq!(gate.foresights.newest(), None);
+    assert_eq!(gate.foresights.newest(Message::check), None);
 }

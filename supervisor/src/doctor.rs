@@ -125,7 +125,10 @@ fn tell_of_sets(clock: Clock) {
     let all_cores = cores_list();
     for paths in living_runs() {
         let name = paths.name();
-        let (config, tally) = match look(&paths, clock) {
+        let Some(supervisor) = paths.supervisor_pid() else {
+            continue;
+        };
+        let (config, tally) = match look(&paths, supervisor, clock) {
             Ok(seen) => seen,
             Err(error) => {
                 say(format_args!("\nrun '{name}' cannot be looked at: {error}"));

@@ -96,11 +96,18 @@ impl Ports {
                 tally.count_timing(watch.process, timing);
             }
         }
+        // Read before the progress, which is then of no earlier episode than they are:
+        // only an episode that the world has begun can have ended.
+        let episodes: Vec<_> = pending(&mut self.episodes, services::EPISODE_QUEUE).collect();
         for progress in pending(&mut self.progress, PENDING_MAX) {
             tally.count_progress(progress);
         }
-        for episode in pending(&mut self.episodes, services::EPISODE_QUEUE) {
-            tally.count_episode(episode);
+        let begun = tally.progress.map(|progress| progress.header.episode);
+        for episode in episodes {
+            match begun.is_some_and(|begun| episode.header.episode <= begun) {
+                true => tally.count_episode(episode),
+                false => tally.refused += 1,
+            }
         }
         for status in pending(&mut self.policies, PENDING_MAX) {
             tally.count_policy(status);

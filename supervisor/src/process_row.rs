@@ -37,6 +37,8 @@ pub struct ProcessRow {
     pub overruns: BTreeMap<&'static str, u64>,
     /// Messages refused at its door.
     pub refused: u64,
+    /// The same by reason.
+    pub refusals: BTreeMap<&'static str, u64>,
     /// From the scheduled instant to the begin of the tick.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub release_lateness_us: Option<Quantiles>,
@@ -154,7 +156,12 @@ impl ProcessRow {
                 .overruns()
                 .map(|(part, count)| (part.word(), count))
                 .collect(),
-            refused: totals.refused,
+            refused: totals.refused.total(),
+            refusals: totals
+                .refused
+                .occurred()
+                .map(|(kind, count)| (kind.word(), count))
+                .collect(),
             release_lateness_us: us(Measure::ReleaseLateness),
             wake_up_us: us(Measure::WakeUp),
             execution_us: us(Measure::Execution),

@@ -121,7 +121,7 @@ fn listen(
     supervisor: u32,
     clock: Clock,
 ) -> Result<(View, Option<Judged>), Failure> {
-    let (config, tally) = look(paths, clock)?;
+    let (config, tally) = look(paths, supervisor, clock)?;
     let judged = judged::read(&config, supervisor);
     Ok((View::from_outside(&config, &tally), judged))
 }
@@ -130,7 +130,7 @@ fn listen(
 ///
 /// # Errors
 /// When it is just starting or ending, or shared memory refuses.
-pub fn look(paths: &RunPaths, clock: Clock) -> Result<(Config, Tally), Failure> {
+pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, Tally), Failure> {
     let config = config::load(&paths.config_file()).map_err(|_| {
         Failure::GivenUp(format!(
             "run '{}' is just starting or ending; try again",
@@ -138,7 +138,7 @@ pub fn look(paths: &RunPaths, clock: Clock) -> Result<(Config, Tally), Failure> 
         ))
     })?;
     let mut tally = Tally::default();
-    let heard = hear(paths, &config, &mut tally, clock);
+    let heard = hear((paths, supervisor), &config, &mut tally, clock);
     // The run may have ended meanwhile; then it was us who kept its place.
     if paths.supervisor_pid().is_none() {
         clean_run(paths)?;
@@ -157,8 +157,14 @@ pub fn look(paths: &RunPaths, clock: Clock) -> Result<(Config, Tally), Failure> 
     Ok((config, tally))
 }
 
-fn hear(paths: &RunPaths, config: &Config, tally: &mut Tally, clock: Clock) -> Result<(), Failure> {
+fn hear(
+    (paths, supervisor): (&RunPaths, u32),
+    config: &Config,
+    tally: &mut Tally,
+    clock: Clock,
+) -> Result<(), Failure> {
     let wire = Wire::join(paths.name(), Process::Supervisor)?;
+    wire.follow(supervisor)?;
     let mut ports = Ports::open(&wire, config, Depth::Newest)?;
     let begun = clock();
     while clock().since_ns(begun) < LISTEN_NS {

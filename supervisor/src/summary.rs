@@ -1,18 +1,18 @@
 //! What a run amounts to: as JSON and as a table.
 
 use std::collections::BTreeMap;
-use std::fmt::{self, Write as _};
+use std::fmt;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use shm_config::config::Config;
 use shm_config::counted;
 use shm_config::message::{Driver, Episode, Grant, Outcome};
 use shm_config::services::Process;
 
+use crate::episodes::EpisodeTotals;
 use crate::idle::IdleBound;
 use crate::judged;
 use crate::live::PolicyView;
@@ -23,8 +23,10 @@ use crate::tally::{Quantiles, Tally, Totals};
 /// One object: the keys before the blank line are what scripts rely on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
-    /// Finished episodes in order.
+    /// Finished episodes in order, the newest where there are very many.
     pub episodes: Vec<EpisodeRow>,
+    /// What all of them add up to.
+    pub episode_totals: EpisodeTotals,
     /// The run's ticks that the world published: those of the controller's rate,
     /// however often the world moves in between.
     pub ticks: u64,
@@ -117,19 +119,6 @@ pub struct Share {
     pub brake: f64,
 }
 
-/// The digest over the commands of a whole run.
-pub fn command_digest<'a>(episodes: impl Iterator<Item = &'a Episode>) -> String {
-    let mut hash = Sha256::new();
-    for episode in episodes {
-        hash.update(episode.command_digest);
-    }
-    hash.finalize().iter().fold(String::new(), |mut hex, byte| {
-        // Writing to a string cannot fail.
-        let _ = write!(hex, "{byte:02x}");
-        hex
-    })
-}
-
 impl EpisodeRow {
     fn of(episode: &Episode) -> Self {
         Self {
@@ -166,16 +155,14 @@ impl Summary {
                 .entry(reason)
                 .or_default() += count;
         }
+        let episode_totals = tally.episodes.totals();
         Self {
-            episodes: tally.episodes.values().map(EpisodeRow::of).collect(),
+            episodes: tally.episodes.kept().map(EpisodeRow::of).collect(),
             ticks: totals.ticks,
             skipped: totals.skipped,
             elapsed_s: totals.elapsed_ns as f64 / 1e9,
             period_s: config.run.period_ns() as f64 / 1e9,
-            command_digest: match tally.episodes.is_empty() {
-                true => None,
-                false => Some(command_digest(tally.episodes.values())),
-            },
+            command_digest: tally.episodes.command_digest(),
             share: Share {
                 expert: tally.steps.share(Driver::Expert),
                 policy: tally.steps.share(Driver::Policy),
@@ -192,7 +179,8 @@ impl Summary {
             steps: tally.steps.received,
             lost_steps: tally.steps.lost(),
             reasons,
-            braked: tally.episodes.values().map(|episode| episode.braked).sum(),
+            braked: episode_totals.braked,
+            episode_totals,
             policy: tally.policy.as_ref().and_then(PolicyView::of),
             weights: tally
                 .steps
@@ -290,22 +278,22 @@ impl Summary {
             f,
             "\nepisode      seed  outcome      strict  completion   ticks"
         )?;
-        let count = self.episodes.len();
+        let (count, listed) = (self.episode_totals.count, self.episodes.len());
         for (index, row) in self.episodes.iter().enumerate() {
-            if index == EPISODES_SHOWN && count > 2 * EPISODES_SHOWN {
+            if index == EPISODES_SHOWN && listed > 2 * EPISODES_SHOWN {
                 writeln!(
                     f,
                     "    ... {} more in the JSON ...",
-                    count - 2 * EPISODES_SHOWN
+                    listed - 2 * EPISODES_SHOWN
                 )?;
             }
-            if index >= EPISODES_SHOWN && index + EPISODES_SHOWN < count {
+            if index >= EPISODES_SHOWN && index + EPISODES_SHOWN < listed {
                 continue;
             }
             writeln!(
                 f,
                 "{:>7}  {:>8}  {:<11}  {:<6}  {:>8.1} %  {:>6}",
-                index + 1,
+                count - listed + index + 1,
                 row.seed,
                 row.outcome,
                 if row.strict { "yes" } else { "no" },
@@ -313,19 +301,13 @@ impl Summary {
                 row.ticks
             )?;
         }
-        let with = |outcome: Outcome| {
-            let word = outcome.word();
-            self.episodes
-                .iter()
-                .filter(|row| row.outcome == word)
-                .count()
-        };
+        let with = |outcome: Outcome| self.episode_totals.with(outcome);
         writeln!(
             f,
             "{}: {} arrived ({} without contact), {} out of road, {} max step, {} stopped",
             counted(count, "episode"),
             with(Outcome::Arrived),
-            self.episodes.iter().filter(|row| row.strict).count(),
+            self.episode_totals.strict,
             with(Outcome::OutOfRoad),
             with(Outcome::MaxStep),
             with(Outcome::Stopped),

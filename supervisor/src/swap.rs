@@ -5,12 +5,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use sha2::{Digest, Sha256};
-use shm_config::Instant;
 use shm_config::file;
 use shm_config::message::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 use shm_config::run::RunPaths;
 use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
 use shm_config::wire::{Publisher, Subscriber, Wire};
+use shm_config::{Instant, Message};
 
 use crate::Clock;
 use crate::arguments::Swap;
@@ -228,7 +228,7 @@ impl Offers {
     /// The newest status; `None` when the controller has said nothing.
     fn look(&mut self) -> Option<PolicyStatus> {
         self.statuses.tend();
-        if let Some(status) = self.statuses.newest() {
+        if let Some(status) = self.statuses.newest(Message::check) {
             self.newest = Some(status);
         }
         self.newest

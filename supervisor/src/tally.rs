@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 
 use shm_config::message::{
     Driver, Episode, Grant, Health, HealthState, Histogram, Outcome, PARTS, Part, PolicyStatus,
-    Progress, Reason, Step, Timing,
+    Progress, Reason, Refusals, Step, Timing,
 };
 use shm_config::services::Process;
+use shm_config::wire::Foreigner;
 use shm_config::{Instant, Message};
 
 use crate::child::Resume;
+use crate::episodes::Episodes;
 use crate::kernel::Memory;
 use crate::threads::{Thread, threads};
 
@@ -20,13 +22,17 @@ const TIMINGS_APART: usize = 4;
 /// Versions of the weights that are kept apart: a run may swap for ever.
 pub const WEIGHTS_KEPT: usize = 1000;
 
+/// Lives of a process that are kept apart; older ones are added up, so that a process
+/// may be restarted for ever.
+const LIVES_APART: usize = 16;
+
 /// Everything counted so far.
 #[derive(Debug, Default)]
 pub struct Tally {
     /// Steps: who drove, and why.
     pub steps: StepTally,
-    /// Finished episodes by their index in the run.
-    pub episodes: BTreeMap<u32, Episode>,
+    /// Finished episodes.
+    pub episodes: Episodes,
     /// How the current episode goes.
     pub progress: Option<Progress>,
     /// The world braked since its word before for want of a command.
@@ -55,7 +61,10 @@ pub struct StepTally {
     pub newest: Option<(Driver, Reason)>,
     counts: BTreeMap<(u32, u32), u64>,
     weights: BTreeMap<(u64, u64), WeightsTally>,
-    last_sequence: BTreeMap<u32, u64>,
+    /// The newest number of each controller, the last ones apart.
+    last_sequences: Vec<(u32, u64)>,
+    /// Steps of the controllers before them.
+    sent_before: u64,
     /// The first instant that the world had no tick for any more.
     end: Option<Instant>,
     is_closed: bool,
@@ -73,7 +82,11 @@ pub struct WeightsTally {
 /// One process over all its restarts.
 #[derive(Debug, Default)]
 pub struct ProcessTally {
-    healths: BTreeMap<u32, Health>,
+    /// The last word of each life, the newest lives apart.
+    lives: Vec<Health>,
+    /// What the lives before them add up to, and when the last of them was to tick next.
+    past: Totals,
+    past_next_ns: u64,
     newest: Option<Health>,
     timings: Vec<(u32, Box<Timing>)>,
     merged: Box<Timing>,
@@ -93,8 +106,8 @@ pub struct Totals {
     pub absent_ns: u64,
     /// Ticks completed after their deadline.
     pub late: u64,
-    /// Messages refused at the door.
-    pub refused: u64,
+    /// Messages refused at the door, by reason.
+    pub refused: Refusals,
     /// Messages lost on queues.
     pub lost: u64,
     /// Page faults of the tick's thread that needed no disk.
@@ -122,7 +135,7 @@ impl Tally {
     pub fn count_health(&mut self, process: Process, health: &Health) -> Option<HealthState> {
         health.check().ok()?;
         let tally = self.processes.entry(process.code()).or_default();
-        tally.healths.insert(health.header.producer, *health);
+        tally.count_life(health);
         tally.newest = Some(*health);
         let state = HealthState::from_code(health.state);
         if process == Process::World && state == Some(HealthState::Finished) {
@@ -185,9 +198,7 @@ impl Tally {
     /// Takes a finished episode in.
     pub fn count_episode(&mut self, episode: Episode) {
         match episode.check() {
-            Ok(()) => {
-                self.episodes.insert(episode.header.episode, episode);
-            }
+            Ok(()) => self.episodes.insert(episode),
             Err(_) => self.refused += 1,
         }
     }
@@ -221,9 +232,7 @@ impl Tally {
 
     /// The episode that a restarted world begins with: those before are done.
     pub fn next_episode(&self) -> u32 {
-        self.episodes
-            .last_key_value()
-            .map_or(0, |(episode, _)| episode.saturating_add(1))
+        self.episodes.next()
     }
 
     /// Where a restarted world goes on.
@@ -237,15 +246,24 @@ impl Tally {
 
     /// How many episodes ended so.
     pub fn outcome_count(&self, outcome: Outcome) -> usize {
-        self.episodes
-            .values()
-            .filter(|episode| episode.outcome() == outcome)
-            .count()
+        self.episodes.totals().with(outcome)
     }
 
     /// One process's counts; `None` when it never said anything.
     pub fn process(&self, process: Process) -> Option<&ProcessTally> {
         self.processes.get(&process.code())
+    }
+
+    /// Processes that the run did not start and that a process of it heard in the place
+    /// of another.
+    pub fn foreigners(&self) -> impl Iterator<Item = Foreigner> + '_ {
+        let said = self.processes.values().filter_map(ProcessTally::newest);
+        said.filter(|health| health.foreign_pid > 0)
+            .filter_map(|health| {
+                let place = Process::from_code(health.foreign_as)?;
+                let pid = health.foreign_pid;
+                Some(Foreigner { pid, place })
+            })
     }
 
     /// A process asked for real-time priority and did not get it.
@@ -263,7 +281,7 @@ impl StepTally {
         self.begun.get_or_insert(header.taken());
         self.first_commanded
             .get_or_insert(Instant(step.timings.commanded_ns));
-        self.last_sequence.insert(header.producer, header.sequence);
+        self.count_sequence(header.producer, header.sequence);
         let (driver, reason) = (step.driver(), step.reason());
         let reason_code = reason.map_or(u32::MAX, Reason::code);
         *self.counts.entry((driver.code(), reason_code)).or_default() += 1;
@@ -279,11 +297,22 @@ impl StepTally {
         self.newest = Some((driver, reason.unwrap_or(Reason::Blind)));
     }
 
+    fn count_sequence(&mut self, producer: u32, sequence: u64) {
+        let mut known = self.last_sequences.iter_mut();
+        match known.find(|(pid, _)| *pid == producer) {
+            Some((_, last)) => *last = sequence,
+            None => self.last_sequences.push((producer, sequence)),
+        }
+        if self.last_sequences.len() > LIVES_APART {
+            self.sent_before += self.last_sequences.remove(0).1;
+        }
+    }
+
     /// Steps that were overwritten before they were read. Every producer counts
     /// its steps from 1, and the reader is there before the first.
     pub fn lost(&self) -> u64 {
-        let sent: u64 = self.last_sequence.values().sum();
-        sent.saturating_sub(self.received)
+        let sent: u64 = self.last_sequences.iter().map(|(_, last)| last).sum();
+        (self.sent_before + sent).saturating_sub(self.received)
     }
 
     /// What each version of the weights did, the oldest first; the last
@@ -327,43 +356,32 @@ impl ProcessTally {
         self.newest.as_ref()
     }
 
-    /// Counts over all restarts.
-    pub fn totals(&self) -> Totals {
-        let mut totals = Totals {
-            absent_ns: self.absent_ns(),
-            ..Totals::default()
-        };
-        for health in self.healths.values() {
-            totals.ticks += health.ticks;
-            totals.skipped += health.skipped;
-            totals.late += health.late;
-            totals.refused += health.refused;
-            totals.lost += health.lost;
-            totals.minor_faults += health.minor_faults;
-            totals.major_faults += health.major_faults;
-            totals.involuntary_switches += health.involuntary_switches;
-            for (sum, count) in totals.overruns.iter_mut().zip(health.overruns) {
-                *sum += count;
-            }
-            totals.elapsed_ns += health
-                .next_scheduled_ns
-                .saturating_sub(health.first_scheduled_ns);
+    /// Takes in the last word of a life. Of those long past only the sums are kept.
+    fn count_life(&mut self, health: &Health) {
+        let pid = health.header.producer;
+        match self
+            .lives
+            .iter_mut()
+            .find(|life| life.header.producer == pid)
+        {
+            Some(life) => *life = *health,
+            None => self.lives.push(*health),
         }
-        totals
+        if self.lives.len() > LIVES_APART {
+            let oldest = self.lives.remove(0);
+            self.past.absent_ns += absence_ns(&mut self.past_next_ns, &oldest);
+            self.past.add(&oldest);
+        }
     }
 
-    /// Between its lives.
-    fn absent_ns(&self) -> u64 {
-        let lives = self.healths.values();
-        let mut lives: Vec<_> = lives
-            .map(|health| (health.first_scheduled_ns, health.next_scheduled_ns))
-            .filter(|(first_ns, _)| *first_ns > 0)
-            .collect();
-        lives.sort_unstable();
-        lives
-            .windows(2)
-            .map(|pair| pair[1].0.saturating_sub(pair[0].1))
-            .sum()
+    /// Counts over all restarts.
+    pub fn totals(&self) -> Totals {
+        let (mut totals, mut next_ns) = (self.past, self.past_next_ns);
+        for life in &self.lives {
+            totals.absent_ns += absence_ns(&mut next_ns, life);
+            totals.add(life);
+        }
+        totals
     }
 
     /// Histograms over all restarts.
@@ -386,7 +404,37 @@ impl ProcessTally {
     }
 }
 
+/// Time from when the life before was to tick next, which then becomes that of this
+/// one, to this one's first tick; 0 where either had none.
+fn absence_ns(next_ns: &mut u64, life: &Health) -> u64 {
+    if life.first_scheduled_ns == 0 {
+        return 0;
+    }
+    let before_ns = std::mem::replace(next_ns, life.next_scheduled_ns);
+    match before_ns {
+        0 => 0,
+        before_ns => life.first_scheduled_ns.saturating_sub(before_ns),
+    }
+}
+
 impl Totals {
+    fn add(&mut self, health: &Health) {
+        self.ticks += health.ticks;
+        self.skipped += health.skipped;
+        self.late += health.late;
+        self.refused.add(&health.refusals());
+        self.lost += health.lost;
+        self.minor_faults += health.minor_faults;
+        self.major_faults += health.major_faults;
+        self.involuntary_switches += health.involuntary_switches;
+        for (sum, count) in self.overruns.iter_mut().zip(health.overruns) {
+            *sum += count;
+        }
+        self.elapsed_ns += health
+            .next_scheduled_ns
+            .saturating_sub(health.first_scheduled_ns);
+    }
+
     /// The parts that took longer than their budget, and in how many ticks.
     pub fn overruns(&self) -> impl Iterator<Item = (Part, u64)> + '_ {
         let counts = Part::ALL.iter().map(|part| (*part, part.code() as usize));

@@ -25,6 +25,7 @@ use crate::outputs;
 use crate::parent;
 use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
+use crate::roll::Roll;
 use crate::screen::{Screen, say};
 use crate::seat::{Keys, Seat};
 use crate::set::ProcessSet;
@@ -193,6 +194,7 @@ fn drive(
     let set = ProcessSet::new(config, launch, &logs)?;
     let wire = Wire::join(place.paths().name(), Process::Supervisor)?;
     let ports = Ports::open(&wire, config, Depth::All)?;
+    let roll = Roll::open(&wire)?;
     let seat = match keys {
         Some(keys) => Some(Seat::new(keys, wire.publisher(TAKEOVER)?)),
         None => None,
@@ -204,6 +206,7 @@ fn drive(
         place_looked: now,
         ports,
         seat,
+        roll,
         wire,
         set,
         tally: Tally::begun(started),
@@ -281,6 +284,7 @@ struct Run<'a> {
     place_looked: Instant,
     ports: Ports,
     seat: Option<Seat>,
+    roll: Roll,
     wire: Wire,
     set: ProcessSet,
     tally: Tally,
@@ -356,11 +360,14 @@ impl Run<'_> {
                 ));
             }
         }
-        match self.set.judge(now) {
+        let turn = match self.set.judge(now) {
             Turn::Drive if self.is_driven() && !self.set.lives(Process::World) => Turn::Finished,
             Turn::Drive => self.set.start_due(now, self.tally.resume()),
             end => end,
-        }
+        };
+        // At once: a process waits until it is named, and is heard from then on.
+        self.roll.call(&self.wire, &self.set);
+        turn
     }
 
     /// Every configured episode has ended: a world that dies after its last one
@@ -408,6 +415,10 @@ impl Run<'_> {
             }
         }
         self.warn_of_refused_priority(now);
+        for line in self.roll.foreigners(&self.wire, &self.tally) {
+            self.journal.line(now, &line);
+            self.screen.line(line);
+        }
         if now.since_ns(self.shown) >= SHOW_NS {
             self.shown = now;
             self.weigh();

@@ -8,7 +8,8 @@ use shm_config::message::{
     Driver, Episode, Grant, Header, Health, HealthState, Outcome, Part, Reason, Step, Timing,
 };
 use shm_config::services::Process;
-use supervisor::summary::{Summary, command_digest};
+use supervisor::episodes::command_digest;
+use supervisor::summary::Summary;
 use supervisor::tally::{Quantiles, Tally, WEIGHTS_KEPT};
 
 fn step(producer: u32, sequence: u64, driver: Driver, reason: Reason) -> Step {

@@ -44,7 +44,7 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
     while (foreseen.len() as u64) < PICTURES {
         until("something new is observed", || {
             observations.tend();
-            let newest: Option<Observation> = observations.newest();
+            let newest: Option<Observation> = observations.newest(Message::check);
             seen.extend(newest.map(|observation| observation.header));
             newest.is_some() && seen.len() > BEHIND
         });
@@ -78,7 +78,7 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
         );
         let mut foresight = None;
         until("both proposals are foreseen", || {
-            foresight = foresights.newest();
+            foresight = foresights.newest(Message::check);
             foresight.is_some()
         });
         let foresight = foresight.expect("just seen");

@@ -10,8 +10,8 @@ use planner::{PlannerConfig, RrtStar};
 use policy::{Activation, Layer, Mlp};
 use shm_config::config::Config;
 use shm_config::message::{
-    Advice, Command, Driver, FEATURES, Observation, Plan, PlanOutcome, Preference, Step, Takeover,
-    Verdict,
+    Advice, Command, Driver, FEATURES, Observation, Plan, PlanOutcome, Preference, Roster, Step,
+    Takeover, Verdict,
 };
 use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
@@ -112,7 +112,10 @@ struct Done {
 }
 
 fn planner_tick(ports: &mut Ports, planner: &mut RrtStar, plan: &mut Plan, now: Instant) {
-    let observation = ports.planner_in.newest().expect("an observation");
+    let observation = ports
+        .planner_in
+        .newest(Message::check)
+        .expect("an observation");
     assert!(observation.admit(now, PERIOD_NS).is_ok());
     planner.plan(&observation, plan);
     ports.plan_out.send(plan);
@@ -120,10 +123,11 @@ fn planner_tick(ports: &mut Ports, planner: &mut RrtStar, plan: &mut Plan, now: 
 
 fn controller_tick(ports: &mut Ports, controller: &mut Controller, tick: u64, now: Instant) {
     let inputs = Inputs {
-        observation: ports.controller_in.newest(),
-        plan: ports.plan_in.newest(),
-        advice: ports.advice_in.newest(),
-        takeover: ports.takeover_in.newest(),
+        observation: ports.controller_in.newest(Message::check),
+        plan: ports.plan_in.newest(Message::check),
+        advice: ports.advice_in.newest(Message::check),
+        takeover: ports.takeover_in.newest(Message::check),
+        refused: 0,
     };
     controller.tick(&inputs, tick, now, Intent::Drive);
     let step = controller.step_mut();
@@ -138,6 +142,12 @@ fn ten_thousand_ticks_allocate_nothing() {
         .expect("a name");
     let paths = RunPaths::new(name.clone());
     let wire = Wire::join(&name, Process::Controller).expect("shared memory");
+    // As in a run: the ports look at who sent each message.
+    let mut roster = Roster::default();
+    for process in Process::ALL {
+        roster.set(*process, Some(std::process::id()));
+    }
+    wire.trust(&roster);
     let mut ports = Ports::open(&wire);
     let mut world = World::new(WorldConfig::default()).expect("a world");
     let mut planner = RrtStar::new(PlannerConfig::default()).expect("a planner");
@@ -218,7 +228,7 @@ fn ten_thousand_ticks_allocate_nothing() {
         done.version = step.weights_version;
         done.expert += u64::from(step.driver() == Driver::Expert);
         done.policy += u64::from(step.driver() == Driver::Policy);
-        let command = ports.command_in.newest().expect("a command");
+        let command = ports.command_in.newest(Message::check).expect("a command");
         world.step(command.action());
     }
     drop(ports);

@@ -4,6 +4,7 @@
 #[path = "../../policy/tests/bad/mod.rs"]
 mod bad;
 
+use shm_config::Message;
 use std::fs::{self, File};
 use std::process::{Command, Output};
 
@@ -120,7 +121,7 @@ fn wrong_hash(set: &Set, bytes: &[u8]) -> String {
     let mut newest = None;
     until("the controller has said what it has", || {
         statuses.tend();
-        newest = statuses.newest().or(newest);
+        newest = statuses.newest(Message::check).or(newest);
         newest.is_some()
     });
     let version = newest.map_or(0, |status| status.offered_version) + 1;
@@ -130,7 +131,7 @@ fn wrong_hash(set: &Set, bytes: &[u8]) -> String {
     until("the offer is refused", || {
         offers.tend();
         statuses.tend();
-        if let Some(status) = statuses.newest()
+        if let Some(status) = statuses.newest(Message::check)
             && status.offered_version == version
         {
             reason = status.refusal().into_owned();

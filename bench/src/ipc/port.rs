@@ -148,17 +148,21 @@ impl<M: Measured> Link for Port<M> {
     }
 
     fn receive(&mut self) -> anyhow::Result<bool> {
-        if !self.subscriber.newest_into(&mut self.message) {
-            return Ok(false);
-        }
-        if let (Door::Admit, Some(message)) = (self.door, &self.message) {
-            // A tick has read its clock already, whatever comes.
-            let now = message.header().taken();
-            if let Err(refusal) = message.admit(now, LOST_NS) {
-                bail!("{}: {refusal}", M::WORD);
+        let door = self.door;
+        let mut refused = None;
+        let came = self.subscriber.newest_into(&mut self.message, |message| {
+            if door == Door::Admit {
+                // A tick has read its clock already, whatever comes.
+                let admitted = message.admit(message.header().taken(), LOST_NS);
+                refused = admitted.err();
+                return admitted;
             }
+            Ok(())
+        });
+        match refused {
+            Some(refusal) => bail!("{}: {refusal}", M::WORD),
+            None => Ok(came),
         }
-        Ok(true)
     }
 
     fn tend(&mut self) {

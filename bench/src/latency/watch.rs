@@ -5,7 +5,7 @@ use std::cmp::Reverse;
 
 use serde::{Deserialize, Serialize};
 use shm_config::Instant;
-use shm_config::message::{Health, Step};
+use shm_config::message::{Health, Message, Step};
 use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{Process, STEP, health};
 use shm_config::wire::{Subscriber, Wire};
@@ -103,7 +103,7 @@ impl Watch {
         while self.steps.visit(|step| seen.step(step)).is_some() {}
         for account in &mut self.accounts {
             account.port.tend();
-            let Some(health) = account.port.newest() else {
+            let Some(health) = account.port.newest(Message::check) else {
                 continue;
             };
             let missed = health.skipped.max(health.late);

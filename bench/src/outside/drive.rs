@@ -11,6 +11,7 @@ use shm_config::services::{COMMAND, EPISODE, OBSERVATION, Process};
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
 use supervisor::child::Script;
 use supervisor::place::{Place, check_shared_memory, shared_memory};
+use supervisor::roll::Roll;
 
 use super::world::WorldProcess;
 use crate::Clock;
@@ -63,8 +64,11 @@ pub fn drive(
     let (place, _) = Place::take(config.run.name.parse()?)?;
     check_shared_memory(shared_memory()?.0)?;
     let wire = Wire::join(place.paths().name(), Process::Controller)?;
-    let mut world = WorldProcess::start(script, config, &place.paths().dir())?;
+    let mut roll = Roll::open(&wire)?;
+    roll.name(&wire, Process::Controller, std::process::id());
     let mut ports = Ports::open(&wire)?;
+    let mut world = WorldProcess::start(script, config, &place.paths().dir())?;
+    roll.name(&wire, Process::World, world.pid());
     let mut wheel = Wheel {
         seat: Seat::new(kind, config, clock)?,
         begun: None,
@@ -81,9 +85,8 @@ pub fn drive(
                 return Ok(wheel.seat.planning_us().clone());
             }
         }
-        if let Some(observation) = ports.observations.newest() {
+        if let Some(observation) = ports.observations.newest(Message::check) {
             heard = clock();
-            observation.check()?;
             ports.commands.send(&mut wheel.command(observation));
         } else if let (Some(exit), true) = (exit, left > 0) {
             return Err(world.lost(&exit).into());
@@ -93,6 +96,7 @@ pub fn drive(
             ports.bell.wait(NAP);
         }
         ports.tend();
+        roll.tend();
     }
     Ok(wheel.seat.planning_us().clone())
 }

@@ -42,6 +42,11 @@ impl WorldProcess {
         Ok(WorldProcess { child, log })
     }
 
+    /// Its process id.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// How it ended; `None` while it has not. Never waits.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use shm_config::message::Progress;
+use shm_config::message::{Message, Progress};
 use shm_config::run::RunPaths;
 use shm_config::services::{PROGRESS, Process};
 use shm_config::wire::{Subscriber, Wire};
@@ -215,7 +215,7 @@ fn watch(
             driven.stop();
             stopping = true;
         }
-        if let Some(progress) = progress.newest() {
+        if let Some(progress) = progress.newest(Message::check) {
             let tick = progress.header.tick;
             bar.set_position(tick);
             // None near the end: processes that leave hold less and less.

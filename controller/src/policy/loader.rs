@@ -194,10 +194,8 @@ struct Ports {
 
 impl Ports {
     fn open(config: &Config) -> Result<Self, WireError> {
-        let failed = |error: shm_config::run::InvalidRunName| WireError::Port {
-            service: "run",
-            what: error.to_string(),
-        };
+        let failed =
+            |error: shm_config::run::InvalidRunName| WireError::port("run", error.to_string());
         let wire = Wire::join(
             &config.run.name.parse().map_err(failed)?,
             Process::Controller,

@@ -92,15 +92,10 @@ impl Gate {
         while !self.member.is_stopping() {
             self.bell.wait(NAP);
             let begun = monotonic();
-            if let Some(step) = self.steps.newest() {
-                match step.check() {
-                    Ok(()) => self.consider(&step, begun),
-                    Err(refusal) => {
-                        self.pulse.health.refused += 1;
-                        tracing::warn!(%refusal, "step refused");
-                    }
-                }
+            if let Some(step) = self.steps.newest(Message::check) {
+                self.consider(&step, begun);
             }
+            self.pulse.count_refused(&self.member.wire);
             self.pulse.beat(begun);
             self.port.tend();
             self.steps.tend();

@@ -48,6 +48,9 @@ crate::word_list! {
         /// The tick was done after its deadline (`deadlines.controller`): the brake,
         /// or the driver whose command was held back.
         Late = 14 "late",
+        /// A process that the run did not start sends in the place of one that it did:
+        /// the brake.
+        Contested = 15 "contested",
     }
 }
 

@@ -1,4 +1,5 @@
-use super::{Header, Message, Refusal, header_accessors, known};
+use super::{Header, Message, Refusal, Refusals, header_accessors, known};
+use crate::services::Process;
 
 crate::word_list! {
     /// How far a process is.
@@ -70,7 +71,7 @@ const _: () = assert!(PARTS == 8, "as the message declares");
 crate::message! {
     /// How a process does, from the process itself. Its absence is a sign too.
     #[derive(Default)]
-    pub struct Health: 208 bytes, nested [Header] {
+    pub struct Health: 256 bytes, nested [Header] {
         /// The last tick, and when this was said.
         pub header: Header,
         /// Ticks done since the process started.
@@ -79,8 +80,8 @@ crate::message! {
         pub skipped: u64,
         /// Ticks completed after their deadline.
         pub late: u64,
-        /// Messages refused at the door.
-        pub refused: u64,
+        /// Messages refused at the door, by [`RefusalKind`](super::RefusalKind).
+        pub refused: [u64; 6],
         /// Messages lost on queues it reads.
         pub lost: u64,
         /// When its first tick was due, ns on the run's clock.
@@ -111,6 +112,19 @@ crate::message! {
         pub scheduling_asked: u32,
         /// A [`Scheduling`]: the one in force.
         pub scheduling_got: u32,
+        /// The process that last sent what the run did not start it for; 0 for none.
+        pub foreign_pid: u32,
+        /// The [`Process`] in whose place it sent.
+        pub foreign_as: u32,
+    }
+}
+
+impl Health {
+    /// Messages refused at the door.
+    pub fn refusals(&self) -> Refusals {
+        Refusals {
+            counts: self.refused,
+        }
     }
 }
 
@@ -127,6 +141,7 @@ impl Message for Health {
             self.scheduling_asked,
             Scheduling::from_code,
         )?;
-        known("scheduling_got", self.scheduling_got, Scheduling::from_code)
+        known("scheduling_got", self.scheduling_got, Scheduling::from_code)?;
+        known("foreign_as", self.foreign_as, Process::from_code)
     }
 }

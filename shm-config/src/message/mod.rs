@@ -12,6 +12,8 @@ mod observation;
 mod plan;
 mod policy;
 mod progress;
+mod refusal;
+mod roster;
 mod step;
 mod takeover;
 mod timing;
@@ -32,6 +34,8 @@ pub use observation::{
 pub use plan::{PLANNED_MAX, Plan, PlanOutcome, PlannedAction, WAYPOINTS_MAX, Waypoint};
 pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 pub use progress::{Episode, Outcome, Progress};
+pub use refusal::{REFUSALS, Refusal, RefusalKind, Refusals};
+pub use roster::{PROCESSES, Roster};
 pub use step::{Assessment, Proposal, Step, Timings, Verdict};
 pub use takeover::Takeover;
 pub use timing::{Histogram, Measure, Timing};
@@ -67,57 +71,6 @@ impl Header {
 /// clock, so only the time between the reader's look at the clock and its look
 /// at the message counts.
 pub const FUTURE_TOLERANCE_NS: u64 = 1_000_000;
-
-/// Why a message was refused at the door.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Refusal {
-    /// A number is NaN or infinite.
-    #[error("{field} is not finite")]
-    NotFinite {
-        /// The field.
-        field: &'static str,
-    },
-    /// A number is outside what the field can hold.
-    #[error("{field} = {value} is out of range")]
-    OutOfRange {
-        /// The field.
-        field: &'static str,
-        /// What it was.
-        value: f64,
-    },
-    /// A count is larger than the array it counts.
-    #[error("{field} = {count} is over the capacity of {capacity}")]
-    OverCapacity {
-        /// The field.
-        field: &'static str,
-        /// What it was.
-        count: u64,
-        /// What fits.
-        capacity: u64,
-    },
-    /// A code that is not on its closed list.
-    #[error("{field} has the unknown code {code}")]
-    UnknownCode {
-        /// The field.
-        field: &'static str,
-        /// What it was.
-        code: u32,
-    },
-    /// Older than the service's age limit.
-    #[error("{age_ns} ns old, over the limit of {limit_ns} ns")]
-    Stale {
-        /// Its age.
-        age_ns: u64,
-        /// The limit.
-        limit_ns: u64,
-    },
-    /// Taken later than now.
-    #[error("taken {ahead_ns} ns in the future")]
-    Future {
-        /// How far ahead.
-        ahead_ns: u64,
-    },
-}
 
 /// A message that can travel.
 pub trait Message:

@@ -1,6 +1,8 @@
 //! Ports on shared memory: the only place that talks to iceoryx2.
 
+mod cause;
 mod doorbell;
+mod producers;
 mod publisher;
 mod subscriber;
 
@@ -12,14 +14,17 @@ use iceoryx2::service::Service as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 
 pub use doorbell::Doorbell;
+pub use producers::Foreigner;
+use producers::Producers;
 pub use publisher::Publisher;
 pub use subscriber::Subscriber;
 
-use crate::message::Message;
+use crate::message::{Message, Refusal, Refusals, Roster};
 use crate::run::{RunError, RunLock, RunName, RunPaths};
-use crate::services::{Process, Service};
+use crate::services::{Process, ROSTER, Service};
 
 type Ipc = ipc::Service;
+type SubscriberPort<M> = iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>;
 
 /// Publishers of one service at a time: the living one, and dead ones that have
 /// not been swept yet.
@@ -55,30 +60,40 @@ pub enum WireError {
         ours: String,
     },
     /// Shared memory refused.
-    #[error(
-        "service '{service}': shared memory refuses ({what}): no space in /dev/shm, or its files \
-         were removed or written over while the run drives; `./vlaps doctor` shows the space, `./vlaps down` ends the run"
-    )]
+    #[error("service '{service}': shared memory refuses ({what}): {cause}")]
     Port {
         /// The service.
         service: &'static str,
         /// What iceoryx2 said.
         what: String,
+        /// Why, and what to do.
+        cause: String,
     },
+}
+
+impl WireError {
+    /// Shared memory refused that service, for what the library says.
+    pub fn port(service: &'static str, what: impl std::fmt::Display) -> Self {
+        let what = what.to_string();
+        let cause = cause::of(&what);
+        Self::Port {
+            service,
+            what,
+            cause,
+        }
+    }
 }
 
 /// A process's membership in a run.
 pub struct Wire {
+    producers: Rc<Producers>,
     node: Node<Ipc>,
     config: Config,
     _alive: RunLock,
 }
 
 fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
-    let port_error = |what: String| WireError::Port {
-        service: "run",
-        what,
-    };
+    let port_error = |what: String| WireError::port("run", what);
     let mut config = Config::default();
     let root = paths.dir();
     let root = root.to_string_lossy();
@@ -103,25 +118,66 @@ impl Wire {
         // Its messages go to stderr from inside ports; errors come as values.
         set_log_level(LogLevel::Fatal);
         let config = iceoryx_config(&paths)?;
-        let node_name = NodeName::new(process.word()).map_err(|error| WireError::Port {
-            service: "run",
-            what: format!("node name: {error:?}"),
-        })?;
+        let node_name = NodeName::new(process.word())
+            .map_err(|error| WireError::port("run", format!("node name: {error:?}")))?;
         let node = NodeBuilder::new()
             .name(&node_name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
-            .map_err(|error| WireError::Port {
-                service: "run",
-                what: format!("cannot join run '{name}': {error:?}"),
+            .map_err(|error| {
+                WireError::port("run", format!("cannot join run '{name}': {error:?}"))
             })?;
         paths.make_private()?;
         Ok(Self {
+            producers: Rc::new(Producers::open()),
             node,
             config,
             _alive: alive,
         })
+    }
+
+    /// From now on takes state only from the processes that this roster names: for the
+    /// one that starts the others and publishes it.
+    pub fn trust(&self, roster: &Roster) {
+        self.producers.set(roster);
+    }
+
+    /// From now on takes state only from the processes that the process `author`
+    /// names in its rosters. Messages that come before its first roster are refused.
+    ///
+    /// # Errors
+    /// As [`Wire::publisher`].
+    pub fn follow(&self, author: u32) -> Result<(), WireError> {
+        let port = self.port(ROSTER, 1)?.0;
+        self.producers.follow(author, port);
+        Ok(())
+    }
+
+    /// Which process the roster names, `None` when it names none or is not there yet.
+    pub fn named(&self, process: Process) -> Option<u32> {
+        self.producers.pid(process)
+    }
+
+    /// Counts a message that its reader refused after it was received.
+    pub fn refuse(&self, refusal: &Refusal) {
+        self.producers.count(refusal.kind());
+    }
+
+    /// Messages that the ports of this membership refused, by reason.
+    pub fn refused(&self) -> Refusals {
+        self.producers.refused()
+    }
+
+    /// How many messages were refused of living processes that sent in the place of one
+    /// that the run has started. While it grows there are two producers of one state.
+    pub fn contests(&self) -> u64 {
+        self.producers.contests()
+    }
+
+    /// The last process that did so; `None` when none has.
+    pub fn foreigner(&self) -> Option<Foreigner> {
+        self.producers.foreigner()
     }
 
     /// Frees what dead processes held, so that their successors can start. Slow;
@@ -137,10 +193,7 @@ impl Wire {
     /// When the layout differs from the running side's, or shared memory refuses.
     pub fn publisher<M: Message>(&self, service: Service<M>) -> Result<Publisher<M>, WireError> {
         let topic = self.topic(service)?;
-        let failed = |what: String| WireError::Port {
-            service: service.name,
-            what,
-        };
+        let failed = |what: String| WireError::port(service.name, what);
         let port = topic
             .publisher_builder()
             .max_loaned_samples(1)
@@ -181,16 +234,23 @@ impl Wire {
         service: Service<M>,
         depth: usize,
     ) -> Result<Subscriber<M>, WireError> {
+        let (port, topic) = self.port(service, depth)?;
+        let producers = self.producers.clone();
+        Ok(Subscriber::new(port, topic, producers, (service, depth)))
+    }
+
+    fn port<M: Message>(
+        &self,
+        service: Service<M>,
+        depth: usize,
+    ) -> Result<(SubscriberPort<M>, Topic<Ipc, M, ()>), WireError> {
         let topic = self.topic(service)?;
         let port = topic
             .subscriber_builder()
             .buffer_size(depth)
             .create()
-            .map_err(|error| WireError::Port {
-                service: service.name,
-                what: format!("{error:?}"),
-            })?;
-        Ok(Subscriber::new(port, topic, depth))
+            .map_err(|error| WireError::port(service.name, format!("{error:?}")))?;
+        Ok((port, topic))
     }
 
     /// Opens the process's own doorbell.
@@ -202,10 +262,7 @@ impl Wire {
             .bell(process)?
             .listener_builder()
             .create()
-            .map_err(|error| WireError::Port {
-                service: "doorbell",
-                what: format!("{process}: {error:?}"),
-            })?;
+            .map_err(|error| WireError::port("doorbell", format!("{process}: {error:?}")))?;
         Ok(Doorbell::new(listener))
     }
 
@@ -213,10 +270,7 @@ impl Wire {
         &self,
         process: Process,
     ) -> Result<iceoryx2::service::port_factory::event::PortFactory<Ipc>, WireError> {
-        let failed = |what: String| WireError::Port {
-            service: "doorbell",
-            what,
-        };
+        let failed = |what: String| WireError::port("doorbell", what);
         let name = ServiceName::new(&format!("doorbell/{process}"))
             .map_err(|error| failed(format!("{process}: {error:?}")))?;
         self.node
@@ -231,10 +285,7 @@ impl Wire {
     }
 
     fn topic<M: Message>(&self, service: Service<M>) -> Result<Topic<Ipc, M, ()>, WireError> {
-        let failed = |what: String| WireError::Port {
-            service: service.name,
-            what,
-        };
+        let failed = |what: String| WireError::port(service.name, what);
         let name = ServiceName::new(service.name).map_err(|error| failed(format!("{error:?}")))?;
         let ours = format!("{:016x}", M::FINGERPRINT);
         let verifier = attributes(&ours).map_err(&failed)?;

@@ -1,18 +1,32 @@
 //! The reading end of a service.
 
+use std::rc::Rc;
+
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::PortFactory;
+use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 
+use super::producers::Producers;
 use super::{Ipc, PUBLISHERS_MAX};
-use crate::message::{Header, Message};
+use crate::message::{Header, Message, Refusal, RefusalKind};
+use crate::services::{Process, Service, TakenFrom};
 
 type Port<M> = iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>;
 
+/// Messages of foreign processes that one look passes over: a flood on a queue must
+/// not hold the reader.
+const FOREIGN_MAX: usize = 64;
+
 /// Reads one service.
+///
+/// A process of a run takes messages only from the process that the run has started
+/// as the service's producer; others are refused, counted, and never seen here.
 pub struct Subscriber<M: Message> {
     port: Port<M>,
     topic: Topic<Ipc, M, ()>,
+    producers: Rc<Producers>,
+    from: (Process, TakenFrom),
     /// At the last tending at most one message could wait.
     holds_one: bool,
     depth: usize,
@@ -23,10 +37,17 @@ pub struct Subscriber<M: Message> {
 
 impl<M: Message> Subscriber<M> {
     /// Over an open port of that topic, with a queue of that length.
-    pub(super) fn new(port: Port<M>, topic: Topic<Ipc, M, ()>, depth: usize) -> Self {
+    pub(super) fn new(
+        port: Port<M>,
+        topic: Topic<Ipc, M, ()>,
+        producers: Rc<Producers>,
+        (service, depth): (Service<M>, usize),
+    ) -> Self {
         Self {
             port,
             topic,
+            producers,
+            from: (service.from, service.taken_from),
             holds_one: false,
             depth,
             producer: 0,
@@ -35,11 +56,22 @@ impl<M: Message> Subscriber<M> {
         }
     }
 
+    /// The next message of the queue that is from a known producer.
+    fn next(&mut self) -> Option<Sample<Ipc, M, ()>> {
+        for _ in 0..FOREIGN_MAX {
+            let sample = self.port.receive().ok()??;
+            if self.producers.admits(sample.header(), self.from) {
+                self.count(sample.payload().header());
+                return Some(sample);
+            }
+            self.producers.count(RefusalKind::Foreign);
+        }
+        None
+    }
+
     /// The next message of the queue, not yet admitted; `None` when there is none.
     pub fn receive(&mut self) -> Option<M> {
-        let sample = self.port.receive().ok()??;
-        self.count(sample.payload().header());
-        Some(*sample.payload())
+        self.next().map(|sample| *sample.payload())
     }
 
     /// Notes what was overwritten between the last message and this one.
@@ -54,38 +86,48 @@ impl<M: Message> Subscriber<M> {
     /// Looks at the next message of the queue where it lies, not yet admitted;
     /// for messages too large for a stack. `None` when there is none.
     pub fn visit<R>(&mut self, look: impl FnOnce(&M) -> R) -> Option<R> {
-        let sample = self.port.receive().ok()??;
-        Some(look(sample.payload()))
+        self.next().map(|sample| look(sample.payload()))
     }
 
-    /// The newest message since the last look, not yet admitted; `None` when
-    /// nothing new came. Two publishers exist while a dead one is replaced, so
-    /// this reads until there is nothing left, unless the last [`tend`](Self::tend)
-    /// found one publisher and room for one message, and it is the publisher of the
-    /// last message who speaks: a second look costs as much as the first, and who came
-    /// since then is heard at the next. Of several messages one that makes no sense
-    /// hides none that does.
-    pub fn newest(&mut self) -> Option<M> {
+    /// The newest admissible message since the last look; `None` when none came.
+    ///
+    /// `admit` is the caller's door: content, age, episode, place on the grid. It is
+    /// asked before the newest is chosen, so a message that it refuses never hides one
+    /// that it admits. Refusals are counted by reason ([`Wire::refused`]).
+    ///
+    /// Two publishers exist while a dead one is replaced, so this reads until the queue
+    /// is empty, unless the last [`tend`](Self::tend) found one publisher and room for
+    /// one message, and the message is from that publisher: then one read is enough.
+    ///
+    /// [`Wire::refused`]: super::Wire::refused
+    pub fn newest(&mut self, admit: impl FnMut(&M) -> Result<(), Refusal>) -> Option<M> {
         let mut newest = None;
-        self.newest_into(&mut newest);
+        self.newest_into(&mut newest, admit);
         newest
     }
 
-    /// The same over what is kept, which stays when nothing new came; returns
-    /// whether something did. Copied once, to where it is used: a step has 4.9 kB.
-    pub fn newest_into(&mut self, kept: &mut Option<M>) -> bool {
+    /// The same over what is kept, which stays when no admissible message came; returns
+    /// whether one did. Copied once, to where it is used: a step has 4.9 kB.
+    pub fn newest_into(
+        &mut self,
+        kept: &mut Option<M>,
+        mut admit: impl FnMut(&M) -> Result<(), Refusal>,
+    ) -> bool {
         let mut came = false;
         // Bounded: a hostile publisher cannot hold a tick.
         for _ in 0..PUBLISHERS_MAX {
-            let Ok(Some(sample)) = self.port.receive() else {
+            let last = self.producer;
+            let Some(sample) = self.next() else {
                 break;
             };
             let message = sample.payload();
-            let is_expected = message.header().producer == self.producer;
-            self.count(message.header());
-            if !came || message.check().is_ok() {
-                *kept = Some(*message);
-                came = true;
+            let is_expected = message.header().producer == last;
+            match admit(message) {
+                Ok(()) => {
+                    *kept = Some(*message);
+                    came = true;
+                }
+                Err(refusal) => self.producers.count(refusal.kind()),
             }
             if self.holds_one && is_expected {
                 break;

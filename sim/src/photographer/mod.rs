@@ -84,7 +84,7 @@ fn work(config: Config, film: Film, stop: &AtomicBool, begin: &Sender<Result<(),
     let _ = begin.send(Ok(()));
     while !stop.load(Ordering::Relaxed) {
         studio.requests.tend();
-        if let Some(request) = studio.requests.newest() {
+        if let Some(request) = studio.requests.newest(Message::check) {
             studio.answer(&request);
         }
         studio.film.develop();

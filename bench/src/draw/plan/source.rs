@@ -150,8 +150,7 @@ fn hear(name: &RunName, clock: Clock) -> anyhow::Result<Box<Step>> {
         steps.tend();
         // A step without an observation has never had one.
         let seen = |step: &Step| step.observation_age_ns != u64::MAX;
-        if let Some(step) = steps.newest().filter(seen) {
-            step.check()?;
+        if let Some(step) = steps.newest(Message::check).filter(seen) {
             return Ok(Box::new(step));
         }
         pause(LOOK);
