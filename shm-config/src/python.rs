@@ -16,7 +16,7 @@ use crate::message::{
 };
 use crate::palette;
 use crate::run;
-use crate::services::{self, Process, Service};
+use crate::services::{self, Process, Service, TakenFrom};
 use crate::wire::{LAYOUT_KEY, NODES_MAX, PUBLISHERS_MAX, SUBSCRIBERS_MAX};
 
 const TITLE: &str = r#""""The wire of VLAPS: messages, services, limits.
@@ -96,7 +96,7 @@ pub fn module() -> String {
     message::<FrameRequest>(&mut out);
     message::<Roster>(&mut out);
     out.push_str(
-        "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history\")\n\n",
+        "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history open\")\n\n",
     );
     service(&mut out, "OBSERVATION", &services::OBSERVATION);
     service(&mut out, "COMMAND", &services::COMMAND);
@@ -213,6 +213,10 @@ fn message<M: Layout>(out: &mut String) {
 
 fn service<M: Layout>(out: &mut String, constant: &str, service: &Service<M>) {
     let (depth, history) = service.delivery.queue();
+    let open = match service.taken_from {
+        TakenFrom::Anyone => "True",
+        TakenFrom::Producer => "False",
+    };
     let to: Vec<_> = service
         .to
         .iter()
@@ -225,7 +229,7 @@ fn service<M: Layout>(out: &mut String, constant: &str, service: &Service<M>) {
     line(
         out,
         &format!(
-            "{constant} = Service({:?}, {}, {:?}, {to}, {depth}, {history})",
+            "{constant} = Service({:?}, {}, {:?}, {to}, {depth}, {history}, {open})",
             service.name,
             M::NAME,
             service.from.word(),

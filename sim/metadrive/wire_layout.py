@@ -106,7 +106,18 @@ class Reason:
     TAKEOVER = 12
     SHADOW = 13
     LATE = 14
-    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover", 13: "shadow", 14: "late"}
+    CONTESTED = 15
+    WORDS = {0: "configured", 1: "advised", 2: "unadvised", 3: "expired", 4: "unloaded", 5: "faulty", 6: "vetoed", 7: "unsafe", 8: "blocked", 9: "unplanned", 10: "blind", 11: "stopping", 12: "takeover", 13: "shadow", 14: "late", 15: "contested"}
+
+
+class RefusalKind:
+    CONTENT = 0
+    STALE = 1
+    FUTURE = 2
+    EPISODE = 3
+    GRID = 4
+    FOREIGN = 5
+    WORDS = {0: "content", 1: "stale", 2: "future", 3: "episode", 4: "grid", 5: "foreign"}
 
 
 class Bend:
@@ -356,13 +367,13 @@ assert Episode.skipped.offset == 128
 
 
 class Health(ctypes.Structure):
-    LAYOUT = "71b229a2216a0366"
+    LAYOUT = "b883934d83a61ada"
     _fields_ = [
         ("header", Header),
         ("ticks", ctypes.c_uint64),
         ("skipped", ctypes.c_uint64),
         ("late", ctypes.c_uint64),
-        ("refused", ctypes.c_uint64),
+        ("refused", ctypes.c_uint64 * 6),
         ("lost", ctypes.c_uint64),
         ("first_scheduled_ns", ctypes.c_uint64),
         ("next_scheduled_ns", ctypes.c_uint64),
@@ -378,6 +389,8 @@ class Health(ctypes.Structure):
         ("priority_got", ctypes.c_uint32),
         ("scheduling_asked", ctypes.c_uint32),
         ("scheduling_got", ctypes.c_uint32),
+        ("foreign_pid", ctypes.c_uint32),
+        ("foreign_as", ctypes.c_uint32),
     ]
 
     @staticmethod
@@ -385,27 +398,29 @@ class Health(ctypes.Structure):
         return "Health"
 
 
-assert ctypes.sizeof(Health) == 208
+assert ctypes.sizeof(Health) == 256
 assert Health.header.offset == 0
 assert Health.ticks.offset == 32
 assert Health.skipped.offset == 40
 assert Health.late.offset == 48
 assert Health.refused.offset == 56
-assert Health.lost.offset == 64
-assert Health.first_scheduled_ns.offset == 72
-assert Health.next_scheduled_ns.offset == 80
-assert Health.minor_faults.offset == 88
-assert Health.major_faults.offset == 96
-assert Health.involuntary_switches.offset == 104
-assert Health.overruns.offset == 112
-assert Health.state.offset == 176
-assert Health.priority.offset == 180
-assert Health.core.offset == 184
-assert Health.memory.offset == 188
-assert Health.priority_asked.offset == 192
-assert Health.priority_got.offset == 196
-assert Health.scheduling_asked.offset == 200
-assert Health.scheduling_got.offset == 204
+assert Health.lost.offset == 104
+assert Health.first_scheduled_ns.offset == 112
+assert Health.next_scheduled_ns.offset == 120
+assert Health.minor_faults.offset == 128
+assert Health.major_faults.offset == 136
+assert Health.involuntary_switches.offset == 144
+assert Health.overruns.offset == 152
+assert Health.state.offset == 216
+assert Health.priority.offset == 220
+assert Health.core.offset == 224
+assert Health.memory.offset == 228
+assert Health.priority_asked.offset == 232
+assert Health.priority_got.offset == 236
+assert Health.scheduling_asked.offset == 240
+assert Health.scheduling_got.offset == 244
+assert Health.foreign_pid.offset == 248
+assert Health.foreign_as.offset == 252
 
 
 class Histogram(ctypes.Structure):
@@ -554,13 +569,31 @@ assert FrameRequest.height.offset == 88
 assert FrameRequest.reserved.offset == 92
 
 
-Service = namedtuple("Service", "name message from_ to depth history")
+class Roster(ctypes.Structure):
+    LAYOUT = "a0ba52d9a8770748"
+    _fields_ = [
+        ("header", Header),
+        ("pids", ctypes.c_uint32 * 6),
+    ]
 
-OBSERVATION = Service("observation", Observation, "world", ("planner", "controller",), 1, 1)
-COMMAND = Service("command", Command, "controller", ("world",), 1, 1)
-FRAME_REQUEST = Service("frame_request", FrameRequest, "gate", (), 1, 1)
-FRAME = Service("frame", Frame, "world", ("gate",), 1, 1)
-PROGRESS = Service("progress", Progress, "world", (), 1, 1)
-EPISODE = Service("episode", Episode, "world", (), 256, 0)
-HEALTH_WORLD = Service("health/world", Health, "world", (), 1, 1)
-TIMING_WORLD = Service("timing/world", Timing, "world", (), 1, 1)
+    @staticmethod
+    def type_name():
+        return "Roster"
+
+
+assert ctypes.sizeof(Roster) == 56
+assert Roster.header.offset == 0
+assert Roster.pids.offset == 32
+
+
+Service = namedtuple("Service", "name message from_ to depth history open")
+
+OBSERVATION = Service("observation", Observation, "world", ("planner", "controller",), 1, 1, False)
+COMMAND = Service("command", Command, "controller", ("world",), 1, 1, False)
+FRAME_REQUEST = Service("frame_request", FrameRequest, "gate", (), 1, 1, True)
+FRAME = Service("frame", Frame, "world", ("gate",), 1, 1, False)
+ROSTER = Service("roster", Roster, "supervisor", (), 1, 1, False)
+PROGRESS = Service("progress", Progress, "world", (), 1, 1, False)
+EPISODE = Service("episode", Episode, "world", (), 256, 0, False)
+HEALTH_WORLD = Service("health/world", Health, "world", (), 1, 1, False)
+TIMING_WORLD = Service("timing/world", Timing, "world", (), 1, 1, False)
