@@ -1,12 +1,10 @@
 //! Processes of a driving set are killed and stopped; the car is always safe.
 
-use std::cell::Cell;
-
 use rustix::process::Signal;
 use serde_json::Value;
 use shm_config::message::{Driver, Fault, FaultKind, Message, Reason, Step};
 use shm_config::run::RunPaths;
-use shm_config::services::{FAULT, OBSERVATION, Process, STEP};
+use shm_config::services::{FAULT, Process, STEP};
 use shm_config::wire::{Publisher, Subscriber, Wire};
 use vlaps_tests::{Set, until};
 
@@ -294,48 +292,4 @@ fn when_the_files_of_a_run_are_removed_it_brakes_and_says_so() {
     assert_eq!(set.wait(), Some(1), "{}", set.logs());
     let ended = set.json()["ended"].to_string();
     assert!(ended.contains("files were removed"), "{ended}");
-}
-
-#[test]
-fn a_stale_observation_of_somebody_else_does_not_number_a_tick() {
-    let mut set = Set::new("stale");
-    set.start(&["--seed", "3"]);
-    let mut watch = Watch::new(&set);
-    watch.until_driving();
-    let liar = Wire::join(set.name(), Process::Gate).expect("shared memory");
-    let mut lies = liar.publisher(OBSERVATION).expect("observations");
-    let newest = Cell::new(0);
-    let follows = |step: &Step| {
-        let tick = step.header.tick;
-        assert!(tick > newest.get(), "tick {tick} follows {}", newest.get());
-        newest.set(tick);
-    };
-    let seen = watch.until("a step", |step| {
-        follows(step);
-        drives_on_fresh_plans(step)
-    });
-    // With the world silent, no lie is overtaken by the truth.
-    set.signal_program("vlaps-world", Signal::STOP);
-    let mut told = 0;
-    until("it was lied to often enough", || {
-        lies.tend();
-        let mut lie = seen.observation;
-        lie.header.taken_ns /= 2;
-        lie.header.tick = lie.header.tick.saturating_sub(5);
-        lies.send(&mut lie);
-        told += 1;
-        told > 60
-    });
-    set.signal_program("vlaps-world", Signal::CONT);
-    watch.until("lies were read, and refused at the door", |step| {
-        follows(step);
-        step.refused > 0
-    });
-    watch.until("it drives again", |step| {
-        follows(step);
-        drives_on_fresh_plans(step)
-    });
-    drop((lies, liar, watch));
-    set.signal(Signal::INT);
-    assert_eq!(set.wait(), Some(0), "{}", set.logs());
 }

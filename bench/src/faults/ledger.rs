@@ -5,6 +5,8 @@ use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::message::{Command, Driver, Message, Reason, Step};
 
+use super::strangers::trace_in;
+
 /// Descriptions kept of violations; the rest is only counted.
 const KEPT: usize = 20;
 
@@ -47,6 +49,8 @@ impl Limits {
 #[derive(Debug)]
 pub struct Ledger {
     limits: Limits,
+    /// The process that lies; what it sends may never be driven on.
+    stranger: u32,
     last: Option<Box<Step>>,
     /// Steps read.
     pub steps: u64,
@@ -65,10 +69,11 @@ pub struct Ledger {
 }
 
 impl Ledger {
-    /// Nothing has been read.
-    pub fn new(limits: Limits) -> Self {
+    /// Nothing has been read; `stranger` is the process that lies.
+    pub fn new(limits: Limits, stranger: u32) -> Self {
         Self {
             limits,
+            stranger,
             last: None,
             steps: 0,
             lost: 0,
@@ -114,6 +119,9 @@ impl Ledger {
     }
 
     fn check_inputs(&mut self, step: &Step) {
+        if let Some(trace) = trace_in(step, self.stranger) {
+            self.violated(step, trace);
+        }
         if step.driver() == Driver::Brake {
             if step.command.pedal != -1.0 {
                 self.violated(step, "the brake is not the full brake");
@@ -186,13 +194,14 @@ impl Ledger {
 pub fn is_fresh(step: &Step, after: Instant) -> bool {
     let starved = matches!(
         step.reason(),
-        None | Some(Reason::Blind | Reason::Unplanned | Reason::Stopping)
+        None | Some(Reason::Blind | Reason::Unplanned | Reason::Stopping | Reason::Contested)
     );
     !starved && step.observation.header.taken() > after && step.plan.header.taken() > after
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::strangers::STRANGE_STEER;
     use super::*;
 
     const LIMITS: Limits = Limits {
@@ -201,6 +210,8 @@ mod tests {
         observation_age_ns: 250,
         plan_age_ns: 250,
     };
+
+    const STRANGER: u32 = 666;
 
     fn step(number: u64) -> Step {
         let mut step = Step::default();
@@ -220,7 +231,7 @@ mod tests {
 
     #[test]
     fn what_is_in_order_is_no_violation_and_every_tick_is_accounted_for() {
-        let mut ledger = Ledger::new(LIMITS);
+        let mut ledger = Ledger::new(LIMITS, STRANGER);
         let mut skipping = step(5);
         // Two ticks of the grid were skipped: numbers 3 and 4 never were.
         (skipping.header.sequence, skipping.skipped) = (3, 2);
@@ -236,7 +247,7 @@ mod tests {
 
     #[test]
     fn a_tick_that_nobody_owns_up_to_is_seen() {
-        let mut ledger = Ledger::new(LIMITS);
+        let mut ledger = Ledger::new(LIMITS, STRANGER);
         ledger.step(&step(1));
         let mut gap = step(4);
         gap.header.sequence = 2;
@@ -246,7 +257,10 @@ mod tests {
 
     #[test]
     fn each_limit_is_seen_when_it_is_violated() {
-        let spoils: [fn(&mut Step); 8] = [
+        let spoils: [fn(&mut Step); 11] = [
+            |s| s.observation.header.producer = STRANGER,
+            |s| s.plan.header.producer = STRANGER,
+            |s| s.observation.ego.steer = STRANGE_STEER,
             |s| s.command.steer = f64::NAN,
             |s| s.command.pedal = 1.5,
             |s| s.command.reason = 99,
@@ -257,14 +271,14 @@ mod tests {
             |s| (s.command.driver, s.command.pedal) = (Driver::Brake.code(), -0.5),
         ];
         for (which, spoil) in spoils.into_iter().enumerate() {
-            let mut ledger = Ledger::new(LIMITS);
+            let mut ledger = Ledger::new(LIMITS, STRANGER);
             ledger.step(&step(11));
             let mut bad = step(12);
             spoil(&mut bad);
             assert!(!ledger.step(&bad), "limit {which}");
             assert_eq!(ledger.violations, 1, "limit {which}: {:?}", ledger.words);
         }
-        let mut ledger = Ledger::new(LIMITS);
+        let mut ledger = Ledger::new(LIMITS, STRANGER);
         ledger.obeyed(150);
         assert_eq!(ledger.violations, 0);
         ledger.obeyed(151);

@@ -8,6 +8,7 @@ mod picture;
 mod room;
 mod rows;
 mod stage;
+mod strangers;
 mod strike;
 mod trouble;
 mod watch;

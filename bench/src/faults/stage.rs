@@ -159,7 +159,7 @@ impl Stage {
         let file = self.scene.folder.join("runs").join(&self.scene.run);
         let config = shm_config::config::load(&file.join("config.toml"))?;
         let name = self.paths.name().clone();
-        self.watch = Some(Watch::join(&name, Limits::of(&config))?);
+        self.watch = Some(Watch::join(&name, self.child.id(), Limits::of(&config))?);
         Ok(())
     }
 
@@ -330,13 +330,18 @@ impl Stage {
         let Ok(summary) = serde_json::from_str::<Value>(&summary) else {
             return vec!["no summary".into()];
         };
-        let number = |key: &str| summary[key].as_f64().unwrap_or(f64::NAN);
-        let instants = (number("elapsed_s") / number("period_s")).round();
-        let counted = number("ticks") + number("skipped");
-        match instants == counted {
-            true => Vec::new(),
-            false => vec![format!("the summary counts {counted} ticks of {instants}")],
-        }
+        // The planner's turns begin anew with each episode where its rate is lower.
+        ["world", "controller"]
+            .iter()
+            .filter_map(|process| {
+                let row = &summary["processes"][process];
+                let number = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+                let instants = (number("elapsed_s") / number("period_s")).round();
+                let counted = number("ticks") + number("skipped");
+                let wrong = format!("the summary counts {counted} ticks of {instants}: {process}");
+                (instants != counted).then_some(wrong)
+            })
+            .collect()
     }
 
     /// What is left of the run on the machine: of an orderly end nothing may be, of

@@ -1,6 +1,7 @@
 //! A fault strikes a set: how, and what came of it.
 
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use anyhow::Context;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
@@ -12,6 +13,7 @@ use supervisor::signals::pause;
 use super::lies::Told;
 use super::room::{Filler, shared_memory};
 use super::stage::{LOOK, Stage};
+use super::strangers::{Forgery, HeldPlaces, Stranger, hold_loans};
 use super::trouble::{Kind, Trouble};
 use super::watch::{CHILDREN, Trial};
 use crate::Clock;
@@ -24,6 +26,9 @@ const RECOVERY_NS: u64 = 20_000_000_000;
 const LACK_NS: u64 = 50_000_000;
 /// ... and so much longer at most, ns.
 const LACK_MORE_NS: f64 = 250e6;
+
+/// From forgery to forgery of a stranger, ns: 500 Hz.
+const FORGERY_NS: u64 = 2_000_000;
 
 /// What a blow did to the set.
 pub enum Blow {
@@ -142,6 +147,23 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
                 detail.push_str(", refused");
             }
         }
+        Kind::ForeignCommand => forge(stage, Forgery::Command, lasting_ns, clock)?,
+        Kind::OtherEpisode => forge(stage, Forgery::OtherEpisode, lasting_ns, clock)?,
+        Kind::ForeignObservation => forge(stage, Forgery::Observation, lasting_ns, clock)?,
+        Kind::ForeignPlan => forge(stage, Forgery::PlanAndAdvice, lasting_ns, clock)?,
+        Kind::ForgedHealth => forge(stage, Forgery::Health, lasting_ns, clock)?,
+        Kind::Slots => {
+            detail = format!("{:.0} ms", lack_ns as f64 / 1e6);
+            begin(stage, clock);
+            let held = HeldPlaces::take(&stage.watch().wire);
+            stage.signal(target, Signal::KILL);
+            stage.watch_for(lack_ns);
+            drop(held);
+        }
+        Kind::Loans => {
+            begin(stage, clock);
+            hold_loans(&stage.watch().wire, Duration::from_nanos(lasting_ns))?;
+        }
         Kind::Files => {
             begin(stage, clock);
             for path in stage.paths().shared_memory()? {
@@ -217,6 +239,20 @@ pub fn came(trial: &Trial, limits: &super::ledger::Limits, recovered: Option<Ins
         command_ns: trial.command.map(|(handed, _)| since(handed)),
         recovered_ns: recovered.map(since),
     }
+}
+
+/// A stranger sends what is well formed for a while.
+fn forge(stage: &mut Stage, forgery: Forgery, lasting_ns: u64, clock: Clock) -> anyhow::Result<()> {
+    let period_ns = stage.scene().period_ns();
+    let mut stranger = Stranger::open(&stage.watch().wire, forgery)?;
+    begin(stage, clock);
+    let until = clock().after_ns(lasting_ns);
+    while clock() < until {
+        let step = *stage.watch().ledger.newest().context("a step")?;
+        stranger.send(&step, clock(), period_ns);
+        stage.watch_for(FORGERY_NS);
+    }
+    Ok(())
 }
 
 fn begin(stage: &mut Stage, clock: Clock) {

@@ -32,6 +32,20 @@ pub enum Kind {
     Clock,
     /// Somebody with the right to write publishes what is wrong.
     Hostile,
+    /// A process that the run did not start sends commands of the driven episode.
+    ForeignCommand,
+    /// ... of another episode.
+    OtherEpisode,
+    /// ... observations between two instants of the grid.
+    ForeignObservation,
+    /// ... plans and advice.
+    ForeignPlan,
+    /// ... healths, progress and finished episodes.
+    ForgedHealth,
+    /// It takes every place that there is, and a process that dies finds none.
+    Slots,
+    /// It keeps messages that it has read.
+    Loans,
     /// The run's files are removed while it drives.
     Files,
     /// SIGKILL to all but the supervisor, at once.
@@ -39,7 +53,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// How many in a hundred and one, when all kinds are wished for.
+    /// How many in a hundred and four, when all kinds are wished for.
     fn weight(self) -> u64 {
         match self {
             Kind::Kill => 29,
@@ -53,7 +67,10 @@ impl Kind {
             Kind::Disk => 3,
             Kind::Shm => 3,
             Kind::Clock => 1,
-            Kind::Hostile => 12,
+            Kind::Hostile => 6,
+            Kind::ForeignCommand | Kind::ForeignObservation => 2,
+            Kind::OtherEpisode | Kind::ForeignPlan | Kind::ForgedHealth => 1,
+            Kind::Slots | Kind::Loans => 1,
             Kind::Files => 1,
             Kind::All => 2,
         }
@@ -77,7 +94,13 @@ impl Kind {
             // The room is needed when somebody starts anew.
             Kind::Disk | Kind::Shm => &[Controller, Planner, World, Gate],
             Kind::Files => &[Controller, Planner],
-            Kind::Clock | Kind::Hostile | Kind::All => &[],
+            Kind::Slots => &[Controller, Planner, World],
+            Kind::Clock | Kind::Hostile | Kind::All | Kind::Loans => &[],
+            Kind::ForeignCommand
+            | Kind::OtherEpisode
+            | Kind::ForeignObservation
+            | Kind::ForeignPlan
+            | Kind::ForgedHealth => &[],
         }
     }
 
@@ -109,6 +132,13 @@ impl Kind {
             Kind::Shm => "shm",
             Kind::Clock => "clock",
             Kind::Hostile => "hostile",
+            Kind::ForeignCommand => "foreign-command",
+            Kind::OtherEpisode => "other-episode",
+            Kind::ForeignObservation => "foreign-observation",
+            Kind::ForeignPlan => "foreign-plan",
+            Kind::ForgedHealth => "forged-health",
+            Kind::Slots => "slots",
+            Kind::Loans => "loans",
             Kind::Files => "files",
             Kind::All => "all",
         }

@@ -62,7 +62,6 @@ pub struct Watch {
     /// Orders to fail.
     pub orders: Publisher<Fault>,
     trial: Option<Trial>,
-    own_pid: u32,
     /// The limits of the run.
     pub limits: Limits,
     /// Dropped after the ports.
@@ -70,12 +69,14 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Joins a run that is up.
+    /// Joins a run that is up, whose supervisor that is.
     ///
     /// # Errors
     /// When shared memory refuses.
-    pub fn join(name: &RunName, limits: Limits) -> Result<Self, WireError> {
+    pub fn join(name: &RunName, supervisor: u32, limits: Limits) -> Result<Self, WireError> {
         let wire = Wire::join(name, Process::Learner)?;
+        // What the campaign itself forges is not read back.
+        wire.follow(supervisor)?;
         let signs = CHILDREN.map(|process| {
             let port = wire.subscriber(services::health(process))?;
             Ok(Sign {
@@ -89,11 +90,10 @@ impl Watch {
             commands: wire.subscriber(COMMAND)?,
             progress: wire.subscriber(PROGRESS)?,
             signs: signs.into_iter().collect::<Result<_, WireError>>()?,
-            ledger: Ledger::new(limits),
+            ledger: Ledger::new(limits, std::process::id()),
             fresh_in_row: 0,
             orders: wire.publisher(FAULT)?,
             trial: None,
-            own_pid: std::process::id(),
             limits,
             wire,
         })
@@ -112,29 +112,23 @@ impl Watch {
                 let newer = sign
                     .newest
                     .is_none_or(|newest| newest.header.taken_ns <= health.header.taken_ns);
-                if newer && health.header.producer != self.own_pid {
+                if newer {
                     sign.newest = Some(health);
                 }
             }
         }
         while let Some(step) = self.steps.receive() {
-            if step.header.producer != self.own_pid {
-                self.take(&step);
-            }
+            self.take(&step);
         }
         for _ in 0..LOOKED_AT {
             let Some(command) = self.commands.receive() else {
                 break;
             };
-            if command.header.producer != self.own_pid {
-                // Read after the command came: the watcher itself may be held up.
-                self.ledger.command(&command, clock());
-            }
+            // Read after the command came: the watcher itself may be held up.
+            self.ledger.command(&command, clock());
         }
         while let Some(progress) = self.progress.receive() {
-            if progress.header.producer != self.own_pid {
-                self.ledger.obeyed(progress.oldest_obeyed_ns);
-            }
+            self.ledger.obeyed(progress.oldest_obeyed_ns);
         }
     }
 

@@ -52,6 +52,7 @@ crate::message! {
 
 crate::message! {
     /// One finished episode.
+    #[derive(Default)]
     pub struct Episode: 136 bytes, nested [Header] {
         /// The world's last tick of the episode.
         pub header: Header,

@@ -1,0 +1,200 @@
+//! A process of the same user that the run did not start, and that sends what is well
+//! formed, holds places, or holds what it has read.
+
+use std::time::Duration;
+
+use shm_config::Instant;
+use shm_config::message::{Command, Episode, Health, HealthState, Message, Progress, Step};
+use shm_config::services::{
+    self, ADVICE, COMMAND, EPISODE, OBSERVATION, PLAN, PROGRESS, Process, STEP,
+};
+use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
+use supervisor::signals::pause;
+
+/// What a stranger steers: no driver of the set steers just so, so that a world that
+/// obeyed it is seen.
+pub const STRANGE_STEER: f64 = 0.123_456_789;
+
+/// Episodes ahead of the run's own.
+const EPISODES_AHEAD: u32 = 7;
+/// Places of one kind that a stranger tries to take.
+const PLACES_MAX: usize = 40;
+/// Readers that hold a message.
+const HOLDERS: usize = 4;
+
+/// What a stranger sends again and again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Forgery {
+    /// Commands of the episode that is driven.
+    Command,
+    /// Commands of another episode.
+    OtherEpisode,
+    /// Observations half a period off the grid.
+    Observation,
+    /// Plans and advice.
+    PlanAndAdvice,
+    /// Healths, progress and finished episodes.
+    Health,
+}
+
+/// A stranger at work.
+pub struct Stranger {
+    forgery: Forgery,
+    commands: Publisher<Command>,
+    observations: Publisher<shm_config::message::Observation>,
+    plans: Publisher<shm_config::message::Plan>,
+    advices: Publisher<shm_config::message::Advice>,
+    progress: Publisher<Progress>,
+    episodes: Publisher<Episode>,
+    healths: Vec<Publisher<Health>>,
+    sent: u32,
+}
+
+impl Stranger {
+    /// Opens its ports.
+    ///
+    /// # Errors
+    /// When shared memory refuses.
+    pub fn open(wire: &Wire, forgery: Forgery) -> Result<Self, WireError> {
+        let healths = [Process::World, Process::Planner, Process::Controller];
+        let healths = healths.map(|process| wire.publisher(services::health(process)));
+        Ok(Self {
+            forgery,
+            commands: wire.publisher(COMMAND)?,
+            observations: wire.publisher(OBSERVATION)?,
+            plans: wire.publisher(PLAN)?,
+            advices: wire.publisher(ADVICE)?,
+            progress: wire.publisher(PROGRESS)?,
+            episodes: wire.publisher(EPISODE)?,
+            healths: healths.into_iter().collect::<Result<_, _>>()?,
+            sent: 0,
+        })
+    }
+
+    /// Sends one forgery, made of the newest step.
+    pub fn send(&mut self, step: &Step, now: Instant, period_ns: u64) {
+        self.sent += 1;
+        match self.forgery {
+            Forgery::Command => {
+                self.commands.send(&mut command(step, now));
+            }
+            Forgery::OtherEpisode => {
+                let mut command = command(step, now);
+                command.header.episode += EPISODES_AHEAD;
+                self.commands.send(&mut command);
+            }
+            Forgery::Observation => {
+                let mut observation = step.observation;
+                observation.header.taken_ns = now.0;
+                observation.scheduled_ns += period_ns / 2;
+                // Every other one is broken besides.
+                if self.sent.is_multiple_of(2) {
+                    observation.ego.speed_mps = f64::NAN;
+                }
+                self.observations.send(&mut observation);
+            }
+            Forgery::PlanAndAdvice => {
+                let (mut plan, mut advice) = (step.plan, step.advice);
+                plan.header.taken_ns = now.0;
+                advice.header.taken_ns = now.0;
+                (advice.preference, advice.answers) = (2, u64::MAX);
+                advice.holds_until_ns = u64::MAX;
+                self.plans.send(&mut plan);
+                self.advices.send(&mut advice);
+            }
+            Forgery::Health => self.forge_health(step, now),
+        }
+    }
+
+    fn forge_health(&mut self, step: &Step, now: Instant) {
+        let mut header = step.header;
+        header.taken_ns = now.0;
+        for port in &mut self.healths {
+            let mut health = Health {
+                header,
+                ticks: u64::from(self.sent) << 32,
+                state: HealthState::Finished.code(),
+                ..Health::default()
+            };
+            port.send(&mut health);
+        }
+        header.episode = u32::MAX;
+        let (mut progress, mut episode) = (Progress::default(), Episode::default());
+        (progress.header, episode.header) = (header, header);
+        self.progress.send(&mut progress);
+        self.episodes.send(&mut episode);
+    }
+}
+
+fn command(step: &Step, now: Instant) -> Command {
+    let mut command = step.command;
+    command.header.taken_ns = now.0;
+    command.header.tick = step.header.tick + 1;
+    (command.steer, command.pedal) = (STRANGE_STEER, 1.0);
+    command
+}
+
+/// A step of a stranger's making was driven on, as far as the step shows; in words.
+pub fn trace_in(step: &Step, stranger: u32) -> Option<&'static str> {
+    let is_from = |producer: u32| producer == stranger;
+    if is_from(step.observation.header.producer) {
+        return Some("driven on a stranger's observation");
+    }
+    if is_from(step.plan.header.producer) {
+        return Some("driven on a stranger's plan");
+    }
+    if is_from(step.advice.header.producer) || is_from(step.takeover.header.producer) {
+        return Some("driven on a stranger's advice or takeover");
+    }
+    let obeyed = step.observation.ego.steer == STRANGE_STEER;
+    obeyed.then_some("the world obeyed a stranger's command")
+}
+
+/// Every place that a stranger can take in the services of a tick: while they are held,
+/// a process that is restarted finds none.
+pub struct HeldPlaces {
+    _commands: Vec<Publisher<Command>>,
+    _observations: Vec<Publisher<shm_config::message::Observation>>,
+    _plans: Vec<Publisher<shm_config::message::Plan>>,
+    _bells: Vec<Doorbell>,
+}
+
+impl HeldPlaces {
+    /// Takes them.
+    pub fn take(wire: &Wire) -> Self {
+        fn all<T>(open: impl Fn() -> Result<T, WireError>) -> Vec<T> {
+            (0..PLACES_MAX).map_while(|_| open().ok()).collect()
+        }
+        Self {
+            _commands: all(|| wire.publisher(COMMAND)),
+            _observations: all(|| wire.publisher(OBSERVATION)),
+            _plans: all(|| wire.publisher(PLAN)),
+            _bells: all(|| wire.doorbell(Process::Controller)),
+        }
+    }
+}
+
+/// Holds messages that it has read for a moment: what a publisher has lent stays lent.
+///
+/// # Errors
+/// When shared memory refuses.
+pub fn hold_loans(wire: &Wire, moment: Duration) -> Result<(), WireError> {
+    fn hold<M: Message>(readers: &mut [Subscriber<M>], moment: Duration) {
+        match readers.split_first_mut() {
+            // One that has nothing to hold yet passes on.
+            Some((first, rest)) => match first.visit(|_| hold(rest, moment)) {
+                Some(()) => {}
+                None => hold(rest, moment),
+            },
+            None => pause(moment),
+        }
+    }
+    let mut steps = Vec::new();
+    for _ in 0..HOLDERS {
+        steps.push(wire.subscriber(STEP)?);
+    }
+    // Two ticks at 10 Hz: a message each.
+    pause(Duration::from_millis(200));
+    hold(&mut steps, moment);
+    Ok(())
+}
