@@ -10,6 +10,7 @@ use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shm_config::run::RunPaths;
+use shm_config::secret;
 use supervisor::clean::{Cleaned, clean_run};
 use supervisor::signals::pause;
 pub use supervisor::tally::Quantiles;
@@ -49,7 +50,8 @@ impl Driven {
             .arg("--json")
             .arg(&json)
             .current_dir(folder.path())
-            .stdin(Stdio::null())
+            // Its gate may need a key.
+            .stdin(secret::lend()?)
             .stdout(Stdio::null())
             // Ctrl-C in the terminal is ours to pass on: twice would kill.
             .process_group(0)

@@ -19,8 +19,9 @@ use bench::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
-use shm_config::counted;
+use shm_config::text::{printable_arguments, printable_lines};
 use shm_config::time::monotonic;
+use shm_config::{counted, secret};
 use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
 use supervisor::failure::{EXIT_FAILED, Failure};
 
@@ -29,17 +30,25 @@ use supervisor::failure::{EXIT_FAILED, Failure};
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 fn main() -> ExitCode {
+    // Before anything else: nothing may copy the environment.
+    let taken = secret::take().map_err(Failure::secrets);
     // A process entry point: the clock is read nowhere else.
     #[allow(clippy::disallowed_methods)]
     let clock: Clock = monotonic;
-    let command = Arguments::parse().command;
-    let done = outputs::check(&command)
+    let arguments = Arguments::try_parse().unwrap_or_else(|error| {
+        let shown = Arguments::try_parse_from(printable_arguments()).err();
+        shown.unwrap_or(error).exit()
+    });
+    let command = arguments.command;
+    let done = taken
+        .and_then(|()| outputs::check(&command))
         .map_err(anyhow::Error::from)
         .and_then(|()| carry_out(&command, clock));
     done.unwrap_or_else(|error| {
         use std::io::Write;
         // Nobody may be left to read it.
-        let _ = writeln!(std::io::stderr(), "error: {error:#}");
+        let shown = format!("error: {error:#}");
+        let _ = writeln!(std::io::stderr(), "{}", printable_lines(&shown));
         let failure = error.downcast_ref::<Failure>();
         ExitCode::from(failure.map_or(EXIT_FAILED, Failure::exit_code))
     })

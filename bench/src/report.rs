@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
 use serde::Serialize;
+use shm_config::text::printable_lines;
 
 /// A line below the header and one below the table; rows stand close.
 const STYLE: TableStyle = TableStyle::new()
@@ -28,7 +29,8 @@ pub fn table(header: &[&str]) -> Table {
 /// Prints to standard output; a reader that has gone is no error.
 pub fn say(text: impl std::fmt::Display) {
     use std::io::Write;
-    let _ = writeln!(std::io::stdout(), "{text}");
+    let text = text.to_string();
+    let _ = writeln!(std::io::stdout(), "{}", printable_lines(&text));
 }
 
 /// Writes one JSON object to a file.

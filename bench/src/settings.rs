@@ -5,6 +5,7 @@ use std::path::Path;
 
 use clap::Parser;
 use shm_config::config::{Clock, Config, ConfigError};
+use shm_config::secret;
 use supervisor::arguments::{Arguments, Command};
 use supervisor::failure::Failure;
 use supervisor::settings::resolve;
@@ -20,7 +21,13 @@ fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
     let arguments =
         Arguments::try_parse_from(words).map_err(|error| Failure::Usage(error.to_string()))?;
     match &arguments.command {
-        Command::Up(up) => resolve(up),
+        Command::Up(up) => {
+            let config = resolve(up)?;
+            // Once there are threads, such as of a progress bar, it stays where it is,
+            // and is taken by the supervisor that this program starts.
+            let _ = secret::take_named(&config.vlm.key_env);
+            Ok(config)
+        }
         _ => Err(Failure::Usage("no configuration".into())),
     }
 }

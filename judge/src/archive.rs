@@ -7,6 +7,7 @@ use std::thread::{self, JoinHandle};
 
 use shm_config::config::{Config, GateMode};
 use shm_config::judged::{Judged, SUMMARY};
+use shm_config::text::printable_json;
 
 use crate::store::{Lost, Store, StoreError};
 use crate::{Filed, tally};
@@ -132,9 +133,10 @@ fn warn_of_lost(lost: &Lost) {
 /// Whole or not at all; a disk that refuses is counted by the store.
 fn write_summary(run_folder: &Path, judged: &Judged) {
     let text = serde_json::to_string(judged).unwrap_or_default();
+    let text = printable_json(&text);
     let path = run_folder.join(SUMMARY);
     let part = path.with_extension("part");
-    let _ = fs::write(&part, text).and_then(|()| fs::rename(&part, &path));
+    let _ = fs::write(&part, text.as_bytes()).and_then(|()| fs::rename(&part, &path));
 }
 
 /// What an earlier gate of this run has written: the supervisor outlives its gates.

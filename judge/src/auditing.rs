@@ -13,8 +13,8 @@ use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
 use judge::store::{Records, read};
 use shm_config::config::{Config, from_toml};
-use shm_config::counted;
 use shm_config::judged::of_these_similar;
+use shm_config::{counted, secret};
 use toml::{Table, Value};
 
 use crate::say;
@@ -209,6 +209,9 @@ fn share(share: Share) -> String {
 pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let records = read(&arguments.folder)?;
     let vlm = config(arguments)?.vlm;
+    // The one that comes from here on is held in memory.
+    secret::forbid_dumps().context("cannot keep the key out of core files")?;
+    secret::take_named(&vlm.key_env).context("cannot take the key out of the environment")?;
     let out = match &arguments.out {
         Some(out) => out.clone(),
         None => records

@@ -13,6 +13,8 @@ use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use reqwest::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE};
 use reqwest::{Response, Url};
 use shm_config::config::Vlm;
+use shm_config::secret;
+use shm_config::text::printable;
 use tokio::sync::Semaphore;
 use tokio::time::Instant;
 
@@ -154,10 +156,11 @@ impl Asker {
     /// # Errors
     /// When the address or the key cannot be used.
     pub fn new(vlm: &Vlm) -> Result<Self, AskerError> {
-        Self::with_environment(vlm, |name| std::env::var(name).ok())
+        Self::with_environment(vlm, secret::value)
     }
 
-    /// As [`Asker::new`], with environment variables read by `variable`.
+    /// As [`Asker::new`], with environment variables read by `variable`; what it
+    /// returns is overwritten after use.
     ///
     /// # Errors
     /// As [`Asker::new`].
@@ -496,12 +499,12 @@ impl Asker {
     }
 }
 
-/// A server's words as they may be shown in a terminal: neither lines nor escape
-/// sequences, and not too much.
+/// A server's words as they may be shown in a terminal: on one line, nothing that acts
+/// on what is around it, and not too much.
 fn one_line(said: &str) -> String {
-    let plain = said.replace(char::is_control, " ");
-    let words: Vec<&str> = plain.split_whitespace().collect();
-    words.join(" ").chars().take(SHOWN_MAX).collect()
+    let words: Vec<&str> = said.split_whitespace().collect();
+    let line: String = words.join(" ").chars().take(SHOWN_MAX).collect();
+    printable(&line).into_owned()
 }
 
 /// Reads at most `bytes_max`, and says whether that was all.

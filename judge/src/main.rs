@@ -10,7 +10,8 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::Parser as _;
 use judge::standin::{NAME, Server};
-use shm_config::counted;
+use shm_config::text::{printable_arguments, printable_lines};
+use shm_config::{counted, secret};
 
 use crate::arguments::{Arguments, Command, ServerArguments};
 
@@ -18,15 +19,23 @@ use crate::arguments::{Arguments, Command, ServerArguments};
 const EXIT_FAILED: u8 = 1;
 
 fn main() -> ExitCode {
-    let done = match Arguments::parse().command {
+    // Before anything else: nothing may copy the environment.
+    let taken = secret::take().context("cannot take the keys out of the environment");
+    let arguments = Arguments::try_parse().unwrap_or_else(|error| {
+        let shown = Arguments::try_parse_from(printable_arguments()).err();
+        shown.unwrap_or(error).exit()
+    });
+    let done = taken.and_then(|()| match arguments.command {
         Command::Server(arguments) => server(&arguments),
         Command::Audit(arguments) => auditing::audit(&arguments),
         Command::Replay(arguments) => auditing::replay(&arguments),
-    };
+    });
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("vlaps-judge: {error:#}");
+            let shown = format!("vlaps-judge: {error:#}");
+            // Nobody may be left to read it.
+            let _ = writeln!(std::io::stderr(), "{}", printable_lines(&shown));
             ExitCode::from(EXIT_FAILED)
         }
     }
@@ -60,5 +69,6 @@ fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
 
 /// A line for people and scripts; a reader that has gone is no reason to stop.
 fn say(line: impl fmt::Display) {
-    let _ = writeln!(std::io::stdout(), "{line}");
+    let line = line.to_string();
+    let _ = writeln!(std::io::stdout(), "{}", printable_lines(&line));
 }

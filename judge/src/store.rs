@@ -17,6 +17,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use shm_config::text::printable_json;
+
 use crate::picture::Picture;
 use crate::record::{Record, VERSION};
 
@@ -196,7 +198,8 @@ impl Store {
     }
 
     fn write(&mut self, record: &Record) {
-        let mut line = serde_json::to_vec(record).unwrap_or_default();
+        let line = serde_json::to_string(record).unwrap_or_default();
+        let mut line = printable_json(&line).into_owned().into_bytes();
         // JSON has no NaN: what is written for one cannot be read again.
         if serde_json::from_slice::<Record>(&line).is_err() {
             return self.lose_line("a number that JSON cannot hold".into());

@@ -19,7 +19,9 @@ use rustix::process::Signal;
 use rustix::time::Timespec;
 use shm_config::config::{Config, ConfigError, Scheduling, load};
 use shm_config::run::{InvalidRunName, RunName};
+use shm_config::secret;
 use shm_config::services::Process;
+use shm_config::text::{Printable, printable_lines};
 use shm_config::time::monotonic;
 use shm_config::wire::{Wire, WireError};
 
@@ -103,13 +105,19 @@ impl Member {
     /// One line that says what is wrong and what to do.
     pub fn join(process: Process, arguments: &Arguments) -> Result<Self, SetUpError> {
         die_with_parent();
+        // Before the first thread: nothing may copy the environment.
+        secret::take().map_err(|error| {
+            SetUpError::Own(format!(
+                "cannot take the keys out of the environment: {error}"
+            ))
+        })?;
         let stop = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
             signal_hook::flag::register(signal, stop.clone())?;
         }
         // A logging thread, and lines are dropped when the disk cannot follow:
         // no disk ever holds up a process.
-        let (writer, guard) = tracing_appender::non_blocking(std::io::stderr());
+        let (writer, guard) = tracing_appender::non_blocking(Printable(std::io::stderr()));
         tracing_subscriber::fmt()
             .with_writer(writer)
             .with_ansi(false)
@@ -219,7 +227,8 @@ pub fn exit_code(process: Process, result: Result<(), SetUpError>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("vlaps-{process}: {error}");
+            let error = error.to_string();
+            eprintln!("vlaps-{process}: {}", printable_lines(&error));
             ExitCode::from(SET_UP_FAILED)
         }
     }

@@ -14,7 +14,9 @@ pub mod message;
 pub mod palette;
 pub mod python;
 pub mod run;
+pub mod secret;
 pub mod services;
+pub mod text;
 pub mod time;
 pub mod turns;
 #[allow(clippy::disallowed_types)] // the one place that may name iceoryx2

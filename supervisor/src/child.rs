@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 
 use rustix::process::{Pid, Signal};
+use shm_config::secret;
 use shm_config::services::Process;
 
 use crate::log::LogFile;
+use crate::orphans::{MARK, Mark};
 use crate::table::{Rights, Row};
 
 /// What children are started with.
@@ -111,16 +113,23 @@ impl Launch {
     pub fn start(&self, row: &Row, log: &mut LogFile, resume: Resume) -> io::Result<Running> {
         let output = log.begin()?;
         let errors = output.try_clone()?;
+        let mark = Mark::next(row.process);
         let mut command = Command::new(self.binary(row));
+        secret::withhold(&mut command);
         command
             .args(self.script(row).map(|script| &script.file))
             .args(self.arguments(row, resume))
-            .stdin(Stdio::null())
+            .env(MARK, mark.text())
+            .stdin(match row.process {
+                Process::Gate => secret::lend()?,
+                _ => Stdio::null(),
+            })
             .stdout(output)
             .stderr(errors)
             // Its own group: Ctrl-C in the terminal reaches the supervisor only.
             .process_group(0);
-        Ok(Running(command.spawn()?))
+        let child = command.spawn()?;
+        Ok(Running { child, mark })
     }
 
     fn arguments(&self, row: &Row, resume: Resume) -> Vec<String> {
@@ -148,17 +157,25 @@ impl Launch {
 
 /// A child that has not been reaped.
 #[derive(Debug)]
-pub struct Running(Child);
+pub struct Running {
+    child: Child,
+    mark: Mark,
+}
 
 impl Running {
     /// Its process id.
     pub fn pid(&self) -> u32 {
-        self.0.id()
+        self.child.id()
+    }
+
+    /// What it and the processes that it starts carry.
+    pub fn mark(&self) -> &Mark {
+        &self.mark
     }
 
     /// How it ended; `None` while it has not. Never waits.
     pub fn reap(&mut self) -> Option<Exit> {
-        match self.0.try_wait() {
+        match self.child.try_wait() {
             Ok(status) => status.map(Exit::from),
             // Only when it is not our child any more: then it is gone.
             Err(error) => Some(Exit::Crashed(error.to_string())),
@@ -169,7 +186,7 @@ impl Running {
     /// the child is reaped.
     pub fn signal(&self, signal: Signal) {
         // Fails only when it has ended already, which the next look shows.
-        let _ = rustix::process::kill_process(Pid::from_child(&self.0), signal);
+        let _ = rustix::process::kill_process(Pid::from_child(&self.child), signal);
     }
 }
 

@@ -30,6 +30,14 @@ pub enum Failure {
 }
 
 impl Failure {
+    /// Keys cannot be taken out of the environment.
+    pub fn secrets(error: std::io::Error) -> Self {
+        Self::GivenUp(format!(
+            "cannot take the keys out of the environment: {error}; unset them and name a file in \
+             vlm.key_file"
+        ))
+    }
+
     /// The process's exit code.
     pub fn exit_code(&self) -> u8 {
         match self {

@@ -3,6 +3,8 @@
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 
+use shm_config::secret;
+
 use crate::arguments::HandedOver;
 use crate::child::own_folder;
 use crate::failure::Failure;
@@ -21,10 +23,10 @@ pub fn hand_over(name: &str, command: &[&str], rest: &HandedOver) -> Result<(), 
     let folder = own_folder()
         .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
     let program = folder.join(name);
-    let error = Command::new(&program)
-        .args(command)
-        .args(&rest.words)
-        .exec();
+    let mut become_it = Command::new(&program);
+    // It may ask a judge itself, or start a supervisor whose gate does.
+    secret::hand_on(&mut become_it);
+    let error = become_it.args(command).args(&rest.words).exec();
     Err(Failure::GivenUp(format!(
         "{}: {error}; build it with cargo build --release --workspace --bins",
         program.display()

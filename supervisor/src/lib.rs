@@ -71,6 +71,7 @@ pub mod member;
 pub mod metadrive;
 pub mod numbers;
 pub mod onnxruntime;
+pub mod orphans;
 pub mod outputs;
 pub mod parent;
 pub mod person;

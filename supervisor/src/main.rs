@@ -3,17 +3,40 @@
 use std::process::ExitCode;
 
 use clap::Parser;
+use shm_config::secret;
+use shm_config::text::{printable_arguments, printable_lines};
 use shm_config::time::monotonic;
 use supervisor::arguments::{Arguments, Command};
+use supervisor::failure::Failure;
 use supervisor::hand_over::{BENCH, JUDGE, hand_over};
 use supervisor::{Clock, clean, doctor, down, keys, setup, status, swap, up};
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    // Before anything else: nothing may copy the environment.
+    let taken = secret::take().map_err(Failure::secrets);
+    let arguments = Arguments::try_parse().unwrap_or_else(|error| {
+        let shown = Arguments::try_parse_from(printable_arguments()).err();
+        shown.unwrap_or(error).exit()
+    });
     // A process entry point: the clock is read nowhere else.
     #[allow(clippy::disallowed_methods)]
     let clock: Clock = monotonic;
-    let done = match &arguments.command {
+    let done = taken.and_then(|()| carry_out(&arguments.command, clock));
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            use std::io::Write;
+            let failure_shown = failure.to_string();
+            let failure_shown = printable_lines(&failure_shown);
+            // Nobody may be left to read it.
+            let _ = writeln!(std::io::stderr(), "error: {failure_shown}");
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}
+
+fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
+    match command {
         Command::Up(arguments) => up::up(arguments, clock),
         Command::Down(arguments) => down::down(arguments),
         Command::Status(arguments) => status::status(arguments, clock),
@@ -28,14 +51,5 @@ fn main() -> ExitCode {
         Command::Judge(words) => hand_over(JUDGE, &[], words),
         Command::JudgeServer(words) => hand_over(JUDGE, &["server"], words),
         Command::Train(words) => hand_over(BENCH, &["train"], words),
-    };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => {
-            use std::io::Write;
-            // Nobody may be left to read it.
-            let _ = writeln!(std::io::stderr(), "error: {failure}");
-            ExitCode::from(failure.exit_code())
-        }
     }
 }

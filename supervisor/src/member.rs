@@ -4,11 +4,13 @@ use rustix::process::Signal;
 use shm_config::Instant;
 use shm_config::config::Supervisor;
 use shm_config::message::HealthState;
+use shm_config::text::printable;
 
 use crate::backoff::{After, Backoff};
 use crate::child::{Exit, Launch, Resume, Running};
 use crate::event::Event;
 use crate::log::LogFile;
+use crate::orphans::Mark;
 use crate::table::{Restart, Row};
 
 /// How long a process may take from its start to being ready, ns. Opening the
@@ -102,6 +104,11 @@ impl Member {
     /// Its process id; `None` when it does not live.
     pub fn pid(&self) -> Option<u32> {
         self.child.as_ref().map(Running::pid)
+    }
+
+    /// What it and its children carry; `None` when it does not live.
+    pub(crate) fn mark(&self) -> Option<&Mark> {
+        self.child.as_ref().map(Running::mark)
     }
 
     /// How often it was restarted.
@@ -269,7 +276,8 @@ impl Member {
                     // A child begins its line with its own name.
                     Some(line) => {
                         let own = format!("{}: ", self.row.binary);
-                        format!("{process}: {}", line.strip_prefix(&own).unwrap_or(&line))
+                        let line = line.strip_prefix(&own).unwrap_or(&line);
+                        format!("{process}: {}", printable(line))
                     }
                     None => format!(
                         "{process}: refused its set-up without a word; see {}",
@@ -305,7 +313,7 @@ impl Member {
     fn last_words(&self) -> String {
         let path = self.log.path().display();
         match self.log.last_line() {
-            Some(line) => format!("; its last line: {line}; its log: {path}"),
+            Some(line) => format!("; its last line: {}; its log: {path}", printable(&line)),
             None => format!("; its log is empty: {path}"),
         }
     }

@@ -8,6 +8,8 @@ use std::thread::{self, JoinHandle};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use shm_config::text::printable_lines;
+
 use crate::live::View;
 
 /// Lines and views that may wait for the terminal.
@@ -61,7 +63,7 @@ impl Screen {
 /// Writes text; a reader that has gone away is no reason to fail.
 pub fn say(text: impl std::fmt::Display) {
     let mut out = io::stdout().lock();
-    let _ = writeln!(out, "{text}");
+    let _ = writeln!(out, "{}", printable_lines(&text.to_string()));
     let _ = out.flush();
 }
 
@@ -73,7 +75,7 @@ fn draw(inbox: &Receiver<Note>) {
     }
     for note in inbox {
         match note {
-            Note::Line(text) => bar.println(text),
+            Note::Line(text) => bar.println(printable_lines(&text)),
             Note::View(view) => {
                 let completion = view.episode.map_or(0.0, |episode| episode.completion);
                 let mut text = format!(
@@ -86,7 +88,7 @@ fn draw(inbox: &Receiver<Note>) {
                     text.push_str("\n  ");
                     text.push_str(help);
                 }
-                bar.set_prefix(cut(&text, columns()));
+                bar.set_prefix(cut(&printable_lines(&text), columns()));
                 bar.set_message(format!(
                     "{:>3.0} %; {}",
                     completion * 100.0,

@@ -14,6 +14,7 @@ use crate::event::Event;
 use crate::failure::Failure;
 use crate::log::LogFile;
 use crate::member::{Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS, Turn};
+use crate::orphans::Mark;
 use crate::table::rows;
 
 /// The most that one look adds to a silence, ns: four periods of the loop. A
@@ -174,6 +175,13 @@ impl ProcessSet {
     /// A process has a child that has not been reaped.
     pub fn lives(&self, process: Process) -> bool {
         self.member(process).is_some_and(Member::lives)
+    }
+
+    /// A living process carries this mark.
+    pub(crate) fn carries(&self, mark: &Mark) -> bool {
+        self.members
+            .iter()
+            .any(|member| member.mark() == Some(mark))
     }
 
     /// Nobody lives.

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode, Simulator};
 use shm_config::services::{Process, TAKEOVER};
+use shm_config::text::printable;
 use shm_config::wire::Wire;
 
 use crate::Clock;
@@ -21,6 +22,7 @@ use crate::live::View;
 use crate::log::LogFile;
 use crate::member::{Phase, Turn};
 use crate::metadrive;
+use crate::orphans::Orphans;
 use crate::outputs;
 use crate::parent;
 use crate::place::{Place, check_shared_memory, shared_memory};
@@ -71,6 +73,7 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
         parent::end_with(parent)?;
     }
     let config = settings::resolve(arguments)?;
+    shm_config::secret::take_named(&config.vlm.key_env).map_err(Failure::secrets)?;
     if let Some(path) = &arguments.json {
         outputs::check_file("--json", path)?;
     }
@@ -216,6 +219,7 @@ fn drive(
         logs_tended: now,
         is_warned: false,
         judge_trouble: String::new(),
+        orphans: Orphans::adopt(),
         stops_asked: 0,
         ending: None,
     };
@@ -272,7 +276,7 @@ impl Journal {
     fn line(&mut self, now: Instant, text: &str) {
         let passed_s = now.since_ns(self.begun) as f64 / 1e9;
         // A full disk stops the journal, not the car.
-        let _ = writeln!(self.file, "{passed_s:9.3} {text}");
+        let _ = writeln!(self.file, "{passed_s:9.3} {}", printable(text));
         let _ = self.log.rotate();
     }
 }
@@ -294,6 +298,7 @@ struct Run<'a> {
     logs_tended: Instant,
     is_warned: bool,
     judge_trouble: String,
+    orphans: Orphans,
     stops_asked: usize,
     ending: Option<(End, Stop)>,
 }
@@ -312,7 +317,7 @@ impl Run<'_> {
             self.end_if_due(turn, now);
             self.tell(now);
             if let Some((end, stop)) = &mut self.ending {
-                if self.set.is_empty() {
+                if self.set.is_empty() && !self.orphans.remain() {
                     return end.clone();
                 }
                 if self.stops_asked > 1 {
@@ -331,6 +336,9 @@ impl Run<'_> {
     /// are read, so that their last words are in what is read.
     fn look(&mut self, now: Instant) {
         let died = self.set.reap(now);
+        for line in self.orphans.tend(&self.set, died, now) {
+            self.journal.line(now, &line);
+        }
         for sign in self.ports.drain(&mut self.tally) {
             self.set.hear(sign.process, sign.pid, sign.state);
         }

@@ -103,6 +103,11 @@ impl Set {
         self.supervisor = Some(child);
     }
 
+    /// Starts the set by a command line of its own, [`Set::up_command`] with more.
+    pub fn start_as(&mut self, command: &mut Command) {
+        self.supervisor = Some(command.spawn().expect("the supervisor starts"));
+    }
+
     /// Runs the set to its end.
     pub fn run(&self, arguments: &[&str]) -> Output {
         let output = self.up_command(&[], arguments).output();

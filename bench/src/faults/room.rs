@@ -11,6 +11,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use shm_config::run::{SHARED_MEMORY_DIR, USER_DIR};
+use shm_config::secret;
 
 /// Says that this process is within its room already.
 const WITHIN: &str = "VLAPS_FAULTS_WITHIN";
@@ -52,7 +53,9 @@ impl Room {
         }
         if let Some(flags) = namespace() {
             let own = std::env::current_exe()?;
-            let error = Command::new("unshare")
+            let mut become_it = Command::new("unshare");
+            secret::hand_on(&mut become_it);
+            let error = become_it
                 .args(flags)
                 .args(["sh", "-c", FURNISH])
                 .arg(own)

@@ -11,6 +11,7 @@ use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use shm_config::run::RunPaths;
+use shm_config::secret;
 use shm_config::services::Process;
 use supervisor::child::Exit;
 use supervisor::signals::pause;
@@ -123,7 +124,8 @@ impl Stage {
             .args(["--parent", &std::process::id().to_string()])
             .args(scene.words())
             .current_dir(&scene.folder)
-            .stdin(Stdio::null())
+            // Its gate may need a key.
+            .stdin(secret::lend()?)
             .stdout(Stdio::null())
             .stderr(errors)
             // Ctrl-C in the terminal is ours to act on: to the set it would be a fault.

@@ -3,10 +3,11 @@
 use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use shm_config::secret;
 use supervisor::signals::pause;
 
 use super::doubts::doubts;
@@ -176,7 +177,8 @@ impl ProcessSet {
             .args(["--parent", &std::process::id().to_string()])
             .arg("--config")
             .arg(&file)
-            .stdin(Stdio::null())
+            // Its gate may need a key.
+            .stdin(secret::lend()?)
             .stdout(output.try_clone()?)
             .stderr(output)
             // Ctrl-C in the terminal is ours to pass on: twice would kill.

@@ -13,6 +13,8 @@ use base64::engine::general_purpose::STANDARD;
 
 pub use figures::{Agreement, BINS, Bin, Figures, Flips, Truth};
 
+use shm_config::text::printable_lines;
+
 use crate::record::Record;
 use crate::store::Records;
 
@@ -34,8 +36,10 @@ pub struct Page {
 /// scripts.
 pub fn page(records: &Records, pictures_max: usize, link: &Path) -> Page {
     let pictures = Pictures::of(records, pictures_max, link);
+    let html = page::page(records, &Figures::of(&records.questions), &pictures).into_string();
     Page {
-        html: page::page(records, &Figures::of(&records.questions), &pictures).into_string(),
+        // Whatever part of it a model, a server or a path said.
+        html: printable_lines(&html).into_owned(),
         linked: pictures.linked,
     }
 }

@@ -11,6 +11,7 @@ use process::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{Advice, HealthState, Message, Step};
+use shm_config::secret;
 use shm_config::services::{ADVICE, Process, STEP};
 use shm_config::time::monotonic;
 use shm_config::wire::{Doorbell, Publisher, Subscriber};
@@ -29,7 +30,12 @@ const NAP: Duration = Duration::from_millis(20);
 const LOOK: Duration = Duration::from_millis(1);
 
 fn main() -> ExitCode {
-    exit_code(Process::Gate, advise(&Cli::parse().arguments))
+    // Before it holds a key.
+    let guarded = secret::forbid_dumps().map_err(|error| {
+        SetUpError::Own(format!("cannot keep the key out of core files: {error}"))
+    });
+    let arguments = Cli::parse().arguments;
+    exit_code(Process::Gate, guarded.and_then(|()| advise(&arguments)))
 }
 
 struct Gate {

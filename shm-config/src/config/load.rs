@@ -2,15 +2,24 @@ use std::path::{Path, PathBuf};
 
 use super::{Config, OutOfRange};
 use crate::file;
+use crate::text::printable;
 
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
+
+/// Most characters of a key, a value or a path that are shown: several times the
+/// longest that makes sense.
+const SHOWN_MAX: usize = 1000;
+
+/// Longest key that another is looked for in place of, bytes: the time it takes grows
+/// with the square of the length, and no key has 40.
+const MISTAKEN_MAX: usize = 100;
 
 /// Why a configuration could not be used: what, where, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error("{path}: cannot read the configuration: {source}")]
+    #[error("{}: cannot read the configuration: {source}", shown(&.path.display()))]
     Read {
         /// The file.
         path: PathBuf,
@@ -18,7 +27,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// A key that does not exist.
-    #[error("{origin}: unknown key '{key}'{}", suggestion(.nearest))]
+    #[error("{}: unknown key '{}'{}", shown(.origin), shown(.key), suggestion(.nearest))]
     UnknownKey {
         /// The file.
         origin: String,
@@ -28,7 +37,7 @@ pub enum ConfigError {
         nearest: Option<String>,
     },
     /// Not TOML, or a value of the wrong type.
-    #[error("{origin}: {message}")]
+    #[error("{}: {}", shown(.origin), shown(.message))]
     Syntax {
         /// The file, with the line where known.
         origin: String,
@@ -36,13 +45,25 @@ pub enum ConfigError {
         message: String,
     },
     /// A value out of its range.
-    #[error("{origin}: {error}")]
+    #[error("{}: {}", shown(.origin), shown(.error))]
     OutOfRange {
         /// The file.
         origin: String,
         /// The key, its value, and what it may be.
         error: OutOfRange,
     },
+}
+
+/// A part of an error as it may be shown: what comes from a file may hold anything,
+/// and be as long as the file.
+fn shown(part: &dyn std::fmt::Display) -> String {
+    let text = part.to_string();
+    let mut chars = text.chars();
+    let mut start: String = chars.by_ref().take(SHOWN_MAX).collect();
+    if chars.next().is_some() {
+        start.push('…');
+    }
+    printable(&start).into_owned()
 }
 
 fn suggestion(nearest: &Option<String>) -> String {
@@ -105,7 +126,10 @@ pub fn from_toml(text: &str, origin: &str) -> Result<Config, ConfigError> {
         all_keys(&known, "", &mut keys);
         return Err(ConfigError::UnknownKey {
             origin: origin.into(),
-            nearest: nearest(&key, &keys),
+            nearest: match key.len() <= MISTAKEN_MAX {
+                true => nearest(&key, &keys),
+                false => None,
+            },
             key,
         });
     }

@@ -1,0 +1,221 @@
+//! Secrets stay where they are used.
+//!
+//! A key comes in an environment variable. The kernel shows the environment as
+//! `/proc/PID/environ`, hands it to every child and writes it into core files. So
+//! each program takes its keys out at the start of `main`: the values go into a
+//! sealed file in memory that has no name and is mapped nowhere, and the bytes in
+//! the environment are overwritten. The supervisor lends that file to the gate
+//! alone, as its standard input; nothing else can inherit it.
+//!
+//! What this does not hide a key from is a debugger of the same user, or root.
+
+use std::ffi::{CString, OsStr};
+use std::fs::File;
+use std::io::{self, Write as _};
+use std::os::fd::AsFd;
+use std::os::unix::ffi::OsStrExt as _;
+use std::os::unix::fs::FileExt as _;
+use std::process::{Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, fcntl_get_seals, memfd_create};
+use rustix::process::{DumpableBehavior, Resource, Rlimit, set_dumpable_behavior, setrlimit};
+use zeroize::{Zeroize as _, Zeroizing};
+
+/// The variables that hold keys unless the configuration names another.
+pub const VARIABLES: [&str; 2] = ["VLAPS_VLM_KEY", "OPENAI_API_KEY"];
+
+/// Most bytes of a value that are kept: a key has 200, and one byte more than this
+/// is no key either.
+const VALUE_BYTES_MAX: usize = 64 << 10;
+
+/// Most bytes of the file: the variables above, one of the configuration's, and as
+/// much again.
+const FILE_BYTES_MAX: usize = 8 * VALUE_BYTES_MAX;
+
+/// Begins the file, so that nothing else on standard input is taken for it.
+const HEADER: &[u8] = b"vlaps secrets 1\0";
+
+/// What is taken: `NAME=value`, each closed by a zero byte, after the header. Sealed
+/// against every change, so that its readers need not trust each other.
+static TAKEN: Mutex<Option<File>> = Mutex::new(None);
+
+fn taken() -> MutexGuard<'static, Option<File>> {
+    // A panic leaves a file, or none; both are whole.
+    TAKEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Takes the keys out of the environment and from standard input. To be called at
+/// the start of `main`, before there is a second thread.
+///
+/// # Errors
+/// When a key is in the environment and cannot be taken out of it.
+pub fn take() -> io::Result<()> {
+    take_all(&VARIABLES)?;
+    if taken().is_none()
+        && let Some(lent) = lent_to_us()
+    {
+        *taken() = Some(lent);
+    }
+    Ok(())
+}
+
+/// Takes one more variable out of the environment, such as the one that
+/// `vlm.key_env` names.
+///
+/// # Errors
+/// When it is set and cannot be taken out; so it is in a process of several threads.
+pub fn take_named(name: &str) -> io::Result<()> {
+    match name.is_empty() {
+        true => Ok(()),
+        false => take_all(&[name]),
+    }
+}
+
+fn take_all(names: &[&str]) -> io::Result<()> {
+    let mut file = None;
+    for name in names {
+        let variable = CString::new(*name)?;
+        let mut keep = |value: &[u8]| {
+            let mut file: &File = match &mut file {
+                Some(file) => file,
+                none => none.insert(empty_file()?),
+            };
+            file.write_all(name.as_bytes())?;
+            file.write_all(b"=")?;
+            file.write_all(&value[..value.len().min(VALUE_BYTES_MAX + 1)])?;
+            file.write_all(b"\0")
+        };
+        while take_entry(&variable, &mut keep)? {}
+    }
+    let Some(mut file) = file else { return Ok(()) };
+    let mut taken = taken();
+    if let Some(before) = taken.as_ref() {
+        file.write_all(&content(before)?[HEADER.len()..])?;
+    }
+    fcntl_add_seals(&file, all_seals())?;
+    *taken = Some(file);
+    Ok(())
+}
+
+fn empty_file() -> io::Result<File> {
+    let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
+    let mut file = File::from(memfd_create("vlaps-secrets", flags)?);
+    file.write_all(HEADER)?;
+    Ok(file)
+}
+
+fn all_seals() -> SealFlags {
+    SealFlags::SEAL | SealFlags::SHRINK | SealFlags::GROW | SealFlags::WRITE
+}
+
+/// Hands the value of one entry of the environment to `keep` and overwrites the
+/// entry, name and all; `false` when there is none. The value is copied nowhere else.
+#[allow(unsafe_code)]
+fn take_entry(name: &CString, keep: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<bool> {
+    // SAFETY: `name` is a string of C. Whoever changes the environment in Rust has
+    // promised that no other thread reads it meanwhile.
+    let value = unsafe { libc::getenv(name.as_ptr()) };
+    if value.is_null() {
+        return Ok(false);
+    }
+    if std::fs::read_dir("/proc/self/task")?.count() != 1 {
+        return Err(io::Error::other("other threads may read the environment"));
+    }
+    let before = name.as_bytes().len() + 1;
+    // SAFETY: `getenv` points behind the `=` of an entry `NAME=value\0`, which is
+    // writable memory of this process for as long as it lives. The count above says
+    // that this is the only thread, so nothing reads the entry while it changes, and
+    // the slice does not leave this function.
+    let entry = unsafe {
+        let length = before + libc::strlen(value);
+        std::slice::from_raw_parts_mut(value.sub(before).cast::<u8>(), length)
+    };
+    let kept = keep(&entry[before..]);
+    // An entry without a name is none; those of the same name are found next.
+    entry.zeroize();
+    kept.map(|()| true)
+}
+
+/// What our parent lends us as standard input, if it is what [`lend`] lends.
+fn lent_to_us() -> Option<File> {
+    let input = io::stdin();
+    // Of anything but a sealed file in memory, such as a terminal or a pipe, nothing
+    // is read: it would be missing from whoever it is for.
+    let seals = fcntl_get_seals(input.as_fd()).ok()?;
+    if !seals.contains(all_seals()) {
+        return None;
+    }
+    let file = File::from(input.as_fd().try_clone_to_owned().ok()?);
+    content(&file).ok()?.starts_with(HEADER).then_some(file)
+}
+
+/// Reads at an offset: all who were lent the file share one position in it.
+fn content(file: &File) -> io::Result<Zeroizing<Vec<u8>>> {
+    let length = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
+    if length > FILE_BYTES_MAX {
+        return Err(io::Error::other("too many secrets"));
+    }
+    let mut content = Zeroizing::new(vec![0; length]);
+    file.read_exact_at(&mut content, 0)?;
+    Ok(content)
+}
+
+fn entries(content: &[u8]) -> impl Iterator<Item = (&[u8], &[u8])> {
+    let entries = content.get(HEADER.len()..).unwrap_or_default();
+    entries.split(|byte| *byte == 0).filter_map(|entry| {
+        let at = entry.iter().position(|byte| *byte == b'=')?;
+        Some((&entry[..at], &entry[at + 1..]))
+    })
+}
+
+/// The value of a variable that was taken; `None` when it was not set, or is no
+/// text. The caller overwrites it after use.
+pub fn value(name: &str) -> Option<String> {
+    let content = content(taken().as_ref()?).ok()?;
+    let found = entries(&content).find(|(known, _)| *known == name.as_bytes());
+    found.and_then(|(_, value)| Some(str::from_utf8(value).ok()?.to_owned()))
+}
+
+/// What was taken, as the standard input of a child that may use it: the gate, or a
+/// supervisor. Without any, an empty input.
+///
+/// # Errors
+/// When the process has no file descriptor left.
+pub fn lend() -> io::Result<Stdio> {
+    Ok(match taken().as_ref() {
+        Some(file) => file.try_clone()?.into(),
+        None => Stdio::null(),
+    })
+}
+
+/// Keeps the known variables from a child, whether they were taken or not.
+pub fn withhold(command: &mut Command) {
+    for name in VARIABLES {
+        command.env_remove(name);
+    }
+}
+
+/// Puts what was taken into the environment of a program that this process is about
+/// to become, whose standard input stays the user's. It takes it out again.
+pub fn hand_on(command: &mut Command) {
+    let content = taken().as_ref().and_then(|file| content(file).ok());
+    let content = content.unwrap_or_default();
+    for (name, value) in entries(&content) {
+        command.env(OsStr::from_bytes(name), OsStr::from_bytes(value));
+    }
+}
+
+/// Keeps this process's memory out of core files and from other processes of the
+/// user, for one that holds a key in its memory. Children do not inherit all of it.
+///
+/// # Errors
+/// When the kernel refuses.
+pub fn forbid_dumps() -> io::Result<()> {
+    let none = Rlimit {
+        current: Some(0),
+        maximum: Some(0),
+    };
+    setrlimit(Resource::Core, none)?;
+    Ok(set_dumpable_behavior(DumpableBehavior::NotDumpable)?)
+}
