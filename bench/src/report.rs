@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
 use serde::Serialize;
-use shm_config::text::printable_lines;
+use shm_config::text::{printable_json, printable_lines};
 
 /// A line below the header and one below the table; rows stand close.
 const STYLE: TableStyle = TableStyle::new()
@@ -38,8 +38,8 @@ pub fn say(text: impl std::fmt::Display) {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_json(path: &Path, value: &impl Serialize) -> anyhow::Result<()> {
-    let mut text = serde_json::to_string_pretty(value).context("the JSON")?;
-    text.push('\n');
+    let text = serde_json::to_string_pretty(value).context("the JSON")?;
+    let text = format!("{}\n", printable_json(&text));
     std::fs::write(path, text).with_context(|| path.display().to_string())
 }
 

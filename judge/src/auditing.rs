@@ -14,6 +14,7 @@ use judge::statistics::Share;
 use judge::store::{Records, read};
 use shm_config::config::{Config, from_toml};
 use shm_config::judged::of_these_similar;
+use shm_config::text::printable_json;
 use shm_config::{counted, secret};
 use toml::{Table, Value};
 
@@ -93,7 +94,9 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
     tell(&records, &figures);
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&figures)?;
-        std::fs::write(path, text).with_context(|| format!("--json {}", path.display()))?;
+        let text = printable_json(&text);
+        std::fs::write(path, text.as_bytes())
+            .with_context(|| format!("--json {}", path.display()))?;
     }
     say(out.display());
     Ok(())

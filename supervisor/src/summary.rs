@@ -213,7 +213,9 @@ impl Summary {
     /// When the folder is missing or refuses.
     pub fn write(&self, path: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
-        write_whole(path, &(text + "\n"))
+        // It may hold what a server said, or the last line of a log.
+        let text = shm_config::text::printable_json(&text);
+        write_whole(path, &format!("{text}\n"))
     }
 }
 
