@@ -219,3 +219,38 @@ pub fn forbid_dumps() -> io::Result<()> {
     setrlimit(Resource::Core, none)?;
     Ok(set_dumpable_behavior(DumpableBehavior::NotDumpable)?)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use super::*;
+
+    #[test]
+    fn what_is_written_is_read_by_its_name() {
+        let content = b"vlaps secrets 1\0A=first\0B=with=sign\0EMPTY=\0A=second\0";
+        let found: Vec<_> = entries(content).collect();
+        let word = |text: &'static str| text.as_bytes();
+        assert_eq!(found[0], (word("A"), word("first")));
+        assert_eq!(found[1], (word("B"), word("with=sign")));
+        assert_eq!(found[2], (word("EMPTY"), word("")));
+        assert_eq!(found.len(), 4);
+        assert_eq!(entries(b"").count(), 0);
+    }
+
+    #[test]
+    fn beside_another_thread_the_environment_stays_as_it_is() {
+        let (stop, stopped) = channel::<()>();
+        let other = std::thread::spawn(move || stopped.recv());
+        let before = std::env::var_os("PATH");
+        let error = take_named("PATH").expect_err("two threads");
+        assert!(error.to_string().contains("threads"), "{error}");
+        assert!(before.is_some() && std::env::var_os("PATH") == before);
+        assert!(
+            take_named("VLAPS_NEVER_SET").is_ok(),
+            "nothing to overwrite"
+        );
+        drop(stop);
+        let _ = other.join();
+    }
+}

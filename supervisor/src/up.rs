@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode, Simulator};
 use shm_config::services::{Process, TAKEOVER};
-use shm_config::text::printable;
 use shm_config::wire::Wire;
 
 use crate::Clock;
@@ -276,7 +275,8 @@ impl Journal {
     fn line(&mut self, now: Instant, text: &str) {
         let passed_s = now.since_ns(self.begun) as f64 / 1e9;
         // A full disk stops the journal, not the car.
-        let _ = writeln!(self.file, "{passed_s:9.3} {}", printable(text));
+        let text = shm_config::text::printable(text);
+        let _ = writeln!(self.file, "{passed_s:9.3} {text}");
         let _ = self.log.rotate();
     }
 }
@@ -336,9 +336,8 @@ impl Run<'_> {
     /// are read, so that their last words are in what is read.
     fn look(&mut self, now: Instant) {
         let died = self.set.reap(now);
-        for line in self.orphans.tend(&self.set, died, now) {
-            self.journal.line(now, &line);
-        }
+        let told = self.orphans.tend(&self.set, died, now);
+        told.iter().for_each(|line| self.journal.line(now, line));
         for sign in self.ports.drain(&mut self.tally) {
             self.set.hear(sign.process, sign.pid, sign.state);
         }

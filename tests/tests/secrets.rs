@@ -255,8 +255,12 @@ fn the_key_is_in_the_gate_alone_and_in_no_file() {
     look_at_processes(set.folder());
     let files = look_at_files(&set);
     assert!(files > 10, "{files} files were looked at");
+    look_at_the_core_of_its_supervisor(&mut set);
+}
 
-    let supervisor = one(&set, "vlaps-supervisor");
+/// Where a core file is written; that of the gate would have been, too.
+fn look_at_the_core_of_its_supervisor(set: &mut Set) {
+    let supervisor = one(set, "vlaps-supervisor");
     set.signal(Signal::ABORT);
     set.wait();
     assert!(!Path::new(&format!("/proc/{supervisor}")).exists());
