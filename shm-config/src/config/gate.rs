@@ -174,8 +174,8 @@ impl Gate {
             (GateMode::Human, true) => refuse(
                 "gate.mode",
                 "human".into(),
-                "another one in lockstep, which is as fast as the processes answer: a person \
-                 cannot keep up",
+                "another one in lockstep: a person needs real time; drop --lockstep, or set \
+                 run.clock = \"real_time\"",
             ),
             (GateMode::Paper, false) => refuse(
                 "gate.mode",

@@ -1,8 +1,9 @@
 use std::path::{Path, PathBuf};
 
+use super::wrong_type::wrong_number;
 use super::{Config, OutOfRange};
-use crate::file;
 use crate::text::printable;
+use crate::{file, shortened};
 
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
@@ -133,7 +134,16 @@ pub fn from_toml(text: &str, origin: &str) -> Result<Config, ConfigError> {
             key,
         });
     }
-    let config: Config = toml::from_str(text).map_err(syntax)?;
+    let config: Config = toml::from_str(text).map_err(|error| {
+        let plain = syntax(error);
+        match (plain, wrong_number(&given, &known)) {
+            (ConfigError::Syntax { origin, .. }, Some(error)) => {
+                let message = error.to_string();
+                ConfigError::Syntax { origin, message }
+            }
+            (plain, _) => plain,
+        }
+    })?;
     config.validated().map_err(|error| ConfigError::OutOfRange {
         origin: origin.into(),
         error,

@@ -18,6 +18,7 @@ mod rates;
 mod run;
 mod vlm;
 mod world;
+mod wrong_type;
 
 use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
@@ -47,7 +48,8 @@ pub struct Config {
     pub limits: Limits,
     /// What is late, and what is slow.
     pub deadlines: Deadlines,
-    /// The car.
+    /// The car that planner and judge compute with. The worlds drive a car of their own
+    /// and do not obey it yet: other values than these are refused.
     pub vehicle: Vehicle,
     /// The world.
     pub world: World,
@@ -102,7 +104,7 @@ impl Config {
             value: error.value.to_string(),
             expected: format!("positive and at most {}", error.limit),
         })?;
-        self.world.check()?;
+        self.world.check(&self.vehicle)?;
         self.planner.check()?;
         self.informed.check(self.planner.cell_m)?;
         self.kinodynamic.check()?;
@@ -142,8 +144,28 @@ impl Config {
     }
 }
 
+/// A number that a key may be, and how its range is told.
+pub(crate) trait Number: PartialOrd + std::fmt::Display + std::fmt::Debug {
+    /// Such as `within 0.5 and 2`.
+    fn told(range: &std::ops::RangeInclusive<Self>) -> String
+    where
+        Self: Sized;
+}
+
+macro_rules! numbers {
+    ($($number:ty),+: $told:literal) => { $(
+        impl Number for $number {
+            fn told(range: &std::ops::RangeInclusive<Self>) -> String {
+                format!($told, range.start(), range.end())
+            }
+        }
+    )+ };
+}
+numbers!(f32, f64: "within {} and {}");
+numbers!(u32, u64, usize, i32: "a whole number from {} to {}");
+
 /// `value` lies in `range`.
-pub(crate) fn in_range<T: PartialOrd + std::fmt::Display>(
+pub(crate) fn in_range<T: Number>(
     key: &str,
     value: T,
     range: std::ops::RangeInclusive<T>,
@@ -151,9 +173,17 @@ pub(crate) fn in_range<T: PartialOrd + std::fmt::Display>(
     if range.contains(&value) {
         return Ok(());
     }
+    // As it may have been written: not all 301 digits of 1e300.
+    let mut echo = value.to_string();
+    if echo.len() > ECHO_DIGITS {
+        echo = format!("{value:?}");
+    }
     Err(OutOfRange {
         key: key.into(),
-        value: value.to_string(),
-        expected: format!("within {} and {}", range.start(), range.end()),
+        value: echo,
+        expected: T::told(&range),
     })
 }
+
+/// Longest number that is told digit by digit.
+const ECHO_DIGITS: usize = 20;

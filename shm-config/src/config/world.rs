@@ -1,4 +1,5 @@
 use serde::{Deserialize, Serialize};
+use vehicle::Vehicle;
 
 use super::{OutOfRange, in_range};
 use crate::message::BEAMS_MAX;
@@ -64,7 +65,51 @@ impl Default for World {
 }
 
 impl World {
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+    /// Planner and judge compute with `[vehicle]`. A world that drives a car of its own
+    /// would silently be planned for and judged as another one.
+    fn check_obeys(&self, vehicle: &Vehicle) -> Result<(), OutOfRange> {
+        let world = match self.simulator {
+            Simulator::BuiltIn => "the built-in world drives its own car",
+            Simulator::MetaDrive => "MetaDrive drives its own car",
+        };
+        let default = Vehicle::default();
+        let keys = [
+            ("length_m", vehicle.length_m, default.length_m),
+            ("width_m", vehicle.width_m, default.width_m),
+            ("wheelbase_m", vehicle.wheelbase_m, default.wheelbase_m),
+            (
+                "max_steer_deg",
+                vehicle.max_steer_deg,
+                default.max_steer_deg,
+            ),
+            (
+                "max_accel_mps2",
+                vehicle.max_accel_mps2,
+                default.max_accel_mps2,
+            ),
+            (
+                "max_brake_mps2",
+                vehicle.max_brake_mps2,
+                default.max_brake_mps2,
+            ),
+            (
+                "max_speed_mps",
+                vehicle.max_speed_mps,
+                default.max_speed_mps,
+            ),
+        ];
+        match keys.into_iter().find(|(_, given, own)| given != own) {
+            None => Ok(()),
+            Some((key, given, own)) => Err(OutOfRange {
+                key: format!("vehicle.{key}"),
+                value: given.to_string(),
+                expected: format!("{own}, the default: {world}, it does not obey [vehicle] yet"),
+            }),
+        }
+    }
+
+    pub(super) fn check(&self, vehicle: &Vehicle) -> Result<(), OutOfRange> {
+        self.check_obeys(vehicle)?;
         in_range("world.blocks", self.blocks, 1..=30)?;
         if let Some(letter) = self.sequence.chars().find(|c| !"SCrRXTO".contains(*c)) {
             return Err(OutOfRange {
