@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Release, Slot, Slots};
-use process::{Arguments, Contest, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use process::{
+    Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code,
+};
 use shm_config::message::{
     Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Refusal, Step,
     Takeover, Timing,
@@ -402,7 +404,19 @@ fn tick(
         ports.commands.send(&mut step.command);
     }
     let commanded = monotonic();
-    step.skipped += slot.skipped;
+    // The account is on the run's clock, as those of planner and world are. A world
+    // that was restarted in lockstep begins its clock anew; the account goes on.
+    let next_due = Instant(pulse.health.next_scheduled_ns);
+    let (due, unanswered) = match (waiting.lockstep, seen) {
+        (false, _) => (slot.scheduled, slot.skipped),
+        (true, None) => (next_due, 0),
+        (true, Some(_)) if pulse.health.ticks == 0 => (now, 0),
+        (true, Some(_)) => (
+            now.max(next_due),
+            now.since_ns(next_due) / waiting.period_ns,
+        ),
+    };
+    step.skipped += unanswered;
     step.timings.scheduled_ns = slot.scheduled.0;
     step.timings.released_ns = released_ns;
     step.timings.started_ns = started.0;
@@ -426,6 +440,15 @@ fn tick(
         count: slot.skipped,
     };
     pulse.record_skipped(skipped, started);
+    if !waiting.lockstep {
+        pulse.note_deadline(Deadline {
+            tick,
+            deadline: due_by,
+            done,
+            skipped: slot.skipped,
+            period_ns: waiting.period_ns,
+        });
+    }
     if released_ns > 0 && sends {
         let response_ns = commanded.0.saturating_sub(released_ns);
         pulse.timing.response.record(response_ns);
@@ -438,9 +461,9 @@ fn tick(
     health.skipped = step.skipped;
     health.late += u64::from(commanded > due_by);
     if health.ticks == 1 {
-        health.first_scheduled_ns = slot.scheduled.0;
+        health.first_scheduled_ns = due.0;
     }
-    health.next_scheduled_ns = slot.scheduled.after_ns(waiting.period_ns).0;
+    health.next_scheduled_ns = due.after_ns(waiting.period_ns).0;
     if intent != Intent::Stop {
         health.state = HealthState::Running.code();
     }

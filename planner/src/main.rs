@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use planner::Planner;
-use process::{Arguments, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use process::{Arguments, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::config::Late;
 use shm_config::message::{Health, HealthState, Observation, Part, Plan, PlanOutcome};
 use shm_config::services::{OBSERVATION, PLAN, Process};
@@ -124,12 +124,25 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
             let age_ns = now.since_ns(observation.header.taken());
             pulse.timing.observation_age.record(age_ns);
             let due = match lockstep {
-                true => observation.header.taken(),
+                // A restarted world begins its clock anew; the account goes on.
+                true => {
+                    let next_due = Instant(pulse.health.next_scheduled_ns);
+                    observation.header.taken().max(next_due)
+                }
                 false => Instant(observation.scheduled_ns),
             };
             let skipped = slots.account(due, &mut pulse.health);
             if keeps_grid {
                 pulse.record_skipped(skipped, begun);
+            }
+            if !lockstep {
+                pulse.note_deadline(Deadline {
+                    tick: observation.header.tick,
+                    deadline: Instant(observation.scheduled_ns + period_ns),
+                    done,
+                    skipped: if keeps_grid { skipped.count } else { 0 },
+                    period_ns,
+                });
             }
             let health = &mut pulse.health;
             health.header.tick = observation.header.tick;

@@ -28,7 +28,7 @@ use shm_config::wire::{Wire, WireError};
 pub use contest::Contest;
 pub use kernel::Usage;
 use kernel::set_ordinary;
-pub use pulse::{Pulse, Skipped, Tick};
+pub use pulse::{Deadline, Pulse, Skipped, Tick};
 pub use realtime::{Ask, Reservation, Rights};
 
 /// The exit code of a process that could not be set up. The supervisor does not

@@ -1,5 +1,5 @@
 use shm_config::Instant;
-use shm_config::message::{Health, HealthState, PARTS, Part, Timing};
+use shm_config::message::{Health, HealthState, LateTick, PARTS, Part, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, Wire, WireError};
 
@@ -36,11 +36,26 @@ pub struct Skipped {
     pub count: u64,
 }
 
+/// How a tick stood to its deadline.
+#[derive(Clone, Copy, Debug)]
+pub struct Deadline {
+    /// Which tick of the run it was.
+    pub tick: u64,
+    /// When it had to be done.
+    pub deadline: Instant,
+    /// When it was done.
+    pub done: Instant,
+    /// Ticks skipped just before it, each a period earlier; they end with it.
+    pub skipped: u64,
+    /// From tick to tick, ns.
+    pub period_ns: u64,
+}
+
 /// A process's own account of how it does, published now and then.
 pub struct Pulse {
     /// What it says.
     pub health: Health,
-    /// How punctual it was. Boxed: 79 kB do not belong on a stack.
+    /// How punctual it was. Boxed: 80 kB do not belong on a stack.
     pub timing: Box<Timing>,
     health_port: Publisher<Health>,
     timing_port: Publisher<Timing>,
@@ -50,6 +65,10 @@ pub struct Pulse {
     usage_before: Usage,
     budgets_ns: [u64; PARTS],
     part_begun: Instant,
+    /// The part of this tick that took longest so far, and how long, ns.
+    longest: (Part, u64),
+    /// A tick that is no later than this is none of the latest, ns.
+    late_bar_ns: u64,
     failing: Failing,
 }
 
@@ -69,6 +88,8 @@ impl Pulse {
             usage_before: Usage::of_this_thread(),
             budgets_ns: member.config.budgets_ns(member.process),
             part_begun: Instant(0),
+            longest: (Part::Send, 0),
+            late_bar_ns: 0,
             failing: Failing::of(member)?,
         };
         pulse.set_rights(&member.rights);
@@ -138,6 +159,7 @@ impl Pulse {
     /// A tick begins, and with it its first part.
     pub fn begin(&mut self, now: Instant) {
         self.part_begun = now;
+        self.longest = (Part::Send, 0);
     }
 
     /// A part of the tick is done, and the next one begins. What took longer than
@@ -147,6 +169,27 @@ impl Pulse {
         let took_ns = now.since_ns(self.part_begun);
         self.health.overruns[place] += u64::from(took_ns > self.budgets_ns[place]);
         self.part_begun = now;
+        if took_ns > self.longest.1 {
+            self.longest = (part, took_ns);
+        }
+    }
+
+    /// Keeps the tick if it is one of the latest since the start. A tick that is not
+    /// costs a comparison. To be called after its last part.
+    pub fn note_deadline(&mut self, at: Deadline) {
+        let first = Instant(at.deadline.0.saturating_sub(at.skipped * at.period_ns));
+        let late_ns = at.done.since_ns(first);
+        if late_ns > self.late_bar_ns {
+            let (part, part_ns) = self.longest;
+            self.late_bar_ns = self.timing.keep_late(LateTick {
+                tick: at.tick,
+                late_ns,
+                part_ns,
+                skipped: at.skipped,
+                part: part.code(),
+                reserved: 0,
+            });
+        }
     }
 
     /// Counts one tick, and how punctual it was.

@@ -11,8 +11,9 @@ use crate::layout::Layout;
 use crate::message::{
     Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FRAME_BYTES_MAX, FRAME_SIDES_PX,
     FUTURE_TOLERANCE_NS, Frame, FrameRequest, Grant, Header, Health, HealthState, Histogram,
-    Observation, Outcome, PixelFormat, Progress, Proposal, Reason, RefusalKind, Road, Roster,
-    Scheduling, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, Timing, View,
+    LATE_TICKS, LateTick, Observation, Outcome, Part, PixelFormat, Progress, Proposal, Reason,
+    RefusalKind, Road, Roster, Scheduling, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD,
+    TOP_DOWN_HEIGHT_M, Timing, View,
 };
 use crate::palette;
 use crate::run;
@@ -47,6 +48,7 @@ pub fn module() -> String {
         HealthState::word,
     );
     word_list(&mut out, "Grant", Grant::ALL, Grant::code, Grant::word);
+    word_list(&mut out, "Part", Part::ALL, Part::code, Part::word);
     word_list(
         &mut out,
         "Scheduling",
@@ -89,6 +91,7 @@ pub fn module() -> String {
     message::<Episode>(&mut out);
     message::<Health>(&mut out);
     message::<Histogram>(&mut out);
+    message::<LateTick>(&mut out);
     message::<Timing>(&mut out);
     message::<Camera>(&mut out);
     message::<Frame>(&mut out);
@@ -124,6 +127,7 @@ fn limits(out: &mut String) {
     line("HISTOGRAM_UNIT_SHIFT", UNIT_SHIFT.to_string());
     line("HISTOGRAM_HALF_SHIFT", HALF_SHIFT.to_string());
     line("HISTOGRAM_BUCKETS", BUCKETS.to_string());
+    line("LATE_TICKS", LATE_TICKS.to_string());
     line("FRAME_BYTES_MAX", FRAME_BYTES_MAX.to_string());
     line("FRAME_SIDE_MIN_PX", FRAME_SIDES_PX.start().to_string());
     line("FRAME_SIDE_MAX_PX", FRAME_SIDES_PX.end().to_string());

@@ -208,6 +208,8 @@ class Pulse:
         self._timing_port = wire.publisher(layout.TIMING_WORLD)
         self._health_due = 0
         self._timing_due = 0
+        # A tick that is no later than this is none of the latest.
+        self._late_bar_ns = 0
         self._usage_before = resource.getrusage(resource.RUSAGE_THREAD)
 
     def enter(self, state, now_ns):
@@ -241,6 +243,25 @@ class Pulse:
         if wake_up_ns is not None:
             record(self.timing.wake_up, wake_up_ns)
         record(self.timing.execution, execution_ns)
+
+    def note_deadline(self, tick, late_ns, skipped, parts):
+        """Keeps the tick if it is one of the latest since the start: `late_ns` after
+        its deadline, or after that of the first of the ticks skipped before it.
+        `parts` says how long each part of it took, ns."""
+        if late_ns <= self._late_bar_ns:
+            return
+        timing = self.timing
+        part, part_ns = max(parts.items(), key=lambda entry: entry[1])
+        if timing.late_count < layout.LATE_TICKS:
+            place = timing.late_count
+            timing.late_count += 1
+        else:
+            place = min(range(layout.LATE_TICKS), key=lambda k: timing.late[k].late_ns)
+        timing.late[place] = layout.LateTick(
+            tick=tick, late_ns=late_ns, part_ns=part_ns, skipped=skipped, part=part
+        )
+        if timing.late_count == layout.LATE_TICKS:
+            self._late_bar_ns = min(late.late_ns for late in timing.late)
 
     def record_skipped(self, newest_ns, period_ns, count):
         """Skipped instants are as late as they really were: each from itself until

@@ -18,6 +18,7 @@ FUTURE_TOLERANCE_NS = 1000000
 HISTOGRAM_UNIT_SHIFT = 6
 HISTOGRAM_HALF_SHIFT = 7
 HISTOGRAM_BUCKETS = 2816
+LATE_TICKS = 20
 FRAME_BYTES_MAX = 2073600
 FRAME_SIDE_MIN_PX = 64
 FRAME_SIDE_MAX_PX = 2048
@@ -65,6 +66,18 @@ class Grant:
     GRANTED = 1
     REFUSED = 2
     WORDS = {0: "not asked", 1: "granted", 2: "refused"}
+
+
+class Part:
+    WAIT = 0
+    ADMIT = 1
+    GRID = 2
+    SEARCH = 3
+    DECIDE = 4
+    SEND = 5
+    MOVE = 6
+    OBSERVE = 7
+    WORDS = {0: "wait", 1: "admit", 2: "grid", 3: "search", 4: "decide", 5: "send", 6: "move", 7: "observe"}
 
 
 class Scheduling:
@@ -442,8 +455,33 @@ assert Histogram.count.offset == 8
 assert Histogram.buckets.offset == 16
 
 
+class LateTick(ctypes.Structure):
+    LAYOUT = "6b3d8ba7ac752f4b"
+    _fields_ = [
+        ("tick", ctypes.c_uint64),
+        ("late_ns", ctypes.c_uint64),
+        ("part_ns", ctypes.c_uint64),
+        ("skipped", ctypes.c_uint64),
+        ("part", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+    ]
+
+    @staticmethod
+    def type_name():
+        return "LateTick"
+
+
+assert ctypes.sizeof(LateTick) == 40
+assert LateTick.tick.offset == 0
+assert LateTick.late_ns.offset == 8
+assert LateTick.part_ns.offset == 16
+assert LateTick.skipped.offset == 24
+assert LateTick.part.offset == 32
+assert LateTick.reserved.offset == 36
+
+
 class Timing(ctypes.Structure):
-    LAYOUT = "8ed9d22ee030ed97"
+    LAYOUT = "2e3496a50f6e7fec"
     _fields_ = [
         ("header", Header),
         ("release_lateness", Histogram),
@@ -453,6 +491,8 @@ class Timing(ctypes.Structure):
         ("observation_age", Histogram),
         ("plan_age", Histogram),
         ("advice_age", Histogram),
+        ("late_count", ctypes.c_uint64),
+        ("late", LateTick * 20),
     ]
 
     @staticmethod
@@ -460,7 +500,7 @@ class Timing(ctypes.Structure):
         return "Timing"
 
 
-assert ctypes.sizeof(Timing) == 78992
+assert ctypes.sizeof(Timing) == 79800
 assert Timing.header.offset == 0
 assert Timing.release_lateness.offset == 32
 assert Timing.wake_up.offset == 11312
@@ -469,6 +509,8 @@ assert Timing.response.offset == 33872
 assert Timing.observation_age.offset == 45152
 assert Timing.plan_age.offset == 56432
 assert Timing.advice_age.offset == 67712
+assert Timing.late_count.offset == 78992
+assert Timing.late.offset == 79000
 
 
 class Camera(ctypes.Structure):

@@ -155,6 +155,7 @@ class Session:
             grid.sleep()
             released_ns = monotonic_ns()
             now_ns = grid.instant_ns(grid.tick) if grid.lockstep else released_ns
+            moved_ns = released_ns
             if grid.tick > 0:
                 episode = self.episode
                 if self._advance(now_ns):
@@ -165,19 +166,27 @@ class Session:
                     # is taken now, on the newest instant of the grid.
                     grid.skip_passed()
                     released_ns = now_ns = monotonic_ns()
+                moved_ns = monotonic_ns()
             self._publish(released_ns, now_ns)
-            self._finish_tick(released_ns)
+            self._finish_tick(released_ns, moved_ns)
             if grid.lockstep:
                 self._await_command()
         self._account()
         # Its last words; nothing of the simulator is worth another second.
         self.pulse.enter(layout.HealthState.FINISHED, monotonic_ns())
 
-    def _finish_tick(self, released_ns):
+    def _finish_tick(self, released_ns, moved_ns):
         grid = self.grid
         done_ns = monotonic_ns()
         lateness_ns = 0 if grid.lockstep else max(released_ns - grid.instant_ns(grid.tick), 0)
         self._record_missed(released_ns)
+        if not grid.lockstep:
+            first_ns = grid.instant_ns(grid.tick + 1) - grid.missed * grid.period_ns
+            parts = {
+                layout.Part.MOVE: moved_ns - released_ns,
+                layout.Part.OBSERVE: done_ns - moved_ns,
+            }
+            self.pulse.note_deadline(grid.tick, done_ns - first_ns, grid.missed, parts)
         grid.tick += 1
         # In lockstep a command releases it, not the timer.
         wake_up_ns = None if grid.lockstep else lateness_ns

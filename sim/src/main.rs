@@ -5,7 +5,9 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use process::{Arguments, Contest, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use process::{
+    Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code,
+};
 use rustix::time::{ClockId, Timespec};
 use shm_config::config::Late;
 use shm_config::message::{
@@ -208,6 +210,7 @@ impl Session {
             self.pulse.end(Part::Move, monotonic());
             if self.is_late() && self.deadline() == Late::Skip {
                 self.record_missed(self.grid.now(), self.missed + 1, released);
+                self.note_deadline(monotonic());
                 self.grid.move_on();
                 self.schedule();
                 self.pulse.beat(monotonic());
@@ -260,6 +263,19 @@ impl Session {
         self.pulse.record_skipped(skipped, begun);
     }
 
+    /// The instant of now is done, or skipped. In lockstep nothing can be late.
+    fn note_deadline(&mut self, done: Instant) {
+        if !self.lockstep {
+            self.pulse.note_deadline(Deadline {
+                tick: self.grid.tick(),
+                deadline: self.grid.now().after_ns(self.grid.step_ns()),
+                done,
+                skipped: self.missed,
+                period_ns: self.grid.step_ns(),
+            });
+        }
+    }
+
     fn deadline(&self) -> Late {
         self.member.config.deadlines.world
     }
@@ -280,6 +296,7 @@ impl Session {
             done,
         });
         self.record_missed(self.grid.previous(), self.missed, released);
+        self.note_deadline(done);
         self.grid.move_on();
         self.pulse.health.ticks += u64::from(moment == Moment::Tick);
         self.schedule();

@@ -38,7 +38,7 @@ pub use refusal::{REFUSALS, Refusal, RefusalKind, Refusals};
 pub use roster::{PROCESSES, Roster};
 pub use step::{Assessment, Proposal, Step, Timings, Verdict};
 pub use takeover::Takeover;
-pub use timing::{Histogram, Measure, Timing};
+pub use timing::{Histogram, LATE_TICKS, LateTick, Measure, Timing};
 
 use crate::layout::Layout;
 use crate::time::Instant;
