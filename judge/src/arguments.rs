@@ -24,7 +24,10 @@ pub enum Command {
     /// HTTP, and judges by coloured pixels alone which of the two paths in the
     /// picture is safer. Set vlm.server to http://127.0.0.1:PORT/v1 to have it
     /// asked, and vlm.model to vlaps-stand-in to have it counted as what it is.
-    #[command(allow_negative_numbers = true)]
+    #[command(
+        allow_negative_numbers = true,
+        override_usage = "./vlaps judge-server [OPTIONS]"
+    )]
     Server(ServerArguments),
     /// Make a page of what a judge was asked in a run, and how right it was
     Audit(AuditArguments),

@@ -8,7 +8,7 @@ use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
 
-use crate::numbers::whole;
+use crate::numbers::{Name, whole};
 
 /// Drives a set of real-time processes that drive a car.
 #[derive(Debug, Parser)]
@@ -54,7 +54,8 @@ pub enum Command {
     /// Drive many episodes and print success, contacts and completion.
     #[command(disable_help_flag = true)]
     Eval(HandedOver),
-    /// Measure, and compare with other systems: parity, sim, planner.
+    /// Measure, and compare with other systems: parity, sim, planner, mpc, policy, learner,
+    /// swap, judge, latency, ipc, faults, soak, sweep.
     #[command(disable_help_flag = true)]
     Bench(HandedOver),
     /// Draw a map, an episode or a plan from above, as SVG.
@@ -87,7 +88,8 @@ pub struct HandedOver {
 #[derive(Debug, Args)]
 #[command(
     after_help = "Without --episodes and --duration it drives until it is stopped: \
-        Ctrl-C brakes the car to a stand, a second Ctrl-C kills.\n\n\
+        Ctrl-C brakes the car to a stand, a second Ctrl-C kills. When its output is piped and \
+        the reader goes away, the car is braked to a stand, too, and the exit code is 1.\n\n\
         With --gate human the keys of this terminal drive: Space takes over and gives back, \
         arrows or WASD steer and pedal meanwhile, Esc or q gives back. --keys FILE reads them \
         from lines TIME_S KEY instead, such as `2.5 space`: seconds from the run's first tick, \
@@ -97,6 +99,7 @@ pub struct HandedOver {
         ./vlaps up --episodes 1 --seed 3\n  \
         ./vlaps up --gate human --policy policy.onnx\n  \
         ./vlaps up --lockstep --episodes 5 --seed 3 --json a.json\n  \
+        ./vlaps up --duration 60 --late-ticks\n  \
         ./vlaps up --rate 20 --run second --set world.traffic_density=0.1"
 )]
 pub struct Up {
@@ -136,7 +139,7 @@ pub struct Up {
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Name of the run; sets of different names do not see each other.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
     /// Write the summary to this file, too.
     #[arg(long, value_name = "FILE")]
@@ -147,6 +150,9 @@ pub struct Up {
     /// Ask for no real-time priority, cores or locked memory.
     #[arg(long)]
     pub no_realtime: bool,
+    /// Show the ticks that were latest at the end, with the part that took longest.
+    #[arg(long)]
+    pub late_ticks: bool,
     /// End with the process of this id, which started this one.
     #[arg(long, value_name = "PID", hide = true)]
     pub parent: Option<u32>,
@@ -269,10 +275,14 @@ pub enum Part {
 
 /// Stop a running set.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  ./vlaps down --run second")]
+#[command(
+    after_help = "Exit code 0 says that it does not run, so also where it did not run before \
+        (status and swap exit 1 then); 1, that it does not stop.\n\n\
+        Example:\n  ./vlaps down --run second"
+)]
 pub struct Down {
     /// Name of the run; may be left out when only one runs.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
 }
 
@@ -291,7 +301,7 @@ pub struct Swap {
     /// The policy file: ONNX, 259 features in, 2 actions out, at most 8 MB.
     pub file: PathBuf,
     /// Name of the run; may be left out when only one runs.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
     /// Wait for the end of the probation, too; exit code 1 when it is not passed.
     #[arg(long)]
@@ -304,7 +314,7 @@ pub struct Swap {
         Examples:\n  ./vlaps status\n  ./vlaps status --run second --json status.json")]
 pub struct Status {
     /// Name of the run; without it, all of them.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
     /// Write what is shown to this file, too.
     #[arg(long, value_name = "FILE")]
@@ -316,7 +326,7 @@ pub struct Status {
 #[command(after_help = "Example:\n  ./vlaps clean")]
 pub struct Clean {
     /// Name of the run; without it, all of them.
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
 }
 

@@ -9,6 +9,7 @@ use std::thread;
 
 use rustix::mm::MlockAllFlags;
 use rustix::process::{Resource, Rlimit, getrlimit};
+use shm_config::config::Config;
 use shm_config::message::Grant;
 use thread_priority::{
     Error, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
@@ -21,7 +22,8 @@ use crate::down::living_runs;
 use crate::failure::Failure;
 use crate::grants;
 use crate::idle::IdleBound;
-use crate::place::{SHARED_MEMORY_NEED_BYTES, check_shared_memory, shared_memory};
+use crate::need::Need;
+use crate::place::{check_shared_memory, shared_memory};
 use crate::screen::say;
 use crate::status::look;
 use crate::table::{CORES_MIN, CORES_SHARED, TABLE, rows};
@@ -233,8 +235,9 @@ fn locked_memory() -> Finding {
 
 fn memory() -> Finding {
     let what = "shared memory";
+    let need = Need::of(&Config::default());
     let looked = shared_memory().and_then(|(free, total)| {
-        check_shared_memory(free)?;
+        check_shared_memory(free, &need)?;
         Ok((free, total))
     });
     match looked {
@@ -242,10 +245,9 @@ fn memory() -> Finding {
             what,
             grade: Grade::Ok,
             found: format!(
-                "/dev/shm: {} MB free of {} MB; a run needs {} MB",
+                "/dev/shm: {} MB free of {} MB; a run needs {need}",
                 free >> 20,
-                total >> 20,
-                SHARED_MEMORY_NEED_BYTES >> 20
+                total >> 20
             ),
             remedy: Vec::new(),
         },

@@ -1,6 +1,7 @@
 //! How a run does right now, as text. One view serves the live block, the plain
 //! lines and `./vlaps status`.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use serde::Serialize;
@@ -89,8 +90,8 @@ pub struct ProcessView {
     pub late: u64,
     /// Ticks of the grid skipped.
     pub skipped: u64,
-    /// How often it was restarted; `None` when only its supervisor knows.
-    pub restarts: Option<u32>,
+    /// How often it was restarted.
+    pub restarts: u32,
     /// The real-time priority in force; 0 for none.
     pub priority: u32,
     /// Resident memory at its peak, MB of 10^6 bytes.
@@ -115,7 +116,7 @@ impl View {
                 Phase::Dead { .. } | Phase::Gone => "ended",
             };
             ProcessView {
-                restarts: Some(member.restarts()),
+                restarts: member.restarts(),
                 ..ProcessView::of(process, state, member.pid(), config, tally)
             }
         });
@@ -123,15 +124,19 @@ impl View {
     }
 
     /// What an onlooker sees who has listened for a while: a process that said
-    /// nothing meanwhile counts as silent.
-    pub fn from_outside(config: &Config, tally: &Tally) -> Self {
+    /// nothing meanwhile counts as silent. How often each was restarted its supervisor
+    /// has written down.
+    pub fn from_outside(config: &Config, tally: &Tally, restarts: &BTreeMap<String, u32>) -> Self {
         let processes = rows(config).map(|row| {
             let said = tally.process(row.process).and_then(ProcessTally::newest);
             let state = said
                 .and_then(|health| HealthState::from_code(health.state))
                 .map_or("silent", HealthState::word);
             let pid = said.map(|health| health.header.producer);
-            ProcessView::of(row.process, state, pid, config, tally)
+            ProcessView {
+                restarts: restarts.get(row.process.word()).copied().unwrap_or(0),
+                ..ProcessView::of(row.process, state, pid, config, tally)
+            }
         });
         Self::of(config, tally, processes.collect())
     }
@@ -209,28 +214,23 @@ impl View {
 
     /// The processes as a table, one line each.
     pub fn table(&self) -> String {
-        // Only its supervisor knows how often a process was restarted.
-        let knows_restarts = self.processes.iter().any(|row| row.restarts.is_some());
-        let restarts = if knows_restarts { " restarts" } else { "" };
-        let mut text = format!(
-            "  process    state          pid    Hz    ticks  late skipped{restarts} prio    MB"
+        let mut text = String::from(
+            "  process    state          pid    Hz    ticks  late skipped restarts prio    MB",
         );
         for row in &self.processes {
             let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
             let rate = row
                 .rate_hz
                 .map_or("-".into(), |rate_hz| rate_hz.to_string());
-            let restarts = row
-                .restarts
-                .map_or(String::new(), |count| format!(" {count:>8}"));
             let _ = write!(
                 text,
-                "\n  {:<10} {:<10} {pid:>7} {rate:>5} {:>8} {:>5} {:>7}{restarts} {:>4} {:>5.1}",
+                "\n  {:<10} {:<10} {pid:>7} {rate:>5} {:>8} {:>5} {:>7} {:>8} {:>4} {:>5.1}",
                 row.process,
                 row.state,
                 row.ticks,
                 row.late,
                 row.skipped,
+                row.restarts,
                 row.priority,
                 row.resident_mb
             );
@@ -278,7 +278,7 @@ impl View {
             world.map_or(0, |world| world.ticks),
             world.map_or(0, |world| world.skipped),
             sum(|row| row.late),
-            sum(|row| u64::from(row.restarts.unwrap_or(0))),
+            sum(|row| u64::from(row.restarts)),
         )
     }
 }
@@ -328,7 +328,7 @@ impl ProcessView {
             ticks: totals.ticks,
             late: totals.late,
             skipped: totals.skipped,
-            restarts: None,
+            restarts: 0,
             priority: counted
                 .and_then(ProcessTally::newest)
                 .map_or(0, |health| health.priority_got),

@@ -1,6 +1,12 @@
-//! Numbers on the command line: what is out of range is told with the range.
+//! Numbers and names on the command line: what cannot be is told with what can.
 
+use std::ffi::OsStr;
 use std::ops::RangeInclusive;
+
+use clap::builder::TypedValueParser;
+use clap::error::ErrorKind;
+use shm_config::run::{RunName, name_max};
+use shm_config::shortened;
 
 /// A parser of whole numbers within a range. Beside it an option has
 /// `allow_negative_numbers`, or -1 would be read as another option.
@@ -21,5 +27,32 @@ pub fn whole<T: TryFrom<u64>>(
                     high => format!("must be a whole number from {low} to {high}"),
                 }
             })
+    }
+}
+
+/// A parser of run names. Its error holds the name once, and a long one cut: the
+/// library's own would hold it whole, and twice.
+#[derive(Debug, Clone, Copy)]
+pub struct Name;
+
+impl TypedValueParser for Name {
+    type Value = RunName;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        option: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<RunName, clap::Error> {
+        let text = value.to_string_lossy();
+        text.parse().map_err(|_| {
+            let option = option.map_or("--run <NAME>".into(), ToString::to_string);
+            let message = format!(
+                "invalid value '{}' for '{option}': use 1 to {} letters, digits, '-' or '_'",
+                shortened(&text),
+                name_max()
+            );
+            clap::Error::raw(ErrorKind::ValueValidation, format!("{message}\n")).with_cmd(command)
+        })
     }
 }

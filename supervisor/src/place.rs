@@ -6,13 +6,10 @@ use std::time::Duration;
 use shm_config::run::{Leftovers, RunLock, RunName, RunPaths};
 
 use crate::failure::Failure;
+use crate::need::Need;
 use crate::signals::pause;
 
-/// Shared memory that a run needs, bytes: the step queue's samples and one
-/// sample for each reader of everything else, with room for restarts; and of the
-/// largest message, a policy file of 8 MB, four.
-pub const SHARED_MEMORY_NEED_BYTES: u64 = 96 << 20;
-/// Where it is.
+/// Where shared memory is.
 pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 
 /// How often, and how long each time, the death of an earlier set is awaited:
@@ -92,7 +89,7 @@ impl Drop for Place {
 /// When there is no shared memory to look at.
 pub fn shared_memory() -> Result<(u64, u64), Failure> {
     let space = rustix::fs::statvfs(SHARED_MEMORY_DIR).map_err(|error| {
-        Failure::GivenUp(format!(
+        Failure::Usage(format!(
             "{SHARED_MEMORY_DIR}: {error}; processes need it to talk: \
              `sudo mount -t tmpfs -o size=1g tmpfs {SHARED_MEMORY_DIR}`"
         ))
@@ -107,15 +104,15 @@ pub fn shared_memory() -> Result<(u64, u64), Failure> {
 /// touches a page too many would die of SIGBUS.
 ///
 /// # Errors
-/// When there is too little, with both numbers and what to do.
-pub fn check_shared_memory(free_bytes: u64) -> Result<(), Failure> {
-    if free_bytes >= SHARED_MEMORY_NEED_BYTES {
+/// When there is too little, with both numbers, what for, and what to do.
+pub fn check_shared_memory(free_bytes: u64, need: &Need) -> Result<(), Failure> {
+    if free_bytes >= need.bytes() {
         return Ok(());
     }
-    Err(Failure::GivenUp(format!(
-        "{SHARED_MEMORY_DIR}: {} MB free, a run needs {} MB; free some with `./vlaps clean` or \
-         make it larger with `sudo mount -o remount,size=1g {SHARED_MEMORY_DIR}`",
+    Err(Failure::Usage(format!(
+        "{SHARED_MEMORY_DIR}: {} MB free, the run needs {need}; free some with `./vlaps clean`, \
+         make it larger with `sudo mount -o remount,size=1g {SHARED_MEMORY_DIR}`, or give a \
+         container more with `--shm-size=1g`",
         free_bytes >> 20,
-        SHARED_MEMORY_NEED_BYTES >> 20
     )))
 }

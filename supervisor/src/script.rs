@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 use std::fs;
 use std::path::Path;
 
+use shm_config::shortened;
+
 use crate::failure::Failure;
 use crate::person::Key;
 
@@ -42,7 +44,7 @@ impl Script {
             if line.is_empty() || line.starts_with('#') {
                 continue;
             }
-            let wrong = |why: &str| Err(format!("{}: {line}: {why}", index + 1));
+            let wrong = |why: &str| Err(format!("{}: {}: {why}", index + 1, shortened(line)));
             let mut words = line.split_whitespace();
             let (Some(time), Some(word), None) = (words.next(), words.next(), words.next()) else {
                 return wrong("write it as TIME_S KEY, such as 2.5 space");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load, text_of};
-use shm_config::file;
+use shm_config::{file, shortened};
 use toml::{Table, Value};
 
 use crate::arguments::{GateChoice, Up};
@@ -35,6 +35,10 @@ pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
     let own_folder = text_at(&table, "run.name").unwrap_or(Config::default().run.name);
     let own_folder = format!("runs/{own_folder}");
     let folder_given = text_at(&table, "run.folder").is_some_and(|folder| folder != own_folder);
+    if arguments.lockstep && arguments.gate == Some(GateChoice::Human) {
+        let message = "--gate human needs real time; drop --lockstep";
+        return Err(Failure::Usage(message.into()));
+    }
     let overrides = overrides_of(arguments)?;
     for change in &overrides {
         check_alone(change)?;
@@ -45,11 +49,20 @@ pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
     if let (Some(name), false) = (name, folder_given) {
         insert(&mut table, "run.folder", format!("runs/{name}").into());
     }
-    let origin = match overrides.is_empty() {
+    let named = match overrides.is_empty() {
         true => origin,
         false => format!("{origin}, with the options given"),
     };
-    Ok(from_toml(&table.to_string(), &origin)?)
+    from_toml(&table.to_string(), &named).map_err(|error| match error {
+        // The option that gave the value, where one did.
+        ConfigError::OutOfRange { origin, error } => {
+            let mut given = overrides.iter().rev();
+            let option = given.find(|change| change.key == error.key);
+            let origin = option.map_or(origin, |change| change.origin.clone());
+            ConfigError::OutOfRange { origin, error }.into()
+        }
+        other => other.into(),
+    })
 }
 
 fn file_of(arguments: &Up) -> Option<PathBuf> {
@@ -120,11 +133,16 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     for text in &arguments.overrides {
         let Some((key, value)) = text.split_once('=') else {
             return Err(Failure::Usage(format!(
-                "--set {text}: write it as KEY=VALUE, such as --set gate.period_s=5"
+                "--set {}: write it as KEY=VALUE, such as --set gate.period_s=5",
+                shortened(text)
             )));
         };
         let value = value_of(value.trim());
-        push(&format!("--set {text}"), key.trim(), Some(value));
+        push(
+            &format!("--set {}", shortened(text)),
+            key.trim(),
+            Some(value),
+        );
     }
     Ok(overrides)
 }

@@ -18,9 +18,11 @@ use crate::down::living_runs;
 use crate::failure::Failure;
 use crate::judged;
 use crate::kernel::Memory;
+use crate::late::{self, LateRow};
 use crate::live::View;
 use crate::outputs;
 use crate::ports::{Depth, Ports};
+use crate::restarts;
 use crate::screen::say;
 use crate::signals::pause;
 use crate::summary::write_whole;
@@ -45,6 +47,11 @@ struct Seen {
     supervisor: u32,
     /// What the judge was asked and said; `None` where nobody judges.
     judge: Option<Judged>,
+    /// Why it was never asked; left out where it was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    judge_unasked: Option<&'static str>,
+    /// The ticks that were latest, the latest first.
+    late_ticks: Vec<LateRow>,
     #[serde(flatten)]
     view: View,
 }
@@ -64,7 +71,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     let (mut runs, mut broken) = (Vec::new(), false);
     for paths in alive {
         if let Some(pid) = paths.supervisor_pid() {
-            let (view, judged) = match listen(&paths, pid, clock) {
+            let seen = match listen(&paths, pid, clock) {
                 Ok(seen) => seen,
                 // One broken run must not hide the others.
                 Err(error) => {
@@ -77,20 +84,18 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
                     continue;
                 }
             };
-            say(view.headline());
-            say(view.table());
+            say(seen.view.headline());
+            say(seen.view.table());
             say(format_args!(
                 "  {}; supervisor process {pid}",
-                view.drive_line()
+                seen.view.drive_line()
             ));
-            if let Some(judged) = &judged {
-                say(format_args!("  judge {judged}"));
+            match (seen.judge_unasked, &seen.judge) {
+                (Some(reason), _) => say(format_args!("  judge {reason}")),
+                (None, Some(judged)) => say(format_args!("  judge {judged}")),
+                (None, None) => {}
             }
-            runs.push(Seen {
-                supervisor: pid,
-                judge: judged,
-                view,
-            });
+            runs.push(seen);
         }
     }
     let none = runs.is_empty();
@@ -116,14 +121,16 @@ fn write_json(path: &Path, runs: &Runs) -> Result<(), Failure> {
         .map_err(|error| Failure::GivenUp(format!("{}: {error}", path.display())))
 }
 
-fn listen(
-    paths: &RunPaths,
-    supervisor: u32,
-    clock: Clock,
-) -> Result<(View, Option<Judged>), Failure> {
+fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<Seen, Failure> {
     let (config, tally) = look(paths, supervisor, clock)?;
-    let judged = judged::read(&config, supervisor);
-    Ok((View::from_outside(&config, &tally), judged))
+    let judge = judged::read(&config, supervisor);
+    Ok(Seen {
+        supervisor,
+        judge_unasked: judged::unasked(&config, &tally, judge.as_ref()),
+        judge,
+        late_ticks: late::latest(&tally),
+        view: View::from_outside(&config, &tally, &restarts::read(paths)),
+    })
 }
 
 /// Listens to a living run for a while, and asks the kernel about its processes.

@@ -13,6 +13,7 @@ use crate::Clock;
 use crate::arguments::Up;
 use crate::child::{Launch, own_folder};
 use crate::cores::own_cores;
+use crate::event::Event;
 use crate::failure::Failure;
 use crate::idle::IdleBound;
 use crate::judged;
@@ -22,18 +23,21 @@ use crate::log::LogFile;
 use crate::member::{Phase, Turn};
 use crate::metadrive;
 use crate::orphans::Orphans;
+use crate::need::Need;
 use crate::outputs;
 use crate::parent;
 use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
+use crate::restarts;
 use crate::roll::Roll;
-use crate::screen::{Screen, say};
+use crate::screen::{Screen, UNREAD, say};
 use crate::seat::{Keys, Seat};
 use crate::set::ProcessSet;
 use crate::settings;
 use crate::signals::Signals;
 use crate::stop::Stop;
 use crate::summary::{Summary, write_whole};
+use crate::summary_text;
 use crate::table::Rights;
 use crate::tally::Tally;
 use crate::timing;
@@ -98,16 +102,13 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
             leftovers.bytes >> 10
         ));
     }
-    check_shared_memory(shared_memory()?.0)?;
+    check_shared_memory(shared_memory()?.0, &Need::of(&config))?;
     let (folder, _alone) = prepare_folder(&config, &place)?;
     let run = (&config, &place, folder.as_path());
     let (end, summary, timing) = drive(run, keys, signals, (clock, started))?;
     drop(place);
     // First on the screen: a full disk takes no file.
-    if summary.ticks > 0 {
-        say(format_args!("\n{summary}"));
-        say(format_args!("logs and summary in {}", folder.display()));
-    }
+    summary_text::tell(&summary, arguments, &folder);
     let path = folder.join(timing::FILE);
     let timing = write_whole(&path, &timing).map_err(|error| {
         Failure::GivenUp(format!(
@@ -115,10 +116,10 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
             path.display()
         ))
     });
-    let kept = write_summary(&summary, &folder.join("summary.json"));
+    let kept = summary.write(&folder.join("summary.json"));
     // It may lie on another disk: what was refused before is told after it.
     if let Some(path) = &arguments.json {
-        write_summary(&summary, path)?;
+        summary.write(path)?;
     }
     timing.and(kept)?;
     match end {
@@ -130,21 +131,12 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
 }
 
-fn write_summary(summary: &Summary, path: &Path) -> Result<(), Failure> {
-    summary.write(path).map_err(|error| {
-        Failure::GivenUp(format!(
-            "{}: cannot write the summary: {error}",
-            path.display()
-        ))
-    })
-}
-
 /// Makes the run's folder with its resolved configuration, locked against other
 /// runs as long as the file that is returned is open; processes and onlookers find
 /// a copy beside the run's other files.
 fn prepare_folder(config: &Config, place: &Place) -> Result<(PathBuf, File), Failure> {
     let failed = |what: &Path, error: &dyn std::fmt::Display| {
-        Failure::GivenUp(format!(
+        Failure::Usage(format!(
             "{}: cannot keep the run's files: {error}; choose another folder with \
              `--set run.folder=DIR`",
             what.display()
@@ -392,6 +384,7 @@ impl Run<'_> {
             Turn::Finished => End::Finished,
             Turn::GiveUp(reason) => End::GivenUp(reason),
             Turn::Drive if self.stops_asked > 0 => End::Stopped,
+            Turn::Drive if self.screen.is_unread() => End::GivenUp(UNREAD.into()),
             Turn::Drive => return,
         };
         let line = match &end {
@@ -415,6 +408,9 @@ impl Run<'_> {
 
     fn tell(&mut self, now: Instant) {
         for event in self.set.take_events() {
+            if matches!(event, Event::Died { .. }) {
+                restarts::write(self.place.paths(), self.set.members());
+            }
             let text = event.to_string();
             self.journal.line(now, &text);
             if event.is_notable() {
@@ -482,8 +478,7 @@ impl Run<'_> {
 
     /// A judge that is not asked any more costs no tick, so nothing else shows it.
     fn warn_of_judge(&mut self, now: Instant) {
-        let judged = judged::read(self.config, std::process::id());
-        let trouble = judged.map(|judged| judged.trouble).unwrap_or_default();
+        let trouble = judged::trouble(self.config, &self.tally);
         if trouble.is_empty() || trouble == self.judge_trouble {
             return;
         }

@@ -10,6 +10,7 @@ use shm_config::message::{Command, Episode, Header, Message, Observation};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, Process};
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
 use supervisor::child::Script;
+use supervisor::need::Need;
 use supervisor::place::{Place, check_shared_memory, shared_memory};
 use supervisor::roll::Roll;
 
@@ -62,7 +63,7 @@ pub fn drive(
 ) -> anyhow::Result<Histogram<u64>> {
     // Dropped in the reverse order: the place is left empty when all have gone.
     let (place, _) = Place::take(config.run.name.parse()?)?;
-    check_shared_memory(shared_memory()?.0)?;
+    check_shared_memory(shared_memory()?.0, &Need::of(config))?;
     let wire = Wire::join(place.paths().name(), Process::Controller)?;
     let mut roll = Roll::open(&wire)?;
     roll.name(&wire, Process::Controller, std::process::id());
