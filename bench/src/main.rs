@@ -1,6 +1,7 @@
 //! `vlaps-bench`: `./vlaps eval`, `bench` and `draw`.
 
 use std::alloc::System;
+use std::num::NonZeroUsize;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -146,20 +147,20 @@ const DRAWN_MAX: usize = 50;
 fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
     let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
-    let cores = std::thread::available_parallelism();
+    let cores = std::thread::available_parallelism()?;
+    // More would wait for a core or for an episode.
+    let of_use = cores.min(NonZeroUsize::try_from(arguments.episodes as usize)?);
+    let asked = arguments.threads.unwrap_or(of_use);
     let task = Task {
         driver: arguments.driver,
         world: arguments.world,
         first_seed: arguments.first_seed,
         episodes: arguments.episodes,
-        threads: match arguments.threads {
-            Some(threads) => threads,
-            None => cores?,
-        },
+        threads: asked.min(of_use),
     };
     let bar = ProgressBar::new(task.episodes);
-    let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {eta} left";
-    bar.set_style(ProgressStyle::with_template(style)?);
+    let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {left}";
+    bar.set_style(ProgressStyle::with_template(style)?.with_key("left", train::progress::left(0)));
     let begun = clock();
     let drives = evaluate(&task, &config, clock, |_| bar.inc(1))?;
     let elapsed_s = clock().since_ns(begun) as f64 * 1e-9;
@@ -172,8 +173,15 @@ fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
         task.world.name(),
         task.first_seed,
         counted(task.episodes, "episode"),
-        counted(task.threads.get(), "thread")
+        counted(task.threads.get() as u64, "thread")
     ));
+    if asked > of_use {
+        say(format_args!(
+            "--threads {asked}: with {} and {} no more than {of_use} are of use",
+            counted(cores.get() as u64, "core"),
+            counted(task.episodes, "episode")
+        ));
+    }
     say(evaluation.table());
     say(FOOTNOTE);
     if let Some(failures) = evaluation.failure_table() {

@@ -1,7 +1,7 @@
 //! What a command writes at its end, checked before its begin: nobody waits an
 //! hour for a file that cannot be written.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use supervisor::failure::Failure;
 use supervisor::outputs::{check_file, check_folder};
@@ -21,6 +21,9 @@ pub fn check(command: &Command) -> Result<(), Failure> {
             ("--json", &arguments.json)
         }
         Command::Train(arguments) => {
+            if let Some(folder) = &arguments.out {
+                check_parent("--out", folder)?;
+            }
             check_folder("--out", &crate::train::experiment::folder(arguments))?;
             ("--json", &arguments.json)
         }
@@ -58,6 +61,23 @@ pub fn check(command: &Command) -> Result<(), Failure> {
     match file {
         Some(file) => check_file(option, file),
         None => Ok(()),
+    }
+}
+
+/// A folder that is worked in for hours is made in one that exists: a path with a slip
+/// in it would be found when the work is done.
+fn check_parent(option: &str, path: &Path) -> Result<(), Failure> {
+    let parent = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => return Ok(()),
+    };
+    match parent.is_dir() {
+        true => Ok(()),
+        false => Err(Failure::Usage(format!(
+            "{option} {}: cannot write there: {} is no folder; name a place in an existing folder",
+            path.display(),
+            parent.display()
+        ))),
     }
 }
 

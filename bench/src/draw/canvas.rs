@@ -186,11 +186,16 @@ impl Canvas {
         self.add(label);
     }
 
-    /// The same with a light rim, which is read on any ground.
-    pub fn rimmed_label(&mut self, at_world: Point, text: &str, (color, size_px): (&str, f64)) {
+    /// The same with a rim of another colour, which is read on any ground.
+    pub fn rimmed_label(
+        &mut self,
+        at_world: Point,
+        text: &str,
+        ((color, rim), size_px): ((&str, &str), f64),
+    ) {
         let label = self
             .words(at_world, text, (color, size_px))
-            .set("stroke", palette::PAPER)
+            .set("stroke", rim)
             .set("stroke-width", px(size_px * 0.22))
             .set("stroke-linejoin", "round")
             .set("paint-order", "stroke");

@@ -40,6 +40,8 @@ pub enum Symbol {
     Disc,
     /// A circle.
     Ring,
+    /// A pale area, and a beam with a point at its end.
+    Scan,
     /// A triangle.
     Triangle,
     /// A star.
@@ -96,7 +98,10 @@ pub fn episode_keys(world: &World, ride: &Ride, who: &str) -> Vec<Key> {
     if ride.has_contacts() {
         keys.push(key(Symbol::Ring, palette::CONTACT, "contact"));
     }
-    keys.push(key(Symbol::Disc, palette::SCAN, "last scan"));
+    if ride.has_traffic() {
+        keys.push(key(Symbol::Line, palette::TRAFFIC, "traffic path"));
+    }
+    keys.push(key(Symbol::Scan, palette::SCAN, "last scan"));
     keys.extend(map_keys(world));
     keys
 }
@@ -208,6 +213,7 @@ fn symbol(key: &Key, [x, y]: [f64; 2]) -> Element {
             .set("stroke", key.color)
             .set("stroke-width", 3)
             .into(),
+        Symbol::Scan => scan(key.color, [x, y]),
         Symbol::Star => rim(star([x + 11.0, y], 10.0).set("fill", key.color).into()),
         Symbol::Triangle => {
             let points = [[4.0, 6.0], [18.0, 6.0], [11.0, -7.0]];
@@ -218,6 +224,30 @@ fn symbol(key: &Key, [x, y]: [f64; 2]) -> Element {
                 .into())
         }
     }
+}
+
+/// As the scan is drawn on the map, in little.
+fn scan(color: &str, [x, y]: [f64; 2]) -> Element {
+    let area = Rectangle::new()
+        .set("x", px(x))
+        .set("y", px(y - 7.0))
+        .set("width", 22)
+        .set("height", 14)
+        .set("fill", color)
+        .set("fill-opacity", "0.35");
+    let beam = Line::new()
+        .set("x1", px(x))
+        .set("y1", px(y + 4.0))
+        .set("x2", px(x + 17.0))
+        .set("y2", px(y - 3.0))
+        .set("stroke", color)
+        .set("stroke-width", 1.5);
+    let end = Circle::new()
+        .set("cx", px(x + 17.0))
+        .set("cy", px(y - 3.0))
+        .set("r", 3)
+        .set("fill", color);
+    Group::new().add(area).add(beam).add(end).into()
 }
 
 /// A star of five points around a point, px.

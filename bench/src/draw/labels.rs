@@ -38,12 +38,8 @@ pub struct Labels {
 }
 
 impl Labels {
-    /// On a picture with this path and rings of this radius around these points.
-    pub fn beside(
-        canvas: &Canvas,
-        path_world: &[Point],
-        (rings_world, radius_m): (&[Point], f64),
-    ) -> Labels {
+    /// On a picture with these points of paths, and these spots with their radius, m.
+    pub fn beside(canvas: &Canvas, path_world: &[Point], spots: &[(Point, f64)]) -> Labels {
         let [width, height] = canvas.size_px();
         let square = |point: &Point, half_px: f64| {
             let [x, y] = canvas.at(*point);
@@ -54,9 +50,11 @@ impl Labels {
                 bottom: y + half_px,
             }
         };
-        let radius_px = radius_m * canvas.scale_px_per_m();
         let path = path_world.iter().map(|point| square(point, STRIP_PX));
-        let rings = rings_world.iter().map(|point| square(point, radius_px));
+        let scale = canvas.scale_px_per_m();
+        let spots = spots
+            .iter()
+            .map(|(point, radius_m)| square(point, radius_m * scale));
         Labels {
             picture: Patch {
                 left: 0.0,
@@ -64,7 +62,7 @@ impl Labels {
                 right: width,
                 bottom: HEAD_PX + height,
             },
-            taken: path.chain(rings).collect(),
+            taken: path.chain(spots).collect(),
         }
     }
 

@@ -146,7 +146,7 @@ pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> 
     ride.draw_scan(&mut canvas, &seen);
     ride.draw_traffic(&mut canvas);
     ride::draw_bodies(&mut canvas, world);
-    let mut labels = ride.labels(&canvas);
+    let mut labels = ride.labels(&canvas, world);
     ride.draw_path(&mut canvas, &mut labels);
     ride::draw_ego(&mut canvas, world);
     ride.draw_contacts(&mut canvas, &mut labels);

@@ -36,6 +36,11 @@ const LABEL_DIRECTIONS: [[f64; 2]; 8] = [
     [-1.0, -1.0],
 ];
 
+/// A cone or a triangle is drawn no smaller than this, m.
+const MARK_M: f64 = 1.1;
+/// How far beside the path its times may stand, m.
+const TIMES_BESIDE_M: [f64; 8] = [3.2, -3.2, 4.6, -4.6, 6.2, -6.2, 8.0, -8.0];
+
 /// What a contact was with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum With {
@@ -111,11 +116,26 @@ impl Ride {
         !self.contacts.is_empty()
     }
 
-    /// Words keep off the path, off contacts, and off each other.
-    pub fn labels(&self, canvas: &Canvas) -> Labels {
-        let contacts = self.contacts.iter().map(|&(at, _)| at);
-        let rings: Vec<Point> = contacts.collect();
-        Labels::beside(canvas, &self.positions_world, (&rings, RING_M))
+    /// Whether a car of the traffic has moved.
+    pub fn has_traffic(&self) -> bool {
+        self.tracks.all().iter().any(|track| track.has_moved())
+    }
+
+    /// Words keep off the paths, off contacts, off what stands around, and off each
+    /// other.
+    pub fn labels(&self, canvas: &Canvas, world: &World) -> Labels {
+        let contacts = self.contacts.iter().map(|&(at, _)| (at, RING_M));
+        let bodies = world.bodies().map(|body| {
+            let center = body.placed.center_world;
+            let corners = body.placed.corners_world().into_iter();
+            let reach_m = corners.map(|corner| (corner - center).norm());
+            (center, reach_m.fold(MARK_M, f64::max))
+        });
+        let spots: Vec<(Point, f64)> = contacts.chain(bodies).collect();
+        let moved = self.tracks.all().iter().filter(|track| track.has_moved());
+        let mut paths = self.positions_world.clone();
+        paths.extend(moved.flat_map(|track| &track.positions_world));
+        Labels::beside(canvas, &paths, &spots)
     }
 
     /// The ego's path, a colour for each driver, a dot every five seconds.
@@ -143,9 +163,10 @@ impl Ride {
                 let size_px = (2.3 * canvas.scale_px_per_m()).max(9.0);
                 let left = self.left_of(tick);
                 let text = format!("{} s", tick / 10);
-                let places = [3.2, -3.2, 4.6, -4.6].map(|beside_m| at + left * beside_m);
+                let places = TIMES_BESIDE_M.map(|beside_m| at + left * beside_m);
                 if let Some(place) = labels.take(canvas, &places, (&text, size_px)) {
-                    canvas.label(place, &text, (palette::WHITE_LINE, size_px));
+                    let colors = (palette::WHITE_LINE, palette::INK);
+                    canvas.rimmed_label(place, &text, (colors, size_px));
                 }
             }
         }
@@ -192,7 +213,8 @@ impl Ride {
                 at + Vector::new(x * (4.2 + wide_m), y * 5.6)
             });
             if let Some(place) = labels.take(canvas, &places, (word, size_px)) {
-                canvas.rimmed_label(place, word, (palette::CONTACT, size_px));
+                let colors = (palette::CONTACT, palette::PAPER);
+                canvas.rimmed_label(place, word, (colors, size_px));
             }
         }
     }

@@ -11,6 +11,7 @@ use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use serde::Serialize;
+use shm_config::counted;
 
 use crate::arguments::BenchPlanner;
 use crate::report::{Machine, say, write_json};
@@ -94,10 +95,10 @@ pub fn bench(arguments: &BenchPlanner, clocks: Clocks) -> anyhow::Result<()> {
         core: stay_on_one_core()?,
     };
     say(format_args!(
-        "{} scenes of {}, {} rounds, on core {}; {}",
-        conditions.scenes,
+        "{} of {}, {}, on core {}; {}",
+        counted(conditions.scenes as u64, "scene"),
         conditions.scene_file,
-        conditions.rounds,
+        counted(conditions.rounds, "round"),
         conditions.core,
         conditions.machine
     ));

@@ -1,9 +1,10 @@
 //! How far a training is: a bar in a terminal, a line for each block elsewhere.
 
+use std::fmt;
 use std::io::{IsTerminal, Write};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
 use shm_config::Instant;
 
 use crate::Clock;
@@ -41,9 +42,9 @@ impl Progress {
             true => {
                 let bar = ProgressBar::new(total);
                 let style = format!(
-                    "{{prefix}}  {{elapsed_precise}} {{wide_bar}} {{pos}}/{{len}} {unit}, {{eta}} left  {{msg}}"
+                    "{{prefix}}  {{elapsed_precise}} {{wide_bar}} {{pos}}/{{len}} {unit}, {{left}}  {{msg}}"
                 );
-                bar.set_style(ProgressStyle::with_template(&style)?);
+                bar.set_style(ProgressStyle::with_template(&style)?.with_key("left", left(first)));
                 bar.set_prefix(name.clone());
                 bar.enable_steady_tick(FRAME);
                 bar.set_position(first);
@@ -119,6 +120,18 @@ impl Progress {
         if let Some(bar) = self.bar {
             bar.finish_and_clear();
         }
+    }
+}
+
+/// How much time is left, as the key of a bar's template; before anything is done there
+/// is nothing to tell it by.
+pub fn left(first: u64) -> impl Fn(&ProgressState, &mut dyn fmt::Write) + Clone {
+    move |state, out| {
+        // Writing to a string cannot fail.
+        let _ = match state.pos() <= first {
+            true => write!(out, "starting"),
+            false => write!(out, "{} left", HumanDuration(state.eta())),
+        };
     }
 }
 
