@@ -1,7 +1,8 @@
 //! Lockstep through the real processes: the same seed gives the same commands.
 
+use rustix::process::Signal;
 use serde_json::Value;
-use vlaps_tests::Set;
+use vlaps_tests::{Set, until};
 
 fn drive(label: &str, seed: u64, episodes: u32) -> Value {
     let set = Set::new(label);
@@ -13,6 +14,23 @@ fn drive(label: &str, seed: u64, episodes: u32) -> Value {
         Vec::<std::path::PathBuf>::new()
     );
     set.json()
+}
+
+/// Ticks of a process that were done or skipped; every one of its grid is.
+fn accounted(json: &Value, process: &str) -> u64 {
+    let row = &json["processes"][process];
+    let number = |key: &str| {
+        row[key]
+            .as_f64()
+            .unwrap_or_else(|| panic!("{process}: {key}"))
+    };
+    let ticks = number("ticks") + number("skipped");
+    let instants = number("elapsed_s") / number("period_s");
+    assert!(
+        (instants - ticks).abs() < 1e-6,
+        "{process}: {instants} against {row}"
+    );
+    ticks as u64
 }
 
 fn assert_accounts(json: &Value) {
@@ -32,6 +50,9 @@ fn assert_accounts(json: &Value) {
         .map(|e| e["ticks"].as_u64().expect("ticks"))
         .sum();
     assert_eq!(Some(ticks), json["ticks"].as_u64());
+    for process in ["world", "planner", "controller"] {
+        assert_eq!(accounted(json, process), ticks, "{process}: {json}");
+    }
     let share: f64 = ["expert", "policy", "brake"]
         .iter()
         .map(|d| json["share"][d].as_f64().expect("share"))
@@ -162,4 +183,30 @@ fn unequal_rates_repeat_too() {
     assert_eq!(row("planner", "ticks"), Some(driven as f64), "one in five");
     let rates = ["world", "controller", "planner"].map(|process| row(process, "rate_hz"));
     assert_eq!(rates, [Some(100.0), Some(50.0), Some(10.0)]);
+}
+
+#[test]
+fn in_real_time_every_tick_of_each_process_is_accounted_for_over_a_restart() {
+    let mut set = Set::new("absent");
+    set.start(&["--seed", "3", "--no-realtime", "--duration", "12"]);
+    until("the world drives", || set.logs().contains("world: ready"));
+    let journal = set.paths().dir().join("restarts.json");
+    // Not before its first ticks: a life without any leaves no gap.
+    until("the controller was restarted after ticks", || {
+        std::thread::park_timeout(std::time::Duration::from_secs(2));
+        set.signal_program("vlaps-controller", Signal::KILL) > 0
+    });
+    until("the restart is written down", || journal.exists());
+    assert_eq!(set.wait(), Some(0), "{}", set.logs());
+    let json = set.json();
+    let [world, planner, controller] =
+        ["world", "planner", "controller"].map(|process| accounted(&json, process));
+    let absent = json["processes"]["controller"]["absent"]
+        .as_u64()
+        .expect("absent");
+    assert!(absent > 0, "{json}");
+    // Each begins with the first observation it hears, and ends with the last.
+    for (process, ticks) in [("planner", planner), ("controller", controller + absent)] {
+        assert!(world.abs_diff(ticks) <= 3, "{process}: {ticks} of {world}");
+    }
 }
