@@ -123,6 +123,31 @@ impl Set {
         serde_json::from_str(&text).expect("JSON")
     }
 
+    /// What `status` says of the set now: its text, and the run of its JSON.
+    pub fn status(&self) -> (String, serde_json::Value) {
+        let mut command = Command::new(programs().join("vlaps-supervisor"));
+        let words = [
+            "status",
+            "--run",
+            &self.name.to_string(),
+            "--json",
+            "status.json",
+        ];
+        let output = command.args(words).current_dir(&self.folder).output();
+        let text = String::from_utf8_lossy(&output.expect("it runs").stdout).into_owned();
+        let json = fs::read_to_string(self.folder.join("status.json")).unwrap_or_default();
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap_or_default();
+        (text, json["runs"][0].clone())
+    }
+
+    /// A process of the set, as the JSON of `status` has it now; null before it is there.
+    pub fn status_of(&self, process: &str) -> serde_json::Value {
+        let (_, json) = self.status();
+        let rows = json["processes"].as_array().into_iter().flatten();
+        let mut found = rows.filter(|row| row["process"] == process);
+        found.next().cloned().unwrap_or_default()
+    }
+
     /// Waits for the supervisor's end and gives its exit code.
     pub fn wait(&mut self) -> Option<i32> {
         let mut child = self.supervisor.take().expect("a started set");

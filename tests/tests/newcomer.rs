@@ -50,21 +50,6 @@ fn assert_refused(words: &[&str], parts: &[&str]) {
     assert_eq!(made, 0, "{words:?} made something");
 }
 
-fn status(set: &Set) -> (String, Value) {
-    let name = set.name().to_string();
-    let words = ["status", "--run", &name, "--json", "status.json"];
-    let output = vlaps(set.folder(), &words);
-    let text = fs::read_to_string(set.folder().join("status.json")).unwrap_or_default();
-    let json: Value = serde_json::from_str(&text).unwrap_or_default();
-    (said(&output), json["runs"][0].clone())
-}
-
-fn row<'a>(json: &'a Value, process: &str) -> &'a Value {
-    let rows = json["processes"].as_array().into_iter().flatten();
-    let mut found = rows.filter(|row| row["process"] == process);
-    found.next().unwrap_or(&Value::Null)
-}
-
 #[test]
 fn a_car_that_no_world_drives_is_refused_by_every_command() {
     let parts = [
@@ -75,8 +60,8 @@ fn a_car_that_no_world_drives_is_refused_by_every_command() {
     let set = ["--set", "vehicle.length_m=12"];
     for command in [
         &["up", "--lockstep", "--episodes", "1"][..],
-        &["draw", "map"],
-        &["draw", "episode"],
+        &["draw", "map", "--seed", "3"],
+        &["draw", "episode", "--seed", "3"],
         &["eval", "--episodes", "1"],
         &["train", "--steps", "200"],
     ] {
@@ -276,22 +261,26 @@ fn a_run_whose_reader_goes_away_stops_in_order() {
 #[test]
 fn status_tells_restarts_and_the_latest_ticks() {
     let mut set = Set::new("late");
-    set.start(&["--seed", "3", "--no-realtime"]);
-    let ticks = |set: &Set, process: &str| row(&status(set).1, process)["ticks"].as_u64();
-    until("the controller ticks", || {
-        ticks(&set, "controller") > Some(5)
-    });
-    assert_eq!(row(&status(&set).1, "planner")["restarts"], 0);
+    set.start(&[
+        "--seed",
+        "3",
+        "--no-realtime",
+        "--set",
+        "supervisor.silence_s=60",
+    ]);
+    let ticks = |process: &str| set.status_of(process)["ticks"].as_u64();
+    until("the controller ticks", || ticks("controller") > Some(5));
+    assert_eq!(set.status_of("planner")["restarts"], 0);
     set.signal_program("vlaps-planner", Signal::KILL);
     until("the planner's restart is told", || {
-        let (text, json) = status(&set);
-        text.contains("restarts") && row(&json, "planner")["restarts"] == 1
+        set.status_of("planner")["restarts"] == 1
     });
+    assert!(set.status().0.contains("restarts"));
     // A controller that stands still for some ticks ends them late.
-    let before = ticks(&set, "world");
+    let before = ticks("world");
     set.signal_program("vlaps-controller", Signal::STOP);
     until("the world goes on", || {
-        ticks(&set, "world") > before.map(|ticks| ticks + 6)
+        ticks("world") > before.map(|ticks| ticks + 6)
     });
     set.signal_program("vlaps-controller", Signal::CONT);
     let is_told = |json: &Value| {
@@ -301,7 +290,7 @@ fn status_tells_restarts_and_the_latest_ticks() {
             row["process"] == "controller" && late_us > 4e5 && row["skipped"].as_u64() > Some(3)
         })
     };
-    until("status tells the late tick", || is_told(&status(&set).1));
+    until("status tells the late tick", || is_told(&set.status().1));
     set.signal(Signal::TERM);
     assert_eq!(set.wait(), Some(0));
     let json = set.json();
