@@ -60,6 +60,8 @@ pub struct Summary {
     pub steps: u64,
     /// Steps lost before they were read.
     pub lost_steps: u64,
+    /// Share of the steps that a person at the keys drove; they are among the expert's.
+    pub person_share: f64,
     /// Steps by driver and reason, such as `expert: {unloaded: 120}`.
     pub reasons: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
     /// Ticks on which the world braked for want of a young command, in finished
@@ -122,8 +124,6 @@ pub struct Share {
     pub policy: f64,
     /// The brake.
     pub brake: f64,
-    /// A person at the keys; they are among the expert's.
-    pub person: f64,
 }
 
 impl EpisodeRow {
@@ -175,7 +175,6 @@ impl Summary {
                 expert: tally.steps.share(Driver::Expert),
                 policy: tally.steps.share(Driver::Policy),
                 brake: tally.steps.share(Driver::Brake),
-                person: person_share(tally),
             },
             restarts: processes.values().map(|row| row.restarts).sum(),
             release_lateness_us: processes
@@ -187,6 +186,7 @@ impl Summary {
             ended,
             steps: tally.steps.received,
             lost_steps: tally.steps.lost(),
+            person_share: person_share(tally),
             reasons,
             braked: episode_totals.braked,
             episode_totals,

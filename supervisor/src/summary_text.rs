@@ -93,14 +93,14 @@ impl Summary {
     }
 
     fn fmt_drivers(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let person = match self.share.person > 0.0 {
-            true => format!("person {:.1} %, ", self.share.person * 100.0),
+        let person = match self.person_share > 0.0 {
+            true => format!("person {:.1} %, ", self.person_share * 100.0),
             false => String::new(),
         };
         writeln!(
             f,
             "\ndrove: {person}expert {:.1} %, policy {:.1} %, brake {:.1} % of {} ({} lost before they were read)",
-            (self.share.expert - self.share.person) * 100.0,
+            (self.share.expert - self.person_share) * 100.0,
             self.share.policy * 100.0,
             self.share.brake * 100.0,
             counted(self.steps, "step"),
