@@ -126,13 +126,8 @@ impl Set {
     /// What `status` says of the set now: its text, and the run of its JSON.
     pub fn status(&self) -> (String, serde_json::Value) {
         let mut command = Command::new(programs().join("vlaps-supervisor"));
-        let words = [
-            "status",
-            "--run",
-            &self.name.to_string(),
-            "--json",
-            "status.json",
-        ];
+        let name = self.name.to_string();
+        let words = ["status", "--run", &name, "--json", "status.json"];
         let output = command.args(words).current_dir(&self.folder).output();
         let text = String::from_utf8_lossy(&output.expect("it runs").stdout).into_owned();
         let json = fs::read_to_string(self.folder.join("status.json")).unwrap_or_default();
