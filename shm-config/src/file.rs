@@ -1,8 +1,114 @@
-//! Files that a command line or a configuration names.
+//! Files and folders: opened once, checked, then used by their descriptor.
+//!
+//! There are two kinds. A file that a command line or a configuration names may be
+//! a link and may belong to another user: it is read when it is a regular file of
+//! a bounded size. What a run keeps for itself is a file or folder *of ours*: it
+//! belongs to the calling user, only this user may write to it, and no link is
+//! followed to it, because whoever may make a name in that place could have put a
+//! link or a pipe there.
 
-use std::fs::{self, Metadata};
-use std::io;
-use std::path::Path;
+use std::fs::{File, Metadata};
+use std::io::{self, Read, Write};
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
+use rustix::io::Errno;
+
+/// Names that are tried for a new file that takes another one's place. A name is
+/// taken only by a process of this id that was killed meanwhile.
+const NEW_NAMES: u32 = 16;
+
+/// Permission bits by which other users may change a file or folder.
+const OTHERS_WRITE: u32 = 0o022;
+/// Permission bits by which other users may do anything with it.
+const OTHERS_ANY: u32 = 0o077;
+
+/// Flags of every open here: a pipe does not wait for its other end, a terminal
+/// does not become ours, no child inherits it.
+const CAREFUL: OFlags = OFlags::CLOEXEC
+    .union(OFlags::NONBLOCK)
+    .union(OFlags::NOCTTY);
+
+/// A file or folder that is not the calling user's alone.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NotOurs {
+    /// It belongs to another user.
+    #[error("belongs to user {owner} (mode {mode:o}), not to user {user}", user = user())]
+    Owner {
+        /// Its owner's user id.
+        owner: u32,
+        /// Its permission bits.
+        mode: u32,
+    },
+    /// Its permissions let other users in.
+    #[error(
+        "is open to other users (owner {owner}, mode {mode:o}); `chmod go-{letters}` closes it",
+        letters = if mode & OTHERS_WRITE != 0 { "w" } else { "rwx" }
+    )]
+    Open {
+        /// Its owner's user id.
+        owner: u32,
+        /// Its permission bits.
+        mode: u32,
+    },
+}
+
+impl From<NotOurs> for io::Error {
+    fn from(error: NotOurs) -> Self {
+        Self::new(io::ErrorKind::PermissionDenied, error)
+    }
+}
+
+impl NotOurs {
+    /// The reason in an error of this module; `None` in any other error.
+    pub fn within(error: &io::Error) -> Option<&Self> {
+        error.get_ref()?.downcast_ref()
+    }
+
+    /// Owner and permission bits.
+    pub fn owner_and_mode(&self) -> (u32, u32) {
+        match *self {
+            Self::Owner { owner, mode } | Self::Open { owner, mode } => (owner, mode),
+        }
+    }
+}
+
+/// What a file of ours is opened for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// To read it.
+    Read,
+    /// To read it and to write at its end; it is made if it is missing.
+    Append,
+    /// To read it and to write anywhere; it is made if it is missing.
+    Change,
+    /// To read it and to write at its end; there must be none of that name.
+    New,
+}
+
+/// Whether a written file survives a power cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Durable {
+    /// It is on the disk before its name leads to it.
+    Yes,
+    /// The kernel writes it when it likes.
+    No,
+}
+
+/// Whom a folder of ours admits, and with it the files that are made there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Entry {
+    /// The calling user alone.
+    Private,
+    /// Others may look into it, and change nothing.
+    Readable,
+}
+
+/// The calling user's id.
+pub fn user() -> u32 {
+    rustix::process::getuid().as_raw()
+}
 
 /// What the system says of a file that is about to be read. Asked before it is
 /// opened: a pipe would wait for ever, a device has no end.
@@ -10,12 +116,379 @@ use std::path::Path;
 /// # Errors
 /// When there is nothing at the path, or what is there is no regular file.
 pub fn regular(path: &Path) -> io::Result<Metadata> {
-    let metadata = fs::metadata(path)?;
+    check_regular(path.metadata()?)
+}
+
+/// Reads a regular file of at most `bytes_max` bytes, whoever it belongs to; links
+/// are followed. A pipe is refused and not waited for.
+///
+/// # Errors
+/// When there is no such file, it is no regular file, or it is longer.
+pub fn read(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
+    let flags = OFlags::RDONLY | CAREFUL;
+    let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
+    check_regular(file.metadata()?)?;
+    read_bounded(&file, bytes_max)
+}
+
+/// The same of a text.
+///
+/// # Errors
+/// As [`read`], and when it is no UTF-8.
+pub fn read_text(path: &Path, bytes_max: u64) -> io::Result<String> {
+    text(read(path, bytes_max)?)
+}
+
+/// Opens a file of ours by its path: see [`Folder::open_file`].
+///
+/// # Errors
+/// As [`Folder::open_file`].
+pub fn open_ours(path: &Path, access: Access) -> io::Result<File> {
+    open_at(CWD, path, access, Entry::Readable)
+}
+
+/// Reads a file of ours of at most `bytes_max` bytes by its path.
+///
+/// # Errors
+/// As [`Folder::read`].
+pub fn read_ours(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
+    read_bounded(&open_ours(path, Access::Read)?, bytes_max)
+}
+
+/// Writes a file so that its name leads to the old content or to the whole new
+/// one. The new file is made under a name that was free; what stood at `path`, a
+/// link too, is replaced and not followed.
+///
+/// # Errors
+/// When the folder is missing or refuses; the old content stays.
+pub fn replace(path: &Path, bytes: &[u8], durable: Durable) -> io::Result<()> {
+    let name = path.file_name().ok_or(Errno::ISDIR)?;
+    let parent = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty());
+    let flags = OFlags::RDONLY | OFlags::DIRECTORY | CAREFUL;
+    let folder = rustix::fs::open(parent.unwrap_or(Path::new(".")), flags, Mode::empty())?;
+    replace_at(
+        (folder.as_fd(), Entry::Readable),
+        Path::new(name),
+        bytes,
+        durable,
+    )
+}
+
+/// Files can be made in this folder: one is, and is removed again. Of root and of
+/// file systems that are read only, permissions say nothing.
+///
+/// # Errors
+/// When the folder is missing or refuses.
+pub fn check_writable(folder: &Path) -> io::Result<()> {
+    let flags = OFlags::RDONLY | OFlags::DIRECTORY | CAREFUL;
+    let folder = rustix::fs::open(folder, flags, Mode::empty())?;
+    let probe = (folder.as_fd(), Entry::Private);
+    let (name, _file) = make_beside(probe, Path::new(".vlaps"))?;
+    Ok(rustix::fs::unlinkat(&folder, &name, AtFlags::empty())?)
+}
+
+/// A folder of ours, held open: what is done in it is done in this folder,
+/// wherever its path leads meanwhile.
+#[derive(Debug)]
+pub struct Folder {
+    fd: OwnedFd,
+    path: PathBuf,
+    entry: Entry,
+}
+
+impl Folder {
+    /// Opens a folder. The last part of its path is not followed if it is a link.
+    ///
+    /// # Errors
+    /// When it is missing, a link or no folder; [`NotOurs`] when it belongs to
+    /// another user or lets others in.
+    pub fn open(path: &Path, entry: Entry) -> io::Result<Self> {
+        // A slash or a dot at the end would have the link followed.
+        let path: PathBuf = path.components().collect();
+        Self::open_at(CWD, &path, path.clone(), entry)
+    }
+
+    /// Opens a folder, which is made if it is missing; what is above it must exist.
+    ///
+    /// # Errors
+    /// As [`Folder::open`], and when it cannot be made.
+    pub fn make(path: &Path, entry: Entry) -> io::Result<Self> {
+        let path: PathBuf = path.components().collect();
+        make_at(CWD, &path, entry)?;
+        Self::open_at(CWD, &path, path.clone(), entry)
+    }
+
+    /// A folder within this one, made if it is missing.
+    ///
+    /// # Errors
+    /// As [`Folder::make`].
+    pub fn make_inside(&self, name: &str, entry: Entry) -> io::Result<Self> {
+        make_at(self.fd.as_fd(), Path::new(name), entry)?;
+        self.inside(name, entry)
+    }
+
+    /// A folder within this one.
+    ///
+    /// # Errors
+    /// As [`Folder::open`].
+    pub fn inside(&self, name: &str, entry: Entry) -> io::Result<Self> {
+        let path = self.path.join(name);
+        Self::open_at(self.fd.as_fd(), Path::new(name), path, entry)
+    }
+
+    fn open_at(at: BorrowedFd, name: &Path, path: PathBuf, entry: Entry) -> io::Result<Self> {
+        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | CAREFUL;
+        let fd = rustix::fs::openat(at, name, flags, Mode::empty())
+            .map_err(|error| name_link(at, name, error))?;
+        let others = match entry {
+            Entry::Private => OTHERS_ANY,
+            Entry::Readable => OTHERS_WRITE,
+        };
+        check_ours(&rustix::fs::fstat(&fd)?, others)?;
+        Ok(Self { fd, path, entry })
+    }
+
+    /// Where it was opened.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Opens a regular file of ours in it, without following a link.
+    ///
+    /// # Errors
+    /// When it is missing, a link, or no regular file; [`NotOurs`] when it belongs
+    /// to another user.
+    pub fn open_file(&self, name: &str, access: Access) -> io::Result<File> {
+        open_at(self.fd.as_fd(), Path::new(name), access, self.entry)
+    }
+
+    /// Reads a file of ours of at most `bytes_max` bytes.
+    ///
+    /// # Errors
+    /// As [`Folder::open_file`], and when it is longer.
+    pub fn read(&self, name: &str, bytes_max: u64) -> io::Result<Vec<u8>> {
+        read_bounded(&self.open_file(name, Access::Read)?, bytes_max)
+    }
+
+    /// The same of a text.
+    ///
+    /// # Errors
+    /// As [`Folder::read`], and when it is no UTF-8.
+    pub fn read_text(&self, name: &str, bytes_max: u64) -> io::Result<String> {
+        text(self.read(name, bytes_max)?)
+    }
+
+    /// Writes a file as [`replace`] does.
+    ///
+    /// # Errors
+    /// When the folder refuses; the old content stays.
+    pub fn replace(&self, name: &str, bytes: &[u8], durable: Durable) -> io::Result<()> {
+        replace_at(
+            (self.fd.as_fd(), self.entry),
+            Path::new(name),
+            bytes,
+            durable,
+        )
+    }
+
+    /// Renames what is in it; whatever has the new name is replaced.
+    ///
+    /// # Errors
+    /// When there is nothing of that name, or the folder refuses.
+    pub fn rename(&self, from: &str, to: &str) -> io::Result<()> {
+        Ok(rustix::fs::renameat(&self.fd, from, &self.fd, to)?)
+    }
+
+    /// Removes a name that leads to no folder; a link goes, its target stays.
+    ///
+    /// # Errors
+    /// When the folder refuses.
+    pub fn remove(&self, name: &str) -> io::Result<()> {
+        Ok(rustix::fs::unlinkat(&self.fd, name, AtFlags::empty())?)
+    }
+
+    /// What stands under a name, links not followed.
+    ///
+    /// # Errors
+    /// When there is nothing of that name.
+    pub fn look(&self, name: &str) -> io::Result<Stat> {
+        Ok(rustix::fs::statat(
+            &self.fd,
+            name,
+            AtFlags::SYMLINK_NOFOLLOW,
+        )?)
+    }
+
+    /// Leaves a symbolic link in it.
+    ///
+    /// # Errors
+    /// When the name is taken, or the folder refuses.
+    pub fn link(&self, name: &str, target: &Path) -> io::Result<()> {
+        Ok(rustix::fs::symlinkat(target, &self.fd, name)?)
+    }
+}
+
+impl AsFd for Folder {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
+}
+
+/// No user but this one and root can put another folder in the place of this one:
+/// each folder above it is closed to others, or lets everybody rename their own
+/// files alone, as `/tmp` does. Groups are not asked: a user's own group may write
+/// by default on many systems.
+///
+/// # Errors
+/// The folder in which every user may rename what is in it.
+pub fn check_parents(path: &Path) -> io::Result<()> {
+    for folder in path.ancestors().skip(1) {
+        let stat = rustix::fs::stat(folder)?;
+        let is_open = stat.st_mode & 0o002 != 0 && stat.st_mode & 0o1000 == 0;
+        if is_open {
+            let what = format!(
+                "every user may rename what is in {} (mode {:o}), this folder too",
+                folder.display(),
+                stat.st_mode & 0o7777
+            );
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, what));
+        }
+    }
+    Ok(())
+}
+
+/// It belongs to the calling user and has none of the `others` bits.
+///
+/// # Errors
+/// [`NotOurs`].
+pub fn check_ours(stat: &Stat, others: u32) -> Result<(), NotOurs> {
+    let (owner, mode) = (stat.st_uid, stat.st_mode & 0o7777);
+    if owner != user() {
+        return Err(NotOurs::Owner { owner, mode });
+    }
+    match mode & others {
+        0 => Ok(()),
+        _ => Err(NotOurs::Open { owner, mode }),
+    }
+}
+
+fn make_at(at: BorrowedFd, name: &Path, entry: Entry) -> io::Result<()> {
+    let others = match entry {
+        Entry::Private => Mode::empty(),
+        Entry::Readable => Mode::from_raw_mode(0o055),
+    };
+    match rustix::fs::mkdirat(at, name, Mode::RWXU | others) {
+        Ok(()) | Err(Errno::EXIST) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn open_at(at: BorrowedFd, name: &Path, access: Access, entry: Entry) -> io::Result<File> {
+    let flags = match access {
+        Access::Read => OFlags::RDONLY,
+        Access::Append => OFlags::RDWR | OFlags::APPEND | OFlags::CREATE,
+        Access::Change => OFlags::RDWR | OFlags::CREATE,
+        Access::New => OFlags::RDWR | OFlags::APPEND | OFlags::CREATE | OFlags::EXCL,
+    };
+    let others = match entry {
+        Entry::Private => Mode::empty(),
+        Entry::Readable => Mode::RGRP | Mode::ROTH,
+    };
+    let flags = flags | OFlags::NOFOLLOW | CAREFUL;
+    let fd = rustix::fs::openat(at, name, flags, Mode::RUSR | Mode::WUSR | others)
+        .map_err(|error| name_link(at, name, error))?;
+    let stat = rustix::fs::fstat(&fd)?;
+    check_ours(&stat, 0)?;
+    if FileType::from_raw_mode(stat.st_mode) != FileType::RegularFile {
+        return Err(not_regular());
+    }
+    Ok(fd.into())
+}
+
+fn replace_at(
+    (at, entry): (BorrowedFd, Entry),
+    name: &Path,
+    bytes: &[u8],
+    durable: Durable,
+) -> io::Result<()> {
+    let (beside, mut file) = make_beside((at, entry), name)?;
+    let written = file.write_all(bytes).and_then(|()| match durable {
+        Durable::Yes => file.sync_all(),
+        Durable::No => Ok(()),
+    });
+    let moved = written.and_then(|()| Ok(rustix::fs::renameat(at, &beside, at, name)?));
+    if moved.is_err() {
+        // Half a file is none.
+        let _ = rustix::fs::unlinkat(at, &beside, AtFlags::empty());
+        return moved;
+    }
+    if durable == Durable::Yes {
+        // Some file systems know no such order; then the rename is as safe as theirs.
+        let _ = rustix::fs::fsync(at);
+    }
+    Ok(())
+}
+
+/// A new file beside the one of this name, and its own name.
+fn make_beside((at, entry): (BorrowedFd, Entry), name: &Path) -> io::Result<(PathBuf, File)> {
+    let mut taken = Errno::EXIST.into();
+    for number in 0..NEW_NAMES {
+        let mut beside = name.as_os_str().to_owned();
+        beside.push(format!(".{}-{number}", std::process::id()));
+        let beside = PathBuf::from(beside);
+        match open_at(at, &beside, Access::New, entry) {
+            Ok(file) => return Ok((beside, file)),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => taken = error,
+            Err(error) => return Err(error),
+        }
+    }
+    Err(taken)
+}
+
+fn read_bounded(file: &File, bytes_max: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    file.take(bytes_max.saturating_add(1))
+        .read_to_end(&mut bytes)?;
+    match bytes.len() as u64 > bytes_max {
+        true => Err(io::Error::new(
+            io::ErrorKind::FileTooLarge,
+            format!("is longer than the {bytes_max} bytes that are read of it"),
+        )),
+        false => Ok(bytes),
+    }
+}
+
+fn text(bytes: Vec<u8>) -> io::Result<String> {
+    let wrong = |error| io::Error::new(io::ErrorKind::InvalidData, error);
+    String::from_utf8(bytes).map_err(wrong)
+}
+
+fn check_regular(metadata: Metadata) -> io::Result<Metadata> {
     match metadata.is_file() {
         true => Ok(metadata),
-        false => Err(io::Error::new(
+        false => Err(not_regular()),
+    }
+}
+
+fn not_regular() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, "is no regular file")
+}
+
+/// The system's word for a link that is not followed is a riddle.
+fn name_link(at: BorrowedFd, name: &Path, error: Errno) -> io::Error {
+    let is_link = || {
+        rustix::fs::statat(at, name, AtFlags::SYMLINK_NOFOLLOW)
+            .is_ok_and(|stat| FileType::from_raw_mode(stat.st_mode) == FileType::Symlink)
+    };
+    match error {
+        Errno::LOOP | Errno::NOTDIR if is_link() => io::Error::new(
             io::ErrorKind::InvalidInput,
-            "is no regular file",
-        )),
+            "is a symbolic link, which is not followed here",
+        ),
+        // A pipe without a reader, and a socket.
+        Errno::NXIO => not_regular(),
+        error => error.into(),
     }
 }

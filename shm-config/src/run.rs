@@ -6,14 +6,24 @@
 //! the kernel drops the lock. So a run is provably dead exactly when somebody
 //! can take that lock exclusively, and only then are its leftovers removed.
 
+mod holder;
+mod shared;
+
+use std::ffi::OsString;
 use std::fmt;
-use std::fs::{self, DirBuilder, File, OpenOptions};
+use std::fs::{self, File};
 use std::io;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::ffi::OsStringExt;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use rustix::fs::FlockOperation;
+use rustix::fs::{Dir, FlockOperation};
+
+pub use self::holder::{Holder, started};
+use self::shared::Shared;
+pub use self::shared::Stranger;
+use crate::file::{Access, Durable, Entry, Folder, NotOurs};
 
 /// Longest path of a socket, bytes: the kernel's 108 less the closing zero.
 const SOCKET_PATH_MAX: usize = 107;
@@ -39,6 +49,14 @@ pub const PREFIX: &str = "vlaps-{user}-{run}.";
 pub const ALIVE_FILE: &str = "alive";
 /// The resolved configuration.
 const CONFIG_FILE: &str = "config.toml";
+/// The supervisor's lock, with its process id.
+const SUPERVISOR_FILE: &str = "supervisor";
+/// A link to the folder of the run's logs and summary.
+const FOLDER_LINK: &str = "folder";
+/// The process that the run ends with, when another program drives it.
+const PARENT_FILE: &str = "parent";
+/// Longest file of a number that is read back, bytes.
+const NUMBER_BYTES_MAX: u64 = 64;
 /// Where the library keeps who is there, and what they share.
 const NODES_DIR: &str = "nodes";
 const SERVICES_DIR: &str = "services";
@@ -82,12 +100,12 @@ impl fmt::Display for RunName {
 /// Why a run's folder could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// Somebody else owns the folder, or others may enter it.
+    /// Another user owns the folder or the file, or others may enter it.
     #[error(
         "{path}: belongs to user {owner} with mode {mode:o}, so it is not safe to use; remove it or ask its owner"
     )]
     NotOurs {
-        /// The folder.
+        /// The folder or the file.
         path: PathBuf,
         /// Its owner's user id.
         owner: u32,
@@ -102,6 +120,21 @@ pub enum RunError {
         /// Why.
         source: io::Error,
     },
+}
+
+impl RunError {
+    fn of(path: &Path, source: io::Error) -> Self {
+        let path = path.into();
+        match NotOurs::within(&source).map(NotOurs::owner_and_mode) {
+            Some((owner, mode)) => Self::NotOurs { path, owner, mode },
+            None => Self::Io { path, source },
+        }
+    }
+
+    /// There is nothing at the path.
+    fn is_missing(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
+    }
 }
 
 /// Where a run lives on this machine.
@@ -128,18 +161,25 @@ impl RunPaths {
     }
 
     /// All runs of the calling user that left a folder, dead or alive.
-    pub fn all() -> Vec<Self> {
+    ///
+    /// # Errors
+    /// When the folder of the user's runs is not the user's, or cannot be read.
+    pub fn all() -> Result<Vec<Self>, RunError> {
         let probe = Self::new(RunName("x".into()));
-        let Ok(entries) = fs::read_dir(&probe.user_dir) else {
-            return Vec::new();
+        let folder = match probe.user_folder() {
+            Ok(folder) => folder,
+            Err(error) if error.is_missing() => return Ok(Vec::new()),
+            Err(error) => return Err(error),
         };
+        let entries = Dir::read_from(&folder)
+            .map_err(|error| RunError::of(folder.path(), io::Error::from(error)))?;
         let mut runs: Vec<_> = entries
             .flatten()
-            .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
+            .filter_map(|entry| entry.file_name().to_str().ok()?.parse().ok())
             .map(Self::new)
             .collect();
         runs.sort_by(|a, b| a.name.0.cmp(&b.name.0));
-        runs
+        Ok(runs)
     }
 
     /// The run's name.
@@ -162,7 +202,7 @@ impl RunPaths {
 
     /// The file that holds the supervisor's process id while it lives.
     pub fn supervisor_file(&self) -> PathBuf {
-        self.dir().join("supervisor")
+        self.dir().join(SUPERVISOR_FILE)
     }
 
     /// The run's resolved configuration, as its processes read it.
@@ -187,28 +227,34 @@ impl RunPaths {
     }
 
     fn try_create(&self) -> Result<(), RunError> {
-        for dir in [&self.user_dir, &self.dir()] {
-            let io_error = |source| RunError::Io {
-                path: dir.clone(),
-                source,
-            };
-            match DirBuilder::new().mode(0o700).create(dir) {
-                Ok(()) => {}
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(io_error(error)),
-            }
-            let metadata = fs::symlink_metadata(dir).map_err(io_error)?;
-            let mode = metadata.permissions().mode() & 0o777;
-            let ours = metadata.uid() == rustix::process::getuid().as_raw();
-            if !ours || !metadata.is_dir() || mode & 0o077 != 0 {
-                return Err(RunError::NotOurs {
-                    path: dir.clone(),
-                    owner: metadata.uid(),
-                    mode,
-                });
-            }
-        }
-        Ok(())
+        let user = &self.user_dir;
+        let user_folder =
+            Folder::make(user, Entry::Private).map_err(|error| RunError::of(user, error))?;
+        user_folder
+            .make_inside(&self.name.0, Entry::Private)
+            .map(drop)
+            .map_err(|error| RunError::of(&self.dir(), error))
+    }
+
+    /// The folder of the user's runs.
+    fn user_folder(&self) -> Result<Folder, RunError> {
+        let path = &self.user_dir;
+        Folder::open(path, Entry::Private).map_err(|error| RunError::of(path, error))
+    }
+
+    /// The run's folder, which must exist.
+    fn folder(&self) -> Result<Folder, RunError> {
+        self.user_folder()?
+            .inside(&self.name.0, Entry::Private)
+            .map_err(|error| RunError::of(&self.dir(), error))
+    }
+
+    /// Opens a file of the run's folder; both are made if they are missing.
+    fn open_made(&self, name: &str) -> Result<File, RunError> {
+        self.create()?;
+        self.folder()?
+            .open_file(name, Access::Change)
+            .map_err(|error| RunError::of(&self.dir().join(name), error))
     }
 
     /// Says that the calling process is part of the run, until it ends.
@@ -216,9 +262,8 @@ impl RunPaths {
     /// # Errors
     /// When the file cannot be made or locked.
     pub fn hold_alive(&self) -> Result<RunLock, RunError> {
-        self.create()?;
+        let file = self.open_made(ALIVE_FILE)?;
         let path = self.dir().join(ALIVE_FILE);
-        let file = open_private(&path)?;
         match lock(&path, &file, FlockOperation::NonBlockingLockShared)? {
             true => Ok(RunLock { file }),
             false => Err(RunError::Io {
@@ -229,37 +274,32 @@ impl RunPaths {
     }
 
     /// Takes the supervisor's place in the run; `None` when another supervisor
-    /// of the same run lives. Its process id is left in the file.
+    /// of the same run lives. Its process id and start are left in the file.
     ///
     /// # Errors
     /// When the folder or the file cannot be used.
     pub fn hold_supervisor(&self) -> Result<Option<RunLock>, RunError> {
-        self.create()?;
+        let file = self.open_made(SUPERVISOR_FILE)?;
         let path = self.supervisor_file();
-        let file = open_private(&path)?;
         if !lock(&path, &file, FlockOperation::NonBlockingLockExclusive)? {
             return Ok(None);
         }
-        let io_error = |source| RunError::Io {
-            path: path.clone(),
-            source,
-        };
+        let io_error = |source| RunError::of(&path, source);
         // A run that was just ending may have removed the file in between; a lock
-        // on a file that nobody else finds would hold nothing.
+        // on a file that no other process finds would hold nothing.
         let locked = file.metadata().map_err(io_error)?.ino();
-        match fs::metadata(&path) {
+        match fs::symlink_metadata(&path) {
             Ok(metadata) if metadata.ino() == locked => {}
             _ => return self.hold_supervisor(),
         }
-        fs::write(&path, format!("{}\n", std::process::id())).map_err(io_error)?;
+        holder::record(&file).map_err(io_error)?;
         Ok(Some(RunLock { file }))
     }
 
     /// The file of a supervisor's lock is still where it was taken, and what a
-    /// process needs to join the run is beside it: nobody has removed the run's
-    /// files.
+    /// process needs to join the run is beside it: the run's files were not removed.
     pub fn is_held(&self, lock: &RunLock) -> bool {
-        let found = fs::metadata(self.supervisor_file());
+        let found = fs::symlink_metadata(self.supervisor_file());
         let locked = lock.file.metadata();
         let same =
             matches!((found, locked), (Ok(found), Ok(locked)) if found.ino() == locked.ino());
@@ -267,18 +307,62 @@ impl RunPaths {
         same && needed.iter().all(|name| self.dir().join(name).exists())
     }
 
-    /// The process id of the run's living supervisor; `None` when there is none.
+    /// The process id of the run's living supervisor; `None` when there is none, or
+    /// the run's folder is not ours.
     pub fn supervisor_pid(&self) -> Option<u32> {
+        self.holder().ok().flatten().map(|holder| holder.pid)
+    }
+
+    /// The process that holds the supervisor's place; `None` when it is free.
+    ///
+    /// # Errors
+    /// When the run's folder or the file is not ours, or cannot be used.
+    pub fn holder(&self) -> Result<Option<Holder>, RunError> {
         let path = self.supervisor_file();
-        let file = File::open(&path).ok()?;
-        if lock(&path, &file, FlockOperation::NonBlockingLockShared).ok()? {
-            return None;
+        let file = match self.folder().and_then(|folder| {
+            folder
+                .open_file(SUPERVISOR_FILE, Access::Read)
+                .map_err(|error| RunError::of(&path, error))
+        }) {
+            Ok(file) => file,
+            Err(error) if error.is_missing() => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        match lock(&path, &file, FlockOperation::NonBlockingLockShared)? {
+            true => Ok(None),
+            false => Ok(Holder::of(&file)),
         }
-        // The kernel knows who holds the lock; the file may have been written over.
-        // Where the kernel tells nobody (another container), the file says it.
-        let locks = fs::read_to_string("/proc/locks").unwrap_or_default();
-        holder(&locks, &file.metadata().ok()?)
-            .or_else(|| fs::read_to_string(path).ok()?.trim().parse().ok())
+    }
+
+    /// Leaves beside the run's files where its logs are, and which process drives
+    /// it, if one does: by them a command knows which run is meant.
+    ///
+    /// # Errors
+    /// When the run's folder cannot be used.
+    pub fn keep_origin(&self, origin: &Origin) -> Result<(), RunError> {
+        let ours = self.folder()?;
+        let failed = |error| RunError::of(&self.dir(), error);
+        // Left by a killed supervisor of this name.
+        let _ = ours.remove(FOLDER_LINK);
+        let _ = ours.remove(PARENT_FILE);
+        ours.link(FOLDER_LINK, &origin.folder).map_err(failed)?;
+        match origin.parent {
+            Some(parent) => ours
+                .replace(PARENT_FILE, parent.to_string().as_bytes(), Durable::No)
+                .map_err(failed),
+            None => Ok(()),
+        }
+    }
+
+    /// Where a run belongs; `None` when its supervisor has not said so (yet).
+    pub fn origin(&self) -> Option<Origin> {
+        let ours = self.folder().ok()?;
+        let folder = rustix::fs::readlinkat(&ours, FOLDER_LINK, Vec::new()).ok()?;
+        let parent = ours.read_text(PARENT_FILE, NUMBER_BYTES_MAX);
+        Some(Origin {
+            folder: PathBuf::from(OsString::from_vec(folder.into_bytes())),
+            parent: parent.ok().and_then(|text| text.trim().parse().ok()),
+        })
     }
 
     /// Removes what a dead run left behind; `None` when a process of the run
@@ -288,20 +372,22 @@ impl RunPaths {
     /// When a leftover cannot be removed.
     pub fn clean_if_dead(&self) -> Result<Option<Leftovers>, RunError> {
         let mut leftovers = Leftovers::default();
+        let folder = match self.folder() {
+            Ok(folder) => Some(folder),
+            Err(error) if error.is_missing() => None,
+            Err(error) => return Err(error),
+        };
         let alive = self.dir().join(ALIVE_FILE);
-        if let Ok(file) = File::open(&alive)
-            && !lock(&alive, &file, FlockOperation::NonBlockingLockExclusive)?
+        let file = folder.and_then(|folder| folder.open_file(ALIVE_FILE, Access::Read).ok());
+        if let Some(file) = &file
+            && !lock(&alive, file, FlockOperation::NonBlockingLockExclusive)?
         {
             return Ok(None);
         }
-        for path in self.shared_memory()? {
-            leftovers.bytes += fs::metadata(&path).map_or(0, |metadata| metadata.blocks() * 512);
-            remove(&path)?;
-            leftovers.files += 1;
-        }
+        (leftovers.bytes, leftovers.files) = Shared::look(&self.prefix())?.remove()?;
         for entry in fs::read_dir(self.dir()).into_iter().flatten().flatten() {
             let path = entry.path();
-            let keep = ["supervisor", ALIVE_FILE].map(|name| path.ends_with(name));
+            let keep = [SUPERVISOR_FILE, ALIVE_FILE].map(|name| path.ends_with(name));
             if !keep.contains(&true) {
                 leftovers.files += 1;
                 remove(&path)?;
@@ -311,47 +397,27 @@ impl RunPaths {
         Ok(Some(leftovers))
     }
 
-    /// The run's shared-memory files that exist now.
-    ///
-    /// # Errors
-    /// When the folder of shared memory cannot be read.
-    pub fn shared_memory(&self) -> Result<Vec<PathBuf>, RunError> {
-        let dir = Path::new(SHARED_MEMORY_DIR);
-        let prefix = self.prefix();
-        let entries = fs::read_dir(dir).map_err(|source| RunError::Io {
-            path: dir.into(),
-            source,
-        })?;
-        Ok(entries
-            .flatten()
-            .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
-            .map(|entry| entry.path())
-            .collect())
-    }
-
-    /// Closes shared memory that the library leaves open to every user (a counter
-    /// of nodes, 16 bytes) to all but this one.
-    pub(crate) fn make_private(&self) -> Result<(), RunError> {
-        for path in self.shared_memory()? {
-            match fs::set_permissions(&path, fs::Permissions::from_mode(0o600)) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(RunError::Io {
-                        path,
-                        source: error,
-                    });
-                }
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-
     /// Removes the run's folder after an orderly stop.
     pub fn remove_dir(&self) {
+        // The folder above it is ours alone and lies where no other user can rename
+        // it: from here on its path leads to it.
+        if self.user_folder().is_err() {
+            return;
+        }
         // Best effort: what stays is an empty folder that the next start reuses.
         let _ = fs::remove_dir_all(self.dir());
         let _ = fs::remove_dir(&self.user_dir);
     }
+}
+
+/// Where a run belongs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Origin {
+    /// The folder of its logs and summary, without links.
+    pub folder: PathBuf,
+    /// The process that started it for itself, such as a training; `None` when a
+    /// user did.
+    pub parent: Option<u32>,
 }
 
 /// What was removed of a dead run.
@@ -361,37 +427,6 @@ pub struct Leftovers {
     pub files: usize,
     /// Bytes of shared memory.
     pub bytes: u64,
-}
-
-fn open_private(path: &Path) -> Result<File, RunError> {
-    OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .mode(0o600)
-        .open(path)
-        .map_err(|source| RunError::Io {
-            path: path.into(),
-            source,
-        })
-}
-
-/// The process that holds the lock on a file, out of the kernel's list:
-/// `1: FLOCK  ADVISORY  WRITE 4711 00:1b:5678 0 EOF`.
-fn holder(locks: &str, metadata: &fs::Metadata) -> Option<u32> {
-    let device = metadata.dev();
-    let (major, minor) = (rustix::fs::major(device), rustix::fs::minor(device));
-    let place = format!("{major:02x}:{minor:02x}:{}", metadata.ino());
-    locks.lines().find_map(|line| {
-        let words: Vec<_> = line.split_whitespace().collect();
-        match words.as_slice() {
-            [_, "FLOCK", _, "WRITE", pid, at, ..] if *at == place => {
-                pid.parse().ok().filter(|pid| *pid > 0)
-            }
-            _ => None,
-        }
-    })
 }
 
 /// Tries to lock; `false` when somebody else holds it.

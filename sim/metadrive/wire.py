@@ -32,6 +32,32 @@ def _private_folder(path):
         )
 
 
+def _is_file_of_ours(found):
+    return found.st_uid == os.getuid() and stat.S_ISREG(found.st_mode)
+
+
+def _close_to_others(path):
+    """Takes a file of ours from other users; what is not ours is left alone.
+
+    Every user may make such a name: a link is not followed, a pipe not waited for,
+    and what was opened is asked again what it is.
+    """
+    try:
+        found = os.lstat(path)
+        if not _is_file_of_ours(found) or not found.st_mode & 0o077:
+            return
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return
+    try:
+        found = os.fstat(file)
+        if _is_file_of_ours(found):
+            # Its owner's bits stay: the library knows by them how far a file is.
+            os.fchmod(file, stat.S_IMODE(found.st_mode) & 0o700)
+    finally:
+        os.close(file)
+
+
 class Wire:
     """A process's membership in a run, making the run if it does not exist."""
 
@@ -53,7 +79,12 @@ class Wire:
     def _hold_alive(self):
         """The shared lock by which the run is provably alive; the kernel drops it."""
         path = os.path.join(self.dir, layout.ALIVE_FILE)
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        # Neither a link nor a pipe is followed or waited for.
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        file = os.open(path, flags, 0o600)
+        if not _is_file_of_ours(os.fstat(file)):
+            os.close(file)
+            raise WireError(f"{path}: is no regular file of this user; remove it")
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -79,10 +110,7 @@ class Wire:
         """Closes what the library leaves open to every user (a counter, 16 bytes)."""
         for name in os.listdir(layout.SHARED_MEMORY_DIR):
             if name.startswith(self.prefix):
-                try:
-                    os.chmod(os.path.join(layout.SHARED_MEMORY_DIR, name), 0o600)
-                except FileNotFoundError:
-                    pass
+                _close_to_others(os.path.join(layout.SHARED_MEMORY_DIR, name))
 
     def publisher(self, service):
         """Opens the publishing end of a service, with its readers' doorbells."""

@@ -88,8 +88,9 @@ pub struct HandedOver {
 #[derive(Debug, Args)]
 #[command(
     after_help = "Without --episodes and --duration it drives until it is stopped: \
-        Ctrl-C brakes the car to a stand, a second Ctrl-C kills. When its output is piped and \
-        the reader goes away, the car is braked to a stand, too, and the exit code is 1.\n\n\
+        Ctrl-C brakes the car to a stand, a second Ctrl-C kills (exit code 130: 128 and the \
+        signal's number). When its output is piped and the reader goes away, the car is braked \
+        to a stand, too, and the exit code is 1.\n\n\
         With --gate human the keys of this terminal drive: Space takes over and gives back, \
         arrows or WASD steer and pedal meanwhile, Esc or q gives back. --keys FILE reads them \
         from lines TIME_S KEY instead, such as `2.5 space`: seconds from the run's first tick, \
@@ -126,7 +127,7 @@ pub struct Up {
     /// Who decides who drives.
     #[arg(long, value_name = "WHO")]
     pub gate: Option<GateChoice>,
-    /// Keys of --gate human from this file in place of the terminal.
+    /// Keys of --gate human from this file of at most 1 MiB in place of the terminal.
     #[arg(long, value_name = "FILE")]
     pub keys: Option<PathBuf>,
     /// Policy to begin with; it drives where --gate lets it, after its probation.
@@ -141,7 +142,7 @@ pub struct Up {
     /// Name of the run; sets of different names do not see each other.
     #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
-    /// Write the summary to this file, too.
+    /// Write the summary to this file, too; a pipe needs its reader from the start.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     /// Override any key of the configuration, such as gate.period_s=5; repeatable.
@@ -276,12 +277,19 @@ pub enum Part {
 /// Stop a running set.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Exit code 0 says that it does not run, so also where it did not run before \
-        (status and swap exit 1 then); 1, that it does not stop.\n\n\
-        Example:\n  ./vlaps down --run second"
+    after_help = "Without --run it stops the one set of this folder: a set whose run.folder \
+        (runs/NAME where it was started) lies in the current folder or below it, and which no \
+        training or evaluation drives. A set of another folder is never stopped unless it is \
+        named.\n\n\
+        Exit code 0: it is stopped, or the named run was not running, or nothing runs. 1: it \
+        does not end, or what holds the run's place is no supervisor of it. 2: no run is named, \
+        and none of this folder runs though others do, or several do.\n\n\
+        Examples:\n  \
+        ./vlaps down\n  \
+        ./vlaps down --run second"
 )]
 pub struct Down {
-    /// Name of the run; may be left out when only one runs.
+    /// Name of the run; without it, the one set of this folder.
     #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
 }
@@ -291,8 +299,12 @@ pub struct Down {
 #[command(
     after_help = "The set checks size, hash, format, observation layout, operators, shapes, \
         weights and probes, warms the net, and adopts it between two ticks. It then proposes in \
-        shadow for policy.probation_ticks before it may drive. Exit code 1: refused, or nothing \
-        runs; 2: the file cannot be read.\n\n\
+        shadow for policy.probation_ticks before it may drive.\n\n\
+        Without --run it is offered to the one set of this folder: a set whose run.folder \
+        (runs/NAME where it was started) lies in the current folder or below it, and which no \
+        training or evaluation drives.\n\n\
+        Exit code 1: refused, or nothing runs; 2: the file cannot be read, or no run is named \
+        and none of this folder runs though others do, or several do.\n\n\
         Examples:\n  \
         ./vlaps swap policy.onnx\n  \
         ./vlaps swap policy.onnx --run second --wait-ready"
@@ -300,7 +312,7 @@ pub struct Down {
 pub struct Swap {
     /// The policy file: ONNX, 259 features in, 2 actions out, at most 8 MB.
     pub file: PathBuf,
-    /// Name of the run; may be left out when only one runs.
+    /// Name of the run; without it, the one set of this folder.
     #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
     /// Wait for the end of the probation, too; exit code 1 when it is not passed.

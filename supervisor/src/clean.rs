@@ -2,13 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 
+use shm_config::file::user;
 use shm_config::run::{Leftovers, RunName, RunPaths};
 
 use crate::arguments::Clean;
 use crate::failure::Failure;
 use crate::place::SHARED_MEMORY_DIR;
 use crate::screen::say;
+
+/// Names that are told one by one: a user may make any number of them.
+const STRANGERS_TOLD: usize = 8;
 
 /// What became of one run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +34,8 @@ pub fn clean(arguments: &Clean) -> Result<(), Failure> {
         Some(run) => run.to_string() == name,
         None => true,
     };
-    for (name, paths) in runs().into_iter().filter(|(name, _)| asked(name)) {
+    for (name, paths) in runs()?.into_iter().filter(|(name, _)| asked(name)) {
+        tell_strangers(&paths)?;
         match clean_run(&paths)? {
             Cleaned::Alive => say(format_args!("run '{name}': alive, left alone")),
             Cleaned::Removed(leftovers) => {
@@ -44,6 +50,25 @@ pub fn clean(arguments: &Clean) -> Result<(), Failure> {
     }
     if removed == 0 {
         say("nothing to remove");
+    }
+    Ok(())
+}
+
+/// Says what is named as a run's shared memory and is none of it.
+///
+/// # Errors
+/// When the folder of shared memory cannot be read.
+pub fn tell_strangers(paths: &RunPaths) -> Result<(), Failure> {
+    let strangers = paths.strangers()?;
+    for stranger in strangers.iter().take(STRANGERS_TOLD) {
+        say(stranger);
+    }
+    match strangers.len().checked_sub(STRANGERS_TOLD) {
+        None | Some(0) => {}
+        Some(more) => say(format_args!(
+            "{more} more names like those of run '{}' are left alone",
+            paths.name()
+        )),
     }
     Ok(())
 }
@@ -66,24 +91,25 @@ pub fn clean_run(paths: &RunPaths) -> Result<Cleaned, Failure> {
     }
 }
 
-/// Every run that left a folder or shared memory: somebody may have emptied
-/// the folder for temporary files since.
-fn runs() -> BTreeMap<String, RunPaths> {
-    let user = rustix::process::getuid().as_raw();
+/// Every run that left a folder or shared memory: the folder may have been emptied
+/// since. Of what others have named like it, there is nothing to clean.
+fn runs() -> Result<BTreeMap<String, RunPaths>, Failure> {
+    let user = user();
     let prefix = format!("vlaps-{user}-");
     let in_memory = fs::read_dir(SHARED_MEMORY_DIR)
         .into_iter()
         .flatten()
         .flatten()
+        .filter(|entry| entry.metadata().is_ok_and(|found| found.uid() == user))
         .filter_map(|entry| {
             let file = entry.file_name();
             let name = file.to_str()?.strip_prefix(&prefix)?.split('.').next()?;
             name.parse::<RunName>().ok()
         })
         .map(RunPaths::new);
-    RunPaths::all()
+    Ok(RunPaths::all()?
         .into_iter()
         .chain(in_memory)
         .map(|paths| (paths.name().to_string(), paths))
-        .collect()
+        .collect())
 }

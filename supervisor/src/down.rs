@@ -1,16 +1,15 @@
 //! `down`: asks a running set to stop and waits until it is gone.
 
-use std::fs;
-use std::path::Path;
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use shm_config::run::{RunName, RunPaths};
 
 use crate::arguments::Down;
 use crate::failure::Failure;
 use crate::screen::say;
 use crate::signals::pause;
+use crate::target::Target;
 
 /// From look to look.
 const LOOK: Duration = Duration::from_millis(50);
@@ -21,33 +20,24 @@ const LOOKS_MAX: u32 = 400;
 /// Stops a run.
 ///
 /// # Errors
-/// When several runs are alive and none is named, or it does not end.
+/// When no run is named and none belongs to the current folder though others are
+/// alive, or it does not end.
 pub fn down(arguments: &Down) -> Result<(), Failure> {
     let Some(paths) = choose(arguments.run.as_ref())? else {
         say("nothing runs");
         return Ok(());
     };
     let name = paths.name();
-    let Some(pid) = paths.supervisor_pid() else {
+    let Some(target) = Target::of(&paths)? else {
         say(format_args!("run '{name}' is not running"));
         return Ok(());
     };
-    let target = i32::try_from(pid).ok().and_then(Pid::from_raw);
-    let asked = target.map(|target| kill_process(target, Signal::TERM));
-    match asked {
-        Some(Ok(()) | Err(rustix::io::Errno::SRCH)) => {}
-        Some(Err(error)) => {
-            return Err(Failure::GivenUp(format!(
-                "run '{name}': cannot signal process {pid}: {error}"
-            )));
-        }
-        None => {
-            return Err(Failure::GivenUp(format!(
-                "{}: {pid} is no process id",
-                paths.supervisor_file().display()
-            )));
-        }
-    }
+    let pid = target.pid();
+    target.signal(Signal::TERM).map_err(|error| {
+        Failure::GivenUp(format!(
+            "run '{name}': cannot signal process {pid}: {error}"
+        ))
+    })?;
     for _ in 0..LOOKS_MAX {
         if paths.supervisor_pid() != Some(pid) {
             say(format_args!("run '{name}' is stopped (process {pid})"));
@@ -61,57 +51,68 @@ pub fn down(arguments: &Down) -> Result<(), Failure> {
     )))
 }
 
-/// The run that is meant: the named one, or the only one alive; `None` when none
-/// is.
+/// The run that is meant: the named one, or the only set of the current folder that
+/// is alive; `None` when nothing runs at all.
+///
+/// A set is of the current folder when its `run.folder`, links resolved, lies in
+/// the current folder or below it, and a user has started it: no training or
+/// evaluation, which pass `--parent`.
 ///
 /// # Errors
-/// When several are alive and none is named.
+/// When none is named, and several are of this folder, or none is and others run.
 pub fn choose(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
     if let Some(name) = name {
         return Ok(Some(RunPaths::new(name.clone())));
     }
-    only(living_runs())
-}
-
-/// The set that is meant: as [`choose`], but only process sets count, no runs that
-/// other programs make for themselves.
-///
-/// # Errors
-/// As [`choose`].
-pub fn choose_set(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
-    match name {
-        Some(_) => choose(name),
-        None => only(living_runs().into_iter().filter(is_set).collect()),
+    let here = std::env::current_dir().map_err(|error| {
+        Failure::GivenUp(format!(
+            "the current folder: {error}; name a run with --run"
+        ))
+    })?;
+    let (mut own, others): (Vec<_>, Vec<_>) = alive()?.into_iter().partition(|paths| {
+        let origin = paths.origin();
+        origin.is_some_and(|origin| origin.parent.is_none() && origin.folder.starts_with(&here))
+    });
+    match (own.len(), others.is_empty()) {
+        (0, true) => Ok(None),
+        (1, _) => Ok(own.pop()),
+        (0, false) => Err(Failure::Usage(format!(
+            "no set of this folder runs ({}); others do: {}; name one with --run NAME",
+            here.display(),
+            listed(&others)
+        ))),
+        _ => Err(Failure::Usage(format!(
+            "several sets of this folder run: {}; name one with --run NAME",
+            listed(&own)
+        ))),
     }
 }
 
-/// A supervisor drives it; evaluations hold runs of a world alone.
-fn is_set(paths: &RunPaths) -> bool {
-    let program = |pid| fs::read_link(format!("/proc/{pid}/exe")).ok();
-    let program = paths.supervisor_pid().and_then(program);
-    let name = program.as_deref().and_then(Path::file_name);
-    // Of a program that was built anew meanwhile, the kernel says so behind it.
-    name.is_some_and(|name| name.to_string_lossy().starts_with("vlaps-supervisor"))
-}
-
-fn only(mut alive: Vec<RunPaths>) -> Result<Option<RunPaths>, Failure> {
-    match alive.len() {
-        0 => Ok(None),
-        1 => Ok(alive.pop()),
-        _ => {
-            let names: Vec<_> = alive.iter().map(|paths| paths.name().to_string()).collect();
-            Err(Failure::Usage(format!(
-                "several runs are alive: {}; name one with --run NAME",
-                names.join(", ")
-            )))
+/// Each run with where it belongs.
+fn listed(runs: &[RunPaths]) -> String {
+    let shown = runs.iter().map(|paths| {
+        let name = paths.name();
+        match paths.origin() {
+            None => name.to_string(),
+            Some(origin) => match origin.parent {
+                None => format!("{name} (of {})", origin.folder.display()),
+                Some(parent) => format!("{name} (of process {parent}, which drives it)"),
+            },
         }
-    }
+    });
+    shown.collect::<Vec<_>>().join(", ")
 }
 
 /// The user's runs whose supervisor lives.
+///
+/// # Errors
+/// When the folder of the user's runs belongs to another user.
+pub fn alive() -> Result<Vec<RunPaths>, Failure> {
+    let lives = |paths: &RunPaths| paths.supervisor_pid().is_some();
+    Ok(RunPaths::all()?.into_iter().filter(lives).collect())
+}
+
+/// The same; none where that folder cannot be used.
 pub fn living_runs() -> Vec<RunPaths> {
-    RunPaths::all()
-        .into_iter()
-        .filter(|paths| paths.supervisor_pid().is_some())
-        .collect()
+    alive().unwrap_or_default()
 }

@@ -9,6 +9,10 @@ pub const EXIT_FAILED: u8 = 1;
 /// Exit code of a wrong command line or configuration.
 pub const EXIT_USAGE: u8 = 2;
 
+/// Exit code of a process that a signal ended, less the signal's number, as shells
+/// say it.
+pub const EXIT_SIGNAL: u8 = 128;
+
 /// One line for the user, saying what was wrong, where, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
@@ -27,6 +31,12 @@ pub enum Failure {
     /// The run had to be given up.
     #[error("{0}")]
     GivenUp(String),
+    /// A second signal ended the run at once.
+    #[error("killed by a second signal; the car was not brought to a stand")]
+    Killed {
+        /// The signal's number.
+        signal: u8,
+    },
 }
 
 impl Failure {
@@ -43,6 +53,7 @@ impl Failure {
         match self {
             Self::Config(_) | Self::Usage(_) => EXIT_USAGE,
             Self::Run(_) | Self::Wire(_) | Self::GivenUp(_) => EXIT_FAILED,
+            Self::Killed { signal } => EXIT_SIGNAL.saturating_add(*signal),
         }
     }
 }

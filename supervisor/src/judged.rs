@@ -1,9 +1,9 @@
 //! What a run's judge was asked and said, as the gate process has written it down.
 
-use std::fs;
 use std::path::Path;
 
 use shm_config::config::Config;
+use shm_config::file::read_ours;
 use shm_config::judged::{Judged, SUMMARY};
 use shm_config::message::Reason;
 
@@ -19,10 +19,7 @@ pub fn read(config: &Config, supervisor: u32) -> Option<Judged> {
         return None;
     }
     let path = Path::new(&config.run.folder).join(SUMMARY);
-    if fs::metadata(&path).ok()?.len() > BYTES_MAX {
-        return None;
-    }
-    let judged: Judged = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
+    let judged: Judged = serde_json::from_slice(&read_ours(&path, BYTES_MAX).ok()?).ok()?;
     (judged.supervisor == supervisor).then_some(judged)
 }
 

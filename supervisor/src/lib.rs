@@ -96,6 +96,7 @@ mod summary_text;
 pub mod swap;
 pub mod table;
 pub mod tally;
+pub mod target;
 pub mod threads;
 pub mod timing;
 pub mod up;

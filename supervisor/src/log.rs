@@ -6,18 +6,30 @@
 //! copying it aside and cutting it to nothing: appending goes on at its new end.
 //! Lines written between copy and cut are lost, a few milliseconds of one
 //! process every `supervisor.log_mb`.
+//!
+//! The file is opened once. Everything is done by that descriptor, and the copy is
+//! a new file that is renamed to its place: whatever other names the folder holds,
+//! no other file is read, written or cut.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::fs::File;
+use std::io::{self, Write};
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
+
+use shm_config::file::{Access, Entry, Folder};
 
 /// Bytes of a log's end in which its last line is looked for.
 const TAIL_BYTES: u64 = 4096;
+/// Bytes that are copied at a time.
+const COPY_BYTES: usize = 1 << 16;
 
 /// One process's log file, and one older one beside it.
 #[derive(Debug)]
 pub struct LogFile {
+    folder: Folder,
+    name: String,
     path: PathBuf,
+    file: File,
     limit_bytes: u64,
     mark: u64,
 }
@@ -26,19 +38,22 @@ impl LogFile {
     /// The log of `name` in `dir`; an earlier run's is set aside.
     ///
     /// # Errors
-    /// When the file cannot be moved or made.
+    /// When the folder is not ours alone, or the file cannot be moved or made.
     pub fn create(dir: &Path, name: &str, limit_bytes: u64) -> io::Result<Self> {
-        let log = Self {
-            path: dir.join(format!("{name}.log")),
-            limit_bytes,
-            mark: 0,
-        };
-        match fs::rename(&log.path, log.older()) {
+        let folder = Folder::open(dir, Entry::Readable)?;
+        let name = format!("{name}.log");
+        match folder.rename(&name, &older(&name)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
-        log.open()?;
-        Ok(log)
+        Ok(Self {
+            path: dir.join(&name),
+            file: folder.open_file(&name, Access::New)?,
+            folder,
+            name,
+            limit_bytes,
+            mark: 0,
+        })
     }
 
     /// The file.
@@ -48,24 +63,28 @@ impl LogFile {
 
     /// The file before the last rotation.
     pub fn older(&self) -> PathBuf {
-        self.path.with_extension("log.1")
-    }
-
-    fn open(&self) -> io::Result<File> {
-        OpenOptions::new()
-            .append(true)
-            .create(true)
-            .open(&self.path)
+        self.path.with_file_name(older(&self.name))
     }
 
     /// A handle for a new process; [`LogFile::last_line`] looks at its lines only.
     ///
     /// # Errors
-    /// When the file cannot be opened.
+    /// When the system has no descriptor left.
     pub fn begin(&mut self) -> io::Result<File> {
-        let file = self.open()?;
-        self.mark = file.metadata()?.len();
-        Ok(file)
+        if self.is_removed()
+            && let Ok(file) = self.folder.open_file(&self.name, Access::New)
+        {
+            // A user deleted it to make room, and expects the next lines there.
+            self.file = file;
+        }
+        self.mark = self.file.metadata()?.len();
+        self.file.try_clone()
+    }
+
+    fn is_removed(&self) -> bool {
+        self.file
+            .metadata()
+            .is_ok_and(|metadata| metadata.nlink() == 0)
     }
 
     /// Sets the file's content aside when there is too much of it.
@@ -73,30 +92,51 @@ impl LogFile {
     /// # Errors
     /// When it cannot be copied or cut; nothing is lost then.
     pub fn rotate(&mut self) -> io::Result<()> {
-        match fs::metadata(&self.path) {
-            Ok(metadata) if metadata.len() > self.limit_bytes => {}
-            _ => return Ok(()),
+        if self.file.metadata()?.len() <= self.limit_bytes {
+            return Ok(());
         }
-        fs::copy(&self.path, self.older())?;
-        OpenOptions::new()
-            .write(true)
-            .open(&self.path)?
-            .set_len(0)?;
+        let aside = format!("{}.new", older(&self.name));
+        // What a killed supervisor left.
+        let _ = self.folder.remove(&aside);
+        let copied = self.folder.open_file(&aside, Access::New);
+        copied
+            .and_then(|file| copy(&self.file, file))
+            .and_then(|()| self.folder.rename(&aside, &older(&self.name)))
+            .inspect_err(|_| {
+                let _ = self.folder.remove(&aside);
+            })?;
+        self.file.set_len(0)?;
         self.mark = 0;
         Ok(())
     }
 
     /// The last line that the newest process wrote; `None` when it wrote none.
     pub fn last_line(&self) -> Option<String> {
-        let mut file = File::open(&self.path).ok()?;
-        let end = file.metadata().ok()?.len();
+        let end = self.file.metadata().ok()?.len();
         let start = end.saturating_sub(TAIL_BYTES).max(self.mark.min(end));
-        file.seek(SeekFrom::Start(start)).ok()?;
-        let mut tail = Vec::new();
-        file.take(TAIL_BYTES).read_to_end(&mut tail).ok()?;
-        let tail = String::from_utf8_lossy(&tail);
+        let mut tail = [0; TAIL_BYTES as usize];
+        let read = self.file.read_at(&mut tail, start).ok()?;
+        let tail = String::from_utf8_lossy(tail.get(..read)?);
         let line = tail.lines().map(str::trim).rfind(|line| !line.is_empty())?;
         // A log line is foreign text: control codes stay off the terminal.
         Some(line.chars().filter(|c| !c.is_control()).collect())
+    }
+}
+
+fn older(name: &str) -> String {
+    format!("{name}.1")
+}
+
+/// By position: the descriptor's own place is where its children write.
+fn copy(from: &File, mut to: File) -> io::Result<()> {
+    let mut bytes = vec![0; COPY_BYTES];
+    let mut at = 0;
+    loop {
+        let read = from.read_at(&mut bytes, at)?;
+        match bytes.get(..read) {
+            Some(read) if !read.is_empty() => to.write_all(read)?,
+            _ => return Ok(()),
+        }
+        at += read as u64;
     }
 }

@@ -1,14 +1,16 @@
 //! Keys from a file, for tests and for experiments that are repeated.
 
 use std::collections::VecDeque;
-use std::fs;
 use std::path::Path;
 
+use shm_config::file::read_text;
 use shm_config::shortened;
 
 use crate::failure::Failure;
 use crate::person::Key;
 
+/// Longest file, bytes: a key a second for a day and more.
+const BYTES_MAX: u64 = 1 << 20;
 /// The latest time of a key, s: that of the longest run.
 const TIME_MAX_S: f64 = 1e7;
 
@@ -25,7 +27,7 @@ impl Script {
     /// # Errors
     /// When it cannot be read, or at its first line that is wrong.
     pub fn read(path: &Path) -> Result<Self, Failure> {
-        let text = fs::read_to_string(path)
+        let text = read_text(path, BYTES_MAX)
             .map_err(|error| Failure::Usage(format!("--keys {}: {error}", path.display())))?;
         Self::parse(&text)
             .map_err(|error| Failure::Usage(format!("--keys {}:{error}", path.display())))

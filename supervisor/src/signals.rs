@@ -3,12 +3,17 @@
 use std::fs;
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::Timespec;
 use signal_hook::consts::{SIGCHLD, SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+use signal_hook::flag;
 use signal_hook::low_level::pipe;
+
+use crate::failure::EXIT_SIGNAL;
 
 /// The signals that concern the supervisor.
 #[derive(Debug)]
@@ -16,6 +21,37 @@ pub struct Signals {
     stop: UnixStream,
     stop_sender: UnixStream,
     child: UnixStream,
+    late: Late,
+}
+
+/// What a signal does that comes after the process set has ended.
+#[derive(Debug, Clone, Default)]
+pub struct Late {
+    /// It ends this process at once.
+    ends: Arc<AtomicBool>,
+    /// The number of the signal that came last.
+    last: Arc<AtomicUsize>,
+}
+
+impl Late {
+    /// From now on a signal that asks to stop ends this process, with the exit code
+    /// that shells give it.
+    pub fn end_at_once(&self) {
+        self.ends.store(true, Ordering::SeqCst);
+    }
+
+    /// The number of the signal that came last; 0 when none has come.
+    pub fn last(&self) -> u8 {
+        u8::try_from(self.last.load(Ordering::SeqCst)).unwrap_or_default()
+    }
+
+    fn register(&self, signal: i32) -> io::Result<()> {
+        let exit_code = i32::from(EXIT_SIGNAL) + signal;
+        flag::register_conditional_shutdown(signal, exit_code, self.ends.clone())?;
+        let number = usize::try_from(signal).unwrap_or_default();
+        flag::register_usize(signal, self.last.clone(), number)?;
+        Ok(())
+    }
 }
 
 impl Signals {
@@ -29,8 +65,10 @@ impl Signals {
         let (child, child_sender) = UnixStream::pair()?;
         stop.set_nonblocking(true)?;
         child.set_nonblocking(true)?;
+        let late = Late::default();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             if signal != SIGHUP || !is_ignored(SIGHUP) {
+                late.register(signal)?;
                 pipe::register(signal, stop_sender.try_clone()?)?;
             }
         }
@@ -39,6 +77,7 @@ impl Signals {
             stop,
             stop_sender,
             child,
+            late,
         })
     }
 
@@ -48,8 +87,14 @@ impl Signals {
     /// # Errors
     /// When the system refuses.
     pub fn stop_on_quit(&self) -> io::Result<()> {
+        self.late.register(SIGQUIT)?;
         pipe::register(SIGQUIT, self.stop_sender.try_clone()?)?;
         Ok(())
+    }
+
+    /// What signals do once nothing is left to stop.
+    pub fn late(&self) -> Late {
+        self.late.clone()
     }
 
     /// Sleeps until a signal comes or `timeout_ns` has passed. May return early.

@@ -1,31 +1,30 @@
 //! `status`: looks at living runs from outside. It never makes a run and never
 //! keeps one from anything.
 
-use std::path::Path;
+use std::io;
 use std::time::Duration;
 
 use serde::Serialize;
 use shm_config::config::{self, Config};
 use shm_config::judged::Judged;
-use shm_config::run::RunPaths;
+use shm_config::run::{Holder, RunPaths};
 use shm_config::services::Process;
 use shm_config::wire::Wire;
 
 use crate::Clock;
 use crate::arguments::Status;
-use crate::clean::clean_run;
-use crate::down::living_runs;
+use crate::clean::{clean_run, tell_strangers};
+use crate::down::alive;
 use crate::failure::Failure;
 use crate::judged;
 use crate::kernel::Memory;
 use crate::late::{self, LateRow};
 use crate::live::View;
-use crate::outputs;
+use crate::outputs::Output;
 use crate::ports::{Depth, Ports};
 use crate::restarts;
 use crate::screen::say;
 use crate::signals::pause;
-use crate::summary::write_whole;
 use crate::table::rows;
 use crate::tally::{ProcessTally, Tally};
 
@@ -61,16 +60,18 @@ struct Seen {
 /// # Errors
 /// When none is alive, or one cannot be looked at.
 pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
-    if let Some(path) = &arguments.json {
-        outputs::check_file("--json", path)?;
-    }
+    let json = match &arguments.json {
+        Some(path) => Some((path, Output::of_option("--json", path)?)),
+        None => None,
+    };
     let alive: Vec<_> = match &arguments.run {
         Some(name) => vec![RunPaths::new(name.clone())],
-        None => living_runs(),
+        None => alive()?,
     };
     let (mut runs, mut broken) = (Vec::new(), false);
     for paths in alive {
-        if let Some(pid) = paths.supervisor_pid() {
+        if let Some(Holder { pid, .. }) = paths.holder()? {
+            tell_strangers(&paths)?;
             let seen = match listen(&paths, pid, clock) {
                 Ok(seen) => seen,
                 // One broken run must not hide the others.
@@ -99,8 +100,10 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
         }
     }
     let none = runs.is_empty();
-    if let Some(path) = &arguments.json {
-        write_json(path, &Runs { runs })?;
+    if let Some((path, output)) = json {
+        let text = serde_json::to_string_pretty(&Runs { runs }).map_err(io::Error::other);
+        text.and_then(|text| output.write(&(text + "\n")))
+            .map_err(|error| Failure::GivenUp(format!("{}: {error}", path.display())))?;
     }
     match (none, &arguments.run) {
         _ if broken => Err(Failure::GivenUp("not every run could be looked at".into())),
@@ -112,13 +115,6 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
             "nothing runs; `./vlaps up` starts a run".into(),
         )),
     }
-}
-
-fn write_json(path: &Path, runs: &Runs) -> Result<(), Failure> {
-    serde_json::to_string_pretty(runs)
-        .map_err(std::io::Error::other)
-        .and_then(|text| write_whole(path, &(text + "\n")))
-        .map_err(|error| Failure::GivenUp(format!("{}: {error}", path.display())))
 }
 
 fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<Seen, Failure> {
@@ -146,7 +142,7 @@ pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, 
     })?;
     let mut tally = Tally::default();
     let heard = hear((paths, supervisor), &config, &mut tally, clock);
-    // The run may have ended meanwhile; then it was us who kept its place.
+    // The run may have ended meanwhile; then this process kept its place.
     if paths.supervisor_pid().is_none() {
         clean_run(paths)?;
     }

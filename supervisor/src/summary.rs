@@ -1,9 +1,8 @@
 //! What a run amounts to: as JSON and as a table.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 use shm_config::config::Config;
@@ -16,6 +15,7 @@ use crate::idle::IdleBound;
 use crate::judged;
 use crate::late::{self, LateRow};
 use crate::live::PolicyView;
+use crate::outputs::Output;
 use crate::process_row::ProcessRow;
 use crate::set::ProcessSet;
 use crate::tally::{Quantiles, Tally, Totals};
@@ -218,21 +218,22 @@ impl Summary {
         }
     }
 
+    /// The object as it is written to a file.
+    ///
+    /// # Errors
+    /// When a number in it has no form in JSON.
+    pub fn text(&self) -> io::Result<String> {
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
+        // It may hold what a server said, or the last line of a log.
+        Ok(shm_config::text::printable_json(&text).into_owned() + "\n")
+    }
+
     /// Writes the object so that a reader finds the old file or the whole new one.
     ///
     /// # Errors
     /// When the folder is missing or refuses.
-    pub fn write(&self, path: &Path) -> Result<(), Failure> {
-        let text = serde_json::to_string_pretty(self).map_err(io::Error::other);
-        let written = text.and_then(|text| {
-            // It may hold what a server said, or the last line of a log.
-            let text = shm_config::text::printable_json(&text);
-            write_whole(path, &format!("{text}\n"))
-        });
-        written.map_err(|error| {
-            let path = path.display();
-            Failure::GivenUp(format!("{path}: cannot write the summary: {error}"))
-        })
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        write_whole(path, &self.text()?)
     }
 }
 
@@ -240,21 +241,9 @@ impl Summary {
 /// what is no plain file (a device, a pipe) is written to, never replaced.
 ///
 /// # Errors
-/// When the folder is missing or refuses.
+/// When the folder is missing or refuses, or nothing reads the pipe.
 pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
-    let target = fs::canonicalize(path);
-    let path = target.as_deref().unwrap_or(path);
-    if path.metadata().is_ok_and(|metadata| !metadata.is_file()) {
-        return fs::write(path, text);
-    }
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}", std::process::id()));
-    let beside = PathBuf::from(beside);
-    fs::write(&beside, text)
-        .and_then(|()| fs::rename(&beside, path))
-        .inspect_err(|_| {
-            let _ = fs::remove_file(&beside);
-        })
+    Output::open(path)?.write(text)
 }
 
 /// Share of the steps that a person at the keys drove, [0, 1].

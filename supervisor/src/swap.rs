@@ -1,6 +1,5 @@
 //! `swap`: offers policy weights to a running set, and says what became of them.
 
-use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
@@ -15,10 +14,11 @@ use shm_config::{Instant, Message};
 use crate::Clock;
 use crate::arguments::Swap;
 use crate::clean::clean_run;
-use crate::down::choose_set;
+use crate::down::choose;
 use crate::failure::Failure;
 use crate::screen::say;
 use crate::signals::pause;
+use crate::target::Target;
 
 /// From look to look at what became of an offer.
 const LOOK: Duration = Duration::from_millis(2);
@@ -64,7 +64,12 @@ pub struct Offers {
 pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
     let bytes = read(&arguments.file)?;
     let name = arguments.run.as_ref();
-    let alive = choose_set(name)?.filter(|paths| paths.supervisor_pid().is_some());
+    let chosen = choose(name)?;
+    let alive = match &chosen {
+        // What holds its place must be a supervisor of it: weights are for no other.
+        Some(paths) => Target::of(paths)?.map(|_| paths),
+        None => None,
+    };
     let Some(paths) = alive else {
         return Err(Failure::GivenUp(match name {
             Some(name) => {
@@ -73,10 +78,10 @@ pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
             None => "nothing runs; `./vlaps up` starts a run".into(),
         }));
     };
-    let offered = offer(&paths, arguments, &bytes, clock);
-    // The run may have ended meanwhile; then it was us who kept its place.
+    let offered = offer(paths, arguments, &bytes, clock);
+    // The run may have ended meanwhile; then this process kept its place.
     if paths.supervisor_pid().is_none() {
-        clean_run(&paths)?;
+        clean_run(paths)?;
     }
     offered
 }
@@ -137,7 +142,7 @@ fn read(path: &Path) -> Result<Vec<u8>, Failure> {
             path.display()
         )));
     }
-    fs::read(path).map_err(failed)
+    file::read(path, WEIGHTS_BYTES_MAX as u64).map_err(failed)
 }
 
 impl Offers {

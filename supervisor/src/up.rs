@@ -1,17 +1,23 @@
 //! `up`: start, watch, restart, stop, add up.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{DirBuilder, File};
 use std::io::{self, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode, Simulator};
+use shm_config::file::{self, Durable, Entry, Folder};
+use shm_config::run::Origin;
 use shm_config::services::{Process, TAKEOVER};
 use shm_config::wire::Wire;
 
 use crate::Clock;
 use crate::arguments::Up;
 use crate::child::{Launch, own_folder};
+use crate::clean::tell_strangers;
 use crate::cores::own_cores;
 use crate::event::Event;
 use crate::failure::Failure;
@@ -22,9 +28,9 @@ use crate::live::View;
 use crate::log::LogFile;
 use crate::member::{Phase, Turn};
 use crate::metadrive;
-use crate::orphans::Orphans;
 use crate::need::Need;
-use crate::outputs;
+use crate::orphans::Orphans;
+use crate::outputs::Output;
 use crate::parent;
 use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
@@ -36,7 +42,7 @@ use crate::set::ProcessSet;
 use crate::settings;
 use crate::signals::Signals;
 use crate::stop::Stop;
-use crate::summary::{Summary, write_whole};
+use crate::summary::Summary;
 use crate::summary_text;
 use crate::table::Rights;
 use crate::tally::Tally;
@@ -77,9 +83,10 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
     let config = settings::resolve(arguments)?;
     shm_config::secret::take_named(&config.vlm.key_env).map_err(Failure::secrets)?;
-    if let Some(path) = &arguments.json {
-        outputs::check_file("--json", path)?;
-    }
+    let json = match &arguments.json {
+        Some(path) => Some((path, Output::of_option("--json", path)?)),
+        None => None,
+    };
     let no_signals =
         |error: io::Error| Failure::GivenUp(format!("cannot take over signals: {error}"));
     let signals = Signals::install().map_err(no_signals)?;
@@ -102,39 +109,52 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
             leftovers.bytes >> 10
         ));
     }
+    tell_strangers(place.paths())?;
     check_shared_memory(shared_memory()?.0, &Need::of(&config))?;
-    let (folder, _alone) = prepare_folder(&config, &place)?;
-    let run = (&config, &place, folder.as_path());
-    let (end, summary, timing) = drive(run, keys, signals, (clock, started))?;
+    let folder = prepare_folder(&config, &place, arguments.parent)?;
+    let late = signals.late();
+    let run = (&config, &place, folder.path());
+    let (end, summary, timing, screen) = drive(run, keys, signals, (clock, started))?;
     drop(place);
+    // Nothing is left to stop: what still waits for a terminal or a pipe may be
+    // ended like any other program.
+    late.end_at_once();
+    screen.close();
     // First on the screen: a full disk takes no file.
-    summary_text::tell(&summary, arguments, &folder);
-    let path = folder.join(timing::FILE);
-    let timing = write_whole(&path, &timing).map_err(|error| {
-        Failure::GivenUp(format!(
-            "{}: cannot keep the timing: {error}",
-            path.display()
-        ))
-    });
-    let kept = summary.write(&folder.join("summary.json"));
+    summary_text::tell(&summary, arguments, folder.path());
+    let timing = keep(&folder, timing::FILE, Ok(timing));
+    let kept = keep(&folder, "summary.json", summary.text());
     // It may lie on another disk: what was refused before is told after it.
-    if let Some(path) = &arguments.json {
-        summary.write(path)?;
+    if let Some((path, output)) = json {
+        let written = summary.text().and_then(|text| output.write(&text));
+        written.map_err(|error| cannot_write(path, &error))?;
     }
     timing.and(kept)?;
     match end {
         End::Finished | End::Stopped => Ok(()),
-        End::Killed => Err(Failure::GivenUp(
-            "killed by a second signal; the car was not brought to a stand".into(),
-        )),
+        End::Killed => Err(Failure::Killed {
+            signal: late.last(),
+        }),
         End::GivenUp(reason) => Err(Failure::GivenUp(reason)),
     }
 }
 
+fn keep(folder: &Folder, name: &str, text: io::Result<String>) -> Result<(), Failure> {
+    text.and_then(|text| folder.replace(name, text.as_bytes(), Durable::Yes))
+        .map_err(|error| cannot_write(&folder.path().join(name), &error))
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> Failure {
+    Failure::GivenUp(format!(
+        "{}: cannot write what the run amounts to: {error}",
+        path.display()
+    ))
+}
+
 /// Makes the run's folder with its resolved configuration, locked against other
-/// runs as long as the file that is returned is open; processes and onlookers find
-/// a copy beside the run's other files.
-fn prepare_folder(config: &Config, place: &Place) -> Result<(PathBuf, File), Failure> {
+/// runs as long as the folder that is returned is open; processes and onlookers
+/// find a copy beside the run's other files.
+fn prepare_folder(config: &Config, place: &Place, parent: Option<u32>) -> Result<Folder, Failure> {
     let failed = |what: &Path, error: &dyn std::fmt::Display| {
         Failure::Usage(format!(
             "{}: cannot keep the run's files: {error}; choose another folder with \
@@ -142,24 +162,41 @@ fn prepare_folder(config: &Config, place: &Place) -> Result<(PathBuf, File), Fai
             what.display()
         ))
     };
-    let folder = PathBuf::from(&config.run.folder);
-    fs::create_dir_all(folder.join("logs")).map_err(|error| failed(&folder, &error))?;
-    let folder = folder
-        .canonicalize()
-        .map_err(|error| failed(&folder, &error))?;
-    let lock = File::open(&folder).map_err(|error| failed(&folder, &error))?;
-    if let Err(TryLockError::WouldBlock) = lock.try_lock() {
-        return Err(Failure::Usage(format!(
-            "{}: another run keeps its files there; `./vlaps status` shows it; choose another \
-             folder with `--set run.folder=DIR`",
-            folder.display()
-        )));
+    // Without a slash at its end, which would have a link followed.
+    let path: PathBuf = Path::new(&config.run.folder).components().collect();
+    let io_failed = |error: io::Error| failed(&path, &error);
+    if let Some(above) = path.parent() {
+        let mut folders = DirBuilder::new();
+        let made = folders.recursive(true).mode(0o755).create(above);
+        made.map_err(|error| failed(above, &error))?;
     }
-    let text = toml::to_string(config).map_err(|error| failed(&folder, &error))?;
-    for path in [folder.join("config.toml"), place.paths().config_file()] {
-        write_whole(&path, &text).map_err(|error| failed(&path, &error))?;
+    drop(Folder::make(&path, Entry::Readable).map_err(io_failed)?);
+    let path = path.canonicalize().map_err(io_failed)?;
+    file::check_parents(&path).map_err(io_failed)?;
+    let folder = Folder::open(&path, Entry::Readable).map_err(io_failed)?;
+    let logs = folder.make_inside("logs", Entry::Readable);
+    logs.map_err(|error| failed(&path.join("logs"), &error))?;
+    match flock(&folder, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => {}
+        Err(Errno::WOULDBLOCK) => {
+            return Err(Failure::Usage(format!(
+                "{}: another run keeps its files there; `./vlaps status` shows it; choose another \
+                 folder with `--set run.folder=DIR`",
+                path.display()
+            )));
+        }
+        Err(error) => return Err(failed(&path, &error)),
     }
-    Ok((folder, lock))
+    let text = toml::to_string(config).map_err(|error| failed(&path, &error))?;
+    let kept = folder.replace("config.toml", text.as_bytes(), Durable::Yes);
+    kept.map_err(|error| failed(&path.join("config.toml"), &error))?;
+    let copy = place.paths().config_file();
+    file::replace(&copy, text.as_bytes(), Durable::No).map_err(|error| failed(&copy, &error))?;
+    place.paths().keep_origin(&Origin {
+        folder: path,
+        parent,
+    })?;
+    Ok(folder)
 }
 
 fn drive(
@@ -167,7 +204,7 @@ fn drive(
     keys: Option<Keys>,
     signals: Signals,
     (clock, started): (Clock, Instant),
-) -> Result<(End, Summary, String), Failure> {
+) -> Result<(End, Summary, String, Screen), Failure> {
     let binaries = match std::env::var_os(BINARIES_VARIABLE) {
         Some(folder) => folder.into(),
         None => own_folder()
@@ -228,8 +265,8 @@ fn drive(
         End::GivenUp(reason) => format!("given up: {reason}"),
     };
     let summary = Summary::of(config, &run.tally, &run.set, ended).with_idle(&idle);
-    run.screen.close();
-    Ok((end, summary, timing::csv(&run.tally)))
+    let timing = timing::csv(&run.tally);
+    Ok((end, summary, timing, run.screen))
 }
 
 /// What the processes ask for: nothing in lockstep, which has no deadline and

@@ -1,9 +1,11 @@
 //! Where results are written: a link is followed, a device is never replaced.
 
 use std::fs;
+use std::io::Read;
 use std::os::unix::fs::{FileTypeExt, symlink};
 use std::path::Path;
 
+use rustix::fs::{Mode, OFlags};
 use supervisor::summary::write_whole;
 
 #[test]
@@ -24,12 +26,22 @@ fn a_pipe_is_written_to_and_not_replaced() {
     let pipe = dir.path().join("pipe");
     let made = std::process::Command::new("mkfifo").arg(&pipe).status();
     assert!(made.is_ok_and(|status| status.success()));
-    let reader = {
-        let pipe = pipe.clone();
-        std::thread::spawn(move || fs::read_to_string(pipe).expect("read"))
-    };
-    write_whole(&pipe, "through").expect("written");
-    assert_eq!(reader.join().expect("a reader"), "through");
+    let error = write_whole(&pipe, "lost").expect_err("it has no reader");
+    assert!(error.to_string().contains("nothing reads"), "{error}");
+    // More than a pipe holds: the writer waits for its reader.
+    let text = "through".repeat(100_000);
+    let flags = OFlags::RDONLY | OFlags::NONBLOCK;
+    let reader = rustix::fs::open(&pipe, flags, Mode::empty()).expect("a reader");
+    rustix::fs::fcntl_setfl(&reader, OFlags::empty()).expect("it waits for text");
+    let reader = std::thread::spawn(|| {
+        let mut read = String::new();
+        fs::File::from(reader)
+            .read_to_string(&mut read)
+            .expect("read");
+        read
+    });
+    write_whole(&pipe, &text).expect("written");
+    assert_eq!(reader.join().expect("a reader"), text);
     let kind = fs::symlink_metadata(&pipe).expect("the pipe").file_type();
     assert!(kind.is_fifo(), "still a pipe");
     assert!(write_whole(Path::new("/no/such/folder/a"), "x").is_err());

@@ -2,6 +2,8 @@
 //!
 //! Every set has a run name and a folder of its own, so tests run in parallel.
 
+pub mod two_users;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};

@@ -91,13 +91,13 @@ pub fn text_of(path: &Path) -> Result<String, ConfigError> {
         path: path.into(),
         source,
     };
-    if file::regular(path).map_err(read)?.len() > BYTES_MAX {
-        return Err(read(std::io::Error::new(
+    file::read_text(path, BYTES_MAX).map_err(|error| match error.kind() {
+        std::io::ErrorKind::FileTooLarge => read(std::io::Error::new(
             std::io::ErrorKind::InvalidInput,
             "is larger than any configuration",
-        )));
-    }
-    std::fs::read_to_string(path).map_err(read)
+        )),
+        _ => read(error),
+    })
 }
 
 /// Checks and completes a configuration; `origin` names it in errors.

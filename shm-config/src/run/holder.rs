@@ -1,0 +1,90 @@
+//! Which process holds a run's supervisor file.
+//!
+//! The kernel's list of locks names the process that took a lock, even when that
+//! process has ended and another one has inherited its descriptor: the process id
+//! may be another program's by now. So what is found here is shown to the user;
+//! before anything is sent to it, it must prove to be the run's supervisor.
+
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::{FileExt, MetadataExt};
+
+/// The longest record that is read back, bytes: two numbers of twenty digits.
+const RECORD_BYTES_MAX: usize = 64;
+
+/// The process that is said to hold a run's supervisor file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Holder {
+    /// Its process id.
+    pub pid: u32,
+    /// When the supervisor that left this process id in the file was started, in
+    /// clock ticks since the machine was; `None` when the file says nothing of it.
+    pub started: Option<u64>,
+    /// Device and inode of the file, by which an open descriptor is recognised.
+    pub file: (u64, u64),
+}
+
+impl Holder {
+    /// Of a file that is locked by another process; `None` when neither the kernel
+    /// nor the file names one.
+    pub(super) fn of(file: &File) -> Option<Self> {
+        let metadata = file.metadata().ok()?;
+        let mut bytes = [0; RECORD_BYTES_MAX];
+        let length = file.read_at(&mut bytes, 0).ok()?;
+        let recorded = recorded(bytes.get(..length)?);
+        // The file may have been written over. Where the kernel names no process
+        // (it is of another container), the file does.
+        let locks = fs::read_to_string("/proc/locks").unwrap_or_default();
+        let pid = holder(&locks, &metadata).or(recorded.map(|(pid, _)| pid))?;
+        Some(Self {
+            pid,
+            started: recorded
+                .filter(|(of, _)| *of == pid)
+                .and_then(|(_, started)| started),
+            file: (metadata.dev(), metadata.ino()),
+        })
+    }
+}
+
+/// Leaves the calling process's id and start in a file that it has locked.
+pub(super) fn record(file: &File) -> io::Result<()> {
+    let pid = std::process::id();
+    let text = match started(pid) {
+        Some(started) => format!("{pid} {started}\n"),
+        None => format!("{pid}\n"),
+    };
+    file.set_len(0)?;
+    file.write_all_at(text.as_bytes(), 0)
+}
+
+/// When a process was started, in clock ticks since the machine was; `None` when
+/// there is none of this id.
+pub fn started(pid: u32) -> Option<u64> {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The program's name stands in parentheses and may hold any of them.
+    let (_, fields) = stat.rsplit_once(')')?;
+    fields.split_whitespace().nth(19)?.parse().ok()
+}
+
+fn recorded(bytes: &[u8]) -> Option<(u32, Option<u64>)> {
+    let mut words = std::str::from_utf8(bytes).ok()?.split_whitespace();
+    let pid = words.next()?.parse().ok()?;
+    Some((pid, words.next().and_then(|word| word.parse().ok())))
+}
+
+/// The process that took the lock on a file, out of the kernel's list:
+/// `1: FLOCK  ADVISORY  WRITE 4711 00:1b:5678 0 EOF`.
+fn holder(locks: &str, metadata: &fs::Metadata) -> Option<u32> {
+    let device = metadata.dev();
+    let (major, minor) = (rustix::fs::major(device), rustix::fs::minor(device));
+    let place = format!("{major:02x}:{minor:02x}:{}", metadata.ino());
+    locks.lines().find_map(|line| {
+        let words: Vec<_> = line.split_whitespace().collect();
+        match words.as_slice() {
+            [_, "FLOCK", _, "WRITE", pid, at, ..] if *at == place => {
+                pid.parse().ok().filter(|pid| *pid > 0)
+            }
+            _ => None,
+        }
+    })
+}
