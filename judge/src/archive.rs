@@ -1,11 +1,12 @@
 use std::fs;
 use std::io;
 use std::os::unix::process::parent_id;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
 use shm_config::config::{Config, GateMode};
+use shm_config::file::{self, Durable, Folder, make_folders};
 use shm_config::judged::{Judged, SUMMARY};
 use shm_config::text::printable_json;
 
@@ -14,6 +15,9 @@ use crate::{Filed, tally};
 
 /// Records that may wait for the disk; more are lost, and counted.
 const WAITING_MAX: usize = 64;
+
+/// Longest summary that is read back, bytes.
+const SUMMARY_BYTES_MAX: u64 = 1 << 16;
 
 /// Counts what was asked and said, and keeps the records where that is wanted, on
 /// a thread of its own: a disk that stalls holds up no advice.
@@ -39,14 +43,16 @@ impl Archive {
     /// # Errors
     /// When the folder cannot be made.
     pub fn open(config: &Config) -> Result<Self, StoreError> {
-        let run_folder = PathBuf::from(&config.run.folder);
+        let path = PathBuf::from(&config.run.folder);
+        let opened = make_folders(&path).and_then(|()| Folder::open(&path, file::Entry::Readable));
+        let run_folder = opened.map_err(|source| StoreError::new(&path, source))?;
         let ours = before(&run_folder);
         let is_kept = config.gate.record && config.gate.mode != GateMode::Replay;
         if is_kept && ours.is_none() {
             make_room(&run_folder);
         }
         let mut store = is_kept
-            .then(|| Store::open(&run_folder.join("judge"), config.vlm.record_bytes_max))
+            .then(|| Store::open(&path.join("judge"), config.vlm.record_bytes_max))
             .transpose()?;
         let (entries, inbox) = sync_channel::<Entry>(WAITING_MAX);
         let mut judged = ours.unwrap_or_else(|| tally::begin(config, parent_id()));
@@ -131,35 +137,33 @@ fn warn_of_lost(lost: &Lost) {
 }
 
 /// Whole or not at all; a disk that refuses is counted by the store.
-fn write_summary(run_folder: &Path, judged: &Judged) {
+fn write_summary(run_folder: &Folder, judged: &Judged) {
     let text = serde_json::to_string(judged).unwrap_or_default();
     let text = printable_json(&text);
-    let path = run_folder.join(SUMMARY);
-    let part = path.with_extension("part");
-    let _ = fs::write(&part, text.as_bytes()).and_then(|()| fs::rename(&part, &path));
+    // Not flushed: one is written for each record, and records would wait.
+    let _ = run_folder.replace(SUMMARY, text.as_bytes(), Durable::No);
 }
 
 /// What an earlier gate of this run has written: the supervisor outlives its gates.
 /// Where it could not, this one begins anew: no harm.
-fn before(run_folder: &Path) -> Option<Judged> {
-    let text = fs::read_to_string(run_folder.join(SUMMARY)).ok()?;
+fn before(run_folder: &Folder) -> Option<Judged> {
+    let text = run_folder.read_text(SUMMARY, SUMMARY_BYTES_MAX).ok()?;
     let judged: Judged = serde_json::from_str(&text).ok()?;
     (judged.supervisor == parent_id()).then_some(judged)
 }
 
 /// Moves the records of another run out of the way.
-fn make_room(run_folder: &Path) {
-    let folder = &run_folder.join("judge");
-    if !folder.exists() {
+fn make_room(run_folder: &Folder) {
+    if run_folder.look("judge").is_err() {
         return;
     }
-    let before = folder.with_file_name("judge-before");
-    let moved = fs::remove_dir_all(&before)
+    // A link is removed, not what it leads to.
+    let moved = fs::remove_dir_all(run_folder.path().join("judge-before"))
         .or_else(|error| match error.kind() {
             io::ErrorKind::NotFound => Ok(()),
             _ => Err(error),
         })
-        .and_then(|()| fs::rename(folder, &before));
+        .and_then(|()| run_folder.rename("judge", "judge-before"));
     if let Err(error) = moved {
         tracing::warn!(%error, "the records of the run before cannot be moved; those of this one follow them");
     }

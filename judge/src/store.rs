@@ -13,10 +13,11 @@
 //! counted.
 
 use std::collections::VecDeque;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use shm_config::file::{Access, Durable, Entry, Folder, make_folders};
 use shm_config::text::printable_json;
 
 use crate::picture::Picture;
@@ -48,7 +49,7 @@ pub struct Lost {
 /// The folder that records are written to.
 #[derive(Debug)]
 pub struct Store {
-    folder: PathBuf,
+    folder: Folder,
     lines: File,
     line_bytes: u64,
     before_bytes: u64,
@@ -72,12 +73,14 @@ impl Store {
             let path = path.to_path_buf();
             move |source| StoreError { path, source }
         };
+        let opened = make_folders(folder).and_then(|()| Folder::open(folder, Entry::Readable));
+        let ours = opened.map_err(failed(folder))?;
         let pictures_folder = folder.join(PICTURES);
-        fs::create_dir_all(&pictures_folder).map_err(failed(&pictures_folder))?;
+        let made = ours.make_inside(PICTURES, Entry::Readable);
+        made.map_err(failed(&pictures_folder))?;
         let path = folder.join(QUESTIONS);
-        let mut options = OpenOptions::new();
-        options.read(true).append(true).create(true);
-        let mut lines = options.open(&path).map_err(failed(&path))?;
+        let opened = ours.open_file(QUESTIONS, Access::Append);
+        let mut lines = opened.map_err(failed(&path))?;
         let line_bytes = drop_torn_line(&mut lines).map_err(failed(&path))?;
         let pictures = pictures_in(&pictures_folder).map_err(failed(&pictures_folder))?;
         let before = fs::metadata(folder.join(QUESTIONS_BEFORE));
@@ -90,7 +93,7 @@ impl Store {
             .filter_map(|(name, _)| name.split('-').next()?.parse().ok());
         let last_question = numbers.chain(shown).max().unwrap_or(0);
         Ok(Self {
-            folder: folder.into(),
+            folder: ours,
             lines,
             line_bytes,
             before_bytes: before.map_or(0, |data| data.len()),
@@ -165,14 +168,15 @@ impl Store {
         let size = bytes.len() as u64;
         self.make_room(size);
         let kept = format!("{PICTURES}/{name}");
-        let path = self.folder.join(&kept);
         if self.bytes() + size > self.bytes_max {
             self.lose_picture(format!("{size} bytes do not fit into the folder's bound"));
             return None;
         }
-        if let Err(error) = fs::write(&path, bytes) {
-            // Half a picture is none.
-            let _ = fs::remove_file(&path);
+        let pictures = self.folder.inside(PICTURES, Entry::Readable);
+        // Half a picture is none.
+        let written = pictures.and_then(|pictures| pictures.replace(&name, bytes, Durable::No));
+        if let Err(error) = written {
+            let path = self.folder.path().join(&kept);
             self.lose_picture(format!("{}: {error}", path.display()));
             return None;
         }
@@ -187,11 +191,14 @@ impl Store {
             let Some((name, bytes)) = self.pictures.pop_front() else {
                 return;
             };
-            let path = self.folder.join(PICTURES).join(name);
-            match fs::remove_file(&path) {
+            let pictures = self.folder.inside(PICTURES, Entry::Readable);
+            match pictures.and_then(|pictures| pictures.remove(&name)) {
                 Ok(()) => {}
                 Err(error) if error.kind() == ErrorKind::NotFound => {}
-                Err(error) => self.lost.reason = format!("{}: {error}", path.display()),
+                Err(error) => {
+                    let path = self.folder.path().join(PICTURES).join(name);
+                    self.lost.reason = format!("{}: {error}", path.display());
+                }
             }
             self.picture_bytes = self.picture_bytes.saturating_sub(bytes);
         }
@@ -230,28 +237,24 @@ impl Store {
 
     /// The lines become those before; what was there before goes.
     fn rotate(&mut self) {
-        let (path, before) = (
-            self.folder.join(QUESTIONS),
-            self.folder.join(QUESTIONS_BEFORE),
-        );
-        let renamed = fs::rename(&path, &before);
-        let opened = renamed.and_then(|()| {
-            let mut options = OpenOptions::new();
-            options.read(true).append(true).create(true).open(&path)
-        });
+        let renamed = self.folder.rename(QUESTIONS, QUESTIONS_BEFORE);
+        let opened = renamed.and_then(|()| self.folder.open_file(QUESTIONS, Access::New));
         match opened {
             Ok(file) => {
                 self.lines = file;
                 self.before_bytes = self.line_bytes;
                 self.line_bytes = 0;
             }
-            Err(error) => self.lost.reason = format!("{}: {error}", path.display()),
+            Err(error) => {
+                let path = self.folder.path().join(QUESTIONS);
+                self.lost.reason = format!("{}: {error}", path.display());
+            }
         }
     }
 
     fn lose_line(&mut self, reason: String) {
         self.lost.lines += 1;
-        self.lost.reason = format!("{}: {reason}", self.folder.join(QUESTIONS).display());
+        self.lost.reason = format!("{}: {reason}", self.folder.path().join(QUESTIONS).display());
     }
 
     fn lose_picture(&mut self, reason: String) {
@@ -272,6 +275,14 @@ impl Drop for Store {
 pub struct StoreError {
     path: PathBuf,
     source: std::io::Error,
+}
+
+impl StoreError {
+    /// Of this folder or file.
+    pub(crate) fn new(path: &Path, source: std::io::Error) -> Self {
+        let path = path.into();
+        Self { path, source }
+    }
 }
 
 /// Cuts off what follows the last line's end; returns the length left.

@@ -7,11 +7,15 @@ use std::path::Path;
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::{Deserialize, Serialize};
+use shm_config::file::read_ours;
 
 use crate::algorithm::Student;
 
 /// First bytes of the file: name and version of the format.
 const MAGIC: &[u8; 8] = b"VLLRNR02";
+
+/// Longest file that is read, bytes: a thousand times the paper's networks.
+const BYTES_MAX: u64 = 1 << 32;
 
 /// First letters of a file that is being written.
 pub const UNFINISHED: &str = ".tmp";
@@ -52,7 +56,7 @@ impl Checkpoint {
     /// # Errors
     /// When it cannot be read, or is damaged or of another version.
     pub fn read(path: &Path) -> io::Result<Option<Checkpoint>> {
-        let bytes = match fs::read(path) {
+        let bytes = match read_ours(path, BYTES_MAX) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(error),

@@ -5,10 +5,11 @@
 //! cut off when the file is opened. When the file holds much more than the rings
 //! do, it is written anew, whole or not at all.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use shm_config::file::{Access, open_ours};
 use shm_config::message::FEATURES;
 
 use crate::assembler::Counts;
@@ -73,12 +74,7 @@ impl Journal {
     pub fn open(path: &Path, capacity: usize, learnt: u64) -> io::Result<Recovered> {
         let mut replay = Replay::new(capacity);
         let mut mark = None;
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)?;
+        let mut file = open_ours(path, Access::Change)?;
         let length = file.metadata()?.len();
         let mut records = 0;
         let mut reader = BufReader::with_capacity(1 << 20, &file);
@@ -112,10 +108,10 @@ impl Journal {
         let whole = MAGIC.len() as u64 + records * RECORD as u64;
         let torn_bytes = length.saturating_sub(whole);
         file.set_len(whole)?;
-        drop(file);
+        file.seek(SeekFrom::End(0))?;
         let journal = Journal {
             path: path.into(),
-            file: BufWriter::new(OpenOptions::new().append(true).open(path)?),
+            file: BufWriter::new(file),
             records,
         };
         Ok(Recovered {
@@ -173,8 +169,8 @@ impl Journal {
         }
         let new = new.into_inner().map_err(io::IntoInnerError::into_error)?;
         new.as_file().sync_all()?;
-        new.persist(&self.path).map_err(|error| error.error)?;
-        self.file = BufWriter::new(OpenOptions::new().append(true).open(&self.path)?);
+        let file = new.persist(&self.path).map_err(|error| error.error)?;
+        self.file = BufWriter::new(file);
         self.records = records;
         Ok(())
     }
@@ -211,9 +207,7 @@ pub fn last_mark(path: &Path) -> io::Result<Option<Mark>> {
     // What a kill has torn stands at the end, and is less than a record or two.
     for back in 1..=(body / RECORD as u64).min(LOOK_BACK) {
         let index = body / RECORD as u64 - back;
-        file.seek(io::SeekFrom::Start(
-            MAGIC.len() as u64 + index * RECORD as u64,
-        ))?;
+        file.seek(SeekFrom::Start(MAGIC.len() as u64 + index * RECORD as u64))?;
         if let Whole::Yes = read_record(&mut file, &mut record)?
             && let Some((_, _, mark)) = decode(&record)
         {

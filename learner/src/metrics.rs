@@ -5,6 +5,7 @@ use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use shm_config::file::{Access, open_ours};
 
 use crate::assembler::Counts;
 use crate::checkpoint::write_whole;
@@ -67,7 +68,7 @@ impl Metrics {
     /// When the file cannot be read or written.
     pub fn open(path: &Path, rows: u64) -> io::Result<Metrics> {
         let mut kept = Vec::new();
-        if let Ok(file) = fs::File::open(path) {
+        if let Ok(file) = open_ours(path, Access::Read) {
             let lines = BufReader::new(file).lines();
             // The header stands before the rows.
             for line in lines.take(rows as usize + usize::from(rows > 0)) {
@@ -78,7 +79,7 @@ impl Metrics {
         write_whole(path, &kept)?;
         let lines = csv::Reader::from_reader(&kept[..]).into_deserialize::<Line>();
         let last = lines.filter_map(Result::ok).last();
-        let file = fs::OpenOptions::new().append(true).open(path)?;
+        let file = open_ours(path, Access::Append)?;
         let writer = csv::WriterBuilder::new()
             .has_headers(kept.is_empty())
             .from_writer(file);

@@ -10,6 +10,7 @@ use policy::Provenance;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::config::{Algorithm, Config};
+use shm_config::file::{Entry, Folder, make_folders};
 use shm_config::message::{Driver, FEATURES, Step};
 use vehicle::Action;
 
@@ -62,7 +63,8 @@ impl Session {
     /// When the folder cannot be written, or holds what another algorithm, other
     /// settings or another version have left.
     pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
-        fs::create_dir_all(folder.join("policies"))?;
+        make_folders(folder)?;
+        Folder::open(folder, Entry::Readable)?.make_inside("policies", Entry::Readable)?;
         sweep(folder)?;
         sweep(&folder.join("policies"))?;
         let settings = &config.learner;

@@ -7,9 +7,10 @@
 //! followed to it, because whoever may make a name in that place could have put a
 //! link or a pipe there.
 
-use std::fs::{File, Metadata};
+use std::fs::{DirBuilder, File, Metadata};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
@@ -174,6 +175,15 @@ pub fn replace(path: &Path, bytes: &[u8], durable: Durable) -> io::Result<()> {
         bytes,
         durable,
     )
+}
+
+/// Makes a folder and those above it, as far as they are missing, so that only this
+/// user writes there; without that many systems would let the user's group write.
+///
+/// # Errors
+/// When one cannot be made.
+pub fn make_folders(path: &Path) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o755).create(path)
 }
 
 /// Files can be made in this folder: one is, and is removed again. Of root and of

@@ -1,8 +1,7 @@
 //! `up`: start, watch, restart, stop, add up.
 
-use std::fs::{DirBuilder, File};
+use std::fs::File;
 use std::io::{self, Write};
-use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{FlockOperation, flock};
@@ -166,9 +165,7 @@ fn prepare_folder(config: &Config, place: &Place, parent: Option<u32>) -> Result
     let path: PathBuf = Path::new(&config.run.folder).components().collect();
     let io_failed = |error: io::Error| failed(&path, &error);
     if let Some(above) = path.parent() {
-        let mut folders = DirBuilder::new();
-        let made = folders.recursive(true).mode(0o755).create(above);
-        made.map_err(|error| failed(above, &error))?;
+        file::make_folders(above).map_err(|error| failed(above, &error))?;
     }
     drop(Folder::make(&path, Entry::Readable).map_err(io_failed)?);
     let path = path.canonicalize().map_err(io_failed)?;

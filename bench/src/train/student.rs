@@ -40,7 +40,7 @@ pub enum End {
 /// to its last block, or the folder cannot be written.
 pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<End> {
     let folder = &protocol.folder;
-    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    shm_config::file::make_folders(folder).with_context(|| folder.display().to_string())?;
     let from_to = (results::steps(folder)?, protocol.steps);
     let name = format!("seed {}", protocol.seed);
     let mut progress = Progress::begin(name, "steps", from_to, clock)?;

@@ -1,13 +1,17 @@
 //! The weights in charge, kept on disk for a restart of controller or run.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::PathBuf;
+
+use shm_config::file::{Durable, Entry, Folder};
+use shm_config::message::WEIGHTS_BYTES_MAX;
 
 /// The file.
 const FILE: &str = "policy-good.onnx";
 /// Beside it: version, SHA-256 of the file, and the run's id.
 const NOTE: &str = "policy-good.txt";
+/// Longest note that is read, bytes: two numbers of twenty digits and a hash of 64.
+const NOTE_BYTES_MAX: u64 = 256;
 
 /// Weights with their version.
 #[derive(Debug, Clone)]
@@ -37,7 +41,11 @@ impl GoodFile {
     /// What is kept, if it is whole. Where the note is of another file, the
     /// version begins at 1.
     pub fn read(&self) -> Option<Good> {
-        let bytes = fs::read(self.folder.join(FILE)).ok()?;
+        let bytes = self
+            .open()
+            .ok()?
+            .read(FILE, WEIGHTS_BYTES_MAX as u64)
+            .ok()?;
         let hash = hex(&policy::sha256(&bytes));
         let version = self
             .note()
@@ -58,9 +66,9 @@ impl GoodFile {
     /// # Errors
     /// When the disk refuses; what was kept before stays.
     pub fn write(&self, good: Option<&Good>) -> io::Result<()> {
-        let file = self.folder.join(FILE);
+        let folder = self.open()?;
         let Some(good) = good else {
-            return match fs::remove_file(&file) {
+            return match folder.remove(FILE) {
                 Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
                 _ => Ok(()),
             };
@@ -72,12 +80,17 @@ impl GoodFile {
             self.run
         );
         // The note first: with another file beside it, it is not believed.
-        replace(&self.folder.join(NOTE), note.as_bytes())?;
-        replace(&file, &good.bytes)
+        folder.replace(NOTE, note.as_bytes(), Durable::Yes)?;
+        folder.replace(FILE, &good.bytes, Durable::Yes)
+    }
+
+    /// Each time anew: the run's folder is checked whenever it is used.
+    fn open(&self) -> io::Result<Folder> {
+        Folder::open(&self.folder, Entry::Readable)
     }
 
     fn note(&self) -> Option<Note> {
-        let text = fs::read_to_string(self.folder.join(NOTE)).ok()?;
+        let text = self.open().ok()?.read_text(NOTE, NOTE_BYTES_MAX).ok()?;
         let mut words = text.split_whitespace();
         Some(Note {
             version: words.next()?.parse().ok()?,
@@ -95,13 +108,4 @@ struct Note {
 
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// The old content or the new, never a part: written beside, flushed, renamed.
-fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let beside = path.with_extension("new");
-    let mut file = File::create(&beside)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    fs::rename(&beside, path)
 }

@@ -425,7 +425,7 @@ fn read_limited(path: &std::path::Path) -> Result<Vec<u8>, String> {
     if bytes > limit {
         return Err(Refusal::TooLarge { bytes, limit }.to_string());
     }
-    std::fs::read(path).map_err(|error| error.to_string())
+    file::read(path, limit).map_err(|error| error.to_string())
 }
 
 #[cfg(test)]
