@@ -4,6 +4,8 @@ mod common;
 
 use std::fs;
 use std::io::Write;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
 
 use common::Rig;
 use supervisor::live::View;
@@ -25,6 +27,40 @@ fn a_full_log_is_set_aside_and_the_writer_goes_on() {
     let older = fs::read_to_string(log.older()).expect("read");
     assert!(older.starts_with("short\nxxx"), "{older}");
     assert_eq!(log.last_line().as_deref(), Some("after"));
+}
+
+#[test]
+fn no_link_or_pipe_leads_a_log_elsewhere() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let victim = dir.path().join("victim");
+    fs::write(&victim, "precious").expect("written");
+    let logs = dir.path().join("logs");
+    fs::create_dir(&logs).expect("a folder");
+    let log_in = |logs: &Path| LogFile::create(logs, "gate", 10);
+    let mut log = log_in(&logs).expect("a log");
+    let mut writer = log.begin().expect("a handle");
+    for name in ["gate.log.1", "gate.log.1.new"] {
+        symlink(&victim, logs.join(name)).expect("a link");
+    }
+    // The name of the log itself leads elsewhere by now, and to what never ends.
+    fs::remove_file(log.path()).expect("removed");
+    symlink(&victim, log.path()).expect("a link");
+    writeln!(writer, "more than ten bytes").expect("written");
+    log.rotate().expect("rotated");
+    assert_eq!(log.last_line(), None, "cut by its own descriptor");
+    let older = fs::read_to_string(log.older()).expect("read");
+    assert_eq!(older, "more than ten bytes\n");
+    let found = fs::symlink_metadata(log.older()).expect("there");
+    assert!(found.is_file(), "the link was replaced");
+    log.begin().expect("a handle");
+    assert_eq!(fs::read_to_string(&victim).expect("read"), "precious");
+    // A folder that others may write to, or that is a link, holds no log.
+    let link = dir.path().join("link");
+    symlink(&logs, &link).expect("a link");
+    assert!(log_in(&link).is_err(), "followed");
+    fs::set_permissions(&logs, fs::Permissions::from_mode(0o777)).expect("ours");
+    let error = log_in(&logs).expect_err("others may write there");
+    assert!(error.to_string().contains("chmod go-w"), "{error}");
 }
 
 #[test]

@@ -5,8 +5,9 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use rustix::process::{Pid, Signal, kill_process};
 use vlaps_tests::two_users::{OTHER, Stage, VICTIM, text};
-use vlaps_tests::{programs, skip_unless, until};
+use vlaps_tests::{pids_within, programs, skip_unless, until};
 
 /// It ended with this exit code and said all of this.
 fn assert_said(output: &Output, code: i32, parts: &[&str]) {
@@ -79,8 +80,10 @@ fn files_of_another_user_beside_a_run_are_left_alone() {
     );
     // A restart joins the run, which closes its shared memory to others.
     let log = || fs::read_to_string(here.join("runs/b/logs/supervisor.log")).unwrap_or_default();
-    let killed = stage.sh(VICTIM, "pkill -KILL -u 4242 -x vlaps-planner; echo killed");
-    assert_eq!(killed, "killed\n");
+    for pid in pids_within(&here, "vlaps-planner") {
+        let pid = Pid::from_raw(pid).expect("a process id");
+        kill_process(pid, Signal::KILL).expect("killed");
+    }
     until("the planner is ready again", || {
         log().matches("planner: ready").count() == 2
     });
