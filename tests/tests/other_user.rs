@@ -153,7 +153,7 @@ fn a_folder_of_runs_that_is_another_users_is_refused_and_nothing_hangs() {
     fs::write(here.join("policy.onnx"), "any").expect("written");
     stage.sh(
         OTHER,
-        "mkdir -p -m 700 /dev/shm/vlaps-0/evil; mkfifo /dev/shm/vlaps-0/evil/supervisor",
+        "mkdir -m 700 /dev/shm/vlaps-0 /dev/shm/vlaps-0/evil; mkfifo /dev/shm/vlaps-0/evil/supervisor",
     );
     let refused = [
         "/dev/shm/vlaps-0",
