@@ -7,9 +7,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use controller::{Controller, Inputs, Intent, PolicySlot, Release, Slot, Slots};
-use process::{
-    Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code,
-};
+use process::{Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::message::{
     Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Refusal, Step,
     Takeover, Timing,

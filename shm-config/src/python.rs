@@ -12,8 +12,8 @@ use crate::message::{
     Bend, Camera, Checkpoint, Command, Driver, Ego, Episode, FRAME_BYTES_MAX, FRAME_SIDES_PX,
     FUTURE_TOLERANCE_NS, Frame, FrameRequest, Grant, Header, Health, HealthState, Histogram,
     LATE_TICKS, LateTick, Observation, Outcome, Part, PixelFormat, Progress, Proposal, Reason,
-    RefusalKind, Road, Roster, Scheduling, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD,
-    TOP_DOWN_HEIGHT_M, Timing, View,
+    RefusalKind, Road, Roster, Scheduling, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M,
+    Timing, View,
 };
 use crate::palette;
 use crate::run;

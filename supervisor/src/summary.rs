@@ -10,7 +10,6 @@ use shm_config::message::{Driver, Episode, Grant, Reason};
 use shm_config::services::Process;
 
 use crate::episodes::EpisodeTotals;
-use crate::failure::Failure;
 use crate::idle::IdleBound;
 use crate::judged;
 use crate::late::{self, LateRow};

@@ -8,10 +8,6 @@ use crate::{file, shortened};
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
 
-/// Most characters of a key, a value or a path that are shown: several times the
-/// longest that makes sense.
-const SHOWN_MAX: usize = 1000;
-
 /// Longest key that another is looked for in place of, bytes: the time it takes grows
 /// with the square of the length, and no key has 40.
 const MISTAKEN_MAX: usize = 100;
@@ -58,13 +54,7 @@ pub enum ConfigError {
 /// A part of an error as it may be shown: what comes from a file may hold anything,
 /// and be as long as the file.
 fn shown(part: &dyn std::fmt::Display) -> String {
-    let text = part.to_string();
-    let mut chars = text.chars();
-    let mut start: String = chars.by_ref().take(SHOWN_MAX).collect();
-    if chars.next().is_some() {
-        start.push('…');
-    }
-    printable(&start).into_owned()
+    printable(&shortened(&part.to_string())).into_owned()
 }
 
 fn suggestion(nearest: &Option<String>) -> String {
