@@ -15,7 +15,7 @@ import pygame
 from metadrive.component.vehicle.base_vehicle import BaseVehicle
 
 import wire_layout as layout
-from lens import Lens, is_due, is_request
+from lens import Lens, admit
 from member import monotonic_ns
 from wire_layout import Palette
 
@@ -75,14 +75,16 @@ class Photographer:
         view is asked for: there is no other here, and the frame's camera says so.
         `slack_ns` is the time until the next tick, None in lockstep, which has no
         deadline. A request waits for slack until it is too old."""
-        request = self._requests.newest(layout.FrameRequest)
+        door = lambda request: admit(request, header, self._period_ns)
+        request = self._requests.newest(door)
         if request is not None:
             self.declined += self._request is not None
             self._request = request
         request = self._request
         if request is None:
             return
-        if not (is_request(request) and is_due(request, header, self._period_ns)):
+        # It may have waited for slack since it was admitted.
+        if door(request) is not None:
             self._request = None
             self.declined += 1
             return

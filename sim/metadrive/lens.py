@@ -3,27 +3,36 @@
 import math
 
 import wire_layout as layout
+from door import is_normalised
+from wire_layout import RefusalKind
 
 # What is asked for may be older than what is drawn, which is always now, ns.
 REQUEST_AGE_NS = 1_000_000_000
 
 
-def is_request(request):
-    """The request asks for a picture that a frame can hold."""
+def admit(request, header, period_ns):
+    """The door for requests, which any process may make: what a frame can hold, of
+    the observation of `header` or of one shortly before it. The RefusalKind of one
+    that is refused, else None."""
+    if not _is_well_formed(request):
+        return RefusalKind.CONTENT
+    if request.header.episode != header.episode:
+        return RefusalKind.EPISODE
+    age_ns = (header.tick - request.header.tick) * period_ns
+    if age_ns < 0:
+        return RefusalKind.FUTURE
+    return RefusalKind.STALE if age_ns > REQUEST_AGE_NS else None
+
+
+def _is_well_formed(request):
     sides = range(layout.FRAME_SIDE_MIN_PX, layout.FRAME_SIDE_MAX_PX + 1)
     return (
-        request.view in layout.View.WORDS
+        all(is_normalised(p.steer) and is_normalised(p.pedal) for p in request.proposals)
+        and request.view in layout.View.WORDS
         and request.width in sides
         and request.height in sides
         and request.width * request.height * 3 <= layout.FRAME_BYTES_MAX
     )
-
-
-def is_due(request, header, period_ns):
-    """The request is for this observation, or for one shortly before it."""
-    ticks = header.tick - request.header.tick
-    young = 0 <= ticks * period_ns <= REQUEST_AGE_NS
-    return young and request.header.episode == header.episode
 
 
 class Lens:

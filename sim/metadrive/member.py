@@ -23,6 +23,14 @@ HEALTH_NS = 50_000_000
 TIMING_NS = 500_000_000
 # Log lines that may wait for a slow disk before further ones are dropped.
 LOG_LINES = 1000
+# How long the supervisor may take to name a process that it has started, ns: it
+# publishes its roster every 5 ms while processes start; and from look to look, s.
+NAMED_NS = 5_000_000_000
+NAMED_LOOK_S = 0.0005
+# How long the car is braked after the last message of a process that sends in the
+# place of one that the run has started, ns: at 10 Hz several messages of any sender
+# that matters come in that time, so that the brake holds between them.
+CONTEST_NS = 1_000_000_000
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
@@ -270,6 +278,39 @@ class Pulse:
             record_series(lateness, newest_ns, period_ns, count)
 
 
+class Contest:
+    """Whether two living processes send one state: then nothing that is received can
+    be trusted to be the run's own, and the car is braked."""
+
+    def __init__(self):
+        self._seen = 0
+        self._until_ns = None
+
+    def look(self, contests, now_ns):
+        """Takes in how many messages were refused for it, after the ports were read;
+        whether the car is to be braked."""
+        if contests != self._seen:
+            self._seen = contests
+            self._until_ns = now_ns + CONTEST_NS
+        return self._until_ns is not None and now_ns < self._until_ns
+
+
+def join_as(run_name, process):
+    """Joins a run as the process that the supervisor has started: takes state only
+    from those that its roster names, and waits until that names this one, too."""
+    # The one that started it: the roster of any other may name anyone.
+    wire = Wire(run_name, process, os.getppid())
+    until_ns = monotonic_ns() + NAMED_NS
+    while wire.producers.pid(process) != os.getpid():
+        if monotonic_ns() > until_ns:
+            raise SetUpError(
+                f"run '{run_name}': the process that started this one does not name it as its "
+                f"{process}; `./vlaps up` starts all processes of a run"
+            )
+        time.sleep(NAMED_LOOK_S)
+    return wire
+
+
 class Member:
     """A process that has joined its run."""
 
@@ -282,7 +323,7 @@ class Member:
         try:
             self.lockstep = self.config["run"]["clock"] == "lockstep"
             self.period_ns = round(1e9 / self.config["run"]["rate_hz"])
-            self.wire = Wire(self.config["run"]["name"], "world")
+            self.wire = join_as(self.config["run"]["name"], "world")
         except KeyError as error:
             raise SetUpError(
                 f"{arguments.config}: key {error} is missing; start the world with ./vlaps up"

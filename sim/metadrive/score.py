@@ -4,33 +4,12 @@ The mirror of `sim/src/score.rs`: the same bits enter the digest.
 """
 
 import hashlib
-import math
 import struct
 
 import wire_layout as layout
 
 # What is obeyed when no command is young enough: no steering, full brake.
 BRAKE = (0.0, -1.0)
-
-
-def is_admitted(command, now_ns, limit_ns):
-    """The door: neither from the future nor old, finite, in range, of known words."""
-    taken_ns = command.header.taken_ns
-    if taken_ns - now_ns > layout.FUTURE_TOLERANCE_NS or now_ns - taken_ns > limit_ns:
-        return False
-    return is_well_formed(command)
-
-
-def is_well_formed(command):
-    """Everything about the content that does not depend on time."""
-    return (
-        math.isfinite(command.steer)
-        and math.isfinite(command.pedal)
-        and -1.0 <= command.steer <= 1.0
-        and -1.0 <= command.pedal <= 1.0
-        and command.driver in layout.Driver.WORDS
-        and command.reason in layout.Reason.WORDS
-    )
 
 
 class Score:

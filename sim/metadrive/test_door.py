@@ -9,39 +9,96 @@ import struct
 import unittest
 
 import wire_layout as layout
-from member import record
-from score import Score, is_admitted
+from door import admit, admit_answer
+from grid import Grid, first_instant, phase_ns
+from member import CONTEST_NS, Contest, record
+from score import Score
+from wire_layout import RefusalKind
 
 LIMIT_NS = 250_000_000
 NOW_NS = 10_000_000_000
+PERIOD_NS = 100_000_000
+EPISODE = 3
+ASKED = 40
 
 
 def command(**changes):
     values = {"steer": 0.25, "pedal": -0.5, "driver": layout.Driver.EXPERT, "reason": 2}
-    taken_ns = changes.pop("taken_ns", NOW_NS)
-    made = layout.Command(**{**values, **changes})
-    made.header.taken_ns = taken_ns
-    return made
+    header = {"taken_ns": NOW_NS, "episode": EPISODE, "tick": ASKED}
+    header.update({key: changes.pop(key) for key in header if key in changes})
+    return layout.Command(layout.Header(**header), **{**values, **changes})
+
+
+MALFORMED = [
+    command(steer=math.nan),
+    command(pedal=math.inf),
+    command(steer=1.0 + 1e-12),
+    command(pedal=-1.5),
+    command(driver=3),
+    command(reason=99),
+]
 
 
 class Door(unittest.TestCase):
+    def refusal(self, command):
+        return admit(command, NOW_NS, LIMIT_NS, EPISODE)
+
+    def answer(self, command):
+        return admit_answer(command, ASKED, EPISODE)
+
     def test_a_good_command_passes(self):
         for taken_ns in (NOW_NS, NOW_NS - LIMIT_NS, NOW_NS + layout.FUTURE_TOLERANCE_NS):
-            self.assertTrue(is_admitted(command(taken_ns=taken_ns), NOW_NS, LIMIT_NS))
+            self.assertIsNone(self.refusal(command(taken_ns=taken_ns)))
+        self.assertIsNone(self.answer(command()))
 
-    def test_what_is_old_from_the_future_or_no_number_in_range_is_refused(self):
-        bad = [
-            command(taken_ns=NOW_NS - LIMIT_NS - 1),
-            command(taken_ns=NOW_NS + layout.FUTURE_TOLERANCE_NS + 1),
-            command(steer=math.nan),
-            command(pedal=math.inf),
-            command(steer=1.0 + 1e-12),
-            command(pedal=-1.5),
-            command(driver=3),
-            command(reason=99),
-        ]
-        for refused in bad:
-            self.assertFalse(is_admitted(refused, NOW_NS, LIMIT_NS), refused)
+    def test_a_refused_command_is_refused_with_its_reason(self):
+        old, ahead = NOW_NS - LIMIT_NS - 1, NOW_NS + layout.FUTURE_TOLERANCE_NS + 1
+        self.assertEqual(self.refusal(command(taken_ns=old)), RefusalKind.STALE)
+        self.assertEqual(self.refusal(command(taken_ns=ahead)), RefusalKind.FUTURE)
+        for episode in (EPISODE - 1, EPISODE + 1):
+            self.assertEqual(self.refusal(command(episode=episode)), RefusalKind.EPISODE)
+        for malformed in MALFORMED:
+            self.assertEqual(self.refusal(malformed), RefusalKind.CONTENT)
+
+    def test_in_lockstep_only_the_answer_to_the_asked_tick_passes(self):
+        self.assertIsNone(self.answer(command(taken_ns=0)), "time is counted in ticks")
+        self.assertEqual(self.answer(command(tick=ASKED - 1)), RefusalKind.STALE)
+        self.assertEqual(self.answer(command(tick=ASKED + 1)), RefusalKind.FUTURE)
+        self.assertEqual(self.answer(command(episode=EPISODE - 1)), RefusalKind.EPISODE)
+        for malformed in MALFORMED:
+            self.assertEqual(self.answer(malformed), RefusalKind.CONTENT)
+
+
+class Brake(unittest.TestCase):
+    def test_it_holds_while_foreign_messages_come_and_a_second_longer(self):
+        contest = Contest()
+        self.assertFalse(contest.look(0, 5))
+        self.assertTrue(contest.look(1, 10))
+        self.assertTrue(contest.look(1, 10 + CONTEST_NS - 1))
+        self.assertTrue(contest.look(2, 10 + CONTEST_NS), "another one came")
+        self.assertFalse(contest.look(2, 10 + 2 * CONTEST_NS))
+
+
+class Instants(unittest.TestCase):
+    def test_the_phase_of_a_run_is_the_hash_of_its_name(self):
+        # Of the authors of FNV-1a, 64 bits; and their remainders.
+        self.assertEqual(phase_ns("a", 1 << 64), 0xAF63DC4C8601EC8C)
+        self.assertEqual(phase_ns("foobar", 1 << 64), 0x85944171F73967E8)
+        self.assertEqual(phase_ns("a", PERIOD_NS), 55_641_996)
+        self.assertEqual(phase_ns("foobar", PERIOD_NS), 32_436_968)
+
+    def test_every_world_of_a_run_ticks_on_its_grid(self):
+        # As `RunGrid::first_instant` gives for the same name, period and now.
+        self.assertEqual(first_instant("a", PERIOD_NS, 5_123_456_789), 5_255_641_996)
+        self.assertEqual(first_instant("foobar", PERIOD_NS, 5_123_456_789), 5_232_436_968)
+        for name in ("a", "foobar"):
+            for passed_ns in (0, 1, PERIOD_NS // 3, PERIOD_NS, 7 * PERIOD_NS + 12_345):
+                now_ns = 5_123_456_789 + passed_ns
+                grid = Grid(False, PERIOD_NS, first_instant(name, PERIOD_NS, now_ns))
+                self.assertIn(grid.instant_ns(0) - now_ns, range(PERIOD_NS, 2 * PERIOD_NS))
+                for tick in (0, 1, 1000):
+                    off_ns = grid.instant_ns(tick) - phase_ns(name, PERIOD_NS)
+                    self.assertEqual(off_ns % PERIOD_NS, 0, (name, passed_ns, tick))
 
 
 class Account(unittest.TestCase):

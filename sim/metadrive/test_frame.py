@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import wire_layout as layout
 from frame import FIRST_COST_NS, SLACK_FACTOR, Photographer
-from wire_layout import Palette
+from wire_layout import Palette, RefusalKind
 
 PERIOD_NS = 100_000_000
 AMPLE_NS = 10 * PERIOD_NS
@@ -30,9 +30,13 @@ class Port:
 
     def __init__(self):
         self.message = None
+        self.refused = []
 
-    def newest(self, _):
+    def newest(self, admit):
         newest, self.message = self.message, None
+        if newest is not None and (refusal := admit(newest)) is not None:
+            self.refused.append(refusal)
+            return None
         return newest
 
     send = lambda self, message: setattr(self, "message", message)
@@ -64,7 +68,7 @@ class Taking(unittest.TestCase):
 
     def tick(self, tick, slack_ns=None):
         self.photographer.take_if_asked(layout.Header(tick=tick, taken_ns=tick), slack_ns)
-        return self.frames.newest(layout.Frame)
+        return self.frames.newest(lambda _: None)
 
     def test_nothing_is_drawn_before_somebody_asks(self):
         self.assertIsNone(self.tick(0))
@@ -81,7 +85,22 @@ class Taking(unittest.TestCase):
         self.assertIsNone(self.tick(31), "over a second old")
         self.ask(20, width=10)
         self.assertIsNone(self.tick(20), "too narrow")
-        self.assertEqual((self.photographer.taken, self.photographer.declined), (1, 2))
+        self.assertEqual(self.requests.refused, [RefusalKind.STALE, RefusalKind.CONTENT])
+        self.assertEqual((self.photographer.taken, self.photographer.declined), (1, 0))
+
+    def test_a_bad_request_does_not_displace_a_good_one_that_waits(self):
+        self.ask(1)
+        self.assertIsNone(self.tick(1, 0), "no slack")
+        self.ask(1, width=10)
+        self.assertIsNone(self.tick(2, 0), "no slack")
+        self.assertEqual(self.tick(3).width, 240)
+
+    def test_a_request_that_waited_over_a_second_is_declined(self):
+        self.ask(1)
+        for tick in (1, 11):
+            self.assertIsNone(self.tick(tick, 0), "no slack")
+        self.assertIsNone(self.tick(12))
+        self.assertEqual((self.photographer.taken, self.photographer.declined), (0, 1))
 
     def test_a_tick_without_slack_is_not_delayed(self):
         self.ask(1)

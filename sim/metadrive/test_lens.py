@@ -3,10 +3,12 @@
     python -m unittest discover -s sim/metadrive
 """
 
+import math
 import unittest
 
 import wire_layout as layout
-from lens import Lens, is_due, is_request
+from lens import Lens, admit
+from wire_layout import RefusalKind
 
 PERIOD_NS = 100_000_000
 
@@ -22,11 +24,17 @@ def request(**changes):
 
 
 class Requests(unittest.TestCase):
+    def refusal(self, request):
+        return admit(request, layout.Header(tick=60, episode=3), PERIOD_NS)
+
     def test_what_a_frame_can_hold_is_a_request(self):
         for size in ((64, 64), (480, 480), (960, 720), (2048, 337)):
-            self.assertTrue(is_request(request(width=size[0], height=size[1])), size)
-        self.assertTrue(is_request(request(view=layout.View.EGO)), "answered from above")
+            self.assertIsNone(self.refusal(request(width=size[0], height=size[1])), size)
+        self.assertIsNone(self.refusal(request(view=layout.View.EGO)), "answered from above")
+        steered = request()
+        steered.proposals[1].steer = math.nan
         for bad in (
+            steered,
             request(view=7),
             request(width=0),
             request(height=63),
@@ -34,13 +42,16 @@ class Requests(unittest.TestCase):
             request(width=961, height=720),
             request(width=0xFFFFFFFF, height=0xFFFFFFFF),
         ):
-            self.assertFalse(is_request(bad), (bad.view, bad.width, bad.height))
+            size = (bad.view, bad.width, bad.height)
+            self.assertEqual(self.refusal(bad), RefusalKind.CONTENT, size)
 
     def test_a_request_is_due_for_a_second(self):
-        now = layout.Header(tick=60, episode=3)
-        for tick, due in ((60, True), (59, True), (50, True), (49, False), (61, False)):
-            self.assertEqual(is_due(request(tick=tick), now, PERIOD_NS), due, tick)
-        self.assertFalse(is_due(request(tick=60, episode=2), now, PERIOD_NS), "another episode")
+        stale, future = RefusalKind.STALE, RefusalKind.FUTURE
+        for tick, why in ((60, None), (59, None), (50, None), (49, stale), (61, future)):
+            self.assertEqual(self.refusal(request(tick=tick)), why, tick)
+        for episode in (2, 4):
+            other = request(tick=60, episode=episode)
+            self.assertEqual(self.refusal(other), RefusalKind.EPISODE)
 
 
 class Camera(unittest.TestCase):

@@ -11,6 +11,14 @@ import stat
 import iceoryx2
 
 import wire_layout as layout
+from producers import Producers
+
+# Messages of foreign processes that one look passes over: a flood on a queue must
+# not hold the reader.
+FOREIGN_MAX = 64
+# Publishers that have gone and left something unread, of one service and reader, as
+# in `shm-config/src/wire/mod.rs`.
+GONE_MAX = 2 * layout.PUBLISHERS_MAX
 
 
 class WireError(Exception):
@@ -59,9 +67,10 @@ def _close_to_others(path):
 
 
 class Wire:
-    """A process's membership in a run, making the run if it does not exist."""
+    """A process's membership in a run, making the run if it does not exist. It takes
+    state only from the processes that the process `author` names in its rosters."""
 
-    def __init__(self, run_name, process):
+    def __init__(self, run_name, process, author):
         user = str(os.getuid())
         user_dir = layout.USER_DIR.replace("{user}", user)
         self.dir = os.path.join(user_dir, run_name)
@@ -75,6 +84,7 @@ class Wire:
         iceoryx2.set_log_level(iceoryx2.LogLevel.Fatal)
         self._node = self._join(run_name, process)
         self._make_private()
+        self.producers = Producers(author, self._port(layout.ROSTER).receive)
 
     def _hold_alive(self):
         """The shared lock by which the run is provably alive; the kernel drops it."""
@@ -95,6 +105,7 @@ class Wire:
         config = iceoryx2.config.default()
         config.global_cfg.root_path = iceoryx2.Path.new(self.dir)
         config.global_cfg.prefix = iceoryx2.FileName.new(self.prefix)
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = GONE_MAX
         try:
             return (
                 iceoryx2.NodeBuilder.new()
@@ -129,11 +140,14 @@ class Wire:
 
     def subscriber(self, service):
         """Opens the reading end of a service."""
+        return Subscriber(self._port(service), service, self.producers)
+
+    def _port(self, service):
         try:
             port = self._topic(service).subscriber_builder().buffer_size(service.depth).create()
         except iceoryx2.SubscriberCreateError as error:
             raise self._refused(service.name, error) from None
-        return Subscriber(port)
+        return Port(port, service.message)
 
     def doorbell(self, process):
         """Opens the process's own doorbell."""
@@ -236,27 +250,74 @@ class Publisher:
             pass
 
 
-class Subscriber:
-    """Reads one service; looks for new publishers by itself."""
+class Port:
+    """The queue of one service, with the sender of each message."""
 
-    def __init__(self, port):
+    def __init__(self, port, message):
         self._port = port
+        self._message = message
 
-    def newest(self, message):
-        """A copy of the newest message since the last look, or None."""
+    def receive(self, is_taken=lambda _sender: True):
+        """The next (sender, message) of the queue, None when it is empty. The sender
+        is the process id that the library wrote into the envelope, not the header's
+        own claim. A message that is not taken is None, and never copied."""
+        try:
+            sample = self._port.receive()
+        except iceoryx2.ReceiveError:
+            return None
+        if sample is None:
+            return None
+        # No process has the id 0: it is on no roster.
+        sender = sample.header.node_id.pid(iceoryx2.ServiceType.Ipc) or 0
+        message = None
+        if is_taken(sender):
+            size = ctypes.sizeof(self._message)
+            message = self._message.from_buffer_copy(ctypes.string_at(sample.payload_ptr, size))
+        sample.delete()
+        return sender, message
+
+
+class Subscriber:
+    """Reads one service; looks for new publishers by itself. Messages of processes
+    that the run did not start as the service's producer are refused, counted, and
+    never seen here."""
+
+    def __init__(self, port, service, producers):
+        self._port = port
+        self._service = service
+        self._producers = producers
+
+    def _next(self):
+        """The next message of the queue that is from a known producer."""
+        for _ in range(FOREIGN_MAX):
+            received = self._port.receive(self._is_taken)
+            if received is None:
+                return None
+            _, message = received
+            if message is not None:
+                return message
+        return None
+
+    def _is_taken(self, sender):
+        return self._producers.admits(sender, self._service)
+
+    def newest(self, admit):
+        """A copy of the newest admissible message since the last look, or None.
+
+        `admit` returns the RefusalKind of a message that it refuses, else None. It is
+        asked before the newest is chosen, so a message that it refuses never hides
+        one that it admits. Refusals are counted by kind."""
         newest = None
         # Bounded: a hostile publisher cannot hold a tick.
         for _ in range(layout.PUBLISHERS_MAX):
-            try:
-                sample = self._port.receive()
-            except iceoryx2.ReceiveError:
+            message = self._next()
+            if message is None:
                 break
-            if sample is None:
-                break
-            newest = message.from_buffer_copy(
-                ctypes.string_at(sample.payload_ptr, ctypes.sizeof(message))
-            )
-            sample.delete()
+            refusal = admit(message)
+            if refusal is None:
+                newest = message
+            else:
+                self._producers.count(refusal)
         return newest
 
 

@@ -9,8 +9,10 @@ import traceback
 
 import member
 import wire_layout as layout
-from member import Member, Pulse, SetUpError, monotonic_ns
-from score import Score, is_admitted, is_well_formed
+from door import admit, admit_answer
+from grid import Grid, first_instant
+from member import Contest, Member, Pulse, SetUpError, monotonic_ns
+from score import Score
 from wire import WireError
 
 # Ticks of the simulator in a second: the only rate of this world.
@@ -34,40 +36,6 @@ def episode_seed(run, episode):
     z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9 & MASK
     z = (z ^ z >> 27) * 0x94D049BB133111EB & MASK
     return run["seed"] + (z ^ z >> 31) % run["seeds"]
-
-
-class Grid:
-    """The instants at which the world ticks."""
-
-    def __init__(self, lockstep, period_ns, first_ns):
-        self.lockstep = lockstep
-        self.period_ns = period_ns
-        self._first_ns = 0 if lockstep else first_ns
-        self.tick = 0
-        self.skipped = 0
-        # Of these, those just before the tick of now.
-        self.missed = 0
-
-    def instant_ns(self, tick):
-        """When a tick is due, on the run's clock."""
-        return self._first_ns + tick * self.period_ns
-
-    def sleep(self):
-        """Sleeps until the next tick is due."""
-        self.missed = 0
-        if not self.lockstep:
-            member.sleep_until(self.instant_ns(self.tick))
-            self.skip_passed()
-
-    def skip_passed(self):
-        """Skips and counts the instants that have passed meanwhile."""
-        if self.lockstep:
-            return
-        late_ns = max(monotonic_ns() - self.instant_ns(self.tick), 0)
-        passed = late_ns // self.period_ns
-        self.tick += passed
-        self.skipped += passed
-        self.missed += passed
 
 
 class Ports:
@@ -121,6 +89,7 @@ class Session:
         self.wait_ns = int(wait_s * 1e9)
         self.observation = layout.Observation()
         self.command = None
+        self.contest = Contest()
         self.episode = arguments.first_episode
         self.episode_skipped = 0
         # What worlds before this one have driven.
@@ -129,9 +98,9 @@ class Session:
         self.member.claim_rights()
         self.member.rights.tell(self.pulse.health)
         self.pulse.enter(layout.HealthState.READY, monotonic_ns())
-        # The first instant lies one period ahead: everybody can be there.
-        first_ns = monotonic_ns() + self.member.period_ns
-        self.grid = Grid(self.member.lockstep, self.member.period_ns, first_ns)
+        period_ns = self.member.period_ns
+        first_ns = first_instant(config["run"]["name"], period_ns, monotonic_ns())
+        self.grid = Grid(self.member.lockstep, period_ns, first_ns)
 
     def _reset(self):
         seed = episode_seed(self.member.config["run"], self.episode)
@@ -222,13 +191,17 @@ class Session:
     def _advance(self, begun_ns):
         """Obeys the newest command for one tick of the physics; whether the run
         is done."""
-        newest = self.ports.commands.newest(layout.Command)
-        # Read after the port: of a command that came meanwhile, an earlier instant
-        # would say that it is from the future.
-        now_ns = begun_ns if self.grid.lockstep else monotonic_ns()
-        self._take(newest, now_ns)
+        # Read after the command came, which else would be from the future.
+        clock = lambda: begun_ns if self.grid.lockstep else monotonic_ns()
+        newest = self.ports.commands.newest(lambda command: self._refusal(command, clock()))
+        if newest is not None:
+            self.command = newest
+        now_ns = clock()
+        producers = self.member.wire.producers
+        is_contested = self.contest.look(producers.contests, now_ns)
+        producers.tell(self.pulse.health)
         young = self.command
-        if young is not None and not is_admitted(young, now_ns, self.command_age_ns):
+        if young is not None and (is_contested or self._refusal(young, now_ns) is not None):
             young = None
         step = self.world.step(self.score.obey(young, now_ns))
         self.score.count(step)
@@ -250,14 +223,9 @@ class Session:
             return True
         return False
 
-    def _take(self, command, now_ns):
-        """Keeps the newest command that is for this episode and well formed."""
-        if command is None:
-            return
-        if not is_admitted(command, now_ns, self.command_age_ns):
-            self.pulse.health.refused += 1
-        elif command.header.episode == self.episode:
-            self.command = command
+    def _refusal(self, command, now_ns):
+        """Why a command is not obeyed now, None when it may be."""
+        return admit(command, now_ns, self.command_age_ns, self.episode)
 
     def _close_episode(self, outcome, now_ns):
         episode = self.score.episode(self.world, outcome)
@@ -308,16 +276,13 @@ class Session:
         """In lockstep the next tick begins when the command for this one is there.
         Nobody is waited for endlessly: then the car brakes."""
         asked = self.grid.tick - 1
+        door = lambda command: admit_answer(command, asked, self.episode)
         until_ns = monotonic_ns() + self.wait_ns
         while True:
-            command = self.ports.commands.newest(layout.Command)
+            command = self.ports.commands.newest(door)
             if command is not None:
-                header = command.header
-                good = is_well_formed(command)
-                if good and header.tick == asked and header.episode == self.episode:
-                    self.command = command
-                    return
-                self.pulse.health.refused += not good
+                self.command = command
+                return
             now_ns = monotonic_ns()
             if now_ns >= until_ns or self.member.is_stopping:
                 return

@@ -1,0 +1,91 @@
+"""From which processes messages are taken: the mirror of
+`shm-config/src/wire/producers.rs`.
+
+The library writes into each message's envelope which process sent it; the header
+inside is the sender's own claim. The world takes state only from the processes that
+the supervisor, which started it, names in its roster.
+"""
+
+import os
+
+import wire_layout as layout
+
+# Rosters looked at in one go: one of each publisher there can be.
+ROSTERS_MAX = layout.PUBLISHERS_MAX
+
+_CODES = {word: code for code, word in layout.Process.WORDS.items()}
+
+
+def _lives(pid):
+    """The process exists, whatever user it belongs to."""
+    # The kernel takes other numbers for groups of processes.
+    if pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except (ProcessLookupError, OverflowError):
+        return False
+    return True
+
+
+class Producers:
+    """What a membership knows of the run's processes, and what its ports refused."""
+
+    def __init__(self, author, receive):
+        """Follows the rosters of the process `author`. `receive` gives the next
+        (sender, roster) of the roster's queue, or None when it is empty."""
+        self._author = author
+        self._receive = receive
+        self._pids = layout.Roster().pids
+        self._refused = [0] * len(layout.RefusalKind.WORDS)
+        # The last living process that sent in the place of another, and that place.
+        self._foreigner = None
+        # Messages of living processes that were refused because the run did not
+        # start them as the producer.
+        self.contests = 0
+
+    def pid(self, process):
+        """The process id that the newest roster names, 0 when it names none."""
+        self._look()
+        return self._pids[_CODES[process]]
+
+    def _look(self):
+        for _ in range(ROSTERS_MAX):
+            received = self._receive()
+            if received is None:
+                return
+            sender, roster = received
+            if sender == self._author:
+                self._pids = roster.pids
+
+    def admits(self, sender, service):
+        """Whether a message of the service from this process is taken. One that is
+        not is counted, and its sender noted."""
+        if service.open:
+            return True
+        place = _CODES[service.from_]
+        # A sender without an id is on no roster: 0 stands for "not started".
+        if sender > 0:
+            # It may have been started since the last look.
+            if self._pids[place] == sender or self.pid(service.from_) == sender:
+                return True
+        self.count(layout.RefusalKind.FOREIGN)
+        # What a dead predecessor left unread is refused like all else, but two that
+        # live and send in one place are a contest.
+        if _lives(sender):
+            self.contests += 1
+            self._foreigner = (sender, place)
+        return False
+
+    def count(self, kind):
+        """Counts a message that a port refused."""
+        self._refused[kind] += 1
+
+    def tell(self, health):
+        """Writes what was refused into the health message. To be called once a tick,
+        after the ports were read."""
+        health.refused[:] = self._refused
+        if self._foreigner is not None:
+            health.foreign_pid, health.foreign_as = self._foreigner
