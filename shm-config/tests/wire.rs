@@ -66,8 +66,10 @@ fn the_latest_value_wins_and_late_joiners_get_it() {
     assert_eq!(seen.header.producer, std::process::id());
 }
 
+type Spoil = fn(&mut Command);
+
 /// What hides nothing: each spoils one thing, and is refused for it.
-const SPOILS: [(RefusalKind, fn(&mut Command)); 5] = [
+const SPOILS: [(RefusalKind, Spoil); 5] = [
     (RefusalKind::Content, |c| c.steer = f64::NAN),
     (RefusalKind::Content, |c| c.driver = u32::MAX),
     (RefusalKind::Stale, |c| {

@@ -4,6 +4,7 @@ use std::fs;
 
 use shm_config::message::Roster;
 use shm_config::services::{Process, ROSTER};
+use shm_config::text::printable;
 use shm_config::wire::{Foreigner, Publisher, Wire, WireError};
 
 use crate::set::ProcessSet;
@@ -89,17 +90,10 @@ impl Roll {
 /// What a process runs, as far as the kernel tells.
 fn program(pid: u32) -> String {
     let name = fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
-    let name: String = name.trim().chars().map(printable).collect();
+    // A process names itself as it likes.
+    let name = printable(name.trim());
     match name.is_empty() {
         true => "it has ended".into(),
-        false => name,
-    }
-}
-
-/// A process names itself as it likes: only what is plain reaches the terminal.
-fn printable(letter: char) -> char {
-    match letter {
-        ' '..='~' => letter,
-        _ => '?',
+        false => name.into_owned(),
     }
 }

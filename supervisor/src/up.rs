@@ -1,15 +1,10 @@
 //! `up`: start, watch, restart, stop, add up.
 
-use std::fs::File;
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::io;
+use std::path::Path;
 
-use rustix::fs::{FlockOperation, flock};
-use rustix::io::Errno;
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode, Simulator};
-use shm_config::file::{self, Durable, Entry, Folder};
-use shm_config::run::Origin;
 use shm_config::services::{Process, TAKEOVER};
 use shm_config::wire::Wire;
 
@@ -21,10 +16,10 @@ use crate::cores::own_cores;
 use crate::event::Event;
 use crate::failure::Failure;
 use crate::idle::IdleBound;
+use crate::journal::Journal;
 use crate::judged;
 use crate::kernel::Memory;
 use crate::live::View;
-use crate::log::LogFile;
 use crate::member::{Phase, Turn};
 use crate::metadrive;
 use crate::need::Need;
@@ -35,6 +30,7 @@ use crate::place::{Place, check_shared_memory, shared_memory};
 use crate::ports::{Depth, Ports};
 use crate::restarts;
 use crate::roll::Roll;
+use crate::run_folder::{cannot_write, keep, prepare_folder};
 use crate::screen::{Screen, UNREAD, say};
 use crate::seat::{Keys, Seat};
 use crate::set::ProcessSet;
@@ -138,64 +134,6 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
 }
 
-fn keep(folder: &Folder, name: &str, text: io::Result<String>) -> Result<(), Failure> {
-    text.and_then(|text| folder.replace(name, text.as_bytes(), Durable::Yes))
-        .map_err(|error| cannot_write(&folder.path().join(name), &error))
-}
-
-fn cannot_write(path: &Path, error: &io::Error) -> Failure {
-    Failure::GivenUp(format!(
-        "{}: cannot write what the run amounts to: {error}",
-        path.display()
-    ))
-}
-
-/// Makes the run's folder with its resolved configuration, locked against other
-/// runs as long as the folder that is returned is open; processes and onlookers
-/// find a copy beside the run's other files.
-fn prepare_folder(config: &Config, place: &Place, parent: Option<u32>) -> Result<Folder, Failure> {
-    let failed = |what: &Path, error: &dyn std::fmt::Display| {
-        Failure::Usage(format!(
-            "{}: cannot keep the run's files: {error}; choose another folder with \
-             `--set run.folder=DIR`",
-            what.display()
-        ))
-    };
-    // Without a slash at its end, which would have a link followed.
-    let path: PathBuf = Path::new(&config.run.folder).components().collect();
-    let io_failed = |error: io::Error| failed(&path, &error);
-    if let Some(above) = path.parent() {
-        file::make_folders(above).map_err(|error| failed(above, &error))?;
-    }
-    drop(Folder::make(&path, Entry::Readable).map_err(io_failed)?);
-    let path = path.canonicalize().map_err(io_failed)?;
-    file::check_parents(&path).map_err(io_failed)?;
-    let folder = Folder::open(&path, Entry::Readable).map_err(io_failed)?;
-    let logs = folder.make_inside("logs", Entry::Readable);
-    logs.map_err(|error| failed(&path.join("logs"), &error))?;
-    match flock(&folder, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => {}
-        Err(Errno::WOULDBLOCK) => {
-            return Err(Failure::Usage(format!(
-                "{}: another run keeps its files there; `./vlaps status` shows it; choose another \
-                 folder with `--set run.folder=DIR`",
-                path.display()
-            )));
-        }
-        Err(error) => return Err(failed(&path, &error)),
-    }
-    let text = toml::to_string(config).map_err(|error| failed(&path, &error))?;
-    let kept = folder.replace("config.toml", text.as_bytes(), Durable::Yes);
-    kept.map_err(|error| failed(&path.join("config.toml"), &error))?;
-    let copy = place.paths().config_file();
-    file::replace(&copy, text.as_bytes(), Durable::No).map_err(|error| failed(&copy, &error))?;
-    place.paths().keep_origin(&Origin {
-        folder: path,
-        parent,
-    })?;
-    Ok(folder)
-}
-
 fn drive(
     (config, place, folder): (&Config, &Place, &Path),
     keys: Option<Keys>,
@@ -273,38 +211,6 @@ fn rights(config: &Config) -> Rights {
         return Rights::Ordinary;
     }
     Rights::RealTime(own_cores())
-}
-
-/// The supervisor's own log.
-struct Journal {
-    log: LogFile,
-    file: File,
-    begun: Instant,
-}
-
-impl Journal {
-    fn open(dir: &Path, config: &Config, now: Instant) -> Result<Self, Failure> {
-        let failed = |error: io::Error| {
-            Failure::GivenUp(format!("{}: cannot keep a log: {error}", dir.display()))
-        };
-        let limit_bytes = u64::from(config.supervisor.log_mb) << 20;
-        let mut log =
-            LogFile::create(dir, Process::Supervisor.word(), limit_bytes).map_err(failed)?;
-        let file = log.begin().map_err(failed)?;
-        Ok(Self {
-            log,
-            file,
-            begun: now,
-        })
-    }
-
-    fn line(&mut self, now: Instant, text: &str) {
-        let passed_s = now.since_ns(self.begun) as f64 / 1e9;
-        // A full disk stops the journal, not the car.
-        let text = shm_config::text::printable(text);
-        let _ = writeln!(self.file, "{passed_s:9.3} {text}");
-        let _ = self.log.rotate();
-    }
 }
 
 /// A run in progress. Fields are dropped in this order: ports before the wire.

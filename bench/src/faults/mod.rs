@@ -20,13 +20,15 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use shm_config::counted;
+use shm_config::{Instant, counted};
 use supervisor::failure::Failure;
 use supervisor::numbers::whole;
 
 use crate::Clock;
+use crate::floor::Priority;
 use crate::report::{Machine, say, write_json};
 use crate::settings;
+use crate::stalls::{MOMENT_NS, StallWatch};
 use crate::stop::Stop;
 use campaign::Campaign;
 use room::Room;
@@ -118,6 +120,10 @@ struct Figures {
     conditions: Machine,
 }
 
+/// How far from a fault a stall of the machine is told beside it, ns: a moment of the
+/// watch before and after.
+const STALL_NEAR_NS: u64 = MOMENT_NS;
+
 /// `./vlaps bench faults`.
 ///
 /// # Errors
@@ -140,12 +146,18 @@ pub fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> 
     };
     campaign.check_same(&rows)?;
     let begun = clock();
+    let noting = StallWatch::start(Priority::Asked, clock)?;
     let done = campaign.run(&mut rows, file.as_deref(), &stop);
+    let stalls = noting.finish()?;
+    let stall_ns = |row: &Row| {
+        let struck = Instant(row.struck_ns);
+        (struck >= begun).then(|| stalls.near(struck, STALL_NEAR_NS))
+    };
     let figures = Figures {
         rows: rows::lines(&rows),
         bars: Bars::of(&rows),
         skipped: campaign.skipped(),
-        exceptions: exceptions(&rows, arguments),
+        exceptions: exceptions(&rows, arguments, stall_ns),
         seed: arguments.seed,
         elapsed_s: clock().since_ns(begun) as f64 * 1e-9,
         conditions,
@@ -196,7 +208,11 @@ fn begin_file(folder: &Path, arguments: &BenchFaults) -> anyhow::Result<PathBuf>
 }
 
 /// Every row that breaks a bar, and every death that took more than two periods.
-fn exceptions(rows: &[Row], arguments: &BenchFaults) -> Vec<String> {
+fn exceptions(
+    rows: &[Row],
+    arguments: &BenchFaults,
+    stall_ns: impl Fn(&Row) -> Option<u64>,
+) -> Vec<String> {
     let kinds: Vec<&str> = arguments.kinds.iter().map(|kind| kind.word()).collect();
     let kinds = match kinds.is_empty() {
         true => String::new(),
@@ -212,8 +228,15 @@ fn exceptions(rows: &[Row], arguments: &BenchFaults) -> Vec<String> {
         let safe = row
             .safe_ms
             .map_or("never".into(), |ms| format!("after {ms:.1} ms"));
+        // A virtual machine may be away for longer than two periods.
+        let stall = stall_ns(row).map_or(String::new(), |ns| {
+            format!(
+                "the machine stalled for {:.1} ms beside it, ",
+                ns as f64 / 1e6
+            )
+        });
         format!(
-            "{} {} {}: safe {safe} by {}, {}, {}, {} unaccounted, {}; \
+            "{} {} {}: safe {safe} by {}, {stall}{}, {}, {} unaccounted, {}; \
              repeat: ./vlaps bench faults --seed {}{kinds} --only {} --rate {}",
             row.kind,
             row.target,

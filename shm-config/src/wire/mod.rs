@@ -24,7 +24,11 @@ use crate::run::{RunError, RunLock, RunName, RunPaths};
 use crate::services::{Process, ROSTER, Service};
 
 type Ipc = ipc::Service;
-type SubscriberPort<M> = iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>;
+/// A reading end, and the service that it reads.
+type OpenPort<M> = (
+    iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>,
+    Topic<Ipc, M, ()>,
+);
 
 /// Publishers of one service at a time: the living one, and dead ones that have
 /// not been swept yet.
@@ -243,7 +247,7 @@ impl Wire {
         &self,
         service: Service<M>,
         depth: usize,
-    ) -> Result<(SubscriberPort<M>, Topic<Ipc, M, ()>), WireError> {
+    ) -> Result<OpenPort<M>, WireError> {
         let topic = self.topic(service)?;
         let port = topic
             .subscriber_builder()
