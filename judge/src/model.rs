@@ -82,7 +82,7 @@ impl Ports {
     fn open(config: &Config) -> Result<Self, WireError> {
         let failed =
             |error: shm_config::run::InvalidRunName| WireError::port("run", error.to_string());
-        let wire = Wire::join(&config.run.name.parse().map_err(failed)?, Process::Gate)?;
+        let wire = process::join_as(&config.run.name.parse().map_err(failed)?, Process::Gate)?;
         Ok(Self {
             requests: wire.publisher(FRAME_REQUEST)?,
             frames: wire.latest(FRAME)?,

@@ -14,15 +14,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
-use rustix::event::poll;
 use rustix::process::Signal;
-use rustix::time::Timespec;
 use shm_config::config::{Config, ConfigError, Scheduling, load};
 use shm_config::run::{InvalidRunName, RunName};
 use shm_config::secret;
 use shm_config::services::Process;
 use shm_config::text::{Printable, printable_lines};
-use shm_config::time::monotonic;
 use shm_config::wire::{Wire, WireError};
 
 pub use contest::Contest;
@@ -176,37 +173,17 @@ impl Member {
     }
 }
 
-/// How long the supervisor may take to name a process that it has started, ns: it
-/// publishes its roster every 5 ms while processes start.
-const NAMED_NS: u64 = 5_000_000_000;
-/// From look to look.
-const NAMED_LOOK: Timespec = Timespec {
-    tv_sec: 0,
-    tv_nsec: 500_000,
-};
-
 /// Joins a run as the process that the supervisor has started: takes state only from
 /// those that its roster names, and waits until that names this one, too.
 ///
 /// # Errors
 /// When shared memory refuses, or no supervisor names it.
-#[allow(clippy::disallowed_methods)] // before any loop
-pub fn join_as(run: &RunName, process: Process) -> Result<Wire, SetUpError> {
+pub fn join_as(run: &RunName, process: Process) -> Result<Wire, WireError> {
     let wire = Wire::join(run, process)?;
     // The one that started it: another process's roster names whom it likes.
     let supervisor = rustix::process::getppid().map_or(0, |pid| pid.as_raw_nonzero().get());
     wire.follow(supervisor.unsigned_abs())?;
-    let until = monotonic().after_ns(NAMED_NS);
-    while wire.named(process) != Some(std::process::id()) {
-        if monotonic() > until {
-            return Err(SetUpError::Own(format!(
-                "run '{run}': the process that started this one does not name it as its \
-                 {process}; `./vlaps up` starts all processes of a run"
-            )));
-        }
-        // Cut short by a signal, it looks again a little earlier.
-        let _ = poll(&mut [], Some(&NAMED_LOOK));
-    }
+    wire.await_named(process, std::process::id())?;
     Ok(wire)
 }
 

@@ -12,7 +12,10 @@ pub fn shortened(text: &str) -> String {
         false => ECHO_MAX,
     });
     let mut kept: String = kept
-        .map(|letter| if letter.is_control() { ' ' } else { letter })
+        .map(|letter| match letter {
+            '\n' | '\r' | '\t' => ' ',
+            letter => letter,
+        })
         .collect();
     if is_long {
         kept.push('…');

@@ -281,8 +281,8 @@ pub enum Part {
         (runs/NAME where it was started) lies in the current folder or below it, and which no \
         training or evaluation drives. A set of another folder is never stopped unless it is \
         named.\n\n\
-        Exit code 0: it is stopped, or the named run was not running, or nothing runs. 1: it \
-        does not end, or what holds the run's place is no supervisor of it. 2: no run is named, \
+        Exit code 0: it is stopped, or the named run was not running, or nothing runs \
+        (status and swap exit 1 then). 1: it does not end, or what holds the run's place is no supervisor of it. 2: no run is named, \
         and none of this folder runs though others do, or several do.\n\n\
         Examples:\n  \
         ./vlaps down\n  \

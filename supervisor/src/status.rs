@@ -168,6 +168,7 @@ fn hear(
 ) -> Result<(), Failure> {
     let wire = Wire::join(paths.name(), Process::Supervisor)?;
     wire.follow(supervisor)?;
+    wire.await_named(Process::Supervisor, supervisor)?;
     let mut ports = Ports::open(&wire, config, Depth::Newest)?;
     let begun = clock();
     while clock().since_ns(begun) < LISTEN_NS {

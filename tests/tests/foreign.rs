@@ -275,7 +275,7 @@ fn a_process_that_is_started_by_hand_does_not_join_a_run() {
     assert_eq!(output.status.code(), Some(2));
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(
-        said.contains("does not name it as its controller"),
+        said.contains("is not named as the run's controller"),
         "{said}"
     );
     drop(stranger);

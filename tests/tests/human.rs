@@ -100,7 +100,7 @@ fn nobody_takes_over_in_lockstep_without_a_terminal_or_without_being_asked() {
         ),
         (
             &["--gate", "human", "--keys", "keys.txt", "--lockstep"],
-            &["gate.mode", "a person cannot keep up"],
+            &["--gate human", "drop --lockstep"],
         ),
         (
             &["--gate", "expert", "--keys", "keys.txt"],

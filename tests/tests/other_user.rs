@@ -35,7 +35,7 @@ fn a_folder_of_another_user_takes_no_run() {
         let setting = format!("run.folder={}", folder.display());
         let words = ["up", "--lockstep", "--duration", "1", "--gate", "expert"];
         let output = stage.vlaps(VICTIM, &here, &[&words[..], &["--set", &setting]].concat());
-        assert_said(&output, 1, parts);
+        assert_said(&output, 2, parts);
         assert!(!folder.join("logs/gate.log").exists());
     };
     let trap = trap.display();

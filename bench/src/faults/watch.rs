@@ -77,6 +77,7 @@ impl Watch {
         let wire = Wire::join(name, Process::Learner)?;
         // What the campaign itself forges is not read back.
         wire.follow(supervisor)?;
+        wire.await_named(Process::Supervisor, supervisor)?;
         let signs = CHILDREN.map(|process| {
             let port = wire.subscriber(services::health(process))?;
             Ok(Sign {

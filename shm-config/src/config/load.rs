@@ -8,6 +8,10 @@ use crate::{file, shortened};
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
 
+/// Most characters of an error's part that are shown: several times the longest that
+/// makes sense.
+const SHOWN_MAX: usize = 1000;
+
 /// Longest key that another is looked for in place of, bytes: the time it takes grows
 /// with the square of the length, and no key has 40.
 const MISTAKEN_MAX: usize = 100;
@@ -24,7 +28,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// A key that does not exist.
-    #[error("{}: unknown key '{}'{}", shown(.origin), shown(.key), suggestion(.nearest))]
+    #[error("{}: unknown key '{}'{}", shown(.origin), shown(&shortened(.key)), suggestion(.nearest))]
     UnknownKey {
         /// The file.
         origin: String,
@@ -54,7 +58,13 @@ pub enum ConfigError {
 /// A part of an error as it may be shown: what comes from a file may hold anything,
 /// and be as long as the file.
 fn shown(part: &dyn std::fmt::Display) -> String {
-    printable(&shortened(&part.to_string())).into_owned()
+    let text = part.to_string();
+    let mut chars = text.chars();
+    let mut start: String = chars.by_ref().take(SHOWN_MAX).collect();
+    if chars.next().is_some() {
+        start.push('…');
+    }
+    printable(&start).into_owned()
 }
 
 fn suggestion(nearest: &Option<String>) -> String {

@@ -13,6 +13,9 @@ use iceoryx2::prelude::*;
 use iceoryx2::service::Service as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 
+use rustix::event::poll;
+use rustix::time::Timespec;
+
 pub use doorbell::Doorbell;
 pub use producers::Foreigner;
 use producers::Producers;
@@ -41,6 +44,15 @@ const GONE_MAX: usize = 2 * PUBLISHERS_MAX;
 /// Processes that may look at one service.
 pub const NODES_MAX: usize = 32;
 
+/// From look to look at a roster that is waited for. A supervisor publishes it every
+/// 5 ms while processes start, and every 50 ms while they drive.
+const NAMED_LOOK: Timespec = Timespec {
+    tv_sec: 0,
+    tv_nsec: 500_000,
+};
+/// Looks until a roster is not waited for any longer: 5 s.
+const NAMED_LOOKS: u32 = 10_000;
+
 /// The service attribute that carries the layout's fingerprint.
 pub const LAYOUT_KEY: &str = "layout";
 
@@ -62,6 +74,17 @@ pub enum WireError {
         theirs: String,
         /// This side's layout.
         ours: String,
+    },
+    /// The run's supervisor has not started the process.
+    #[error(
+        "process {pid} is not named as the run's {process} by the process that started it; \
+         `./vlaps up` starts all processes of a run"
+    )]
+    Unnamed {
+        /// As what it would join.
+        process: Process,
+        /// Its process id.
+        pid: u32,
     },
     /// Shared memory refused.
     #[error("service '{service}': shared memory refuses ({what}): {cause}")]
@@ -156,6 +179,22 @@ impl Wire {
         let port = self.port(ROSTER, 1)?.0;
         self.producers.follow(author, port);
         Ok(())
+    }
+
+    /// Waits until the roster that is followed names that process id. Ports that are
+    /// opened after it miss nothing that was said before.
+    ///
+    /// # Errors
+    /// When it does not within five seconds.
+    pub fn await_named(&self, process: Process, pid: u32) -> Result<(), WireError> {
+        for _ in 0..NAMED_LOOKS {
+            if self.named(process) == Some(pid) {
+                return Ok(());
+            }
+            // Cut short by a signal, it looks again a little earlier.
+            let _ = poll(&mut [], Some(&NAMED_LOOK));
+        }
+        Err(WireError::Unnamed { process, pid })
     }
 
     /// Which process the roster names, `None` when it names none or is not there yet.
