@@ -8,6 +8,7 @@ mod kernel;
 mod pulse;
 mod realtime;
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -205,7 +206,12 @@ pub fn exit_code(process: Process, result: Result<(), SetUpError>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let error = error.to_string();
-            eprintln!("vlaps-{process}: {}", printable_lines(&error));
+            // A disk that takes no log must not turn the refusal into a panic.
+            let _ = writeln!(
+                std::io::stderr(),
+                "vlaps-{process}: {}",
+                printable_lines(&error)
+            );
             ExitCode::from(SET_UP_FAILED)
         }
     }

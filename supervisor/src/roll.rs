@@ -75,16 +75,21 @@ impl Roll {
                 continue;
             }
             self.named.push(foreigner);
-            let Foreigner { pid, place } = foreigner;
-            lines.push(format!(
-                "warning: process {pid} ({}) sends in the place of the {place}, and this run did \
-                 not start it: its messages are refused, and the car is braked where they could \
-                 be taken for the run's own; end it",
-                program(pid)
-            ));
+            lines.push(warning(foreigner));
         }
         lines
     }
+}
+
+/// What to say of a process that sends in the place of another.
+pub fn warning(foreigner: Foreigner) -> String {
+    let Foreigner { pid, place } = foreigner;
+    format!(
+        "warning: process {pid} ({}) sends in the place of the {place}, and this run did not \
+         start it: its messages are refused, and the car is braked where they could be taken \
+         for the run's own; end it",
+        program(pid)
+    )
 }
 
 /// What a process runs, as far as the kernel tells.

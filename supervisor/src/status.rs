@@ -23,6 +23,7 @@ use crate::live::View;
 use crate::outputs::Output;
 use crate::ports::{Depth, Ports};
 use crate::restarts;
+use crate::roll;
 use crate::screen::say;
 use crate::signals::pause;
 use crate::table::rows;
@@ -51,6 +52,8 @@ struct Seen {
     judge_unasked: Option<&'static str>,
     /// The ticks that were latest, the latest first.
     late_ticks: Vec<LateRow>,
+    /// Processes that the run did not start and that sent in the place of its own.
+    warnings: Vec<String>,
     #[serde(flatten)]
     view: View,
 }
@@ -91,6 +94,9 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
                 "  {}; supervisor process {pid}",
                 seen.view.drive_line()
             ));
+            for warning in &seen.warnings {
+                say(format_args!("  {warning}"));
+            }
             match (seen.judge_unasked, &seen.judge) {
                 (Some(reason), _) => say(format_args!("  judge {reason}")),
                 (None, Some(judged)) => say(format_args!("  judge {judged}")),
@@ -122,6 +128,7 @@ fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<Seen, Failu
     let judge = judged::read(&config, supervisor);
     Ok(Seen {
         supervisor,
+        warnings: tally.foreigners().map(roll::warning).collect(),
         judge_unasked: judged::unasked(&config, &tally, judge.as_ref()),
         judge,
         late_ticks: late::latest(&tally),

@@ -209,8 +209,19 @@ impl Offers {
     fn await_ready(&mut self, version: u64, bytes: &[u8], clock: Clock) -> Result<(), Failure> {
         let hash = short_hash(bytes);
         let begun = clock();
+        let adopter = self.newest.map(|status| status.header.producer);
         while clock().since_ns(begun) < READY_NS {
             let status = self.look();
+            let speaker = status.map(|status| status.header.producer);
+            if speaker != adopter
+                && status.is_some_and(|status| judge(&status, version, hash).is_none())
+            {
+                return Err(Failure::GivenUp(
+                    "the controller was restarted before the probation was over, and goes on \
+                     with the weights before; swap again"
+                        .into(),
+                ));
+            }
             match status.and_then(|status| judge(&status, version, hash)) {
                 Some(Answer::Ready { tick }) => {
                     say(format_args!(

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use shm_config::config::{Algorithm, text_of};
+use shm_config::file::read_text;
 use supervisor::failure::Failure;
 use supervisor::settings::DEFAULT_FILE;
 
@@ -17,6 +18,8 @@ use crate::settings::key;
 
 /// The folder's own note of its experiment.
 const FILE: &str = "experiment.toml";
+/// Largest such file, bytes: a hundred times one with every option.
+const BYTES_MAX: u64 = 1 << 20;
 /// The configuration file as it was, whatever becomes of the user's; empty of none.
 const CONFIG: &str = "config.toml";
 /// Locked by who trains in the folder; the kernel drops the lock.
@@ -107,7 +110,7 @@ impl Experiment {
     pub fn read(out: &Path) -> anyhow::Result<Option<Experiment>> {
         let file = out.join(FILE);
         if file.exists() {
-            let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
+            let text = read_text(&file, BYTES_MAX).with_context(|| file.display().to_string())?;
             let held = toml::from_str(&text).with_context(|| file.display().to_string())?;
             return Ok(Some(held));
         }

@@ -11,7 +11,7 @@ use iceoryx2::service::header::publish_subscribe::Header as Envelope;
 use rustix::process::{Pid, test_kill_process};
 
 use super::Ipc;
-use crate::message::{Refusals, Roster};
+use crate::message::{RefusalKind, Refusals, Roster};
 use crate::services::{Process, TakenFrom};
 
 type Port = iceoryx2::port::subscriber::Subscriber<Ipc, Roster, ()>;
@@ -101,8 +101,13 @@ impl Producers {
             let Ok(Some(sample)) = port.receive() else {
                 return;
             };
-            if sender(sample.header()) == *author {
+            let pid = sender(sample.header());
+            if pid == *author {
                 *self.roster.borrow_mut() = *sample.payload();
+            } else {
+                self.count(RefusalKind::Foreign);
+                let place = Process::Supervisor;
+                self.foreigner.set(Some(Foreigner { pid, place }));
             }
         }
     }
@@ -136,6 +141,27 @@ impl Producers {
         false
     }
 
+    /// Two memberships with one process id are a contest as well: a process of another
+    /// pid namespace may have the id of one of the run. A process publishes a service
+    /// from one membership for as long as it lives, so a change without a new roster is
+    /// two of them.
+    pub(super) fn compare(
+        &self,
+        envelope: &Envelope,
+        (place, taken_from): (Process, TakenFrom),
+        last: &mut Option<(u32, u128)>,
+    ) {
+        if taken_from == TakenFrom::Anyone || matches!(*self.author.borrow(), Author::Nobody) {
+            return;
+        }
+        let (pid, membership) = (sender(envelope), envelope.node_id().value());
+        let before = last.replace((pid, membership));
+        if before.is_some_and(|(other, node)| other == pid && node != membership) {
+            self.contests.set(self.contests.get() + 1);
+            self.foreigner.set(Some(Foreigner { pid, place }));
+        }
+    }
+
     /// Messages of living processes that were refused because the run did not start
     /// them for it.
     pub(super) fn contests(&self) -> u64 {
@@ -148,7 +174,7 @@ impl Producers {
     }
 
     /// Counts messages that a port refused.
-    pub(super) fn count(&self, kind: crate::message::RefusalKind) {
+    pub(super) fn count(&self, kind: RefusalKind) {
         let mut refused = self.refused.get();
         refused.count(kind);
         self.refused.set(refused);

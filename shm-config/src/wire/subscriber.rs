@@ -27,6 +27,8 @@ pub struct Subscriber<M: Message> {
     topic: Topic<Ipc, M, ()>,
     producers: Rc<Producers>,
     from: (Process, TakenFrom),
+    /// The process and the membership that sent the last message that was taken.
+    membership: Option<(u32, u128)>,
     /// At the last tending at most one message could wait.
     holds_one: bool,
     depth: usize,
@@ -48,6 +50,7 @@ impl<M: Message> Subscriber<M> {
             topic,
             producers,
             from: (service.from, service.taken_from),
+            membership: None,
             holds_one: false,
             depth,
             producer: 0,
@@ -61,6 +64,8 @@ impl<M: Message> Subscriber<M> {
         for _ in 0..FOREIGN_MAX {
             let sample = self.port.receive().ok()??;
             if self.producers.admits(sample.header(), self.from) {
+                self.producers
+                    .compare(sample.header(), self.from, &mut self.membership);
                 self.count(sample.payload().header());
                 return Some(sample);
             }
