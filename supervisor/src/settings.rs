@@ -87,6 +87,15 @@ fn read(path: &Path) -> Result<Table, Failure> {
         .map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))
 }
 
+/// An override as an error names it. An address may hold a key: of it the value is
+/// not shown.
+fn shown<'a>(key: &'a str, text: &'a str) -> &'a str {
+    match key {
+        "vlm.server" => key,
+        _ => text,
+    }
+}
+
 fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     let mut overrides = Vec::new();
     let mut push = |origin: &str, key: &str, value: Option<Value>| {
@@ -139,7 +148,7 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
         };
         let value = value_of(value.trim());
         push(
-            &format!("--set {}", shortened(text)),
+            &format!("--set {}", shortened(shown(key.trim(), text))),
             key.trim(),
             Some(value),
         );

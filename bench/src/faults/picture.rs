@@ -102,7 +102,7 @@ where
                 Rectangle::new([(left, from), (right, to)], colour.filled())
             }))?;
         }
-        area.draw_text(kind, &text(16, INK), (WIDTH as i32 - 120, 8))?;
+        area.draw_text(kind, &text(16, INK), (WIDTH as i32 - 160, 8))?;
     }
     root.present()?;
     Ok(())
