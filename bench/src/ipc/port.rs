@@ -152,7 +152,7 @@ impl<M: Measured> Link for Port<M> {
         let mut refused = None;
         let came = self.subscriber.newest_into(&mut self.message, |message| {
             if door == Door::Admit {
-                // A tick has read its clock already, whatever comes.
+                // A tick has read its clock before the message comes.
                 let admitted = message.admit(message.header().taken(), LOST_NS);
                 refused = admitted.err();
                 return admitted;

@@ -31,7 +31,7 @@ pub struct Foreigner {
 /// Whose roster counts.
 enum Author {
     /// Every process is taken for what it claims: no roster is followed.
-    Nobody,
+    Unset,
     /// The own one.
     Own,
     /// That of this process, read from this port.
@@ -54,7 +54,7 @@ fn sender(envelope: &Envelope) -> u32 {
     pid.map_or(0, |pid| pid.value().unsigned_abs())
 }
 
-/// The process exists, whoever it belongs to.
+/// The process exists, of any user.
 fn lives(pid: u32) -> bool {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
     pid.is_some_and(|pid| test_kill_process(pid) != Err(rustix::io::Errno::SRCH))
@@ -64,7 +64,7 @@ impl Producers {
     /// Takes from every process.
     pub(super) fn open() -> Self {
         Self {
-            author: RefCell::new(Author::Nobody),
+            author: RefCell::new(Author::Unset),
             roster: RefCell::new(Roster::default()),
             foreigner: Cell::new(None),
             contests: Cell::new(0),
@@ -119,7 +119,7 @@ impl Producers {
         envelope: &Envelope,
         (place, taken_from): (Process, TakenFrom),
     ) -> bool {
-        if taken_from == TakenFrom::Anyone || matches!(*self.author.borrow(), Author::Nobody) {
+        if taken_from == TakenFrom::Anyone || matches!(*self.author.borrow(), Author::Unset) {
             return true;
         }
         let pid = sender(envelope);
@@ -151,7 +151,7 @@ impl Producers {
         (place, taken_from): (Process, TakenFrom),
         last: &mut Option<(u32, u128)>,
     ) {
-        if taken_from == TakenFrom::Anyone || matches!(*self.author.borrow(), Author::Nobody) {
+        if taken_from == TakenFrom::Anyone || matches!(*self.author.borrow(), Author::Unset) {
             return;
         }
         let (pid, membership) = (sender(envelope), envelope.node_id().value());
