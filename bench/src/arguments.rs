@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::{Deserialize, Serialize};
-use supervisor::numbers::whole;
+use supervisor::cli::parsers::whole;
 
 use crate::faults::BenchFaults;
 use crate::ipc::{BenchIpc, IpcEcho};

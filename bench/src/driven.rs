@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shm_config::run::RunPaths;
 use shm_config::secret;
-use supervisor::clean::{Cleaned, clean_run};
-use supervisor::signals::pause;
-pub use supervisor::tally::Quantiles;
+use supervisor::commands::clean::{Cleaned, clean_run};
+use supervisor::machine::signals::pause;
+pub use supervisor::telemetry::tally::Quantiles;
 
 /// Looks until a run's last process has let go of it, and from one to the next.
 const CLEANINGS: u32 = 100;

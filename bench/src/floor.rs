@@ -13,8 +13,8 @@ use rustix::thread::{ClockId, CpuSet, clock_nanosleep_absolute, sched_setaffinit
 use shm_config::Instant;
 use shm_config::message::Histogram;
 use shm_config::services::Process;
-use supervisor::cores::own_cores;
-use supervisor::table::{Rights, Row, TABLE};
+use supervisor::machine::cores::own_cores;
+use supervisor::set::table::{Rights, Row, TABLE};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,

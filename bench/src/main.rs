@@ -24,7 +24,7 @@ use shm_config::text::{printable_arguments, printable_lines};
 use shm_config::time::monotonic;
 use shm_config::{counted, secret};
 use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
-use supervisor::failure::{EXIT_FAILED, Failure};
+use supervisor::cli::failure::{EXIT_FAILED, Failure};
 
 /// Counts bytes, for the memory of a world.
 #[global_allocator]

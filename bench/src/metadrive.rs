@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 use serde::Deserialize;
 use shm_config::config::Config;
-use supervisor::metadrive::{home, python, sources};
+use supervisor::setup::metadrive::{home, python, sources};
 
 /// Drives it and prints how fast it was.
 const SCRIPT: &str = include_str!("../metadrive_speed.py");

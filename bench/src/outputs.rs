@@ -3,8 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use supervisor::failure::Failure;
-use supervisor::outputs::{check_file, check_folder};
+use supervisor::cli::failure::Failure;
+use supervisor::cli::output::{check_file, check_folder};
 
 use crate::arguments::{Bench, Command, Draw};
 

@@ -7,8 +7,8 @@ use clap::Parser;
 use shm_config::config::{Clock, Config, ConfigError};
 use shm_config::secret;
 use supervisor::arguments::{Arguments, Command};
-use supervisor::failure::Failure;
-use supervisor::settings::resolve;
+use supervisor::cli::failure::Failure;
+use supervisor::commands::up::settings::resolve;
 
 /// Ticks of the car's physics in a second.
 const PHYSICS_HZ: f64 = 10.0;

@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use anyhow::Context;
 use rustix::thread::{CpuSet, sched_getaffinity};
 use shm_config::Instant;
-use supervisor::table::TABLE;
+use supervisor::set::table::TABLE;
 
 use crate::Clock;
 use crate::floor::{Priority, claim_fifo, stay_on, wake};

@@ -9,8 +9,8 @@ use serde::Serialize;
 use shm_config::run::RunPaths;
 use shm_config::services::Process;
 use shm_config::wire::Wire;
-use supervisor::failure::Failure;
-use supervisor::swap::{Answer, Offers};
+use supervisor::cli::failure::Failure;
+use supervisor::commands::swap::{Answer, Offers};
 
 use crate::Clock;
 use crate::arguments::BenchSwap;
@@ -149,7 +149,7 @@ fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<
         if clock() > until {
             bail!("the set does not start");
         }
-        supervisor::signals::pause(LOOK);
+        supervisor::machine::signals::pause(LOOK);
     }
     let wire = Wire::join(paths.name(), Process::Learner)?;
     let mut offers = Offers::open(&wire)?;
@@ -160,7 +160,7 @@ fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<
         let bytes = encode(&net(256, k), &Provenance::default(), &[vec![0.5; 259]]);
         let due = begun.after_ns((k as f64 * EVERY_S * 1e9) as u64);
         while clock() < due {
-            supervisor::signals::pause(LOOK);
+            supervisor::machine::signals::pause(LOOK);
         }
         let version = offers.next_version(clock);
         let published = clock();

@@ -10,7 +10,7 @@ use plotters::prelude::*;
 use serde::Serialize;
 use shm_config::config::Algorithm;
 use shm_config::counted;
-use supervisor::numbers::whole;
+use supervisor::cli::parsers::whole;
 
 use crate::Clock;
 use crate::arguments::{Configuration, WorldChoice};

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process_group};
 use serde_json::Value;
-use supervisor::signals::pause;
+use supervisor::machine::signals::pause;
 
 fn campaign(words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))

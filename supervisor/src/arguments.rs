@@ -8,7 +8,7 @@ use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
 
-use crate::numbers::{Name, whole};
+use crate::cli::parsers::{Name, whole};
 
 /// Drives a set of real-time processes that drive a car.
 #[derive(Debug, Parser)]

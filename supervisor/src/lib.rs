@@ -11,9 +11,9 @@
 //! | world | `vlaps-world` | last but two | 50 | restarted at the episode it died in; exit 0 ends the run | learner |
 //!
 //! The world starts last: it owns the clock, and when its first tick comes
-//! everybody who answers is ready. [`table::TABLE`] is this table; a test
-//! compares the two. Cores are in the order of [`cores::own_cores`]; with fewer than
-//! [`table::CORES_MIN`] of them the three share the last, with one nobody asks. Cores
+//! everybody who answers is ready. [`set::table::TABLE`] is this table; a test
+//! compares the two. Cores are in the order of [`machine::cores::own_cores`]; with fewer than
+//! [`set::table::CORES_MIN`] of them the three share the last, with one nobody asks. Cores
 //! and priorities are asked for only in real time, since lockstep has no deadline, and
 //! cores only by who got the priority: others could keep the rest from theirs. The gate
 //! is absent when the configured gate has no process.
@@ -25,7 +25,7 @@
 //! | exit code 2 at the first start | shows the process's last line and gives the run up: the same set-up would fail again |
 //! | exit code 2 later, any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
 //! | no health for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
-//! | not ready within [`member::READY_LIMIT_NS`] ([`member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
+//! | not ready within [`set::member::READY_LIMIT_NS`] ([`set::member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
 //! | the run's files are gone from the disk or /dev/shm | brakes the car and gives up: whoever is restarted could not join the others |
 //! | the world's exit 0 | the run is driven to its end |
 //!
@@ -44,64 +44,19 @@
 //! only ever looks: at ports, at exit statuses, at the clock it is given.
 //! Output goes through a thread of its own, so that a terminal that takes no
 //! more text cannot hold the loop. With `--gate human` it also reads the keys and
-//! says what the person wants ([`seat`]); should it hang, its last word gets old
+//! says what the person wants ([`takeover::seat`]); should it hang, its last word gets old
 //! (`limits.takeover_age_ms`) and nobody has taken over.
 
 pub mod arguments;
-pub mod backoff;
-pub mod checkout;
-pub mod child;
-pub mod clean;
-pub mod cores;
-pub mod doctor;
-pub mod down;
-pub mod episodes;
-pub mod event;
-pub mod failure;
-pub mod grants;
-pub mod hand_over;
-pub mod idle;
-pub mod journal;
-pub mod judged;
-pub mod kernel;
-pub mod keyboard;
-pub mod keys;
-pub mod late;
-pub mod live;
-pub mod log;
-pub mod member;
-pub mod metadrive;
-pub mod need;
-pub mod numbers;
-pub mod onnxruntime;
-pub mod orphans;
-pub mod outputs;
-pub mod parent;
-pub mod person;
-pub mod place;
-pub mod ports;
-pub mod process_row;
-pub mod restarts;
-pub mod roll;
-pub mod run_folder;
-pub mod screen;
-pub mod script;
-pub mod seat;
+pub mod cli;
+pub mod commands;
+pub mod machine;
+pub mod run;
 pub mod set;
-pub mod settings;
 pub mod setup;
-pub mod signals;
-pub mod status;
-pub mod stop;
-pub mod summary;
-mod summary_text;
-pub mod swap;
-pub mod table;
-pub mod tally;
-pub mod target;
-pub mod threads;
-pub mod timing;
-pub mod up;
+pub mod show;
+pub mod takeover;
+pub mod telemetry;
 
 /// How a library function of this crate reads the clock: it is handed one by
 /// `main.rs`.

@@ -6,10 +6,12 @@ use clap::Parser;
 use shm_config::secret;
 use shm_config::text::{printable_arguments, printable_lines};
 use shm_config::time::monotonic;
+use supervisor::Clock;
 use supervisor::arguments::{Arguments, Command};
-use supervisor::failure::Failure;
-use supervisor::hand_over::{BENCH, JUDGE, hand_over};
-use supervisor::{Clock, clean, doctor, down, keys, setup, status, swap, up};
+use supervisor::cli::failure::Failure;
+use supervisor::commands::delegate::{BENCH, JUDGE, hand_over};
+use supervisor::commands::{clean, config, doctor, down, status, swap, up};
+use supervisor::setup::install;
 
 fn main() -> ExitCode {
     // Before anything else: nothing may copy the environment.
@@ -43,8 +45,8 @@ fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Swap(arguments) => swap::swap(arguments, clock),
         Command::Doctor => doctor::doctor(clock),
         Command::Clean(arguments) => clean::clean(arguments),
-        Command::Setup(arguments) => setup::setup(arguments),
-        Command::Config(arguments) => keys::keys(arguments),
+        Command::Setup(arguments) => install::setup(arguments),
+        Command::Config(arguments) => config::keys(arguments),
         Command::Eval(words) => hand_over(BENCH, &["eval"], words),
         Command::Bench(words) => hand_over(BENCH, &["bench"], words),
         Command::Draw(words) => hand_over(BENCH, &["draw"], words),

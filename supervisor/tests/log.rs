@@ -8,9 +8,9 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 
 use common::Rig;
-use supervisor::live::View;
-use supervisor::log::LogFile;
-use supervisor::tally::Tally;
+use supervisor::set::log::LogFile;
+use supervisor::show::view::View;
+use supervisor::telemetry::tally::Tally;
 
 #[test]
 fn a_full_log_is_set_aside_and_the_writer_goes_on() {

@@ -2,9 +2,9 @@
 
 use shm_config::Instant;
 use shm_config::message::{Message, Takeover};
-use supervisor::keyboard::Decoder;
-use supervisor::person::{Key, Person};
-use supervisor::script::Script;
+use supervisor::takeover::driver::{Key, Person};
+use supervisor::takeover::keyboard::Decoder;
+use supervisor::takeover::script::Script;
 
 const MS: u64 = 1_000_000;
 const BEGIN: Instant = Instant(5_000 * MS);

@@ -6,10 +6,10 @@ use common::{Rig, SECOND, await_state};
 use rustix::process::{Signal, WaitIdOptions};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
-use supervisor::child::Resume;
-use supervisor::event::Event;
-use supervisor::member::{Phase, READY_LIMIT_NS, Turn};
-use supervisor::stop::Stop;
+use supervisor::set::event::Event;
+use supervisor::set::launch::Resume;
+use supervisor::set::member::{Phase, READY_LIMIT_NS, Turn};
+use supervisor::set::stop::Stop;
 
 #[test]
 fn each_starts_when_the_one_before_is_ready() {

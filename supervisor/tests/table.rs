@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use shm_config::config::{Config, GateMode, Supervisor};
 use shm_config::services::Process;
-use supervisor::backoff::{After, Backoff};
-use supervisor::table::{CORES_MIN, CORES_SHARED, Core, Rights, Row, TABLE, rows};
+use supervisor::set::backoff::{After, Backoff};
+use supervisor::set::table::{CORES_MIN, CORES_SHARED, Core, Rights, Row, TABLE, rows};
 
 fn row(process: Process) -> &'static Row {
     TABLE

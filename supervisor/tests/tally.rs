@@ -8,9 +8,9 @@ use shm_config::message::{
     Driver, Episode, Grant, Header, Health, HealthState, Outcome, Part, Reason, Step, Timing,
 };
 use shm_config::services::Process;
-use supervisor::episodes::command_digest;
-use supervisor::summary::Summary;
-use supervisor::tally::{Quantiles, Tally, WEIGHTS_KEPT};
+use supervisor::show::summary::Summary;
+use supervisor::telemetry::episodes::command_digest;
+use supervisor::telemetry::tally::{Quantiles, Tally, WEIGHTS_KEPT};
 
 fn step(producer: u32, sequence: u64, driver: Driver, reason: Reason) -> Step {
     let mut step = Step::default();
@@ -333,7 +333,7 @@ fn the_json_has_the_keys_that_scripts_rely_on() {
 
 #[test]
 fn the_raw_histograms_add_up_to_what_was_counted() {
-    let text = supervisor::timing::csv(&driven());
+    let text = supervisor::telemetry::timing::csv(&driven());
     let mut lines = text.lines();
     assert_eq!(
         lines.next(),

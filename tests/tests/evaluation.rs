@@ -5,7 +5,7 @@ use bench::seat::{DriverKind, Seat};
 use shm_config::Instant;
 use shm_config::config::Config;
 use sim::{World, WorldConfig};
-use supervisor::episodes::command_digest;
+use supervisor::telemetry::episodes::command_digest;
 use vlaps_tests::Set;
 
 #[test]

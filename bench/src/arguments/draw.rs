@@ -6,7 +6,7 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{ArgGroup, Args, Subcommand};
 use shm_config::message::{FRAME_SIDES_PX, View};
 use shm_config::run::RunName;
-use supervisor::numbers::whole;
+use supervisor::cli::parsers::whole;
 
 use super::Configuration;
 use crate::seat::DriverKind;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use shm_config::services::Process;
-use supervisor::failure::Failure;
+use supervisor::cli::failure::Failure;
 
 use super::room::Room;
 use super::rows::{Row, append};

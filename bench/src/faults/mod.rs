@@ -21,8 +21,8 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use shm_config::{Instant, counted};
-use supervisor::failure::Failure;
-use supervisor::numbers::whole;
+use supervisor::cli::failure::Failure;
+use supervisor::cli::parsers::whole;
 
 use crate::Clock;
 use crate::floor::Priority;

@@ -13,8 +13,8 @@ use serde_json::Value;
 use shm_config::run::RunPaths;
 use shm_config::secret;
 use shm_config::services::Process;
-use supervisor::child::Exit;
-use supervisor::signals::pause;
+use supervisor::machine::signals::pause;
+use supervisor::set::launch::Exit;
 
 use super::ledger::Limits;
 use super::watch::{CHILDREN, Watch};

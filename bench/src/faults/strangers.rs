@@ -9,7 +9,7 @@ use shm_config::services::{
     self, ADVICE, COMMAND, EPISODE, OBSERVATION, PLAN, PROGRESS, Process, STEP,
 };
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
-use supervisor::signals::pause;
+use supervisor::machine::signals::pause;
 
 /// What a stranger steers: no driver of the set steers just so, so that a world that
 /// obeyed it is seen.

@@ -8,7 +8,7 @@ use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use shm_config::Instant;
 use shm_config::message::{Fault, FaultKind};
 use shm_config::services::Process;
-use supervisor::signals::pause;
+use supervisor::machine::signals::pause;
 
 use super::lies::Told;
 use super::room::{Filler, shared_memory};

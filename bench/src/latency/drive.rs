@@ -50,7 +50,7 @@ pub fn drive(
             driven.summary()?;
             bail!("the set does not start");
         }
-        supervisor::signals::pause(LOOK);
+        supervisor::machine::signals::pause(LOOK);
     }
     let mut watch = Watch::begin(&name)?;
     let seconds = bench.settings.seconds;
@@ -81,7 +81,7 @@ pub fn drive(
             driven.stop();
             stopping = true;
         }
-        supervisor::signals::pause(LOOK);
+        supervisor::machine::signals::pause(LOOK);
     }
     // A row that was cut short is none, whatever else has ended meanwhile.
     if bench.stop.is_asked() {

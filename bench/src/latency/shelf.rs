@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use supervisor::failure::Failure;
+use supervisor::cli::failure::Failure;
 
 use super::arguments::{Case, Settings};
 use super::buckets::{self, Series};

@@ -263,10 +263,10 @@ mod tests {
         let mut looks = 0;
         // Its first pass may take a moment on a machine that is busy.
         while stress.check().is_err() && maker == Maker::Own && looks < 600 {
-            supervisor::signals::pause(Duration::from_millis(100));
+            supervisor::machine::signals::pause(Duration::from_millis(100));
             looks += 1;
         }
-        supervisor::signals::pause(Duration::from_millis(300));
+        supervisor::machine::signals::pause(Duration::from_millis(300));
         stress.check().expect("it works");
         drop(stress);
         for folder in [scratch, disk] {
@@ -315,7 +315,7 @@ mod tests {
         stress.child = Some(Command::new("true").spawn().expect("true"));
         let mut looks = 0;
         while stress.check().is_ok() && looks < 600 {
-            supervisor::signals::pause(Duration::from_millis(50));
+            supervisor::machine::signals::pause(Duration::from_millis(50));
             looks += 1;
         }
         assert!(stress.check().is_err());

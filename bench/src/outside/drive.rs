@@ -9,10 +9,10 @@ use shm_config::config::Config;
 use shm_config::message::{Command, Episode, Header, Message, Observation};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, Process};
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
-use supervisor::child::Script;
-use supervisor::need::Need;
-use supervisor::place::{Place, check_shared_memory, shared_memory};
-use supervisor::roll::Roll;
+use supervisor::run::place::{Place, check_shared_memory, shared_memory};
+use supervisor::run::roster::Roll;
+use supervisor::run::shared_memory::Need;
+use supervisor::set::launch::Script;
 
 use super::world::WorldProcess;
 use crate::Clock;

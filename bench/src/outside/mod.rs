@@ -14,8 +14,8 @@ use anyhow::Context;
 use hdrhistogram::Histogram;
 use shm_config::config::{Clock as RunClock, Config, GateMode, Simulator};
 use shm_config::message::Episode;
-use supervisor::failure::Failure;
-use supervisor::signals::Signals;
+use supervisor::cli::failure::Failure;
+use supervisor::machine::signals::Signals;
 
 use crate::Clock;
 use crate::eval::{Drives, Task};
@@ -51,7 +51,7 @@ pub fn evaluate(
             use expert or lane";
         return Err(Failure::Usage(line.into()).into());
     }
-    let script = supervisor::metadrive::world()?;
+    let script = supervisor::setup::metadrive::world()?;
     let mut signals = Signals::install().context("cannot take over signals")?;
     let (send, ended) = mpsc::channel();
     let stop = AtomicBool::new(false);

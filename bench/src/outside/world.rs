@@ -7,8 +7,8 @@ use std::process::{Child, Command, Stdio};
 
 use anyhow::Context;
 use shm_config::config::Config;
-use supervisor::child::{Exit, Script};
-use supervisor::failure::Failure;
+use supervisor::cli::failure::Failure;
+use supervisor::set::launch::{Exit, Script};
 
 /// A world that drives. Dropping it kills it.
 pub struct WorldProcess {

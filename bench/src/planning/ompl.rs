@@ -8,7 +8,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use anyhow::{Context, anyhow, bail};
 use planner::{Cell, Grid, PlannerConfig};
 use shm_config::message::Plan;
-use supervisor::failure::Failure;
+use supervisor::cli::failure::Failure;
 use tempfile::TempDir;
 
 /// The sources of `bench/ompl`.

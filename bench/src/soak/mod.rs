@@ -19,7 +19,7 @@ use shm_config::message::{Message, Progress};
 use shm_config::run::RunPaths;
 use shm_config::services::{PROGRESS, Process};
 use shm_config::wire::{Subscriber, Wire};
-use supervisor::numbers::whole;
+use supervisor::cli::parsers::whole;
 
 use crate::Clock;
 use crate::driven::Driven;
@@ -227,7 +227,7 @@ fn watch(
             }
         }
         progress.tend();
-        supervisor::signals::pause(LOOK);
+        supervisor::machine::signals::pause(LOOK);
     }
     bar.finish_and_clear();
     Ok(samples)
@@ -244,7 +244,7 @@ fn listen(
         if driven.has_ended()? || clock() > until {
             bail!("the set does not start; its errors are above");
         }
-        supervisor::signals::pause(LOOK);
+        supervisor::machine::signals::pause(LOOK);
     }
     let wire = Wire::join(paths.name(), Process::Supervisor)?;
     let progress = wire.subscriber(PROGRESS)?;

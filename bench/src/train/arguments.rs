@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 use shm_config::config::Algorithm;
-use supervisor::numbers::whole;
+use supervisor::cli::parsers::whole;
 
 use crate::arguments::{Configuration, WorldChoice};
 

@@ -23,7 +23,7 @@ use crate::evaluation::Evaluation;
 use crate::report::write_json;
 use crate::seat::DriverKind;
 use crate::stop::Stop;
-use supervisor::signals::pause;
+use supervisor::machine::signals::pause;
 
 /// From look to look at new policies.
 const LOOK: Duration = Duration::from_millis(100);

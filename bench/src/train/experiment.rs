@@ -8,8 +8,8 @@ use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use shm_config::config::{Algorithm, text_of};
 use shm_config::file::read_text;
-use supervisor::failure::Failure;
-use supervisor::settings::DEFAULT_FILE;
+use supervisor::cli::failure::Failure;
+use supervisor::commands::up::settings::DEFAULT_FILE;
 
 use super::arguments::{ExpertChoice, Train};
 use super::results::seed_folders;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use shm_config::config::{Algorithm, Config, load};
 use shm_config::run::name_max;
-use supervisor::failure::Failure;
+use supervisor::cli::failure::Failure;
 use toml::{Table, Value};
 
 use super::experiment::Experiment;

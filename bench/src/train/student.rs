@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use shm_config::secret;
-use supervisor::signals::pause;
+use supervisor::machine::signals::pause;
 
 use super::doubts::doubts;
 use super::examiner::Examiner;

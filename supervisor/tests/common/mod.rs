@@ -11,9 +11,9 @@ use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
-use supervisor::child::{Launch, Resume};
-use supervisor::set::ProcessSet;
-use supervisor::table::{Rights, TABLE};
+use supervisor::set::launch::{Launch, Resume};
+use supervisor::set::process_set::ProcessSet;
+use supervisor::set::table::{Rights, TABLE};
 use tempfile::TempDir;
 
 pub const SECOND: u64 = 1_000_000_000;

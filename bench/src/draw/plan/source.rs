@@ -10,9 +10,9 @@ use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{Process, STEP};
 use shm_config::wire::Wire;
 use sim::{World, WorldConfig};
-use supervisor::clean::clean_run;
-use supervisor::failure::Failure;
-use supervisor::signals::pause;
+use supervisor::cli::failure::Failure;
+use supervisor::commands::clean::clean_run;
+use supervisor::machine::signals::pause;
 
 use super::Planned;
 use crate::arguments::DrawPlan;

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use anyhow::Context;
-use supervisor::failure::Failure;
+use supervisor::cli::failure::Failure;
 
 use super::{Message, Other, Program};
 

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use supervisor::failure::Failure;
-use supervisor::screen::say;
+use supervisor::cli::failure::Failure;
+use supervisor::show::screen::say;
 
 use super::{Message, Other, Program};
 
@@ -25,7 +25,7 @@ pub fn build() -> anyhow::Result<Program> {
         ))
         .into());
     }
-    let release = supervisor::child::own_folder().context("--zenoh: the build's folder")?;
+    let release = supervisor::set::launch::own_folder().context("--zenoh: the build's folder")?;
     let target = release.parent().unwrap_or(Path::new(".")).join("zenoh");
     say(format_args!("building {PACKAGE} into {}", target.display()));
     let built = Command::new("cargo")

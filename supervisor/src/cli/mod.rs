@@ -1,0 +1,5 @@
+//! cli
+
+pub mod failure;
+pub mod output;
+pub mod parsers;

@@ -1,0 +1,118 @@
+//! `config`: every key with its default and its meaning, or the check of a file.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use shm_config::config::{self, Config, ConfigError};
+
+use crate::arguments::Keys;
+use crate::cli::failure::Failure;
+use crate::show::screen::say;
+
+/// Where the configuration's structs are written down. What a key means is
+/// written there once, as its doc comment, and read from there.
+const SOURCES: &[&str] = &[
+    include_str!("../../../shm-config/src/config/mod.rs"),
+    include_str!("../../../shm-config/src/config/run.rs"),
+    include_str!("../../../shm-config/src/config/deadlines.rs"),
+    include_str!("../../../shm-config/src/config/world.rs"),
+    include_str!("../../../shm-config/src/config/planner.rs"),
+    include_str!("../../../shm-config/src/config/informed.rs"),
+    include_str!("../../../shm-config/src/config/kinodynamic.rs"),
+    include_str!("../../../shm-config/src/config/mpc.rs"),
+    include_str!("../../../shm-config/src/config/controller.rs"),
+    include_str!("../../../shm-config/src/config/gate.rs"),
+    include_str!("../../../shm-config/src/config/vlm.rs"),
+    include_str!("../../../shm-config/src/config/policy.rs"),
+    include_str!("../../../shm-config/src/config/learner.rs"),
+    include_str!("../../../vehicle/src/parameters.rs"),
+];
+
+/// A field's doc comment and type, by struct and field.
+type Docs = BTreeMap<(String, String), (String, String)>;
+
+/// Prints the defaults, or checks a file.
+///
+/// # Errors
+/// When the file is wrong.
+pub fn keys(arguments: &Keys) -> Result<(), Failure> {
+    match &arguments.check {
+        Some(path) => {
+            config::load(path)?;
+            say(format_args!("{}: a valid configuration", path.display()));
+        }
+        None => say(documented_defaults()?.trim_end()),
+    }
+    Ok(())
+}
+
+/// The default configuration as TOML, each key below what it means.
+///
+/// # Errors
+/// When the defaults cannot be written as TOML.
+pub fn documented_defaults() -> Result<String, Failure> {
+    let defaults = toml::to_string(&Config::default()).map_err(|error| ConfigError::Syntax {
+        origin: "built-in defaults".into(),
+        message: error.to_string(),
+    })?;
+    let docs = docs();
+    let mut text =
+        String::from("# Every key with its default. A file need name only what it changes.\n\n");
+    let mut section_type = String::new();
+    // Sections and keys stand one to a line.
+    for line in defaults.lines() {
+        let key = line.split(" = ").next().unwrap_or(line);
+        let about = match line.strip_prefix('[') {
+            Some(section) => {
+                let section = section.trim_end_matches(']');
+                let (about, type_name) = doc_of(&docs, "Config", section);
+                section_type = type_name;
+                about
+            }
+            None => doc_of(&docs, &section_type, key).0,
+        };
+        text.push_str(&about);
+        text.push_str(line);
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+/// The comment lines and the type of one field; nothing when it has no comment.
+fn doc_of(docs: &Docs, type_name: &str, field: &str) -> (String, String) {
+    docs.get(&(type_name.into(), field.into()))
+        .cloned()
+        .unwrap_or_default()
+}
+
+/// The doc comments of all fields. The sources are formatted by rustfmt, so one
+/// field stands on one line.
+fn docs() -> Docs {
+    let mut docs = Docs::new();
+    for source in SOURCES {
+        let mut inside = None;
+        let mut comment = String::new();
+        for line in source.lines().map(str::trim) {
+            if let Some(text) = line.strip_prefix("///") {
+                let _ = writeln!(comment, "#{text}");
+                continue;
+            }
+            let mut words = line.split_whitespace();
+            match (words.next(), words.next(), words.next()) {
+                (Some("pub"), Some("struct"), Some(name)) => inside = Some(name.to_string()),
+                (Some("}"), None, None) => inside = None,
+                (Some("pub"), Some(field), Some(type_name)) => {
+                    if let (Some(name), Some(field)) = (&inside, field.strip_suffix(':')) {
+                        docs.insert(
+                            (name.clone(), field.into()),
+                            (comment.clone(), type_name.trim_end_matches(',').into()),
+                        );
+                    }
+                }
+                _ => {}
+            }
+            comment.clear();
+        }
+    }
+    docs
+}

@@ -1,0 +1,290 @@
+//! `swap`: offers policy weights to a running set, and says what became of them.
+
+use std::path::Path;
+use std::time::Duration;
+
+use sha2::{Digest, Sha256};
+use shm_config::file;
+use shm_config::message::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
+use shm_config::run::RunPaths;
+use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
+use shm_config::wire::{Publisher, Subscriber, Wire};
+use shm_config::{Instant, Message};
+
+use crate::Clock;
+use crate::arguments::Swap;
+use crate::cli::failure::Failure;
+use crate::commands::clean::clean_run;
+use crate::commands::down::choose;
+use crate::machine::signals::pause;
+use crate::run::target::Target;
+use crate::show::screen::say;
+
+/// From look to look at what became of an offer.
+const LOOK: Duration = Duration::from_millis(2);
+/// How long the controller has to say which versions it knows, ns.
+const GREET_NS: u64 = 2_000_000_000;
+/// How long an answer may take, ns: a restart of the controller fits in.
+const ANSWER_NS: u64 = 30_000_000_000;
+/// How long a probation may take without the controller saying anything, ns.
+const READY_NS: u64 = 600_000_000_000;
+/// Offers of which another publisher took the version first.
+const TRIES: u32 = 5;
+
+/// What became of an offer.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Answer {
+    /// Taken up at this tick.
+    Adopted {
+        /// The tick.
+        tick: u64,
+    },
+    /// It may drive from this tick on.
+    Ready {
+        /// The tick.
+        tick: u64,
+    },
+    /// Refused or rolled back, and why.
+    Refused(String),
+    /// Another publisher offered this version, or a later one, first.
+    Overtaken(u64),
+}
+
+/// Both ends of the way that weights take, as a publisher has them.
+pub struct Offers {
+    weights: Publisher<Weights>,
+    statuses: Subscriber<PolicyStatus>,
+    newest: Option<PolicyStatus>,
+}
+
+/// Offers a file to a running set.
+///
+/// # Errors
+/// When the file cannot be read, no set runs, or the weights are refused.
+pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
+    let bytes = read(&arguments.file)?;
+    let name = arguments.run.as_ref();
+    let chosen = choose(name)?;
+    let alive = match &chosen {
+        // What holds its place must be a supervisor of it: weights are for no other.
+        Some(paths) => Target::of(paths)?.map(|_| paths),
+        None => None,
+    };
+    let Some(paths) = alive else {
+        return Err(Failure::GivenUp(match name {
+            Some(name) => {
+                format!("run '{name}' is not running; `./vlaps up --run {name}` starts it")
+            }
+            None => "nothing runs; `./vlaps up` starts a run".into(),
+        }));
+    };
+    let offered = offer(paths, arguments, &bytes, clock);
+    // The run may have ended meanwhile; then this process kept its place.
+    if paths.supervisor_pid().is_none() {
+        clean_run(paths)?;
+    }
+    offered
+}
+
+fn offer(paths: &RunPaths, arguments: &Swap, bytes: &[u8], clock: Clock) -> Result<(), Failure> {
+    let wire = Wire::join(paths.name(), Process::Supervisor)?;
+    let mut offers = Offers::open(&wire)?;
+    let file = arguments.file.display();
+    for _ in 0..TRIES {
+        let version = offers.next_version(clock);
+        if !offers.offer(version, bytes) {
+            return Err(Failure::GivenUp(format!(
+                "{file}: shared memory has no room for it; `./vlaps doctor` shows the space"
+            )));
+        }
+        let name = paths.name();
+        match offers.answer(version, bytes, clock, ANSWER_NS)? {
+            Answer::Overtaken(_) => continue,
+            Answer::Refused(reason) => {
+                return Err(Failure::GivenUp(format!("{file}: refused: {reason}")));
+            }
+            Answer::Adopted { tick } => {
+                say(format_args!(
+                    "adopted at tick {tick}: {file} is version {version} of run '{name}', in \
+                     shadow first"
+                ));
+                return match arguments.wait_ready {
+                    true => offers.await_ready(version, bytes, clock),
+                    false => Ok(()),
+                };
+            }
+            Answer::Ready { tick } => {
+                say(format_args!(
+                    "adopted at tick {tick}: {file} is version {version} of run '{name}' and may \
+                     drive"
+                ));
+                return Ok(());
+            }
+        }
+    }
+    Err(Failure::GivenUp(format!(
+        "{file}: refused: other weights were offered at the same time {TRIES} times; try again"
+    )))
+}
+
+/// The file, if an offer can carry it.
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    let failed = |error: std::io::Error| {
+        Failure::Usage(format!(
+            "{}: {error}; name a policy file, such as policy.onnx",
+            path.display()
+        ))
+    };
+    let bytes = file::regular(path).map_err(failed)?.len();
+    if bytes > WEIGHTS_BYTES_MAX as u64 {
+        return Err(Failure::GivenUp(format!(
+            "{}: refused: {bytes} bytes are over the limit of {WEIGHTS_BYTES_MAX}",
+            path.display()
+        )));
+    }
+    file::read(path, WEIGHTS_BYTES_MAX as u64).map_err(failed)
+}
+
+impl Offers {
+    /// Opens both ends.
+    ///
+    /// # Errors
+    /// When the layout differs from the running side's, or shared memory refuses.
+    pub fn open(wire: &Wire) -> Result<Self, Failure> {
+        Ok(Self {
+            statuses: wire.subscriber(POLICY_STATUS)?,
+            weights: wire.publisher(WEIGHTS)?,
+            newest: None,
+        })
+    }
+
+    /// The version that the next offer has to have: one more than the last that
+    /// anybody offered. Should somebody else offer it first, this one is refused
+    /// as overtaken, and the next is asked for again.
+    pub fn next_version(&mut self, clock: Clock) -> u64 {
+        let begun = clock();
+        while self.look().is_none() && clock().since_ns(begun) < GREET_NS {
+            pause(LOOK);
+        }
+        let newest = self.newest;
+        newest.map_or(0, |status| status.offered_version.max(status.version)) + 1
+    }
+
+    /// Offers a file. Returns whether it went out.
+    pub fn offer(&mut self, version: u64, bytes: &[u8]) -> bool {
+        self.weights.tend();
+        self.weights
+            .offer(version, Sha256::digest(bytes).into(), bytes)
+    }
+
+    /// Waits for the controller's decision about an offer.
+    ///
+    /// # Errors
+    /// When none comes.
+    pub fn answer(
+        &mut self,
+        version: u64,
+        bytes: &[u8],
+        clock: Clock,
+        limit_ns: u64,
+    ) -> Result<Answer, Failure> {
+        let hash = short_hash(bytes);
+        let begun: Instant = clock();
+        loop {
+            // A controller that is restarted meanwhile gets the offer again.
+            self.weights.tend();
+            let status = self.look();
+            if let Some(answer) = status.and_then(|status| judge(&status, version, hash)) {
+                return Ok(answer);
+            }
+            if clock().since_ns(begun) > limit_ns {
+                return Err(Failure::GivenUp(
+                    "the controller does not answer; `./vlaps status` shows how it does".into(),
+                ));
+            }
+            pause(LOOK);
+        }
+    }
+
+    fn await_ready(&mut self, version: u64, bytes: &[u8], clock: Clock) -> Result<(), Failure> {
+        let hash = short_hash(bytes);
+        let begun = clock();
+        let adopter = self.newest.map(|status| status.header.producer);
+        while clock().since_ns(begun) < READY_NS {
+            let status = self.look();
+            let speaker = status.map(|status| status.header.producer);
+            if speaker != adopter
+                && status.is_some_and(|status| judge(&status, version, hash).is_none())
+            {
+                return Err(Failure::GivenUp(
+                    "the controller was restarted before the probation was over, and goes on \
+                     with the weights before; swap again"
+                        .into(),
+                ));
+            }
+            match status.and_then(|status| judge(&status, version, hash)) {
+                Some(Answer::Ready { tick }) => {
+                    say(format_args!(
+                        "probation passed: may drive from tick {tick} on"
+                    ));
+                    return Ok(());
+                }
+                Some(Answer::Refused(reason)) => return Err(Failure::GivenUp(reason)),
+                Some(Answer::Overtaken(later)) => {
+                    return Err(Failure::GivenUp(format!(
+                        "version {later} was offered before the probation was over"
+                    )));
+                }
+                Some(Answer::Adopted { .. }) | None => pause(LOOK),
+            }
+        }
+        Err(Failure::GivenUp("the probation does not end".into()))
+    }
+
+    /// The newest status; `None` when the controller has said nothing.
+    fn look(&mut self) -> Option<PolicyStatus> {
+        self.statuses.tend();
+        if let Some(status) = self.statuses.newest(Message::check) {
+            self.newest = Some(status);
+        }
+        self.newest
+    }
+}
+
+/// What a status says about an offer; `None` when it does not know it yet.
+fn judge(status: &PolicyStatus, version: u64, hash: u64) -> Option<Answer> {
+    if (status.version, status.hash) == (version, hash) {
+        let tick = status.header.tick;
+        return Some(Answer::Ready { tick });
+    }
+    if status.offered_version > version {
+        return Some(Answer::Overtaken(status.offered_version));
+    }
+    if status.offered_version < version {
+        return None;
+    }
+    if status.offered_hash != hash {
+        return Some(Answer::Overtaken(version));
+    }
+    match status.state() {
+        PolicyState::Empty => None,
+        PolicyState::Shadow => Some(Answer::Adopted {
+            tick: status.adopted_tick,
+        }),
+        PolicyState::Ready => Some(Answer::Ready {
+            tick: status.header.tick,
+        }),
+        PolicyState::Refused | PolicyState::RolledBack => {
+            Some(Answer::Refused(status.refusal().into_owned()))
+        }
+    }
+}
+
+/// As statuses carry it.
+fn short_hash(bytes: &[u8]) -> u64 {
+    let hash = Sha256::digest(bytes);
+    let first = hash.iter().take(8);
+    first
+        .fold(0, |hash, &byte| hash << 8 | u64::from(byte))
+        .max(1)
+}

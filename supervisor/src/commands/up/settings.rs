@@ -1,0 +1,218 @@
+//! File, options and overrides make one checked configuration.
+
+use std::path::{Path, PathBuf};
+
+use shm_config::config::planner::Method;
+use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load, text_of};
+use shm_config::{file, shortened};
+use toml::{Table, Value};
+
+use crate::arguments::{GateChoice, Up};
+use crate::cli::failure::Failure;
+
+/// Read from the current folder when it is there and no other file is named.
+pub const DEFAULT_FILE: &str = "vlaps.toml";
+
+/// One key with its new value, and the option it came by.
+struct Override {
+    origin: String,
+    key: String,
+    value: Value,
+}
+
+/// The configuration of an `up`.
+///
+/// # Errors
+/// When the file or an option is wrong; the error names the one that is.
+pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
+    let (mut table, origin) = match file_of(arguments) {
+        Some(path) => (read(&path)?, path.display().to_string()),
+        None => (Table::new(), "the command line".into()),
+    };
+    let text_at = |table: &Table, key: &str| Some(lookup(table, key)?.as_str()?.to_string());
+    // A file that `./vlaps config` printed names both; then the folder follows
+    // the name all the same, or two runs would share one.
+    let own_folder = text_at(&table, "run.name").unwrap_or(Config::default().run.name);
+    let own_folder = format!("runs/{own_folder}");
+    let folder_given = text_at(&table, "run.folder").is_some_and(|folder| folder != own_folder);
+    if arguments.lockstep && arguments.gate == Some(GateChoice::Human) {
+        let message = "--gate human needs real time; drop --lockstep";
+        return Err(Failure::Usage(message.into()));
+    }
+    let overrides = overrides_of(arguments)?;
+    for change in &overrides {
+        check_alone(change)?;
+        insert(&mut table, &change.key, change.value.clone());
+    }
+    let name = text_at(&table, "run.name");
+    let folder_given = folder_given || overrides.iter().any(|change| change.key == "run.folder");
+    if let (Some(name), false) = (name, folder_given) {
+        insert(&mut table, "run.folder", format!("runs/{name}").into());
+    }
+    let named = match overrides.is_empty() {
+        true => origin,
+        false => format!("{origin}, with the options given"),
+    };
+    from_toml(&table.to_string(), &named).map_err(|error| match error {
+        // The option that gave the value, where one did.
+        ConfigError::OutOfRange { origin, error } => {
+            let mut given = overrides.iter().rev();
+            let option = given.find(|change| change.key == error.key);
+            let origin = option.map_or(origin, |change| change.origin.clone());
+            ConfigError::OutOfRange { origin, error }.into()
+        }
+        other => other.into(),
+    })
+}
+
+fn file_of(arguments: &Up) -> Option<PathBuf> {
+    let default = Path::new(DEFAULT_FILE);
+    arguments
+        .config
+        .clone()
+        // Whatever it is: what cannot be read is told, not passed over.
+        .or_else(|| default.symlink_metadata().is_ok().then(|| default.into()))
+}
+
+/// The file's own table. Its keys, types and syntax are checked here, where
+/// line numbers are still the file's; ranges are checked after the overrides,
+/// which may bring a value back into a range that depends on another.
+fn read(path: &Path) -> Result<Table, Failure> {
+    match load(path) {
+        Ok(_) | Err(ConfigError::OutOfRange { .. }) => {}
+        Err(error) => return Err(error.into()),
+    }
+    text_of(path)?
+        .parse()
+        .map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))
+}
+
+/// An override as an error names it. An address may hold a key: of it the value is
+/// not shown.
+fn shown<'a>(key: &'a str, text: &'a str) -> &'a str {
+    match key {
+        "vlm.server" => key,
+        _ => text,
+    }
+}
+
+fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
+    let mut overrides = Vec::new();
+    let mut push = |origin: &str, key: &str, value: Option<Value>| {
+        overrides.extend(value.map(|value| Override {
+            origin: origin.into(),
+            key: key.into(),
+            value,
+        }));
+    };
+    let integer = |number: i64| Value::Integer(number);
+    // The option's parser admits no seed over the largest TOML integer.
+    let seed = arguments.seed.map(|seed| integer(seed as i64));
+    push("--seed", "run.seed", seed);
+    let episodes = arguments.episodes.map(|count| integer(i64::from(count)));
+    push("--episodes", "run.episodes", episodes);
+    let duration = arguments.duration.map(Value::Float);
+    push("--duration", "run.duration_s", duration);
+    // The paper pauses the world for each question.
+    let is_lockstep = arguments.lockstep || arguments.gate == Some(GateChoice::Paper);
+    let clock = is_lockstep.then(|| Value::from("lockstep"));
+    push("--lockstep", "run.clock", clock);
+    let driver = arguments.driver.map(Method::from).map(Value::try_from);
+    let driver = driver
+        .transpose()
+        .map_err(|error| Failure::Usage(format!("--driver: {error}")))?;
+    push("--driver", "planner.method", driver);
+    let gate = arguments.gate.map(GateMode::from).map(Value::try_from);
+    let gate = gate
+        .transpose()
+        .map_err(|error| Failure::Usage(format!("--gate: {error}")))?;
+    push("--gate", "gate.mode", gate);
+    let world = arguments.world.map(Simulator::from).map(Value::try_from);
+    let world = world
+        .transpose()
+        .map_err(|error| Failure::Usage(format!("--world: {error}")))?;
+    push("--world", "world.simulator", world);
+    let policy = arguments.policy.as_deref().map(policy_file).transpose()?;
+    push("--policy", "policy.file", policy.map(Value::from));
+    push("--rate", "run.rate_hz", arguments.rate.map(Value::Float));
+    let name = arguments.run.as_ref().map(|name| name.to_string().into());
+    push("--run", "run.name", name);
+    let ordinary = arguments.no_realtime.then_some(Value::Boolean(false));
+    push("--no-realtime", "supervisor.realtime", ordinary);
+    for text in &arguments.overrides {
+        let Some((key, value)) = text.split_once('=') else {
+            return Err(Failure::Usage(format!(
+                "--set {}: write it as KEY=VALUE, such as --set gate.period_s=5",
+                shortened(text)
+            )));
+        };
+        let value = value_of(value.trim());
+        push(
+            &format!("--set {}", shortened(shown(key.trim(), text))),
+            key.trim(),
+            Some(value),
+        );
+    }
+    Ok(overrides)
+}
+
+/// The whole path: the processes of a run need not share the folder.
+fn policy_file(path: &Path) -> Result<String, Failure> {
+    let failed = |why: String| Failure::Usage(format!("--policy {}: {why}", path.display()));
+    let whole = path
+        .canonicalize()
+        .map_err(|error| failed(error.to_string()))?;
+    file::regular(&whole).map_err(|error| failed(error.to_string()))?;
+    let text = whole.to_str().map(String::from);
+    text.ok_or_else(|| failed("its name is no UTF-8".into()))
+}
+
+/// A TOML value; what is none, such as a bare word, is a string.
+fn value_of(text: &str) -> Value {
+    format!("value = {text}")
+        .parse::<Table>()
+        .ok()
+        .filter(|table| table.len() == 1)
+        .and_then(|mut table| table.remove("value"))
+        .unwrap_or_else(|| text.into())
+}
+
+/// Unknown key and wrong type, so that the error names the option. Its range may
+/// depend on other keys and is checked with all of them.
+fn check_alone(change: &Override) -> Result<(), Failure> {
+    let mut alone = Table::new();
+    insert(&mut alone, &change.key, change.value.clone());
+    match from_toml(&alone.to_string(), &change.origin) {
+        Ok(_) | Err(ConfigError::OutOfRange { .. }) => Ok(()),
+        Err(ConfigError::Syntax { message, .. }) => {
+            let origin = change.origin.clone();
+            Err(ConfigError::Syntax { origin, message }.into())
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn lookup<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    match key.split_once('.') {
+        None => table.get(key),
+        Some((section, rest)) => lookup(table.get(section)?.as_table()?, rest),
+    }
+}
+
+fn insert(table: &mut Table, key: &str, value: Value) {
+    match key.split_once('.') {
+        None => {
+            table.insert(key.into(), value);
+        }
+        Some((section, rest)) => {
+            let entry = table
+                .entry(section)
+                .or_insert_with(|| Value::Table(Table::new()));
+            match entry.as_table_mut() {
+                Some(inner) => insert(inner, rest, value),
+                // The key leads through something that is no section.
+                None => *entry = value,
+            }
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! How often each process of a run was restarted: the supervisor alone knows, and
+//! writes it down beside the run's other files, for who looks from outside.
+
+use std::collections::BTreeMap;
+use std::fs;
+
+use shm_config::run::RunPaths;
+
+use crate::set::member::Member;
+use crate::show::summary::write_whole;
+
+/// Its name in the run's place.
+const FILE: &str = "restarts.json";
+/// Longest file that is read, bytes.
+const BYTES_MAX: u64 = 1 << 12;
+
+/// Writes down how often each was. What cannot be written is not shown.
+pub fn write(paths: &RunPaths, members: &[Member]) {
+    let counts = members
+        .iter()
+        .map(|member| (member.row().process.word(), member.restarts()));
+    let counts: BTreeMap<_, _> = counts.collect();
+    if let Ok(text) = serde_json::to_string(&counts) {
+        let _ = write_whole(&paths.dir().join(FILE), &text);
+    }
+}
+
+/// How often each was, by its name; none was before the first one is.
+pub fn read(paths: &RunPaths) -> BTreeMap<String, u32> {
+    let path = paths.dir().join(FILE);
+    let is_ours = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= BYTES_MAX);
+    let text = is_ours.then(|| fs::read_to_string(&path).unwrap_or_default());
+    text.and_then(|text| serde_json::from_str(&text).ok())
+        .unwrap_or_default()
+}

@@ -1,0 +1,118 @@
+//! Shared memory that a run needs, out of its configuration.
+//!
+//! The files of a run are sparse: they are hundreds of megabytes long, and take what
+//! was written at least once. Measured of the files' blocks, at 10 Hz and 1,000 Hz:
+//!
+//! | run | most that is taken |
+//! |---|---|
+//! | in real time, 15 s | 1.6 MB, all of it in the first second |
+//! | in lockstep, 50 episodes | 2.9 MB, of which the steps are 1.6 MB |
+//! | at 1,000 Hz with a supervisor that is stopped | 22.0 MB: the step queue is full, and stays so |
+//! | with weights offered, of any size | 8.4 MB more for each offer that is not taken yet |
+//! | with a judge that is shown pictures | 4.2 MB more: two frames |
+//!
+//! So the need is that of full queues, whatever a short run takes.
+
+use std::fmt;
+
+use shm_config::config::Config;
+use shm_config::message::{Frame, Step, Timing, Weights};
+use shm_config::services::STEP_QUEUE;
+use shm_config::wire::PUBLISHERS_MAX;
+
+use crate::set::table::rows;
+
+/// Steps on their way beside a full queue: one at each reader and writer.
+const STEPS_BESIDE: usize = 100;
+/// Offers of weights at once: that of `./vlaps swap`; with a learner, its newest and
+/// the one that it writes.
+const OFFERS_BY_HAND: usize = 1;
+const OFFERS_OF_LEARNER: usize = 2;
+/// Frames at once: the newest, and the one that is drawn.
+const FRAMES: usize = 2;
+/// All other messages, the queues' places and the files that say who is there: 0.9 MB
+/// measured.
+const OTHERS_BYTES: u64 = 2 << 20;
+/// Of a process that was restarted, what the dead one had stays until it is swept: a
+/// quarter on top.
+const MARGIN: u64 = 4;
+
+/// What a run needs, and what for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Need {
+    parts: [(&'static str, u64); 4],
+}
+
+impl Need {
+    /// Of a run with this configuration.
+    pub fn of(config: &Config) -> Self {
+        let offers = match config.learner.enabled {
+            true => OFFERS_BY_HAND + OFFERS_OF_LEARNER,
+            false => OFFERS_BY_HAND,
+        };
+        let frames = match config.gate.asks_model() {
+            true => FRAMES,
+            false => 0,
+        };
+        let timings = rows(config).count() * PUBLISHERS_MAX * size_of::<Timing>();
+        let sum = |count: usize, size: usize| (count * size) as u64;
+        Self {
+            parts: [
+                ("steps", sum(STEP_QUEUE + STEPS_BESIDE, size_of::<Step>())),
+                ("weights", sum(offers, size_of::<Weights>())),
+                ("pictures", sum(frames, size_of::<Frame>())),
+                ("other messages", OTHERS_BYTES + timings as u64),
+            ],
+        }
+    }
+
+    /// All of it with the margin, bytes.
+    pub fn bytes(&self) -> u64 {
+        let sum: u64 = self.parts.iter().map(|(_, bytes)| bytes).sum();
+        sum + sum / MARGIN
+    }
+}
+
+/// In whole megabytes of 2^20 bytes, as free memory is told.
+impl fmt::Display for Need {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let megabytes = |bytes: u64| bytes.div_ceil(1 << 20);
+        let parts = self.parts.iter().filter(|(_, bytes)| *bytes > 0);
+        let parts: Vec<_> = parts
+            .map(|(what, bytes)| format!("{what} {}", megabytes(*bytes)))
+            .collect();
+        let all = megabytes(self.bytes());
+        write!(f, "{all} MB ({}, and a quarter on top)", parts.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_config::config::GateMode;
+
+    use super::*;
+
+    /// What a container has unless it is given more.
+    const CONTAINER_BYTES: u64 = 64 << 20;
+
+    #[test]
+    fn the_need_follows_from_the_configuration_and_a_container_has_it() {
+        let plain = Need::of(&Config::default());
+        let mut config = Config::default();
+        config.gate.mode = GateMode::Vlm;
+        let shown = Need::of(&config);
+        config.learner.enabled = true;
+        let learning = Need::of(&config);
+        let bytes = [&plain, &shown, &learning].map(Need::bytes);
+        assert!(bytes.is_sorted_by(|less, more| less < more), "{bytes:?}");
+        // As measured: a full step queue, an offer, and all the rest.
+        assert!(bytes[0] > 22_016_000 + 8_400_000, "{plain}");
+        assert!(bytes[0] < CONTAINER_BYTES, "{plain}");
+        let text = plain.to_string();
+        assert!(
+            text.contains("steps 20") && !text.contains("pictures"),
+            "{text}"
+        );
+        assert!(shown.to_string().contains("pictures 4"), "{shown}");
+    }
+}

@@ -1,0 +1,109 @@
+//! The supervisor of a run, as the target of a signal.
+//!
+//! A process id is a number that the next program may have: the process that took
+//! the lock on a run's file may have ended while another one, which inherited its
+//! descriptor, keeps the lock. So the process is held by a descriptor first, and
+//! then has to prove what it is; if it ends meanwhile, the signal reaches nothing.
+
+use std::fs;
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+
+use rustix::io::Errno;
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open, pidfd_send_signal};
+use shm_config::file::user;
+use shm_config::run::{Holder, RunPaths, started};
+
+use crate::cli::failure::Failure;
+
+/// First letters of the program's name. The kernel says behind it when the file
+/// was built anew meanwhile.
+const PROGRAM: &str = "vlaps-supervisor";
+
+/// A run's supervisor, held by a descriptor.
+#[derive(Debug)]
+pub struct Target {
+    pid: u32,
+    handle: OwnedFd,
+}
+
+impl Target {
+    /// The supervisor of a run; `None` when its place is free.
+    ///
+    /// # Errors
+    /// When the run's files are not ours, or what holds the place is no supervisor
+    /// of this run.
+    pub fn of(paths: &RunPaths) -> Result<Option<Self>, Failure> {
+        let Some(holder) = paths.holder()? else {
+            return Ok(None);
+        };
+        match Self::prove(&holder) {
+            Ok(target) => Ok(Some(target)),
+            // It may have ended since: then its place is free.
+            Err(_) if paths.holder()?.is_none() => Ok(None),
+            Err(why) => Err(Failure::GivenUp(format!(
+                "run '{name}': process {pid} is no supervisor of it ({why}); it gets no signal; \
+                 `fuser {file}` shows the process that holds the run",
+                name = paths.name(),
+                pid = holder.pid,
+                file = paths.supervisor_file().display()
+            ))),
+        }
+    }
+
+    /// Everything after the first line is about the process that the handle holds.
+    fn prove(holder: &Holder) -> Result<Self, String> {
+        let pid = holder.pid;
+        let id = i32::try_from(pid).ok().and_then(Pid::from_raw);
+        let id = id.ok_or("it is no process id")?;
+        let handle = pidfd_open(id, PidfdFlags::empty()).map_err(|error| error.to_string())?;
+        let proc = format!("/proc/{pid}");
+        let owner = fs::metadata(&proc).map_err(|error| error.to_string())?;
+        if owner.uid() != user() {
+            return Err(format!("it belongs to user {}", owner.uid()));
+        }
+        let program = fs::read_link(format!("{proc}/exe")).map_err(|error| error.to_string())?;
+        if !is_supervisor(&program) {
+            return Err(format!("it runs {}", program.display()));
+        }
+        let is_same = |begun| started(pid) == Some(begun);
+        if !holder.started.is_none_or(is_same) {
+            return Err("it was started after the supervisor".into());
+        }
+        if !has_open(&proc, holder.file) {
+            return Err("it is the supervisor of another run".into());
+        }
+        Ok(Self { pid, handle })
+    }
+
+    /// Its process id.
+    pub fn pid(&self) -> u32 {
+        self.pid
+    }
+
+    /// Sends it a signal; if it has ended, no other process gets it.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn signal(&self, signal: Signal) -> Result<(), Errno> {
+        match pidfd_send_signal(&self.handle, signal) {
+            Err(Errno::SRCH) => Ok(()),
+            sent => sent,
+        }
+    }
+}
+
+fn is_supervisor(program: &Path) -> bool {
+    let name = program.file_name();
+    name.is_some_and(|name| name.to_string_lossy().starts_with(PROGRAM))
+}
+
+/// The process has this file open, by device and inode.
+fn has_open(proc: &str, file: (u64, u64)) -> bool {
+    let entries = fs::read_dir(format!("{proc}/fd"));
+    entries.into_iter().flatten().flatten().any(|entry| {
+        // Of what the link leads to, without opening it.
+        fs::metadata(entry.path()).is_ok_and(|found| (found.dev(), found.ino()) == file)
+    })
+}

@@ -1,0 +1,320 @@
+//! One process of the set, and what is decided about it.
+
+use rustix::process::Signal;
+use shm_config::Instant;
+use shm_config::config::Supervisor;
+use shm_config::message::HealthState;
+use shm_config::text::printable;
+
+use crate::set::backoff::{After, Backoff};
+use crate::set::event::Event;
+use crate::set::launch::{Exit, Launch, Resume, Running};
+use crate::set::log::LogFile;
+use crate::set::orphans::Mark;
+use crate::set::table::{Restart, Row};
+
+/// How long a process may take from its start to being ready, ns. Opening the
+/// ports takes milliseconds; twenty seconds is a cold disk under full load.
+pub const READY_LIMIT_NS: u64 = 20_000_000_000;
+
+/// The same for a process that an interpreter runs, ns: MetaDrive alone loads a
+/// thousand Python modules, 3 s on an idle machine and 20 s under full load.
+pub const SCRIPT_READY_LIMIT_NS: u64 = 60_000_000_000;
+
+/// How far a process is, seen from outside.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Phase {
+    /// Its turn in the start order has not come.
+    Waiting,
+    /// Started, not ready yet.
+    Starting {
+        /// When it was started.
+        since: Instant,
+    },
+    /// Ready or running.
+    Up {
+        /// When it was started.
+        since: Instant,
+    },
+    /// Reaped, not decided about yet.
+    Dead {
+        /// How it ended.
+        exit: Exit,
+        /// How long it ran, ns.
+        ran_ns: u64,
+    },
+    /// Waiting out the pause before its restart.
+    Resting {
+        /// When it ends.
+        until: Instant,
+    },
+    /// Ended for good.
+    Gone,
+}
+
+/// One process of the set.
+#[derive(Debug)]
+pub struct Member {
+    row: &'static Row,
+    child: Option<Running>,
+    phase: Phase,
+    backoff: Backoff,
+    silent_ns: u64,
+    ever_ready: bool,
+    log: LogFile,
+    ready_limit_ns: u64,
+}
+
+/// How the run goes on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Turn {
+    /// On.
+    Drive,
+    /// The configured run is driven to its end.
+    Finished,
+    /// It cannot go on, for this reason.
+    GiveUp(String),
+}
+
+impl Member {
+    /// A process that has not been started.
+    pub(crate) fn new(row: &'static Row, log: LogFile, ready_limit_ns: u64) -> Self {
+        Self {
+            row,
+            child: None,
+            phase: Phase::Waiting,
+            backoff: Backoff::default(),
+            silent_ns: 0,
+            ever_ready: false,
+            log,
+            ready_limit_ns,
+        }
+    }
+
+    /// Its row of the table.
+    pub fn row(&self) -> &'static Row {
+        self.row
+    }
+
+    /// How far it is.
+    pub fn phase(&self) -> &Phase {
+        &self.phase
+    }
+
+    /// Its process id; `None` when it does not live.
+    pub fn pid(&self) -> Option<u32> {
+        self.child.as_ref().map(Running::pid)
+    }
+
+    /// What it and its children carry; `None` when it does not live.
+    pub(crate) fn mark(&self) -> Option<&Mark> {
+        self.child.as_ref().map(Running::mark)
+    }
+
+    /// How often it was restarted.
+    pub fn restarts(&self) -> u32 {
+        self.backoff.restarts()
+    }
+
+    /// It was ready at least once.
+    pub fn was_ready(&self) -> bool {
+        self.ever_ready
+    }
+
+    /// It has a child that has not been reaped.
+    pub fn lives(&self) -> bool {
+        self.child.is_some()
+    }
+
+    /// Sends it a signal, if it lives.
+    pub fn signal(&self, signal: Signal) {
+        if let Some(child) = &self.child {
+            child.signal(signal);
+        }
+    }
+
+    /// Rotates its log when it has grown over its limit.
+    pub(crate) fn tend_log(&mut self, events: &mut Vec<Event>) {
+        if let Err(error) = self.log.rotate() {
+            events.push(Event::LogFull {
+                process: self.row.process,
+                reason: error.to_string(),
+            });
+        }
+    }
+
+    /// It said how it does. What a dead predecessor left on the wire carries
+    /// another process id and does not count.
+    pub(crate) fn hear(&mut self, pid: u32, state: HealthState, events: &mut Vec<Event>) {
+        if self.pid() != Some(pid) {
+            return;
+        }
+        self.silent_ns = 0;
+        if let Phase::Starting { since } = self.phase
+            && state != HealthState::Starting
+        {
+            self.phase = Phase::Up { since };
+            self.ever_ready = true;
+            events.push(Event::Ready {
+                process: self.row.process,
+            });
+        }
+    }
+
+    /// Collects its child if it has ended; never waits.
+    pub(crate) fn reap(&mut self, now: Instant) -> bool {
+        let Some(exit) = self.child.as_mut().and_then(Running::reap) else {
+            return false;
+        };
+        let since = match self.phase {
+            Phase::Starting { since } | Phase::Up { since } => since,
+            _ => now,
+        };
+        self.child = None;
+        self.phase = Phase::Dead {
+            exit,
+            ran_ns: now.since_ns(since),
+        };
+        true
+    }
+
+    /// Starts it.
+    pub(crate) fn start(
+        &mut self,
+        launch: &Launch,
+        resume: Resume,
+        now: Instant,
+        events: &mut Vec<Event>,
+    ) -> Turn {
+        let process = self.row.process;
+        match launch.start(self.row, &mut self.log, resume) {
+            Ok(child) => {
+                let pid = child.pid();
+                self.child = Some(child);
+                self.phase = Phase::Starting { since: now };
+                self.silent_ns = 0;
+                events.push(Event::Started { process, pid });
+                Turn::Drive
+            }
+            Err(error) => Turn::GiveUp(format!(
+                "{process}: cannot start {}: {error}",
+                launch.binary(self.row).display()
+            )),
+        }
+    }
+
+    /// Decides what follows from how it is.
+    pub(crate) fn judge(
+        &mut self,
+        now: Instant,
+        passed_ns: u64,
+        limits: &Supervisor,
+        events: &mut Vec<Event>,
+    ) -> Turn {
+        match self.phase.clone() {
+            Phase::Waiting | Phase::Resting { .. } | Phase::Gone => Turn::Drive,
+            Phase::Starting { since } => self.judge_start(now.since_ns(since), events),
+            Phase::Up { .. } => {
+                let limit_ns = (limits.silence_s * 1e9) as u64;
+                self.silent_ns += passed_ns;
+                if self.silent_ns > limit_ns {
+                    self.silence(self.silent_ns, events);
+                }
+                Turn::Drive
+            }
+            Phase::Dead { exit, ran_ns } => self.judge_death(now, exit, ran_ns, limits, events),
+        }
+    }
+
+    fn judge_start(&mut self, took_ns: u64, events: &mut Vec<Event>) -> Turn {
+        if took_ns <= self.ready_limit_ns {
+            return Turn::Drive;
+        }
+        if !self.ever_ready {
+            return Turn::GiveUp(format!(
+                "{}: not ready {} s after its start{}",
+                self.row.process,
+                self.ready_limit_ns / 1_000_000_000,
+                self.last_words()
+            ));
+        }
+        self.silence(took_ns, events);
+        Turn::Drive
+    }
+
+    /// Kills; the next look reaps. SIGKILL ends a stopped process too.
+    fn silence(&mut self, silent_ns: u64, events: &mut Vec<Event>) {
+        let process = self.row.process;
+        if let Some(child) = &self.child {
+            child.signal(Signal::KILL);
+        }
+        // Once is enough: should the kernel be slow to end it, the next kill
+        // comes after another whole silence.
+        self.silent_ns = 0;
+        if let Phase::Starting { since } = &mut self.phase {
+            *since = since.after_ns(self.ready_limit_ns);
+        }
+        events.push(Event::Silenced { process, silent_ns });
+    }
+
+    fn judge_death(
+        &mut self,
+        now: Instant,
+        exit: Exit,
+        ran_ns: u64,
+        limits: &Supervisor,
+        events: &mut Vec<Event>,
+    ) -> Turn {
+        let process = self.row.process;
+        self.phase = Phase::Gone;
+        match (&exit, self.row.restart) {
+            (Exit::Done, Restart::AtEpisode) => return Turn::Finished,
+            // A set-up that was good before fails for want of room on a disk or in
+            // shared memory, which passes; a new one would fail again.
+            (Exit::Refused, _) if !self.ever_ready => {
+                return Turn::GiveUp(match self.log.last_line() {
+                    // A child begins its line with its own name.
+                    Some(line) => {
+                        let own = format!("{}: ", self.row.binary);
+                        let line = line.strip_prefix(&own).unwrap_or(&line);
+                        format!("{process}: {}", printable(line))
+                    }
+                    None => format!(
+                        "{process}: refused its set-up without a word; see {}",
+                        self.log.path().display()
+                    ),
+                });
+            }
+            (Exit::Done | Exit::Refused | Exit::Crashed(_), _) => {}
+        }
+        match self.backoff.died(ran_ns, limits) {
+            After::Pause(pause_ns) => {
+                self.phase = Phase::Resting {
+                    until: now.after_ns(pause_ns),
+                };
+                events.push(Event::Died {
+                    process,
+                    exit,
+                    pause_ns,
+                    restart: self.backoff.restarts(),
+                    restarts_max: limits.restarts_max,
+                });
+                Turn::Drive
+            }
+            After::GiveUp => Turn::GiveUp(format!(
+                "{process}: died ({exit}) and was restarted {} times already, which is \
+                 supervisor.restarts_max{}",
+                limits.restarts_max,
+                self.last_words()
+            )),
+        }
+    }
+
+    fn last_words(&self) -> String {
+        let path = self.log.path().display();
+        match self.log.last_line() {
+            Some(line) => format!("; its last line: {}; its log: {path}", printable(&line)),
+            None => format!("; its log is empty: {path}"),
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! The process set as a state machine over its children. It looks and acts;
+//! it never waits, reads no clock and opens no port.
+
+use std::path::Path;
+
+use rustix::process::Signal;
+use shm_config::Instant;
+use shm_config::config::{Config, Supervisor};
+use shm_config::message::HealthState;
+use shm_config::services::Process;
+
+use crate::cli::failure::Failure;
+use crate::set::event::Event;
+use crate::set::launch::{Launch, Resume};
+use crate::set::log::LogFile;
+use crate::set::member::{Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS, Turn};
+use crate::set::orphans::Mark;
+use crate::set::table::rows;
+
+/// The most that one look adds to a silence, ns: four periods of the loop. A
+/// supervisor that was itself stopped for a while must not read its own absence
+/// as the silence of everybody else.
+const LOOK_MAX_NS: u64 = 200_000_000;
+
+/// All processes of a run but the supervisor.
+#[derive(Debug)]
+pub struct ProcessSet {
+    members: Vec<Member>,
+    launch: Launch,
+    limits: Supervisor,
+    looked: Option<Instant>,
+    events: Vec<Event>,
+}
+
+impl ProcessSet {
+    /// The set of a configuration, nothing started yet; logs go to `log_dir`.
+    ///
+    /// # Errors
+    /// When a binary is missing or a log cannot be made.
+    pub fn new(config: &Config, launch: Launch, log_dir: &Path) -> Result<Self, Failure> {
+        let limit_bytes = u64::from(config.supervisor.log_mb) << 20;
+        let mut members = Vec::new();
+        for row in rows(config) {
+            let binary = launch.binary(row);
+            if !binary.is_file() {
+                return Err(Failure::GivenUp(format!(
+                    "{}: missing; build it with `cargo build --release --workspace --bins`",
+                    binary.display()
+                )));
+            }
+            let log =
+                LogFile::create(log_dir, row.process.word(), limit_bytes).map_err(|error| {
+                    Failure::GivenUp(format!("{}: cannot keep a log: {error}", log_dir.display()))
+                })?;
+            let ready_limit_ns = match launch.is_script(row) {
+                true => SCRIPT_READY_LIMIT_NS,
+                false => READY_LIMIT_NS,
+            };
+            members.push(Member::new(row, log, ready_limit_ns));
+        }
+        Ok(Self {
+            members,
+            launch,
+            limits: config.supervisor.clone(),
+            looked: None,
+            events: Vec::new(),
+        })
+    }
+
+    /// The processes, in the order of start.
+    pub fn members(&self) -> &[Member] {
+        &self.members
+    }
+
+    /// One process; `None` when it is not part of this run.
+    pub fn member(&self, process: Process) -> Option<&Member> {
+        self.members
+            .iter()
+            .find(|member| member.row().process == process)
+    }
+
+    /// What happened since the last call.
+    pub fn take_events(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// A process said how it does. What a dead predecessor left on the wire
+    /// carries another process id and does not count.
+    pub fn hear(&mut self, process: Process, pid: u32, state: HealthState) {
+        let Some(member) = self
+            .members
+            .iter_mut()
+            .find(|member| member.row().process == process)
+        else {
+            return;
+        };
+        member.hear(pid, state, &mut self.events);
+    }
+
+    /// Collects children that ended; returns whether there were any. Never waits.
+    pub fn reap(&mut self, now: Instant) -> bool {
+        let mut died = false;
+        for member in &mut self.members {
+            died |= member.reap(now);
+        }
+        died
+    }
+
+    /// Decides about the dead, the silent and the slow.
+    pub fn judge(&mut self, now: Instant) -> Turn {
+        let passed_ns = self
+            .looked
+            .map_or(0, |looked| now.since_ns(looked).min(LOOK_MAX_NS));
+        self.looked = Some(now);
+        for member in &mut self.members {
+            match member.judge(now, passed_ns, &self.limits, &mut self.events) {
+                Turn::Drive => {}
+                end => return end,
+            }
+        }
+        Turn::Drive
+    }
+
+    /// Starts whoever's turn has come: first starts in the table's order, each
+    /// when the one before is ready; restarts when their pause is over.
+    pub fn start_due(&mut self, now: Instant, resume: Resume) -> Turn {
+        for index in 0..self.members.len() {
+            let due = match self.members[index].phase() {
+                Phase::Waiting => self.members[..index].iter().all(Member::was_ready),
+                Phase::Resting { until } => now >= *until,
+                _ => false,
+            };
+            if due
+                && let Turn::GiveUp(reason) =
+                    self.members[index].start(&self.launch, resume, now, &mut self.events)
+            {
+                return Turn::GiveUp(reason);
+            }
+        }
+        Turn::Drive
+    }
+
+    /// When the next restart is due; `None` when none is pending.
+    pub fn next_start(&self) -> Option<Instant> {
+        self.members
+            .iter()
+            .filter_map(|member| match member.phase() {
+                Phase::Resting { until } => Some(*until),
+                _ => None,
+            })
+            .min()
+    }
+
+    /// Rotates logs that have grown over their limit.
+    pub fn tend_logs(&mut self) {
+        for member in &mut self.members {
+            member.tend_log(&mut self.events);
+        }
+    }
+
+    /// Sends a signal to one process, if it lives.
+    pub fn signal(&self, process: Process, signal: Signal) {
+        if let Some(member) = self.member(process) {
+            member.signal(signal);
+        }
+    }
+
+    /// Sends a signal to every living process.
+    pub fn signal_all(&self, signal: Signal) {
+        for member in &self.members {
+            member.signal(signal);
+        }
+    }
+
+    /// A process has a child that has not been reaped.
+    pub fn lives(&self, process: Process) -> bool {
+        self.member(process).is_some_and(Member::lives)
+    }
+
+    /// A living process carries this mark.
+    pub(crate) fn carries(&self, mark: &Mark) -> bool {
+        self.members
+            .iter()
+            .any(|member| member.mark() == Some(mark))
+    }
+
+    /// Nobody lives.
+    pub fn is_empty(&self) -> bool {
+        !self.members.iter().any(Member::lives)
+    }
+}

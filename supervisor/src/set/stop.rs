@@ -1,0 +1,102 @@
+//! The end of a run: the car is brought to rest first.
+
+use rustix::process::Signal;
+use shm_config::Instant;
+use shm_config::config::Supervisor;
+use shm_config::services::Process;
+
+use crate::set::process_set::ProcessSet;
+
+/// How long processes may take to end when there is no car left to brake, ns.
+/// They only write their last numbers; a second is a hundred times that.
+const NO_CAR_NS: u64 = 1_000_000_000;
+
+/// How long a learner may take that nobody waits for any more, ns: it ends the
+/// block it is at, seconds on a busy machine, and writes down what it knows.
+const LEARNER_NS: u64 = 60_000_000_000;
+
+/// Who is asked to end first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    /// The controller, which brakes the car to a stand; then the others.
+    CarFirst,
+    /// All at once: the world is gone, nothing is left to brake.
+    NoCar,
+}
+
+impl Order {
+    /// The order for a set as it is now.
+    pub fn of(set: &ProcessSet) -> Self {
+        let driven = set.lives(Process::World) && set.lives(Process::Controller);
+        if driven { Self::CarFirst } else { Self::NoCar }
+    }
+}
+
+/// A stop in progress.
+#[derive(Debug)]
+pub struct Stop {
+    since: Instant,
+    others_asked: bool,
+    killed: bool,
+    half_ns: u64,
+    limit_ns: u64,
+}
+
+impl Stop {
+    /// Begins to stop the set.
+    pub fn begin(set: &ProcessSet, limits: &Supervisor, now: Instant) -> Self {
+        let order = Order::of(set);
+        let stop_ns = (limits.stop_s * 1e9) as u64;
+        match order {
+            Order::CarFirst => set.signal(Process::Controller, Signal::TERM),
+            Order::NoCar => set.signal_all(Signal::TERM),
+        }
+        Self {
+            since: now,
+            others_asked: order == Order::NoCar,
+            killed: false,
+            half_ns: stop_ns / 2,
+            limit_ns: match order {
+                Order::CarFirst => stop_ns,
+                Order::NoCar => stop_ns.min(NO_CAR_NS),
+            },
+        }
+    }
+
+    /// Takes the next step when its time has come. The set has been reaped.
+    pub fn advance(&mut self, set: &ProcessSet, now: Instant) {
+        let passed_ns = now.since_ns(self.since);
+        let car_rests = !set.lives(Process::Controller) || passed_ns >= self.half_ns;
+        if car_rests && !self.others_asked {
+            self.others_asked = true;
+            set.signal_all(Signal::TERM);
+        }
+        let driving = [
+            Process::World,
+            Process::Planner,
+            Process::Controller,
+            Process::Gate,
+        ];
+        let only_learner = !driving.into_iter().any(|process| set.lives(process));
+        let limit_ns = match only_learner && set.lives(Process::Learner) {
+            true => self.limit_ns.max(LEARNER_NS),
+            false => self.limit_ns,
+        };
+        if passed_ns >= limit_ns {
+            self.kill(set);
+        }
+    }
+
+    /// Ends everybody now.
+    pub fn kill(&mut self, set: &ProcessSet) {
+        if !self.killed && !set.is_empty() {
+            self.killed = true;
+            set.signal_all(Signal::KILL);
+        }
+    }
+
+    /// Somebody had to be killed.
+    pub fn was_forced(&self) -> bool {
+        self.killed
+    }
+}

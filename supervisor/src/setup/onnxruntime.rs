@@ -1,0 +1,58 @@
+//! `setup onnxruntime`: the library that runs policies which are no chain of
+//! layers, out of its Python package.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::cli::failure::Failure;
+use crate::set::launch::own_folder;
+use crate::setup::install::{last_line, output_of};
+use crate::show::screen::say;
+
+/// The package, at the version whose interface the controller is built for.
+const PACKAGE: &str = "onnxruntime==1.31.1";
+/// Where the library lies in it.
+const LIBRARY: &str = "onnxruntime/capi";
+
+/// Its folder, beside the build's own, where the controller looks for it.
+fn home() -> Result<PathBuf, Failure> {
+    let release = own_folder()
+        .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
+    Ok(release.parent().unwrap_or(&release).join("onnxruntime"))
+}
+
+/// Installs the package into a folder of its own, if it is not there.
+///
+/// # Errors
+/// One line that says which step failed, why, and what to do.
+pub fn setup(python: Option<&Path>) -> Result<(), Failure> {
+    let home = home()?;
+    if !has_library(&home) {
+        let python = python.unwrap_or(Path::new("python3"));
+        say(format_args!("installing {PACKAGE} into {}", home.display()));
+        let install = ["-m", "pip", "install", "--quiet", "--no-deps", "--target"];
+        let mut command = Command::new(python);
+        command.args(install).arg(&home).arg(PACKAGE);
+        let output = output_of(&mut command)?;
+        if !output.status.success() || !has_library(&home) {
+            return Err(Failure::GivenUp(format!(
+                "cannot install {PACKAGE}: {}; check the network and, behind a proxy or mirror, \
+                 `pip config list`, then run ./vlaps setup onnxruntime again",
+                last_line(&output)
+            )));
+        }
+    }
+    say(format_args!(
+        "ready: {}; policies of any allowed operator can be run",
+        home.display()
+    ));
+    Ok(())
+}
+
+fn has_library(home: &Path) -> bool {
+    let entries = std::fs::read_dir(home.join(LIBRARY));
+    entries.into_iter().flatten().flatten().any(|entry| {
+        let name = entry.file_name();
+        name.to_string_lossy().starts_with("libonnxruntime.so")
+    })
+}

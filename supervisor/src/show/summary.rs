@@ -1,0 +1,270 @@
+//! What a run amounts to: as JSON and as a table.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+
+use serde::Serialize;
+use shm_config::config::Config;
+use shm_config::message::{Driver, Episode, Grant, Reason};
+use shm_config::services::Process;
+
+use crate::cli::output::Output;
+use crate::machine::idle::IdleBound;
+use crate::set::process_set::ProcessSet;
+use crate::show::process_row::ProcessRow;
+use crate::show::view::PolicyView;
+use crate::telemetry::episodes::EpisodeTotals;
+use crate::telemetry::judge;
+use crate::telemetry::late::{self, LateRow};
+use crate::telemetry::tally::{Quantiles, Tally, Totals};
+
+/// One object: the keys before the blank line are what scripts rely on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Finished episodes in order, the newest where there are very many.
+    pub episodes: Vec<EpisodeRow>,
+    /// What all of them add up to.
+    pub episode_totals: EpisodeTotals,
+    /// The run's ticks that the world published: those of the controller's rate,
+    /// however often the world moves in between.
+    pub ticks: u64,
+    /// Ticks of the grid that the world skipped.
+    pub skipped: u64,
+    /// From the run's first tick due to the next one due, s on the run's clock.
+    pub elapsed_s: f64,
+    /// Time from tick to tick of the run, s.
+    pub period_s: f64,
+    /// SHA-256 over the digests of all episodes' commands, in order; hex.
+    /// `None` when no episode was finished.
+    pub command_digest: Option<String>,
+    /// Share of the steps by driver.
+    pub share: Share,
+    /// Restarts of all processes.
+    pub restarts: u32,
+    /// The world's release lateness; left out when it never ticked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub release_lateness_us: Option<Quantiles>,
+    /// From the supervisor's start to the controller's first command, s; `None`
+    /// when there was none.
+    pub first_command_s: Option<f64>,
+
+    /// The run's name.
+    pub run: String,
+    /// Its clock: real time or lockstep.
+    pub clock: &'static str,
+    /// How the run ended: finished, stopped, or why it was given up.
+    pub ended: String,
+    /// Steps read.
+    pub steps: u64,
+    /// Steps lost before they were read.
+    pub lost_steps: u64,
+    /// Share of the steps that a person at the keys drove; they are among the expert's.
+    pub person_share: f64,
+    /// Steps by driver and reason, such as `expert: {unloaded: 120}`.
+    pub reasons: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
+    /// Ticks on which the world braked for want of a young command, in finished
+    /// episodes.
+    pub braked: u64,
+    /// Greatest age of a command that the car obeyed, ms.
+    pub oldest_obeyed_ms: f64,
+    /// The policy's weights at the end; `None` when none were ever offered.
+    pub policy: Option<PolicyView>,
+    /// What each version of the weights did, the oldest first; of a run with many,
+    /// the last 1,000.
+    pub weights: Vec<WeightsRow>,
+    /// What the judge was asked and said; `None` where nobody judges.
+    pub judge: Option<shm_config::judged::Judged>,
+    /// Why a judge was never asked, though the run has one; left out where it was.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub judge_unasked: Option<&'static str>,
+    /// Whether the processors were kept from sleeping: granted, refused or not asked.
+    pub cpu_latency: &'static str,
+    /// The ticks that were latest, the latest first; at most 20.
+    pub late_ticks: Vec<LateRow>,
+    /// Each process.
+    pub processes: BTreeMap<&'static str, ProcessRow>,
+}
+
+/// One version of the weights.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct WeightsRow {
+    /// Its number.
+    pub version: u64,
+    /// First 8 bytes of its SHA-256, hex.
+    pub hash: String,
+    /// Steps in which it proposed.
+    pub proposed: u64,
+    /// Steps in which it drove.
+    pub drove: u64,
+}
+
+/// One finished episode.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EpisodeRow {
+    /// Its seed.
+    pub seed: u64,
+    /// How it ended.
+    pub outcome: &'static str,
+    /// Arrived without touching anything.
+    pub strict: bool,
+    /// Share of the route driven.
+    pub completion: f64,
+    /// Ticks driven.
+    pub ticks: u64,
+}
+
+/// Share of the steps by driver, each in [0, 1].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Share {
+    /// The hand-made expert.
+    pub expert: f64,
+    /// The learned policy.
+    pub policy: f64,
+    /// The brake.
+    pub brake: f64,
+}
+
+impl EpisodeRow {
+    fn of(episode: &Episode) -> Self {
+        Self {
+            seed: episode.seed,
+            outcome: episode.outcome().word(),
+            strict: episode.is_strict_success(),
+            completion: episode.completion,
+            ticks: episode.ticks,
+        }
+    }
+}
+
+impl Summary {
+    /// Adds everything up; `ended` says how the run ended.
+    pub fn of(config: &Config, tally: &Tally, set: &ProcessSet, ended: String) -> Self {
+        let processes: BTreeMap<_, _> = set
+            .members()
+            .iter()
+            .map(|member| {
+                let process = member.row().process;
+                (
+                    process.word(),
+                    ProcessRow::of(process, member.restarts(), config, tally),
+                )
+            })
+            .collect();
+        let world = tally.process(Process::World);
+        let totals = world.map_or_else(Totals::default, |world| world.totals());
+        let judge = judge::read(config, std::process::id());
+        let mut reasons = BTreeMap::<_, BTreeMap<_, _>>::new();
+        for (driver, reason, count) in tally.steps.reasons() {
+            *reasons
+                .entry(driver.word())
+                .or_default()
+                .entry(reason)
+                .or_default() += count;
+        }
+        let episode_totals = tally.episodes.totals();
+        Self {
+            episodes: tally.episodes.kept().map(EpisodeRow::of).collect(),
+            ticks: totals.ticks,
+            skipped: totals.skipped,
+            elapsed_s: totals.elapsed_ns as f64 / 1e9,
+            period_s: config.run.period_ns() as f64 / 1e9,
+            command_digest: tally.episodes.command_digest(),
+            share: Share {
+                expert: tally.steps.share(Driver::Expert),
+                policy: tally.steps.share(Driver::Policy),
+                brake: tally.steps.share(Driver::Brake),
+            },
+            restarts: processes.values().map(|row| row.restarts).sum(),
+            release_lateness_us: processes
+                .get(Process::World.word())
+                .and_then(|world| world.release_lateness_us),
+            first_command_s: first_command_s(tally),
+            run: config.run.name.clone(),
+            clock: clock_word(config),
+            ended,
+            steps: tally.steps.received,
+            lost_steps: tally.steps.lost(),
+            person_share: person_share(tally),
+            reasons,
+            braked: episode_totals.braked,
+            episode_totals,
+            policy: tally.policy.as_ref().and_then(PolicyView::of),
+            weights: tally
+                .steps
+                .weights()
+                .map(|(version, hash, counted)| WeightsRow {
+                    version,
+                    hash: format!("{hash:016x}"),
+                    proposed: counted.proposed,
+                    drove: counted.drove,
+                })
+                .collect(),
+            oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
+            judge_unasked: judge::unasked(config, tally, judge.as_ref()),
+            judge,
+            late_ticks: late::latest(tally),
+            cpu_latency: Grant::Unasked.word(),
+            processes,
+        }
+    }
+
+    /// With what became of the bound on sleeping processors.
+    pub fn with_idle(self, bound: &IdleBound) -> Self {
+        Self {
+            cpu_latency: bound.grant().word(),
+            ..self
+        }
+    }
+
+    /// The object as it is written to a file.
+    ///
+    /// # Errors
+    /// When a number in it has no form in JSON.
+    pub fn text(&self) -> io::Result<String> {
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
+        // It may hold what a server said, or the last line of a log.
+        Ok(shm_config::text::printable_json(&text).into_owned() + "\n")
+    }
+
+    /// Writes the object so that a reader finds the old file or the whole new one.
+    ///
+    /// # Errors
+    /// When the folder is missing or refuses.
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        write_whole(path, &self.text()?)
+    }
+}
+
+/// Writes a file beside its place, then moves it there. A link is followed, and
+/// what is no plain file (a device, a pipe) is written to, never replaced.
+///
+/// # Errors
+/// When the folder is missing or refuses, or nothing reads the pipe.
+pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
+    Output::open(path)?.write(text)
+}
+
+/// Share of the steps that a person at the keys drove, [0, 1].
+fn person_share(tally: &Tally) -> f64 {
+    let takeovers = tally.steps.reasons();
+    let takeovers = takeovers.filter(|(_, reason, _)| *reason == Reason::Takeover.word());
+    let driven: u64 = takeovers.map(|(_, _, count)| count).sum();
+    driven as f64 / tally.steps.received.max(1) as f64
+}
+
+fn first_command_s(tally: &Tally) -> Option<f64> {
+    let (started, first) = (tally.started?, tally.steps.first_commanded?);
+    Some(first.since_ns(started) as f64 / 1e9)
+}
+
+/// The word of a run's clock that nothing can be late on.
+pub(crate) const LOCKSTEP: &str = "lockstep";
+
+/// The word of a run's clock.
+pub fn clock_word(config: &Config) -> &'static str {
+    match config.run.is_lockstep() {
+        true => LOCKSTEP,
+        false => "real time",
+    }
+}

@@ -1,0 +1,127 @@
+//! The reading ends of everything a supervisor looks at.
+
+use shm_config::Message;
+use shm_config::config::Config;
+use shm_config::message::{Episode, Health, HealthState, PolicyStatus, Progress, Step, Timing};
+use shm_config::services::{self, Process, STEP_QUEUE};
+use shm_config::wire::{Subscriber, Wire, WireError};
+
+use crate::set::table::rows;
+use crate::telemetry::tally::Tally;
+
+/// Messages of a latest-value service that can be pending: one of each
+/// publisher, the living one and dead ones.
+const PENDING_MAX: usize = 8;
+
+/// Ports of one process.
+struct Watch {
+    process: Process,
+    health: Subscriber<Health>,
+    timing: Subscriber<Timing>,
+}
+
+/// The reading ends of a run.
+pub struct Ports {
+    watches: Vec<Watch>,
+    progress: Subscriber<Progress>,
+    episodes: Subscriber<Episode>,
+    policies: Subscriber<PolicyStatus>,
+    steps: Subscriber<Step>,
+}
+
+/// A sign of life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sign {
+    /// Whose.
+    pub process: Process,
+    /// Its process id.
+    pub pid: u32,
+    /// How far it is.
+    pub state: HealthState,
+}
+
+/// How much of the step queue is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Depth {
+    /// All steps, to count them.
+    All,
+    /// The newest, to see who drives.
+    Newest,
+}
+
+impl Ports {
+    /// Opens everything; services that nobody has opened yet are made, so that
+    /// not one message of a child is missed.
+    ///
+    /// # Errors
+    /// When the layout differs from the running side's, or shared memory refuses.
+    pub fn open(wire: &Wire, config: &Config, depth: Depth) -> Result<Self, WireError> {
+        let mut watches = Vec::new();
+        for row in rows(config) {
+            let process = row.process;
+            watches.push(Watch {
+                process,
+                health: wire.subscriber(services::health(process))?,
+                timing: wire.subscriber(services::timing(process))?,
+            });
+        }
+        Ok(Self {
+            watches,
+            progress: wire.subscriber(services::PROGRESS)?,
+            episodes: wire.subscriber(services::EPISODE)?,
+            policies: wire.subscriber(services::POLICY_STATUS)?,
+            steps: match depth {
+                Depth::All => wire.subscriber(services::STEP)?,
+                Depth::Newest => wire.latest(services::STEP)?,
+            },
+        })
+    }
+
+    /// Reads all that is new into the tally; returns the signs of life in it.
+    /// Never waits.
+    pub fn drain(&mut self, tally: &mut Tally) -> Vec<Sign> {
+        let mut signs = Vec::new();
+        for watch in &mut self.watches {
+            for health in pending(&mut watch.health, PENDING_MAX) {
+                match tally.count_health(watch.process, &health) {
+                    Some(state) => signs.push(Sign {
+                        process: watch.process,
+                        pid: health.header.producer,
+                        state,
+                    }),
+                    None => tally.refused += 1,
+                }
+            }
+            for timing in pending(&mut watch.timing, PENDING_MAX) {
+                tally.count_timing(watch.process, timing);
+            }
+        }
+        // Read before the progress, which is then of no earlier episode than they are:
+        // only an episode that the world has begun can have ended.
+        let episodes: Vec<_> = pending(&mut self.episodes, services::EPISODE_QUEUE).collect();
+        for progress in pending(&mut self.progress, PENDING_MAX) {
+            tally.count_progress(progress);
+        }
+        let begun = tally.progress.map(|progress| progress.header.episode);
+        for episode in episodes {
+            match begun.is_some_and(|begun| episode.header.episode <= begun) {
+                true => tally.count_episode(episode),
+                false => tally.refused += 1,
+            }
+        }
+        for status in pending(&mut self.policies, PENDING_MAX) {
+            tally.count_policy(status);
+        }
+        // Bounded by the queue: a producer that is faster than this loop cannot
+        // hold it.
+        for step in pending(&mut self.steps, STEP_QUEUE) {
+            tally.count_step(&step);
+        }
+        signs
+    }
+}
+
+fn pending<M: Message>(port: &mut Subscriber<M>, most: usize) -> impl Iterator<Item = M> {
+    port.tend();
+    std::iter::from_fn(|| port.receive()).take(most)
+}
