@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shm_config::run::RunPaths;
 use shm_config::secret;
-use supervisor::commands::clean::{Cleaned, clean_run};
 use supervisor::machine::signals::pause;
-pub use supervisor::telemetry::tally::Quantiles;
+use supervisor::run::leftovers::{Cleaned, clean_run};
+pub use supervisor::telemetry::quantiles::Quantiles;
 
 /// Looks until a run's last process has let go of it, and from one to the next.
 const CLEANINGS: u32 = 100;

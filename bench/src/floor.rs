@@ -14,7 +14,8 @@ use shm_config::Instant;
 use shm_config::message::Histogram;
 use shm_config::services::Process;
 use supervisor::machine::cores::own_cores;
-use supervisor::set::table::{Rights, Row, TABLE};
+use supervisor::set::privileges::Privileges;
+use supervisor::set::table::{ProcessSpec, TABLE};
 use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
     set_thread_priority_and_policy, thread_native_id,
@@ -47,7 +48,7 @@ pub struct Noted {
 }
 
 /// The controller's row of the process table.
-pub fn controller() -> Option<&'static Row> {
+pub fn controller() -> Option<&'static ProcessSpec> {
     TABLE.iter().find(|row| row.process == Process::Controller)
 }
 
@@ -82,7 +83,7 @@ impl Floor {
 
 /// The core that a set's controller asks for on this machine; `None` for none.
 pub fn controllers_core() -> Option<usize> {
-    controller().and_then(|row| Rights::RealTime(own_cores()).core(row))
+    controller().and_then(|row| Privileges::RealTime(own_cores()).core(row))
 }
 
 /// Keeps the calling thread on a core. Refused, it is only noisier.

@@ -10,7 +10,7 @@ use shm_config::run::RunPaths;
 use shm_config::services::Process;
 use shm_config::wire::Wire;
 use supervisor::cli::failure::Failure;
-use supervisor::commands::swap::{Answer, Offers};
+use supervisor::commands::swap::offers::{Answer, Offers};
 
 use crate::Clock;
 use crate::arguments::BenchSwap;

@@ -44,7 +44,7 @@
 //! only ever looks: at ports, at exit statuses, at the clock it is given.
 //! Output goes through a thread of its own, so that a terminal that takes no
 //! more text cannot hold the loop. With `--gate human` it also reads the keys and
-//! says what the person wants ([`takeover::seat`]); should it hang, its last word gets old
+//! says what the person wants ([`takeover::input`]); should it hang, its last word gets old
 //! (`limits.takeover_age_ms`) and nobody has taken over.
 
 pub mod arguments;

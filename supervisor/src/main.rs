@@ -9,9 +9,8 @@ use shm_config::time::monotonic;
 use supervisor::Clock;
 use supervisor::arguments::{Arguments, Command};
 use supervisor::cli::failure::Failure;
-use supervisor::commands::delegate::{BENCH, JUDGE, hand_over};
-use supervisor::commands::{clean, config, doctor, down, status, swap, up};
-use supervisor::setup::install;
+use supervisor::commands::delegate::{BENCH, JUDGE, delegate};
+use supervisor::commands::{clean, config, doctor, down, setup, status, swap, up};
 
 fn main() -> ExitCode {
     // Before anything else: nothing may copy the environment.
@@ -45,13 +44,13 @@ fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Swap(arguments) => swap::swap(arguments, clock),
         Command::Doctor => doctor::doctor(clock),
         Command::Clean(arguments) => clean::clean(arguments),
-        Command::Setup(arguments) => install::setup(arguments),
-        Command::Config(arguments) => config::keys(arguments),
-        Command::Eval(words) => hand_over(BENCH, &["eval"], words),
-        Command::Bench(words) => hand_over(BENCH, &["bench"], words),
-        Command::Draw(words) => hand_over(BENCH, &["draw"], words),
-        Command::Judge(words) => hand_over(JUDGE, &[], words),
-        Command::JudgeServer(words) => hand_over(JUDGE, &["server"], words),
-        Command::Train(words) => hand_over(BENCH, &["train"], words),
+        Command::Setup(arguments) => setup::setup(arguments),
+        Command::Config(arguments) => config::config(arguments),
+        Command::Eval(words) => delegate(BENCH, &["eval"], words),
+        Command::Bench(words) => delegate(BENCH, &["bench"], words),
+        Command::Draw(words) => delegate(BENCH, &["draw"], words),
+        Command::Judge(words) => delegate(JUDGE, &[], words),
+        Command::JudgeServer(words) => delegate(JUDGE, &["server"], words),
+        Command::Train(words) => delegate(BENCH, &["train"], words),
     }
 }

@@ -2,9 +2,10 @@
 
 use shm_config::Instant;
 use shm_config::message::{Message, Takeover};
-use supervisor::takeover::driver::{Key, Person};
+use supervisor::takeover::driver::HumanDriver;
+use supervisor::takeover::key::Key;
 use supervisor::takeover::keyboard::Decoder;
-use supervisor::takeover::script::Script;
+use supervisor::takeover::script::KeyScript;
 
 const MS: u64 = 1_000_000;
 const BEGIN: Instant = Instant(5_000 * MS);
@@ -14,19 +15,19 @@ fn at(ms: u64) -> Instant {
 }
 
 /// A person who has taken over at the begin.
-fn driving() -> Person {
-    let mut person = Person::default();
+fn driving() -> HumanDriver {
+    let mut person = HumanDriver::default();
     person.press(Key::Switch, BEGIN);
     assert!(person.has_taken_over());
     person
 }
 
-fn steer(person: &mut Person, ms: u64) -> f64 {
+fn steer(person: &mut HumanDriver, ms: u64) -> f64 {
     person.advance(at(ms));
     person.takeover().steer
 }
 
-fn pedal(person: &mut Person, ms: u64) -> f64 {
+fn pedal(person: &mut HumanDriver, ms: u64) -> f64 {
     person.advance(at(ms));
     person.takeover().pedal
 }
@@ -41,7 +42,7 @@ fn assert_near(value: f64, expected: f64) {
 
 #[test]
 fn only_who_has_taken_over_drives() {
-    let mut person = Person::default();
+    let mut person = HumanDriver::default();
     for key in [Key::Left, Key::Gas, Key::GiveBack, Key::Brake] {
         person.press(key, BEGIN);
         person.advance(at(300));
@@ -171,7 +172,7 @@ fn bytes_of_a_terminal_are_keys() {
 #[test]
 fn a_file_of_keys_is_read_line_by_line_or_refused_with_its_line() {
     let text = "# a person\n\n0.5 space\n 1 left \n1.0 W\n1.25 Esc\n";
-    let mut script = Script::parse(text).expect("well formed");
+    let mut script = KeyScript::parse(text).expect("well formed");
     assert_eq!(script.due(499_999_999), None);
     assert_eq!(script.due(500_000_000), Some((500_000_000, Key::Switch)));
     assert_eq!(script.due(500_000_000), None);
@@ -189,7 +190,7 @@ fn a_file_of_keys_is_read_line_by_line_or_refused_with_its_line() {
         ("1\n", ["1: 1", "TIME_S KEY"]),
         ("1 space 2\n", ["1: 1 space 2", "TIME_S KEY"]),
     ] {
-        let error = Script::parse(text).expect_err(text);
+        let error = KeyScript::parse(text).expect_err(text);
         for part in parts {
             assert!(error.contains(part), "'{part}' is missing in: {error}");
         }

@@ -8,17 +8,23 @@ use shm_config::message::HealthState;
 use shm_config::services::Process;
 use supervisor::set::event::Event;
 use supervisor::set::launch::Resume;
-use supervisor::set::member::{Phase, READY_LIMIT_NS, Turn};
+use supervisor::set::member::{Decision, Phase, READY_LIMIT_NS};
 use supervisor::set::stop::Stop;
 
 #[test]
 fn each_starts_when_the_one_before_is_ready() {
     let mut rig = Rig::new("idle", |_| ());
     for process in [Process::Planner, Process::Controller, Process::World] {
-        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
+        assert_eq!(
+            rig.set.start_due(rig.now, Resume::default()),
+            Decision::Continue
+        );
         assert!(rig.pid(process).is_some(), "{process} has its turn");
         let started = rig.set.members().iter().filter(|m| m.lives()).count();
-        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
+        assert_eq!(
+            rig.set.start_due(rig.now, Resume::default()),
+            Decision::Continue
+        );
         let still = rig.set.members().iter().filter(|m| m.lives()).count();
         assert_eq!(started, still, "nobody starts before {process} is ready");
         let pid = rig.pid(process).unwrap();
@@ -46,7 +52,7 @@ fn a_death_is_followed_by_a_restart_after_its_pause() {
     rig.await_end(Process::Controller);
     assert!(rig.set.reap(rig.now));
     rig.set.take_events();
-    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert_eq!(rig.set.decide(rig.now), Decision::Continue);
     let events = rig.set.take_events();
     assert_eq!(
         events[0].to_string(),
@@ -72,13 +78,16 @@ fn a_run_is_given_up_after_the_last_restart_allowed() {
     let mut rig = Rig::new("crash", |config| config.supervisor.restarts_max = 2);
     let mut deaths = 0;
     let reason = loop {
-        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
+        assert_eq!(
+            rig.set.start_due(rig.now, Resume::default()),
+            Decision::Continue
+        );
         rig.await_end(Process::Planner);
         assert!(rig.set.reap(rig.now));
         deaths += 1;
-        match rig.set.judge(rig.now) {
-            Turn::GiveUp(reason) => break reason,
-            turn => assert_eq!(turn, Turn::Drive),
+        match rig.set.decide(rig.now) {
+            Decision::GiveUp(reason) => break reason,
+            turn => assert_eq!(turn, Decision::Continue),
         }
         rig.now = rig.set.next_start().expect("a restart is due");
     };
@@ -96,8 +105,8 @@ fn a_refused_set_up_is_shown_and_never_tried_again() {
     rig.set.start_due(rig.now, Resume::default());
     rig.await_end(Process::Planner);
     rig.set.reap(rig.now);
-    let turn = rig.set.judge(rig.now);
-    assert_eq!(turn, Turn::GiveUp("planner: no such lane".into()));
+    let turn = rig.set.decide(rig.now);
+    assert_eq!(turn, Decision::GiveUp("planner: no such lane".into()));
     assert_eq!(rig.set.next_start(), None);
     assert_eq!(rig.restarts(Process::Planner), 0);
 }
@@ -112,10 +121,13 @@ fn a_set_up_that_was_good_before_is_tried_again() {
     for restart in 1..=3 {
         rig.await_end(Process::Planner);
         assert!(rig.set.reap(rig.now));
-        assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+        assert_eq!(rig.set.decide(rig.now), Decision::Continue);
         rig.now = rig.set.next_start().expect("a restart is due");
         assert_eq!(rig.restarts(Process::Planner), restart);
-        assert_eq!(rig.set.start_due(rig.now, Resume::default()), Turn::Drive);
+        assert_eq!(
+            rig.set.start_due(rig.now, Resume::default()),
+            Decision::Continue
+        );
     }
 }
 
@@ -133,7 +145,7 @@ fn a_stopped_process_is_silent_and_is_killed() {
             let pid = rig.pid(process).unwrap();
             rig.set.hear(process, pid, HealthState::Running);
         }
-        rig.set.judge(rig.now);
+        rig.set.decide(rig.now);
         let silenced = |event: &Event| matches!(event, Event::Silenced { .. });
         if rig.set.take_events().iter().any(silenced) {
             killed = Some(look);
@@ -144,7 +156,7 @@ fn a_stopped_process_is_silent_and_is_killed() {
     assert_eq!(killed, Some(21));
     rig.await_end(Process::Planner);
     assert!(rig.set.reap(rig.now));
-    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert_eq!(rig.set.decide(rig.now), Decision::Continue);
     assert!(rig.set.next_start().is_some(), "it will be back");
     assert!(rig.set.lives(Process::Controller) && rig.set.lives(Process::World));
 }
@@ -153,10 +165,10 @@ fn a_stopped_process_is_silent_and_is_killed() {
 fn a_pause_of_the_supervisor_is_nobodys_silence() {
     let mut rig = Rig::new("idle", |_| ());
     rig.start_all();
-    rig.set.judge(rig.now);
+    rig.set.decide(rig.now);
     rig.set.take_events();
     rig.now = rig.now.after_ns(3600 * SECOND);
-    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert_eq!(rig.set.decide(rig.now), Decision::Continue);
     assert_eq!(rig.set.take_events(), Vec::new());
 }
 
@@ -165,9 +177,9 @@ fn a_process_that_never_gets_ready_ends_the_start() {
     let mut rig = Rig::new("idle", |_| ());
     rig.set.start_due(rig.now, Resume::default());
     rig.now = rig.now.after_ns(READY_LIMIT_NS);
-    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert_eq!(rig.set.decide(rig.now), Decision::Continue);
     rig.now = rig.now.after_ns(1);
-    let Turn::GiveUp(reason) = rig.set.judge(rig.now) else {
+    let Decision::GiveUp(reason) = rig.set.decide(rig.now) else {
         panic!("waits for ever");
     };
     assert!(
@@ -183,7 +195,7 @@ fn the_world_goes_on_with_the_episode_it_died_in() {
     rig.start_all();
     rig.await_end(Process::World);
     rig.set.reap(rig.now);
-    assert_eq!(rig.set.judge(rig.now), Turn::Drive);
+    assert_eq!(rig.set.decide(rig.now), Decision::Continue);
     rig.now = rig.set.next_start().expect("a restart is due");
     let resume = Resume {
         episode: 7,
@@ -211,7 +223,7 @@ fn the_worlds_good_end_is_the_runs_but_nobody_elses_is() {
     // The first look may have found both.
     rig.await_end_if_alive(Process::World);
     rig.set.reap(rig.now);
-    assert_eq!(rig.set.judge(rig.now), Turn::Finished);
+    assert_eq!(rig.set.decide(rig.now), Decision::Finished);
     assert_eq!(
         rig.restarts(Process::Planner),
         1,

@@ -5,9 +5,10 @@ use std::collections::BTreeSet;
 use shm_config::config::{Config, GateMode, Supervisor};
 use shm_config::services::Process;
 use supervisor::set::backoff::{After, Backoff};
-use supervisor::set::table::{CORES_MIN, CORES_SHARED, Core, Rights, Row, TABLE, rows};
+use supervisor::set::privileges::{CORES_MIN, CORES_SHARED, Privileges};
+use supervisor::set::table::{Core, ProcessSpec, TABLE, rows};
 
-fn row(process: Process) -> &'static Row {
+fn row(process: Process) -> &'static ProcessSpec {
     TABLE
         .iter()
         .find(|row| row.process == process)
@@ -89,15 +90,15 @@ fn the_documented_table_is_the_table() {
 
 #[test]
 fn few_cores_are_shared_and_one_is_everybodys() {
-    let one = Rights::RealTime(vec![5]);
-    let few = Rights::RealTime(vec![1, 0]);
-    let enough = Rights::RealTime(vec![2, 3, 8, 9]);
+    let one = Privileges::RealTime(vec![5]);
+    let few = Privileges::RealTime(vec![1, 0]);
+    let enough = Privileges::RealTime(vec![2, 3, 8, 9]);
     let controller = row(Process::Controller);
     assert_eq!(one.core(controller), None);
     assert_eq!(one.priority(controller), 48);
     for process in [Process::World, Process::Planner, Process::Controller] {
         assert_eq!(few.core(row(process)), Some(0), "the last in their order");
-        let more = Rights::RealTime((0..CORES_MIN - 1).collect());
+        let more = Privileges::RealTime((0..CORES_MIN - 1).collect());
         assert_eq!(more.core(row(process)), Some(CORES_MIN - 2));
     }
     assert_eq!(few.core(row(Process::Learner)), None);
@@ -106,8 +107,8 @@ fn few_cores_are_shared_and_one_is_everybodys() {
     assert_eq!(enough.core(row(Process::Planner)), Some(8));
     assert_eq!(enough.core(row(Process::World)), Some(3));
     assert_eq!(enough.core(row(Process::Gate)), None);
-    assert_eq!(Rights::Ordinary.priority(controller), 0);
-    assert_eq!(Rights::Ordinary.core(controller), None);
+    assert_eq!(Privileges::Ordinary.priority(controller), 0);
+    assert_eq!(Privileges::Ordinary.core(controller), None);
 }
 
 #[test]

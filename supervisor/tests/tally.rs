@@ -10,7 +10,9 @@ use shm_config::message::{
 use shm_config::services::Process;
 use supervisor::show::summary::Summary;
 use supervisor::telemetry::episodes::command_digest;
-use supervisor::telemetry::tally::{Quantiles, Tally, WEIGHTS_KEPT};
+use supervisor::telemetry::quantiles::Quantiles;
+use supervisor::telemetry::step_tally::WEIGHTS_KEPT;
+use supervisor::telemetry::tally::Tally;
 
 fn step(producer: u32, sequence: u64, driver: Driver, reason: Reason) -> Step {
     let mut step = Step::default();

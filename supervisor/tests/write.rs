@@ -6,7 +6,7 @@ use std::os::unix::fs::{FileTypeExt, symlink};
 use std::path::Path;
 
 use rustix::fs::{Mode, OFlags};
-use supervisor::show::summary::write_whole;
+use supervisor::cli::output::write_whole;
 
 #[test]
 fn a_link_stays_a_link_and_its_target_is_written() {

@@ -14,7 +14,7 @@ use shm_config::run::RunPaths;
 use shm_config::secret;
 use shm_config::services::Process;
 use supervisor::machine::signals::pause;
-use supervisor::set::launch::Exit;
+use supervisor::set::exit::Exit;
 
 use super::ledger::Limits;
 use super::watch::{CHILDREN, Watch};

@@ -12,8 +12,8 @@ use serde::Serialize;
 use shm_config::message::{Advice, Command, Observation, Plan, Step};
 use shm_config::run::{RunName, RunPaths};
 use shm_config::wire::Wire;
-use supervisor::commands::clean::clean_run;
 use supervisor::machine::cores::own_cores;
+use supervisor::run::leftovers::clean_run;
 
 use crate::Clock;
 use crate::floor::stay_on;

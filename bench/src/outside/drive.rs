@@ -9,9 +9,9 @@ use shm_config::config::Config;
 use shm_config::message::{Command, Episode, Header, Message, Observation};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, Process};
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
-use supervisor::run::place::{Place, check_shared_memory, shared_memory};
-use supervisor::run::roster::Roll;
-use supervisor::run::shared_memory::Need;
+use supervisor::run::place::Place;
+use supervisor::run::roster::RosterPublisher;
+use supervisor::run::shared_memory::{Need, check_shared_memory, shared_memory};
 use supervisor::set::launch::Script;
 
 use super::world::WorldProcess;
@@ -65,11 +65,11 @@ pub fn drive(
     let (place, _) = Place::take(config.run.name.parse()?)?;
     check_shared_memory(shared_memory()?.0, &Need::of(config))?;
     let wire = Wire::join(place.paths().name(), Process::Controller)?;
-    let mut roll = Roll::open(&wire)?;
-    roll.name(&wire, Process::Controller, std::process::id());
+    let mut roster = RosterPublisher::open(&wire)?;
+    roster.name(&wire, Process::Controller, std::process::id());
     let mut ports = Ports::open(&wire)?;
     let mut world = WorldProcess::start(script, config, &place.paths().dir())?;
-    roll.name(&wire, Process::World, world.pid());
+    roster.name(&wire, Process::World, world.pid());
     let mut wheel = Wheel {
         seat: Seat::new(kind, config, clock)?,
         begun: None,
@@ -97,7 +97,7 @@ pub fn drive(
             ports.bell.wait(NAP);
         }
         ports.tend();
-        roll.tend();
+        roster.update_connections();
     }
     Ok(wheel.seat.planning_us().clone())
 }

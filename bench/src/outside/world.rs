@@ -8,7 +8,8 @@ use std::process::{Child, Command, Stdio};
 use anyhow::Context;
 use shm_config::config::Config;
 use supervisor::cli::failure::Failure;
-use supervisor::set::launch::{Exit, Script};
+use supervisor::set::exit::Exit;
+use supervisor::set::launch::Script;
 
 /// A world that drives. Dropping it kills it.
 pub struct WorldProcess {

@@ -76,7 +76,16 @@ impl Output {
     }
 }
 
-/// In a folder such as `/tmp` another user's link would choose which of this user's
+/// Writes a file beside its place, then moves it there. A link is followed, and
+/// what is no plain file (a device, a pipe) is written to, never replaced.
+///
+/// # Errors
+/// When the folder is missing or refuses, or nothing reads the pipe.
+pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
+    Output::open(path)?.write(text)
+}
+
+/// In a folder such as `/tmp` another user's link would select_run which of this user's
 /// files is written over.
 fn check_link(path: &Path) -> io::Result<()> {
     let Ok(metadata) = fs::symlink_metadata(path) else {

@@ -1,27 +1,26 @@
 //! `clean`: removes what killed runs left behind, and only that.
 
+use crate::cli::parsers::Name;
+use clap::Args;
 use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 
 use shm_config::file::user;
-use shm_config::run::{Leftovers, RunName, RunPaths};
+use shm_config::run::{RunName, RunPaths};
 
-use crate::arguments::Clean;
 use crate::cli::failure::Failure;
-use crate::run::place::SHARED_MEMORY_DIR;
-use crate::show::screen::say;
+use crate::cli::print::say;
+use crate::run::leftovers::{Cleaned, clean_run, tell_strangers};
+use crate::run::shared_memory::SHARED_MEMORY_DIR;
 
-/// Names that are told one by one: a user may make any number of them.
-const STRANGERS_TOLD: usize = 8;
-
-/// What became of one run.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Cleaned {
-    /// A process of it lives; nothing was touched.
-    Alive,
-    /// It was dead; this was removed.
-    Removed(Leftovers),
+/// Remove what killed runs left behind.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  ./vlaps clean")]
+pub struct Clean {
+    /// Name of the run; without it, all of them.
+    #[arg(long, value_name = "NAME", value_parser = Name)]
+    pub run: Option<RunName>,
 }
 
 /// Cleans the named run, or all of the calling user, where they are dead.
@@ -52,43 +51,6 @@ pub fn clean(arguments: &Clean) -> Result<(), Failure> {
         say("nothing to remove");
     }
     Ok(())
-}
-
-/// Says what is named as a run's shared memory and is none of it.
-///
-/// # Errors
-/// When the folder of shared memory cannot be read.
-pub fn tell_strangers(paths: &RunPaths) -> Result<(), Failure> {
-    let strangers = paths.strangers()?;
-    for stranger in strangers.iter().take(STRANGERS_TOLD) {
-        say(stranger);
-    }
-    match strangers.len().checked_sub(STRANGERS_TOLD) {
-        None | Some(0) => {}
-        Some(more) => say(format_args!(
-            "{more} more names like those of run '{}' are left alone",
-            paths.name()
-        )),
-    }
-    Ok(())
-}
-
-/// Cleans one run, if it is dead.
-///
-/// # Errors
-/// When a leftover cannot be removed.
-pub fn clean_run(paths: &RunPaths) -> Result<Cleaned, Failure> {
-    // With the supervisor's lock in hand no new supervisor of that name starts.
-    let Some(_lock) = paths.hold_supervisor()? else {
-        return Ok(Cleaned::Alive);
-    };
-    match paths.clean_if_dead()? {
-        None => Ok(Cleaned::Alive),
-        Some(leftovers) => {
-            paths.remove_dir();
-            Ok(Cleaned::Removed(leftovers))
-        }
-    }
 }
 
 /// Every run that left a folder or shared memory: the folder may have been emptied

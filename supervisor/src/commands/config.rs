@@ -1,13 +1,25 @@
 //! `config`: every key with its default and its meaning, or the check of a file.
 
+use clap::Args;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::path::PathBuf;
 
 use shm_config::config::{self, Config, ConfigError};
 
-use crate::arguments::Keys;
 use crate::cli::failure::Failure;
-use crate::show::screen::say;
+use crate::cli::print::say;
+
+/// Print the configuration with its defaults, or check a file.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+        ./vlaps config > vlaps.toml       a file to change\n  \
+        ./vlaps config --check vlaps.toml")]
+pub struct ConfigArguments {
+    /// Check this file instead; exit code 2 when it is wrong.
+    #[arg(long, value_name = "FILE")]
+    pub check: Option<PathBuf>,
+}
 
 /// Where the configuration's structs are written down. What a key means is
 /// written there once, as its doc comment, and read from there.
@@ -35,7 +47,7 @@ type Docs = BTreeMap<(String, String), (String, String)>;
 ///
 /// # Errors
 /// When the file is wrong.
-pub fn keys(arguments: &Keys) -> Result<(), Failure> {
+pub fn config(arguments: &ConfigArguments) -> Result<(), Failure> {
     match &arguments.check {
         Some(path) => {
             config::load(path)?;

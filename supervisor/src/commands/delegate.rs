@@ -1,13 +1,26 @@
 //! Commands that another program of the build carries out.
 
+use clap::Args;
+use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 use shm_config::secret;
 
-use crate::arguments::HandedOver;
 use crate::cli::failure::Failure;
-use crate::set::launch::own_folder;
+use crate::machine::programs::own_folder;
+
+/// What another program of the build does: it reads the words itself.
+#[derive(Debug, Args)]
+pub struct Delegated {
+    /// Its options; --help shows them.
+    #[arg(
+        trailing_var_arg = true,
+        allow_hyphen_values = true,
+        value_name = "OPTIONS"
+    )]
+    pub words: Vec<OsString>,
+}
 
 /// The program of `eval`, `bench`, `draw` and `train`. The supervisor does not
 /// link it: it brings the built-in world and all drivers along.
@@ -19,7 +32,7 @@ pub const JUDGE: &str = "vlaps-judge";
 ///
 /// # Errors
 /// When that program is not beside this one.
-pub fn hand_over(name: &str, command: &[&str], rest: &HandedOver) -> Result<(), Failure> {
+pub fn delegate(name: &str, command: &[&str], rest: &Delegated) -> Result<(), Failure> {
     let folder = own_folder()
         .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
     let program = folder.join(name);

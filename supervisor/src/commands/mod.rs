@@ -1,10 +1,11 @@
-//! commands
+//! The commands: each has its arguments and its run in one file or folder.
 
 pub mod clean;
 pub mod config;
 pub mod delegate;
 pub mod doctor;
 pub mod down;
+pub mod setup;
 pub mod status;
 pub mod swap;
 pub mod up;

@@ -1,49 +1,51 @@
 //! `status`: looks at living runs from outside. It never makes a run and never
 //! keeps one from anything.
 
+use crate::cli::parsers::Name;
+use clap::Args;
+use shm_config::run::RunName;
 use std::io;
-use std::time::Duration;
+use std::path::PathBuf;
 
 use serde::Serialize;
-use shm_config::config::{self, Config};
 use shm_config::judged::Judged;
 use shm_config::run::{Holder, RunPaths};
-use shm_config::services::Process;
-use shm_config::wire::Wire;
 
 use crate::Clock;
-use crate::arguments::Status;
 use crate::cli::failure::Failure;
 use crate::cli::output::Output;
-use crate::commands::clean::{clean_run, tell_strangers};
-use crate::commands::down::alive;
-use crate::machine::memory::Memory;
-use crate::machine::signals::pause;
+use crate::cli::print::say;
+use crate::run::leftovers::tell_strangers;
 use crate::run::restarts;
 use crate::run::roster;
-use crate::set::table::rows;
-use crate::show::screen::say;
+use crate::run::selection::alive;
 use crate::show::view::View;
 use crate::telemetry::judge;
 use crate::telemetry::late::{self, LateRow};
-use crate::telemetry::ports::{Depth, Ports};
-use crate::telemetry::tally::{ProcessTally, Tally};
+use crate::telemetry::observe::look;
 
-/// How long everybody has to say something, ns. A process speaks at least every
-/// 100 ms; ten of those.
-const LISTEN_NS: u64 = 1_000_000_000;
-/// From look to look.
-const LOOK: Duration = Duration::from_millis(20);
+/// Show who is alive, on time and in charge.
+#[derive(Debug, Args)]
+#[command(after_help = "Exit code 1 says that none runs.\n\n\
+        Examples:\n  ./vlaps status\n  ./vlaps status --run second --json status.json")]
+pub struct Status {
+    /// Name of the run; without it, all of them.
+    #[arg(long, value_name = "NAME", value_parser = Name)]
+    pub run: Option<RunName>,
+    /// Write what is shown to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
 
 /// What `--json` writes.
 #[derive(Debug, Serialize)]
 struct Runs {
-    runs: Vec<Seen>,
+    runs: Vec<RunStatus>,
 }
 
 /// One run.
 #[derive(Debug, Serialize)]
-struct Seen {
+struct RunStatus {
     supervisor: u32,
     /// What the judge was asked and said; `None` where nobody judges.
     judge: Option<Judged>,
@@ -123,10 +125,10 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     }
 }
 
-fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<Seen, Failure> {
+fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<RunStatus, Failure> {
     let (config, tally) = look(paths, supervisor, clock)?;
     let judge = judge::read(&config, supervisor);
-    Ok(Seen {
+    Ok(RunStatus {
         supervisor,
         warnings: tally.foreigners().map(roster::warning).collect(),
         judge_unasked: judge::unasked(&config, &tally, judge.as_ref()),
@@ -134,59 +136,4 @@ fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<Seen, Failu
         late_ticks: late::latest(&tally),
         view: View::from_outside(&config, &tally, &restarts::read(paths)),
     })
-}
-
-/// Listens to a living run for a while, and asks the kernel about its processes.
-///
-/// # Errors
-/// When it is just starting or ending, or shared memory refuses.
-pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, Tally), Failure> {
-    let config = config::load(&paths.config_file()).map_err(|_| {
-        Failure::GivenUp(format!(
-            "run '{}' is just starting or ending; try again",
-            paths.name()
-        ))
-    })?;
-    let mut tally = Tally::default();
-    let heard = hear((paths, supervisor), &config, &mut tally, clock);
-    // The run may have ended meanwhile; then this process kept its place.
-    if paths.supervisor_pid().is_none() {
-        clean_run(paths)?;
-    }
-    heard?;
-    for process in rows(&config).map(|row| row.process) {
-        let said = tally.process(process).and_then(ProcessTally::newest);
-        let Some(pid) = said.map(|health| health.header.producer) else {
-            continue;
-        };
-        tally.count_threads(process, pid);
-        if let Some(memory) = Memory::of(pid) {
-            tally.count_memory(process, memory);
-        }
-    }
-    Ok((config, tally))
-}
-
-fn hear(
-    (paths, supervisor): (&RunPaths, u32),
-    config: &Config,
-    tally: &mut Tally,
-    clock: Clock,
-) -> Result<(), Failure> {
-    let wire = Wire::join(paths.name(), Process::Supervisor)?;
-    wire.follow(supervisor)?;
-    wire.await_named(Process::Supervisor, supervisor)?;
-    let mut ports = Ports::open(&wire, config, Depth::Newest)?;
-    let begun = clock();
-    while clock().since_ns(begun) < LISTEN_NS {
-        ports.drain(tally);
-        // A timing alone says nothing of how it is.
-        let said = |process| tally.process(process).and_then(ProcessTally::newest);
-        let all = rows(config).all(|row| said(row.process).is_some());
-        if all && tally.steps.newest.is_some() && tally.progress.is_some() {
-            break;
-        }
-        pause(LOOK);
-    }
-    Ok(())
 }

@@ -1,8 +1,9 @@
-//! machine
+//! The machine: cores, sleeping processors, memory and threads by /proc, signals, programs.
 
 pub mod cores;
 pub mod idle;
 pub mod memory;
 pub mod parent;
+pub mod programs;
 pub mod signals;
 pub mod threads;

@@ -21,19 +21,19 @@ pub struct Signals {
     stop: UnixStream,
     stop_sender: UnixStream,
     child: UnixStream,
-    late: Late,
+    late: LateSignals,
 }
 
 /// What a signal does that comes after the process set has ended.
 #[derive(Debug, Clone, Default)]
-pub struct Late {
+pub struct LateSignals {
     /// It ends this process at once.
     ends: Arc<AtomicBool>,
     /// The number of the signal that came last.
     last: Arc<AtomicUsize>,
 }
 
-impl Late {
+impl LateSignals {
     /// From now on a signal that asks to stop ends this process, with the exit code
     /// that shells give it.
     pub fn end_at_once(&self) {
@@ -65,7 +65,7 @@ impl Signals {
         let (child, child_sender) = UnixStream::pair()?;
         stop.set_nonblocking(true)?;
         child.set_nonblocking(true)?;
-        let late = Late::default();
+        let late = LateSignals::default();
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             if signal != SIGHUP || !is_ignored(SIGHUP) {
                 late.register(signal)?;
@@ -93,7 +93,7 @@ impl Signals {
     }
 
     /// What signals do once nothing is left to stop.
-    pub fn late(&self) -> Late {
+    pub fn late(&self) -> LateSignals {
         self.late.clone()
     }
 

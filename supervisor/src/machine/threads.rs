@@ -63,7 +63,7 @@ pub fn threads(pid: u32, health: &Health) -> Vec<Thread> {
 }
 
 /// What the kernel says of a thread.
-struct Said {
+struct KernelThread {
     name: String,
     scheduling: Scheduling,
     priority: u32,
@@ -71,7 +71,7 @@ struct Said {
     slack_ns: Option<u64>,
 }
 
-fn kernel_says(pid: u32, tid: u32) -> Option<Said> {
+fn kernel_says(pid: u32, tid: u32) -> Option<KernelThread> {
     let folder = format!("/proc/{pid}/task/{tid}");
     let stat = fs::read_to_string(format!("{folder}/stat")).ok()?;
     let status = fs::read_to_string(format!("{folder}/status")).ok()?;
@@ -80,7 +80,7 @@ fn kernel_says(pid: u32, tid: u32) -> Option<Said> {
         .lines()
         .find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?;
     let slack = fs::read_to_string(format!("/proc/{tid}/timerslack_ns"));
-    Some(Said {
+    Some(KernelThread {
         name,
         scheduling,
         priority,
@@ -106,7 +106,7 @@ fn parse_stat(stat: &str) -> Option<(String, Scheduling, u32)> {
     Some((stat.get(begin + 1..end)?.into(), scheduling, priority))
 }
 
-impl Said {
+impl KernelThread {
     fn beside(self, tid: u32, pid: u32, health: &Health) -> Thread {
         let is_tick = tid == pid;
         let asked = Scheduling::from_code(health.scheduling_asked).filter(|_| is_tick);
@@ -157,7 +157,7 @@ mod tests {
             core: Grant::Granted.code(),
             ..Health::default()
         };
-        let said = |priority: u32, cores: &str| Said {
+        let said = |priority: u32, cores: &str| KernelThread {
             name: "x".into(),
             scheduling: match priority {
                 0 => Scheduling::Ordinary,
@@ -167,7 +167,8 @@ mod tests {
             cores: cores.into(),
             slack_ns: None,
         };
-        let is_right = |said: Said, tid| said.beside(tid, 5, &health).is_as_asked("3", "0-3");
+        let is_right =
+            |said: KernelThread, tid| said.beside(tid, 5, &health).is_as_asked("3", "0-3");
         assert!(is_right(said(45, "3"), 5));
         assert!(!is_right(said(0, "3"), 5), "refused priority");
         assert!(is_right(said(0, "0-3"), 6));

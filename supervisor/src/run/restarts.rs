@@ -6,8 +6,8 @@ use std::fs;
 
 use shm_config::run::RunPaths;
 
+use crate::cli::output::write_whole;
 use crate::set::member::Member;
-use crate::show::summary::write_whole;
 
 /// Its name in the run's place.
 const FILE: &str = "restarts.json";

@@ -8,20 +8,19 @@ use shm_config::text::printable;
 use shm_config::wire::{Foreigner, Publisher, Wire, WireError};
 
 use crate::set::process_set::ProcessSet;
-use crate::telemetry::tally::Tally;
 
 /// Foreign processes that are named; of more the count says enough.
 const NAMED_MAX: usize = 16;
 
 /// Publishes which processes the run has started, and remembers which others were told
 /// of.
-pub struct Roll {
+pub struct RosterPublisher {
     roster: Roster,
     port: Publisher<Roster>,
     named: Vec<Foreigner>,
 }
 
-impl Roll {
+impl RosterPublisher {
     /// Names the supervisor alone. From now on this membership takes state only from
     /// those that are named.
     ///
@@ -52,25 +51,29 @@ impl Roll {
 
     /// Names the living processes of a set, and passes the roster on to readers that
     /// came meanwhile.
-    pub fn call(&mut self, wire: &Wire, set: &ProcessSet) {
+    pub fn publish(&mut self, wire: &Wire, set: &ProcessSet) {
         for member in set.members() {
             if let Some(pid) = member.pid() {
                 self.name(wire, member.row().process, pid);
             }
         }
-        self.tend();
+        self.update_connections();
     }
 
     /// Passes the roster on to readers that came meanwhile.
-    pub fn tend(&mut self) {
+    pub fn update_connections(&mut self) {
         self.port.tend();
     }
 
     /// What to say of the processes that send in the place of others and were not told
     /// of yet.
-    pub fn foreigners(&mut self, wire: &Wire, tally: &Tally) -> Vec<String> {
+    pub fn foreigners(
+        &mut self,
+        wire: &Wire,
+        heard: impl Iterator<Item = Foreigner>,
+    ) -> Vec<String> {
         let mut lines = Vec::new();
-        for foreigner in tally.foreigners().chain(wire.foreigner()) {
+        for foreigner in heard.chain(wire.foreigner()) {
             if self.named.contains(&foreigner) || self.named.len() >= NAMED_MAX {
                 continue;
             }

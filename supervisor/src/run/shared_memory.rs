@@ -20,7 +20,11 @@ use shm_config::message::{Frame, Step, Timing, Weights};
 use shm_config::services::STEP_QUEUE;
 use shm_config::wire::PUBLISHERS_MAX;
 
+use crate::cli::failure::Failure;
 use crate::set::table::rows;
+
+/// Where shared memory is.
+pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 
 /// Steps on their way beside a full queue: one at each reader and writer.
 const STEPS_BESIDE: usize = 100;
@@ -84,6 +88,40 @@ impl fmt::Display for Need {
         let all = megabytes(self.bytes());
         write!(f, "{all} MB ({}, and a quarter on top)", parts.join(", "))
     }
+}
+
+/// Free and total bytes of shared memory.
+///
+/// # Errors
+/// When there is no shared memory to look at.
+pub fn shared_memory() -> Result<(u64, u64), Failure> {
+    let space = rustix::fs::statvfs(SHARED_MEMORY_DIR).map_err(|error| {
+        Failure::Usage(format!(
+            "{SHARED_MEMORY_DIR}: {error}; processes need it to talk: \
+             `sudo mount -t tmpfs -o size=1g tmpfs {SHARED_MEMORY_DIR}`"
+        ))
+    })?;
+    Ok((
+        space.f_bavail * space.f_frsize,
+        space.f_blocks * space.f_frsize,
+    ))
+}
+
+/// A run fits into shared memory. Without this check the first process that
+/// touches a page too many would die of SIGBUS.
+///
+/// # Errors
+/// When there is too little, with both numbers, what for, and what to do.
+pub fn check_shared_memory(free_bytes: u64, need: &Need) -> Result<(), Failure> {
+    if free_bytes >= need.bytes() {
+        return Ok(());
+    }
+    Err(Failure::Usage(format!(
+        "{SHARED_MEMORY_DIR}: {} MB free, the run needs {need}; free some with `./vlaps clean`, \
+         make it larger with `sudo mount -o remount,size=1g {SHARED_MEMORY_DIR}`, or give a \
+         container more with `--shm-size=1g`",
+        free_bytes >> 20,
+    )))
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::fmt;
 
 use shm_config::services::Process;
 
-use crate::set::launch::Exit;
+use crate::set::exit::Exit;
 
 /// What happened.
 #[derive(Debug, Clone, PartialEq, Eq)]

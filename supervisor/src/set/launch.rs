@@ -1,17 +1,19 @@
 //! One child process.
 
 use std::io;
-use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
 
 use rustix::process::{Pid, Signal};
 use shm_config::secret;
 use shm_config::services::Process;
 
+use crate::set::exit::Exit;
 use crate::set::log::LogFile;
-use crate::set::orphans::{MARK, Mark};
-use crate::set::table::{Rights, Row};
+use crate::set::mark::{MARK, Mark};
+use crate::set::privileges::Privileges;
+use crate::set::table::ProcessSpec;
 
 /// What children are started with.
 #[derive(Debug, Clone)]
@@ -21,7 +23,7 @@ pub struct Launch {
     /// The run's resolved configuration.
     pub config: PathBuf,
     /// Priorities and cores.
-    pub rights: Rights,
+    pub rights: Privileges,
     /// The world when it is not a binary beside the others.
     pub world: Option<Script>,
 }
@@ -44,50 +46,9 @@ pub struct Script {
     pub file: PathBuf,
 }
 
-/// Exit code by which a child says that its configuration or set-up is wrong.
-const EXIT_REFUSED: i32 = 2;
-
-/// How a child ended.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Exit {
-    /// Exit code 0.
-    Done,
-    /// Exit code 2: it would fail again.
-    Refused,
-    /// Anything else, in words.
-    Crashed(String),
-}
-
-impl From<ExitStatus> for Exit {
-    fn from(status: ExitStatus) -> Self {
-        match (status.code(), status.signal()) {
-            (Some(0), _) => Self::Done,
-            (Some(EXIT_REFUSED), _) => Self::Refused,
-            (Some(code), _) => Self::Crashed(format!("exit code {code}")),
-            (None, Some(signal)) => {
-                Self::Crashed(match signal_hook::low_level::signal_name(signal) {
-                    Some(name) => format!("killed by {name}"),
-                    None => format!("killed by signal {signal}"),
-                })
-            }
-            (None, None) => Self::Crashed(status.to_string()),
-        }
-    }
-}
-
-impl std::fmt::Display for Exit {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Done => f.write_str("exit code 0"),
-            Self::Refused => f.write_str("exit code 2"),
-            Self::Crashed(how) => f.write_str(how),
-        }
-    }
-}
-
 impl Launch {
     /// Where a row's binary is.
-    pub fn binary(&self, row: &Row) -> PathBuf {
+    pub fn binary(&self, row: &ProcessSpec) -> PathBuf {
         match self.script(row) {
             Some(script) => script.interpreter.clone(),
             None => self.binaries.join(row.binary),
@@ -95,11 +56,11 @@ impl Launch {
     }
 
     /// An interpreter runs it.
-    pub fn is_script(&self, row: &Row) -> bool {
+    pub fn is_script(&self, row: &ProcessSpec) -> bool {
         self.script(row).is_some()
     }
 
-    fn script(&self, row: &Row) -> Option<&Script> {
+    fn script(&self, row: &ProcessSpec) -> Option<&Script> {
         self.world
             .as_ref()
             .filter(|_| row.process == Process::World)
@@ -110,7 +71,12 @@ impl Launch {
     ///
     /// # Errors
     /// When the log or the binary cannot be opened.
-    pub fn start(&self, row: &Row, log: &mut LogFile, resume: Resume) -> io::Result<Running> {
+    pub fn start(
+        &self,
+        row: &ProcessSpec,
+        log: &mut LogFile,
+        resume: Resume,
+    ) -> io::Result<Running> {
         let output = log.begin()?;
         let errors = output.try_clone()?;
         let mark = Mark::next(row.process);
@@ -132,7 +98,7 @@ impl Launch {
         Ok(Running { child, mark })
     }
 
-    fn arguments(&self, row: &Row, resume: Resume) -> Vec<String> {
+    fn arguments(&self, row: &ProcessSpec, resume: Resume) -> Vec<String> {
         let mut arguments = vec![
             "--config".into(),
             self.config.display().to_string(),
@@ -187,17 +153,5 @@ impl Running {
     pub fn signal(&self, signal: Signal) {
         // Fails only when it has ended already, which the next look shows.
         let _ = rustix::process::kill_process(Pid::from_child(&self.child), signal);
-    }
-}
-
-/// The folder of the supervisor's own executable, where its siblings are.
-///
-/// # Errors
-/// When the system does not tell.
-pub fn own_folder() -> io::Result<PathBuf> {
-    let executable = std::env::current_exe()?;
-    match executable.parent() {
-        Some(folder) => Ok(folder.into()),
-        None => Ok(Path::new("/").into()),
     }
 }

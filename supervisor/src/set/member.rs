@@ -8,10 +8,11 @@ use shm_config::text::printable;
 
 use crate::set::backoff::{After, Backoff};
 use crate::set::event::Event;
-use crate::set::launch::{Exit, Launch, Resume, Running};
+use crate::set::exit::Exit;
+use crate::set::launch::{Launch, Resume, Running};
 use crate::set::log::LogFile;
-use crate::set::orphans::Mark;
-use crate::set::table::{Restart, Row};
+use crate::set::mark::Mark;
+use crate::set::table::{ProcessSpec, Restart};
 
 /// How long a process may take from its start to being ready, ns. Opening the
 /// ports takes milliseconds; twenty seconds is a cold disk under full load.
@@ -55,7 +56,7 @@ pub enum Phase {
 /// One process of the set.
 #[derive(Debug)]
 pub struct Member {
-    row: &'static Row,
+    row: &'static ProcessSpec,
     child: Option<Running>,
     phase: Phase,
     backoff: Backoff,
@@ -67,9 +68,9 @@ pub struct Member {
 
 /// How the run goes on.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Turn {
-    /// On.
-    Drive,
+pub enum Decision {
+    /// The run goes on.
+    Continue,
     /// The configured run is driven to its end.
     Finished,
     /// It cannot go on, for this reason.
@@ -78,7 +79,7 @@ pub enum Turn {
 
 impl Member {
     /// A process that has not been started.
-    pub(crate) fn new(row: &'static Row, log: LogFile, ready_limit_ns: u64) -> Self {
+    pub(crate) fn new(row: &'static ProcessSpec, log: LogFile, ready_limit_ns: u64) -> Self {
         Self {
             row,
             child: None,
@@ -92,7 +93,7 @@ impl Member {
     }
 
     /// Its row of the table.
-    pub fn row(&self) -> &'static Row {
+    pub fn row(&self) -> &'static ProcessSpec {
         self.row
     }
 
@@ -134,7 +135,7 @@ impl Member {
     }
 
     /// Rotates its log when it has grown over its limit.
-    pub(crate) fn tend_log(&mut self, events: &mut Vec<Event>) {
+    pub(crate) fn rotate_log(&mut self, events: &mut Vec<Event>) {
         if let Err(error) = self.log.rotate() {
             events.push(Event::LogFull {
                 process: self.row.process,
@@ -185,7 +186,7 @@ impl Member {
         resume: Resume,
         now: Instant,
         events: &mut Vec<Event>,
-    ) -> Turn {
+    ) -> Decision {
         let process = self.row.process;
         match launch.start(self.row, &mut self.log, resume) {
             Ok(child) => {
@@ -194,9 +195,9 @@ impl Member {
                 self.phase = Phase::Starting { since: now };
                 self.silent_ns = 0;
                 events.push(Event::Started { process, pid });
-                Turn::Drive
+                Decision::Continue
             }
-            Err(error) => Turn::GiveUp(format!(
+            Err(error) => Decision::GiveUp(format!(
                 "{process}: cannot start {}: {error}",
                 launch.binary(self.row).display()
             )),
@@ -204,46 +205,48 @@ impl Member {
     }
 
     /// Decides what follows from how it is.
-    pub(crate) fn judge(
+    pub(crate) fn decide(
         &mut self,
         now: Instant,
         passed_ns: u64,
         limits: &Supervisor,
         events: &mut Vec<Event>,
-    ) -> Turn {
+    ) -> Decision {
         match self.phase.clone() {
-            Phase::Waiting | Phase::Resting { .. } | Phase::Gone => Turn::Drive,
-            Phase::Starting { since } => self.judge_start(now.since_ns(since), events),
+            Phase::Waiting | Phase::Resting { .. } | Phase::Gone => Decision::Continue,
+            Phase::Starting { since } => self.check_start_time(now.since_ns(since), events),
             Phase::Up { .. } => {
                 let limit_ns = (limits.silence_s * 1e9) as u64;
                 self.silent_ns += passed_ns;
                 if self.silent_ns > limit_ns {
-                    self.silence(self.silent_ns, events);
+                    self.kill_silent(self.silent_ns, events);
                 }
-                Turn::Drive
+                Decision::Continue
             }
-            Phase::Dead { exit, ran_ns } => self.judge_death(now, exit, ran_ns, limits, events),
+            Phase::Dead { exit, ran_ns } => {
+                self.decide_after_exit(now, exit, ran_ns, limits, events)
+            }
         }
     }
 
-    fn judge_start(&mut self, took_ns: u64, events: &mut Vec<Event>) -> Turn {
+    fn check_start_time(&mut self, took_ns: u64, events: &mut Vec<Event>) -> Decision {
         if took_ns <= self.ready_limit_ns {
-            return Turn::Drive;
+            return Decision::Continue;
         }
         if !self.ever_ready {
-            return Turn::GiveUp(format!(
+            return Decision::GiveUp(format!(
                 "{}: not ready {} s after its start{}",
                 self.row.process,
                 self.ready_limit_ns / 1_000_000_000,
                 self.last_words()
             ));
         }
-        self.silence(took_ns, events);
-        Turn::Drive
+        self.kill_silent(took_ns, events);
+        Decision::Continue
     }
 
     /// Kills; the next look reaps. SIGKILL ends a stopped process too.
-    fn silence(&mut self, silent_ns: u64, events: &mut Vec<Event>) {
+    fn kill_silent(&mut self, silent_ns: u64, events: &mut Vec<Event>) {
         let process = self.row.process;
         if let Some(child) = &self.child {
             child.signal(Signal::KILL);
@@ -257,22 +260,22 @@ impl Member {
         events.push(Event::Silenced { process, silent_ns });
     }
 
-    fn judge_death(
+    fn decide_after_exit(
         &mut self,
         now: Instant,
         exit: Exit,
         ran_ns: u64,
         limits: &Supervisor,
         events: &mut Vec<Event>,
-    ) -> Turn {
+    ) -> Decision {
         let process = self.row.process;
         self.phase = Phase::Gone;
         match (&exit, self.row.restart) {
-            (Exit::Done, Restart::AtEpisode) => return Turn::Finished,
+            (Exit::Done, Restart::AtEpisode) => return Decision::Finished,
             // A set-up that was good before fails for want of room on a disk or in
             // shared memory, which passes; a new one would fail again.
             (Exit::Refused, _) if !self.ever_ready => {
-                return Turn::GiveUp(match self.log.last_line() {
+                return Decision::GiveUp(match self.log.last_line() {
                     // A child begins its line with its own name.
                     Some(line) => {
                         let own = format!("{}: ", self.row.binary);
@@ -299,9 +302,9 @@ impl Member {
                     restart: self.backoff.restarts(),
                     restarts_max: limits.restarts_max,
                 });
-                Turn::Drive
+                Decision::Continue
             }
-            After::GiveUp => Turn::GiveUp(format!(
+            After::GiveUp => Decision::GiveUp(format!(
                 "{process}: died ({exit}) and was restarted {} times already, which is \
                  supervisor.restarts_max{}",
                 limits.restarts_max,

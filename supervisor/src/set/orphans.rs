@@ -8,62 +8,20 @@
 //! the run, such as what a shell started before it became the supervisor.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::Read as _;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::fs;
 
 use rustix::process::{
     Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, getpid, pidfd_open, pidfd_send_signal,
     set_child_subreaper, waitid,
 };
 use shm_config::Instant;
-use shm_config::services::Process;
 
+use crate::set::mark::{Mark, Origin, origin};
 use crate::set::process_set::ProcessSet;
-
-/// The variable that holds the mark.
-pub const MARK: &str = "VLAPS_CHILD_OF";
 
 /// How long left-over processes are looked for after a death, ns. SIGKILL ends a
 /// process within milliseconds unless it waits for a broken disk.
 const LOOK_NS: u64 = 2_000_000_000;
-
-/// Longest environment that is read, bytes: the kernel admits 2 MiB of arguments and
-/// environment by default.
-const ENVIRONMENT_BYTES_MAX: u64 = 2 << 20;
-
-/// Says of which start of which process a process is a descendant.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Mark(String);
-
-impl Mark {
-    /// Of the next start of a process by this supervisor.
-    pub fn next(process: Process) -> Self {
-        static STARTS: AtomicU64 = AtomicU64::new(0);
-        let start = STARTS.fetch_add(1, Ordering::Relaxed);
-        Self(format!("{}{start}.{}", Self::of_ours(), process.word()))
-    }
-
-    /// How all marks of this supervisor begin.
-    fn of_ours() -> String {
-        format!("{}.", std::process::id())
-    }
-
-    /// As it stands in the environment.
-    pub fn text(&self) -> &str {
-        &self.0
-    }
-}
-
-/// Whose a child of the supervisor is.
-enum Origin {
-    /// Of a process with this mark.
-    Marked(Mark),
-    /// It has none of our marks.
-    Foreign,
-    /// Not to be told yet: it is just becoming another program.
-    Unknown,
-}
 
 /// The left-over children of the set's processes.
 #[derive(Debug, Default)]
@@ -85,7 +43,7 @@ impl Orphans {
     /// Kills and collects the children of dead processes; what there is to tell, once
     /// they are gone. Never waits. While nothing ends it costs one system call.
     /// The set has been reaped, and `died` says whether one of it was found dead.
-    pub fn tend(&mut self, set: &ProcessSet, died: bool, now: Instant) -> Vec<String> {
+    pub fn collect_ended(&mut self, set: &ProcessSet, died: bool, now: Instant) -> Vec<String> {
         if died {
             self.since = Some(now);
         }
@@ -203,34 +161,6 @@ fn state_and_parent(stat: &[u8]) -> Option<(&str, u32)> {
     Some((words.next()?, words.next()?.parse().ok()?))
 }
 
-fn origin(pid: u32) -> Origin {
-    let mut environment = Vec::new();
-    let read = File::open(format!("/proc/{pid}/environ")).and_then(|file| {
-        file.take(ENVIRONMENT_BYTES_MAX)
-            .read_to_end(&mut environment)
-    });
-    match read {
-        // So it is between two programs, and so is what has just ended.
-        Ok(0) => return Origin::Unknown,
-        Ok(_) => {}
-        Err(_) => return Origin::Foreign,
-    }
-    match mark_in(&environment) {
-        Some(mark) => Origin::Marked(mark),
-        None => Origin::Foreign,
-    }
-}
-
-/// A mark of this supervisor.
-fn mark_in(environment: &[u8]) -> Option<Mark> {
-    let marks = environment.split(|byte| *byte == 0).filter_map(|entry| {
-        let (name, value) = str::from_utf8(entry).ok()?.split_once('=')?;
-        (name == MARK).then_some(value)
-    });
-    let mut ours = marks.filter(|value| value.starts_with(&Mark::of_ours()));
-    ours.next().map(|value| Mark(value.into()))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -241,17 +171,5 @@ mod tests {
         assert_eq!(state_and_parent(stat), Some(("Z", 4711)));
         assert_eq!(state_and_parent(b"71 (\xff) S 1 "), Some(("S", 1)));
         assert_eq!(state_and_parent(b""), None);
-    }
-
-    #[test]
-    fn a_mark_is_found_among_other_variables_and_no_other_is_ours() {
-        let mark = Mark::next(Process::World);
-        assert_ne!(mark, Mark::next(Process::World), "each start has its own");
-        let text = format!("PATH=/bin\0{MARK}={}\0B=1", mark.text());
-        assert_eq!(mark_in(text.as_bytes()), Some(mark));
-        // A supervisor that a process of ours has started marks its own.
-        let other = format!("{MARK}=1{}0.world\0", Mark::of_ours());
-        assert_eq!(mark_in(other.as_bytes()), None);
-        assert_eq!(mark_in(b"PATH=/bin\0X=VLAPS_CHILD_OF=1\0"), None);
     }
 }

@@ -13,8 +13,8 @@ use crate::cli::failure::Failure;
 use crate::set::event::Event;
 use crate::set::launch::{Launch, Resume};
 use crate::set::log::LogFile;
-use crate::set::member::{Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS, Turn};
-use crate::set::orphans::Mark;
+use crate::set::mark::Mark;
+use crate::set::member::{Decision, Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS};
 use crate::set::table::rows;
 
 /// The most that one look adds to a silence, ns: four periods of the loop. A
@@ -107,23 +107,23 @@ impl ProcessSet {
     }
 
     /// Decides about the dead, the silent and the slow.
-    pub fn judge(&mut self, now: Instant) -> Turn {
+    pub fn decide(&mut self, now: Instant) -> Decision {
         let passed_ns = self
             .looked
             .map_or(0, |looked| now.since_ns(looked).min(LOOK_MAX_NS));
         self.looked = Some(now);
         for member in &mut self.members {
-            match member.judge(now, passed_ns, &self.limits, &mut self.events) {
-                Turn::Drive => {}
+            match member.decide(now, passed_ns, &self.limits, &mut self.events) {
+                Decision::Continue => {}
                 end => return end,
             }
         }
-        Turn::Drive
+        Decision::Continue
     }
 
     /// Starts whoever's turn has come: first starts in the table's order, each
     /// when the one before is ready; restarts when their pause is over.
-    pub fn start_due(&mut self, now: Instant, resume: Resume) -> Turn {
+    pub fn start_due(&mut self, now: Instant, resume: Resume) -> Decision {
         for index in 0..self.members.len() {
             let due = match self.members[index].phase() {
                 Phase::Waiting => self.members[..index].iter().all(Member::was_ready),
@@ -131,13 +131,13 @@ impl ProcessSet {
                 _ => false,
             };
             if due
-                && let Turn::GiveUp(reason) =
+                && let Decision::GiveUp(reason) =
                     self.members[index].start(&self.launch, resume, now, &mut self.events)
             {
-                return Turn::GiveUp(reason);
+                return Decision::GiveUp(reason);
             }
         }
-        Turn::Drive
+        Decision::Continue
     }
 
     /// When the next restart is due; `None` when none is pending.
@@ -152,9 +152,9 @@ impl ProcessSet {
     }
 
     /// Rotates logs that have grown over their limit.
-    pub fn tend_logs(&mut self) {
+    pub fn rotate_logs(&mut self) {
         for member in &mut self.members {
-            member.tend_log(&mut self.events);
+            member.rotate_log(&mut self.events);
         }
     }
 

@@ -3,14 +3,6 @@
 use shm_config::config::Config;
 use shm_config::services::Process;
 
-/// Cores the supervisor may use before world, planner and controller get one each.
-pub const CORES_MIN: usize = 4;
-/// Cores it may use before those three share one. They work one after the other, so
-/// they lose little by it, and win twice: who is woken on another core waits until that
-/// one has noticed, and with two cores either of them can stand still while a chain
-/// that runs over both waits for it (results/latency.md).
-pub const CORES_SHARED: usize = 2;
-
 /// What follows a death.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Restart {
@@ -34,7 +26,7 @@ pub enum Core {
 
 /// One row of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Row {
+pub struct ProcessSpec {
     /// The process.
     pub process: Process,
     /// Its binary, beside the supervisor's own.
@@ -51,8 +43,8 @@ pub struct Row {
 }
 
 /// The process table, in the order of start.
-pub const TABLE: &[Row] = &[
-    Row {
+pub const TABLE: &[ProcessSpec] = &[
+    ProcessSpec {
         process: Process::Planner,
         binary: "vlaps-planner",
         core: Core::FromLast(1),
@@ -62,7 +54,7 @@ pub const TABLE: &[Row] = &[
         restart: Restart::Again,
         after: None,
     },
-    Row {
+    ProcessSpec {
         process: Process::Controller,
         binary: "vlaps-controller",
         core: Core::FromLast(0),
@@ -71,7 +63,7 @@ pub const TABLE: &[Row] = &[
         restart: Restart::Again,
         after: Some(Process::Planner),
     },
-    Row {
+    ProcessSpec {
         process: Process::Gate,
         binary: "vlaps-gate",
         core: Core::Any,
@@ -80,7 +72,7 @@ pub const TABLE: &[Row] = &[
         restart: Restart::Again,
         after: Some(Process::Controller),
     },
-    Row {
+    ProcessSpec {
         process: Process::Learner,
         binary: "vlaps-learner",
         core: Core::Any,
@@ -89,7 +81,7 @@ pub const TABLE: &[Row] = &[
         restart: Restart::Again,
         after: Some(Process::Gate),
     },
-    Row {
+    ProcessSpec {
         process: Process::World,
         binary: "vlaps-world",
         core: Core::FromLast(2),
@@ -103,42 +95,11 @@ pub const TABLE: &[Row] = &[
 ];
 
 /// The rows that are part of a run.
-pub fn rows(config: &Config) -> impl Iterator<Item = &'static Row> {
+pub fn rows(config: &Config) -> impl Iterator<Item = &'static ProcessSpec> {
     let (gate, learner) = (config.gate.has_process(), config.learner.enabled);
     TABLE.iter().filter(move |row| match row.process {
         Process::Gate => gate,
         Process::Learner => learner,
         Process::Supervisor | Process::World | Process::Planner | Process::Controller => true,
     })
-}
-
-/// What a run asks for on one machine.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Rights {
-    /// Neither priority nor cores: switched off, or lockstep.
-    Ordinary,
-    /// Priorities, and cores out of these.
-    RealTime(Vec<usize>),
-}
-
-impl Rights {
-    /// The priority asked for; 0 for none.
-    pub fn priority(&self, row: &Row) -> u8 {
-        match self {
-            Self::Ordinary => 0,
-            Self::RealTime(_) => row.priority,
-        }
-    }
-
-    /// The core asked for; `None` for none.
-    pub fn core(&self, row: &Row) -> Option<usize> {
-        match (self, row.core) {
-            (Self::RealTime(cores), Core::FromLast(back)) => match cores.len() {
-                CORES_MIN.. => cores.iter().rev().nth(back).copied(),
-                CORES_SHARED.. => cores.last().copied(),
-                _ => None,
-            },
-            _ => None,
-        }
-    }
 }

@@ -2,18 +2,13 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 
-use crate::arguments::{Part, Setup};
 use crate::cli::failure::Failure;
+use crate::cli::print::say;
 use crate::setup::checkout::{Checkout, installed};
-use crate::setup::metadrive::{home, python, sources};
-use crate::setup::onnxruntime;
-use crate::show::screen::say;
-
-/// In the environment's folder: what was installed, as required then, and from
-/// which checkout. Written when everything has been checked.
-pub const DONE: &str = "installed.txt";
+use crate::setup::metadrive::{DONE, home, python, sources};
+use crate::setup::pip::{last_line, output_of};
 
 /// The only Python that MetaDrive's graphics engine has packages for among those
 /// that read TOML.
@@ -21,20 +16,12 @@ const PYTHON_VERSION: &str = "3.11";
 /// MetaDrive among the requirements.
 const RELEASE: &str = "metadrive-simulator";
 
-/// Makes what a part needs, as far as it is missing.
+/// Installs MetaDrive into its Python environment, as far as it is missing, and checks it:
+/// one reset and one step.
 ///
 /// # Errors
 /// One line that says which step failed, why, and what to do.
-pub fn setup(arguments: &Setup) -> Result<(), Failure> {
-    match arguments.part {
-        Part::Metadrive => {
-            setup_metadrive(arguments.python.as_deref(), arguments.checkout.as_deref())
-        }
-        Part::Onnxruntime => onnxruntime::setup(arguments.python.as_deref()),
-    }
-}
-
-fn setup_metadrive(wanted: Option<&Path>, checkout: Option<&Path>) -> Result<(), Failure> {
+pub fn install_metadrive(wanted: Option<&Path>, checkout: Option<&Path>) -> Result<(), Failure> {
     let checkout = checkout.map(Checkout::open).transpose()?;
     let sources = sources()?;
     let home = home()?;
@@ -178,27 +165,4 @@ fn version_of(python: &Path) -> Option<String> {
     let output = Command::new(python).args(["-c", ask]).output().ok()?;
     let version = String::from_utf8(output.stdout).ok()?;
     Some(version.trim().to_string()).filter(|version| !version.is_empty())
-}
-
-pub(crate) fn output_of(command: &mut Command) -> Result<Output, Failure> {
-    let program = PathBuf::from(command.get_program());
-    command
-        .output()
-        .map_err(|error| Failure::GivenUp(format!("cannot start {}: {error}", program.display())))
-}
-
-/// The last line of the errors, which is what Python and pip put the reason into.
-pub(crate) fn last_line(output: &Output) -> String {
-    let errors = String::from_utf8_lossy(&output.stderr);
-    let lines = || {
-        errors
-            .lines()
-            .map(str::trim)
-            .filter(|line| !line.is_empty())
-    };
-    let reason = lines()
-        .rev()
-        .find(|line| line.starts_with("ERROR"))
-        .or(lines().next_back());
-    reason.unwrap_or("no reason given").to_string()
 }

@@ -4,12 +4,17 @@ use std::env;
 use std::path::{Path, PathBuf};
 
 use crate::cli::failure::Failure;
-use crate::set::launch::{Script, own_folder};
+use crate::machine::programs::own_folder;
+use crate::set::launch::Script;
 
 /// Folder of the Python environment, in place of the one beside the build.
 pub const HOME_VARIABLE: &str = "VLAPS_METADRIVE";
 /// Folder of the repository, as `./vlaps` says it.
 const ROOT_VARIABLE: &str = "VLAPS_ROOT";
+
+/// In the environment's folder: what was installed, as required then, and from
+/// which checkout. Written when everything has been checked.
+pub const DONE: &str = "installed.txt";
 
 /// Where the world's Python files are in the repository.
 const SOURCES: &str = "sim/metadrive";
@@ -60,7 +65,7 @@ pub fn world() -> Result<Script, Failure> {
     let home = home()?;
     let interpreter = python(&home);
     // Written last, so a set-up that was interrupted does not count.
-    if !interpreter.is_file() || !home.join(crate::setup::install::DONE).is_file() {
+    if !interpreter.is_file() || !home.join(DONE).is_file() {
         return Err(Failure::Usage(format!(
             "{}: MetaDrive is not set up there; run ./vlaps setup metadrive",
             home.display()

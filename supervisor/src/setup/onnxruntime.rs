@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::cli::failure::Failure;
-use crate::set::launch::own_folder;
-use crate::setup::install::{last_line, output_of};
-use crate::show::screen::say;
+use crate::cli::print::say;
+use crate::machine::programs::own_folder;
+use crate::setup::pip::{last_line, output_of};
 
 /// The package, at the version whose interface the controller is built for.
 const PACKAGE: &str = "onnxruntime==1.31.1";

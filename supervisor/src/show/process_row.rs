@@ -9,7 +9,9 @@ use shm_config::services::Process;
 
 use crate::machine::memory::Memory;
 use crate::machine::threads::Thread;
-use crate::telemetry::tally::{Quantiles, Tally, Totals};
+use crate::telemetry::process_tally::Totals;
+use crate::telemetry::quantiles::Quantiles;
+use crate::telemetry::tally::Tally;
 
 /// One process over all its restarts. A measure that it does not have is left out.
 #[derive(Debug, Clone, PartialEq, Serialize)]

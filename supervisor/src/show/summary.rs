@@ -9,15 +9,18 @@ use shm_config::config::Config;
 use shm_config::message::{Driver, Episode, Grant, Reason};
 use shm_config::services::Process;
 
-use crate::cli::output::Output;
+use crate::cli::output::write_whole;
 use crate::machine::idle::IdleBound;
 use crate::set::process_set::ProcessSet;
+use crate::show::clock::clock_word;
+use crate::show::policy_view::PolicyView;
 use crate::show::process_row::ProcessRow;
-use crate::show::view::PolicyView;
 use crate::telemetry::episodes::EpisodeTotals;
 use crate::telemetry::judge;
 use crate::telemetry::late::{self, LateRow};
-use crate::telemetry::tally::{Quantiles, Tally, Totals};
+use crate::telemetry::process_tally::Totals;
+use crate::telemetry::quantiles::Quantiles;
+use crate::telemetry::tally::Tally;
 
 /// One object: the keys before the blank line are what scripts rely on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -236,15 +239,6 @@ impl Summary {
     }
 }
 
-/// Writes a file beside its place, then moves it there. A link is followed, and
-/// what is no plain file (a device, a pipe) is written to, never replaced.
-///
-/// # Errors
-/// When the folder is missing or refuses, or nothing reads the pipe.
-pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
-    Output::open(path)?.write(text)
-}
-
 /// Share of the steps that a person at the keys drove, [0, 1].
 fn person_share(tally: &Tally) -> f64 {
     let takeovers = tally.steps.reasons();
@@ -256,15 +250,4 @@ fn person_share(tally: &Tally) -> f64 {
 fn first_command_s(tally: &Tally) -> Option<f64> {
     let (started, first) = (tally.started?, tally.steps.first_commanded?);
     Some(first.since_ns(started) as f64 / 1e9)
-}
-
-/// The word of a run's clock that nothing can be late on.
-pub(crate) const LOCKSTEP: &str = "lockstep";
-
-/// The word of a run's clock.
-pub fn clock_word(config: &Config) -> &'static str {
-    match config.run.is_lockstep() {
-        true => LOCKSTEP,
-        false => "real time",
-    }
 }

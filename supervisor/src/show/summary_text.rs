@@ -1,32 +1,14 @@
 //! What a run amounts to, as text for people.
 
 use std::fmt;
-use std::path::Path;
 
 use shm_config::counted;
 use shm_config::message::Outcome;
 use shm_config::services::Process;
 
-use crate::arguments::Up;
+use crate::show::clock::LOCKSTEP;
 use crate::show::process_row::ProcessRow;
-use crate::show::screen::{say, say_fitted};
-use crate::show::summary::{LOCKSTEP, Summary};
-use crate::telemetry::late;
-
-/// Says at the end what it amounts to, and where the rest is.
-pub(crate) fn tell(summary: &Summary, arguments: &Up, folder: &Path) {
-    match summary.ticks {
-        0 => say(format_args!(
-            "\nrun {}: {}; it drove no tick",
-            summary.run, summary.ended
-        )),
-        _ => say_fitted(&format!("\n{summary}")),
-    }
-    if arguments.late_ticks {
-        say_fitted(&late::table(&summary.late_ticks));
-    }
-    say(format_args!("logs and summary in {}", folder.display()));
-}
+use crate::show::summary::Summary;
 
 /// Versions of the weights that are listed, the newest first.
 const WEIGHTS_SHOWN: usize = 5;

@@ -2,18 +2,19 @@
 //! lines and `./vlaps status`.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 use serde::Serialize;
 use shm_config::config::Config;
-use shm_config::message::{HealthState, Outcome, PolicyStatus, Reason};
+use shm_config::message::{HealthState, Outcome};
 use shm_config::services::Process;
 
 use crate::set::member::Phase;
 use crate::set::process_set::ProcessSet;
 use crate::set::table::rows;
-use crate::show::summary::clock_word;
-use crate::telemetry::tally::{ProcessTally, Tally};
+use crate::show::clock::clock_word;
+use crate::show::policy_view::PolicyView;
+use crate::telemetry::process_tally::ProcessTally;
+use crate::telemetry::tally::Tally;
 
 /// How a run does right now.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -39,21 +40,6 @@ pub struct View {
     /// What the keys do, for the person at them.
     #[serde(skip)]
     pub help: Option<String>,
-}
-
-/// The policy's weights.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct PolicyView {
-    /// Version in charge; 0 for none.
-    pub version: u64,
-    /// First 8 bytes of its SHA-256, hex.
-    pub hash: String,
-    /// Version last offered.
-    pub offered_version: u64,
-    /// What became of it.
-    pub state: &'static str,
-    /// Why it was refused or rolled back; empty else.
-    pub reason: String,
 }
 
 /// The current episode.
@@ -167,145 +153,6 @@ impl View {
                 .collect(),
             processes,
             help: None,
-        }
-    }
-
-    /// Which run, and which episode.
-    pub fn headline(&self) -> String {
-        let Self {
-            run,
-            clock,
-            rate_hz,
-            ..
-        } = self;
-        let mut line = format!("{run}: {clock}, {rate_hz} Hz");
-        if let Some(episode) = &self.episode {
-            // Writing to a string cannot fail.
-            let _ = write!(line, "; episode {}", episode.number);
-            if episode.of > 0 {
-                let _ = write!(line, " of {}", episode.of);
-            }
-            let _ = write!(line, ", seed {}", episode.seed);
-        }
-        line
-    }
-
-    /// Who drives, why, and how fast.
-    pub fn drive_line(&self) -> String {
-        let speed_mps = self.episode.map_or(0.0, |episode| episode.speed_mps);
-        match self.driver {
-            _ if self.is_unled => {
-                format!("nobody drives: the car brakes for want of a command, {speed_mps:.1} m/s")
-            }
-            Some((driver, reason)) => {
-                let policy = self.policy.as_ref();
-                let policy = policy.map_or(String::new(), |policy| format!("; {policy}"));
-                let takes_over = reason == Reason::Takeover.word();
-                let who = match (takes_over, &self.help) {
-                    (true, Some(_)) => "you drive".into(),
-                    (true, None) => "a person drives".into(),
-                    (false, _) => format!("{driver} drives"),
-                };
-                format!("{who} ({reason}), {speed_mps:.1} m/s{policy}")
-            }
-            None => "nobody drives".into(),
-        }
-    }
-
-    /// The processes as a table, one line each.
-    pub fn table(&self) -> String {
-        let mut text = String::from(
-            "  process    state          pid    Hz    ticks  late skipped restarts prio    MB",
-        );
-        for row in &self.processes {
-            let pid = row.pid.map_or("-".into(), |pid| pid.to_string());
-            let rate = row
-                .rate_hz
-                .map_or("-".into(), |rate_hz| rate_hz.to_string());
-            let _ = write!(
-                text,
-                "\n  {:<10} {:<10} {pid:>7} {rate:>5} {:>8} {:>5} {:>7} {:>8} {:>4} {:>5.1}",
-                row.process,
-                row.state,
-                row.ticks,
-                row.late,
-                row.skipped,
-                row.restarts,
-                row.priority,
-                row.resident_mb
-            );
-            let slow: Vec<_> = row
-                .overruns
-                .iter()
-                .map(|(part, count)| format!("{part} {count}"))
-                .collect();
-            if !slow.is_empty() {
-                let _ = write!(text, "\n             over budget: {}", slow.join(", "));
-            }
-        }
-        text
-    }
-
-    /// Finished episodes by outcome, such as `arrived 2, out_of_road 1`.
-    pub fn outcome_line(&self) -> String {
-        let some: Vec<_> = self
-            .outcomes
-            .iter()
-            .filter(|(_, count)| *count > 0)
-            .map(|(outcome, count)| format!("{outcome} {count}"))
-            .collect();
-        match some.is_empty() {
-            true => "no episode finished yet".into(),
-            false => some.join(", "),
-        }
-    }
-
-    /// Everything in one line, for output that is not a terminal.
-    pub fn plain_line(&self) -> String {
-        let completion = self
-            .episode
-            .map_or(0.0, |episode| episode.completion * 100.0);
-        let sum = |field: fn(&ProcessView) -> u64| self.processes.iter().map(field).sum::<u64>();
-        let world = self
-            .processes
-            .iter()
-            .find(|row| row.process == Process::World.word());
-        format!(
-            "{}; {}; {completion:.0} %; {}; ticks {}, skipped {}, late {}, restarts {}",
-            self.headline(),
-            self.drive_line(),
-            self.outcome_line(),
-            world.map_or(0, |world| world.ticks),
-            world.map_or(0, |world| world.skipped),
-            sum(|row| row.late),
-            sum(|row| u64::from(row.restarts)),
-        )
-    }
-}
-
-impl PolicyView {
-    /// What the controller says; `None` when it was never offered anything.
-    pub fn of(status: &PolicyStatus) -> Option<Self> {
-        (status.offered_version > 0).then(|| Self {
-            version: status.version,
-            hash: format!("{:016x}", status.hash),
-            offered_version: status.offered_version,
-            state: status.state().word(),
-            reason: status.refusal().into_owned(),
-        })
-    }
-}
-
-impl std::fmt::Display for PolicyView {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.version {
-            0 => write!(f, "no weights in charge")?,
-            version => write!(f, "weights {version} ({})", &self.hash[..8])?,
-        }
-        match (self.offered_version == self.version, self.reason.as_str()) {
-            (true, _) => Ok(()),
-            (false, "") => write!(f, ", {} {}", self.offered_version, self.state),
-            (false, reason) => write!(f, ", {} {}: {reason}", self.offered_version, self.state),
         }
     }
 }

@@ -5,153 +5,19 @@
 use shm_config::Instant;
 use shm_config::message::Takeover;
 
-/// A key that means something.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Key {
-    /// Takes over, or gives back.
-    Switch,
-    /// Gives back.
-    GiveBack,
-    /// Steers left.
-    Left,
-    /// Steers right.
-    Right,
-    /// Gives gas.
-    Gas,
-    /// Brakes.
-    Brake,
-}
-
-/// How long a key counts as held after it went down, ns: what most terminals
-/// wait before they repeat it. Were it less, the wheel would spring back once in
-/// the middle of each long press.
-const PRESSED_NS: u64 = 500_000_000;
-/// How long a key counts as held after a repetition, ns: repetitions come every
-/// 30 to 40 ms, are read every 50, and one of them may be late.
-const REPEATED_NS: u64 = 150_000_000;
-const _: () = assert!(REPEATED_NS < PRESSED_NS);
-
-/// How fast an axis moves while a key is held, and springs back after, 1/s.
-#[derive(Debug, Clone, Copy)]
-struct Rates {
-    out: f64,
-    back: f64,
-}
-
-// The rates are those of MetaDrive's own keyboard (manual_controller.py), whose
-// increments are of a step of 0.1 s: what people demonstrated there was driven so.
-
-/// To the lock in 2.5 s: a short press turns the car by some degrees.
-const STEERING: Rates = Rates {
-    out: 0.4,
-    back: 2.5,
-};
-/// Full gas after a second.
-const GAS: Rates = Rates {
-    out: 1.0,
-    back: 2.0,
-};
-/// Full brake after 0.2 s: who brakes means it.
-const BRAKE: Rates = Rates {
-    out: 5.0,
-    back: 5.0,
-};
-
-/// The side of an axis that a key pulls to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Side {
-    Positive,
-    Negative,
-}
-
-/// Steering or pedal, [-1, 1].
-#[derive(Debug, Clone, Copy)]
-struct Axis {
-    value: f64,
-    positive: Rates,
-    negative: Rates,
-    held: Option<(Side, Instant)>,
-}
-
-impl Axis {
-    fn new(positive: Rates, negative: Rates) -> Self {
-        Self {
-            value: 0.0,
-            positive,
-            negative,
-            held: None,
-        }
-    }
-
-    fn press(&mut self, side: Side, now: Instant) {
-        self.held = Some(match self.held {
-            Some((held, until)) if held == side => (side, until.max(now.after_ns(REPEATED_NS))),
-            _ => (side, now.after_ns(PRESSED_NS)),
-        });
-    }
-
-    fn advance(&mut self, from: Instant, to: Instant) {
-        let released = match self.held {
-            Some((side, until)) => {
-                let released = until.clamp(from, to);
-                self.pull(side, seconds(from, released));
-                if until <= to {
-                    self.held = None;
-                }
-                released
-            }
-            None => from,
-        };
-        let back = self.rates(self.value).back * seconds(released, to);
-        self.value = towards(self.value, 0.0, back);
-    }
-
-    /// Away from the other side at once, then outwards.
-    fn pull(&mut self, side: Side, mut time_s: f64) {
-        let end = match side {
-            Side::Positive => 1.0,
-            Side::Negative => -1.0,
-        };
-        let out = self.rates(end).out;
-        if self.value * end < 0.0 {
-            let rate = out.max(self.rates(self.value).back);
-            let needed_s = self.value.abs() / rate;
-            self.value = towards(self.value, 0.0, rate * time_s);
-            time_s = (time_s - needed_s).max(0.0);
-        }
-        self.value = towards(self.value, end, out * time_s);
-    }
-
-    fn rates(&self, value: f64) -> Rates {
-        match value < 0.0 {
-            true => self.negative,
-            false => self.positive,
-        }
-    }
-}
-
-fn seconds(from: Instant, to: Instant) -> f64 {
-    to.since_ns(from) as f64 * 1e-9
-}
-
-/// `value` moved towards `end` by no more than `step`.
-fn towards(value: f64, end: f64, step: f64) -> f64 {
-    match value < end {
-        true => (value + step).min(end),
-        false => (value - step).max(end),
-    }
-}
+use crate::takeover::axis::{Axis, BRAKE, GAS, STEERING, Side};
+use crate::takeover::key::Key;
 
 /// Keys in, what the car shall do out.
 #[derive(Debug, Clone)]
-pub struct Person {
+pub struct HumanDriver {
     has_taken_over: bool,
     steer: Axis,
     pedal: Axis,
     advanced: Instant,
 }
 
-impl Default for Person {
+impl Default for HumanDriver {
     fn default() -> Self {
         Self {
             has_taken_over: false,
@@ -162,7 +28,7 @@ impl Default for Person {
     }
 }
 
-impl Person {
+impl HumanDriver {
     /// A key went down, or was repeated. Only who has taken over steers.
     pub fn press(&mut self, key: Key, now: Instant) {
         self.advance(now);

@@ -10,7 +10,7 @@ use rustix::termios::{
 use rustix::time::Timespec;
 
 use crate::cli::failure::Failure;
-use crate::takeover::driver::Key;
+use crate::takeover::key::Key;
 
 /// Bytes read in one look: far more than a held key sends between two; what is
 /// pasted beyond that comes in the next look.

@@ -7,7 +7,7 @@ use shm_config::file::read_text;
 use shm_config::shortened;
 
 use crate::cli::failure::Failure;
-use crate::takeover::driver::Key;
+use crate::takeover::key::Key;
 
 /// Longest file, bytes: a key a second for a day and more.
 const BYTES_MAX: u64 = 1 << 20;
@@ -16,12 +16,12 @@ const TIME_MAX_S: f64 = 1e7;
 
 /// Keys with the time each goes down, in order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Script {
+pub struct KeyScript {
     /// From the begin of the run, ns.
     presses: VecDeque<(u64, Key)>,
 }
 
-impl Script {
+impl KeyScript {
     /// Reads a file of lines `TIME_S KEY`.
     ///
     /// # Errors

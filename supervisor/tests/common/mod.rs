@@ -12,8 +12,9 @@ use shm_config::config::{Config, GateMode};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
 use supervisor::set::launch::{Launch, Resume};
+use supervisor::set::privileges::Privileges;
 use supervisor::set::process_set::ProcessSet;
-use supervisor::set::table::{Rights, TABLE};
+use supervisor::set::table::TABLE;
 use tempfile::TempDir;
 
 pub const SECOND: u64 = 1_000_000_000;
@@ -56,7 +57,7 @@ impl Rig {
         let launch = Launch {
             binaries: dir.path().into(),
             config: dir.path().join("config.toml"),
-            rights: Rights::Ordinary,
+            rights: Privileges::Ordinary,
             world: None,
         };
         let set = ProcessSet::new(&config, launch, dir.path()).expect("a set");

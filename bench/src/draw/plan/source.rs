@@ -11,8 +11,8 @@ use shm_config::services::{Process, STEP};
 use shm_config::wire::Wire;
 use sim::{World, WorldConfig};
 use supervisor::cli::failure::Failure;
-use supervisor::commands::clean::clean_run;
 use supervisor::machine::signals::pause;
+use supervisor::run::leftovers::clean_run;
 
 use super::Planned;
 use crate::arguments::DrawPlan;

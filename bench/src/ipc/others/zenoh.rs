@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::Context;
 use supervisor::cli::failure::Failure;
-use supervisor::show::screen::say;
+use supervisor::cli::print::say;
 
 use super::{Message, Other, Program};
 
@@ -25,7 +25,8 @@ pub fn build() -> anyhow::Result<Program> {
         ))
         .into());
     }
-    let release = supervisor::set::launch::own_folder().context("--zenoh: the build's folder")?;
+    let release =
+        supervisor::machine::programs::own_folder().context("--zenoh: the build's folder")?;
     let target = release.parent().unwrap_or(Path::new(".")).join("zenoh");
     say(format_args!("building {PACKAGE} into {}", target.display()));
     let built = Command::new("cargo")

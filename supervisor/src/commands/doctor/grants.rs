@@ -1,7 +1,7 @@
 //! How rights are granted: the files of `supervisor/grants`, as lines for a
 //! terminal. What `doctor` prints is read out of the files themselves.
 
-use crate::set::launch::own_folder;
+use crate::machine::programs::own_folder;
 use crate::set::table::TABLE;
 
 /// Limits of a user, for pam_limits.

@@ -7,8 +7,8 @@ use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, lo
 use shm_config::{file, shortened};
 use toml::{Table, Value};
 
-use crate::arguments::{GateChoice, Up};
 use crate::cli::failure::Failure;
+use crate::commands::up::arguments::{GateChoice, Up};
 
 /// Read from the current folder when it is there and no other file is named.
 pub const DEFAULT_FILE: &str = "vlaps.toml";

@@ -8,21 +8,21 @@ use shm_config::message::{Header, Takeover};
 use shm_config::wire::Publisher;
 
 use crate::cli::failure::Failure;
-use crate::takeover::driver::Person;
+use crate::takeover::driver::HumanDriver;
 use crate::takeover::keyboard::Keyboard;
-use crate::takeover::script::Script;
+use crate::takeover::script::KeyScript;
 use crate::telemetry::tally::Tally;
 
 /// Where the keys come from.
 #[derive(Debug)]
-pub enum Keys {
+pub enum KeySource {
     /// A person at this terminal.
     Terminal(Keyboard),
     /// A file.
-    Script(Script),
+    Script(KeyScript),
 }
 
-impl Keys {
+impl KeySource {
     /// The keys of a run; `None` when nobody may take over.
     ///
     /// # Errors
@@ -30,7 +30,7 @@ impl Keys {
     /// is a file and nobody may.
     pub fn of(config: &Config, file: Option<&Path>) -> Result<Option<Self>, Failure> {
         match (config.gate.mode, file) {
-            (GateMode::Human, Some(path)) => Ok(Some(Self::Script(Script::read(path)?))),
+            (GateMode::Human, Some(path)) => Ok(Some(Self::Script(KeyScript::read(path)?))),
             (GateMode::Human, None) => Ok(Some(Self::Terminal(Keyboard::open()?))),
             (_, None) => Ok(None),
             (_, Some(path)) => Err(Failure::Usage(format!(
@@ -41,40 +41,40 @@ impl Keys {
     }
 }
 
-/// Keys, what they amount to, and who hears of it.
-pub struct Seat {
-    keys: Keys,
-    person: Person,
+/// KeySource, what they amount to, and who hears of it.
+pub struct TakeoverInput {
+    keys: KeySource,
+    person: HumanDriver,
     port: Publisher<Takeover>,
 }
 
-impl Seat {
+impl TakeoverInput {
     /// Nobody has taken over yet.
-    pub fn new(keys: Keys, port: Publisher<Takeover>) -> Self {
+    pub fn new(keys: KeySource, port: Publisher<Takeover>) -> Self {
         Self {
             keys,
-            person: Person::default(),
+            person: HumanDriver::default(),
             port,
         }
     }
 
     /// Reads the keys and says what they amount to, to be called at 20 Hz. Never
     /// waits. Returns what has changed, for the journal.
-    pub fn tend(&mut self, tally: &Tally, now: Instant) -> Option<&'static str> {
+    pub fn publish(&mut self, tally: &Tally, now: Instant) -> Option<&'static str> {
         let before = self.person.has_taken_over();
         match (&mut self.keys, tally.steps.begun) {
-            (Keys::Terminal(keyboard), _) => {
+            (KeySource::Terminal(keyboard), _) => {
                 for key in keyboard.read() {
                     self.person.press(key, now);
                 }
             }
             // At its own time, not that of the look: the same file steers the same.
-            (Keys::Script(script), Some(begun)) => {
+            (KeySource::Script(script), Some(begun)) => {
                 while let Some((time_ns, key)) = script.due(now.since_ns(begun)) {
                     self.person.press(key, begun.after_ns(time_ns));
                 }
             }
-            (Keys::Script(_), None) => {}
+            (KeySource::Script(_), None) => {}
         }
         self.person.advance(now);
         let (tick, episode) = tally.progress.map_or((0, 0), |progress| {
@@ -102,9 +102,9 @@ impl Seat {
     /// What the keys do now, for who sits there; `None` of a file's keys.
     pub fn help(&self) -> Option<String> {
         match (&self.keys, self.person.has_taken_over()) {
-            (Keys::Script(_), _) => None,
-            (Keys::Terminal(_), false) => Some("keys: Space takes over".into()),
-            (Keys::Terminal(_), true) => {
+            (KeySource::Script(_), _) => None,
+            (KeySource::Terminal(_), false) => Some("keys: Space takes over".into()),
+            (KeySource::Terminal(_), true) => {
                 let Takeover { steer, pedal, .. } = self.person.takeover();
                 Some(format!(
                     "keys: arrows or WASD drive, Space, Esc or q gives back; \

@@ -1,36 +1,26 @@
-//! `swap`: offers policy weights to a running set, and says what became of them.
+//! Offers
 
-use std::path::Path;
 use std::time::Duration;
 
 use sha2::{Digest, Sha256};
-use shm_config::file;
-use shm_config::message::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
-use shm_config::run::RunPaths;
-use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
+use shm_config::message::{PolicyState, PolicyStatus, Weights};
+use shm_config::services::{POLICY_STATUS, WEIGHTS};
 use shm_config::wire::{Publisher, Subscriber, Wire};
 use shm_config::{Instant, Message};
 
 use crate::Clock;
-use crate::arguments::Swap;
 use crate::cli::failure::Failure;
-use crate::commands::clean::clean_run;
-use crate::commands::down::choose;
+use crate::cli::print::say;
 use crate::machine::signals::pause;
-use crate::run::target::Target;
-use crate::show::screen::say;
 
 /// From look to look at what became of an offer.
 const LOOK: Duration = Duration::from_millis(2);
 /// How long the controller has to say which versions it knows, ns.
 const GREET_NS: u64 = 2_000_000_000;
 /// How long an answer may take, ns: a restart of the controller fits in.
-const ANSWER_NS: u64 = 30_000_000_000;
+pub(super) const ANSWER_NS: u64 = 30_000_000_000;
 /// How long a probation may take without the controller saying anything, ns.
 const READY_NS: u64 = 600_000_000_000;
-/// Offers of which another publisher took the version first.
-const TRIES: u32 = 5;
-
 /// What became of an offer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
@@ -55,94 +45,6 @@ pub struct Offers {
     weights: Publisher<Weights>,
     statuses: Subscriber<PolicyStatus>,
     newest: Option<PolicyStatus>,
-}
-
-/// Offers a file to a running set.
-///
-/// # Errors
-/// When the file cannot be read, no set runs, or the weights are refused.
-pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
-    let bytes = read(&arguments.file)?;
-    let name = arguments.run.as_ref();
-    let chosen = choose(name)?;
-    let alive = match &chosen {
-        // What holds its place must be a supervisor of it: weights are for no other.
-        Some(paths) => Target::of(paths)?.map(|_| paths),
-        None => None,
-    };
-    let Some(paths) = alive else {
-        return Err(Failure::GivenUp(match name {
-            Some(name) => {
-                format!("run '{name}' is not running; `./vlaps up --run {name}` starts it")
-            }
-            None => "nothing runs; `./vlaps up` starts a run".into(),
-        }));
-    };
-    let offered = offer(paths, arguments, &bytes, clock);
-    // The run may have ended meanwhile; then this process kept its place.
-    if paths.supervisor_pid().is_none() {
-        clean_run(paths)?;
-    }
-    offered
-}
-
-fn offer(paths: &RunPaths, arguments: &Swap, bytes: &[u8], clock: Clock) -> Result<(), Failure> {
-    let wire = Wire::join(paths.name(), Process::Supervisor)?;
-    let mut offers = Offers::open(&wire)?;
-    let file = arguments.file.display();
-    for _ in 0..TRIES {
-        let version = offers.next_version(clock);
-        if !offers.offer(version, bytes) {
-            return Err(Failure::GivenUp(format!(
-                "{file}: shared memory has no room for it; `./vlaps doctor` shows the space"
-            )));
-        }
-        let name = paths.name();
-        match offers.answer(version, bytes, clock, ANSWER_NS)? {
-            Answer::Overtaken(_) => continue,
-            Answer::Refused(reason) => {
-                return Err(Failure::GivenUp(format!("{file}: refused: {reason}")));
-            }
-            Answer::Adopted { tick } => {
-                say(format_args!(
-                    "adopted at tick {tick}: {file} is version {version} of run '{name}', in \
-                     shadow first"
-                ));
-                return match arguments.wait_ready {
-                    true => offers.await_ready(version, bytes, clock),
-                    false => Ok(()),
-                };
-            }
-            Answer::Ready { tick } => {
-                say(format_args!(
-                    "adopted at tick {tick}: {file} is version {version} of run '{name}' and may \
-                     drive"
-                ));
-                return Ok(());
-            }
-        }
-    }
-    Err(Failure::GivenUp(format!(
-        "{file}: refused: other weights were offered at the same time {TRIES} times; try again"
-    )))
-}
-
-/// The file, if an offer can carry it.
-fn read(path: &Path) -> Result<Vec<u8>, Failure> {
-    let failed = |error: std::io::Error| {
-        Failure::Usage(format!(
-            "{}: {error}; name a policy file, such as policy.onnx",
-            path.display()
-        ))
-    };
-    let bytes = file::regular(path).map_err(failed)?.len();
-    if bytes > WEIGHTS_BYTES_MAX as u64 {
-        return Err(Failure::GivenUp(format!(
-            "{}: refused: {bytes} bytes are over the limit of {WEIGHTS_BYTES_MAX}",
-            path.display()
-        )));
-    }
-    file::read(path, WEIGHTS_BYTES_MAX as u64).map_err(failed)
 }
 
 impl Offers {
@@ -194,7 +96,7 @@ impl Offers {
             // A controller that is restarted meanwhile gets the offer again.
             self.weights.tend();
             let status = self.look();
-            if let Some(answer) = status.and_then(|status| judge(&status, version, hash)) {
+            if let Some(answer) = status.and_then(|status| outcome_of(&status, version, hash)) {
                 return Ok(answer);
             }
             if clock().since_ns(begun) > limit_ns {
@@ -206,7 +108,12 @@ impl Offers {
         }
     }
 
-    fn await_ready(&mut self, version: u64, bytes: &[u8], clock: Clock) -> Result<(), Failure> {
+    pub(super) fn await_ready(
+        &mut self,
+        version: u64,
+        bytes: &[u8],
+        clock: Clock,
+    ) -> Result<(), Failure> {
         let hash = short_hash(bytes);
         let begun = clock();
         let adopter = self.newest.map(|status| status.header.producer);
@@ -214,7 +121,7 @@ impl Offers {
             let status = self.look();
             let speaker = status.map(|status| status.header.producer);
             if speaker != adopter
-                && status.is_some_and(|status| judge(&status, version, hash).is_none())
+                && status.is_some_and(|status| outcome_of(&status, version, hash).is_none())
             {
                 return Err(Failure::GivenUp(
                     "the controller was restarted before the probation was over, and goes on \
@@ -222,7 +129,7 @@ impl Offers {
                         .into(),
                 ));
             }
-            match status.and_then(|status| judge(&status, version, hash)) {
+            match status.and_then(|status| outcome_of(&status, version, hash)) {
                 Some(Answer::Ready { tick }) => {
                     say(format_args!(
                         "probation passed: may drive from tick {tick} on"
@@ -252,7 +159,7 @@ impl Offers {
 }
 
 /// What a status says about an offer; `None` when it does not know it yet.
-fn judge(status: &PolicyStatus, version: u64, hash: u64) -> Option<Answer> {
+fn outcome_of(status: &PolicyStatus, version: u64, hash: u64) -> Option<Answer> {
     if (status.version, status.hash) == (version, hash) {
         let tick = status.header.tick;
         return Some(Answer::Ready { tick });

@@ -1,0 +1,70 @@
+//! Privileges
+
+use std::thread;
+
+use rustix::mm::MlockAllFlags;
+use rustix::process::{Resource, Rlimit, getrlimit};
+use thread_priority::{
+    Error, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    set_thread_priority_and_policy, thread_native_id,
+};
+
+use super::finding::Finding;
+use super::grants;
+use crate::set::table::TABLE;
+
+/// The highest priority of the process table.
+fn highest_priority() -> u8 {
+    TABLE.iter().map(|row| row.priority).max().unwrap_or(0)
+}
+
+pub(super) fn priority() -> Finding {
+    let asked = highest_priority();
+    // On a thread that ends at once, so that the doctor itself stays ordinary.
+    let tried = thread::spawn(move || {
+        let priority = ThreadPriorityValue::try_from(asked).map_err(|error| error.to_string())?;
+        let priority = ThreadPriority::Crossplatform(priority);
+        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
+        set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| {
+            match error {
+                Error::OS(code) => std::io::Error::from_raw_os_error(code).to_string(),
+                other => format!("{other:?}"),
+            }
+        })
+    })
+    .join()
+    .unwrap_or_else(|_| Err("the attempt ended in a panic".into()));
+    let limit = match getrlimit(Resource::Rtprio).current {
+        Some(limit) => limit.to_string(),
+        None => "unlimited".into(),
+    };
+    let by_file = tried.is_err() && grants::programs_can(grants::SYS_NICE);
+    let found = match &tried {
+        Ok(()) => format!("SCHED_FIFO {asked} granted (RLIMIT_RTPRIO {limit})"),
+        Err(_) if by_file => format!("SCHED_FIFO {asked} granted to the programs (capabilities)"),
+        Err(error) => format!("SCHED_FIFO {asked} refused: {error} (RLIMIT_RTPRIO {limit})"),
+    };
+    let is_ok = tried.is_ok() || by_file;
+    Finding::new("real-time priority", is_ok, found, &grants::lines())
+}
+
+pub(super) fn locked_memory() -> Finding {
+    let tried = rustix::mm::mlockall(MlockAllFlags::CURRENT);
+    if tried.is_ok() {
+        // The doctor needs none of it.
+        let _ = rustix::mm::munlockall();
+    }
+    let Rlimit { current, .. } = getrlimit(Resource::Memlock);
+    let limit = match current {
+        Some(bytes) => format!("{} KB", bytes >> 10),
+        None => "unlimited".into(),
+    };
+    let by_file = tried.is_err() && grants::programs_can(grants::IPC_LOCK);
+    let found = match tried {
+        Ok(()) => format!("granted (RLIMIT_MEMLOCK {limit})"),
+        Err(_) if by_file => "granted to the programs (capabilities)".into(),
+        Err(error) => format!("refused: {error} (RLIMIT_MEMLOCK {limit})"),
+    };
+    let is_ok = tried.is_ok() || by_file;
+    Finding::new("locked memory", is_ok, found, &grants::lines())
+}

@@ -1,0 +1,163 @@
+//! The arguments of `up`.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use shm_config::config::planner::Method;
+use shm_config::config::{GateMode, Simulator};
+use shm_config::run::RunName;
+
+use crate::cli::parsers::{Name, whole};
+
+/// Start the process set and drive.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Without --episodes and --duration it drives until it is stopped: \
+        Ctrl-C brakes the car to a stand, a second Ctrl-C kills (exit code 130: 128 and the \
+        signal's number). When its output is piped and the reader goes away, the car is braked \
+        to a stand, too, and the exit code is 1.\n\n\
+        With --gate human the keys of this terminal drive: Space takes over and gives back, \
+        arrows or WASD steer and pedal meanwhile, Esc or q gives back. --keys FILE reads them \
+        from lines TIME_S KEY instead, such as `2.5 space`: seconds from the run's first tick, \
+        and one of space, left, right, up, down, w, a, s, d, esc, q, in capitals or not. A key counts as held for \
+        0.5 s, each repetition for 0.15 s more.\n\n\
+        Examples:\n  \
+        ./vlaps up --episodes 1 --seed 3\n  \
+        ./vlaps up --gate human --policy policy.onnx\n  \
+        ./vlaps up --lockstep --episodes 5 --seed 3 --json a.json\n  \
+        ./vlaps up --duration 60 --late-ticks\n  \
+        ./vlaps up --rate 20 --run second --set world.traffic_density=0.1"
+)]
+pub struct Up {
+    /// Seed of the first episode; each further one adds one.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=i64::MAX as u64))]
+    pub seed: Option<u64>,
+    /// Episodes to drive; 0 for no end.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u32>(0..=u64::from(u32::MAX)))]
+    pub episodes: Option<u32>,
+    /// Seconds to drive on the run's clock; 0 for no end.
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub duration: Option<f64>,
+    /// Run as fast as the processes answer; the same seed gives the same commands.
+    #[arg(long)]
+    pub lockstep: bool,
+    /// Who computes the world; metadrive needs `./vlaps setup metadrive` once.
+    #[arg(long, value_name = "WHICH")]
+    pub world: Option<WorldChoice>,
+    /// How the expert plans; the paper's RRT* without it.
+    #[arg(long, value_name = "HOW")]
+    pub driver: Option<DriverChoice>,
+    /// Who decides who drives.
+    #[arg(long, value_name = "WHO")]
+    pub gate: Option<GateChoice>,
+    /// Keys of --gate human from this file of at most 1 MiB in place of the terminal.
+    #[arg(long, value_name = "FILE")]
+    pub keys: Option<PathBuf>,
+    /// Policy to begin with; it drives where --gate lets it, after its probation.
+    #[arg(long, value_name = "FILE.onnx")]
+    pub policy: Option<PathBuf>,
+    /// Ticks per second.
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    pub rate: Option<f64>,
+    /// Configuration file; vlaps.toml of the current folder is read when present.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Name of the run; sets of different names do not see each other.
+    #[arg(long, value_name = "NAME", value_parser = Name)]
+    pub run: Option<RunName>,
+    /// Write the summary to this file, too; a pipe needs its reader from the start.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Override any key of the configuration, such as gate.period_s=5; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Ask for no real-time priority, cores or locked memory.
+    #[arg(long)]
+    pub no_realtime: bool,
+    /// Show the ticks that were latest at the end, with the part that took longest.
+    #[arg(long)]
+    pub late_ticks: bool,
+    /// End with the process of this id, which started this one.
+    #[arg(long, value_name = "PID", hide = true)]
+    pub parent: Option<u32>,
+}
+
+/// How the expert plans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum DriverChoice {
+    /// The paper's RRT* and PD.
+    RrtStar,
+    /// RRT* that remembers its last path, and PD.
+    Informed,
+    /// RRT* over curves the car can drive, and PD.
+    Kinodynamic,
+    /// Model-predictive control.
+    Mpc,
+}
+
+impl From<DriverChoice> for Method {
+    fn from(choice: DriverChoice) -> Self {
+        match choice {
+            DriverChoice::RrtStar => Self::RrtStar,
+            DriverChoice::Informed => Self::Informed,
+            DriverChoice::Kinodynamic => Self::Kinodynamic,
+            DriverChoice::Mpc => Self::Mpc,
+        }
+    }
+}
+
+/// Who decides who drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum GateChoice {
+    /// The gate process compares both rollouts by exact geometry.
+    Rules,
+    /// The gate process asks a vision-language model (section vlm); never pauses the world.
+    Vlm,
+    /// As the paper did it: asks every 10 s, and the world waits. Implies --lockstep.
+    Paper,
+    /// Several judges and a quorum (gate.committee, gate.quorum).
+    Committee,
+    /// The answers of a recorded run (gate.recording).
+    Replay,
+    /// Always the expert; no gate process.
+    Expert,
+    /// Always the policy, if one is loaded; no gate process.
+    Policy,
+    /// The policy, until a person at the keys takes over; no gate process.
+    Human,
+}
+
+impl From<GateChoice> for GateMode {
+    fn from(choice: GateChoice) -> Self {
+        match choice {
+            GateChoice::Rules => Self::Rules,
+            GateChoice::Vlm => Self::Vlm,
+            GateChoice::Paper => Self::Paper,
+            GateChoice::Committee => Self::Committee,
+            GateChoice::Replay => Self::Replay,
+            GateChoice::Expert => Self::Expert,
+            GateChoice::Policy => Self::Policy,
+            GateChoice::Human => Self::Human,
+        }
+    }
+}
+
+/// Who computes the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum WorldChoice {
+    /// The built-in world.
+    Sim,
+    /// The real MetaDrive.
+    Metadrive,
+}
+
+impl From<WorldChoice> for Simulator {
+    fn from(choice: WorldChoice) -> Self {
+        match choice {
+            WorldChoice::Sim => Self::BuiltIn,
+            WorldChoice::Metadrive => Self::MetaDrive,
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! One run: its processes, ports and files are opened, and closed when it has ended.
+
+use std::path::Path;
+
+use shm_config::Instant;
+use shm_config::config::{Config, Simulator};
+use shm_config::services::{Process, TAKEOVER};
+use shm_config::wire::Wire;
+
+use super::supervision::{End, Run};
+use crate::Clock;
+use crate::cli::failure::Failure;
+use crate::machine::cores::own_cores;
+use crate::machine::idle::IdleBound;
+use crate::machine::programs::own_folder;
+use crate::machine::signals::Signals;
+use crate::run::journal::Journal;
+use crate::run::place::Place;
+use crate::run::roster::RosterPublisher;
+use crate::set::launch::Launch;
+use crate::set::orphans::Orphans;
+use crate::set::privileges::Privileges;
+use crate::set::process_set::ProcessSet;
+use crate::setup::metadrive;
+use crate::show::screen::Screen;
+use crate::show::summary::Summary;
+use crate::takeover::input::{KeySource, TakeoverInput};
+use crate::telemetry::ports::{Depth, Ports};
+use crate::telemetry::tally::Tally;
+use crate::telemetry::timing;
+
+/// Folder of the children's binaries, for tests of the supervisor alone.
+const BINARIES_VARIABLE: &str = "VLAPS_BIN_DIR";
+
+/// Drives a run to its end: how it ended, what it adds up to, its histograms as CSV, and
+/// the screen, which is still open.
+///
+/// # Errors
+/// When a program, a log or a port cannot be opened.
+pub(super) fn drive(
+    (config, place, folder): (&Config, &Place, &Path),
+    keys: Option<KeySource>,
+    signals: Signals,
+    (clock, started): (Clock, Instant),
+) -> Result<(End, Summary, String, Screen), Failure> {
+    let binaries = match std::env::var_os(BINARIES_VARIABLE) {
+        Some(folder) => folder.into(),
+        None => own_folder()
+            .map_err(|error| Failure::GivenUp(format!("cannot find the binaries: {error}")))?,
+    };
+    let launch = Launch {
+        binaries,
+        // Not the copy in the folder: anybody may edit that one meanwhile.
+        config: place.paths().config_file(),
+        rights: rights(config),
+        world: match config.world.simulator {
+            Simulator::BuiltIn => None,
+            Simulator::MetaDrive => Some(metadrive::world()?),
+        },
+    };
+    let idle = IdleBound::of(config);
+    let logs = folder.join("logs");
+    let set = ProcessSet::new(config, launch, &logs)?;
+    let wire = Wire::join(place.paths().name(), Process::Supervisor)?;
+    let ports = Ports::open(&wire, config, Depth::All)?;
+    let roster_port = RosterPublisher::open(&wire)?;
+    let takeover = match keys {
+        Some(keys) => Some(TakeoverInput::new(keys, wire.publisher(TAKEOVER)?)),
+        None => None,
+    };
+    let now = clock();
+    let mut run = Run {
+        config,
+        place,
+        place_looked: now,
+        ports,
+        takeover,
+        roster_port,
+        wire,
+        set,
+        tally: Tally::begun(started),
+        screen: Screen::open(),
+        journal: Journal::open(&logs, config, now)?,
+        shown: now,
+        logs_checked: now,
+        is_warned: false,
+        judge_trouble: String::new(),
+        orphans: Orphans::adopt(),
+        stops_asked: 0,
+        ending: None,
+    };
+    let grant = idle.grant();
+    let bound_us = config.supervisor.cpu_latency_us;
+    run.journal.line(
+        now,
+        &format!("processors wake up within {bound_us} us: {grant}"),
+    );
+    let end = run.loop_to_the_end(signals, clock);
+    let ended = match &end {
+        End::Finished => "finished".into(),
+        End::Stopped => "stopped".into(),
+        End::Killed => "killed".into(),
+        End::GivenUp(reason) => format!("given up: {reason}"),
+    };
+    let summary = Summary::of(config, &run.tally, &run.set, ended).with_idle(&idle);
+    let timing = timing::csv(&run.tally);
+    Ok((end, summary, timing, run.screen))
+}
+
+/// What the processes ask for: nothing in lockstep, which has no deadline and
+/// would only keep the cores from everybody else.
+fn rights(config: &Config) -> Privileges {
+    if !config.supervisor.realtime || config.run.is_lockstep() {
+        return Privileges::Ordinary;
+    }
+    Privileges::RealTime(own_cores())
+}

@@ -1,0 +1,188 @@
+//! The supervision loop of a run.
+
+use shm_config::Instant;
+use shm_config::config::Config;
+use shm_config::services::Process;
+use shm_config::wire::Wire;
+
+use crate::Clock;
+use crate::machine::signals::Signals;
+use crate::run::journal::Journal;
+use crate::run::place::Place;
+use crate::run::roster::RosterPublisher;
+use crate::set::member::{Decision, Phase};
+use crate::set::orphans::Orphans;
+use crate::set::process_set::ProcessSet;
+use crate::set::stop::Stop;
+use crate::show::screen::{Screen, UNREAD};
+use crate::takeover::input::TakeoverInput;
+use crate::telemetry::ports::Ports;
+use crate::telemetry::tally::Tally;
+
+/// The loop's period, ns: 20 Hz.
+const PERIOD_NS: u64 = 50_000_000;
+/// While processes start, each waits for the one before: look more often, ns.
+const START_PERIOD_NS: u64 = 5_000_000;
+/// From look to look at the run's files, ns.
+const PLACE_NS: u64 = 500_000_000;
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum End {
+    Finished,
+    Stopped,
+    Killed,
+    GivenUp(String),
+}
+
+/// A run in progress. Fields are dropped in this order: ports before the wire.
+pub(super) struct Run<'a> {
+    pub(super) config: &'a Config,
+    pub(super) place: &'a Place,
+    pub(super) place_looked: Instant,
+    pub(super) ports: Ports,
+    pub(super) takeover: Option<TakeoverInput>,
+    pub(super) roster_port: RosterPublisher,
+    pub(super) wire: Wire,
+    pub(super) set: ProcessSet,
+    pub(super) tally: Tally,
+    pub(super) screen: Screen,
+    pub(super) journal: Journal,
+    pub(super) shown: Instant,
+    pub(super) logs_checked: Instant,
+    pub(super) is_warned: bool,
+    pub(super) judge_trouble: String,
+    pub(super) orphans: Orphans,
+    pub(super) stops_asked: usize,
+    pub(super) ending: Option<(End, Stop)>,
+}
+
+impl Run<'_> {
+    pub(super) fn loop_to_the_end(&mut self, mut signals: Signals, clock: Clock) -> End {
+        loop {
+            let now = clock();
+            self.look(now);
+            self.publish_takeover(now);
+            self.stops_asked += signals.take_stops();
+            let turn = match self.ending {
+                None => self.act(now),
+                Some(_) => Decision::Continue,
+            };
+            self.end_if_due(turn, now);
+            self.report(now);
+            if let Some((end, stop)) = &mut self.ending {
+                if self.set.is_empty() && !self.orphans.remain() {
+                    return end.clone();
+                }
+                if self.stops_asked > 1 {
+                    stop.kill(&self.set);
+                    if *end == End::Stopped {
+                        *end = End::Killed;
+                    }
+                }
+                stop.advance(&self.set, now);
+            }
+            signals.wait(self.pause_ns(now));
+        }
+    }
+
+    /// Takes in all there is to see. The dead are collected before the ports
+    /// are read, so that their last words are in what is read.
+    fn look(&mut self, now: Instant) {
+        let died = self.set.reap(now);
+        let told = self.orphans.collect_ended(&self.set, died, now);
+        told.iter().for_each(|line| self.journal.line(now, line));
+        for sign in self.ports.drain(&mut self.tally) {
+            self.set.hear(sign.process, sign.pid, sign.state);
+        }
+        if died && self.ending.is_none() {
+            // Their successors find the places of the dead free.
+            self.wire.sweep();
+        }
+    }
+
+    /// Passes on what the person wants, when there is one.
+    fn publish_takeover(&mut self, now: Instant) {
+        let takeover = self.takeover.as_mut();
+        if let Some(change) = takeover.and_then(|takeover| takeover.publish(&self.tally, now)) {
+            self.journal.line(now, change);
+        }
+    }
+
+    /// Restarts, kills and starts what is due.
+    fn act(&mut self, now: Instant) -> Decision {
+        if now.since_ns(self.place_looked) >= PLACE_NS {
+            self.place_looked = now;
+            if !self.place.is_whole() {
+                return Decision::GiveUp(format!(
+                    "{}: the run's files were removed while it drives; who dies now could not \
+                     come back, so the car is braked to a stand; start it anew",
+                    self.place.paths().dir().display()
+                ));
+            }
+        }
+        let turn = match self.set.decide(now) {
+            Decision::Continue if self.is_driven() && !self.set.lives(Process::World) => {
+                Decision::Finished
+            }
+            Decision::Continue => self.set.start_due(now, self.tally.resume()),
+            end => end,
+        };
+        // At once: a process waits until it is named, and is heard from then on.
+        self.roster_port.publish(&self.wire, &self.set);
+        turn
+    }
+
+    /// Every configured episode has ended: a world that dies after its last one
+    /// is not started for one more.
+    fn is_driven(&self) -> bool {
+        let episodes = self.config.run.episodes;
+        episodes > 0 && self.tally.next_episode() >= episodes
+    }
+
+    fn end_if_due(&mut self, turn: Decision, now: Instant) {
+        if self.ending.is_some() {
+            return;
+        }
+        let end = match turn {
+            Decision::Finished => End::Finished,
+            Decision::GiveUp(reason) => End::GivenUp(reason),
+            Decision::Continue if self.stops_asked > 0 => End::Stopped,
+            Decision::Continue if self.screen.is_unread() => End::GivenUp(UNREAD.into()),
+            Decision::Continue => return,
+        };
+        let line = match &end {
+            End::Finished => "the run is driven to its end".into(),
+            End::Stopped | End::Killed => {
+                "stopping: the car is braked to a stand; once more kills".into()
+            }
+            End::GivenUp(reason) => format!("giving up: {reason}"),
+        };
+        if end == End::Finished {
+            // What the controller still does drives nothing.
+            self.tally.close_steps();
+        }
+        self.journal.line(now, &line);
+        if end == End::Stopped {
+            self.screen.line(line);
+        }
+        let stop = Stop::begin(&self.set, &self.config.supervisor, now);
+        self.ending = Some((end, stop));
+    }
+
+    fn pause_ns(&self, now: Instant) -> u64 {
+        let starts = self
+            .set
+            .members()
+            .iter()
+            .any(|member| matches!(member.phase(), Phase::Waiting | Phase::Starting { .. }));
+        let period_ns = match starts && self.ending.is_none() {
+            true => START_PERIOD_NS,
+            false => PERIOD_NS,
+        };
+        let due_ns = self
+            .set
+            .next_start()
+            .map_or(u64::MAX, |due| due.since_ns(now));
+        period_ns.min(due_ns.max(1_000_000))
+    }
+}

@@ -1,0 +1,79 @@
+//! Observe
+
+use std::time::Duration;
+
+use shm_config::config::{self, Config};
+use shm_config::run::RunPaths;
+use shm_config::services::Process;
+use shm_config::wire::Wire;
+
+use crate::Clock;
+use crate::cli::failure::Failure;
+use crate::machine::memory::Memory;
+use crate::machine::signals::pause;
+use crate::run::leftovers::clean_run;
+use crate::set::table::rows;
+use crate::telemetry::ports::{Depth, Ports};
+use crate::telemetry::process_tally::ProcessTally;
+use crate::telemetry::tally::Tally;
+
+/// How long everybody has to say something, ns. A process speaks at least every
+/// 100 ms; ten of those.
+const LISTEN_NS: u64 = 1_000_000_000;
+/// From look to look.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Listens to a living run for a while, and asks the kernel about its processes.
+///
+/// # Errors
+/// When it is just starting or ending, or shared memory refuses.
+pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, Tally), Failure> {
+    let config = config::load(&paths.config_file()).map_err(|_| {
+        Failure::GivenUp(format!(
+            "run '{}' is just starting or ending; try again",
+            paths.name()
+        ))
+    })?;
+    let mut tally = Tally::default();
+    let heard = hear((paths, supervisor), &config, &mut tally, clock);
+    // The run may have ended meanwhile; then this process kept its place.
+    if paths.supervisor_pid().is_none() {
+        clean_run(paths)?;
+    }
+    heard?;
+    for process in rows(&config).map(|row| row.process) {
+        let said = tally.process(process).and_then(ProcessTally::newest);
+        let Some(pid) = said.map(|health| health.header.producer) else {
+            continue;
+        };
+        tally.count_threads(process, pid);
+        if let Some(memory) = Memory::of(pid) {
+            tally.count_memory(process, memory);
+        }
+    }
+    Ok((config, tally))
+}
+
+fn hear(
+    (paths, supervisor): (&RunPaths, u32),
+    config: &Config,
+    tally: &mut Tally,
+    clock: Clock,
+) -> Result<(), Failure> {
+    let wire = Wire::join(paths.name(), Process::Supervisor)?;
+    wire.follow(supervisor)?;
+    wire.await_named(Process::Supervisor, supervisor)?;
+    let mut ports = Ports::open(&wire, config, Depth::Newest)?;
+    let begun = clock();
+    while clock().since_ns(begun) < LISTEN_NS {
+        ports.drain(tally);
+        // A timing alone says nothing of how it is.
+        let said = |process| tally.process(process).and_then(ProcessTally::newest);
+        let all = rows(config).all(|row| said(row.process).is_some());
+        if all && tally.steps.newest.is_some() && tally.progress.is_some() {
+            break;
+        }
+        pause(LOOK);
+    }
+    Ok(())
+}
