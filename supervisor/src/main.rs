@@ -13,13 +13,13 @@ use supervisor::commands::delegate::{BENCH, JUDGE, delegate};
 use supervisor::commands::{clean, config, doctor, down, setup, status, swap, up};
 
 fn main() -> ExitCode {
-    // Before anything else: nothing may copy the environment.
+    // First, so that nothing copies the environment with the keys in it.
     let taken = secret::take().map_err(Failure::secrets);
     let arguments = Arguments::try_parse().unwrap_or_else(|error| {
         let shown = Arguments::try_parse_from(printable_arguments()).err();
         shown.unwrap_or(error).exit()
     });
-    // A process entry point: the clock is read nowhere else.
+    // A process entry point: no other code reads the clock.
     #[allow(clippy::disallowed_methods)]
     let clock: Clock = monotonic;
     let done = taken.and_then(|()| carry_out(&arguments.command, clock));
@@ -29,7 +29,7 @@ fn main() -> ExitCode {
             use std::io::Write;
             let failure_shown = failure.to_string();
             let failure_shown = printable_lines(&failure_shown);
-            // Nobody may be left to read it.
+            // The reader of stderr may be gone.
             let _ = writeln!(std::io::stderr(), "error: {failure_shown}");
             ExitCode::from(failure.exit_code())
         }

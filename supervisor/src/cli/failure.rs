@@ -1,4 +1,4 @@
-//! What ends a command early, and with which exit code.
+//! The failures that end a command early, and their exit codes.
 
 use shm_config::config::ConfigError;
 use shm_config::run::RunError;
@@ -9,17 +9,17 @@ pub const EXIT_FAILED: u8 = 1;
 /// Exit code of a wrong command line or configuration.
 pub const EXIT_USAGE: u8 = 2;
 
-/// Exit code of a process that a signal ended, less the signal's number, as shells
-/// say it.
+/// Exit code of a process that a signal ended is this plus the signal's number, as in
+/// shells.
 pub const EXIT_SIGNAL: u8 = 128;
 
-/// One line for the user, saying what was wrong, where, and what to do.
+/// One line for the user: what was wrong, where, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// The configuration file or an override.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The command line, or what it names.
+    /// The command line, or a file that it names.
     #[error("{0}")]
     Usage(String),
     /// The run's folder.
@@ -31,7 +31,7 @@ pub enum Failure {
     /// The run had to be given up.
     #[error("{0}")]
     GivenUp(String),
-    /// A second signal ended the run at once.
+    /// A second signal killed the run.
     #[error("killed by a second signal; the car was not brought to a stand")]
     Killed {
         /// The signal's number.
@@ -40,7 +40,7 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// Keys cannot be taken out of the environment.
+    /// API keys cannot be removed from the environment.
     pub fn secrets(error: std::io::Error) -> Self {
         Self::GivenUp(format!(
             "cannot take the keys out of the environment: {error}; unset them and name a file in \

@@ -1,5 +1,4 @@
-//! Files that are written at the end of something long: whether they can be is
-//! said before it begins.
+//! Files that are written at the end of long work. They are checked before the work starts.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -12,21 +11,21 @@ use shm_config::file::{Durable, check_writable, replace, user};
 
 use crate::cli::failure::Failure;
 
-/// Where an option's text goes.
+/// Where the text of an option is written.
 #[derive(Debug)]
 pub enum Output {
     /// A file, which is replaced as a whole.
     File(PathBuf),
-    /// A device or a pipe, open since it was named: a pipe's reader would take a
-    /// second opening for the end of what is written.
+    /// A device or a pipe, kept open from the start: a pipe's reader would take closing and
+    /// reopening for the end of the text.
     Open(File),
 }
 
 impl Output {
-    /// Of an option whose text is written later.
+    /// The output of an option whose text is written later.
     ///
     /// # Errors
-    /// What is in the way, and what to do; a pipe must have its reader by now.
+    /// Why it cannot be written, and what to do; a pipe must already have its reader.
     pub fn of_option(option: &str, path: &Path) -> Result<Self, Failure> {
         let opened = Self::open(path).map_err(|error| {
             let path = path.display();
@@ -38,10 +37,10 @@ impl Output {
         Ok(opened)
     }
 
-    /// A link is followed if it is this user's or the system's.
+    /// Opens an output. A link is followed if it belongs to this user or to root.
     ///
     /// # Errors
-    /// When another user has put a link there, or nothing reads the pipe.
+    /// When it is a link of another user, or the pipe has no reader.
     pub fn open(path: &Path) -> io::Result<Self> {
         check_link(path)?;
         let Ok(metadata) = path.metadata() else {
@@ -50,7 +49,7 @@ impl Output {
         if metadata.is_file() || metadata.is_dir() {
             return Ok(Self::File(path.canonicalize()?));
         }
-        // Not to wait for a reader that may never come.
+        // Opening must not wait for a reader that may never come.
         let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
         let file = match rustix::fs::open(path, flags, Mode::empty()) {
             Err(Errno::NXIO) if metadata.file_type().is_fifo() => {
@@ -59,15 +58,15 @@ impl Output {
             Err(Errno::NXIO) => return Err(refuse("it can be no file's place; name a file")),
             opened => opened?,
         };
-        // A reader may be slower than the text is long.
+        // Writing blocks, since a reader may be slow.
         fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
         Ok(Self::Open(file.into()))
     }
 
-    /// Writes the text: a file is there as it was, or whole and new.
+    /// Writes the text: a reader of the file finds the old content or the whole new one.
     ///
     /// # Errors
-    /// When the folder refuses, or the pipe's reader has gone.
+    /// When the folder refuses, or the pipe's reader has ended.
     pub fn write(self, text: &str) -> io::Result<()> {
         match self {
             Self::File(path) => replace(&path, text.as_bytes(), Durable::Yes),
@@ -76,8 +75,8 @@ impl Output {
     }
 }
 
-/// Writes a file beside its place, then moves it there. A link is followed, and
-/// what is no plain file (a device, a pipe) is written to, never replaced.
+/// Writes a temporary file and renames it to `path`. A link is followed; a device or a pipe
+/// is written to and never replaced.
 ///
 /// # Errors
 /// When the folder is missing or refuses, or nothing reads the pipe.
@@ -103,17 +102,16 @@ fn refuse(why: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, why)
 }
 
-/// A file of an option can be written: it is there and lets itself be written, or
-/// its folder does.
+/// Checks that the file of an option can be written or created.
 ///
 /// # Errors
-/// What is in the way, and what to do.
+/// Why it cannot be written, and what to do.
 pub fn check_file(option: &str, path: &Path) -> Result<(), Failure> {
     if path.is_dir() {
         return Err(refused(option, path, "is a folder"));
     }
-    // What is no plain file (a device, a pipe) may wait for a reader: it is left
-    // until there is something to write.
+    // A device or a pipe may have no reader yet: it is opened when there is text to
+    // write.
     if path.exists() {
         let flags = OFlags::WRONLY | OFlags::APPEND | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let opened = path
@@ -134,10 +132,11 @@ pub fn check_file(option: &str, path: &Path) -> Result<(), Failure> {
     check_existing_folder((option, path), folder)
 }
 
-/// A folder of an option can be made, or is there, and files can be made in it.
+/// Checks that the folder of an option exists or can be created, and that files can be
+/// created in it.
 ///
 /// # Errors
-/// What is in the way, and what to do.
+/// Why it cannot be written, and what to do.
 pub fn check_folder(option: &str, path: &Path) -> Result<(), Failure> {
     let here = Path::new(".");
     let existing = path

@@ -1,4 +1,4 @@
-//! Numbers and names on the command line: what cannot be is told with what can.
+//! Parsers of numbers and names on the command line. Their errors name the valid range.
 
 use std::ffi::OsStr;
 use std::ops::RangeInclusive;
@@ -8,11 +8,11 @@ use clap::error::ErrorKind;
 use shm_config::run::{RunName, name_max};
 use shm_config::shortened;
 
-/// A parser of whole numbers within a range. Beside it an option has
-/// `allow_negative_numbers`, or -1 would be read as another option.
+/// A parser of whole numbers within a range. An option with it also sets
+/// `allow_negative_numbers`, or clap would read -1 as another option.
 ///
 /// # Errors
-/// Of the parser: one line with the range.
+/// The parser returns one line with the range.
 pub fn whole<T: TryFrom<u64>>(
     range: RangeInclusive<u64>,
 ) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static {
@@ -30,8 +30,8 @@ pub fn whole<T: TryFrom<u64>>(
     }
 }
 
-/// A parser of run names. Its error holds the name once, and a long one cut: the
-/// library's own would hold it whole, and twice.
+/// A parser of run names. Its error holds the name once, shortened; clap's own error would
+/// hold the whole name twice.
 #[derive(Debug, Clone, Copy)]
 pub struct Name;
 

@@ -11,7 +11,7 @@ use shm_config::run::{RunName, RunPaths};
 
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
-use crate::run::leftovers::{Cleaned, clean_run, tell_strangers};
+use crate::run::leftovers::{Cleaned, clean_run, print_strangers};
 use crate::run::shared_memory::SHARED_MEMORY_DIR;
 
 /// Remove what killed runs left behind.
@@ -34,7 +34,7 @@ pub fn clean(arguments: &Clean) -> Result<(), Failure> {
         None => true,
     };
     for (name, paths) in runs()?.into_iter().filter(|(name, _)| asked(name)) {
-        tell_strangers(&paths)?;
+        print_strangers(&paths)?;
         match clean_run(&paths)? {
             Cleaned::Alive => say(format_args!("run '{name}': alive, left alone")),
             Cleaned::Removed(leftovers) => {

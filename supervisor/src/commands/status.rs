@@ -15,7 +15,7 @@ use crate::Clock;
 use crate::cli::failure::Failure;
 use crate::cli::output::Output;
 use crate::cli::print::say;
-use crate::run::leftovers::tell_strangers;
+use crate::run::leftovers::print_strangers;
 use crate::run::restarts;
 use crate::run::roster;
 use crate::run::selection::alive;
@@ -76,7 +76,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     let (mut runs, mut broken) = (Vec::new(), false);
     for paths in alive {
         if let Some(Holder { pid, .. }) = paths.holder()? {
-            tell_strangers(&paths)?;
+            print_strangers(&paths)?;
             let seen = match listen(&paths, pid, clock) {
                 Ok(seen) => seen,
                 // One broken run must not hide the others.

@@ -1,12 +1,12 @@
-//! The cores that this machine lends, the noisiest first.
+//! The cores that this process may use, those with most device interrupts first.
 
 use std::fs;
 
 use rustix::thread::{CpuSet, sched_getaffinity};
 
-/// The cores that this process may use: those that have served most interrupts of
-/// devices since the machine started come first, and where as many, those with the
-/// higher number last. Empty when the kernel does not say.
+/// The cores that this process may use, sorted by the interrupts of devices that they have
+/// served since the machine started, most first; among equals, lower numbers first. Empty
+/// when the kernel reports no affinity.
 pub fn own_cores() -> Vec<usize> {
     let Ok(allowed) = sched_getaffinity(None) else {
         return Vec::new();
@@ -22,9 +22,9 @@ pub fn own_cores() -> Vec<usize> {
     cores
 }
 
-/// Interrupts of devices by core, out of `/proc/interrupts`: a heading of the cores
-/// that are there, then a line for each interrupt with a column for each of them.
-/// Lines with a number are devices; the others, as the timer's, every core has.
+/// Parses the interrupts of devices by core from `/proc/interrupts`: a heading with the
+/// cores, then a line for each interrupt with a column for each core. Numbered lines are
+/// devices; the others, such as the timer's, occur on every core.
 fn served(text: &str) -> Vec<(usize, u64)> {
     let mut lines = text.lines();
     let heading = lines.next().unwrap_or_default().split_whitespace();

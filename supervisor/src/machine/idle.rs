@@ -1,9 +1,9 @@
-//! How deeply the processors may sleep while a set drives.
+//! The bound on processor sleep while a set drives.
 //!
-//! A processor that sleeps takes its time to wake up, a virtual one most of all:
-//! its host must run it again first. Who holds [`DEVICE`] open bounds that time for
-//! the whole machine (PM QoS), as long as the file is open: a killed supervisor
-//! leaves no bound behind.
+//! A sleeping processor takes time to wake up, a virtual one most of all, since its host
+//! must schedule it again first. A process that holds [`DEVICE`] open bounds that time for
+//! the whole machine (PM QoS). The kernel drops the bound when the file is closed, so a
+//! killed supervisor leaves none behind.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -11,7 +11,7 @@ use std::io::{self, Write};
 use shm_config::config::Config;
 use shm_config::message::Grant;
 
-/// Where the kernel takes bounds: a signed 32-bit number of microseconds.
+/// The device that takes a bound as a signed 32-bit number of microseconds.
 pub const DEVICE: &str = "/dev/cpu_dma_latency";
 
 /// A bound on the time that a processor needs to wake up, while this value lives.
@@ -22,8 +22,8 @@ pub struct IdleBound {
 }
 
 impl IdleBound {
-    /// Asks for `supervisor.cpu_latency_us`, unless it is negative or the run asks
-    /// for no real time.
+    /// Asks for `supervisor.cpu_latency_us`, unless it is negative or the run asks for no
+    /// real-time privileges.
     pub fn of(config: &Config) -> Self {
         let bound_us = config.supervisor.cpu_latency_us;
         let is_real_time = config.supervisor.realtime && !config.run.is_lockstep();
@@ -48,7 +48,7 @@ impl IdleBound {
         }
     }
 
-    /// What became of it.
+    /// Whether the bound was granted.
     pub fn grant(&self) -> Grant {
         self.grant
     }

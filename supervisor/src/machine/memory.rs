@@ -1,28 +1,29 @@
-//! What the kernel says of a process: read from outside, no tick pays for it.
+//! The memory of a process as the kernel reports it. It is read from outside and costs no
+//! tick any time.
 
 use std::fs;
 
-/// Memory of one process, bytes; each the most that was seen.
+/// Memory of one process, bytes; each field the maximum observed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Memory {
-    /// Resident at its peak: in memory, of whatever kind.
+    /// Peak resident memory of all kinds.
     pub resident: u64,
-    /// Of it, the process's own: heap and stacks.
+    /// The part that is anonymous: heap and stacks.
     pub anonymous: u64,
-    /// Of it, mapped from files: programs and libraries, shared with others.
+    /// The part that is mapped from files: programs and libraries, shared with others.
     pub file: u64,
-    /// Of it, shared memory: messages, shared with others.
+    /// The part in shared memory: messages, shared with others.
     pub shared: u64,
 }
 
 impl Memory {
-    /// Of a living process; `None` when it is gone.
+    /// The memory of a living process; `None` when it has ended.
     pub fn of(pid: u32) -> Option<Self> {
         Self::parse(&fs::read_to_string(format!("/proc/{pid}/status")).ok()?)
     }
 
-    /// From the text of `/proc/PID/status`, proc(5); `None` for one without memory,
-    /// which has ended.
+    /// Parses `/proc/PID/status`, proc(5); `None` without memory lines, as of a process that
+    /// has ended.
     pub fn parse(status: &str) -> Option<Self> {
         let bytes = |key: &str| {
             let line = status.lines().find_map(|line| line.strip_prefix(key))?;
@@ -37,7 +38,7 @@ impl Memory {
         })
     }
 
-    /// The larger of each kind.
+    /// The maximum of each field.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
         Self {

@@ -1,15 +1,15 @@
-//! A set that another program drives ends with it, as its own processes end with
-//! the supervisor.
+//! The end of this process with its parent: a set that another program drives ends with
+//! that program.
 
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 use crate::cli::failure::Failure;
 
-/// Ties this process to the parent that named itself: when that ends, however it
-/// does, the kernel kills this one, and with it all processes of the run.
+/// Has the kernel kill this process, and with it all processes of the run, when its parent
+/// ends in any way.
 ///
 /// # Errors
-/// When the parent is gone already, or was never this process's.
+/// When the parent has ended already, or `parent` is not this process's parent.
 pub fn end_with(parent: u32) -> Result<(), Failure> {
     // Refused only for invalid signals.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// The folder of the supervisor's own executable, where its siblings are.
 ///
 /// # Errors
-/// When the system does not tell.
+/// When the system does not report it.
 pub fn own_folder() -> io::Result<PathBuf> {
     let executable = std::env::current_exe()?;
     match executable.parent() {

@@ -1,4 +1,4 @@
-//! Signals as bytes in sockets, so that the loop can sleep until one comes.
+//! Signals as bytes in sockets, so that the loop can sleep until one arrives.
 
 use std::fs;
 use std::io::{self, Read};
@@ -15,7 +15,7 @@ use signal_hook::low_level::pipe;
 
 use crate::cli::failure::EXIT_SIGNAL;
 
-/// The signals that concern the supervisor.
+/// The signals that the supervisor handles.
 #[derive(Debug)]
 pub struct Signals {
     stop: UnixStream,
@@ -24,23 +24,23 @@ pub struct Signals {
     late: LateSignals,
 }
 
-/// What a signal does that comes after the process set has ended.
+/// The effect of a signal that arrives after the process set has ended.
 #[derive(Debug, Clone, Default)]
 pub struct LateSignals {
-    /// It ends this process at once.
+    /// Whether it ends this process immediately.
     ends: Arc<AtomicBool>,
-    /// The number of the signal that came last.
+    /// The number of the last signal.
     last: Arc<AtomicUsize>,
 }
 
 impl LateSignals {
-    /// From now on a signal that asks to stop ends this process, with the exit code
-    /// that shells give it.
+    /// From now on a stop signal ends this process immediately, with the exit code that
+    /// shells use: 128 and the signal's number.
     pub fn end_at_once(&self) {
         self.ends.store(true, Ordering::SeqCst);
     }
 
-    /// The number of the signal that came last; 0 when none has come.
+    /// The number of the last signal; 0 before the first.
     pub fn last(&self) -> u8 {
         u8::try_from(self.last.load(Ordering::SeqCst)).unwrap_or_default()
     }
@@ -55,8 +55,8 @@ impl LateSignals {
 }
 
 impl Signals {
-    /// Takes over SIGINT, SIGTERM, SIGHUP and SIGCHLD. A hang-up that the caller
-    /// chose to ignore, as `nohup` does, stays ignored.
+    /// Handles SIGINT, SIGTERM, SIGHUP and SIGCHLD. A SIGHUP that the caller ignores, as
+    /// `nohup` does, stays ignored.
     ///
     /// # Errors
     /// When the system refuses a socket or a handler.
@@ -81,8 +81,8 @@ impl Signals {
         })
     }
 
-    /// SIGQUIT (Ctrl-\) asks to stop, too: whoever has changed the terminal must
-    /// live to put it back.
+    /// Handles SIGQUIT (Ctrl-\) as a stop signal too: a process that has changed the terminal
+    /// mode must restore it.
     ///
     /// # Errors
     /// When the system refuses.
@@ -92,12 +92,12 @@ impl Signals {
         Ok(())
     }
 
-    /// What signals do once nothing is left to stop.
+    /// The effect of signals after the set has ended.
     pub fn late(&self) -> LateSignals {
         self.late.clone()
     }
 
-    /// Sleeps until a signal comes or `timeout_ns` has passed. May return early.
+    /// Sleeps until a signal arrives or `timeout_ns` has passed. May return early.
     pub fn wait(&mut self, timeout_ns: u64) {
         let timeout = Timespec {
             tv_sec: (timeout_ns / 1_000_000_000) as i64,
@@ -112,23 +112,23 @@ impl Signals {
         drain(&mut self.child);
     }
 
-    /// How many times somebody asked to stop since the last call.
+    /// The number of stop signals since the last call.
     pub fn take_stops(&mut self) -> usize {
         drain(&mut self.stop)
     }
 }
 
-/// Waits a moment for another process, outside any loop that has a period.
+/// Sleeps while another process works, outside any periodic loop.
 pub fn pause(moment: Duration) {
     let moment = Timespec {
         tv_sec: moment.as_secs() as i64,
         tv_nsec: i64::from(moment.subsec_nanos()),
     };
-    // Cut short by a signal, the caller looks again a little earlier.
+    // After a signal it returns early, and the caller checks a little earlier.
     let _ = poll(&mut [], Some(&moment));
 }
 
-/// One byte came for each signal.
+/// Reads the pending bytes, one for each signal.
 fn drain(socket: &mut UnixStream) -> usize {
     let mut bytes = [0; 64];
     socket.read(&mut bytes).unwrap_or(0)

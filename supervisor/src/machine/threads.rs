@@ -1,5 +1,5 @@
-//! The threads of a running set: what each asked for, and what it has, as the
-//! kernel says. Read from outside; no tick pays for it.
+//! The threads of a running set: the privileges that each asked for, and those in force as
+//! the kernel reports them. They are read from outside and cost no tick any time.
 
 use std::fs;
 
@@ -9,11 +9,11 @@ use shm_config::message::{Grant, Health, Scheduling};
 /// One thread.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Thread {
-    /// Its name; the tick's thread has its program's.
+    /// Its name; the tick's thread has the name of its program.
     pub name: String,
     /// Its id.
     pub tid: u32,
-    /// It runs the ticks; the others help.
+    /// Whether it runs the ticks; the other threads are helpers.
     pub is_tick: bool,
     /// The scheduling asked for.
     pub scheduling_asked: &'static str,
@@ -27,14 +27,13 @@ pub struct Thread {
     pub core: &'static str,
     /// The cores it may use, such as `0-3`.
     pub cores: String,
-    /// How late the kernel may wake it to save wake-ups, ns; `None` where it does
-    /// not tell.
+    /// Its timer slack, ns; `None` where the kernel does not report it.
     pub slack_ns: Option<u64>,
 }
 
 impl Thread {
-    /// It has all that it asked for, and no more: a helper at the priority or on
-    /// the core of the tick's thread would delay it.
+    /// Whether it has exactly what it asked for: a helper at the priority or on the core of
+    /// the tick's thread would delay the tick.
     pub fn is_as_asked(&self, tick_cores: &str, all_cores: &str) -> bool {
         let scheduled = self.scheduling_asked == self.scheduling_got
             && self.priority_asked == self.priority_got;
@@ -43,9 +42,9 @@ impl Thread {
     }
 }
 
-/// The threads of a living process, the tick's first; none when it is gone. The
-/// first thread runs the ticks and asked for what its health says. The others
-/// never ask: they shall be ordinary and free to run on every core.
+/// The threads of a living process, the tick's thread first; empty when it has ended. The
+/// tick's thread asked for what its health reports. The others ask for nothing: they are
+/// expected to be ordinary and free to run on every core.
 pub fn threads(pid: u32, health: &Health) -> Vec<Thread> {
     let Ok(entries) = fs::read_dir(format!("/proc/{pid}/task")) else {
         return Vec::new();
@@ -55,14 +54,14 @@ pub fn threads(pid: u32, health: &Health) -> Vec<Thread> {
         .filter_map(|entry| entry.file_name().to_str()?.parse().ok())
         .collect();
     tids.sort_by_key(|tid| (*tid != pid, *tid));
-    let read = |tid| Some((tid, kernel_says(pid, tid)?));
+    let read = |tid| Some((tid, read_thread(pid, tid)?));
     tids.into_iter()
         .filter_map(read)
         .map(|(tid, said)| said.beside(tid, pid, health))
         .collect()
 }
 
-/// What the kernel says of a thread.
+/// A thread as the kernel reports it.
 struct KernelThread {
     name: String,
     scheduling: Scheduling,
@@ -71,7 +70,7 @@ struct KernelThread {
     slack_ns: Option<u64>,
 }
 
-fn kernel_says(pid: u32, tid: u32) -> Option<KernelThread> {
+fn read_thread(pid: u32, tid: u32) -> Option<KernelThread> {
     let folder = format!("/proc/{pid}/task/{tid}");
     let stat = fs::read_to_string(format!("{folder}/stat")).ok()?;
     let status = fs::read_to_string(format!("{folder}/status")).ok()?;
@@ -89,8 +88,8 @@ fn kernel_says(pid: u32, tid: u32) -> Option<KernelThread> {
     })
 }
 
-/// Name, scheduling and real-time priority out of proc_pid_stat(5); the fields 40
-/// and 41 of it. The name stands in brackets and may hold anything.
+/// Parses name, scheduling and real-time priority from proc_pid_stat(5), fields 2, 40 and
+/// 41. The name is in parentheses and may hold any character.
 fn parse_stat(stat: &str) -> Option<(String, Scheduling, u32)> {
     let (begin, end) = (stat.find('(')?, stat.rfind(')')?);
     let mut fields = stat.get(end + 1..)?.split_whitespace();

@@ -12,30 +12,30 @@ use shm_config::run::Origin;
 use crate::cli::failure::Failure;
 use crate::run::place::Place;
 
-/// Keeps a file in the run's folder, whole or not at all.
+/// Writes a file in the run's folder, as a whole or not at all.
 ///
 /// # Errors
-/// When its text cannot be made, or the folder refuses it.
+/// When its text cannot be produced, or the folder refuses it.
 pub fn keep(folder: &Folder, name: &str, text: io::Result<String>) -> Result<(), Failure> {
     text.and_then(|text| folder.replace(name, text.as_bytes(), Durable::Yes))
         .map_err(|error| cannot_write(&folder.path().join(name), &error))
 }
 
-/// The error of a file that what the run amounts to was to be written to.
+/// The error of a result file of the run that cannot be written.
 pub fn cannot_write(path: &Path, error: &io::Error) -> Failure {
     Failure::GivenUp(format!(
-        "{}: cannot write what the run amounts to: {error}",
+        "{}: cannot write the results of the run: {error}",
         path.display()
     ))
 }
 
-/// Makes the run's folder with its resolved configuration, locked against other
-/// runs as long as the folder that is returned is open; processes and onlookers
-/// find a copy beside the run's other files.
+/// Creates the run's folder with its resolved configuration, and locks it against other
+/// runs as long as the returned folder is open. A copy of the configuration for the
+/// processes and for observing commands lies beside the run's messages.
 ///
 /// # Errors
-/// When the folder is not the user's alone to change, another run has it, or it
-/// cannot be written.
+/// When another user may change the folder, another run has locked it, or it cannot be
+/// written.
 pub fn prepare_folder(
     config: &Config,
     place: &Place,
@@ -48,7 +48,7 @@ pub fn prepare_folder(
             what.display()
         ))
     };
-    // Without a slash at its end, which would have a link followed.
+    // Without a trailing slash, which would follow a link.
     let path: PathBuf = Path::new(&config.run.folder).components().collect();
     let io_failed = |error: io::Error| failed(&path, &error);
     if let Some(above) = path.parent() {

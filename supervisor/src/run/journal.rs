@@ -1,4 +1,4 @@
-//! The supervisor's own log.
+//! The journal: the supervisor's own log.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -19,7 +19,7 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens it in a folder of logs.
+    /// Opens the journal in a folder of logs.
     ///
     /// # Errors
     /// When the log cannot be made.
@@ -41,7 +41,7 @@ impl Journal {
     /// Adds a line, with the time since it was opened.
     pub fn line(&mut self, now: Instant, text: &str) {
         let passed_s = now.since_ns(self.begun) as f64 / 1e9;
-        // A full disk stops the journal, not the car.
+        // A full disk must stop only the journal, not the car.
         let text = shm_config::text::printable(text);
         let _ = writeln!(self.file, "{passed_s:9.3} {text}");
         let _ = self.log.rotate();

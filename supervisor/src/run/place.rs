@@ -1,5 +1,5 @@
-//! The run's place on the machine: taken before anything starts, left empty
-//! whatever happens.
+//! The run's place on the machine: locked before any process starts, and left empty however
+//! the run ends.
 
 use std::time::Duration;
 
@@ -8,13 +8,13 @@ use shm_config::run::{Leftovers, RunLock, RunName, RunPaths};
 use crate::cli::failure::Failure;
 use crate::machine::signals::pause;
 
-/// How often, and how long each time, the death of an earlier set is awaited:
-/// the kernel ends the children of a killed supervisor within milliseconds.
+/// How often the end of an earlier set is checked, and the time between two checks: the
+/// kernel ends the children of a killed supervisor within milliseconds.
 const DEATH_LOOKS: u32 = 40;
 const DEATH_LOOK: Duration = Duration::from_millis(50);
 
-/// The run's place. Dropping it removes everything of the run from the machine;
-/// what it was for must be dropped before.
+/// The run's place. Dropping it removes all files of the run from the machine; drop the
+/// ports of the run first.
 #[derive(Debug)]
 pub struct Place {
     paths: RunPaths,
@@ -22,7 +22,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// Takes the place of a run and clears away what a killed one left in it.
+    /// Locks the place of a run and removes what a killed run left in it.
     ///
     /// # Errors
     /// When the run is alive, or its folder cannot be used.
@@ -46,14 +46,14 @@ impl Place {
             pause(DEATH_LOOK);
         }
         Err(Failure::GivenUp(format!(
-            "run '{name}': its supervisor is gone, but a process of it lives; find it with \
+            "run '{name}': its supervisor has ended, but a process of it lives; find it with \
              `fuser {}`, end it, and try again, or use `--run OTHER`",
             paths.dir().join("alive").display()
         )))
     }
 
-    /// The run's files are still there. Without them nobody who starts can join
-    /// those who drive.
+    /// Whether the run's files are still there. Without them a process that starts cannot
+    /// join the running ones.
     pub fn is_whole(&self) -> bool {
         let shared = self.paths.shared_memory();
         self.paths.is_held(&self.lock) && shared.is_ok_and(|files| !files.is_empty())
@@ -67,8 +67,8 @@ impl Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        // An onlooker keeps a run alive for a moment. Should one stay, or the
-        // file system refuse, the next start cleans.
+        // An observing process keeps a run alive for a moment. If one stays, or the file
+        // system refuses, the next start removes the files.
         for _ in 0..DEATH_LOOKS {
             match self.paths.clean_if_dead() {
                 Ok(Some(_)) => return self.paths.remove_dir(),

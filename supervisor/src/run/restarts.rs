@@ -1,5 +1,5 @@
-//! How often each process of a run was restarted: the supervisor alone knows, and
-//! writes it down beside the run's other files, for who looks from outside.
+//! The restarts of each process of a run. Only the supervisor knows them; it writes them
+//! beside the run's other files, for commands that observe the run from outside.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,7 +14,7 @@ const FILE: &str = "restarts.json";
 /// Longest file that is read, bytes.
 const BYTES_MAX: u64 = 1 << 12;
 
-/// Writes down how often each was. What cannot be written is not shown.
+/// Writes the number of restarts of each process. On an error `status` shows none.
 pub fn write(paths: &RunPaths, members: &[Member]) {
     let counts = members
         .iter()
@@ -25,7 +25,7 @@ pub fn write(paths: &RunPaths, members: &[Member]) {
     }
 }
 
-/// How often each was, by its name; none was before the first one is.
+/// The number of restarts by process; empty before the first one.
 pub fn read(paths: &RunPaths) -> BTreeMap<String, u32> {
     let path = paths.dir().join(FILE);
     let is_ours = fs::metadata(&path).is_ok_and(|metadata| metadata.len() <= BYTES_MAX);

@@ -1,4 +1,4 @@
-//! The roster of a run, and the processes that send although they are not on it.
+//! The roster of a run, and foreign processes, which send although they are not on it.
 
 use std::fs;
 
@@ -9,11 +9,11 @@ use shm_config::wire::{Foreigner, Publisher, Wire, WireError};
 
 use crate::set::process_set::ProcessSet;
 
-/// Foreign processes that are named; of more the count says enough.
+/// The most foreign processes that are reported by name.
 const NAMED_MAX: usize = 16;
 
-/// Publishes which processes the run has started, and remembers which others were told
-/// of.
+/// Publishes the process ids that the run has started, and remembers which foreign
+/// processes were reported.
 pub struct RosterPublisher {
     roster: Roster,
     port: Publisher<Roster>,
@@ -21,8 +21,8 @@ pub struct RosterPublisher {
 }
 
 impl RosterPublisher {
-    /// Names the supervisor alone. From now on this membership takes state only from
-    /// those that are named.
+    /// Publishes a roster with the supervisor alone. From now on this membership accepts
+    /// state only from processes on the roster.
     ///
     /// # Errors
     /// When shared memory refuses.
@@ -39,8 +39,9 @@ impl RosterPublisher {
         })
     }
 
-    /// Names a process of the run; publishes the roster when it changes. A dead one
-    /// stays named until its successor is: what it left is its own.
+    /// Puts a process of the run on the roster, and publishes the roster when it changes. A
+    /// dead process stays on it until its successor replaces it, so that its last messages
+    /// are accepted.
     pub fn name(&mut self, wire: &Wire, process: Process, pid: u32) {
         if self.roster.pid(process) != Some(pid) {
             self.roster.set(process, Some(pid));
@@ -49,8 +50,7 @@ impl RosterPublisher {
         }
     }
 
-    /// Names the living processes of a set, and passes the roster on to readers that
-    /// came meanwhile.
+    /// Puts the living processes of a set on the roster, and delivers it to new subscribers.
     pub fn publish(&mut self, wire: &Wire, set: &ProcessSet) {
         for member in set.members() {
             if let Some(pid) = member.pid() {
@@ -60,13 +60,13 @@ impl RosterPublisher {
         self.update_connections();
     }
 
-    /// Passes the roster on to readers that came meanwhile.
+    /// Delivers the roster to new subscribers.
     pub fn update_connections(&mut self) {
         self.port.tend();
     }
 
-    /// What to say of the processes that send in the place of others and were not told
-    /// of yet.
+    /// Warnings about foreign processes that were not reported yet; `heard` are those that
+    /// other processes of the run refused.
     pub fn foreigners(
         &mut self,
         wire: &Wire,
@@ -84,7 +84,7 @@ impl RosterPublisher {
     }
 }
 
-/// What to say of a process that sends in the place of another.
+/// The warning about a foreign process.
 pub fn warning(foreigner: Foreigner) -> String {
     let Foreigner { pid, place } = foreigner;
     format!(
@@ -95,10 +95,10 @@ pub fn warning(foreigner: Foreigner) -> String {
     )
 }
 
-/// What a process runs, as far as the kernel tells.
+/// The program of a process, as the kernel names it.
 fn program(pid: u32) -> String {
     let name = fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
-    // A process names itself as it likes.
+    // A process may choose its name: it is untrusted text.
     let name = printable(name.trim());
     match name.is_empty() {
         true => "it has ended".into(),

@@ -4,15 +4,15 @@ use shm_config::run::{RunName, RunPaths};
 
 use crate::cli::failure::Failure;
 
-/// The run that is meant: the named one, or the only set of the current folder that
-/// is alive; `None` when nothing runs at all.
+/// The run that a command applies to: the named one, or the only living set of the
+/// current folder; `None` when no set runs at all.
 ///
-/// A set is of the current folder when its `run.folder`, links resolved, lies in
-/// the current folder or below it, and a user has started it: no training or
-/// evaluation, which pass `--parent`.
+/// A set belongs to the current folder when its `run.folder`, links resolved, lies in the
+/// current folder or below it, and it was started without `--parent`, which a training or
+/// an evaluation passes.
 ///
 /// # Errors
-/// When none is named, and several are of this folder, or none is and others run.
+/// When no run is named, and several belong to this folder, or none does and others run.
 pub fn select_run(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
     if let Some(name) = name {
         return Ok(Some(RunPaths::new(name.clone())));
@@ -41,7 +41,7 @@ pub fn select_run(name: Option<&RunName>) -> Result<Option<RunPaths>, Failure> {
     }
 }
 
-/// Each run with where it belongs.
+/// The runs as a list, each with its folder or parent.
 fn listed(runs: &[RunPaths]) -> String {
     let shown = runs.iter().map(|paths| {
         let name = paths.name();
@@ -56,7 +56,7 @@ fn listed(runs: &[RunPaths]) -> String {
     shown.collect::<Vec<_>>().join(", ")
 }
 
-/// The user's runs whose supervisor lives.
+/// The user's runs with a living supervisor.
 ///
 /// # Errors
 /// When the folder of the user's runs belongs to another user.
@@ -65,7 +65,7 @@ pub fn alive() -> Result<Vec<RunPaths>, Failure> {
     Ok(RunPaths::all()?.into_iter().filter(lives).collect())
 }
 
-/// The same; none where that folder cannot be used.
+/// As [`alive`]; empty where that folder cannot be used.
 pub fn living_runs() -> Vec<RunPaths> {
     alive().unwrap_or_default()
 }

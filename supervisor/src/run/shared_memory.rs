@@ -1,17 +1,17 @@
-//! Shared memory that a run needs, out of its configuration.
+//! The shared memory that a run needs, computed from its configuration.
 //!
-//! The files of a run are sparse: they are hundreds of megabytes long, and take what
-//! was written at least once. Measured of the files' blocks, at 10 Hz and 1,000 Hz:
+//! The files of a run are sparse: they are hundreds of megabytes long, and occupy only the
+//! blocks that were written at least once. Measured blocks, at 10 Hz and 1,000 Hz:
 //!
-//! | run | most that is taken |
+//! | run | maximum occupied |
 //! |---|---|
 //! | in real time, 15 s | 1.6 MB, all of it in the first second |
 //! | in lockstep, 50 episodes | 2.9 MB, of which the steps are 1.6 MB |
-//! | at 1,000 Hz with a supervisor that is stopped | 22.0 MB: the step queue is full, and stays so |
-//! | with weights offered, of any size | 8.4 MB more for each offer that is not taken yet |
-//! | with a judge that is shown pictures | 4.2 MB more: two frames |
+//! | at 1,000 Hz with a supervisor that is stopped | 22.0 MB: the step queue is full and stays full |
+//! | with weights offered, of any size | 8.4 MB more for each offer that is not adopted yet |
+//! | with a judge that is asked with pictures | 4.2 MB more: two frames |
 //!
-//! So the need is that of full queues, whatever a short run takes.
+//! So the computed need is that of full queues, which a short run does not reach.
 
 use std::fmt;
 
@@ -23,32 +23,30 @@ use shm_config::wire::PUBLISHERS_MAX;
 use crate::cli::failure::Failure;
 use crate::set::table::rows;
 
-/// Where shared memory is.
+/// The folder of shared memory.
 pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 
-/// Steps on their way beside a full queue: one at each reader and writer.
+/// Steps outside a full queue: one at each reader and writer.
 const STEPS_BESIDE: usize = 100;
-/// Offers of weights at once: that of `./vlaps swap`; with a learner, its newest and
+/// Simultaneous offers of weights: one by `./vlaps swap`; with a learner, its newest and
 /// the one that it writes.
 const OFFERS_BY_HAND: usize = 1;
 const OFFERS_OF_LEARNER: usize = 2;
-/// Frames at once: the newest, and the one that is drawn.
+/// Simultaneous frames: the newest, and the one that is being drawn.
 const FRAMES: usize = 2;
-/// All other messages, the queues' places and the files that say who is there: 0.9 MB
-/// measured.
+/// All other messages, the queues' slots and the discovery files: 0.9 MB measured.
 const OTHERS_BYTES: u64 = 2 << 20;
-/// Of a process that was restarted, what the dead one had stays until it is swept: a
-/// quarter on top.
+/// One part in this many is added: the memory of a dead process stays until it is swept.
 const MARGIN: u64 = 4;
 
-/// What a run needs, and what for.
+/// The shared memory that a run needs, by purpose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Need {
     parts: [(&'static str, u64); 4],
 }
 
 impl Need {
-    /// Of a run with this configuration.
+    /// The need of a run with this configuration.
     pub fn of(config: &Config) -> Self {
         let offers = match config.learner.enabled {
             true => OFFERS_BY_HAND + OFFERS_OF_LEARNER,
@@ -70,14 +68,14 @@ impl Need {
         }
     }
 
-    /// All of it with the margin, bytes.
+    /// The sum with the margin, bytes.
     pub fn bytes(&self) -> u64 {
         let sum: u64 = self.parts.iter().map(|(_, bytes)| bytes).sum();
         sum + sum / MARGIN
     }
 }
 
-/// In whole megabytes of 2^20 bytes, as free memory is told.
+/// In whole megabytes of 2^20 bytes, as free memory is printed.
 impl fmt::Display for Need {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let megabytes = |bytes: u64| bytes.div_ceil(1 << 20);
@@ -93,11 +91,11 @@ impl fmt::Display for Need {
 /// Free and total bytes of shared memory.
 ///
 /// # Errors
-/// When there is no shared memory to look at.
+/// When there is no shared memory.
 pub fn shared_memory() -> Result<(u64, u64), Failure> {
     let space = rustix::fs::statvfs(SHARED_MEMORY_DIR).map_err(|error| {
         Failure::Usage(format!(
-            "{SHARED_MEMORY_DIR}: {error}; processes need it to talk: \
+            "{SHARED_MEMORY_DIR}: {error}; processes exchange their messages in it: \
              `sudo mount -t tmpfs -o size=1g tmpfs {SHARED_MEMORY_DIR}`"
         ))
     })?;
@@ -107,11 +105,11 @@ pub fn shared_memory() -> Result<(u64, u64), Failure> {
     ))
 }
 
-/// A run fits into shared memory. Without this check the first process that
-/// touches a page too many would die of SIGBUS.
+/// Checks that a run fits into shared memory. Without this check a process would die of
+/// SIGBUS when memory runs out.
 ///
 /// # Errors
-/// When there is too little, with both numbers, what for, and what to do.
+/// When there is too little: both figures, the purposes, and what to do.
 pub fn check_shared_memory(free_bytes: u64, need: &Need) -> Result<(), Failure> {
     if free_bytes >= need.bytes() {
         return Ok(());
@@ -130,7 +128,7 @@ mod tests {
 
     use super::*;
 
-    /// What a container has unless it is given more.
+    /// The default of a container.
     const CONTAINER_BYTES: u64 = 64 << 20;
 
     #[test]

@@ -1,9 +1,9 @@
 //! The supervisor of a run, as the target of a signal.
 //!
-//! A process id is a number that the next program may have: the process that took
-//! the lock on a run's file may have ended while another one, which inherited its
-//! descriptor, keeps the lock. So the process is held by a descriptor first, and
-//! then has to prove what it is; if it ends meanwhile, the signal reaches nothing.
+//! The kernel reuses process ids, and the process that locked a run's file may have ended
+//! while another one, which inherited its descriptor, keeps the lock. So the process is
+//! held by a pidfd first and then checked; if it ends meanwhile, the signal reaches no
+//! process.
 
 use std::fs;
 use std::os::fd::OwnedFd;
@@ -17,11 +17,11 @@ use shm_config::run::{Holder, RunPaths, started};
 
 use crate::cli::failure::Failure;
 
-/// First letters of the program's name. The kernel says behind it when the file
-/// was built anew meanwhile.
+/// Prefix of the program's name. The kernel appends a note when the file was rebuilt
+/// meanwhile.
 const PROGRAM: &str = "vlaps-supervisor";
 
-/// A run's supervisor, held by a descriptor.
+/// A run's supervisor, held by a pidfd.
 #[derive(Debug)]
 pub struct Target {
     pid: u32,
@@ -29,18 +29,18 @@ pub struct Target {
 }
 
 impl Target {
-    /// The supervisor of a run; `None` when its place is free.
+    /// The supervisor of a run; `None` when no process holds the run.
     ///
     /// # Errors
-    /// When the run's files are not ours, or what holds the place is no supervisor
-    /// of this run.
+    /// When the run's files belong to another user, or the process that holds the run is
+    /// no supervisor of it.
     pub fn of(paths: &RunPaths) -> Result<Option<Self>, Failure> {
         let Some(holder) = paths.holder()? else {
             return Ok(None);
         };
-        match Self::prove(&holder) {
+        match Self::verify(&holder) {
             Ok(target) => Ok(Some(target)),
-            // It may have ended since: then its place is free.
+            // It may have ended since.
             Err(_) if paths.holder()?.is_none() => Ok(None),
             Err(why) => Err(Failure::GivenUp(format!(
                 "run '{name}': process {pid} is no supervisor of it ({why}); it gets no signal; \
@@ -52,8 +52,8 @@ impl Target {
         }
     }
 
-    /// Everything after the first line is about the process that the handle holds.
-    fn prove(holder: &Holder) -> Result<Self, String> {
+    /// All checks after `pidfd_open` concern the process that the handle holds.
+    fn verify(holder: &Holder) -> Result<Self, String> {
         let pid = holder.pid;
         let id = i32::try_from(pid).ok().and_then(Pid::from_raw);
         let id = id.ok_or("it is no process id")?;
@@ -99,11 +99,11 @@ fn is_supervisor(program: &Path) -> bool {
     name.is_some_and(|name| name.to_string_lossy().starts_with(PROGRAM))
 }
 
-/// The process has this file open, by device and inode.
+/// Whether the process has this file open, by device and inode.
 fn has_open(proc: &str, file: (u64, u64)) -> bool {
     let entries = fs::read_dir(format!("{proc}/fd"));
     entries.into_iter().flatten().flatten().any(|entry| {
-        // Of what the link leads to, without opening it.
+        // The metadata of the link's target, without opening it.
         fs::metadata(entry.path()).is_ok_and(|found| (found.dev(), found.ino()) == file)
     })
 }

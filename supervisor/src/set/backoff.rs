@@ -2,14 +2,14 @@
 
 use shm_config::config::Supervisor;
 
-/// Restarts of one process.
+/// The restarts of one process.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Backoff {
     restarts: u32,
     in_row: u32,
 }
 
-/// What follows a death.
+/// What follows the death of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum After {
     /// Restart it when this has passed, ns.
@@ -24,8 +24,8 @@ impl Backoff {
         self.restarts
     }
 
-    /// The process died after it ran for `ran_ns`; counts the restart that
-    /// follows, unless there is none.
+    /// Decides after the process died, having run for `ran_ns`; counts the restart if one
+    /// follows.
     pub fn died(&mut self, ran_ns: u64, limits: &Supervisor) -> After {
         if self.restarts >= limits.restarts_max {
             return After::GiveUp;
@@ -33,8 +33,7 @@ impl Backoff {
         if ran_ns as f64 >= limits.healthy_s * 1e9 {
             self.in_row = 0;
         }
-        // 2^63 ms is beyond any limit; more would overflow to infinity, which
-        // the minimum would handle too, but a defined number reads easier.
+        // 2^63 ms is beyond any limit; a larger exponent would overflow to infinity.
         let doubled_ms = limits.backoff_ms * 2f64.powi(self.in_row.min(63) as i32);
         self.restarts += 1;
         self.in_row = self.in_row.saturating_add(1);

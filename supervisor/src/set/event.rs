@@ -1,4 +1,4 @@
-//! What happens in a set, for the screen and the supervisor's log.
+//! The events of a process set, for the screen and the supervisor's log.
 
 use std::fmt;
 
@@ -6,52 +6,52 @@ use shm_config::services::Process;
 
 use crate::set::exit::Exit;
 
-/// What happened.
+/// An event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
     /// A process was started.
     Started {
-        /// Which.
+        /// The process.
         process: Process,
         /// Its process id.
         pid: u32,
     },
     /// A process became ready.
     Ready {
-        /// Which.
+        /// The process.
         process: Process,
     },
     /// A process died and will be restarted.
     Died {
-        /// Which.
+        /// The process.
         process: Process,
-        /// How.
+        /// How it ended.
         exit: Exit,
         /// Pause before the restart, ns.
         pause_ns: u64,
-        /// The how-manieth restart this is.
+        /// The number of this restart, from 1.
         restart: u32,
-        /// How many there may be.
+        /// The limit of restarts.
         restarts_max: u32,
     },
-    /// A process that said nothing was killed.
+    /// A silent process was killed.
     Silenced {
-        /// Which.
+        /// The process.
         process: Process,
-        /// How long it had said nothing, ns.
+        /// How long it had published no health message, ns.
         silent_ns: u64,
     },
     /// A log file could not be rotated.
     LogFull {
-        /// Whose.
+        /// The process.
         process: Process,
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
 
 impl Event {
-    /// Worth a line on the screen, not only in the log.
+    /// Whether the screen shows it, and not only the log.
     pub fn is_notable(&self) -> bool {
         match self {
             Self::Started { .. } | Self::Ready { .. } => false,

@@ -3,7 +3,7 @@
 use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
 
-/// Exit code by which a child says that its configuration or set-up is wrong.
+/// Exit code of a child whose configuration or set-up is wrong.
 const EXIT_REFUSED: i32 = 2;
 
 /// How a child ended.
@@ -11,9 +11,9 @@ const EXIT_REFUSED: i32 = 2;
 pub enum Exit {
     /// Exit code 0.
     Done,
-    /// Exit code 2: it would fail again.
+    /// Exit code 2: the same set-up would fail again.
     Refused,
-    /// Anything else, in words.
+    /// Any other exit, in words.
     Crashed(String),
 }
 

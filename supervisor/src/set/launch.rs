@@ -1,4 +1,4 @@
-//! One child process.
+//! The start of one child process.
 
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -15,25 +15,25 @@ use crate::set::mark::{MARK, Mark};
 use crate::set::privileges::Privileges;
 use crate::set::table::ProcessSpec;
 
-/// What children are started with.
+/// What all children are started with.
 #[derive(Debug, Clone)]
 pub struct Launch {
     /// Folder of the binaries.
     pub binaries: PathBuf,
     /// The run's resolved configuration.
     pub config: PathBuf,
-    /// Priorities and cores.
-    pub rights: Privileges,
-    /// The world when it is not a binary beside the others.
+    /// Priorities and cores that they ask for.
+    pub privileges: Privileges,
+    /// The world, when an interpreter runs it.
     pub world: Option<Script>,
 }
 
-/// Where a restarted world goes on.
+/// Where a restarted world continues.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Resume {
-    /// The episode it begins with.
+    /// The first episode that it drives.
     pub episode: u32,
-    /// Time that the run has driven already, ns on the run's clock.
+    /// Time driven by the run so far, ns on the run's clock.
     pub driven_ns: u64,
 }
 
@@ -42,12 +42,12 @@ pub struct Resume {
 pub struct Script {
     /// The interpreter.
     pub interpreter: PathBuf,
-    /// What it runs.
+    /// The file that it runs.
     pub file: PathBuf,
 }
 
 impl Launch {
-    /// Where a row's binary is.
+    /// The binary of a row.
     pub fn binary(&self, row: &ProcessSpec) -> PathBuf {
         match self.script(row) {
             Some(script) => script.interpreter.clone(),
@@ -55,7 +55,7 @@ impl Launch {
         }
     }
 
-    /// An interpreter runs it.
+    /// Whether an interpreter runs it.
     pub fn is_script(&self, row: &ProcessSpec) -> bool {
         self.script(row).is_some()
     }
@@ -66,8 +66,8 @@ impl Launch {
             .filter(|_| row.process == Process::World)
     }
 
-    /// Starts a row. To be called from the main thread only: a child's wish to
-    /// die with its parent is bound to the thread that started it.
+    /// Starts a row. Call it from the main thread only: the parent-death signal of a child
+    /// is bound to the thread that started it.
     ///
     /// # Errors
     /// When the log or the binary cannot be opened.
@@ -92,7 +92,7 @@ impl Launch {
             })
             .stdout(output)
             .stderr(errors)
-            // Its own group: Ctrl-C in the terminal reaches the supervisor only.
+            // Its own process group: Ctrl-C in the terminal reaches the supervisor only.
             .process_group(0);
         let child = command.spawn()?;
         Ok(Running { child, mark })
@@ -103,9 +103,9 @@ impl Launch {
             "--config".into(),
             self.config.display().to_string(),
             "--priority".into(),
-            self.rights.priority(row).to_string(),
+            self.privileges.priority(row).to_string(),
         ];
-        if let Some(core) = self.rights.core(row) {
+        if let Some(core) = self.privileges.core(row) {
             arguments.extend(["--core".into(), core.to_string()]);
         }
         if row.restart == crate::set::table::Restart::AtEpisode {
@@ -134,24 +134,24 @@ impl Running {
         self.child.id()
     }
 
-    /// What it and the processes that it starts carry.
+    /// The mark that it and its descendants carry.
     pub fn mark(&self) -> &Mark {
         &self.mark
     }
 
-    /// How it ended; `None` while it has not. Never waits.
+    /// How it ended; `None` while it runs. Never blocks.
     pub fn reap(&mut self) -> Option<Exit> {
         match self.child.try_wait() {
             Ok(status) => status.map(Exit::from),
-            // Only when it is not our child any more: then it is gone.
+            // Only when it is no child of this process any more: then it is gone.
             Err(error) => Some(Exit::Crashed(error.to_string())),
         }
     }
 
-    /// Sends a signal. It cannot hit another process: the id stays taken until
-    /// the child is reaped.
+    /// Sends a signal. It cannot reach another process: the kernel does not reuse the id
+    /// until the child is reaped.
     pub fn signal(&self, signal: Signal) {
-        // Fails only when it has ended already, which the next look shows.
+        // Fails only when it has ended already, which the next reap shows.
         let _ = rustix::process::kill_process(Pid::from_child(&self.child), signal);
     }
 }

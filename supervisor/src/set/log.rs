@@ -1,15 +1,14 @@
 //! A process's log file.
 //!
-//! The child writes its lines straight into the file, opened for appending. A
-//! pipe through the supervisor would block the child when the supervisor is
-//! stopped, and kill it when the supervisor dies. So a full file is rotated by
-//! copying it aside and cutting it to nothing: appending goes on at its new end.
-//! Lines written between copy and cut are lost, a few milliseconds of one
-//! process every `supervisor.log_mb`.
+//! The child appends its lines directly to the file. A pipe through the supervisor would
+//! block the child while the supervisor is stopped, and kill it when the supervisor dies.
+//! A full file is rotated by copying it and truncating it to zero length; the child then
+//! appends at the new end. Lines written between the copy and the truncation are lost: a
+//! few milliseconds of one process every `supervisor.log_mb`.
 //!
-//! The file is opened once. Everything is done by that descriptor, and the copy is
-//! a new file that is renamed to its place: whatever other names the folder holds,
-//! no other file is read, written or cut.
+//! The file is opened once, all operations use that descriptor, and the copy is a new
+//! file that is renamed to its final name: no other file is read, written or truncated,
+//! whatever other names the folder holds.
 
 use std::fs::File;
 use std::io::{self, Write};
@@ -18,12 +17,12 @@ use std::path::{Path, PathBuf};
 
 use shm_config::file::{Access, Entry, Folder};
 
-/// Bytes of a log's end in which its last line is looked for.
+/// Bytes at the end of a log that are searched for its last line.
 const TAIL_BYTES: u64 = 4096;
-/// Bytes that are copied at a time.
+/// Bytes copied at a time.
 const COPY_BYTES: usize = 1 << 16;
 
-/// One process's log file, and one older one beside it.
+/// The log file of one process, with one older file beside it.
 #[derive(Debug)]
 pub struct LogFile {
     folder: Folder,
@@ -35,10 +34,10 @@ pub struct LogFile {
 }
 
 impl LogFile {
-    /// The log of `name` in `dir`; an earlier run's is set aside.
+    /// Creates the log of `name` in `dir`; the log of an earlier run is renamed.
     ///
     /// # Errors
-    /// When the folder is not ours alone, or the file cannot be moved or made.
+    /// When another user may write to the folder, or the file cannot be renamed or created.
     pub fn create(dir: &Path, name: &str, limit_bytes: u64) -> io::Result<Self> {
         let folder = Folder::open(dir, Entry::Readable)?;
         let name = format!("{name}.log");
@@ -66,7 +65,7 @@ impl LogFile {
         self.path.with_file_name(older(&self.name))
     }
 
-    /// A handle for a new process; [`LogFile::last_line`] looks at its lines only.
+    /// A handle for a new process; from now on [`LogFile::last_line`] reads its lines only.
     ///
     /// # Errors
     /// When the system has no descriptor left.
@@ -74,7 +73,7 @@ impl LogFile {
         if self.is_removed()
             && let Ok(file) = self.folder.open_file(&self.name, Access::New)
         {
-            // A user deleted it to make room, and expects the next lines there.
+            // A user deleted it to free space, and expects the next lines there.
             self.file = file;
         }
         self.mark = self.file.metadata()?.len();
@@ -87,16 +86,16 @@ impl LogFile {
             .is_ok_and(|metadata| metadata.nlink() == 0)
     }
 
-    /// Sets the file's content aside when there is too much of it.
+    /// Moves the file's content to the older file when it exceeds its limit.
     ///
     /// # Errors
-    /// When it cannot be copied or cut; nothing is lost then.
+    /// When it cannot be copied or truncated; no line is lost then.
     pub fn rotate(&mut self) -> io::Result<()> {
         if self.file.metadata()?.len() <= self.limit_bytes {
             return Ok(());
         }
         let aside = format!("{}.new", older(&self.name));
-        // What a killed supervisor left.
+        // A killed supervisor may have left it.
         let _ = self.folder.remove(&aside);
         let copied = self.folder.open_file(&aside, Access::New);
         copied
@@ -110,7 +109,7 @@ impl LogFile {
         Ok(())
     }
 
-    /// The last line that the newest process wrote; `None` when it wrote none.
+    /// The last line written by the newest process; `None` when it wrote none.
     pub fn last_line(&self) -> Option<String> {
         let end = self.file.metadata().ok()?.len();
         let start = end.saturating_sub(TAIL_BYTES).max(self.mark.min(end));
@@ -118,7 +117,7 @@ impl LogFile {
         let read = self.file.read_at(&mut tail, start).ok()?;
         let tail = String::from_utf8_lossy(tail.get(..read)?);
         let line = tail.lines().map(str::trim).rfind(|line| !line.is_empty())?;
-        // A log line is foreign text: control codes stay off the terminal.
+        // A log line is untrusted text: its control characters must not reach the terminal.
         Some(line.chars().filter(|c| !c.is_control()).collect())
     }
 }
@@ -127,7 +126,7 @@ fn older(name: &str) -> String {
     format!("{name}.1")
 }
 
-/// By position: the descriptor's own place is where its children write.
+/// Reads by position: the children write at the descriptor's own offset.
 fn copy(from: &File, mut to: File) -> io::Result<()> {
     let mut bytes = vec![0; COPY_BYTES];
     let mut at = 0;

@@ -1,4 +1,4 @@
-//! One process of the set, and what is decided about it.
+//! One process of the set as a state machine.
 
 use rustix::process::Signal;
 use shm_config::Instant;
@@ -14,18 +14,18 @@ use crate::set::log::LogFile;
 use crate::set::mark::Mark;
 use crate::set::table::{ProcessSpec, Restart};
 
-/// How long a process may take from its start to being ready, ns. Opening the
-/// ports takes milliseconds; twenty seconds is a cold disk under full load.
+/// How long a process may take from its start to being ready, ns. Opening the ports takes
+/// milliseconds; twenty seconds allow for a cold disk under full load.
 pub const READY_LIMIT_NS: u64 = 20_000_000_000;
 
 /// The same for a process that an interpreter runs, ns: MetaDrive alone loads a
 /// thousand Python modules, 3 s on an idle machine and 20 s under full load.
 pub const SCRIPT_READY_LIMIT_NS: u64 = 60_000_000_000;
 
-/// How far a process is, seen from outside.
+/// The phase of a process as the supervisor sees it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Phase {
-    /// Its turn in the start order has not come.
+    /// It is not due in the start order yet.
     Waiting,
     /// Started, not ready yet.
     Starting {
@@ -37,16 +37,16 @@ pub enum Phase {
         /// When it was started.
         since: Instant,
     },
-    /// Reaped, not decided about yet.
+    /// Reaped; the supervisor has not decided yet.
     Dead {
         /// How it ended.
         exit: Exit,
         /// How long it ran, ns.
         ran_ns: u64,
     },
-    /// Waiting out the pause before its restart.
+    /// Waiting for the end of the pause before its restart.
     Resting {
-        /// When it ends.
+        /// When the pause ends.
         until: Instant,
     },
     /// Ended for good.
@@ -66,14 +66,14 @@ pub struct Member {
     ready_limit_ns: u64,
 }
 
-/// How the run goes on.
+/// What follows for the run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decision {
     /// The run goes on.
     Continue,
-    /// The configured run is driven to its end.
+    /// The configured run is finished.
     Finished,
-    /// It cannot go on, for this reason.
+    /// The run cannot continue, for this reason.
     GiveUp(String),
 }
 
@@ -92,12 +92,12 @@ impl Member {
         }
     }
 
-    /// Its row of the table.
+    /// Its row of the process table.
     pub fn row(&self) -> &'static ProcessSpec {
         self.row
     }
 
-    /// How far it is.
+    /// Its phase.
     pub fn phase(&self) -> &Phase {
         &self.phase
     }
@@ -107,7 +107,7 @@ impl Member {
         self.child.as_ref().map(Running::pid)
     }
 
-    /// What it and its children carry; `None` when it does not live.
+    /// The mark that it and its descendants carry; `None` when it does not live.
     pub(crate) fn mark(&self) -> Option<&Mark> {
         self.child.as_ref().map(Running::mark)
     }
@@ -117,12 +117,12 @@ impl Member {
         self.backoff.restarts()
     }
 
-    /// It was ready at least once.
+    /// Whether it was ready at least once.
     pub fn was_ready(&self) -> bool {
         self.ever_ready
     }
 
-    /// It has a child that has not been reaped.
+    /// Whether it runs or is not reaped yet.
     pub fn lives(&self) -> bool {
         self.child.is_some()
     }
@@ -134,7 +134,7 @@ impl Member {
         }
     }
 
-    /// Rotates its log when it has grown over its limit.
+    /// Rotates its log when it exceeds its limit.
     pub(crate) fn rotate_log(&mut self, events: &mut Vec<Event>) {
         if let Err(error) = self.log.rotate() {
             events.push(Event::LogFull {
@@ -144,8 +144,8 @@ impl Member {
         }
     }
 
-    /// It said how it does. What a dead predecessor left on the wire carries
-    /// another process id and does not count.
+    /// Takes in its health. A message that a dead predecessor left in a queue carries
+    /// another process id and is ignored.
     pub(crate) fn hear(&mut self, pid: u32, state: HealthState, events: &mut Vec<Event>) {
         if self.pid() != Some(pid) {
             return;
@@ -162,7 +162,7 @@ impl Member {
         }
     }
 
-    /// Collects its child if it has ended; never waits.
+    /// Reaps its child if it has ended; never blocks.
     pub(crate) fn reap(&mut self, now: Instant) -> bool {
         let Some(exit) = self.child.as_mut().and_then(Running::reap) else {
             return false;
@@ -204,7 +204,7 @@ impl Member {
         }
     }
 
-    /// Decides what follows from how it is.
+    /// Decides what follows from its phase.
     pub(crate) fn decide(
         &mut self,
         now: Instant,
@@ -238,21 +238,21 @@ impl Member {
                 "{}: not ready {} s after its start{}",
                 self.row.process,
                 self.ready_limit_ns / 1_000_000_000,
-                self.last_words()
+                self.last_line_and_log()
             ));
         }
         self.kill_silent(took_ns, events);
         Decision::Continue
     }
 
-    /// Kills; the next look reaps. SIGKILL ends a stopped process too.
+    /// Kills it; the next reap collects it. SIGKILL also ends a stopped process.
     fn kill_silent(&mut self, silent_ns: u64, events: &mut Vec<Event>) {
         let process = self.row.process;
         if let Some(child) = &self.child {
             child.signal(Signal::KILL);
         }
-        // Once is enough: should the kernel be slow to end it, the next kill
-        // comes after another whole silence.
+        // If the kernel is slow to end it, the next SIGKILL follows after another whole
+        // silence.
         self.silent_ns = 0;
         if let Phase::Starting { since } = &mut self.phase {
             *since = since.after_ns(self.ready_limit_ns);
@@ -272,18 +272,18 @@ impl Member {
         self.phase = Phase::Gone;
         match (&exit, self.row.restart) {
             (Exit::Done, Restart::AtEpisode) => return Decision::Finished,
-            // A set-up that was good before fails for want of room on a disk or in
-            // shared memory, which passes; a new one would fail again.
+            // A set-up that worked before fails when a disk or shared memory is full, which
+            // may pass; one that never worked would fail again.
             (Exit::Refused, _) if !self.ever_ready => {
                 return Decision::GiveUp(match self.log.last_line() {
-                    // A child begins its line with its own name.
+                    // A child prefixes its line with its own name.
                     Some(line) => {
                         let own = format!("{}: ", self.row.binary);
                         let line = line.strip_prefix(&own).unwrap_or(&line);
                         format!("{process}: {}", printable(line))
                     }
                     None => format!(
-                        "{process}: refused its set-up without a word; see {}",
+                        "{process}: refused its set-up without a message; see {}",
                         self.log.path().display()
                     ),
                 });
@@ -308,12 +308,12 @@ impl Member {
                 "{process}: died ({exit}) and was restarted {} times already, which is \
                  supervisor.restarts_max{}",
                 limits.restarts_max,
-                self.last_words()
+                self.last_line_and_log()
             )),
         }
     }
 
-    fn last_words(&self) -> String {
+    fn last_line_and_log(&self) -> String {
         let path = self.log.path().display();
         match self.log.last_line() {
             Some(line) => format!("; its last line: {}; its log: {path}", printable(&line)),

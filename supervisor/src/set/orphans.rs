@@ -1,11 +1,9 @@
-//! What a dead process leaves behind: its children. They would hold its sockets,
-//! cores and the run's locks, and go on unseen.
+//! The children of dead processes. They would keep the sockets, the cores and the run's
+//! locks of their parent.
 //!
-//! The supervisor is their subreaper: whoever loses its parent becomes its child,
-//! whatever session or process group it has moved to. Each process of the set
-//! carries a mark in its environment, which its children inherit; so those of the
-//! dead are told from those of the living, and from processes that are nothing of
-//! the run, such as what a shell started before it became the supervisor.
+//! The supervisor is a child subreaper: a process that loses its parent becomes its child,
+//! in whatever session or process group it is. The mark in its environment
+//! ([`crate::set::mark`]) tells from which process of the set it descends.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -19,30 +17,30 @@ use shm_config::Instant;
 use crate::set::mark::{Mark, Origin, origin};
 use crate::set::process_set::ProcessSet;
 
-/// How long left-over processes are looked for after a death, ns. SIGKILL ends a
-/// process within milliseconds unless it waits for a broken disk.
+/// How long orphans are searched for after a death, ns. SIGKILL ends a process within
+/// milliseconds unless it waits for a broken disk.
 const LOOK_NS: u64 = 2_000_000_000;
 
-/// The left-over children of the set's processes.
+/// The orphaned descendants of the set's processes.
 #[derive(Debug, Default)]
 pub struct Orphans {
-    /// When a look began that has not found all gone yet.
+    /// When the search began that has not found all of them ended yet.
     since: Option<Instant>,
     killed: BTreeMap<u32, Mark>,
     ended: BTreeMap<String, u64>,
 }
 
 impl Orphans {
-    /// Makes this process the parent of all processes of the run that lose theirs.
+    /// Makes this process the parent of all processes of the run that lose their parent.
     pub fn adopt() -> Self {
-        // Refused only by kernels older than 3.4: then nothing is left over to us.
+        // Refused only by kernels older than 3.4: then no orphan becomes our child.
         let _ = set_child_subreaper(Some(getpid()));
         Self::default()
     }
 
-    /// Kills and collects the children of dead processes; what there is to tell, once
-    /// they are gone. Never waits. While nothing ends it costs one system call.
-    /// The set has been reaped, and `died` says whether one of it was found dead.
+    /// Kills and reaps the descendants of dead processes; returns lines for the journal once
+    /// they have ended. Never blocks, and costs one system call while no process ends.
+    /// Call it after the set was reaped; `died` tells whether a process of it was dead.
     pub fn collect_ended(&mut self, set: &ProcessSet, died: bool, now: Instant) -> Vec<String> {
         if died {
             self.since = Some(now);
@@ -58,17 +56,17 @@ impl Orphans {
         self.report()
     }
 
-    /// A dead process's children are still being ended.
+    /// Whether descendants of a dead process are still being ended.
     pub fn remain(&self) -> bool {
         self.since.is_some()
     }
 
-    /// One look at all children; whether there may be more to end.
+    /// Examines all children once; whether more of them may have to be ended.
     fn look(&mut self, set: &ProcessSet) -> bool {
         let members: Vec<u32> = set.members().iter().filter_map(|m| m.pid()).collect();
         let mut is_left = false;
         for (pid, is_dead) in children() {
-            // A member that has ended meanwhile is the set's to collect.
+            // The set reaps its own members.
             if members.contains(&pid) {
                 continue;
             }
@@ -89,7 +87,7 @@ impl Orphans {
     }
 
     fn kill(&mut self, pid: u32, mark: Mark) {
-        // The number stays taken until we collect it, so it is still who it was.
+        // The id is not reused until this process reaps it, so it is the same process.
         let handle = process(pid).and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok());
         let sent = handle.is_some_and(|handle| pidfd_send_signal(handle, Signal::KILL).is_ok());
         if sent {
@@ -132,7 +130,7 @@ fn process(pid: u32) -> Option<Pid> {
     Pid::from_raw(i32::try_from(pid).ok()?)
 }
 
-/// Some child has ended and is not collected; it is left as it is.
+/// Whether a child has ended and is not reaped yet; leaves it as it is.
 fn has_dead_child() -> bool {
     let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
     matches!(waitid(WaitId::All, options), Ok(Some(_)))
@@ -153,7 +151,7 @@ fn children() -> Vec<(u32, bool)> {
         .collect()
 }
 
-/// From `/proc/PID/stat`, proc(5). A name may hold anything, parentheses too.
+/// Parses `/proc/PID/stat`, proc(5). A name may hold any character, also parentheses.
 fn state_and_parent(stat: &[u8]) -> Option<(&str, u32)> {
     let name_end = stat.iter().rposition(|byte| *byte == b')')?;
     let rest = str::from_utf8(&stat[name_end + 1..]).ok()?;

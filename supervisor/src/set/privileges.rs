@@ -1,26 +1,26 @@
-//! Privileges
+//! Real-time privileges: the priority and the core that each process asks for.
 
 use crate::set::table::{Core, ProcessSpec};
 
-/// Cores the supervisor may use before world, planner and controller get one each.
+/// From this number of usable cores on, world, planner and controller get one each.
 pub const CORES_MIN: usize = 4;
-/// Cores it may use before those three share one. They work one after the other, so
-/// they lose little by it, and win twice: who is woken on another core waits until that
-/// one has noticed, and with two cores either of them can stand still while a chain
-/// that runs over both waits for it (results/latency.md).
+/// From this number of usable cores on, those three share one. They work one after the
+/// other, so sharing costs little and helps twice: a wake-up on another core waits for an
+/// inter-processor interrupt, and on a virtual machine either of two cores may be
+/// descheduled while a chain that runs over both waits for it (results/latency.md).
 pub const CORES_SHARED: usize = 2;
 
-/// What a run asks for on one machine.
+/// The privileges that a run asks for on one machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Privileges {
-    /// Neither priority nor cores: switched off, or lockstep.
+    /// Neither priority nor cores: real time is switched off, or the run is in lockstep.
     Ordinary,
-    /// Priorities, and cores out of these.
+    /// Priorities, and cores out of this list.
     RealTime(Vec<usize>),
 }
 
 impl Privileges {
-    /// The priority asked for; 0 for none.
+    /// The priority that a process asks for; 0 for none.
     pub fn priority(&self, row: &ProcessSpec) -> u8 {
         match self {
             Self::Ordinary => 0,
@@ -28,7 +28,7 @@ impl Privileges {
         }
     }
 
-    /// The core asked for; `None` for none.
+    /// The core that a process asks for; `None` for none.
     pub fn core(&self, row: &ProcessSpec) -> Option<usize> {
         match (self, row.core) {
             (Self::RealTime(cores), Core::FromLast(back)) => match cores.len() {

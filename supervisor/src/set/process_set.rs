@@ -1,5 +1,5 @@
-//! The process set as a state machine over its children. It looks and acts;
-//! it never waits, reads no clock and opens no port.
+//! The process set as a state machine over its children. It never blocks, reads no clock
+//! and opens no port.
 
 use std::path::Path;
 
@@ -17,12 +17,12 @@ use crate::set::mark::Mark;
 use crate::set::member::{Decision, Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS};
 use crate::set::table::rows;
 
-/// The most that one look adds to a silence, ns: four periods of the loop. A
-/// supervisor that was itself stopped for a while must not read its own absence
-/// as the silence of everybody else.
+/// The most that one call of [`ProcessSet::decide`] adds to a silence, ns: four periods of
+/// the loop. A supervisor that was itself stopped must not count its own absence as the
+/// silence of its processes.
 const LOOK_MAX_NS: u64 = 200_000_000;
 
-/// All processes of a run but the supervisor.
+/// All processes of a run except the supervisor.
 #[derive(Debug)]
 pub struct ProcessSet {
     members: Vec<Member>,
@@ -33,7 +33,7 @@ pub struct ProcessSet {
 }
 
 impl ProcessSet {
-    /// The set of a configuration, nothing started yet; logs go to `log_dir`.
+    /// The set of a configuration, with no process started; logs go to `log_dir`.
     ///
     /// # Errors
     /// When a binary is missing or a log cannot be made.
@@ -79,13 +79,13 @@ impl ProcessSet {
             .find(|member| member.row().process == process)
     }
 
-    /// What happened since the last call.
+    /// The events since the last call.
     pub fn take_events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.events)
     }
 
-    /// A process said how it does. What a dead predecessor left on the wire
-    /// carries another process id and does not count.
+    /// Takes in the health of a process. A message that a dead predecessor left in a queue
+    /// carries another process id and is ignored.
     pub fn hear(&mut self, process: Process, pid: u32, state: HealthState) {
         let Some(member) = self
             .members
@@ -97,7 +97,7 @@ impl ProcessSet {
         member.hear(pid, state, &mut self.events);
     }
 
-    /// Collects children that ended; returns whether there were any. Never waits.
+    /// Reaps children that have ended; returns whether there were any. Never blocks.
     pub fn reap(&mut self, now: Instant) -> bool {
         let mut died = false;
         for member in &mut self.members {
@@ -106,7 +106,7 @@ impl ProcessSet {
         died
     }
 
-    /// Decides about the dead, the silent and the slow.
+    /// Decides what follows for dead processes, silent ones and slow starts.
     pub fn decide(&mut self, now: Instant) -> Decision {
         let passed_ns = self
             .looked
@@ -121,8 +121,8 @@ impl ProcessSet {
         Decision::Continue
     }
 
-    /// Starts whoever's turn has come: first starts in the table's order, each
-    /// when the one before is ready; restarts when their pause is over.
+    /// Starts the processes that are due: first starts in the table's order, each when the
+    /// one before is ready; restarts when their pause is over.
     pub fn start_due(&mut self, now: Instant, resume: Resume) -> Decision {
         for index in 0..self.members.len() {
             let due = match self.members[index].phase() {
@@ -172,19 +172,19 @@ impl ProcessSet {
         }
     }
 
-    /// A process has a child that has not been reaped.
+    /// Whether a process runs or is not reaped yet.
     pub fn lives(&self, process: Process) -> bool {
         self.member(process).is_some_and(Member::lives)
     }
 
-    /// A living process carries this mark.
+    /// Whether a living process carries this mark.
     pub(crate) fn carries(&self, mark: &Mark) -> bool {
         self.members
             .iter()
             .any(|member| member.mark() == Some(mark))
     }
 
-    /// Nobody lives.
+    /// Whether no process lives.
     pub fn is_empty(&self) -> bool {
         !self.members.iter().any(Member::lives)
     }

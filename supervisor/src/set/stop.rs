@@ -1,4 +1,4 @@
-//! The end of a run: the car is brought to rest first.
+//! The stop of a process set: the car is braked to a stand first.
 
 use rustix::process::Signal;
 use shm_config::Instant;
@@ -8,19 +8,19 @@ use shm_config::services::Process;
 use crate::set::process_set::ProcessSet;
 
 /// How long processes may take to end when there is no car left to brake, ns.
-/// They only write their last numbers; a second is a hundred times that.
+/// They only publish their last telemetry, which takes about 10 ms.
 const NO_CAR_NS: u64 = 1_000_000_000;
 
-/// How long a learner may take that nobody waits for any more, ns: it ends the
-/// block it is at, seconds on a busy machine, and writes down what it knows.
+/// How long a learner may take when only it still lives, ns: it finishes its block of
+/// updates, which takes seconds on a busy machine, and saves its state.
 const LEARNER_NS: u64 = 60_000_000_000;
 
-/// Who is asked to end first.
+/// The order in which the processes are asked to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// The controller, which brakes the car to a stand; then the others.
+    /// The controller first, which brakes the car to a stand; then the others.
     CarFirst,
-    /// All at once: the world is gone, nothing is left to brake.
+    /// All at once: without a world there is no car to brake.
     NoCar,
 }
 
@@ -43,7 +43,7 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Begins to stop the set.
+    /// Starts to stop the set.
     pub fn begin(set: &ProcessSet, limits: &Supervisor, now: Instant) -> Self {
         let order = Order::of(set);
         let stop_ns = (limits.stop_s * 1e9) as u64;
@@ -63,7 +63,7 @@ impl Stop {
         }
     }
 
-    /// Takes the next step when its time has come. The set has been reaped.
+    /// Takes the next step when it is due. Call it after the set was reaped.
     pub fn advance(&mut self, set: &ProcessSet, now: Instant) {
         let passed_ns = now.since_ns(self.since);
         let car_rests = !set.lives(Process::Controller) || passed_ns >= self.half_ns;
@@ -87,7 +87,7 @@ impl Stop {
         }
     }
 
-    /// Ends everybody now.
+    /// Kills all living processes, once.
     pub fn kill(&mut self, set: &ProcessSet) {
         if !self.killed && !set.is_empty() {
             self.killed = true;
@@ -95,7 +95,7 @@ impl Stop {
         }
     }
 
-    /// Somebody had to be killed.
+    /// Whether a process had to be killed.
     pub fn was_forced(&self) -> bool {
         self.killed
     }

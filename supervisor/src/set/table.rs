@@ -1,14 +1,14 @@
-//! The process table: one row for every process of a run.
+//! The process table: one row for each process of a run.
 
 use shm_config::config::Config;
 use shm_config::services::Process;
 
-/// What follows a death.
+/// What follows the death of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Restart {
-    /// Started again as before.
+    /// It is started again as before.
     Again,
-    /// Started again where it was: `--first-episode K --driven-ns T`; exit 0
+    /// It is started again at its episode: `--first-episode K --driven-ns T`; exit 0
     /// ends the run.
     AtEpisode,
 }
@@ -18,14 +18,14 @@ pub enum Restart {
 pub enum Core {
     /// None.
     Any,
-    /// The n-th from the last of those the supervisor may use, in the order of
+    /// The n-th from the last of the cores that the supervisor may use, in the order of
     /// [`own_cores`](crate::machine::cores::own_cores): the first ones get most of the
-    /// machine's interrupts. The last, where there are few.
+    /// machine's interrupts. The last core, on a machine with few.
     FromLast(usize),
 }
 
 /// One row of the table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy)]
 pub struct ProcessSpec {
     /// The process.
     pub process: Process,
@@ -40,6 +40,12 @@ pub struct ProcessSpec {
     /// It starts when this one, or the nearest before it that is part of the
     /// run, is ready.
     pub after: Option<Process>,
+    /// Whether it is part of a run with this configuration.
+    pub is_part_of: fn(&Config) -> bool,
+}
+
+fn always(_: &Config) -> bool {
+    true
 }
 
 /// The process table, in the order of start.
@@ -48,20 +54,22 @@ pub const TABLE: &[ProcessSpec] = &[
         process: Process::Planner,
         binary: "vlaps-planner",
         core: Core::FromLast(1),
-        // Below both who wait for it: a late plan costs one tick's plan, a
-        // late command or tick costs the tick.
+        // Below controller and world, which wait for it: a late plan costs one tick's
+        // plan, a late command or tick costs the tick.
         priority: 45,
         restart: Restart::Again,
         after: None,
+        is_part_of: always,
     },
     ProcessSpec {
         process: Process::Controller,
         binary: "vlaps-controller",
         core: Core::FromLast(0),
-        // It answers whatever the planner does.
+        // It must answer even while the planner runs.
         priority: 48,
         restart: Restart::Again,
         after: Some(Process::Planner),
+        is_part_of: always,
     },
     ProcessSpec {
         process: Process::Gate,
@@ -71,35 +79,32 @@ pub const TABLE: &[ProcessSpec] = &[
         priority: 0,
         restart: Restart::Again,
         after: Some(Process::Controller),
+        is_part_of: |config| config.gate.has_process(),
     },
     ProcessSpec {
         process: Process::Learner,
         binary: "vlaps-learner",
         core: Core::Any,
-        // It takes what the others leave.
+        // It uses only the time that the others leave.
         priority: 0,
         restart: Restart::Again,
         after: Some(Process::Gate),
+        is_part_of: |config| config.learner.enabled,
     },
     ProcessSpec {
         process: Process::World,
         binary: "vlaps-world",
         core: Core::FromLast(2),
-        // Highest: it brakes when commands are too old, so that a controller which
-        // spins must not keep it from a core they share. 50 is where the kernel puts
-        // its own interrupt threads.
+        // Highest: it brakes when commands are too old, so a controller that spins must
+        // not keep it from a core they share. The kernel's own interrupt threads have 50.
         priority: 50,
         restart: Restart::AtEpisode,
         after: Some(Process::Learner),
+        is_part_of: always,
     },
 ];
 
-/// The rows that are part of a run.
+/// The rows that are part of a run with this configuration, in the order of start.
 pub fn rows(config: &Config) -> impl Iterator<Item = &'static ProcessSpec> {
-    let (gate, learner) = (config.gate.has_process(), config.learner.enabled);
-    TABLE.iter().filter(move |row| match row.process {
-        Process::Gate => gate,
-        Process::Learner => learner,
-        Process::Supervisor | Process::World | Process::Planner | Process::Controller => true,
-    })
+    TABLE.iter().filter(|row| (row.is_part_of)(config))
 }

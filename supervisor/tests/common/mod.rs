@@ -57,7 +57,7 @@ impl Rig {
         let launch = Launch {
             binaries: dir.path().into(),
             config: dir.path().join("config.toml"),
-            rights: Privileges::Ordinary,
+            privileges: Privileges::Ordinary,
             world: None,
         };
         let set = ProcessSet::new(&config, launch, dir.path()).expect("a set");

@@ -52,7 +52,7 @@ pub(super) fn drive(
         binaries,
         // Not the copy in the folder: anybody may edit that one meanwhile.
         config: place.paths().config_file(),
-        rights: rights(config),
+        privileges: privileges(config),
         world: match config.world.simulator {
             Simulator::BuiltIn => None,
             Simulator::MetaDrive => Some(metadrive::world()?),
@@ -109,7 +109,7 @@ pub(super) fn drive(
 
 /// What the processes ask for: nothing in lockstep, which has no deadline and
 /// would only keep the cores from everybody else.
-fn rights(config: &Config) -> Privileges {
+fn privileges(config: &Config) -> Privileges {
     if !config.supervisor.realtime || config.run.is_lockstep() {
         return Privileges::Ordinary;
     }

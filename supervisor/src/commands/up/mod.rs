@@ -18,7 +18,7 @@ use crate::cli::print::say;
 use crate::machine::parent;
 use crate::machine::signals::Signals;
 use crate::run::folder::{cannot_write, keep, prepare_folder};
-use crate::run::leftovers::tell_strangers;
+use crate::run::leftovers::print_strangers;
 use crate::run::place::Place;
 use crate::run::shared_memory::{Need, check_shared_memory, shared_memory};
 use crate::show::layout::say_fitted;
@@ -67,7 +67,7 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
             leftovers.bytes >> 10
         ));
     }
-    tell_strangers(place.paths())?;
+    print_strangers(place.paths())?;
     check_shared_memory(shared_memory()?.0, &Need::of(&config))?;
     let folder = prepare_folder(&config, &place, arguments.parent)?;
     let late = signals.late();
