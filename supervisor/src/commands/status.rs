@@ -22,7 +22,7 @@ use crate::run::selection::alive;
 use crate::show::view::View;
 use crate::telemetry::judge;
 use crate::telemetry::late::{self, LateRow};
-use crate::telemetry::observe::look;
+use crate::telemetry::observe::observe;
 
 /// Show who is alive, on time and in charge.
 #[derive(Debug, Args)]
@@ -126,7 +126,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
 }
 
 fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<RunStatus, Failure> {
-    let (config, tally) = look(paths, supervisor, clock)?;
+    let (config, tally) = observe(paths, supervisor, clock)?;
     let judge = judge::read(&config, supervisor);
     Ok(RunStatus {
         supervisor,

@@ -2,7 +2,7 @@
 
 use shm_config::config::Config;
 
-/// The word of a run's clock that nothing can be late on.
+/// The word of the lockstep clock, on which no tick can be late.
 pub const LOCKSTEP: &str = "lockstep";
 
 /// The word of a run's clock.

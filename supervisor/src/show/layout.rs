@@ -10,7 +10,7 @@ const AROUND_COLUMNS: usize = "  [] ".len();
 /// A narrower terminal is written to as if it had these.
 const COLUMNS_MIN: usize = 20;
 
-/// The same; on a terminal, lines that are too long for it are continued on the next.
+/// Prints text; on a terminal, lines that are too long are wrapped.
 pub fn say_fitted(text: &str) {
     match io::stdout().is_terminal() {
         true => say(wrapped(text, columns())),
@@ -18,7 +18,7 @@ pub fn say_fitted(text: &str) {
     }
 }
 
-/// Columns of the terminal; 80 when nobody knows.
+/// Columns of the terminal; 80 when unknown.
 pub(crate) fn columns() -> usize {
     match rustix::termios::tcgetwinsize(io::stdout()) {
         Ok(size) if size.ws_col > 0 => usize::from(size.ws_col).max(COLUMNS_MIN),
@@ -26,13 +26,13 @@ pub(crate) fn columns() -> usize {
     }
 }
 
-/// Columns of the bar, and of the words behind it, on a terminal of so many.
+/// Columns of the bar, and of the text behind it, on a terminal with `columns`.
 pub(crate) fn split(columns: usize) -> (usize, usize) {
     let bar = (columns / 3).min(BAR_COLUMNS);
     (bar, columns.saturating_sub(bar + AROUND_COLUMNS))
 }
 
-/// Every line cut to the terminal: a wrapped line would not be redrawn in place.
+/// Each line cut to the terminal: a wrapped line would not be redrawn in place.
 pub(crate) fn cut(text: &str, columns: usize) -> String {
     let lines = text
         .lines()
@@ -47,8 +47,8 @@ pub(crate) fn cut(text: &str, columns: usize) -> String {
     lines.collect::<Vec<String>>().join("\n")
 }
 
-/// Every line broken between words where it is too long; what follows stands four
-/// columns further in than its begin.
+/// Each line wrapped between words where it is too long; continuation lines are indented
+/// by four more columns.
 pub(crate) fn wrapped(text: &str, columns: usize) -> String {
     let mut lines = Vec::new();
     for line in text.lines() {

@@ -6,20 +6,20 @@ use shm_config::message::PolicyStatus;
 /// The policy's weights.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PolicyView {
-    /// Version in charge; 0 for none.
+    /// Version in use; 0 for none.
     pub version: u64,
     /// First 8 bytes of its SHA-256, hex.
     pub hash: String,
     /// Version last offered.
     pub offered_version: u64,
-    /// What became of it.
+    /// Its state.
     pub state: &'static str,
-    /// Why it was refused or rolled back; empty else.
+    /// Why it was refused or rolled back; else empty.
     pub reason: String,
 }
 
 impl PolicyView {
-    /// What the controller says; `None` when it was never offered anything.
+    /// From the controller's status; `None` before the first offer.
     pub fn of(status: &PolicyStatus) -> Option<Self> {
         (status.offered_version > 0).then(|| Self {
             version: status.version,
@@ -34,7 +34,7 @@ impl PolicyView {
 impl std::fmt::Display for PolicyView {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self.version {
-            0 => write!(f, "no weights in charge")?,
+            0 => write!(f, "no weights in use")?,
             version => write!(f, "weights {version} ({})", &self.hash[..8])?,
         }
         match (self.offered_version == self.version, self.reason.as_str()) {

@@ -1,4 +1,4 @@
-//! What a run amounts to for one process.
+//! The summary of a run for one process.
 
 use std::collections::BTreeMap;
 
@@ -13,19 +13,19 @@ use crate::telemetry::process_tally::Totals;
 use crate::telemetry::quantiles::Quantiles;
 use crate::telemetry::tally::Tally;
 
-/// One process over all its restarts. A measure that it does not have is left out.
+/// One process over all its restarts. A measure without values is left out.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ProcessRow {
     /// How often it was restarted.
     pub restarts: u32,
-    /// Its own rate: of the world's instants, of plans, of commands. `None` of a
-    /// process at a pace of its own.
+    /// Its rate: of the world's ticks, of plans, of commands. `None` for a process without a
+    /// rate.
     pub rate_hz: Option<f64>,
     /// Ticks done; of the planner, plans made; of the world, those of the run.
     pub ticks: u64,
     /// Ticks of the grid skipped.
     pub skipped: u64,
-    /// Ticks of the grid on which it was dead, or not back yet: between its lives.
+    /// Ticks of the grid between the end of one of its lives and the start of the next.
     pub absent: u64,
     /// Time from tick to tick, s; `None` of a process without a grid.
     pub period_s: Option<f64>,
@@ -67,15 +67,15 @@ pub struct ProcessRow {
     pub minor_faults: u64,
     /// Page faults of the tick's thread that waited for the disk.
     pub major_faults: u64,
-    /// Times that the kernel took the processor away from the tick's thread.
+    /// Involuntary context switches of the tick's thread.
     pub involuntary_switches: u64,
     /// Resident memory at its peak, MB of 10^6 bytes.
     pub resident_mb: f64,
-    /// What it was made of.
+    /// Its memory by kind.
     pub memory_mb: MemoryRow,
-    /// Its threads as they were last seen: what each asked for and got.
+    /// Its threads at the last reading, with the privileges that each asked for and got.
     pub threads: Vec<Thread>,
-    /// What it asked for and was granted.
+    /// The real-time privileges that it asked for and was granted.
     pub realtime: RealTime,
 }
 
@@ -104,7 +104,7 @@ fn megabytes(bytes: u64) -> f64 {
     bytes as f64 / 1e6
 }
 
-/// Real-time rights of one process.
+/// Real-time privileges of one process.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RealTime {
     /// Real-time scheduling: not asked, granted or refused.
@@ -124,7 +124,7 @@ pub struct RealTime {
 }
 
 impl ProcessRow {
-    /// Adds up what was counted of one process.
+    /// The row of one process from the tally.
     pub fn of(process: Process, restarts: u32, config: &Config, tally: &Tally) -> Self {
         let counted = tally.process(process);
         let totals = counted.map_or_else(Totals::default, |counted| counted.totals());

@@ -1,6 +1,6 @@
-//! Output of a running set, from a thread of its own: a terminal that takes no
-//! more text (Ctrl-S, a full pipe) must not hold the loop that restarts
-//! processes. What does not fit into the queue meanwhile is dropped.
+//! Output of a running set from a thread of its own: a terminal that accepts no more text
+//! (Ctrl-S, a full pipe) must not block the supervision loop. Output that does not fit into
+//! the queue meanwhile is dropped.
 
 use std::io::{self, IsTerminal};
 use std::sync::Arc;
@@ -24,22 +24,21 @@ const QUEUE: usize = 64;
 const PLAIN_EVERY: u32 = 5;
 /// The bar's length; one part is 0.1 % of the route.
 const BAR_PARTS: u64 = 1000;
-/// Why a run ends whose output nothing reads any more.
+/// The reason that ends a run whose output has lost its reader.
 ///
-/// A program that writes on into a broken pipe dies of SIGPIPE; a user who types
-/// `./vlaps up | head` expects that the car does not drive on unseen. To die at once
-/// would leave it to the world's brake and lose the summary, so it is an orderly stop,
-/// with the exit code of a run that was given up. Without any reader from the begin on
-/// (`> /dev/null`) it drives.
-pub const UNREAD: &str = "its output is a pipe that nothing reads any more; the car is braked to a \
-                          stand; for a run that nothing reads, `./vlaps up > up.log`";
+/// A program that writes into a broken pipe dies of SIGPIPE, and a user of
+/// `./vlaps up | head` expects that the run ends. Dying immediately would leave the car to
+/// the world's brake and lose the summary, so the run stops in order, with the exit code of
+/// a run that was given up. Output to `/dev/null` does not end a run.
+pub const UNREAD: &str = "its output is a pipe without a reader; the car is braked to a \
+                          stand; for a run without a reader, `./vlaps up > up.log`";
 
 enum Note {
     Line(String),
     View(Box<View>),
 }
 
-/// Where a running set shows how it does.
+/// The output of a running set.
 #[derive(Debug)]
 pub struct Screen {
     notes: SyncSender<Note>,
@@ -64,25 +63,25 @@ impl Screen {
         }
     }
 
-    /// The reader of what is printed has gone away.
+    /// Whether the reader of the output has ended.
     pub fn is_unread(&self) -> bool {
         self.unread.load(Ordering::Relaxed)
     }
 
-    /// Shows a line that stays.
+    /// Prints a line.
     pub fn line(&self, text: impl Into<String>) {
         let _ = self.notes.try_send(Note::Line(text.into()));
     }
 
-    /// Shows how the run does now.
+    /// Shows a view of the run.
     pub fn show(&self, view: View) {
         let _ = self.notes.try_send(Note::View(Box::new(view)));
     }
 
-    /// Takes the live block away and waits until all is written.
+    /// Removes the live block and waits until all output is written.
     pub fn close(self) {
         drop(self.notes);
-        // A panic of the drawing thread has been printed by itself.
+        // A panic of the drawing thread has already been printed.
         let _ = self.thread.join();
     }
 }
@@ -121,7 +120,7 @@ fn draw(inbox: &Receiver<Note>) {
     bar.finish_and_clear();
 }
 
-/// Standard output is a pipe whose reader has gone.
+/// Whether standard output is a pipe whose reader has ended.
 fn reader_has_gone() -> bool {
     let stdout = io::stdout();
     let mut look = [PollFd::new(&stdout, PollFlags::empty())];

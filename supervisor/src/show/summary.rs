@@ -1,4 +1,4 @@
-//! What a run amounts to: as JSON and as a table.
+//! The summary of a run.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -27,14 +27,14 @@ use crate::telemetry::tally::Tally;
 pub struct Summary {
     /// Finished episodes in order, the newest where there are very many.
     pub episodes: Vec<EpisodeRow>,
-    /// What all of them add up to.
+    /// The sums over all of them.
     pub episode_totals: EpisodeTotals,
     /// The run's ticks that the world published: those of the controller's rate,
     /// however often the world moves in between.
     pub ticks: u64,
     /// Ticks of the grid that the world skipped.
     pub skipped: u64,
-    /// From the run's first tick due to the next one due, s on the run's clock.
+    /// From the run's first scheduled tick to the next scheduled one, s on the run's clock.
     pub elapsed_s: f64,
     /// Time from tick to tick of the run, s.
     pub period_s: f64,
@@ -62,23 +62,22 @@ pub struct Summary {
     pub steps: u64,
     /// Steps lost before they were read.
     pub lost_steps: u64,
-    /// Share of the steps that a person at the keys drove; they are among the expert's.
+    /// Share of the steps that a human driver drove; they are also counted as the expert's.
     pub person_share: f64,
     /// Steps by driver and reason, such as `expert: {unloaded: 120}`.
     pub reasons: BTreeMap<&'static str, BTreeMap<&'static str, u64>>,
-    /// Ticks on which the world braked for want of a young command, in finished
-    /// episodes.
+    /// Ticks on which the world braked without a recent command, in finished episodes.
     pub braked: u64,
-    /// Greatest age of a command that the car obeyed, ms.
+    /// Maximum age of an applied command, ms.
     pub oldest_obeyed_ms: f64,
     /// The policy's weights at the end; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
-    /// What each version of the weights did, the oldest first; of a run with many,
-    /// the last 1,000.
+    /// The steps of each version of the weights, the oldest first; of a run with many, the
+    /// last 1,000.
     pub weights: Vec<WeightsRow>,
-    /// What the judge was asked and said; `None` where nobody judges.
+    /// The judge's record; `None` without a judge.
     pub judge: Option<shm_config::judged::Judged>,
-    /// Why a judge was never asked, though the run has one; left out where it was.
+    /// Why the judge was never asked; left out where it was asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub judge_unasked: Option<&'static str>,
     /// Whether the processors were kept from sleeping: granted, refused or not asked.
@@ -109,7 +108,7 @@ pub struct EpisodeRow {
     pub seed: u64,
     /// How it ended.
     pub outcome: &'static str,
-    /// Arrived without touching anything.
+    /// Arrived without contact.
     pub strict: bool,
     /// Share of the route driven.
     pub completion: f64,
@@ -141,7 +140,7 @@ impl EpisodeRow {
 }
 
 impl Summary {
-    /// Adds everything up; `ended` says how the run ended.
+    /// Adds the run up; `ended` is how it ended.
     pub fn of(config: &Config, tally: &Tally, set: &ProcessSet, ended: String) -> Self {
         let processes: BTreeMap<_, _> = set
             .members()
@@ -212,7 +211,7 @@ impl Summary {
         }
     }
 
-    /// With what became of the bound on sleeping processors.
+    /// Adds whether the bound on sleeping processors was granted.
     pub fn with_idle(self, bound: &IdleBound) -> Self {
         Self {
             cpu_latency: bound.grant().word(),
@@ -220,13 +219,13 @@ impl Summary {
         }
     }
 
-    /// The object as it is written to a file.
+    /// The object as JSON.
     ///
     /// # Errors
     /// When a number in it has no form in JSON.
     pub fn text(&self) -> io::Result<String> {
         let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
-        // It may hold what a server said, or the last line of a log.
+        // It may hold untrusted text of a server or of a log.
         Ok(shm_config::text::printable_json(&text).into_owned() + "\n")
     }
 
@@ -239,7 +238,7 @@ impl Summary {
     }
 }
 
-/// Share of the steps that a person at the keys drove, [0, 1].
+/// Share of the steps that a human driver drove, [0, 1].
 fn person_share(tally: &Tally) -> f64 {
     let takeovers = tally.steps.reasons();
     let takeovers = takeovers.filter(|(_, reason, _)| *reason == Reason::Takeover.word());

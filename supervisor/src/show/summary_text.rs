@@ -1,4 +1,4 @@
-//! What a run amounts to, as text for people.
+//! The summary of a run as text.
 
 use std::fmt;
 
@@ -70,18 +70,18 @@ impl Summary {
         )?;
         match with(Outcome::Stopped) {
             0 => Ok(()),
-            _ => writeln!(f, "stopped: the run ended first"),
+            _ => writeln!(f, "stopped: the run ended before the episode"),
         }
     }
 
     fn fmt_drivers(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let person = match self.person_share > 0.0 {
-            true => format!("person {:.1} %, ", self.person_share * 100.0),
+        let human = match self.person_share > 0.0 {
+            true => format!("human driver {:.1} %, ", self.person_share * 100.0),
             false => String::new(),
         };
         writeln!(
             f,
-            "\ndrove: {person}expert {:.1} %, policy {:.1} %, brake {:.1} % of {} ({} lost before they were read)",
+            "\ndrove: {human}expert {:.1} %, policy {:.1} %, brake {:.1} % of {} ({} lost before they were read)",
             (self.share.expert - self.person_share) * 100.0,
             self.share.policy * 100.0,
             self.share.brake * 100.0,
@@ -121,7 +121,7 @@ impl Summary {
 
     fn fmt_ticks(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f)?;
-        // The order in which a tick goes round.
+        // In the order of the data flow of a tick.
         for process in [Process::World, Process::Planner, Process::Controller] {
             if let Some(row) = self.processes.get(process.word()) {
                 fmt_account(f, process, row)?;
@@ -129,7 +129,7 @@ impl Summary {
         }
         writeln!(
             f,
-            "the car braked for want of a command on {} of traffic; oldest command obeyed: {:.1} ms",
+            "the car braked without a recent command on {} of traffic; maximum age of an applied command: {:.1} ms",
             counted(self.braked, "tick"),
             self.oldest_obeyed_ms
         )?;
@@ -140,27 +140,27 @@ impl Summary {
     }
 
     fn fmt_processes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // In lockstep nobody asks for any, and nothing can be late.
+        // In lockstep no process asks for privileges, and no tick can be late.
         if self.clock == LOCKSTEP {
             return self.fmt_restarts(f);
         }
         writeln!(
             f,
-            "\nreal-time rights (processors kept from sleeping: {})",
+            "\nreal-time privileges (processors kept from sleeping: {})",
             self.cpu_latency
         )?;
         for (process, row) in &self.processes {
-            let rights = &row.realtime;
+            let granted = &row.realtime;
             writeln!(
                 f,
                 "  {process:<10}  priority {} (asked {} {}, got {} {}), own core {}, locked memory {}",
-                rights.priority,
-                rights.scheduling_asked,
-                rights.priority_asked,
-                rights.scheduling_got,
-                rights.priority_got,
-                rights.core,
-                rights.memory
+                granted.priority,
+                granted.scheduling_asked,
+                granted.priority_asked,
+                granted.scheduling_got,
+                granted.priority_got,
+                granted.core,
+                granted.memory
             )?;
         }
         writeln!(
@@ -203,7 +203,7 @@ impl Summary {
         Ok(())
     }
 
-    /// Which parts of whose ticks took longer than their budget.
+    /// The parts of ticks that exceeded their budget, by process.
     fn fmt_overruns(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (process, row) in &self.processes {
             let parts: Vec<_> = row
@@ -232,7 +232,7 @@ impl Summary {
     }
 }
 
-/// That every tick of a process's grid is accounted for; nothing of one without a grid.
+/// The account of all ticks of a process's grid; empty for a process without a grid.
 fn fmt_account(f: &mut fmt::Formatter<'_>, process: Process, row: &ProcessRow) -> fmt::Result {
     let (Some(elapsed_s), Some(period_s)) = (row.elapsed_s, row.period_s) else {
         return Ok(());

@@ -1,5 +1,5 @@
-//! How a run does right now, as text. One view serves the live block, the plain
-//! lines and `./vlaps status`.
+//! The state of a run now. One view serves the live block, the plain lines and
+//! `./vlaps status`.
 
 use std::collections::BTreeMap;
 
@@ -16,20 +16,20 @@ use crate::show::policy_view::PolicyView;
 use crate::telemetry::process_tally::ProcessTally;
 use crate::telemetry::tally::Tally;
 
-/// How a run does right now.
+/// The state of a run now.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct View {
     /// The run's name.
     pub run: String,
     /// The run's clock: real time or lockstep.
     pub clock: &'static str,
-    /// Ticks of the run per second asked for: the controller's.
+    /// Configured ticks of the run per second: the rate of the controller.
     pub rate_hz: f64,
     /// The current episode; `None` before the first tick.
     pub episode: Option<EpisodeView>,
-    /// Who drives, and why; `None` before the first step.
+    /// Driver and reason; `None` before the first step.
     pub driver: Option<(&'static str, &'static str)>,
-    /// The world has no command to obey, and brakes.
+    /// The world has no recent command and brakes.
     pub is_unled: bool,
     /// The policy's weights; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
@@ -37,7 +37,7 @@ pub struct View {
     pub outcomes: Vec<(&'static str, usize)>,
     /// Each process.
     pub processes: Vec<ProcessView>,
-    /// What the keys do, for the person at them.
+    /// The effect of the keys, for a human driver.
     #[serde(skip)]
     pub help: Option<String>,
 }
@@ -45,9 +45,9 @@ pub struct View {
 /// The current episode.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EpisodeView {
-    /// Which one, from 1.
+    /// Its number, from 1.
     pub number: u32,
-    /// Of how many; 0 for no end.
+    /// The number of episodes; 0 for no end.
     pub of: u32,
     /// Its seed.
     pub seed: u64,
@@ -55,7 +55,7 @@ pub struct EpisodeView {
     pub completion: f64,
     /// Speed, m/s.
     pub speed_mps: f64,
-    /// Ticks of this run on which the world braked for want of a command.
+    /// Ticks of this run on which the world braked without a recent command.
     pub braked: u64,
 }
 
@@ -64,11 +64,11 @@ pub struct EpisodeView {
 pub struct ProcessView {
     /// Its name.
     pub process: &'static str,
-    /// What it does: its own word, or what the supervisor knows.
+    /// Its state: from its health, or as the supervisor knows it.
     pub state: &'static str,
     /// Its process id; `None` when it does not live.
     pub pid: Option<u32>,
-    /// Its own rate asked for; `None` of a process at a pace of its own.
+    /// Its configured rate; `None` for a process without a rate.
     pub rate_hz: Option<f64>,
     /// Ticks done, over all restarts.
     pub ticks: u64,
@@ -76,7 +76,7 @@ pub struct ProcessView {
     pub late: u64,
     /// Ticks of the grid skipped.
     pub skipped: u64,
-    /// How often it was restarted.
+    /// Its restarts.
     pub restarts: u32,
     /// The real-time priority in force; 0 for none.
     pub priority: u32,
@@ -87,7 +87,7 @@ pub struct ProcessView {
 }
 
 impl View {
-    /// What the supervisor sees.
+    /// The view of the supervisor.
     pub fn from_inside(config: &Config, tally: &Tally, set: &ProcessSet) -> Self {
         let processes = set.members().iter().map(|member| {
             let process = member.row().process;
@@ -109,9 +109,8 @@ impl View {
         Self::of(config, tally, processes.collect())
     }
 
-    /// What an onlooker sees who has listened for a while: a process that said
-    /// nothing meanwhile counts as silent. How often each was restarted its supervisor
-    /// has written down.
+    /// The view of a command that has listened for a while: a process without a message is
+    /// silent. The restarts are those that the supervisor has written down.
     pub fn from_outside(config: &Config, tally: &Tally, restarts: &BTreeMap<String, u32>) -> Self {
         let processes = rows(config).map(|row| {
             let said = tally.process(row.process).and_then(ProcessTally::newest);

@@ -8,7 +8,7 @@ use shm_config::services::Process;
 use crate::show::view::{ProcessView, View};
 
 impl View {
-    /// Which run, and which episode.
+    /// The run and its episode.
     pub fn headline(&self) -> String {
         let Self {
             run,
@@ -28,25 +28,27 @@ impl View {
         line
     }
 
-    /// Who drives, why, and how fast.
+    /// The driver, the reason and the speed.
     pub fn drive_line(&self) -> String {
         let speed_mps = self.episode.map_or(0.0, |episode| episode.speed_mps);
         match self.driver {
             _ if self.is_unled => {
-                format!("nobody drives: the car brakes for want of a command, {speed_mps:.1} m/s")
+                format!(
+                    "no driver: the car brakes because no recent command arrived, {speed_mps:.1} m/s"
+                )
             }
             Some((driver, reason)) => {
                 let policy = self.policy.as_ref();
                 let policy = policy.map_or(String::new(), |policy| format!("; {policy}"));
                 let takes_over = reason == Reason::Takeover.word();
-                let who = match (takes_over, &self.help) {
+                let driving = match (takes_over, &self.help) {
                     (true, Some(_)) => "you drive".into(),
-                    (true, None) => "a person drives".into(),
+                    (true, None) => "a human driver drives".into(),
                     (false, _) => format!("{driver} drives"),
                 };
-                format!("{who} ({reason}), {speed_mps:.1} m/s{policy}")
+                format!("{driving} ({reason}), {speed_mps:.1} m/s{policy}")
             }
-            None => "nobody drives".into(),
+            None => "no driver yet".into(),
         }
     }
 
@@ -98,7 +100,7 @@ impl View {
         }
     }
 
-    /// Everything in one line, for output that is not a terminal.
+    /// The whole view in one line, for output that is not a terminal.
     pub fn plain_line(&self) -> String {
         let completion = self
             .episode

@@ -1,27 +1,26 @@
-//! Axis
+//! Steering and pedal as keys move them.
 
 use shm_config::Instant;
 
-/// How long a key counts as held after it went down, ns: what most terminals
-/// wait before they repeat it. Were it less, the wheel would spring back once in
-/// the middle of each long press.
+/// How long a key counts as held after it went down, ns: the repeat delay of most
+/// terminals. With less, the wheel would spring back once during each long press.
 const PRESSED_NS: u64 = 500_000_000;
 /// How long a key counts as held after a repetition, ns: repetitions come every
 /// 30 to 40 ms, are read every 50, and one of them may be late.
 const REPEATED_NS: u64 = 150_000_000;
 const _: () = assert!(REPEATED_NS < PRESSED_NS);
 
-/// How fast an axis moves while a key is held, and springs back after, 1/s.
+/// The rate of an axis while a key is held, and of its return, 1/s.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rates {
     out: f64,
     back: f64,
 }
 
-// The rates are those of MetaDrive's own keyboard (manual_controller.py), whose
-// increments are of a step of 0.1 s: what people demonstrated there was driven so.
+// The rates are those of MetaDrive's keyboard (manual_controller.py), whose increments are
+// per step of 0.1 s: demonstrations there were driven with them.
 
-/// To the lock in 2.5 s: a short press turns the car by some degrees.
+/// Full lock after 2.5 s: a short press turns the car by some degrees.
 pub(super) const STEERING: Rates = Rates {
     out: 0.4,
     back: 2.5,
@@ -31,7 +30,7 @@ pub(super) const GAS: Rates = Rates {
     out: 1.0,
     back: 2.0,
 };
-/// Full brake after 0.2 s: who brakes means it.
+/// Full brake after 0.2 s.
 pub(super) const BRAKE: Rates = Rates {
     out: 5.0,
     back: 5.0,
@@ -86,7 +85,7 @@ impl Axis {
         self.value = towards(self.value, 0.0, back);
     }
 
-    /// Away from the other side at once, then outwards.
+    /// Moves back from the other side first, then outwards.
     fn pull(&mut self, side: Side, mut time_s: f64) {
         let end = match side {
             Side::Positive => 1.0,

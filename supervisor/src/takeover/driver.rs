@@ -1,6 +1,6 @@
-//! What a person at the keys wants of the car. Terminals tell when a key goes
-//! down, again and again while it is held, and never when it comes up: a key
-//! counts as held for a while after each time.
+//! The action of a human driver at the keys. A terminal reports a key when it goes down
+//! and repeatedly while it is held, but not when it is released: a key counts as held for
+//! a fixed time after each report.
 
 use shm_config::Instant;
 use shm_config::message::Takeover;
@@ -8,7 +8,7 @@ use shm_config::message::Takeover;
 use crate::takeover::axis::{Axis, BRAKE, GAS, STEERING, Side};
 use crate::takeover::key::Key;
 
-/// Keys in, what the car shall do out.
+/// Turns keys into a takeover action.
 #[derive(Debug, Clone)]
 pub struct HumanDriver {
     has_taken_over: bool,
@@ -29,7 +29,8 @@ impl Default for HumanDriver {
 }
 
 impl HumanDriver {
-    /// A key went down, or was repeated. Only who has taken over steers.
+    /// A key went down, or was repeated. Steering and pedal keys have no effect before a
+    /// takeover.
     pub fn press(&mut self, key: Key, now: Instant) {
         self.advance(now);
         match (key, self.has_taken_over) {
@@ -50,7 +51,7 @@ impl HumanDriver {
         }
     }
 
-    /// Time passes: what is held moves on, the rest springs back.
+    /// Advances the axes to `now`: held ones move on, the others return to zero.
     pub fn advance(&mut self, now: Instant) {
         if now <= self.advanced {
             return;
@@ -60,12 +61,12 @@ impl HumanDriver {
         self.advanced = now;
     }
 
-    /// The person drives.
+    /// Whether the human driver has taken over.
     pub fn has_taken_over(&self) -> bool {
         self.has_taken_over
     }
 
-    /// What the person wants now; its header is the publisher's to fill.
+    /// The takeover action now; the publisher fills its header.
     pub fn takeover(&self) -> Takeover {
         Takeover {
             steer: self.steer.value,

@@ -1,4 +1,4 @@
-//! The person's seat: keys become words to the controller.
+//! The input of a human driver: keys become takeover messages to the controller.
 
 use std::path::Path;
 
@@ -16,25 +16,25 @@ use crate::telemetry::tally::Tally;
 /// Where the keys come from.
 #[derive(Debug)]
 pub enum KeySource {
-    /// A person at this terminal.
+    /// This terminal.
     Terminal(Keyboard),
     /// A file.
     Script(KeyScript),
 }
 
 impl KeySource {
-    /// The keys of a run; `None` when nobody may take over.
+    /// The key source of a run; `None` when its gate allows no takeover.
     ///
     /// # Errors
-    /// When somebody may, and neither the terminal nor the file has keys; or there
-    /// is a file and nobody may.
+    /// When neither the terminal nor the file has keys, or a file is given although the gate
+    /// allows no takeover.
     pub fn of(config: &Config, file: Option<&Path>) -> Result<Option<Self>, Failure> {
         match (config.gate.mode, file) {
             (GateMode::Human, Some(path)) => Ok(Some(Self::Script(KeyScript::read(path)?))),
             (GateMode::Human, None) => Ok(Some(Self::Terminal(Keyboard::open()?))),
             (_, None) => Ok(None),
             (_, Some(path)) => Err(Failure::Usage(format!(
-                "--keys {}: nobody can take over with this gate; add --gate human",
+                "--keys {}: this gate allows no takeover; add --gate human",
                 path.display()
             ))),
         }
@@ -49,7 +49,7 @@ pub struct TakeoverInput {
 }
 
 impl TakeoverInput {
-    /// Nobody has taken over yet.
+    /// The input before any takeover.
     pub fn new(keys: KeySource, port: Publisher<Takeover>) -> Self {
         Self {
             keys,
@@ -58,8 +58,8 @@ impl TakeoverInput {
         }
     }
 
-    /// Reads the keys and says what they amount to, to be called at 20 Hz. Never
-    /// waits. Returns what has changed, for the journal.
+    /// Reads the keys and publishes the takeover message; call it at 20 Hz. Never blocks.
+    /// Returns a change for the journal.
     pub fn publish(&mut self, tally: &Tally, now: Instant) -> Option<&'static str> {
         let before = self.person.has_taken_over();
         match (&mut self.keys, tally.steps.begun) {
@@ -68,7 +68,7 @@ impl TakeoverInput {
                     self.person.press(key, now);
                 }
             }
-            // At its own time, not that of the look: the same file steers the same.
+            // At the time of the line, not of this call: the same file gives the same action.
             (KeySource::Script(script), Some(begun)) => {
                 while let Some((time_ns, key)) = script.due(now.since_ns(begun)) {
                     self.person.press(key, begun.after_ns(time_ns));
@@ -90,16 +90,16 @@ impl TakeoverInput {
             ..self.person.takeover()
         };
         self.port.tend();
-        // When shared memory has no room, the last word gets old: nobody took over.
+        // When shared memory is full, the last message expires and the takeover ends.
         self.port.send(&mut takeover);
         match (before, self.person.has_taken_over()) {
-            (false, true) => Some("the person took over"),
-            (true, false) => Some("the person gave back"),
+            (false, true) => Some("the human driver took over"),
+            (true, false) => Some("the human driver gave back"),
             (false, false) | (true, true) => None,
         }
     }
 
-    /// What the keys do now, for who sits there; `None` of a file's keys.
+    /// The effect of the keys now, for the screen; `None` for keys of a file.
     pub fn help(&self) -> Option<String> {
         match (&self.keys, self.person.has_taken_over()) {
             (KeySource::Script(_), _) => None,

@@ -1,6 +1,6 @@
 //! The keys of a human driver.
 
-/// A key that means something.
+/// A key with an effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Key {
     /// Takes over, or gives back.

@@ -1,4 +1,4 @@
-//! Keys from the terminal the supervisor runs in.
+//! Keys from the terminal of the supervisor.
 
 use std::io::{self, IsTerminal, Stdin};
 
@@ -12,12 +12,12 @@ use rustix::time::Timespec;
 use crate::cli::failure::Failure;
 use crate::takeover::key::Key;
 
-/// Bytes read in one look: far more than a held key sends between two; what is
-/// pasted beyond that comes in the next look.
+/// Bytes read at once: far more than a held key sends between two reads; pasted text beyond
+/// that comes with the next read.
 const READ_MAX: usize = 256;
 
-/// A terminal that hands over each key at once, without showing it. It is put
-/// back as it was when this is dropped: at the end, after an error, in a panic.
+/// A terminal that delivers each key immediately and without echo. Dropping it restores the
+/// terminal mode: at the end, after an error, in a panic.
 #[derive(Debug)]
 pub struct Keyboard {
     stdin: Stdin,
@@ -26,14 +26,14 @@ pub struct Keyboard {
 }
 
 impl Keyboard {
-    /// Takes the terminal over.
+    /// Changes the terminal mode.
     ///
     /// # Errors
-    /// When stdin is no terminal, or another program has it.
+    /// When stdin is no terminal, or another program is in its foreground.
     pub fn open() -> Result<Self, Failure> {
         let refused = |why: &str| {
             Failure::Usage(format!(
-                "--gate human: {why}, so nobody can take over; run it in the foreground of a \
+                "--gate human: {why}, so no takeover is possible; run it in the foreground of a \
                  terminal, or give the keys with --keys FILE"
             ))
         };
@@ -46,11 +46,11 @@ impl Keyboard {
         }
         let before = tcgetattr(&stdin).map_err(|error| refused(&error.to_string()))?;
         let mut keys = before.clone();
-        // Not ISIG and not OPOST: Ctrl-C still stops, lines still begin at the left.
+        // ISIG and OPOST stay: Ctrl-C still stops, lines still begin at the left.
         keys.local_modes
             .remove(LocalModes::ICANON | LocalModes::ECHO | LocalModes::IEXTEN);
-        // A read returns at once, with or without a key. O_NONBLOCK would do so, too,
-        // but stdout is the same open file as a rule.
+        // A read returns immediately, with or without a key. O_NONBLOCK would also affect
+        // stdout, which usually is the same open file.
         keys.special_codes[SpecialCodeIndex::VMIN] = 0;
         keys.special_codes[SpecialCodeIndex::VTIME] = 0;
         tcsetattr(&stdin, OptionalActions::Now, &keys)
@@ -62,8 +62,8 @@ impl Keyboard {
         })
     }
 
-    /// The keys since the last look. Never waits. Who puts the supervisor into the
-    /// background gives back.
+    /// The keys since the last read. Never blocks. Putting the supervisor into the background
+    /// ends a takeover.
     pub fn read(&mut self) -> Vec<Key> {
         // A read from the background would stop the supervisor.
         if !is_in_foreground(&self.stdin) {
@@ -81,9 +81,9 @@ impl Keyboard {
 
 impl Drop for Keyboard {
     fn drop(&mut self) {
-        // In the background the terminal is somebody else's, and as they want it.
+        // In the background the terminal belongs to another program.
         if is_in_foreground(&self.stdin) {
-            // Keys that nobody read are not for the shell.
+            // Unread keys must not reach the shell.
             let _ = tcsetattr(&self.stdin, OptionalActions::Flush, &self.before);
         }
     }
@@ -93,8 +93,8 @@ fn is_in_foreground(stdin: &Stdin) -> bool {
     tcgetpgrp(stdin).is_ok_and(|group| group == getpgrp())
 }
 
-/// Asked before each read: another program may have set the terminal so that
-/// reads wait for a line.
+/// Checked before each read: another program may have changed the terminal so that reads
+/// wait for a line.
 fn is_readable(stdin: &Stdin) -> bool {
     let mut stdin = [PollFd::new(stdin, PollFlags::IN)];
     let no_time = Timespec {
@@ -104,7 +104,7 @@ fn is_readable(stdin: &Stdin) -> bool {
     poll(&mut stdin, Some(&no_time)).is_ok_and(|ready| ready > 0)
 }
 
-/// Bytes of a terminal in, keys out.
+/// Decodes the bytes of a terminal into keys.
 #[derive(Debug, Default)]
 pub struct Decoder {
     within: Within,
@@ -115,15 +115,15 @@ pub struct Decoder {
 enum Within {
     #[default]
     Nothing,
-    /// After Esc: the key itself, or the begin of another's sequence.
+    /// After Esc: the key itself, or the start of another key's sequence.
     Escape,
     /// After `Esc [` or `Esc O`.
     Sequence,
 }
 
 impl Decoder {
-    /// The keys in what was read since the last look, which may be nothing: an Esc
-    /// that nothing follows until the next look is the key Esc.
+    /// The keys in the bytes since the last read, which may be empty: an Esc without a
+    /// following byte until the next read is the key Esc.
     pub fn decode(&mut self, bytes: &[u8]) -> Vec<Key> {
         if bytes.is_empty() && self.within == Within::Escape {
             self.within = Within::Nothing;
@@ -135,11 +135,11 @@ impl Decoder {
     fn take(&mut self, byte: u8) -> Option<Key> {
         let (within, key) = match (self.within, byte) {
             (Within::Escape, b'[' | b'O') => (Within::Sequence, None),
-            // Esc twice, or a key pressed with Alt: neither is meant to drive.
+            // Esc twice, or a key pressed with Alt: neither is a driving key.
             (Within::Escape, 0x1b) => (Within::Escape, Some(Key::GiveBack)),
             (Within::Escape, _) => (Within::Nothing, Some(Key::GiveBack)),
             (_, 0x1b) => (Within::Escape, None),
-            // Numbers before the last byte tell of Shift and the like.
+            // Parameter bytes before the last byte encode modifiers.
             (Within::Sequence, 0x20..=0x3f) => (Within::Sequence, None),
             (Within::Sequence, byte) => (Within::Nothing, arrow(byte)),
             (Within::Nothing, byte) => (Within::Nothing, plain(byte)),

@@ -1,4 +1,4 @@
-//! Keys from a file, for tests and for experiments that are repeated.
+//! Keys from a file, for tests and repeatable experiments.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -9,7 +9,7 @@ use shm_config::shortened;
 use crate::cli::failure::Failure;
 use crate::takeover::key::Key;
 
-/// Longest file, bytes: a key a second for a day and more.
+/// Longest file, bytes: a key each second for more than a day.
 const BYTES_MAX: u64 = 1 << 20;
 /// The latest time of a key, s: that of the longest run.
 const TIME_MAX_S: f64 = 1e7;
@@ -17,7 +17,7 @@ const TIME_MAX_S: f64 = 1e7;
 /// Keys with the time each goes down, in order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct KeyScript {
-    /// From the begin of the run, ns.
+    /// From the start of the run, ns.
     presses: VecDeque<(u64, Key)>,
 }
 
@@ -33,11 +33,11 @@ impl KeyScript {
             .map_err(|error| Failure::Usage(format!("--keys {}:{error}", path.display())))
     }
 
-    /// The same of a text. Lines may be empty, or a comment that begins with `#`;
-    /// capitals are as good as small letters.
+    /// Parses such lines. Empty lines and lines that begin with `#` are skipped; upper and
+    /// lower case are equal.
     ///
     /// # Errors
-    /// The number of the first line that is wrong, and why; or that there is none.
+    /// The number of the first wrong line, and why; or that there is no key.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut presses = VecDeque::new();
         let mut last_ns = 0;
@@ -53,7 +53,7 @@ impl KeyScript {
             };
             let time_s = match time.parse::<f64>() {
                 Ok(time_s) if (0.0..=TIME_MAX_S).contains(&time_s) => time_s,
-                _ => return wrong("the time must be seconds from the begin of the run"),
+                _ => return wrong("the time must be seconds from the start of the run"),
             };
             let Some(key) = key(word) else {
                 return wrong("the key must be space, left, right, up, down, w, a, s, d, esc or q");

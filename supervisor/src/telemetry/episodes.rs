@@ -5,20 +5,20 @@ use std::collections::BTreeMap;
 use sha2::{Digest, Sha256};
 use shm_config::message::{Episode, Outcome};
 
-/// Episodes that are kept whole, the newest: 1.4 MB. Of those before them the counts and
-/// the digest stay, so that a run may drive for ever.
+/// The number of newest episodes that are kept whole: 1.4 MB. Of the older ones the counts and the
+/// digest stay, so that a run may drive without end.
 pub const EPISODES_KEPT: usize = 10_000;
 
-/// What all finished episodes add up to.
+/// The sums over all finished episodes.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct EpisodeTotals {
     /// Finished episodes.
     pub count: usize,
-    /// Those that arrived and touched nothing.
+    /// Episodes that arrived without contact.
     pub strict: usize,
-    /// Ticks on which the world braked for want of a young command.
+    /// Ticks on which the world braked because no recent command existed.
     pub braked: u64,
-    /// How many ended how, by [`Outcome`].
+    /// Episodes by [`Outcome`].
     pub outcomes: BTreeMap<&'static str, usize>,
 }
 
@@ -30,7 +30,7 @@ impl EpisodeTotals {
         *self.outcomes.entry(episode.outcome().word()).or_default() += 1;
     }
 
-    /// How many ended so.
+    /// Episodes with this outcome.
     pub fn with(&self, outcome: Outcome) -> usize {
         self.outcomes.get(outcome.word()).copied().unwrap_or(0)
     }
@@ -40,13 +40,13 @@ impl EpisodeTotals {
 #[derive(Debug, Default)]
 pub struct Episodes {
     kept: BTreeMap<u32, Episode>,
-    /// What is not kept any more.
+    /// The sums over episodes that are not kept any more.
     past: EpisodeTotals,
     past_digest: Sha256,
 }
 
 impl Episodes {
-    /// Takes one in, in the place of an earlier one of the same number.
+    /// Adds one; it replaces an earlier one of the same number.
     pub fn insert(&mut self, episode: Episode) {
         self.kept.insert(episode.header.episode, episode);
         if self.kept.len() > EPISODES_KEPT
@@ -62,19 +62,19 @@ impl Episodes {
         self.kept.values()
     }
 
-    /// None has been finished.
+    /// Whether none is finished.
     pub fn is_empty(&self) -> bool {
         self.kept.is_empty()
     }
 
-    /// The number of the one that comes next.
+    /// The number of the next episode.
     pub fn next(&self) -> u32 {
         self.kept
             .last_key_value()
             .map_or(0, |(number, _)| number.saturating_add(1))
     }
 
-    /// All of them, added up.
+    /// The sums over all of them.
     pub fn totals(&self) -> EpisodeTotals {
         let mut totals = self.past.clone();
         for episode in self.kept() {

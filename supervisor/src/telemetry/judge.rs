@@ -1,4 +1,4 @@
-//! What a run's judge was asked and said, as the gate process has written it down.
+//! The judge's record of a run, as the gate process has written it.
 
 use std::path::Path;
 
@@ -12,8 +12,8 @@ use crate::telemetry::tally::Tally;
 /// Longest file that is read, bytes.
 const BYTES_MAX: u64 = 1 << 16;
 
-/// Of a run whose supervisor has this process id; `None` where nobody judges, or
-/// nothing is written down.
+/// The record of the run whose supervisor has this process id; `None` without a gate
+/// process or a record.
 pub fn read(config: &Config, supervisor: u32) -> Option<Judged> {
     if !config.gate.has_process() {
         return None;
@@ -23,8 +23,8 @@ pub fn read(config: &Config, supervisor: u32) -> Option<Judged> {
     (judged.supervisor == supervisor).then_some(judged)
 }
 
-/// Why a model that is to judge was not asked one question yet; `None` where it was,
-/// where none judges, and before the first step.
+/// Why the model was not asked any question yet; `None` where it was asked, where the gate
+/// asks no model, and before the first step.
 pub fn unasked(config: &Config, tally: &Tally, judged: Option<&Judged>) -> Option<&'static str> {
     let was_asked = judged.is_some_and(|judged| judged.questions > 0);
     if was_asked || !config.gate.asks_model() {
@@ -37,8 +37,8 @@ pub fn unasked(config: &Config, tally: &Tally, judged: Option<&Judged>) -> Optio
     })
 }
 
-/// What a person should know of the judge while the set drives; empty for nothing. A
-/// learner brings its policy itself.
+/// The trouble with the judge that the user should know of; empty for none. With a learner
+/// a missing policy is none: the learner will publish one.
 pub fn trouble(config: &Config, tally: &Tally) -> String {
     let judged = read(config, std::process::id());
     let is_unloaded = matches!(tally.steps.newest, Some((_, Reason::Unloaded)));

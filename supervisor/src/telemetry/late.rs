@@ -1,4 +1,4 @@
-//! The ticks of a run that were latest, and what took longest in each.
+//! The latest ticks of a run, with the part that took longest in each.
 
 use std::fmt::Write as _;
 
@@ -11,22 +11,22 @@ use crate::telemetry::tally::Tally;
 /// A late tick.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LateRow {
-    /// Whose.
+    /// The process.
     pub process: &'static str,
-    /// Which tick of the run.
+    /// The tick of the run.
     pub tick: u64,
     /// The part of it that took longest.
     pub part: &'static str,
-    /// How long that part took, us.
+    /// The duration of that part, us.
     pub part_us: f64,
-    /// From its deadline to its completion, us; of a tick that ends skipped ones, from
-    /// the deadline of the first of them.
+    /// From its deadline to its completion, us; for a tick after skipped ones, from the
+    /// deadline of the first skipped one.
     pub late_us: f64,
-    /// Ticks that were skipped just before it.
+    /// Ticks skipped immediately before it.
     pub skipped: u64,
 }
 
-/// The latest ticks of all processes over all their lives, the latest first; at most
+/// The latest ticks of all processes over all restarts, the latest first; at most
 /// [`LATE_TICKS`].
 pub fn latest(tally: &Tally) -> Vec<LateRow> {
     let mut rows = Vec::new();
@@ -48,7 +48,7 @@ pub fn latest(tally: &Tally) -> Vec<LateRow> {
     rows
 }
 
-/// As a table, or the line that says that there are none.
+/// The ticks as a table, or a line that says that there are none.
 pub fn table(rows: &[LateRow]) -> String {
     if rows.is_empty() {
         return "no tick was late".into();

@@ -1,4 +1,4 @@
-//! Observe
+//! The observation of a living run from outside.
 
 use std::time::Duration;
 
@@ -17,17 +17,21 @@ use crate::telemetry::ports::{Depth, Ports};
 use crate::telemetry::process_tally::ProcessTally;
 use crate::telemetry::tally::Tally;
 
-/// How long everybody has to say something, ns. A process speaks at least every
-/// 100 ms; ten of those.
+/// How long the processes are listened to, ns: ten heartbeat intervals of 100 ms.
 const LISTEN_NS: u64 = 1_000_000_000;
-/// From look to look.
+/// Time between two reads.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Listens to a living run for a while, and asks the kernel about its processes.
+/// Listens to a living run for at most [`LISTEN_NS`], and reads memory and threads of its
+/// processes from the kernel.
 ///
 /// # Errors
-/// When it is just starting or ending, or shared memory refuses.
-pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, Tally), Failure> {
+/// When the run is starting or ending, or shared memory refuses.
+pub fn observe(
+    paths: &RunPaths,
+    supervisor: u32,
+    clock: Clock,
+) -> Result<(Config, Tally), Failure> {
     let config = config::load(&paths.config_file()).map_err(|_| {
         Failure::GivenUp(format!(
             "run '{}' is just starting or ending; try again",
@@ -35,12 +39,12 @@ pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, 
         ))
     })?;
     let mut tally = Tally::default();
-    let heard = hear((paths, supervisor), &config, &mut tally, clock);
-    // The run may have ended meanwhile; then this process kept its place.
+    let listened = listen((paths, supervisor), &config, &mut tally, clock);
+    // If the run has ended meanwhile, this process has kept its files from removal.
     if paths.supervisor_pid().is_none() {
         clean_run(paths)?;
     }
-    heard?;
+    listened?;
     for process in rows(&config).map(|row| row.process) {
         let said = tally.process(process).and_then(ProcessTally::newest);
         let Some(pid) = said.map(|health| health.header.producer) else {
@@ -54,7 +58,7 @@ pub fn look(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<(Config, 
     Ok((config, tally))
 }
 
-fn hear(
+fn listen(
     (paths, supervisor): (&RunPaths, u32),
     config: &Config,
     tally: &mut Tally,
@@ -67,7 +71,7 @@ fn hear(
     let begun = clock();
     while clock().since_ns(begun) < LISTEN_NS {
         ports.drain(tally);
-        // A timing alone says nothing of how it is.
+        // Only a health message tells the state of a process.
         let said = |process| tally.process(process).and_then(ProcessTally::newest);
         let all = rows(config).all(|row| said(row.process).is_some());
         if all && tally.steps.newest.is_some() && tally.progress.is_some() {

@@ -1,4 +1,4 @@
-//! The reading ends of everything a supervisor looks at.
+//! The subscribers of all services that the supervisor reads.
 
 use shm_config::Message;
 use shm_config::config::Config;
@@ -9,8 +9,8 @@ use shm_config::wire::{Subscriber, Wire, WireError};
 use crate::set::table::rows;
 use crate::telemetry::tally::Tally;
 
-/// Messages of a latest-value service that can be pending: one of each
-/// publisher, the living one and dead ones.
+/// The most pending messages of a latest-value service: one of each publisher, the living
+/// one and dead ones.
 const PENDING_MAX: usize = 8;
 
 /// Ports of one process.
@@ -20,7 +20,7 @@ struct Watch {
     timing: Subscriber<Timing>,
 }
 
-/// The reading ends of a run.
+/// The subscribers of a run.
 pub struct Ports {
     watches: Vec<Watch>,
     progress: Subscriber<Progress>,
@@ -29,14 +29,14 @@ pub struct Ports {
     steps: Subscriber<Step>,
 }
 
-/// A sign of life.
+/// The health of one process.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sign {
-    /// Whose.
+    /// The process.
     pub process: Process,
     /// Its process id.
     pub pid: u32,
-    /// How far it is.
+    /// Its state.
     pub state: HealthState,
 }
 
@@ -45,13 +45,13 @@ pub struct Sign {
 pub enum Depth {
     /// All steps, to count them.
     All,
-    /// The newest, to see who drives.
+    /// Only the newest, to see which driver drives.
     Newest,
 }
 
 impl Ports {
-    /// Opens everything; services that nobody has opened yet are made, so that
-    /// not one message of a child is missed.
+    /// Opens all subscribers. Services that do not exist yet are created, so that no message
+    /// of a child is missed.
     ///
     /// # Errors
     /// When the layout differs from the running side's, or shared memory refuses.
@@ -77,8 +77,7 @@ impl Ports {
         })
     }
 
-    /// Reads all that is new into the tally; returns the signs of life in it.
-    /// Never waits.
+    /// Reads all new messages into the tally; returns the healths among them. Never blocks.
     pub fn drain(&mut self, tally: &mut Tally) -> Vec<Sign> {
         let mut signs = Vec::new();
         for watch in &mut self.watches {
@@ -96,8 +95,8 @@ impl Ports {
                 tally.count_timing(watch.process, timing);
             }
         }
-        // Read before the progress, which is then of no earlier episode than they are:
-        // only an episode that the world has begun can have ended.
+        // Episodes are read before the progress, so the progress is of the same or a later
+        // episode: only an episode that the world has started can have ended.
         let episodes: Vec<_> = pending(&mut self.episodes, services::EPISODE_QUEUE).collect();
         for progress in pending(&mut self.progress, PENDING_MAX) {
             tally.count_progress(progress);
@@ -112,8 +111,8 @@ impl Ports {
         for status in pending(&mut self.policies, PENDING_MAX) {
             tally.count_policy(status);
         }
-        // Bounded by the queue: a producer that is faster than this loop cannot
-        // hold it.
+        // Bounded by the queue: a producer that is faster than this loop cannot keep it
+        // here.
         for step in pending(&mut self.steps, STEP_QUEUE) {
             tally.count_step(&step);
         }

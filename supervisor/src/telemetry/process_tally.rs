@@ -1,24 +1,24 @@
-//! One process
+//! The sums over the messages of one process, over all its restarts.
 
 use shm_config::message::{Health, PARTS, Part, Refusals, Timing};
 
 use crate::machine::memory::Memory;
 use crate::machine::threads::{Thread, threads};
 
-/// Timings kept apart, by producer; older ones are merged. A dead process's last
-/// timing may come after its successor's first, never after four successors'.
+/// Timings kept apart, by producer; older ones are merged. The last timing of a
+/// dead process may arrive after the first of its successor, but not after four successors.
 const TIMINGS_APART: usize = 4;
 
-/// Lives of a process that are kept apart; older ones are added up, so that a process
-/// may be restarted for ever.
+/// Lives of a process, from a start to its end, that are kept apart; older ones are added
+/// up, so that a process may be restarted without limit.
 pub(crate) const LIVES_APART: usize = 16;
 
 /// One process over all its restarts.
 #[derive(Debug, Default)]
 pub struct ProcessTally {
-    /// The last word of each life, the newest lives apart.
+    /// The last health of each of the newest lives.
     lives: Vec<Health>,
-    /// What the lives before them add up to, and when the last of them was to tick next.
+    /// The sums over older lives, and the next scheduled instant of the last of them.
     past: Totals,
     past_next_ns: u64,
     newest: Option<Health>,
@@ -36,7 +36,7 @@ pub struct Totals {
     /// Ticks of the grid skipped.
     pub skipped: u64,
     /// Time from one life's next tick due to the first one due of the life after
-    /// it: nobody was there, ns on the run's clock.
+    /// it, ns on the run's clock.
     pub absent_ns: u64,
     /// Ticks completed after their deadline.
     pub late: u64,
@@ -62,7 +62,7 @@ impl ProcessTally {
         self.newest.as_ref()
     }
 
-    /// Takes in the last word of a life. Of those long past only the sums are kept.
+    /// Adds the newest health of a life; of older lives only the sums are kept.
     pub(super) fn count_life(&mut self, health: &Health) {
         self.newest = Some(*health);
         let pid = health.header.producer;
@@ -131,19 +131,19 @@ impl ProcessTally {
         all
     }
 
-    /// Its threads as they were last seen.
+    /// Its threads at the last reading.
     pub fn threads(&self) -> &[Thread] {
         &self.threads
     }
 
-    /// The most memory it had.
+    /// Its maximum memory.
     pub fn memory(&self) -> Memory {
         self.memory
     }
 }
 
-/// Time from when the life before was to tick next, which then becomes that of this
-/// one, to this one's first tick; 0 where either had none.
+/// The time from the next scheduled instant of the previous life to the first tick of this
+/// one; 0 where either had no tick. `next_ns` becomes that of this life.
 fn absence_ns(next_ns: &mut u64, life: &Health) -> u64 {
     if life.first_scheduled_ns == 0 {
         return 0;

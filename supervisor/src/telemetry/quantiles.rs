@@ -1,22 +1,22 @@
-//! Quantiles
+//! Quantiles of a histogram.
 
 use shm_config::message::Histogram;
 
-/// A histogram in the four numbers that tables print, microseconds.
+/// The four figures that tables print of a histogram, microseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Quantiles {
     /// Median, us.
     pub p50: f64,
-    /// 99 in 100 lie below, us.
+    /// 99th percentile, us.
     pub p99: f64,
-    /// 999 in 1000 lie below, us.
+    /// 99.9th percentile, us.
     pub p999: f64,
-    /// The largest, us; exact, nothing is filtered out.
+    /// Maximum, us; exact and unfiltered.
     pub max: f64,
 }
 
 impl Quantiles {
-    /// Of a histogram; `None` when nothing was counted.
+    /// The quantiles of a histogram; `None` when it is empty.
     pub fn of(histogram: &Histogram) -> Option<Self> {
         let us = |ns: u64| ns as f64 / 1e3;
         (histogram.count > 0).then(|| Self {

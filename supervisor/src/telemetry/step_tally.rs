@@ -1,4 +1,4 @@
-//! Steps
+//! The sums over the steps of a run.
 
 use std::collections::BTreeMap;
 
@@ -7,10 +7,10 @@ use shm_config::message::{Driver, Reason, Step};
 
 use crate::telemetry::process_tally::LIVES_APART;
 
-/// Versions of the weights that are kept apart: a run may swap for ever.
+/// Versions of the weights that are kept apart: a run may swap without limit.
 pub const WEIGHTS_KEPT: usize = 1000;
 
-/// Steps, and who drove in them.
+/// Steps by driver, reason and weights.
 #[derive(Debug, Default)]
 pub struct StepTally {
     /// Steps read.
@@ -23,16 +23,16 @@ pub struct StepTally {
     pub newest: Option<(Driver, Reason)>,
     counts: BTreeMap<(u32, u32), u64>,
     weights: BTreeMap<(u64, u64), WeightsTally>,
-    /// The newest number of each controller, the last ones apart.
+    /// The newest sequence number of each of the newest controllers.
     last_sequences: Vec<(u32, u64)>,
-    /// Steps of the controllers before them.
+    /// Steps of older controllers.
     sent_before: u64,
-    /// The first instant that the world had no tick for any more.
+    /// The first instant after the world's last tick.
     pub(super) end: Option<Instant>,
     pub(super) is_closed: bool,
 }
 
-/// What one version of the weights did.
+/// The steps of one version of the weights.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct WeightsTally {
     /// Steps in which they proposed.
@@ -75,16 +75,15 @@ impl StepTally {
         }
     }
 
-    /// Steps that were overwritten before they were read. Every producer counts
-    /// its steps from 1, and the reader is there before the first.
+    /// Steps that were overwritten before they were read. Each producer numbers its steps
+    /// from 1, and the subscriber exists before the first.
     pub fn lost(&self) -> u64 {
         let sent: u64 = self.last_sequences.iter().map(|(_, last)| last).sum();
         (self.sent_before + sent).saturating_sub(self.received)
     }
 
-    /// What each version of the weights did, the oldest first; the last
-    /// [`WEIGHTS_KEPT`] of a run that has seen more. With the first 8 bytes of their
-    /// SHA-256.
+    /// Version, first 8 bytes of the SHA-256, and steps of each version of the weights, the
+    /// oldest first; of a run with more, the last [`WEIGHTS_KEPT`].
     pub fn weights(&self) -> impl Iterator<Item = (u64, u64, WeightsTally)> + '_ {
         let all = self.weights.iter();
         all.map(|(&(version, hash), &counted)| (version, hash, counted))

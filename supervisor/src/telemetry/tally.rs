@@ -1,4 +1,4 @@
-//! What a run's messages add up to, over all restarts.
+//! The sums over a run's messages, over all restarts.
 
 use std::collections::BTreeMap;
 
@@ -15,30 +15,30 @@ use crate::telemetry::episodes::Episodes;
 use crate::telemetry::process_tally::ProcessTally;
 use crate::telemetry::step_tally::StepTally;
 
-/// Everything counted so far.
+/// The sums so far.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// Steps: who drove, and why.
+    /// Steps by driver and reason.
     pub steps: StepTally,
     /// Finished episodes.
     pub episodes: Episodes,
-    /// How the current episode goes.
+    /// The progress of the current episode.
     pub progress: Option<Progress>,
-    /// The world braked since its word before for want of a command.
+    /// The world braked since its previous progress message because no recent command existed.
     pub is_unled: bool,
-    /// What the controller says of its weights.
+    /// The controller's status of its weights.
     pub policy: Option<PolicyStatus>,
-    /// Greatest age of a command that the car obeyed, ns.
+    /// Maximum age of an applied command, ns.
     pub oldest_obeyed_ns: u64,
-    /// Messages whose content made no sense.
+    /// Messages with inadmissible content.
     pub refused: u64,
-    /// When the supervisor was started; `None` for an onlooker.
+    /// When the supervisor was started; `None` for an observing command.
     pub started: Option<Instant>,
     processes: BTreeMap<u32, ProcessTally>,
 }
 
 impl Tally {
-    /// Of a run whose supervisor was started then.
+    /// The tally of a run whose supervisor was started at this instant.
     pub fn begun(started: Instant) -> Self {
         Self {
             started: Some(started),
@@ -46,7 +46,7 @@ impl Tally {
         }
     }
 
-    /// Takes a health in; its state, or `None` when its content is refused.
+    /// Adds a health message; returns its state, or `None` when its content is refused.
     pub fn count_health(&mut self, process: Process, health: &Health) -> Option<HealthState> {
         health.check().ok()?;
         let tally = self.processes.entry(process.code()).or_default();
@@ -58,27 +58,26 @@ impl Tally {
         state
     }
 
-    /// Takes a timing in: the last of each producer counts, since each holds
-    /// everything since its start.
+    /// Adds a timing message of a process.
     pub fn count_timing(&mut self, process: Process, timing: Timing) {
         let tally = self.processes.entry(process.code()).or_default();
         tally.count_timing(timing);
     }
 
-    /// Takes in what the kernel says of a process's memory: the most counts.
+    /// Adds the memory of a process as the kernel reports it.
     pub fn count_memory(&mut self, process: Process, memory: Memory) {
         let tally = self.processes.entry(process.code()).or_default();
         tally.count_memory(memory);
     }
 
-    /// Takes in what the kernel says of a process's threads: the last look counts.
+    /// Reads the threads of a process from the kernel; the newest reading is kept.
     pub fn count_threads(&mut self, process: Process, pid: u32) {
         if let Some(tally) = self.processes.get_mut(&process.code()) {
             tally.count_threads(pid);
         }
     }
 
-    /// Takes the world's word on the episode in.
+    /// Adds the world's progress.
     pub fn count_progress(&mut self, progress: Progress) {
         match progress.check() {
             Ok(()) => {
@@ -90,7 +89,7 @@ impl Tally {
         }
     }
 
-    /// Takes a finished episode in.
+    /// Adds a finished episode.
     pub fn count_episode(&mut self, episode: Episode) {
         match episode.check() {
             Ok(()) => self.episodes.insert(episode),
@@ -98,7 +97,7 @@ impl Tally {
         }
     }
 
-    /// Takes the controller's word on its weights in.
+    /// Adds the controller's status of its weights.
     pub fn count_policy(&mut self, status: PolicyStatus) {
         match status.check() {
             Ok(()) => self.policy = Some(status),
@@ -106,10 +105,10 @@ impl Tally {
         }
     }
 
-    /// Takes a step in.
+    /// Adds a step.
     pub fn count_step(&mut self, step: &Step) {
-        // What a controller does after the world's last tick drives nothing. Both
-        // instants are on the run's clock.
+        // Steps after the world's last tick move no car. Both instants are on the run's
+        // clock.
         let taken = step.header.taken();
         if self.steps.is_closed || self.steps.end.is_some_and(|end| taken >= end) {
             return;
@@ -120,17 +119,17 @@ impl Tally {
         self.steps.count(step);
     }
 
-    /// The drive is over: steps that still come are not counted.
+    /// The run is finished: later steps are not counted.
     pub fn close_steps(&mut self) {
         self.steps.is_closed = true;
     }
 
-    /// The episode that a restarted world begins with: those before are done.
+    /// The first episode that a restarted world drives.
     pub fn next_episode(&self) -> u32 {
         self.episodes.next()
     }
 
-    /// Where a restarted world goes on.
+    /// Where a restarted world continues.
     pub fn resume(&self) -> Resume {
         let world = self.process(Process::World);
         Resume {
@@ -139,18 +138,17 @@ impl Tally {
         }
     }
 
-    /// How many episodes ended so.
+    /// Episodes with this outcome.
     pub fn outcome_count(&self, outcome: Outcome) -> usize {
         self.episodes.totals().with(outcome)
     }
 
-    /// One process's counts; `None` when it never said anything.
+    /// The tally of one process; `None` before its first message.
     pub fn process(&self, process: Process) -> Option<&ProcessTally> {
         self.processes.get(&process.code())
     }
 
-    /// Processes that the run did not start and that a process of it heard in the place
-    /// of another.
+    /// Foreign processes whose messages a process of the run has refused.
     pub fn foreigners(&self) -> impl Iterator<Item = Foreigner> + '_ {
         let said = self.processes.values().filter_map(ProcessTally::newest);
         said.filter(|health| health.foreign_pid > 0)
@@ -161,7 +159,7 @@ impl Tally {
             })
     }
 
-    /// A process asked for real-time priority and did not get it.
+    /// Whether a process was refused the real-time priority that it asked for.
     pub fn is_priority_refused(&self, process: Process) -> bool {
         self.process(process)
             .and_then(ProcessTally::newest)

@@ -1,5 +1,4 @@
-//! The raw histograms of a run, as `timing.csv`: what tables and plots of others
-//! are made from.
+//! The raw histograms of a run as `timing.csv`, for tables and plots of other programs.
 
 use std::fmt::Write as _;
 
@@ -8,12 +7,12 @@ use shm_config::services::Process;
 
 use crate::telemetry::tally::Tally;
 
-/// Its name in the run's folder.
+/// The name of the file in the run's folder.
 pub const FILE: &str = "timing.csv";
 
-/// One line for each bucket that holds something, over all restarts: durations
-/// from `from_ns` on and under `below_ns`, and how many. `max_ns` is the exact
-/// maximum of the whole measure, the same in each of its lines.
+/// One line for each non-empty bucket, over all restarts: the count of durations in
+/// `from_ns..below_ns`. `max_ns` is the exact maximum of the whole measure, the same in
+/// each of its lines.
 pub fn csv(tally: &Tally) -> String {
     let mut text = String::from("process,measure,from_ns,below_ns,count,max_ns\n");
     for process in Process::ALL {

@@ -5,7 +5,7 @@ use crate::Clock;
 use crate::cli::print::say;
 use crate::run::selection::living_runs;
 use crate::set::table::rows;
-use crate::telemetry::observe::look;
+use crate::telemetry::observe::observe;
 
 /// What the threads of running sets asked for, and what they have.
 pub(super) fn tell_of_sets(clock: Clock) {
@@ -15,7 +15,7 @@ pub(super) fn tell_of_sets(clock: Clock) {
         let Some(supervisor) = paths.supervisor_pid() else {
             continue;
         };
-        let (config, tally) = match look(&paths, supervisor, clock) {
+        let (config, tally) = match observe(&paths, supervisor, clock) {
             Ok(seen) => seen,
             Err(error) => {
                 say(format_args!("\nrun '{name}' cannot be looked at: {error}"));
