@@ -53,8 +53,7 @@ pub fn clean(arguments: &Clean) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Every run that left a folder or shared memory: the folder may have been emptied
-/// since. Of what others have named like it, there is nothing to clean.
+/// Each run that left a folder or shared memory. Files of other users are ignored.
 fn runs() -> Result<BTreeMap<String, RunPaths>, Failure> {
     let user = user();
     let prefix = format!("vlaps-{user}-");

@@ -10,7 +10,7 @@ use shm_config::secret;
 use crate::cli::failure::Failure;
 use crate::machine::programs::own_folder;
 
-/// What another program of the build does: it reads the words itself.
+/// The arguments of a command that another program of the build carries out.
 #[derive(Debug, Args)]
 pub struct Delegated {
     /// Its options; --help shows them.

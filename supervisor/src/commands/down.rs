@@ -33,9 +33,9 @@ pub struct Down {
     pub run: Option<RunName>,
 }
 
-/// From look to look.
+/// Time between two checks.
 const LOOK: Duration = Duration::from_millis(50);
-/// Looks before the wait is given up: 20 s, twice the default `supervisor.stop_s`
+/// Checks before the wait is given up: 20 s, twice the default `supervisor.stop_s`
 /// and more.
 const LOOKS_MAX: u32 = 400;
 

@@ -1,5 +1,4 @@
-//! `status`: looks at living runs from outside. It never makes a run and never
-//! keeps one from anything.
+//! `status`: observes living runs from outside. It creates no run and delays none.
 
 use crate::cli::parsers::Name;
 use clap::Args;
@@ -24,7 +23,7 @@ use crate::telemetry::judge;
 use crate::telemetry::late::{self, LateRow};
 use crate::telemetry::observe::observe;
 
-/// Show who is alive, on time and in charge.
+/// Show which processes live, whether they are on time, and which driver drives.
 #[derive(Debug, Args)]
 #[command(after_help = "Exit code 1 says that none runs.\n\n\
         Examples:\n  ./vlaps status\n  ./vlaps status --run second --json status.json")]
@@ -47,7 +46,7 @@ struct Runs {
 #[derive(Debug, Serialize)]
 struct RunStatus {
     supervisor: u32,
-    /// What the judge was asked and said; `None` where nobody judges.
+    /// The judge's record; `None` without a judge.
     judge: Option<Judged>,
     /// Why it was never asked; left out where it was.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -63,7 +62,7 @@ struct RunStatus {
 /// Shows the living runs.
 ///
 /// # Errors
-/// When none is alive, or one cannot be looked at.
+/// When none is alive, or one cannot be observed.
 pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     let json = match &arguments.json {
         Some(path) => Some((path, Output::of_option("--json", path)?)),
@@ -83,7 +82,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
                 Err(error) => {
                     let name = paths.name();
                     say(format_args!(
-                        "run '{name}' (supervisor process {pid}) cannot be looked at: {error}; \
+                        "run '{name}' (supervisor process {pid}) cannot be observed: {error}; \
                          `./vlaps down --run {name}` stops it"
                     ));
                     broken = true;
@@ -114,7 +113,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
             .map_err(|error| Failure::GivenUp(format!("{}: {error}", path.display())))?;
     }
     match (none, &arguments.run) {
-        _ if broken => Err(Failure::GivenUp("not every run could be looked at".into())),
+        _ if broken => Err(Failure::GivenUp("not every run could be observed".into())),
         (false, _) => Ok(()),
         (true, Some(name)) => Err(Failure::GivenUp(format!(
             "run '{name}' is not running; `./vlaps up --run {name}` starts it"

@@ -1,4 +1,4 @@
-//! Checks
+//! The checks of the machine.
 
 use std::fs;
 
@@ -53,17 +53,17 @@ pub(super) fn cores() -> Finding {
     )
 }
 
-/// Cores that the kernel keeps free for whoever asks for them by number.
+/// Cores that the kernel reserves for threads that are pinned to them.
 pub(super) fn isolated() -> Finding {
     let cores = read("/sys/devices/system/cpu/isolated").unwrap_or_default();
     let found = match cores.is_empty() {
         true if own_cores().len() < CORES_MIN => {
-            "none, and too few cores to give anybody one of its own".into()
+            "none, and too few cores for a core of its own for each process".into()
         }
         true => "none; everything else on the machine runs beside the ticks".into(),
         false => cores.clone(),
     };
-    // With too few cores nobody is given one, and there is nothing to keep free.
+    // With too few cores no process gets one of its own, so none need be isolated.
     let is_ok = !cores.is_empty() || own_cores().len() < CORES_MIN;
     let remedy = [
         "boot with `isolcpus=domain,managed_irq,CORES nohz_full=CORES rcu_nocbs=CORES`,",

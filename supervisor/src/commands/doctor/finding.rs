@@ -1,4 +1,4 @@
-//! Finding
+//! One finding of `doctor`.
 
 use std::fmt;
 

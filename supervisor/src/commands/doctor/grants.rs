@@ -1,4 +1,4 @@
-//! How rights are granted: the files of `supervisor/grants`, as lines for a
+//! How real-time privileges are granted: the files of `supervisor/grants`, as lines for a
 //! terminal. What `doctor` prints is read out of the files themselves.
 
 use crate::machine::programs::own_folder;

@@ -34,7 +34,7 @@ pub fn doctor(clock: Clock) -> Result<(), Failure> {
         sleep(),
         clock_source(),
     ];
-    // One way to grant both is told once.
+    // The same commands for both are printed once.
     if findings[0].remedy == findings[1].remedy && findings[1].grade == Grade::Missing {
         findings[1].remedy = vec!["the same commands grant it".into()];
     }
@@ -51,7 +51,7 @@ pub fn doctor(clock: Clock) -> Result<(), Failure> {
     let (fatal, poor) = (missing(Grade::Fatal), missing(Grade::Missing));
     if fatal > 0 {
         return Err(Failure::GivenUp(format!(
-            "{fatal} of these must be mended before a set can run"
+            "{fatal} of these must be repaired before a set can run"
         )));
     }
     say(match poor {

@@ -1,4 +1,4 @@
-//! Privileges
+//! The checks of real-time priority and locked memory.
 
 use std::thread;
 

@@ -1,4 +1,4 @@
-//! Runs
+//! The threads of running sets.
 
 use super::checks::read;
 use crate::Clock;
@@ -18,7 +18,7 @@ pub(super) fn tell_of_sets(clock: Clock) {
         let (config, tally) = match observe(&paths, supervisor, clock) {
             Ok(seen) => seen,
             Err(error) => {
-                say(format_args!("\nrun '{name}' cannot be looked at: {error}"));
+                say(format_args!("\nrun '{name}' cannot be observed: {error}"));
                 continue;
             }
         };

@@ -1,4 +1,4 @@
-//! `swap`: offers policy weights to a running set, and says what became of them.
+//! `swap`: offers policy weights to a running set, and reports the result.
 
 pub mod offers;
 
@@ -27,7 +27,7 @@ use offers::{ANSWER_NS, Answer, Offers};
 #[command(
     after_help = "The set checks size, hash, format, observation layout, operators, shapes, \
         weights and probes, warms the net, and adopts it between two ticks. It then proposes in \
-        shadow for policy.probation_ticks before it may drive.\n\n\
+        shadow mode for policy.probation_ticks, its canary period, before it may drive.\n\n\
         Without --run it is offered to the one set of this folder: a set whose run.folder \
         (runs/NAME where it was started) lies in the current folder or below it, and which no \
         training or evaluation drives.\n\n\
@@ -43,7 +43,7 @@ pub struct Swap {
     /// Name of the run; without it, the one set of this folder.
     #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
-    /// Wait for the end of the probation, too; exit code 1 when it is not passed.
+    /// Also wait for the end of the canary period; exit code 1 when it is not passed.
     #[arg(long)]
     pub wait_ready: bool,
 }
@@ -60,7 +60,7 @@ pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
     let name = arguments.run.as_ref();
     let chosen = select_run(name)?;
     let alive = match &chosen {
-        // What holds its place must be a supervisor of it: weights are for no other.
+        // The process that holds the run must be its supervisor.
         Some(paths) => Target::of(paths)?.map(|_| paths),
         None => None,
     };
@@ -73,7 +73,7 @@ pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
         }));
     };
     let offered = offer(paths, arguments, &bytes, clock);
-    // The run may have ended meanwhile; then this process kept its place.
+    // If the run has ended meanwhile, this process has kept its files from removal.
     if paths.supervisor_pid().is_none() {
         clean_run(paths)?;
     }

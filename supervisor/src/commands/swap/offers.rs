@@ -1,4 +1,4 @@
-//! Offers
+//! Offers of weights to a controller, and its answers.
 
 use std::time::Duration;
 
@@ -13,15 +13,15 @@ use crate::cli::failure::Failure;
 use crate::cli::print::say;
 use crate::machine::signals::pause;
 
-/// From look to look at what became of an offer.
+/// Time between two reads of the status.
 const LOOK: Duration = Duration::from_millis(2);
-/// How long the controller has to say which versions it knows, ns.
+/// How long the first status of the controller may take, ns.
 const GREET_NS: u64 = 2_000_000_000;
 /// How long an answer may take, ns: a restart of the controller fits in.
 pub(super) const ANSWER_NS: u64 = 30_000_000_000;
 /// How long a probation may take without the controller saying anything, ns.
 const READY_NS: u64 = 600_000_000_000;
-/// What became of an offer.
+/// The result of an offer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
     /// Taken up at this tick.
@@ -40,7 +40,7 @@ pub enum Answer {
     Overtaken(u64),
 }
 
-/// Both ends of the way that weights take, as a publisher has them.
+/// The publisher of weights and the subscriber of their status.
 pub struct Offers {
     weights: Publisher<Weights>,
     statuses: Subscriber<PolicyStatus>,
@@ -61,8 +61,8 @@ impl Offers {
     }
 
     /// The version that the next offer has to have: one more than the last that
-    /// anybody offered. Should somebody else offer it first, this one is refused
-    /// as overtaken, and the next is asked for again.
+    /// was offered. If another publisher offers it first, this one is refused as
+    /// overtaken, and the next is asked for again.
     pub fn next_version(&mut self, clock: Clock) -> u64 {
         let begun = clock();
         while self.look().is_none() && clock().since_ns(begun) < GREET_NS {

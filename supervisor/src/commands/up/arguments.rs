@@ -14,8 +14,8 @@ use crate::cli::parsers::{Name, whole};
 #[command(
     after_help = "Without --episodes and --duration it drives until it is stopped: \
         Ctrl-C brakes the car to a stand, a second Ctrl-C kills (exit code 130: 128 and the \
-        signal's number). When its output is piped and the reader goes away, the car is braked \
-        to a stand, too, and the exit code is 1.\n\n\
+        signal's number). When its output is a pipe and the reader ends, the car is also braked \
+        to a stand, and the exit code is 1.\n\n\
         With --gate human the keys of this terminal drive: Space takes over and gives back, \
         arrows or WASD steer and pedal meanwhile, Esc or q gives back. --keys FILE reads them \
         from lines TIME_S KEY instead, such as `2.5 space`: seconds from the run's first tick, \
@@ -43,19 +43,19 @@ pub struct Up {
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
     pub lockstep: bool,
-    /// Who computes the world; metadrive needs `./vlaps setup metadrive` once.
+    /// The world simulator; metadrive needs `./vlaps setup metadrive` once.
     #[arg(long, value_name = "WHICH")]
     pub world: Option<WorldChoice>,
     /// How the expert plans; the paper's RRT* without it.
     #[arg(long, value_name = "HOW")]
     pub driver: Option<DriverChoice>,
-    /// Who decides who drives.
-    #[arg(long, value_name = "WHO")]
+    /// The gate, which decides between expert and policy.
+    #[arg(long, value_name = "WHICH")]
     pub gate: Option<GateChoice>,
     /// Keys of --gate human from this file of at most 1 MiB in place of the terminal.
     #[arg(long, value_name = "FILE")]
     pub keys: Option<PathBuf>,
-    /// Policy to begin with; it drives where --gate lets it, after its probation.
+    /// Policy to begin with; it drives where --gate lets it, after its canary period.
     #[arg(long, value_name = "FILE.onnx")]
     pub policy: Option<PathBuf>,
     /// Ticks per second.
@@ -108,14 +108,14 @@ impl From<DriverChoice> for Method {
     }
 }
 
-/// Who decides who drives.
+/// The gate, which decides between expert and policy.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum GateChoice {
     /// The gate process compares both rollouts by exact geometry.
     Rules,
     /// The gate process asks a vision-language model (section vlm); never pauses the world.
     Vlm,
-    /// As the paper did it: asks every 10 s, and the world waits. Implies --lockstep.
+    /// As in the paper: asks every 10 s, and the world waits. Implies --lockstep.
     Paper,
     /// Several judges and a quorum (gate.committee, gate.quorum).
     Committee,
@@ -125,7 +125,7 @@ pub enum GateChoice {
     Expert,
     /// Always the policy, if one is loaded; no gate process.
     Policy,
-    /// The policy, until a person at the keys takes over; no gate process.
+    /// The policy, until a human driver takes over by the keys; no gate process.
     Human,
 }
 
@@ -144,7 +144,7 @@ impl From<GateChoice> for GateMode {
     }
 }
 
-/// Who computes the world.
+/// The world simulator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum WorldChoice {
     /// The built-in world.

@@ -50,7 +50,7 @@ pub(super) fn drive(
     };
     let launch = Launch {
         binaries,
-        // Not the copy in the folder: anybody may edit that one meanwhile.
+        // Not the copy in the run's folder, which a user may edit meanwhile.
         config: place.paths().config_file(),
         privileges: privileges(config),
         world: match config.world.simulator {
@@ -107,8 +107,8 @@ pub(super) fn drive(
     Ok((end, summary, timing, run.screen))
 }
 
-/// What the processes ask for: nothing in lockstep, which has no deadline and
-/// would only keep the cores from everybody else.
+/// The privileges that the processes ask for: none in lockstep, which has no deadline and
+/// would only block the cores for other programs.
 fn privileges(config: &Config) -> Privileges {
     if !config.supervisor.realtime || config.run.is_lockstep() {
         return Privileges::Ordinary;

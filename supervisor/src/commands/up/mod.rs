@@ -1,4 +1,4 @@
-//! `up`: start, watch, restart, stop, add up.
+//! `up`: starts a set, supervises it, stops it and prints its summary.
 
 pub mod arguments;
 mod drive;
@@ -32,8 +32,8 @@ use supervision::End;
 /// Drives a run to its end.
 ///
 /// # Errors
-/// When the configuration is wrong, the run cannot start, or it had to be given
-/// up. Nothing of it is left in shared memory either way.
+/// When the configuration is wrong, the run cannot start, or it had to be given up. In all
+/// cases its shared memory is removed.
 pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     let started = clock();
     if let Some(parent) = arguments.parent {
@@ -51,7 +51,7 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     if config.gate.mode == GateMode::Human {
         signals.stop_on_quit().map_err(no_signals)?;
     }
-    // Its terminal is put back however this function is left.
+    // Dropping it restores the terminal on every way out of this function.
     let keys = KeySource::of(&config, arguments.keys.as_deref())?;
     let name = config
         .run
@@ -74,15 +74,15 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     let run = (&config, &place, folder.path());
     let (end, summary, timing, screen) = drive(run, keys, signals, (clock, started))?;
     drop(place);
-    // Nothing is left to stop: what still waits for a terminal or a pipe may be
-    // ended like any other program.
+    // The set has ended: from here on a signal ends this process, even while it waits for a
+    // terminal or a pipe.
     late.end_at_once();
     screen.close();
-    // First on the screen: a full disk takes no file.
+    // The screen comes first: a full disk may refuse the files.
     tell(&summary, arguments, folder.path());
     let timing = keep(&folder, timing::FILE, Ok(timing));
     let kept = keep(&folder, "summary.json", summary.text());
-    // It may lie on another disk: what was refused before is told after it.
+    // It may lie on another disk, so it is written before an earlier error is returned.
     if let Some((path, output)) = json {
         let written = summary.text().and_then(|text| output.write(&text));
         written.map_err(|error| cannot_write(path, &error))?;
@@ -97,7 +97,7 @@ pub fn up(arguments: &Up, clock: Clock) -> Result<(), Failure> {
     }
 }
 
-/// Says at the end what it amounts to, and where the rest is.
+/// Prints the summary, and the folder of the run.
 fn tell(summary: &Summary, arguments: &Up, folder: &Path) {
     match summary.ticks {
         0 => say(format_args!(

@@ -12,9 +12,9 @@ use crate::show::view::View;
 use crate::takeover::input::TakeoverInput;
 use crate::telemetry::judge;
 
-/// From view to view, ns.
+/// Time between two views, ns.
 const SHOW_NS: u64 = 200_000_000;
-/// From look to look at the size of the logs, ns.
+/// Time between two checks of the logs, ns.
 const LOGS_NS: u64 = 1_000_000_000;
 
 impl Run<'_> {
@@ -58,7 +58,7 @@ impl Run<'_> {
         }
     }
 
-    /// Takes in how much memory everybody has.
+    /// Reads the memory of all processes from the kernel.
     fn count_memory_of_all(&mut self) {
         for member in self.set.members() {
             if let Some(memory) = member.pid().and_then(Memory::of) {
@@ -83,7 +83,7 @@ impl Run<'_> {
         if !refused.is_empty() {
             let line = format!(
                 "warning: real-time priority refused to {}; driving without it, ticks may be late: \
-                 `./vlaps doctor` says how to grant it, --no-realtime asks for none",
+                 `./vlaps doctor` shows how to grant it, --no-realtime asks for none",
                 refused.join(", ")
             );
             self.journal.line(now, &line);
@@ -91,7 +91,7 @@ impl Run<'_> {
         }
     }
 
-    /// A judge that is not asked any more costs no tick, so nothing else shows it.
+    /// A judge that is not asked any more delays no tick, so nothing else shows it.
     fn warn_of_judge(&mut self, now: Instant) {
         let trouble = judge::trouble(self.config, &self.tally);
         if trouble.is_empty() || trouble == self.judge_trouble {

@@ -21,9 +21,9 @@ use crate::telemetry::tally::Tally;
 
 /// The loop's period, ns: 20 Hz.
 const PERIOD_NS: u64 = 50_000_000;
-/// While processes start, each waits for the one before: look more often, ns.
+/// The period while processes start, ns: each waits for the one before.
 const START_PERIOD_NS: u64 = 5_000_000;
-/// From look to look at the run's files, ns.
+/// Time between two checks of the run's files, ns.
 const PLACE_NS: u64 = 500_000_000;
 /// How a run ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -60,11 +60,11 @@ impl Run<'_> {
     pub(super) fn loop_to_the_end(&mut self, mut signals: Signals, clock: Clock) -> End {
         loop {
             let now = clock();
-            self.look(now);
+            self.observe(now);
             self.publish_takeover(now);
             self.stops_asked += signals.take_stops();
             let turn = match self.ending {
-                None => self.act(now),
+                None => self.decide_and_start(now),
                 Some(_) => Decision::Continue,
             };
             self.end_if_due(turn, now);
@@ -85,9 +85,9 @@ impl Run<'_> {
         }
     }
 
-    /// Takes in all there is to see. The dead are collected before the ports
-    /// are read, so that their last words are in what is read.
-    fn look(&mut self, now: Instant) {
+    /// Reads exits and messages. Dead processes are reaped before the ports are read, so that
+    /// their last messages are among those read.
+    fn observe(&mut self, now: Instant) {
         let died = self.set.reap(now);
         let told = self.orphans.collect_ended(&self.set, died, now);
         told.iter().for_each(|line| self.journal.line(now, line));
@@ -95,12 +95,12 @@ impl Run<'_> {
             self.set.hear(sign.process, sign.pid, sign.state);
         }
         if died && self.ending.is_none() {
-            // Their successors find the places of the dead free.
+            // The restarted processes need the ports of the dead ones.
             self.wire.sweep();
         }
     }
 
-    /// Passes on what the person wants, when there is one.
+    /// Publishes the takeover message, with `--gate human`.
     fn publish_takeover(&mut self, now: Instant) {
         let takeover = self.takeover.as_mut();
         if let Some(change) = takeover.and_then(|takeover| takeover.publish(&self.tally, now)) {
@@ -109,13 +109,13 @@ impl Run<'_> {
     }
 
     /// Restarts, kills and starts what is due.
-    fn act(&mut self, now: Instant) -> Decision {
+    fn decide_and_start(&mut self, now: Instant) -> Decision {
         if now.since_ns(self.place_looked) >= PLACE_NS {
             self.place_looked = now;
             if !self.place.is_whole() {
                 return Decision::GiveUp(format!(
-                    "{}: the run's files were removed while it drives; who dies now could not \
-                     come back, so the car is braked to a stand; start it anew",
+                    "{}: the run's files were removed while it drives; a process that dies now \
+                     could not be restarted, so the car is braked to a stand; start the run again",
                     self.place.paths().dir().display()
                 ));
             }
@@ -127,13 +127,13 @@ impl Run<'_> {
             Decision::Continue => self.set.start_due(now, self.tally.resume()),
             end => end,
         };
-        // At once: a process waits until it is named, and is heard from then on.
+        // Immediately after the start: a process waits until it is on the roster.
         self.roster_port.publish(&self.wire, &self.set);
         turn
     }
 
-    /// Every configured episode has ended: a world that dies after its last one
-    /// is not started for one more.
+    /// Whether each configured episode has ended: a world that dies after its last one is
+    /// not restarted.
     fn is_driven(&self) -> bool {
         let episodes = self.config.run.episodes;
         episodes > 0 && self.tally.next_episode() >= episodes
@@ -151,14 +151,14 @@ impl Run<'_> {
             Decision::Continue => return,
         };
         let line = match &end {
-            End::Finished => "the run is driven to its end".into(),
+            End::Finished => "the run is finished".into(),
             End::Stopped | End::Killed => {
-                "stopping: the car is braked to a stand; once more kills".into()
+                "stopping: the car is braked to a stand; a second signal kills".into()
             }
             End::GivenUp(reason) => format!("giving up: {reason}"),
         };
         if end == End::Finished {
-            // What the controller still does drives nothing.
+            // Later commands of the controller move no car.
             self.tally.close_steps();
         }
         self.journal.line(now, &line);
