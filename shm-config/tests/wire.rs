@@ -166,6 +166,33 @@ fn a_process_that_the_run_did_not_start_is_not_heard() {
 }
 
 #[test]
+fn two_memberships_of_one_process_id_are_a_contest() {
+    let run = TestRun::new("twins");
+    let (one, twin) = (run.join(Process::Controller), run.join(Process::Controller));
+    let world = run.join(Process::World);
+    let mut reader = world.subscriber(COMMAND).unwrap();
+    let mut first = one.publisher(COMMAND).unwrap();
+    let mut second = twin.publisher(COMMAND).unwrap();
+    let pid = std::process::id();
+    let mut roster = Roster::default();
+    roster.set(Process::Controller, Some(pid));
+    world.trust(&roster);
+    let mut contests = Vec::new();
+    for (tick, of_twin) in [false, false, true, false].into_iter().enumerate() {
+        match of_twin {
+            true => second.send(&mut command(tick as u64)),
+            false => first.send(&mut command(tick as u64)),
+        };
+        reader.tend();
+        assert!(reader.newest(Message::check).is_some());
+        contests.push(world.contests());
+    }
+    assert_eq!(contests, [0, 0, 1, 2]);
+    let place = Process::Controller;
+    assert_eq!(world.foreigner(), Some(Foreigner { pid, place }));
+}
+
+#[test]
 fn a_roster_is_taken_from_its_author_alone() {
     let run = TestRun::new("roster");
     let (here, there) = (run.join(Process::Supervisor), run.join(Process::World));

@@ -79,6 +79,18 @@ class Producers:
             self._foreigner = (sender, place)
         return False
 
+    def compare(self, sender, membership, service, last):
+        """Counts two memberships with one process id as a contest as well: a process
+        of another pid namespace may have the id of one of the run. A process
+        publishes a service from one membership for as long as it lives. `last` is
+        what this returned for the message before, None for the first one."""
+        if service.open:
+            return None
+        if last is not None and last[0] == sender and last[1] != membership:
+            self.contests += 1
+            self._foreigner = (sender, _CODES[service.from_])
+        return sender, membership
+
     def count(self, kind):
         """Counts a message that a port refused."""
         self._refused[kind] += 1

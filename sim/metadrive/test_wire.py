@@ -36,17 +36,19 @@ class Queue:
         self.sent = []
         self.lent = 0
 
-    def put(self, sender, message):
-        self.sent.append((sender, bytes(message)))
+    def put(self, sender, message, membership=None):
+        """A process has one membership, unless the test names another."""
+        membership = sender if membership is None else membership
+        self.sent.append((sender, membership, bytes(message)))
 
     def receive(self):
         assert self.lent == 0, "a sample is lent at a time"
         if not self.sent:
             return None
-        sender, data = self.sent.pop(0)
+        sender, membership, data = self.sent.pop(0)
         buffer = layout.ctypes.create_string_buffer(data, len(data))
         self.lent += 1
-        node_id = SimpleNamespace(pid=lambda _service_type: sender)
+        node_id = SimpleNamespace(pid=lambda _service_type: sender, value=membership)
         return SimpleNamespace(
             header=SimpleNamespace(node_id=node_id),
             payload_ptr=layout.ctypes.addressof(buffer),
@@ -125,6 +127,31 @@ class Senders(Fixture):
         self.refused(foreign=3)
         self.assertEqual(self.producers.contests, 0)
         self.assertEqual(self.health().foreign_pid, 0)
+
+    def test_two_memberships_of_one_process_id_are_a_contest(self):
+        subscriber = Subscriber(Port(self.queue, layout.Command), layout.COMMAND, self.producers)
+        contests = []
+        for membership in (1, 1, 2, 1):
+            self.queue.put(CONTROLLER, command(steer=0.5), membership)
+            self.assertIsNotNone(subscriber.newest(lambda _: None))
+            contests.append(self.producers.contests)
+        self.assertEqual(contests, [0, 0, 1, 2])
+        self.assertEqual(self.health().foreign_pid, CONTROLLER)
+        self.assertEqual(self.health().foreign_as, layout.Process.CONTROLLER)
+        # A successor, which the roster names, is no contest.
+        self.rosters.put(AUTHOR, roster(controller=SUCCESSOR))
+        self.queue.put(SUCCESSOR, command(), 3)
+        self.assertIsNotNone(subscriber.newest(lambda _: None))
+        self.assertEqual(self.producers.contests, 2)
+
+    def test_memberships_of_an_open_service_are_not_compared(self):
+        self.rosters.put(AUTHOR, roster(controller=CONTROLLER))
+        open_service = layout.COMMAND._replace(open=True)
+        subscriber = Subscriber(Port(self.queue, layout.Command), open_service, self.producers)
+        for membership in (1, 2):
+            self.queue.put(CONTROLLER, command(), membership)
+            self.assertIsNotNone(subscriber.newest(lambda _: None))
+        self.assertEqual(self.producers.contests, 0)
 
     def test_a_process_of_another_user_lives(self):
         self.queue.put(STRANGER, command())

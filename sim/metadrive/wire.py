@@ -257,7 +257,7 @@ class Port:
         self._port = port
         self._message = message
 
-    def receive(self, is_taken=lambda _sender: True):
+    def receive(self, is_taken=lambda _sender, _membership: True):
         """The next (sender, message) of the queue, None when it is empty. The sender
         is the process id that the library wrote into the envelope, not the header's
         own claim. A message that is not taken is None, and never copied."""
@@ -268,9 +268,10 @@ class Port:
         if sample is None:
             return None
         # No process has the id 0: it is on no roster.
-        sender = sample.header.node_id.pid(iceoryx2.ServiceType.Ipc) or 0
+        node_id = sample.header.node_id
+        sender = node_id.pid(iceoryx2.ServiceType.Ipc) or 0
         message = None
-        if is_taken(sender):
+        if is_taken(sender, node_id.value):
             size = ctypes.sizeof(self._message)
             message = self._message.from_buffer_copy(ctypes.string_at(sample.payload_ptr, size))
         sample.delete()
@@ -286,6 +287,8 @@ class Subscriber:
         self._port = port
         self._service = service
         self._producers = producers
+        # The process and the membership that sent the last message that was taken.
+        self._last = None
 
     def _next(self):
         """The next message of the queue that is from a known producer."""
@@ -298,8 +301,11 @@ class Subscriber:
                 return message
         return None
 
-    def _is_taken(self, sender):
-        return self._producers.admits(sender, self._service)
+    def _is_taken(self, sender, membership):
+        if not self._producers.admits(sender, self._service):
+            return False
+        self._last = self._producers.compare(sender, membership, self._service, self._last)
+        return True
 
     def newest(self, admit):
         """A copy of the newest admissible message since the last look, or None.
