@@ -62,6 +62,22 @@ impl Counts {
     pub fn driven(&self) -> u64 {
         self.steps + self.lost
     }
+
+    /// The larger of the two for each count: both count the same steps from the same
+    /// start, one of them further.
+    #[must_use]
+    pub fn max(&self, other: &Counts) -> Counts {
+        Counts {
+            steps: self.steps.max(other.steps),
+            lost: self.lost.max(other.lost),
+            unseen: self.unseen.max(other.unseen),
+            cut: self.cut.max(other.cut),
+            expert: self.expert.max(other.expert),
+            policy: self.policy.max(other.policy),
+            unlabelled: self.unlabelled.max(other.unlabelled),
+            interventions: self.interventions.max(other.interventions),
+        }
+    }
 }
 
 /// Who published a step, and the world it saw: both start anew when restarted.

@@ -45,6 +45,28 @@ pub struct Mark {
     pub updates: u64,
 }
 
+impl Mark {
+    /// The mark when these counts were reached as well. Only a step that completes a
+    /// transition writes a mark, so the last block may have ended some steps later.
+    /// Each of these steps had a sequence number: one that is not skipped here would be
+    /// counted a second time, as lost.
+    #[must_use]
+    pub fn reached(self, counts: &Counts) -> Mark {
+        let counts = self.counts.max(counts);
+        let further = counts.driven() - self.counts.driven();
+        let sequence = match self.sequence {
+            // The publisher is unknown.
+            0 => 0,
+            sequence => sequence + further,
+        };
+        Mark {
+            counts,
+            sequence,
+            ..self
+        }
+    }
+}
+
 /// The file, open for more.
 pub struct Journal {
     path: PathBuf,

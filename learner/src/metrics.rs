@@ -57,7 +57,7 @@ struct Line {
 /// The file, open for more.
 pub struct Metrics {
     writer: csv::Writer<fs::File>,
-    transitions: u64,
+    counts: Counts,
 }
 
 impl Metrics {
@@ -85,16 +85,23 @@ impl Metrics {
             .from_writer(file);
         Ok(Metrics {
             writer,
-            transitions: last.map_or(0, |line| {
-                line.labels_expert + line.labels_policy + line.unlabelled
+            counts: last.map_or(Counts::default(), |line| Counts {
+                steps: line.steps.saturating_sub(line.lost),
+                lost: line.lost,
+                unseen: line.unseen,
+                cut: line.cut,
+                expert: line.labels_expert,
+                policy: line.labels_policy,
+                unlabelled: line.unlabelled,
+                interventions: line.interventions,
             }),
         })
     }
 
-    /// Transitions made at the end of the last block that was in the file; what
-    /// cannot be read says nothing.
-    pub fn transitions(&self) -> u64 {
-        self.transitions
+    /// What had become of the steps at the end of the last block that was in the file;
+    /// zeros when no row can be read.
+    pub fn counts(&self) -> Counts {
+        self.counts
     }
 
     /// Writes a row.

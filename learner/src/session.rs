@@ -88,7 +88,7 @@ impl Session {
             replay,
             mark,
             torn_bytes,
-        } = Journal::open(&path, capacity, metrics.transitions())
+        } = Journal::open(&path, capacity, metrics.counts().transitions())
             .map_err(|error| name(error, &path))?;
         if torn_bytes > 0 {
             tracing::warn!(torn_bytes, "the end of the replay was torn and is cut off");
@@ -97,7 +97,7 @@ impl Session {
             mode: config.gate.mode,
             wait_ns: (settings.label_wait_s * 1e9) as u64,
         };
-        let mark = mark.unwrap_or_default();
+        let mark = mark.unwrap_or_default().reached(&metrics.counts());
         let mut assembler = Assembler::new(labelling, mark.counts);
         if mark.sequence > 0 {
             assembler.follows((mark.producer, mark.sequence));

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use learner::session::Session;
 use shm_config::config::{Algorithm, Config, GateMode};
+use shm_config::message::Step;
 use steps::{step, vetoed};
 use tempfile::TempDir;
 
@@ -224,6 +225,48 @@ fn a_journal_of_another_kind_is_refused_with_its_name() {
     );
 }
 
+/// A column of `blocks.csv`.
+fn column(folder: &Path, name: &str) -> Vec<u64> {
+    let text = fs::read_to_string(folder.join("blocks.csv")).expect("the blocks");
+    let header = text.lines().next().expect("a header");
+    let mut words = header.split(',');
+    let at = words.position(|word| word == name).expect("the column");
+    let field = |row: &str| row.split(',').nth(at).expect("a field").parse();
+    let rows = text.lines().skip(1);
+    rows.map(|row| field(row).expect("a number")).collect()
+}
+
+/// The car saw nothing new at this step: it completes no transition but that before.
+fn blind(mut step: Step) -> Step {
+    step.observation_age_ns = u64::MAX;
+    step
+}
+
+#[test]
+fn what_a_block_counted_stays_counted_after_a_kill() {
+    let config = config(Algorithm::HgDagger);
+    let folder = TempDir::new().expect("a folder");
+    let mut session = open(&config, folder.path());
+    drive(&mut session, 0..BLOCK / 2);
+    session.push(&blind(step(BLOCK / 2)));
+    // Steps are lost, and no transition is completed until the block has ended.
+    session.push(&blind(step(2 * BLOCK - 1)));
+    assert!(session.is_due());
+    session.learn(|| {}).expect("finite numbers");
+    let counts = session.counts();
+    assert_eq!(counts.lost, 2 * BLOCK - BLOCK / 2 - 2);
+    // Killed: nothing is finished.
+    drop(session);
+    let mut session = open(&config, folder.path());
+    assert_eq!(session.counts(), counts);
+    assert!(!session.is_due(), "the block has been learnt from");
+    // The controller was not killed: its sequence numbers go on.
+    drive(&mut session, 2 * BLOCK..3 * BLOCK);
+    assert_eq!(session.driven(), 3 * BLOCK);
+    assert_eq!(column(folder.path(), "lost"), [counts.lost; 2]);
+    assert_eq!(column(folder.path(), "steps"), [2 * BLOCK, 3 * BLOCK]);
+}
+
 #[test]
 fn blocks_end_on_the_grid_of_the_steps_driven_whatever_was_missed() {
     let config = config(Algorithm::HgDagger);
@@ -232,23 +275,7 @@ fn blocks_end_on_the_grid_of_the_steps_driven_whatever_was_missed() {
     // Away for the end of the second block and of the third.
     let mut session = open(&config, folder.path());
     drive(&mut session, 3 * BLOCK + 5..5 * BLOCK);
-    let text = fs::read_to_string(folder.path().join("blocks.csv")).expect("the blocks");
-    let column = |name: &str| {
-        let at = text.lines().next().expect("a header");
-        let at = at
-            .split(',')
-            .position(|word| word == name)
-            .expect("the column");
-        let rows = text.lines().skip(1);
-        rows.map(|row| {
-            row.split(',')
-                .nth(at)
-                .expect("a field")
-                .parse()
-                .expect("a number")
-        })
-        .collect::<Vec<u64>>()
-    };
+    let column = |name| column(folder.path(), name);
     assert_eq!(column("steps"), [1, 3, 4, 5].map(|block| block * BLOCK));
     let lost = column("lost");
     assert!(lost[0] == 0 && lost[1] >= 2 * BLOCK - 3, "{lost:?}");

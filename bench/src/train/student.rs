@@ -26,7 +26,7 @@ const LOOK: Duration = Duration::from_millis(200);
 pub enum End {
     /// After all its steps.
     Complete,
-    /// Somebody stopped it.
+    /// A stop was asked for.
     Stopped {
         /// After this many steps.
         steps: u64,
@@ -70,7 +70,7 @@ fn success(exam: &Exam) -> String {
 }
 
 /// Drives process sets until the last block is learnt. One is enough unless the
-/// learner dies so late that nobody told it of the last steps.
+/// learner dies so late that the last steps never reach it.
 fn drive_all(
     protocol: &Protocol,
     stop: &Stop,
@@ -87,13 +87,7 @@ fn drive_all(
             return Ok(End::Complete);
         }
         if tried == Some((steps, driven)) {
-            bail!(
-                "seed {}: the learner has come to step {steps} of {} and no further, though all were \
-                 driven; its log is {}",
-                protocol.seed,
-                protocol.steps,
-                folder.join("logs/learner.log").display()
-            );
+            bail!("{}", without_progress(protocol, (steps, driven)));
         }
         tried = Some((steps, driven));
         let mut set = ProcessSet::start(protocol, driven)?;
@@ -106,6 +100,27 @@ fn drive_all(
             bail!("{}", set.last_words(steps));
         }
     }
+}
+
+/// Two process sets in a row, and no block more: what stands in the way is in the
+/// learner's log.
+fn without_progress(protocol: &Protocol, (steps, driven): (u64, u64)) -> String {
+    let log = protocol.folder.join("logs/learner.log");
+    format!(
+        "seed {}: {driven} of {} steps are driven, but the learner wrote no block after step \
+         {steps}: {} ({}); --resume tries again",
+        protocol.seed,
+        protocol.steps,
+        last_line(&log),
+        log.display()
+    )
+}
+
+/// The last line of a log that says something.
+fn last_line(log: &Path) -> String {
+    let text = fs::read_to_string(log).unwrap_or_default();
+    let last = text.lines().rev().find(|line| !line.trim().is_empty());
+    last.unwrap_or("its log is empty").into()
 }
 
 /// Looks at a process set until it has ended; whether it did so well.
@@ -173,7 +188,7 @@ impl ProcessSet {
             .arg("up")
             .arg("--json")
             .arg(&summary)
-            // Nothing drives on for nobody when this process is killed.
+            // The set ends when this process is killed.
             .args(["--parent", &std::process::id().to_string()])
             .arg("--config")
             .arg(&file)
@@ -205,7 +220,7 @@ impl ProcessSet {
         }
     }
 
-    /// Somebody else stopped it, such as `./vlaps down`.
+    /// Another command stopped it, such as `./vlaps down`.
     fn was_stopped(&self) -> bool {
         let text = fs::read_to_string(&self.summary).unwrap_or_default();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
@@ -215,12 +230,9 @@ impl ProcessSet {
     /// Why it gave up.
     fn last_words(&self, steps: u64) -> String {
         let log = self.folder.join(DRIVE_LOG);
-        let text = fs::read_to_string(&log).unwrap_or_default();
-        let last = text.lines().rev().find(|line| !line.trim().is_empty());
         format!(
             "the process set ended after {steps} steps: {} ({})",
-            last.unwrap_or("without a word")
-                .trim_start_matches("error: "),
+            last_line(&log).trim_start_matches("error: "),
             log.display()
         )
     }
