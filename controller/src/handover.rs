@@ -24,7 +24,6 @@ pub struct Handover {
     loader: Loader,
     hand: Hand,
     learning: Option<Learner>,
-    has_ticked: bool,
 }
 
 /// A learner that is waited for.
@@ -61,7 +60,6 @@ impl Handover {
             loader,
             hand: Hand::default(),
             learning,
-            has_ticked: false,
         })
     }
 
@@ -98,8 +96,9 @@ impl Handover {
             Look::Taken => false,
             Look::Seen(None) => true,
             Look::Seen(Some(offer)) => {
-                let tick = match self.has_ticked {
+                let tick = match self.hand.has_ticked() {
                     true => controller.step().header.tick.saturating_add(1),
+                    // The loader is told the number of the first tick when it is known.
                     false => 0,
                 };
                 controller.adopt(offer, tick, &mut self.hand);
@@ -118,7 +117,7 @@ impl Handover {
 
     /// After the tick's command is out: the shadow's turn.
     pub fn after_tick(&mut self, controller: &mut Controller) {
-        self.has_ticked = true;
+        self.hand.count_tick(controller.step().header.tick);
         controller.try_policies(&mut self.hand);
     }
 

@@ -298,13 +298,28 @@ impl RunPaths {
 
     /// The file of a supervisor's lock is still where it was taken, and what a
     /// process needs to join the run is beside it: the run's files were not removed.
-    pub fn is_held(&self, lock: &RunLock) -> bool {
-        let found = fs::symlink_metadata(self.supervisor_file());
-        let locked = lock.file.metadata();
-        let same =
-            matches!((found, locked), (Ok(found), Ok(locked)) if found.ino() == locked.ino());
-        let needed = [ALIVE_FILE, CONFIG_FILE, NODES_DIR, SERVICES_DIR];
-        same && needed.iter().all(|name| self.dir().join(name).exists())
+    ///
+    /// # Errors
+    /// When it cannot be known: the system refuses to look.
+    pub fn is_held(&self, lock: &RunLock) -> Result<bool, RunError> {
+        let path = self.supervisor_file();
+        let failed = |source| RunError::of(&path, source);
+        let locked = lock.file.metadata().map_err(failed)?.ino();
+        match fs::symlink_metadata(&path) {
+            Ok(found) if found.ino() == locked => {}
+            Ok(_) => return Ok(false),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(failed(error)),
+        }
+        for name in [ALIVE_FILE, CONFIG_FILE, NODES_DIR, SERVICES_DIR] {
+            let path = self.dir().join(name);
+            match path.try_exists() {
+                Ok(true) => {}
+                Ok(false) => return Ok(false),
+                Err(error) => return Err(RunError::of(&path, error)),
+            }
+        }
+        Ok(true)
     }
 
     /// The process id of the run's living supervisor; `None` when there is none, or

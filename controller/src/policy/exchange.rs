@@ -61,6 +61,8 @@ pub struct Desk {
     pub returned: [Option<Box<dyn Policy>>; WAY_MAX],
     /// For the loader, in order.
     pub news: [Option<News>; WAY_MAX],
+    /// The number of the first tick of this controller; `None` before it.
+    pub first_tick: Option<u64>,
 }
 
 /// The desk, and up to which version the loader has decided.
@@ -88,6 +90,7 @@ impl Exchange {
 pub struct Hand {
     returned: [Option<Box<dyn Policy>>; WAY_MAX],
     news: [Option<News>; WAY_MAX],
+    first_tick: Option<u64>,
 }
 
 /// What a look at the desk brought.
@@ -106,9 +109,21 @@ impl Hand {
         };
         move_over(&mut self.returned, &mut desk.returned);
         move_over(&mut self.news, &mut desk.news);
+        desk.first_tick = self.first_tick;
         let is_empty =
             self.returned.iter().all(Option::is_none) && self.news.iter().all(Option::is_none);
         Look::Seen(is_empty.then(|| desk.offer.take()).flatten())
+    }
+
+    /// A tick of this number is done. The first one counts: what was taken up before it
+    /// proposes from it on.
+    pub fn count_tick(&mut self, tick: u64) {
+        self.first_tick.get_or_insert(tick);
+    }
+
+    /// Whether a tick is done.
+    pub fn has_ticked(&self) -> bool {
+        self.first_tick.is_some()
     }
 
     /// Has room for everything that one tick can bring.

@@ -344,28 +344,37 @@ impl Bench {
 
     /// Drops what came back and tells what was said.
     fn clear_desk(&mut self) {
-        let (returned, news) = match self.exchange.desk.lock() {
-            Ok(mut desk) => (
-                std::mem::take(&mut desk.returned),
-                std::mem::take(&mut desk.news),
-            ),
+        let (returned, news, first_tick) = match self.exchange.desk.lock() {
+            Ok(mut desk) => {
+                // A restarted controller goes on with the numbers of its world: from
+                // which tick on it has the weights is known after its first one.
+                let news = match desk.first_tick {
+                    Some(_) => std::mem::take(&mut desk.news),
+                    None => Default::default(),
+                };
+                (std::mem::take(&mut desk.returned), news, desk.first_tick)
+            }
             Err(_) => return,
         };
         drop(returned);
         for news in news.into_iter().flatten() {
-            self.tell(news);
+            self.tell(news, first_tick.unwrap_or(0));
         }
     }
 
-    fn tell(&mut self, news: News) {
+    /// Nothing is done at tick 0 but what was done before the first tick.
+    fn tell(&mut self, news: News, first_tick: u64) {
+        let number = |tick| if tick == 0 { first_tick } else { tick };
         match news {
             News::Adopted { version, tick } => {
+                let tick = number(tick);
                 tracing::info!(version, tick, "weights adopted");
                 self.status.header.tick = tick;
                 self.status.adopted_tick = tick;
                 self.enter(version, PolicyState::Shadow, "");
             }
             News::Promoted { version, tick } => {
+                let tick = number(tick);
                 tracing::info!(version, tick, "weights may drive");
                 self.charge(version);
                 self.status.header.tick = tick;
@@ -395,7 +404,9 @@ impl Bench {
         let known = self.known.iter().find(|known| known.version == version);
         self.status.version = version;
         self.status.hash = known.map_or(0, |known| short_hash(&policy::sha256(&known.bytes)));
-        if let Err(error) = self.good.write(known) {
+        let kept = self.good.write(known);
+        self.status.unkept = u64::from(kept.is_err());
+        if let Err(error) = kept {
             tracing::warn!(%error, "the weights in charge cannot be kept for a restart");
         }
     }

@@ -41,7 +41,7 @@ crate::word_list! {
 
 crate::message! {
     /// What the controller says of the weights it has and was offered.
-    pub struct PolicyStatus: 328 bytes, nested [Header] {
+    pub struct PolicyStatus: 336 bytes, nested [Header] {
         /// Its tick is that at which `state` began.
         pub header: Header,
         /// Version in charge: that which may drive; 0 for none.
@@ -55,6 +55,9 @@ crate::message! {
         /// The tick at which the weights last adopted were taken up: from it on
         /// they propose, in shadow first.
         pub adopted_tick: u64,
+        /// 1 when the version in charge could not be written to the run's folder, so that
+        /// a restart does not begin with it; 0 else.
+        pub unkept: u64,
         /// A [`PolicyState`]: what became of the weights last offered.
         pub state: u32,
         /// Valid bytes of `refusal`.
@@ -97,6 +100,7 @@ impl Default for PolicyStatus {
             offered_version: 0,
             offered_hash: 0,
             adopted_tick: 0,
+            unkept: 0,
             state: PolicyState::Empty.code(),
             refusal_bytes: 0,
             refusal: [0; 248],

@@ -129,7 +129,10 @@ fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<RunStatus, 
     let judge = judge::read(&config, supervisor);
     Ok(RunStatus {
         supervisor,
-        warnings: tally.foreigners().map(roster::warning).collect(),
+        warnings: tally
+            .foreigners()
+            .map(|foreigner| roster::warning(foreigner, &tally, paths))
+            .collect(),
         judge_unasked: judge::unasked(&config, &tally, judge.as_ref()),
         judge,
         late_ticks: late::latest(&tally),

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use shm_config::run::{Leftovers, RunLock, RunName, RunPaths};
+use shm_config::run::{Leftovers, RunError, RunLock, RunName, RunPaths};
 
 use crate::cli::failure::Failure;
 use crate::machine::signals::pause;
@@ -54,9 +54,11 @@ impl Place {
 
     /// Whether the run's files are still there. Without them a process that starts cannot
     /// join the running ones.
-    pub fn is_whole(&self) -> bool {
-        let shared = self.paths.shared_memory();
-        self.paths.is_held(&self.lock) && shared.is_ok_and(|files| !files.is_empty())
+    ///
+    /// # Errors
+    /// When it cannot be known, such as when no more files can be opened.
+    pub fn is_whole(&self) -> Result<bool, RunError> {
+        Ok(self.paths.is_held(&self.lock)? && !self.paths.shared_memory()?.is_empty())
     }
 
     /// The run's paths.

@@ -3,6 +3,10 @@
 use serde::Serialize;
 use shm_config::message::PolicyStatus;
 
+/// What is said of weights in use that the controller could not write to the disk.
+pub const UNKEPT: &str =
+    "not written to the disk, so a restart does not begin with them (controller.log says why)";
+
 /// The policy's weights.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PolicyView {
@@ -16,6 +20,8 @@ pub struct PolicyView {
     pub state: &'static str,
     /// Why it was refused or rolled back; else empty.
     pub reason: String,
+    /// Whether the version in use is on the disk: a restart begins with it.
+    pub is_kept: bool,
 }
 
 impl PolicyView {
@@ -27,6 +33,7 @@ impl PolicyView {
             offered_version: status.offered_version,
             state: status.state().word(),
             reason: status.refusal().into_owned(),
+            is_kept: status.unkept == 0,
         })
     }
 }
@@ -36,6 +43,9 @@ impl std::fmt::Display for PolicyView {
         match self.version {
             0 => write!(f, "no weights in use")?,
             version => write!(f, "weights {version} ({})", &self.hash[..8])?,
+        }
+        if !self.is_kept {
+            write!(f, ", {UNKEPT}")?;
         }
         match (self.offered_version == self.version, self.reason.as_str()) {
             (true, _) => Ok(()),

@@ -9,6 +9,7 @@ use shm_config::services::Process;
 use crate::show::clock::LOCKSTEP;
 use crate::show::process_row::ProcessRow;
 use crate::show::summary::Summary;
+use crate::show::view_text::why_braked;
 
 /// Versions of the weights that are listed, the newest first.
 const WEIGHTS_SHOWN: usize = 5;
@@ -94,6 +95,15 @@ impl Summary {
                 .map(|(reason, count)| format!("{reason} {count}"))
                 .collect();
             writeln!(f, "  {driver}: {}", list.join(", "))?;
+        }
+        if self.braked > 0 {
+            let world = self.processes.get(Process::World.word());
+            let why = world.map_or(String::new(), |world| why_braked(&world.refusals));
+            writeln!(
+                f,
+                "  but the world braked instead on {}: {why}",
+                counted(self.braked, "tick")
+            )?;
         }
         if let Some(policy) = &self.policy {
             writeln!(f, "policy: {policy}")?;

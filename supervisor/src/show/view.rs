@@ -31,6 +31,8 @@ pub struct View {
     pub driver: Option<(&'static str, &'static str)>,
     /// The world has no recent command and brakes.
     pub is_unled: bool,
+    /// Messages that the world refused, by reason.
+    pub world_refusals: BTreeMap<&'static str, u64>,
     /// The policy's weights; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
     /// Finished episodes by outcome.
@@ -144,6 +146,7 @@ impl View {
                 .newest
                 .map(|(driver, reason)| (driver.word(), reason.word())),
             is_unled: tally.is_unled,
+            world_refusals: world_refusals(tally),
             policy: tally.policy.as_ref().and_then(PolicyView::of),
             outcomes: Outcome::ALL
                 .iter()
@@ -154,6 +157,14 @@ impl View {
             help: None,
         }
     }
+}
+
+/// Messages that the world refused, by reason.
+fn world_refusals(tally: &Tally) -> BTreeMap<&'static str, u64> {
+    let totals = tally.process(Process::World).map(ProcessTally::totals);
+    let refused = totals.unwrap_or_default().refused;
+    let occurred = refused.occurred();
+    occurred.map(|(kind, count)| (kind.word(), count)).collect()
 }
 
 impl ProcessView {

@@ -1,5 +1,6 @@
 //! The view of a run as text: for the live block, the plain lines and `./vlaps status`.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use shm_config::message::Reason;
@@ -33,9 +34,8 @@ impl View {
         let speed_mps = self.episode.map_or(0.0, |episode| episode.speed_mps);
         match self.driver {
             _ if self.is_unled => {
-                format!(
-                    "no driver: the car brakes because no recent command arrived, {speed_mps:.1} m/s"
-                )
+                let why = why_braked(&self.world_refusals);
+                format!("the world brakes: {why}, {speed_mps:.1} m/s")
             }
             Some((driver, reason)) => {
                 let policy = self.policy.as_ref();
@@ -120,5 +120,20 @@ impl View {
             sum(|row| row.late),
             sum(|row| u64::from(row.restarts)),
         )
+    }
+}
+
+/// Why the world brakes, as far as its refusals show.
+pub fn why_braked(refusals: &BTreeMap<&'static str, u64>) -> String {
+    let listed: Vec<_> = refusals
+        .iter()
+        .map(|(reason, count)| format!("{reason} {count}"))
+        .collect();
+    match listed.is_empty() {
+        true => "no command came that it may obey".into(),
+        false => format!(
+            "it may obey no command; refused so far: {}",
+            listed.join(", ")
+        ),
     }
 }

@@ -74,7 +74,8 @@ fn listen(
         // Only a health message tells the state of a process.
         let said = |process| tally.process(process).and_then(ProcessTally::newest);
         let all = rows(config).all(|row| said(row.process).is_some());
-        if all && tally.steps.newest.is_some() && tally.progress.is_some() {
+        // Two progress messages of the world: the second shows whether it brakes.
+        if all && tally.steps.newest.is_some() && tally.progress_count > 1 {
             break;
         }
         pause(LOOK);

@@ -26,6 +26,8 @@ pub struct Tally {
     pub progress: Option<Progress>,
     /// The world braked since its previous progress message because no recent command existed.
     pub is_unled: bool,
+    /// Progress messages of the world.
+    pub progress_count: u64,
     /// The controller's status of its weights.
     pub policy: Option<PolicyStatus>,
     /// Maximum age of an applied command, ns.
@@ -82,6 +84,7 @@ impl Tally {
         match progress.check() {
             Ok(()) => {
                 self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(progress.oldest_obeyed_ns);
+                self.progress_count += 1;
                 let before = self.progress.replace(progress);
                 self.is_unled = before.is_some_and(|before| progress.braked > before.braked);
             }

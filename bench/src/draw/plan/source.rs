@@ -115,7 +115,8 @@ fn of_episode(arguments: &DrawPlan, config: Config, clock: Clock) -> anyhow::Res
 /// Plans again for what a living run saw last.
 fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
     let paths = RunPaths::new(name.clone());
-    if paths.supervisor_pid().is_none() {
+    // A folder of that name that is another user's is refused here, with its owner.
+    if paths.holder()?.is_none() {
         return Err(Failure::GivenUp(format!(
             "run '{name}' is not running; `./vlaps up --run {name}` starts it"
         ))
@@ -127,7 +128,7 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
         ))
     })?;
     let heard = hear(name, clock);
-    // The run may have ended meanwhile; then it was us who kept its place.
+    // The run may have ended meanwhile; then this process kept its place.
     if paths.supervisor_pid().is_none() {
         clean_run(&paths)?;
     }
@@ -136,7 +137,7 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
     let title = format!("Run '{name}', tick {}", observation.header.tick);
     let mut begun = Begun::new(config)?;
     // A planner with a memory goes on from the plan of the step before, which
-    // nobody has kept; this one begins with this observation.
+    // is not kept; this one begins with this observation.
     begun.planner.forget();
     Ok(begun.finish(observation, title, name.to_string()))
 }

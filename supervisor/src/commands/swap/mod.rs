@@ -112,6 +112,7 @@ fn offer(paths: &RunPaths, arguments: &Swap, bytes: &[u8], clock: Clock) -> Resu
                     "adopted at tick {tick}: {file} is version {version} of run '{name}' and may \
                      drive"
                 ));
+                offers.warn_of_unkept();
                 return Ok(());
             }
         }

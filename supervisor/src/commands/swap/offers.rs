@@ -12,6 +12,7 @@ use crate::Clock;
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
 use crate::machine::signals::pause;
+use crate::show::policy_view::UNKEPT;
 
 /// Time between two reads of the status.
 const LOOK: Duration = Duration::from_millis(2);
@@ -134,6 +135,7 @@ impl Offers {
                     say(format_args!(
                         "probation passed: may drive from tick {tick} on"
                     ));
+                    self.warn_of_unkept();
                     return Ok(());
                 }
                 Some(Answer::Refused(reason)) => return Err(Failure::GivenUp(reason)),
@@ -146,6 +148,12 @@ impl Offers {
             }
         }
         Err(Failure::GivenUp("the probation does not end".into()))
+    }
+
+    pub(super) fn warn_of_unkept(&self) {
+        if self.newest.is_some_and(|status| status.unkept != 0) {
+            say(format_args!("warning: the weights are {UNKEPT}"));
+        }
     }
 
     /// The newest status; `None` when the controller has said nothing.

@@ -32,7 +32,7 @@ impl Run<'_> {
         self.warn_of_refused_priority(now);
         for line in self
             .roster_port
-            .foreigners(&self.wire, self.tally.foreigners())
+            .foreigners(&self.wire, &self.tally, self.place.paths())
         {
             self.journal.line(now, &line);
             self.screen.line(line);

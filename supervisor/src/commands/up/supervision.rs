@@ -112,12 +112,8 @@ impl Run<'_> {
     fn decide_and_start(&mut self, now: Instant) -> Decision {
         if now.since_ns(self.place_looked) >= PLACE_NS {
             self.place_looked = now;
-            if !self.place.is_whole() {
-                return Decision::GiveUp(format!(
-                    "{}: the run's files were removed while it drives; a process that dies now \
-                     could not be restarted, so the car is braked to a stand; start the run again",
-                    self.place.paths().dir().display()
-                ));
+            if let Some(reason) = self.place_lost() {
+                return Decision::GiveUp(reason);
             }
         }
         let turn = match self.set.decide(now) {
@@ -130,6 +126,24 @@ impl Run<'_> {
         // Immediately after the start: a process waits until it is on the roster.
         self.roster_port.publish(&self.wire, &self.set);
         turn
+    }
+
+    /// Why a process that dies now could not be restarted; `None` when it could.
+    fn place_lost(&self) -> Option<String> {
+        let dir = self.place.paths().dir();
+        let dir = dir.display();
+        match self.place.is_whole() {
+            Ok(true) => None,
+            Ok(false) => Some(format!(
+                "{dir}: the run's files were removed while it drives; a process that dies now \
+                 could not be restarted, so the car is braked to a stand; start the run again"
+            )),
+            Err(error) => Some(format!(
+                "{dir}: the supervisor cannot read the run's files any more: {error}; a process \
+                 that dies now could not be restarted, so the car is braked to a stand; start the \
+                 run again (with a higher `ulimit -n` when too many files are open)"
+            )),
+        }
     }
 
     /// Whether each configured episode has ended: a world that dies after its last one is
