@@ -20,7 +20,7 @@ use bench::{
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
-use shm_config::text::{printable_arguments, printable_lines};
+use shm_config::text::{causes, printable_arguments, printable_lines};
 use shm_config::time::monotonic;
 use shm_config::{counted, secret};
 use stats_alloc::{INSTRUMENTED_SYSTEM, StatsAlloc};
@@ -47,8 +47,8 @@ fn main() -> ExitCode {
         .and_then(|()| carry_out(&command, clock));
     done.unwrap_or_else(|error| {
         use std::io::Write;
-        // Nobody may be left to read it.
-        let shown = format!("error: {error:#}");
+        // The reader may have gone.
+        let shown = format!("error: {}", causes(&*error));
         let _ = writeln!(std::io::stderr(), "{}", printable_lines(&shown));
         let failure = error.downcast_ref::<Failure>();
         ExitCode::from(failure.map_or(EXIT_FAILED, Failure::exit_code))

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use anyhow::Context as _;
 use clap::Parser as _;
 use judge::standin::{NAME, Server};
-use shm_config::text::{printable_arguments, printable_lines};
+use shm_config::text::{causes, printable_arguments, printable_lines};
 use shm_config::{counted, secret};
 
 use crate::arguments::{Arguments, Command, ServerArguments};
@@ -33,8 +33,8 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            let shown = format!("vlaps-judge: {error:#}");
-            // Nobody may be left to read it.
+            let shown = format!("vlaps-judge: {}", causes(&*error));
+            // The reader may have gone.
             let _ = writeln!(std::io::stderr(), "{}", printable_lines(&shown));
             ExitCode::from(EXIT_FAILED)
         }

@@ -2,8 +2,8 @@
 //!
 //! A run keeps all its files under one folder that only its user can enter, and
 //! its shared memory under one prefix. Every process of the run holds a shared
-//! lock on the folder's `alive` file for as long as it lives, whatever ends it;
-//! the kernel drops the lock. So a run is provably dead exactly when somebody
+//! lock on the folder's `alive` file for as long as it lives, however it ends;
+//! the kernel drops the lock. So a run is provably dead exactly when a process
 //! can take that lock exclusively, and only then are its leftovers removed.
 
 mod holder;
@@ -57,7 +57,7 @@ const FOLDER_LINK: &str = "folder";
 const PARENT_FILE: &str = "parent";
 /// Longest file of a number that is read back, bytes.
 const NUMBER_BYTES_MAX: u64 = 64;
-/// Where the library keeps who is there, and what they share.
+/// Where the library keeps which processes are there, and what they share.
 const NODES_DIR: &str = "nodes";
 const SERVICES_DIR: &str = "services";
 
@@ -213,7 +213,7 @@ impl RunPaths {
     /// Makes the run's folder if it is missing and checks that it is private.
     ///
     /// # Errors
-    /// When it belongs to somebody else or cannot be made.
+    /// When it belongs to another user or cannot be made.
     pub fn create(&self) -> Result<(), RunError> {
         // Another run that ends may take the user's empty folder away between
         // the two steps; it cannot do so for ever.
@@ -444,7 +444,7 @@ pub struct Leftovers {
     pub bytes: u64,
 }
 
-/// Tries to lock; `false` when somebody else holds it.
+/// Tries to lock; `false` when another process holds it.
 fn lock(path: &Path, file: &File, operation: FlockOperation) -> Result<bool, RunError> {
     match rustix::fs::flock(file, operation) {
         Ok(()) => Ok(true),

@@ -113,7 +113,7 @@ fn all_seals() -> SealFlags {
 /// entry, name and all; `false` when there is none. The value is copied nowhere else.
 #[allow(unsafe_code)]
 fn take_entry(name: &CString, keep: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<bool> {
-    // SAFETY: `name` is a string of C. Whoever changes the environment in Rust has
+    // SAFETY: `name` is a string of C. A caller that changes the environment in Rust has
     // promised that no other thread reads it meanwhile.
     let value = unsafe { libc::getenv(name.as_ptr()) };
     if value.is_null() {
@@ -141,7 +141,7 @@ fn take_entry(name: &CString, keep: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> 
 fn lent_to_us() -> Option<File> {
     let input = io::stdin();
     // Of anything but a sealed file in memory, such as a terminal or a pipe, nothing
-    // is read: it would be missing from whoever it is for.
+    // is read: it would be missing from the process that it is for.
     let seals = fcntl_get_seals(input.as_fd()).ok()?;
     if !seals.contains(all_seals()) {
         return None;
@@ -150,7 +150,7 @@ fn lent_to_us() -> Option<File> {
     content(&file).ok()?.starts_with(HEADER).then_some(file)
 }
 
-/// Reads at an offset: all who were lent the file share one position in it.
+/// Reads at an offset: all processes that were lent the file share one position in it.
 fn content(file: &File) -> io::Result<Zeroizing<Vec<u8>>> {
     let length = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
     if length > FILE_BYTES_MAX {

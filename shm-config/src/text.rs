@@ -98,6 +98,21 @@ impl<W: io::Write> io::Write for Printable<W> {
     }
 }
 
+/// An error with its causes in one line. Some errors tell their cause themselves: a
+/// cause that ends the line already is not told twice.
+pub fn causes(error: &dyn std::error::Error) -> String {
+    let mut line = error.to_string();
+    let mut next = error.source();
+    while let Some(cause) = next {
+        let told = cause.to_string();
+        if !line.ends_with(&told) {
+            line = format!("{line}: {told}");
+        }
+        next = cause.source();
+    }
+    line
+}
+
 #[cfg(test)]
 mod tests {
     use std::io::Write as _;
@@ -144,5 +159,15 @@ mod tests {
         let json = "{\"a\": \"\u{202e}\u{e0041}\u{9b}\"}\n";
         let shown = printable_json(json);
         assert_eq!(shown, "{\"a\": \"\\u202e\\udb40\\udc41\\u009b\"}\n");
+    }
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let source = std::io::Error::other("is no regular file");
+        let path = "x.toml".into();
+        let error = crate::config::ConfigError::Read { path, source };
+        let line = causes(&error);
+        assert!(line.contains("x.toml"), "{line}");
+        assert_eq!(line.matches("is no regular file").count(), 1, "{line}");
     }
 }

@@ -293,3 +293,24 @@ fn when_the_files_of_a_run_are_removed_it_brakes_and_says_so() {
     let ended = set.json()["ended"].to_string();
     assert!(ended.contains("files were removed"), "{ended}");
 }
+
+#[test]
+fn a_supervisor_that_can_open_no_more_files_brakes_and_names_that() {
+    use rustix::process::{Resource, Rlimit, prlimit};
+    let mut set = Set::new("nofile");
+    set.start(&["--seed", "3"]);
+    let mut watch = Watch::new(&set);
+    watch.until_driving();
+    let pid = set.paths().supervisor_pid().expect("a supervisor") as i32;
+    let none = Rlimit {
+        current: Some(3),
+        maximum: Some(3),
+    };
+    prlimit(rustix::process::Pid::from_raw(pid), Resource::Nofile, none).expect("its limit");
+    watch.until("the brake", |step| step.reason() == Some(Reason::Stopping));
+    drop(watch);
+    assert_eq!(set.wait(), Some(1), "{}", set.logs());
+    let said = set.logs();
+    assert!(said.contains("Too many open files"), "{said}");
+    assert!(!said.contains("files were removed"), "{said}");
+}

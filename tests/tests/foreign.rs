@@ -1,18 +1,17 @@
 //! A process of the same user that the run did not start sends in the place of those
 //! that it did: it is refused, counted, named, and never driven on.
 
+use bench::faults::strangers::{command, trace_in};
 use rustix::process::Signal;
 use serde_json::Value;
+use shm_config::Instant;
 use shm_config::message::{
-    Command, Driver, Episode, Health, HealthState, Message, Observation, Progress, Reason, Step,
+    Driver, Episode, Health, HealthState, Message, Observation, Progress, Reason, Step,
 };
 use shm_config::services::{self, COMMAND, EPISODE, OBSERVATION, PROGRESS, Process, STEP};
 use shm_config::time::monotonic;
 use shm_config::wire::{Publisher, Subscriber, Wire};
 use vlaps_tests::{Set, until};
-
-/// What the stranger steers: no driver of the set steers just so.
-const STRANGE_STEER: f64 = 0.123_456_789;
 
 /// The stranger: it reads the steps of a set, and sends.
 struct Stranger {
@@ -45,14 +44,7 @@ impl Stranger {
             steps.tend();
             while let Some(step) = steps.receive() {
                 assert_eq!(step.check(), Ok(()));
-                assert_ne!(
-                    step.observation.header.producer, own,
-                    "a stranger's observation"
-                );
-                assert_ne!(
-                    step.observation.ego.steer, STRANGE_STEER,
-                    "a stranger's command"
-                );
+                assert_eq!(trace_in(&step, own), None);
                 *newest = step;
                 if wish(&step) {
                     return true;
@@ -67,13 +59,22 @@ impl Stranger {
     }
 }
 
-fn command(step: &Step, episode: u32) -> Command {
-    let mut command = step.command;
-    command.header.tick += 1;
-    command.header.episode = episode;
-    command.header.taken_ns = monotonic_ns();
-    (command.steer, command.pedal) = (STRANGE_STEER, 1.0);
-    command
+/// What `status` prints while something is done again and again.
+fn status_beside(set: &Set, mut act: impl FnMut()) -> String {
+    let program = vlaps_tests::programs().join("vlaps-supervisor");
+    let name = set.name().to_string();
+    let mut command = std::process::Command::new(program);
+    command.args(["status", "--run", &name]);
+    let mut child = command
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    until("status has looked", || {
+        act();
+        child.try_wait().expect("its end").is_some()
+    });
+    let output = child.wait_with_output().expect("its words");
+    String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
 #[allow(clippy::disallowed_methods)] // the stranger's own clock
@@ -119,13 +120,27 @@ fn foreign_commands(label: &str, ahead: u32) {
     let mut progress = stranger.wire.subscriber(PROGRESS).expect("progress");
     let last = stranger.newest;
     let stands = || {
+        let mut forged = command(&last, Instant(monotonic_ns()));
+        forged.header.episode += ahead;
         port.tend();
-        port.send(&mut command(&last, last.header.episode + ahead));
+        port.send(&mut forged);
         progress.tend();
         let said = progress.newest(Message::check);
         said.is_some_and(|said| said.braked > 0 && said.speed_mps < 0.1)
     };
     until("the car stands while it is sent to", stands);
+    let shown = status_beside(&set, || {
+        let mut forged = command(&last, Instant(monotonic_ns()));
+        forged.header.episode += ahead;
+        port.send(&mut forged);
+    });
+    assert!(
+        shown.contains("the world brakes: it may obey no command") && shown.contains("foreign "),
+        "{shown}"
+    );
+    let named = format!("process {} (", std::process::id());
+    assert!(shown.contains(&named), "{shown}");
+    assert!(!shown.contains("namespace"), "a member of the run: {shown}");
     let now = stranger.newest.header.tick;
     // The steps of the time that it took are checked, too.
     stranger.until(
@@ -140,6 +155,10 @@ fn foreign_commands(label: &str, ahead: u32) {
     drop((port, progress, stranger));
     let (json, logs) = end(set);
     assert!(refused(&json, "world", "foreign") > 0, "{json}");
+    assert!(
+        json["braked"].as_u64() > Some(0),
+        "the summary tells of the brake: {json}"
+    );
     let warning = format!("process {} (", std::process::id());
     let named = logs
         .lines()

@@ -8,7 +8,7 @@ mod picture;
 mod room;
 mod rows;
 mod stage;
-mod strangers;
+pub mod strangers;
 mod strike;
 mod trouble;
 mod watch;

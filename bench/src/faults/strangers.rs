@@ -13,7 +13,7 @@ use supervisor::machine::signals::pause;
 
 /// What a stranger steers: no driver of the set steers just so, so that a world that
 /// obeyed it is seen.
-pub const STRANGE_STEER: f64 = 0.123_456_789;
+pub(super) const STRANGE_STEER: f64 = 0.123_456_789;
 
 /// Episodes ahead of the run's own.
 const EPISODES_AHEAD: u32 = 7;
@@ -126,7 +126,8 @@ impl Stranger {
     }
 }
 
-fn command(step: &Step, now: Instant) -> Command {
+/// A command that a world would obey if it came from the run's controller.
+pub fn command(step: &Step, now: Instant) -> Command {
     let mut command = step.command;
     command.header.taken_ns = now.0;
     command.header.tick = step.header.tick + 1;

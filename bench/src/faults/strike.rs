@@ -55,7 +55,7 @@ pub struct Came {
     pub by: &'static str,
     /// From the fault to the next safe command, ns; `None` when none came.
     pub command_ns: Option<u64>,
-    /// From the fault until everybody was up and the car was driven on fresh
+    /// From the fault until every process was up and the car was driven on fresh
     /// inputs, ns; `None` when that never happened.
     pub recovered_ns: Option<u64>,
 }
@@ -190,7 +190,7 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
     Ok(Blow::Goes { detail })
 }
 
-/// Waits until the set drives again, or somebody asks to stop; what came of the fault
+/// Waits until the set drives again, or a stop is asked for; what came of the fault
 /// until then.
 pub fn await_recovery(
     stage: &mut Stage,

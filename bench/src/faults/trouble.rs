@@ -14,7 +14,7 @@ pub enum Kind {
     Stop,
     /// The process lives, its loop waits for ever.
     Hang,
-    /// The loop turns for ever and leaves its core to nobody below its priority.
+    /// The loop turns for ever and leaves its core to no process below its priority.
     Spin,
     /// The loop stands still for a while.
     Slow,
@@ -30,7 +30,7 @@ pub enum Kind {
     Shm,
     /// The wall clock jumps by an hour and back.
     Clock,
-    /// Somebody with the right to write publishes what is wrong.
+    /// A process with the right to write publishes what is wrong.
     Hostile,
     /// A process that the run did not start sends commands of the driven episode.
     ForeignCommand,
@@ -91,7 +91,7 @@ impl Kind {
                 Controller, Controller, Planner, Planner, World, Gate, Learner,
             ],
             Kind::Memory => &[Controller, Planner, World, Gate],
-            // The room is needed when somebody starts anew.
+            // The room is needed when a process starts anew.
             Kind::Disk | Kind::Shm => &[Controller, Planner, World, Gate],
             Kind::Files => &[Controller, Planner],
             Kind::Slots => &[Controller, Planner, World],
@@ -104,7 +104,7 @@ impl Kind {
         }
     }
 
-    /// It ends a process at once, so that somebody else has to act.
+    /// It ends a process at once, so that another process has to act.
     pub fn is_a_death(self) -> bool {
         matches!(
             self,
@@ -112,7 +112,7 @@ impl Kind {
         )
     }
 
-    /// The process lives and does nothing until somebody kills it.
+    /// The process lives and does nothing until it is killed.
     pub fn is_a_hang(self) -> bool {
         matches!(self, Kind::Hang | Kind::Spin)
     }

@@ -1,7 +1,7 @@
 //! The files by which a run's shared memory appears.
 //!
 //! Every user may make files in that folder, and under any name. What belongs to
-//! another user, or is no file at all, is no part of a run whatever it is called:
+//! another user, or is no file at all, is no part of a run under any name:
 //! it is neither changed nor removed nor in the way.
 
 use std::fmt;
@@ -120,7 +120,7 @@ impl Shared {
         let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
         let open = |access| rustix::fs::openat(&self.folder, name, access | flags, Mode::empty());
         let file = match open(OFlags::RDONLY) {
-            // The library writes some files before it lets anybody read them.
+            // The library writes some files before other processes may read them.
             Err(Errno::ACCESS) => open(OFlags::WRONLY)?,
             opened => opened?,
         };
