@@ -21,8 +21,8 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-use crate::Clock;
 use crate::driven::{Punctuality, Quantiles};
+use stack::Clock;
 
 /// Whether the floor asks for the controller's real-time priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,8 +1,13 @@
 //! `bench policy`: how long the net of a policy takes to answer, by back end.
 
+use crate::gauges::Gauges;
+use clap::Args;
 use std::path::PathBuf;
 use std::process::Command;
+use std::process::ExitCode;
 use std::time::Duration;
+use supervisor::cli::parsers::whole;
+use supervisor::subcommand::{Output, Subcommand};
 
 use anyhow::{Context, bail};
 use controller::{OrtPolicy, OrtSession, Policy, library};
@@ -11,9 +16,46 @@ use policy::{Activation, Layer, Mlp, Net, Provenance, decode, encode};
 use serde::Serialize;
 use shm_config::message::FEATURES;
 
-use crate::Clock;
-use crate::arguments::BenchPolicy;
-use crate::report::{Machine, say, table, write_json};
+use lab::report::{Machine, table};
+use stack::Clock;
+use supervisor::subcommand::{say, write_json};
+
+/// Measure how long the policy's net takes to answer, by back end.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Rows: the bare product of the same size (the limit), the native runtime, ONNX \
+        Runtime (after ./vlaps setup onnxruntime), and PyTorch where the Python has it.\n\n\
+        Examples:\n  \
+        ./vlaps bench policy\n  \
+        ./vlaps bench policy --python torch/bin/python --json policy.json"
+)]
+pub struct BenchPolicy {
+    /// Answers to measure of each.
+    #[arg(long, value_name = "N", default_value_t = 20_000,
+          allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=10_000_000))]
+    pub runs: u32,
+    /// libonnxruntime.so or its folder, if not that of ./vlaps setup onnxruntime.
+    #[arg(long, value_name = "FILE")]
+    pub onnxruntime: Option<PathBuf>,
+    /// A Python with PyTorch; without it, python3.
+    #[arg(long, value_name = "FILE")]
+    pub python: Option<PathBuf>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for BenchPolicy {
+    fn outputs(&self) -> Vec<Output> {
+        vec![Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, Gauges::new(clock))?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
 
 /// Width of the two hidden layers: that of the experiment's actor.
 const HIDDEN: usize = 256;
@@ -87,11 +129,7 @@ pub fn net(hidden: usize, seed: u64) -> Mlp {
 ///
 /// # Errors
 /// When the back ends disagree, or a file cannot be written.
-pub fn bench(
-    arguments: &BenchPolicy,
-    clock: Clock,
-    allocations: fn() -> usize,
-) -> anyhow::Result<()> {
+fn bench(arguments: &BenchPolicy, gauges: Gauges) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
     let mlp = net(HIDDEN, 1);
     let features: Vec<f32> = (0..FEATURES)
@@ -103,8 +141,7 @@ pub fn bench(
         std::slice::from_ref(&features),
     );
     let meter = Meter {
-        clock,
-        allocations,
+        gauges,
         runs: arguments.runs,
         features,
     };
@@ -125,8 +162,7 @@ pub fn bench(
 }
 
 struct Meter {
-    clock: Clock,
-    allocations: fn() -> usize,
+    gauges: Gauges,
     runs: u32,
     features: Vec<f32>,
 }
@@ -137,13 +173,13 @@ impl Meter {
         for _ in 0..WARM_UP {
             infer(std::hint::black_box(&self.features));
         }
-        let before = (self.allocations)();
+        let before = self.gauges.allocations();
         for _ in 0..self.runs {
-            let begun = (self.clock)();
+            let begun = self.gauges.now();
             infer(std::hint::black_box(&self.features));
-            times_ns.saturating_record((self.clock)().since_ns(begun));
+            times_ns.saturating_record(self.gauges.now().since_ns(begun));
         }
-        let allocated = (self.allocations)() - before;
+        let allocated = self.gauges.allocations() - before;
         let us = |ns: u64| Some(ns as f64 / 1e3);
         Row {
             backend,
@@ -273,7 +309,7 @@ fn onnx_runtime(
     let straight = meter.row(NAMES[0], |features| {
         std::hint::black_box(session.infer(features));
     });
-    let mut threaded = OrtPolicy::new(session, (1, &file.sha256), PATIENCE, meter.clock)?;
+    let mut threaded = OrtPolicy::new(session, (1, &file.sha256), PATIENCE, meter.gauges.clock())?;
     let in_tick = meter.row(NAMES[1], |features| {
         std::hint::black_box(threaded.infer(features));
     });

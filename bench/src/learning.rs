@@ -1,8 +1,11 @@
 //! `bench learner`: gradient steps per second, beside PyTorch on the same cores.
 
+use clap::Args;
 use std::io::{BufRead, BufReader, Write};
 use std::path::PathBuf;
+use std::process::ExitCode;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use supervisor::subcommand::{Output, Subcommand, seconds};
 
 use anyhow::Context;
 use learner::algorithm::{Pvp, Regression, Size, Source, Student, pvp};
@@ -12,10 +15,44 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use shm_config::message::FEATURES;
 
-use crate::Clock;
-use crate::arguments::BenchLearner;
 use crate::products::{Pass, Room};
-use crate::report::{Machine, say, table, write_json};
+use lab::report::{Machine, table};
+use stack::Clock;
+use supervisor::subcommand::{say, write_json};
+
+/// Measure gradient steps per second, beside PyTorch.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "The update of pvp (twin critics, the actor every second time, Adam, targets \
+        that follow) and that of the imitations, 2 x 256 neurons, on one thread and two; \
+        PyTorch makes the same updates by turns where the Python has it.\n\n\
+        Examples:\n  \
+        ./vlaps bench learner\n  \
+        ./vlaps bench learner --python torch/bin/python --json learner.json"
+)]
+pub struct BenchLearner {
+    /// Seconds for each side of a row.
+    #[arg(long, value_name = "S", default_value_t = 6.0, allow_negative_numbers = true,
+          value_parser = seconds)]
+    pub seconds: f64,
+    /// A Python with PyTorch; without it, python3.
+    #[arg(long, value_name = "FILE")]
+    pub python: Option<PathBuf>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for BenchLearner {
+    fn outputs(&self) -> Vec<Output> {
+        vec![Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
 
 /// Neurons of each of the two hidden layers: those of the experiment.
 const HIDDEN: usize = 256;
@@ -145,7 +182,7 @@ struct Learnt {
 ///
 /// # Errors
 /// When PyTorch's script breaks off, or a file cannot be written.
-pub fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
+fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
     let replay = replay(HELD);
     let mut torch = Torch::start(arguments);

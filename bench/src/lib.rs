@@ -1,77 +1,71 @@
-//! Evaluation, comparison with other systems, and pictures: the program
-//! `vlaps-bench`, to which `./vlaps eval`, `bench` and `draw` hand over.
+//! Measurements, and comparisons with other systems: the program `vlaps-bench`, to
+//! which `./vlaps bench` hands over.
 //!
-//! | module | holds |
+//! | module | measures |
 //! |---|---|
-//! | [`arguments`] | the command line |
-//! | [`outputs`], [`stop`] | files that cannot be written, and Ctrl-C |
-//! | [`settings`] | the run's configuration, as `./vlaps up` would make it |
-//! | [`seat`] | the drivers: the stack's expert, a lane keeper, MetaDrive's IDM |
-//! | [`episode`] | one episode in lockstep order |
-//! | [`eval`], [`evaluation`] | many episodes, and their table |
-//! | [`outside`] | the same in the real MetaDrive |
-//! | [`metric`] | keys and names of the figures |
-//! | [`statistics`] | means with 95 % intervals |
-//! | [`report`] | rows of a table, on the screen and as JSON |
-//! | [`parity`] | the world against recordings of MetaDrive |
-//! | [`speed`], [`metadrive`] | ticks per second, ours and MetaDrive's |
-//! | [`photography`] | what a picture of the world costs |
-//! | [`scene`] | recorded scenes and their files |
-//! | [`mpc`] | the model-predictive expert, disturbed for long |
+//! | [`speed`], [`metadrive`], [`photography`] | ticks per second of the built-in world, beside MetaDrive; cost of its frames |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
-//! | [`inference`] | how long a policy takes to answer, by back end |
-//! | [`judging`] | how often a judge is right where the simulator knows |
+//! | [`mpc`] | the model-predictive expert, disturbed for long |
+//! | [`inference`] | time of a policy's answer, by back end |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
-//! | [`driven`] | a whole process set, driven for a measurement |
-//! | [`faults`] | a campaign of faults on live sets |
-//! | [`floor`] | how late the machine wakes a thread that does nothing else |
-//! | [`stalls`] | when the machine stood still, core by core |
-//! | [`latency`] | how punctual the set is, whatever happens beside it |
-//! | [`chart`], [`bitmap`] | what charts have in common, and their letters in a PNG |
-//! | [`ipc`] | what the wire adds to the library beneath it, beside Cyclone DDS and Zenoh |
-//! | [`soak`] | a set that drives for millions of ticks: does it grow? |
 //! | [`swapping`] | a running set whose weights are swapped |
-//! | [`sweep`] | what a judge that is wrong, silent or late costs |
-//! | [`train`] | the paper's experiment, its curves and tables |
-//! | [`draw`] | pictures of maps, episodes and plans |
+//! | [`judging`] | share of right answers of a judge where the simulator knows |
+//! | [`latency`] | punctuality of the set under load |
+//! | [`ipc`] | the wire beside bare iceoryx2, Cyclone DDS and Zenoh |
+//! | [`faults`] | live sets under faults |
+//! | [`soak`] | growth of a set over millions of ticks |
+//!
+//! | module | shared by them |
+//! |---|---|
+//! | [`driven`] | a whole process set, driven for a measurement |
+//! | [`floor`] | lateness of a thread on this machine that does nothing else |
+//! | [`stalls`] | instants at which the machine stood still, core by core |
+//! | [`gauges`] | time, processor time, memory |
 
-pub mod arguments;
-pub mod bitmap;
-pub mod chart;
-pub mod draw;
 pub mod driven;
-pub mod episode;
-pub mod eval;
-pub mod evaluation;
 pub mod faults;
 pub mod floor;
+pub mod gauges;
 pub mod inference;
 pub mod ipc;
 pub mod judging;
 pub mod latency;
 pub mod learning;
 pub mod metadrive;
-pub mod metric;
 pub mod mpc;
-pub mod outputs;
-pub mod outside;
-pub mod parity;
 pub mod photography;
 pub mod planning;
 mod products;
-pub mod report;
-pub mod scene;
-pub mod seat;
-pub mod settings;
 pub mod soak;
 pub mod speed;
 pub mod stalls;
-pub mod statistics;
-pub mod stop;
 pub mod swapping;
-pub mod sweep;
-pub mod train;
 
-/// How a library function of this crate reads the clock: it is handed one by
-/// `main.rs`.
-pub type Clock = fn() -> shm_config::Instant;
+supervisor::subcommands! {
+    /// What to measure.
+    Bench {
+        Parity(lab::parity::Parity),
+        Sim(speed::Sim),
+        Planner(planning::BenchPlanner),
+        Mpc(mpc::BenchMpc),
+        Policy(inference::BenchPolicy),
+        Learner(learning::BenchLearner),
+        Swap(swapping::BenchSwap),
+        Judge(judging::BenchJudge),
+        Latency(latency::BenchLatency),
+        Ipc(ipc::BenchIpc),
+        #[command(hide = true)]
+        IpcEcho(ipc::IpcEcho),
+        Faults(faults::BenchFaults),
+        Soak(soak::BenchSoak),
+    }
+}
+
+supervisor::subcommands! {
+    /// The commands of this program.
+    Command {
+        /// Measure, and compare with other systems.
+        #[command(subcommand, arg_required_else_help = true)]
+        Bench(Bench),
+    }
+}

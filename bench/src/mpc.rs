@@ -1,6 +1,8 @@
 //! The model-predictive expert driven for long, over roads that get blocked and
 //! with a hand that grabs the wheel: does it always have an answer, and in time?
 
+use crate::gauges::Gauges;
+use clap::Args;
 use hdrhistogram::Histogram;
 use indicatif::{ProgressBar, ProgressStyle};
 use planner::Mpc;
@@ -10,13 +12,54 @@ use serde::Serialize;
 use shm_config::counted;
 use shm_config::message::{Header, Observation, Plan};
 use sim::{World, WorldConfig};
+use stack::Clock;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use supervisor::cli::parsers::whole;
+use supervisor::subcommand::{Configuration, Output, Subcommand};
 use vehicle::{Action, Point, Pose, pose};
 
-use crate::arguments::BenchMpc;
-use crate::report::{say, table, write_json};
-use crate::seat::planning_histogram;
-use crate::settings;
-use crate::speed::Gauges;
+use lab::report::table;
+use stack::driver::planning_histogram;
+use supervisor::subcommand::{say, write_json};
+
+/// Drive the model-predictive expert for long, disturbed: does it answer in time?
+#[derive(Debug, Args)]
+#[command(
+    after_help = "A third of the time the road is free, a third a wall stands across it, a \
+        third random commands are obeyed in place of the plan's.\n\n\
+        Examples:\n  \
+        ./vlaps bench mpc --json mpc.json\n  \
+        ./vlaps bench mpc --ticks 2000 --set mpc.steps=16"
+)]
+pub struct BenchMpc {
+    /// How many ticks.
+    #[arg(long, value_name = "N", default_value_t = 100_000,
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=100_000_000))]
+    pub ticks: u64,
+    /// Seed of the first episode, and of the disturbances.
+    #[arg(long, value_name = "N", default_value_t = 100, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
+    pub first_seed: u64,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for BenchMpc {
+    fn outputs(&self) -> Vec<Output> {
+        vec![Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, Gauges::new(clock))?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
 
 /// Ticks that a condition lasts.
 const SPELL_TICKS: u64 = 50;
@@ -111,9 +154,8 @@ struct Tally {
 ///
 /// # Errors
 /// When the configuration is out of range, or a seed has no map.
-pub fn bench(arguments: &BenchMpc, gauges: Gauges) -> anyhow::Result<()> {
-    let chosen = &arguments.configuration;
-    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+fn bench(arguments: &BenchMpc, gauges: Gauges) -> anyhow::Result<()> {
+    let config = arguments.configuration.resolve()?;
     let period_ns = config.run.period_ns();
     let mut world = World::new(WorldConfig::from(&config.world))?;
     let mut drive = Soaking {
@@ -204,10 +246,10 @@ impl Soaking {
                 &(world.world_from_ego().inverse() * wall_world),
             );
         }
-        let (core, begun) = ((self.gauges.core)(), (self.gauges.clock)());
+        let (core, begun) = (self.gauges.core(), self.gauges.now());
         self.planner.plan(observation, &mut self.plan);
-        let plan_ns = (self.gauges.clock)().since_ns(begun);
-        let core = (self.gauges.core)() - core;
+        let plan_ns = self.gauges.now().since_ns(begun);
+        let core = self.gauges.core() - core;
         let effort = self.planner.effort();
         let tally = &mut self.tallies[spell as usize];
         tally.plan_cpu_us.saturating_record(core.as_micros() as u64);

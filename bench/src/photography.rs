@@ -7,9 +7,9 @@ use shm_config::message::View;
 use sim::render::{Renderer, Shot};
 use sim::{World, WorldConfig};
 
-use crate::report::table;
-use crate::seat::keep_lane;
-use crate::speed::Gauges;
+use crate::gauges::Gauges;
+use lab::report::table;
+use stack::lane_keeper::keep_lane;
 
 /// Pictures of each kind, and ticks from one to the next.
 const PICTURES: usize = 200;
@@ -72,11 +72,11 @@ fn one(config: &WorldConfig, first_seed: u64, shot: &Shot, gauges: Gauges) -> an
             world.reset(seed)?;
             renderer.begin(&world);
         }
-        let begun = (gauges.core)();
+        let begun = gauges.core();
         let picture = renderer.draw(&world, shot);
         let picture = picture.ok_or_else(|| anyhow::anyhow!("no memory for a picture"))?;
         std::hint::black_box(picture.rgb);
-        costs_ms.push(((gauges.core)() - begun).as_secs_f64() * 1e3);
+        costs_ms.push((gauges.core() - begun).as_secs_f64() * 1e3);
     }
     costs_ms.sort_by(f64::total_cmp);
     let [width, height] = shot.size_px;

@@ -1,8 +1,14 @@
 //! How many ticks of one ego a second: 240 beams, traffic, obstacles, resets
 //! and a scripted driver included; ours beside MetaDrive's.
 
+use crate::gauges::Gauges;
+use clap::Args;
+use stack::Clock;
 use std::num::NonZeroUsize;
-use std::time::Duration;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use supervisor::cli::parsers::whole;
+use supervisor::subcommand::{Output, Subcommand, seconds};
 
 use serde::Serialize;
 use shm_config::config::Config;
@@ -10,11 +16,48 @@ use shm_config::message::Observation;
 use sim::{AfterEnd, Batch, BatchConfig, World, WorldConfig};
 use vehicle::Action;
 
-use crate::arguments::Sim;
 use crate::metadrive::{Attempt, Measured, measure};
 use crate::photography;
-use crate::report::{say, table, write_json};
-use crate::seat::keep_lane;
+use lab::report::table;
+use stack::lane_keeper::keep_lane;
+use supervisor::subcommand::{say, write_json};
+
+/// Measure how fast the built-in world is, beside MetaDrive.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Everything is on: 240 beams, traffic, obstacles, resets, and a driver that \
+        keeps its lane. MetaDrive runs on one core in the same run when \
+        `./vlaps setup metadrive` has made its virtual environment.\n\n\
+        Example:\n  ./vlaps bench sim --seconds 10 --json sim.json"
+)]
+pub struct Sim {
+    /// Seconds for each row.
+    #[arg(long, value_name = "S", default_value_t = 5.0, allow_negative_numbers = true,
+          value_parser = seconds)]
+    pub seconds: f64,
+    /// Seed of the first episode.
+    #[arg(long, value_name = "N", default_value_t = 1000, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
+    pub first_seed: u64,
+    /// The virtual environment with MetaDrive, if not the one that
+    /// `./vlaps setup metadrive` makes.
+    #[arg(long, value_name = "DIR")]
+    pub metadrive: Option<PathBuf>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for Sim {
+    fn outputs(&self) -> Vec<Output> {
+        vec![Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, Gauges::new(clock))?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
 
 /// Seeds are used again after this many.
 const SEEDS: u64 = 1000;
@@ -25,17 +68,6 @@ const MEMORY_EPISODES: u64 = 200;
 /// The project's bars: on one core, and as a multiple of MetaDrive's.
 const BAR_PER_S: f64 = 50_000.0;
 const BAR_TIMES: f64 = 100.0;
-
-/// How the clocks and the heap are read: handed in by `main.rs`.
-#[derive(Clone, Copy)]
-pub struct Gauges {
-    /// Time on the machine's clock.
-    pub clock: crate::Clock,
-    /// Processor time of the calling thread so far.
-    pub core: fn() -> Duration,
-    /// Bytes of the heap in use.
-    pub bytes_held: fn() -> usize,
-}
 
 /// One measurement.
 #[derive(Clone, Debug, Serialize)]
@@ -108,7 +140,7 @@ struct Work {
 ///
 /// # Errors
 /// When a world cannot be made, or MetaDrive is there but does not run.
-pub fn bench(arguments: &Sim, gauges: Gauges) -> anyhow::Result<()> {
+fn bench(arguments: &Sim, gauges: Gauges) -> anyhow::Result<()> {
     let config = Config::default();
     let world = WorldConfig::from(&config.world);
     let cores = std::thread::available_parallelism()?;
@@ -220,12 +252,12 @@ fn drive(
     let mut world = World::new(config.clone())?;
     let mut observation = Box::<Observation>::default();
     let mut work = Work::default();
-    let begun = (gauges.clock)();
-    let core_begun = (gauges.core)();
-    while ((gauges.clock)().since_ns(begun) as f64) < seconds * 1e9 {
-        let before = (gauges.core)();
+    let begun = gauges.now();
+    let core_begun = gauges.core();
+    while (gauges.now().since_ns(begun) as f64) < seconds * 1e9 {
+        let before = gauges.core();
         world.reset(first_seed + work.episodes % SEEDS)?;
-        let reset_s = ((gauges.core)() - before).as_secs_f64();
+        let reset_s = (gauges.core() - before).as_secs_f64();
         work.reset_s += reset_s;
         work.reset_worst_s = work.reset_worst_s.max(reset_s);
         work.episodes += 1;
@@ -236,7 +268,7 @@ fn drive(
             work.ticks += 1;
         }
     }
-    work.core_s = ((gauges.core)() - core_begun).as_secs_f64();
+    work.core_s = (gauges.core() - core_begun).as_secs_f64();
     Ok(work)
 }
 
@@ -257,9 +289,9 @@ fn row(what: String, threads: usize, works: &[Work], seconds: f64) -> Row {
 }
 
 fn one_core(config: &WorldConfig, task: (u64, f64), gauges: Gauges) -> anyhow::Result<Row> {
-    let begun = (gauges.clock)();
+    let begun = gauges.now();
     let work = drive(config, task, gauges)?;
-    let seconds = (gauges.clock)().since_ns(begun) as f64 * 1e-9;
+    let seconds = gauges.now().since_ns(begun) as f64 * 1e-9;
     Ok(row("VLAPS, one core".into(), 1, &[work], seconds))
 }
 
@@ -269,7 +301,7 @@ fn all_cores(
     cores: NonZeroUsize,
     gauges: Gauges,
 ) -> anyhow::Result<Row> {
-    let begun = (gauges.clock)();
+    let begun = gauges.now();
     let works: anyhow::Result<Vec<Work>> = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..cores.get() as u64)
             .map(|k| {
@@ -283,7 +315,7 @@ fn all_cores(
         };
         threads.into_iter().map(join).collect()
     });
-    let elapsed_s = (gauges.clock)().since_ns(begun) as f64 * 1e-9;
+    let elapsed_s = gauges.now().since_ns(begun) as f64 * 1e-9;
     let what = format!("VLAPS, all {cores} cores");
     Ok(row(what, cores.get(), &works?, elapsed_s))
 }
@@ -306,7 +338,7 @@ fn batch(
     let mut batch = Batch::new(config, settings, first_seed)?;
     let mut actions = vec![Action::default(); batch.len()];
     let (mut ticks, mut episodes) = (0_u64, stride);
-    let begun = (gauges.clock)();
+    let begun = gauges.now();
     let mut elapsed_s = 0.0;
     while elapsed_s < seconds {
         batch.visit(|k, report| {
@@ -315,7 +347,7 @@ fn batch(
         });
         batch.step(&actions)?;
         ticks += stride;
-        elapsed_s = (gauges.clock)().since_ns(begun) as f64 * 1e-9;
+        elapsed_s = gauges.now().since_ns(begun) as f64 * 1e-9;
     }
     Ok(Row {
         what: format!("VLAPS, batch of {worlds}, {cores} threads"),
@@ -347,7 +379,7 @@ fn bytes_per_world(
     first_seed: u64,
     gauges: Gauges,
 ) -> anyhow::Result<BytesPerWorld> {
-    let before = (gauges.bytes_held)();
+    let before = gauges.bytes_held();
     let mut world = Box::new(World::new(config.clone())?);
     let mut observation = Box::<Observation>::default();
     let (mut sum, mut worst) = (0, 0);
@@ -357,7 +389,7 @@ fn bytes_per_world(
             world.observe(&mut observation);
             world.step(keep_lane(&observation));
         }
-        let held = (gauges.bytes_held)().saturating_sub(before);
+        let held = gauges.bytes_held().saturating_sub(before);
         sum += held;
         worst = worst.max(held);
     }

@@ -14,8 +14,8 @@ use rustix::thread::{CpuSet, sched_getaffinity};
 use shm_config::Instant;
 use supervisor::set::table::TABLE;
 
-use crate::Clock;
 use crate::floor::{Priority, claim_fifo, stay_on, wake};
+use stack::Clock;
 
 /// Width of a moment for which the largest lateness is kept, ns.
 pub const MOMENT_NS: u64 = 100_000_000;

@@ -1,6 +1,10 @@
 //! `bench swap`: does a running set notice that its weights are swapped?
 
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
 use std::time::Duration;
+use supervisor::subcommand::{Output, Subcommand, seconds};
 
 use anyhow::bail;
 use hdrhistogram::Histogram;
@@ -12,12 +16,55 @@ use shm_config::wire::Wire;
 use supervisor::cli::failure::Failure;
 use supervisor::commands::swap::offers::{Answer, Offers};
 
-use crate::Clock;
-use crate::arguments::BenchSwap;
 use crate::driven::{Driven, Punctuality};
 use crate::floor::{Floor, Priority};
 use crate::inference::net;
-use crate::report::{Machine, say, table, write_json};
+use lab::report::{Machine, table};
+use stack::Clock;
+use supervisor::subcommand::{say, write_json};
+
+/// Measure whether a running set notices that its weights are swapped.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "For each rate the whole set drives twice: without swaps, and with new weights \
+        every second.\n\n\
+        Examples:\n  \
+        ./vlaps bench swap\n  \
+        ./vlaps bench swap --seconds 300 --rate 10,100 --json swap.json"
+)]
+pub struct BenchSwap {
+    /// Seconds for each row, 5 at least: nothing is swapped in the first and the
+    /// last two.
+    #[arg(long, value_name = "S", default_value_t = 30.0, allow_negative_numbers = true,
+          value_parser = seconds)]
+    pub seconds: f64,
+    /// Ticks per second, one or more.
+    #[arg(
+        long,
+        value_name = "HZ",
+        allow_negative_numbers = true,
+        value_delimiter = ',',
+        default_value = "10,100"
+    )]
+    pub rate: Vec<f64>,
+    /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for BenchSwap {
+    fn outputs(&self) -> Vec<Output> {
+        vec![Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
 
 /// From offer to offer, s.
 const EVERY_S: f64 = 1.0;
@@ -75,7 +122,7 @@ pub struct Swapped {
 ///
 /// # Errors
 /// When a set does not start, or does not answer.
-pub fn bench(arguments: &BenchSwap, clock: Clock) -> anyhow::Result<()> {
+fn bench(arguments: &BenchSwap, clock: Clock) -> anyhow::Result<()> {
     if offers(arguments.seconds) == 0 {
         return Err(Failure::Usage(format!(
             "--seconds {}: too short for a swap; at least {}",

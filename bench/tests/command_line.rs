@@ -3,8 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use serde_json::Value;
-
 fn bench(words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
         .args(words)
@@ -16,127 +14,10 @@ fn scratch(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
 
-fn json(path: &Path) -> Value {
-    let text = std::fs::read_to_string(path).expect("the JSON was written");
-    serde_json::from_str(&text).expect("JSON")
-}
-
-fn eval(driver: &str, threads: &str) -> Value {
-    let path = scratch(&format!("eval-{driver}-{threads}.json"));
-    let file = path.display().to_string();
-    let output = bench(&[
-        "eval",
-        "--driver",
-        driver,
-        "--episodes",
-        "6",
-        "--threads",
-        threads,
-        "--json",
-        &file,
-    ]);
-    assert!(output.status.success(), "{output:?}");
-    json(&path)
-}
-
-#[test]
-fn an_evaluation_is_the_same_on_any_number_of_threads() {
-    for driver in ["expert", "rrt-star", "lane", "idm"] {
-        let (mut one, mut three) = (eval(driver, "1"), eval(driver, "3"));
-        // The only figure that is a time of this machine.
-        for evaluation in [&mut one, &mut three] {
-            let figures = evaluation.as_object_mut().expect("an object");
-            let p99 = figures.remove("planning_p99_us").expect("the key");
-            assert_eq!(
-                p99.is_number(),
-                ["expert", "rrt-star"].contains(&driver),
-                "{driver}: {p99}"
-            );
-        }
-        assert_eq!(one, three, "{driver}");
-        assert!(
-            one["mean_length"].as_f64() > Some(10.0),
-            "{driver} drove: {one}"
-        );
-    }
-}
-
-#[test]
-fn a_planning_method_is_a_driver_of_its_own_name() {
-    for driver in ["rrt-star", "informed", "kinodynamic", "mpc"] {
-        let path = scratch(&format!("eval-method-{driver}.json"));
-        let file = path.display().to_string();
-        let words = [
-            "eval",
-            "--driver",
-            driver,
-            "--episodes",
-            "1",
-            "--json",
-            &file,
-        ];
-        let output = bench(&words);
-        assert!(output.status.success(), "{output:?}");
-        let table = String::from_utf8_lossy(&output.stdout);
-        assert!(table.contains("planning p99"), "{driver}: {table}");
-        assert_eq!(json(&path)["driver"], driver);
-    }
-}
-
-#[test]
-fn an_evaluation_has_the_agreed_keys() {
-    let found = eval("idm", "2");
-    for key in [
-        "success",
-        "strict_success",
-        "contact",
-        "crash_last_step",
-        "out_of_road",
-        "max_step",
-        "completion",
-    ] {
-        let [mean, low, high] = ["mean", "low", "high"].map(|end| found[key][end].as_f64());
-        assert!(
-            low <= mean && mean <= high && low.is_some(),
-            "{key}: {}",
-            found[key]
-        );
-    }
-    assert_eq!(found["driver"], "idm");
-    assert_eq!(found["world"], "sim");
-    assert_eq!(found["episodes"], 6);
-    assert!(found["mean_speed_mps"].as_f64() > Some(1.0), "{found}");
-}
-
 #[test]
 fn mistakes_are_named_with_exit_code_2() {
     for (words, hint) in [
-        (&["eval", "--drivr", "idm"][..], "--driver"),
-        (&["eval", "--driver", "ape"], "expert"),
-        (&["eval", "--set", "world.bloks=3"], "world.blocks"),
-        (&["eval", "--set", "run.rate_hz=100"], "run.rate_hz"),
-        (
-            &["eval", "--world", "metadrive", "--driver", "idm"],
-            "--driver idm",
-        ),
-        (&["draw", "mapp"], "map"),
-        (&["draw", "map", "--seed", "3", "--out", "a.png"], ".svg"),
-        (&["draw", "map", "--seed", "-3"], "a whole number from 0"),
-        (&["draw", "plan", "--scene", "a", "--tick", "3"], "--tick"),
-        (
-            &["draw", "plan", "--seed", "3", "--tick", "3", "--index", "3"],
-            "--index",
-        ),
-        (&["eval", "--episodes", "-1"], "from 1 to 1000000"),
-        (
-            &["eval", "--json", "no/such/a.json"],
-            "--json no/such/a.json",
-        ),
-        (
-            &["eval", "--draw", "/proc/pictures"],
-            "--draw /proc/pictures",
-        ),
-        (&["bench", "sim", "--json", "."], "--json ."),
+        (&["bench", "sim", "--json", "."][..], "--json ."),
         (
             &["bench", "swap", "--seconds", "4", "--rate", "10"],
             "--seconds 4: too short for a swap; at least 5",
@@ -166,30 +47,12 @@ fn mistakes_are_named_with_exit_code_2() {
             "run.faults is set by",
         ),
         (&["bench", "faults", "--rate", "15"], "run.rate_hz = 15"),
-        (&["train", "--seeds", "-1"], "from 1 to 1000"),
-        (
-            &["train", "--out", "/proc/experiment"],
-            "--out /proc/experiment",
-        ),
     ] {
         let output = bench(words);
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{words:?}: {text}");
         assert!(text.contains(hint), "{words:?}: {text}");
     }
-}
-
-#[test]
-fn an_evaluation_without_metadrive_says_what_to_run() {
-    let output = Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
-        .args(["eval", "--world", "metadrive", "--episodes", "1"])
-        .env("VLAPS_METADRIVE", scratch("no-metadrive"))
-        .output()
-        .expect("the program starts");
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{text}");
-    assert!(text.contains("./vlaps setup metadrive"), "{text}");
-    assert_eq!(text.lines().count(), 1, "{text}");
 }
 
 #[test]
@@ -233,61 +96,4 @@ fn parity_without_recordings_says_what_is_missing() {
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("golden_"), "{text}");
-}
-
-#[test]
-fn pictures_hold_what_happened() {
-    let path = scratch("episode.svg");
-    let file = path.display().to_string();
-    let output = bench(&[
-        "draw", "episode", "--seed", "1003", "--driver", "idm", "--out", &file,
-    ]);
-    assert!(output.status.success(), "{output:?}");
-    let picture = std::fs::read_to_string(&path).expect("the picture");
-    for word in [
-        "<svg",
-        "Seed 1003: idm",
-        "idm drove",
-        "last scan",
-        "checkpoint",
-    ] {
-        assert!(picture.contains(word), "{word}");
-    }
-    assert!(
-        !picture.contains("NaN") && !picture.contains("inf"),
-        "all numbers are finite"
-    );
-}
-
-#[test]
-fn a_policy_file_is_a_driver() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../policy/tests/data/torch_dynamo.onnx");
-    let (driver, path) = (file.display().to_string(), scratch("eval-policy.json"));
-    let json_file = path.display().to_string();
-    let words = ["eval", "--episodes", "2", "--driver"];
-    let output = bench(&[&words[..], &[&driver, "--json", &json_file]].concat());
-    assert!(output.status.success(), "{output:?}");
-    assert_eq!(json(&path)["driver"], driver.as_str());
-    assert_eq!(
-        json(&path)["planning_p99_us"],
-        Value::Null,
-        "nothing is planned"
-    );
-    let pipe = scratch("pipe.onnx");
-    if !pipe.exists() {
-        let made = Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
-        assert!(made.success());
-    }
-    let pipe = pipe.display().to_string();
-    for (file, why) in [
-        ("nowhere.onnx", "No such file"),
-        (&pipe, "is no regular file"),
-    ] {
-        let output = bench(&[&words[..], &[file]].concat());
-        let text = String::from_utf8_lossy(&output.stderr);
-        assert!(
-            !output.status.success() && text.contains(file) && text.contains(why),
-            "{text}"
-        );
-    }
 }

@@ -1,11 +1,12 @@
 //! The stand-in over HTTP: it sees who is safer, and asking twice takes a
 //! preference for the first place from it.
 
-use bench::arguments::{Arguments, Bench, Command};
 use bench::judging::measure;
+use bench::{Bench, Command};
 use clap::Parser;
 use shm_config::Instant;
 use shm_config::config::Config;
+use supervisor::subcommand::Program;
 
 /// Nothing here is timed.
 fn no_clock() -> Instant {
@@ -20,7 +21,7 @@ fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
         "vlaps bench judge --scenes 30 --view top_down --first-seed 1000 --record {}",
         folder.display()
     );
-    let arguments = Arguments::try_parse_from(words.split(' ')).expect("a command");
+    let arguments = Program::<Command>::try_parse_from(words.split(' ')).expect("a command");
     let Command::Bench(Bench::Judge(arguments)) = arguments.command else {
         panic!("no judge: {words}");
     };

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use bench::scene;
 use serde_json::Value;
 use shm_config::message::{Message, PlanOutcome};
+use stack::scene;
 
 fn bench(words: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))

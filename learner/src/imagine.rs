@@ -10,10 +10,10 @@ use std::f64::consts::FRAC_PI_2;
 use rand::{Rng, RngExt};
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Bend, FEATURES, Observation};
+use stack::oracle::Oracle;
 use vehicle::{Action, Point, Pose, State, Vehicle, wrap_rad};
 
 use crate::elsewhere;
-use crate::oracle::Oracle;
 use crate::replay::{ACTIONS, Label, Then, Transition};
 
 /// From predicted state to predicted state, s.

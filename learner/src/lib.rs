@@ -7,7 +7,7 @@
 //! | [`algorithm`] | the ways to learn, a file each |
 //! | [`network`], [`adam`], [`matrix`], [`share`] | perceptrons, their gradients, their optimiser, the threads; `cuda` in place of [`matrix`] with that feature |
 //! | [`features`], [`export`] | the networks' input; a network becomes a policy file |
-//! | [`elsewhere`], [`oracle`], [`imagine`] | what would be seen and done where nobody was |
+//! | [`elsewhere`], [`imagine`] | what would be seen, and what the expert would do, off the driven path |
 //! | [`session`], [`checkpoint`], [`metrics`] | a learner's life, on disk after every block |
 //!
 //! `main.rs` is the process; it does the talking.
@@ -26,7 +26,6 @@ pub mod journal;
 pub mod matrix;
 pub mod metrics;
 pub mod network;
-pub mod oracle;
 pub mod replay;
 pub mod session;
 pub mod share;

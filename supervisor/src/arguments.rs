@@ -55,16 +55,18 @@ pub enum Command {
     /// Drive many episodes and print success, contacts and completion.
     #[command(disable_help_flag = true)]
     Eval(Delegated),
-    /// Measure, and compare with other systems: parity, sim, planner, mpc, policy, learner,
-    /// swap, judge, latency, ipc, faults, soak, sweep.
+    /// Measure, and compare with other systems; --help lists what.
     #[command(disable_help_flag = true)]
     Bench(Delegated),
-    /// Draw a map, an episode or a plan from above, as SVG.
+    /// Draw a map, an episode or a plan from above as SVG, or a camera frame as PNG.
     #[command(disable_help_flag = true)]
     Draw(Delegated),
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(Delegated),
+    /// Train under a judge that is wrong, silent or late, and print what it costs.
+    #[command(disable_help_flag = true)]
+    Sweep(Delegated),
     /// Audit what a judge was asked and said, or ask another model the same.
     #[command(disable_help_flag = true)]
     Judge(Delegated),

@@ -73,6 +73,7 @@ pub mod run;
 pub mod set;
 pub mod setup;
 pub mod show;
+pub mod subcommand;
 pub mod takeover;
 pub mod telemetry;
 

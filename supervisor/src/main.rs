@@ -9,7 +9,7 @@ use shm_config::time::monotonic;
 use supervisor::Clock;
 use supervisor::arguments::{Arguments, Command};
 use supervisor::cli::failure::Failure;
-use supervisor::commands::delegate::{BENCH, JUDGE, delegate};
+use supervisor::commands::delegate::{BENCH, JUDGE, LAB, delegate};
 use supervisor::commands::{clean, config, doctor, down, setup, status, swap, up};
 
 fn main() -> ExitCode {
@@ -46,11 +46,12 @@ fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Clean(arguments) => clean::clean(arguments),
         Command::Setup(arguments) => setup::setup(arguments),
         Command::Config(arguments) => config::config(arguments),
-        Command::Eval(words) => delegate(BENCH, &["eval"], words),
+        Command::Eval(words) => delegate(LAB, &["eval"], words),
         Command::Bench(words) => delegate(BENCH, &["bench"], words),
-        Command::Draw(words) => delegate(BENCH, &["draw"], words),
+        Command::Draw(words) => delegate(LAB, &["draw"], words),
         Command::Judge(words) => delegate(JUDGE, &[], words),
         Command::JudgeServer(words) => delegate(JUDGE, &["server"], words),
-        Command::Train(words) => delegate(BENCH, &["train"], words),
+        Command::Train(words) => delegate(LAB, &["train"], words),
+        Command::Sweep(words) => delegate(LAB, &["sweep"], words),
     }
 }

@@ -4,9 +4,9 @@
 use std::alloc::System;
 use std::num::NonZeroUsize;
 
-use bench::seat::keep_lane;
 use shm_config::message::Outcome;
 use sim::{AfterEnd, Batch, BatchConfig, WorldConfig};
+use stack::lane_keeper::keep_lane;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use vehicle::Action;
 

@@ -20,16 +20,38 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("sim", &["vehicle", "shm-config", "process"]),
     (
         "learner",
+        &["vehicle", "shm-config", "process", "policy", "stack"],
+    ),
+    ("supervisor", &["vehicle", "shm-config"]),
+    (
+        "stack",
+        &["vehicle", "shm-config", "planner", "controller", "sim"],
+    ),
+    (
+        "view",
         &[
             "vehicle",
             "shm-config",
-            "process",
             "planner",
-            "policy",
-            "controller",
+            "sim",
+            "stack",
+            "supervisor",
         ],
     ),
-    ("supervisor", &["vehicle", "shm-config"]),
+    (
+        "lab",
+        &[
+            "vehicle",
+            "shm-config",
+            "planner",
+            "sim",
+            "judge",
+            "learner",
+            "stack",
+            "view",
+            "supervisor",
+        ],
+    ),
 ];
 
 /// Begins the list of the files that may hold `unsafe`, in ARCHITECTURE.md: the one

@@ -1,10 +1,10 @@
 //! The evaluation's expert is the process set's, bit for bit.
 
-use bench::episode::drive;
-use bench::seat::{DriverKind, Seat};
 use shm_config::Instant;
 use shm_config::config::Config;
 use sim::{World, WorldConfig};
+use stack::driver::{DriverKind, EpisodeDriver};
+use stack::episode::drive;
 use supervisor::telemetry::episodes::command_digest;
 use vlaps_tests::Set;
 
@@ -14,11 +14,12 @@ fn an_evaluated_episode_gives_the_commands_of_the_processes() {
     let mut world = World::new(WorldConfig::from(&config.world)).expect("the default world");
     // Planning times are not part of a command.
     let clock = || Instant(0);
-    let mut seat = Seat::new(DriverKind::Expert, &config, clock).expect("the default planner");
-    // The second episode of a seat is as good as its first.
+    let mut driver =
+        EpisodeDriver::new(DriverKind::Expert, &config, clock).expect("the default planner");
+    // The second episode of a driver is as good as its first.
     for seed in [1000_u64, 1007] {
         let task = (seed, config.run.period_ns());
-        let episode = drive(&mut world, &mut seat, task, |_| {}).expect("a map");
+        let episode = drive(&mut world, &mut driver, task, |_| {}).expect("a map");
         let set = Set::new("evaluation");
         let number = seed.to_string();
         let output = set.run(&[

@@ -127,7 +127,7 @@ fn what_a_path_or_a_key_holds_is_shown_and_acts_on_nothing() {
     let nowhere = format!("{HOSTILE}/x.json");
     let cases: [(&str, Vec<&str>); 12] = [
         ("vlaps-supervisor", vec!["up", "--policy", &missing]),
-        ("vlaps-bench", vec!["eval", "--json", &nowhere]),
+        ("vlaps-lab", vec!["eval", "--json", &nowhere]),
         ("vlaps-supervisor", vec!["up", "--config", &missing]),
         ("vlaps-supervisor", vec!["up", "--config", "unknown.toml"]),
         ("vlaps-supervisor", vec!["up", "--config", "value.toml"]),
@@ -135,7 +135,7 @@ fn what_a_path_or_a_key_holds_is_shown_and_acts_on_nothing() {
         ("vlaps-supervisor", vec!["up", &option]),
         ("vlaps-supervisor", vec!["status", "--run", HOSTILE]),
         ("vlaps-supervisor", vec!["eval", "--config", &missing]),
-        ("vlaps-bench", vec!["eval", &option]),
+        ("vlaps-lab", vec!["eval", &option]),
         ("vlaps-judge", vec!["audit", HOSTILE]),
         ("vlaps-planner", vec!["--config", "unknown.toml"]),
     ];

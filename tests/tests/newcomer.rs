@@ -22,7 +22,8 @@ fn program(name: &str, folder: &Path, words: &[&str]) -> Output {
 
 fn vlaps(folder: &Path, words: &[&str]) -> Output {
     let name = match words[0] {
-        "eval" | "draw" | "train" | "bench" => "vlaps-bench",
+        "eval" | "draw" | "train" | "sweep" => "vlaps-lab",
+        "bench" => "vlaps-bench",
         "server" => "vlaps-judge",
         _ => "vlaps-supervisor",
     };
@@ -179,7 +180,7 @@ fn a_folder_that_is_read_only_is_the_same_failure_everywhere() {
             &["up", "--lockstep", "--episodes", "1"][..],
         ),
         ("vlaps-supervisor", &["status", "--json", "s.json"]),
-        ("vlaps-bench", &["train", "--out", "x", "--steps", "200"]),
+        ("vlaps-lab", &["train", "--out", "x", "--steps", "200"]),
     ] {
         let mut command = Command::new(wrapper[0]);
         let command = command.args(&wrapper[1..]).arg(programs().join(name));

@@ -36,7 +36,7 @@ impl Experiment {
 
     /// Small nets and the cheapest expert: what is tested is not how they drive.
     fn command(&self, words: &[&str]) -> Command {
-        let mut command = Command::new(programs().join("vlaps-bench"));
+        let mut command = Command::new(programs().join("vlaps-lab"));
         command
             .args([
                 "train",
@@ -75,7 +75,7 @@ impl Experiment {
 
     /// Goes on with nothing but these words.
     fn resume(&self, words: &[&str]) -> Output {
-        let mut command = Command::new(programs().join("vlaps-bench"));
+        let mut command = Command::new(programs().join("vlaps-lab"));
         command
             .args(["train", "--resume", "--out", &self.name])
             .args(words)

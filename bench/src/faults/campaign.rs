@@ -13,10 +13,10 @@ use super::stage::{End, Scene, Stage};
 use super::strike::{Blow, Came, await_recovery, came, strike};
 use super::trouble::{Kind, Trouble};
 use super::{BenchFaults, kinds};
-use crate::Clock;
-use crate::settings;
-use crate::stop::Stop;
-use crate::train::progress::Progress;
+use lab::progress::Progress;
+use lab::stop::Stop;
+use stack::Clock;
+use supervisor::subcommand::settings;
 
 /// Faults of one set before the next begins.
 const OF_A_SET: u64 = 50;

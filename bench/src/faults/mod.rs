@@ -16,6 +16,7 @@ mod watch;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use supervisor::subcommand::{Output, Subcommand};
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
@@ -24,15 +25,16 @@ use shm_config::{Instant, counted};
 use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 
-use crate::Clock;
 use crate::floor::Priority;
-use crate::report::{Machine, say, write_json};
-use crate::settings;
 use crate::stalls::{MOMENT_NS, StallWatch};
-use crate::stop::Stop;
 use campaign::Campaign;
+use lab::report::Machine;
+use lab::stop::Stop;
 use room::Room;
 use rows::{Bars, Line, Row};
+use stack::Clock;
+use supervisor::subcommand::settings;
+use supervisor::subcommand::{say, write_json};
 use trouble::Kind;
 
 /// Strike a running set with faults and measure how it takes them
@@ -124,12 +126,25 @@ struct Figures {
 /// watch before and after.
 const STALL_NEAR_NS: u64 = MOMENT_NS;
 
+impl Subcommand for BenchFaults {
+    fn outputs(&self) -> Vec<Output> {
+        vec![
+            Output::Folder("--out", self.out.clone()),
+            Output::json(&self.json),
+        ]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)
+    }
+}
+
 /// `./vlaps bench faults`.
 ///
 /// # Errors
 /// When a set does not start, or a file cannot be written; what was made until then is
 /// printed all the same.
-pub fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
+fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
     settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let room = Room::enter()?;
     let stop = Stop::listen()?;

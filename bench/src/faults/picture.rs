@@ -8,8 +8,8 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::rows::Row;
-use crate::bitmap::Bitmap;
-use crate::chart::{FACE, FAINT, INK, know_font};
+use view::bitmap::Bitmap;
+use view::chart::{FACE, FAINT, INK, know_font};
 
 /// Width, and height of one kind's row, pixels.
 const WIDTH: u32 = 1000;

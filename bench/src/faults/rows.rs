@@ -8,7 +8,8 @@ use std::path::Path;
 use anyhow::Context;
 use serde::{Deserialize, Serialize};
 
-use crate::report::{say, table};
+use lab::report::table;
+use supervisor::subcommand::say;
 
 /// One fault and what came of it.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]

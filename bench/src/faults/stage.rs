@@ -18,8 +18,8 @@ use supervisor::set::exit::Exit;
 
 use super::ledger::Limits;
 use super::watch::{CHILDREN, Watch};
-use crate::Clock;
 use crate::driven::remove;
+use stack::Clock;
 
 /// From look to look of the watcher.
 pub const LOOK: Duration = Duration::from_micros(500);

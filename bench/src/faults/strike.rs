@@ -16,8 +16,8 @@ use super::stage::{LOOK, Stage};
 use super::strangers::{Forgery, HeldPlaces, Stranger, hold_loans};
 use super::trouble::{Kind, Trouble};
 use super::watch::{CHILDREN, Trial};
-use crate::Clock;
-use crate::stop::Stop;
+use lab::stop::Stop;
+use stack::Clock;
 
 /// How long a set may take to drive again, ns.
 const RECOVERY_NS: u64 = 20_000_000_000;

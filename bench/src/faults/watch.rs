@@ -7,7 +7,7 @@ use shm_config::services::{self, COMMAND, FAULT, PROGRESS, Process, STEP};
 use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
 
 use super::ledger::{Ledger, Limits, is_fresh};
-use crate::Clock;
+use stack::Clock;
 
 /// The processes that a supervisor starts.
 pub const CHILDREN: [Process; 5] = [

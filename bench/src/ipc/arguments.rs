@@ -52,7 +52,7 @@ pub struct BenchIpc {
     )]
     pub wake: Vec<Wake>,
     /// Seconds for each side of a row.
-    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = crate::arguments::seconds)]
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = supervisor::subcommand::seconds)]
     pub seconds: f64,
     /// Compare with Cyclone DDS, too.
     #[arg(long)]

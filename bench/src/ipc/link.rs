@@ -6,7 +6,7 @@ use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use shm_config::Instant;
 
 use super::arguments::Wake;
-use crate::Clock;
+use stack::Clock;
 
 /// Instants at which a receiver with [`Wake::Grid`] looks, ns apart.
 const GRID_NS: u64 = 100_000;

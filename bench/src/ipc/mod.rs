@@ -12,20 +12,23 @@ use serde::Serialize;
 use shm_config::message::{Advice, Command, Observation, Plan, Step};
 use shm_config::run::{RunName, RunPaths};
 use shm_config::wire::Wire;
+use std::process::ExitCode;
 use supervisor::machine::cores::own_cores;
 use supervisor::run::leftovers::clean_run;
+use supervisor::subcommand::{Output, Subcommand};
 
-use crate::Clock;
 use crate::floor::stay_on;
-use crate::report::{Machine, say, table, write_json};
-use crate::stop::Stop;
-use crate::train::progress::Progress;
 pub use arguments::{BenchIpc, IpcEcho};
 use arguments::{MessageChoice, Wake};
+use lab::progress::Progress;
+use lab::report::{Machine, table};
+use lab::stop::Stop;
 use link::{Turns, histogram, ping};
 use others::{Other, Program};
 use peer::{Echo, Ends, Side, claim_for};
 use port::{Door, End, Measured};
+use stack::Clock;
+use supervisor::subcommand::{say, write_json};
 
 /// Blocks of each side, by turns.
 const BLOCKS: u64 = 10;
@@ -125,12 +128,23 @@ fn total(arguments: &BenchIpc) -> usize {
     rates.sum::<usize>() * arguments.message.len()
 }
 
+impl Subcommand for BenchIpc {
+    fn outputs(&self) -> Vec<Output> {
+        vec![Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
 /// `./vlaps bench ipc`.
 ///
 /// # Errors
 /// When the other process cannot be started, a message is lost or refused, or somebody
 /// stops; the rows until then are printed all the same.
-pub fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
+fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
     let cores = match own_cores()[..] {
         [.., echo, ping] => vec![ping, echo],

@@ -2,7 +2,9 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;
+use std::process::ExitCode;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use supervisor::subcommand::{Output, Subcommand};
 
 use anyhow::{Context, anyhow, bail};
 use clap::ValueEnum;
@@ -14,9 +16,9 @@ use super::arguments::{IpcEcho, MessageChoice, Wake};
 use super::bare::Bare;
 use super::link::{Turns, echo};
 use super::port::{Door, End, Measured, Port};
-use crate::Clock;
 use crate::floor::{Priority, claim, stay_on};
-use crate::report::say;
+use stack::Clock;
+use supervisor::subcommand::say;
 
 /// What is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -130,11 +132,22 @@ impl Drop for Echo {
     }
 }
 
+impl Subcommand for IpcEcho {
+    fn outputs(&self) -> Vec<Output> {
+        Vec::new()
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        answer(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
 /// `bench ipc-echo`: answers until its orders end.
 ///
 /// # Errors
 /// When a message is lost or refused, or an order makes no sense.
-pub fn answer(arguments: &IpcEcho, clock: Clock) -> anyhow::Result<()> {
+fn answer(arguments: &IpcEcho, clock: Clock) -> anyhow::Result<()> {
     if let Some(core) = arguments.core {
         stay_on(core);
     }

@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::arguments::Configuration;
+use supervisor::subcommand::Configuration;
 
 /// Measure how often a judge is right, over HTTP, where the simulator knows.
 #[derive(Debug, Args)]

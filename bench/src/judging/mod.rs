@@ -6,7 +6,9 @@ mod arguments;
 pub mod court;
 pub mod scenes;
 
+use std::process::ExitCode;
 use std::sync::Arc;
+use supervisor::subcommand::{Output, Subcommand};
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,11 +20,13 @@ use serde::Serialize;
 use shm_config::config::{Config, STAND_IN, View, Vlm};
 use shm_config::counted;
 
-use crate::report::{Machine, say, table, write_json};
-use crate::{Clock, settings};
 pub use arguments::{BenchJudge, Views};
 use court::{Court, ONCE, Row};
+use lab::report::{Machine, table};
 use scenes::{Search, search};
+use stack::Clock;
+use supervisor::subcommand::settings;
+use supervisor::subcommand::{say, write_json};
 
 /// The object of `--json`.
 #[derive(Debug, Serialize)]
@@ -41,12 +45,26 @@ struct Conditions {
     machine: Machine,
 }
 
+impl Subcommand for BenchJudge {
+    fn outputs(&self) -> Vec<Output> {
+        vec![
+            Output::Folder("--record", self.record.clone()),
+            Output::json(&self.json),
+        ]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
 /// Asks about every scene, once and twice, and prints how often that was right.
 ///
 /// # Errors
 /// When the configuration is wrong, no server can be had, hardly any scene is
 /// found, or nothing is answered.
-pub fn bench(arguments: &BenchJudge, clock: Clock) -> anyhow::Result<()> {
+fn bench(arguments: &BenchJudge, clock: Clock) -> anyhow::Result<()> {
     let chosen = &arguments.configuration;
     // Checked like any other address.
     let server = arguments.server.iter();

@@ -14,8 +14,8 @@ use sim::render::{Renderer, Shot};
 use sim::{World, WorldConfig};
 use vehicle::{Action, Vehicle};
 
-use crate::Clock;
-use crate::seat::{DriverKind, Seat};
+use stack::Clock;
+use stack::driver::{DriverKind, EpisodeDriver};
 
 /// Ticks from one scene that is looked at to the next are drawn up to this.
 const TICKS_BETWEEN: u64 = 40;
@@ -120,7 +120,7 @@ pub fn search(
     mut found: impl FnMut(Scene) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let mut world = World::new(WorldConfig::from(&config.world))?;
-    let mut seat = Seat::new(DriverKind::Expert, config, clock)?;
+    let mut driver = EpisodeDriver::new(DriverKind::Expert, config, clock)?;
     let mut photos = Photos {
         renderer: Renderer::default(),
         views: search.views,
@@ -139,7 +139,7 @@ pub fn search(
         let mut drive = Drive {
             config,
             world: &mut world,
-            seat: &mut seat,
+            driver: &mut driver,
             chance: &mut chance,
         };
         wanted -= drive.episode((seed, most), &mut photos, &mut found)?;
@@ -150,7 +150,7 @@ pub fn search(
 struct Drive<'a> {
     config: &'a Config,
     world: &'a mut World,
-    seat: &'a mut Seat,
+    driver: &'a mut EpisodeDriver,
     chance: &'a mut Chance,
 }
 
@@ -163,7 +163,7 @@ impl Drive<'_> {
         found: &mut impl FnMut(Scene) -> anyhow::Result<()>,
     ) -> anyhow::Result<usize> {
         self.world.reset(seed)?;
-        self.seat.begin(seed);
+        self.driver.begin(seed);
         photos.renderer.begin(self.world);
         let mut observation = Box::<Observation>::default();
         let mut count = 0;
@@ -173,7 +173,7 @@ impl Drive<'_> {
             self.world.observe(&mut observation);
             observation.header.tick = tick;
             observation.header.taken_ns = tick * 100_000_000;
-            let command = self.seat.command(&observation, self.world);
+            let command = self.driver.command(&observation, self.world);
             if tick == next {
                 next += 1 + self.chance.below(TICKS_BETWEEN);
                 if let Some(mut scene) = self.scene((seed, tick), command.action(), &observation) {

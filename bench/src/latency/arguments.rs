@@ -40,7 +40,7 @@ pub struct BenchLatency {
     pub load: Vec<Load>,
     /// Seconds for each row.
     #[arg(long, value_name = "S", default_value_t = 20.0, allow_negative_numbers = true,
-          value_parser = crate::arguments::seconds)]
+          value_parser = supervisor::subcommand::seconds)]
     pub seconds: f64,
     /// Ticks per second, one or more.
     #[arg(

@@ -15,8 +15,8 @@ use super::stress::Stress;
 use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Priority, claim};
-use crate::settings;
 use crate::stalls::{StallWatch, Stalls};
+use supervisor::subcommand::settings;
 
 /// How long a set may take to drive, ns.
 const START_NS: u64 = 60_000_000_000;

@@ -66,7 +66,7 @@ impl Conduct {
     ///
     /// # Errors
     /// When no port can be had.
-    pub fn begin(self) -> anyhow::Result<Seat> {
+    pub fn begin(self) -> anyhow::Result<EpisodeDriver> {
         let options = match self {
             Self::Absent => None,
             Self::Answers { after_s } => Some(Options {
@@ -85,7 +85,7 @@ impl Conduct {
             (None, Self::Refuses) => Some(nobody()?),
             (None, _) => None,
         };
-        Ok(Seat {
+        Ok(EpisodeDriver {
             conduct: self,
             server,
             url,
@@ -130,14 +130,14 @@ fn nobody() -> anyhow::Result<String> {
 }
 
 /// A judge beside a run.
-pub struct Seat {
+pub struct EpisodeDriver {
     conduct: Conduct,
     server: Option<Server>,
     url: Option<String>,
     questions: u64,
 }
 
-impl Seat {
+impl EpisodeDriver {
     /// What the run is started with.
     pub fn arguments(&self) -> Vec<String> {
         words(self.url.as_deref())

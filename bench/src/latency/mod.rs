@@ -14,24 +14,27 @@ mod watch;
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
+use std::process::ExitCode;
 use std::process::{Command, Stdio};
+use supervisor::subcommand::{Output, Subcommand};
 
 use anyhow::Context;
 use policy::{Provenance, encode};
 use serde::Serialize;
 
-use crate::Clock;
 use crate::inference::net;
-use crate::report::{Machine, say, write_json};
-use crate::settings;
-use crate::stop::Stop;
-use crate::train::progress::Progress;
 pub use arguments::BenchLatency;
 use arguments::{Case, FloorChoice, OWN_KEYS, Settings};
 use buckets::Series;
+use lab::progress::Progress;
+use lab::report::Machine;
+use lab::stop::Stop;
 use row::{METHOD, Row};
 use shelf::Shelf;
+use stack::Clock;
 use stress::Maker;
+use supervisor::subcommand::settings;
+use supervisor::subcommand::{say, write_json};
 
 /// All rows.
 #[derive(Clone, Debug, Serialize)]
@@ -60,12 +63,26 @@ struct Bench<'a> {
     clock: Clock,
 }
 
+impl Subcommand for BenchLatency {
+    fn outputs(&self) -> Vec<Output> {
+        vec![
+            Output::Folder("--out", self.out.clone()),
+            Output::json(&self.json),
+        ]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
 /// `./vlaps bench latency`.
 ///
 /// # Errors
 /// When a set does not start, fails, or does not account for its ticks, or a file
 /// cannot be written; what was measured until then is printed all the same.
-pub fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
+fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
     settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
     let folder = tempfile::tempdir()?;

@@ -9,8 +9,8 @@ use plotters::prelude::*;
 
 use super::buckets::Series;
 use super::row::Row;
-use crate::bitmap::Bitmap;
-use crate::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
+use view::bitmap::Bitmap;
+use view::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
 
 /// Size of a panel, pixels.
 const PANEL: (u32, u32) = (460, 240);

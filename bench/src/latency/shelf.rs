@@ -9,7 +9,7 @@ use supervisor::cli::failure::Failure;
 use super::arguments::{Case, Settings};
 use super::buckets::{self, Series};
 use super::row::Row;
-use crate::report::write_json;
+use supervisor::subcommand::write_json;
 
 /// The folder, if there is one.
 #[derive(Debug)]

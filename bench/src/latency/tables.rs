@@ -4,7 +4,8 @@ use super::Measured;
 use super::row::{FLOOR_RATIO_MAX, RESPONSE_MAX_US, Row, SAMPLES_FEW};
 use super::watch::Beside;
 use crate::driven::Quantiles;
-use crate::report::{say, table};
+use lab::report::table;
+use supervisor::subcommand::say;
 
 /// Misses that are listed for one row; the JSON has all.
 const LISTED_MAX: usize = 5;

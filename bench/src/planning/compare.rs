@@ -9,10 +9,11 @@ use shm_config::message::{Plan, PlanOutcome};
 
 use super::met;
 use super::ompl::{Program, Session, Task};
-use crate::Clock;
-use crate::report::{say, table};
-use crate::scene::Scene;
-use crate::statistics::quantile;
+use lab::report::table;
+use lab::statistics::quantile;
+use stack::Clock;
+use stack::scene::Scene;
+use supervisor::subcommand::say;
 
 /// Iterations of the curve of path cost over time.
 const BUDGETS: [u32; 6] = [50, 100, 200, 400, 800, 1600];

@@ -5,7 +5,12 @@ mod compare;
 mod ompl;
 mod timing;
 
-use std::time::Duration;
+use crate::gauges::Gauges;
+use clap::Args;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use supervisor::cli::parsers::whole;
+use supervisor::subcommand::{Configuration, Output, Subcommand};
 
 use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -13,21 +18,76 @@ use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use serde::Serialize;
 use shm_config::counted;
 
-use crate::arguments::BenchPlanner;
-use crate::report::{Machine, say, write_json};
-use crate::scene::{self, Recording, Scene};
-use crate::{Clock, settings};
+use lab::report::Machine;
+use stack::Clock;
+use stack::scene::{self, Recording, Scene};
+use supervisor::subcommand::{say, write_json};
 
 pub use compare::{Comparison, Point, Side};
 pub use timing::{Row, Times};
 
-/// How time is read: handed in by `main.rs`.
-#[derive(Clone, Copy)]
-pub struct Clocks {
-    /// Time on the machine's clock.
-    pub wall: Clock,
-    /// Processor time of the calling thread so far.
-    pub core: fn() -> Duration,
+/// Measure how long plans take and how good they are, beside OMPL.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Scenes are what the car saw in real episodes of the built-in world; \
+        stack/scenes/README.md describes their file, so that others can be fed in. \
+        RRT* always has the paper's numbers, the others those of the configuration. \
+        --ompl builds bench/ompl with g++ and libompl-dev.\n\n\
+        Examples:\n  \
+        ./vlaps bench planner --json planner.json\n  \
+        ./vlaps bench planner --ompl\n  \
+        ./vlaps bench planner --record scenes.jsonl.gz --first-seed 100 --episodes 50\n  \
+        ./vlaps bench planner --scenes scenes.jsonl.gz"
+)]
+pub struct BenchPlanner {
+    /// The scenes to plan for; without it, the checked-in ones.
+    #[arg(long, value_name = "FILE")]
+    pub scenes: Option<PathBuf>,
+    /// How often each scene is planned for.
+    #[arg(long, value_name = "N", default_value_t = 10,
+          allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=10_000))]
+    pub rounds: u32,
+    /// Compare the paper's planner with OMPL's RRTstar, too.
+    #[arg(long)]
+    pub ompl: bool,
+    /// Measure nothing; drive episodes and record scenes into this file.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["scenes", "rounds", "ompl", "json"])]
+    pub record: Option<PathBuf>,
+    /// Seed of the first episode to record; each further one adds one.
+    #[arg(long, value_name = "N", default_value_t = 100, requires = "record",
+          allow_negative_numbers = true, value_parser = whole::<u64>(0..=u64::MAX))]
+    pub first_seed: u64,
+    /// How many episodes to record.
+    #[arg(long, value_name = "N", default_value_t = 50, requires = "record",
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=100_000))]
+    pub episodes: u64,
+    /// How many scenes to keep of them.
+    #[arg(long, value_name = "N", default_value_t = 600, requires = "record",
+          allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=1_000_000))]
+    pub keep: u32,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the rows to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for BenchPlanner {
+    fn outputs(&self) -> Vec<Output> {
+        vec![
+            Output::File("--record", self.record.clone()),
+            Output::json(&self.json),
+        ]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, Gauges::new(clock))?;
+        Ok(ExitCode::SUCCESS)
+    }
 }
 
 /// The project's bar for the whole plan of the paper's method, p99.
@@ -65,9 +125,8 @@ pub struct Conditions {
 /// # Errors
 /// When the configuration or the scenes are wrong, a file cannot be written, or
 /// OMPL is asked for and missing.
-pub fn bench(arguments: &BenchPlanner, clocks: Clocks) -> anyhow::Result<()> {
-    let chosen = &arguments.configuration;
-    let config = settings::config(chosen.config.as_deref(), &chosen.overrides)?;
+fn bench(arguments: &BenchPlanner, gauges: Gauges) -> anyhow::Result<()> {
+    let config = arguments.configuration.resolve()?;
     if let Some(path) = &arguments.record {
         let recording = Recording {
             first_seed: arguments.first_seed,
@@ -75,7 +134,7 @@ pub fn bench(arguments: &BenchPlanner, clocks: Clocks) -> anyhow::Result<()> {
             scenes: arguments.keep as usize,
         };
         let bar = progress(2 * arguments.episodes, "drives")?;
-        let scenes = scene::record(recording, &config, clocks.wall, || bar.inc(1))?;
+        let scenes = scene::record(recording, &config, gauges.clock(), || bar.inc(1))?;
         bar.finish_and_clear();
         scene::write(path, &scenes)?;
         say(format_args!("{}: {} scenes", path.display(), scenes.len()));
@@ -102,9 +161,9 @@ pub fn bench(arguments: &BenchPlanner, clocks: Clocks) -> anyhow::Result<()> {
         conditions.core,
         conditions.machine
     ));
-    let rows = time_all(&scenes, &config, arguments.rounds, clocks)?;
+    let rows = time_all(&scenes, &config, arguments.rounds, gauges)?;
     let ompl = match &ompl {
-        Some(program) => Some(compare_with(program, &scenes, arguments.rounds, clocks)?),
+        Some(program) => Some(compare_with(program, &scenes, arguments.rounds, gauges)?),
         None => None,
     };
     let planning = Planning {
@@ -122,10 +181,10 @@ fn time_all(
     scenes: &[Scene],
     config: &shm_config::config::Config,
     rounds: u32,
-    clocks: Clocks,
+    gauges: Gauges,
 ) -> anyhow::Result<Vec<Row>> {
     let bar = progress(timing::turns(scenes, rounds), "plans")?;
-    let rows = timing::measure(scenes, config, rounds, clocks, |count| bar.inc(count))?;
+    let rows = timing::measure(scenes, config, rounds, gauges, |count| bar.inc(count))?;
     bar.finish_and_clear();
     say(timing::table(&rows));
     say("p50 / p99 / p99.9 / max; all times of all rounds are in it, the first ones too");
@@ -145,11 +204,12 @@ fn compare_with(
     program: &ompl::Program,
     scenes: &[Scene],
     rounds: u32,
-    clocks: Clocks,
+    gauges: Gauges,
 ) -> anyhow::Result<Comparison> {
     let bar = progress(compare::turns(scenes, rounds), "plans of both")?;
-    let comparison =
-        compare::compare(program, scenes, rounds, clocks.wall, |count| bar.inc(count))?;
+    let comparison = compare::compare(program, scenes, rounds, gauges.clock(), |count| {
+        bar.inc(count)
+    })?;
     bar.finish_and_clear();
     comparison.print();
     Ok(comparison)

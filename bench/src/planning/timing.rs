@@ -9,11 +9,11 @@ use shm_config::config::planner::Method;
 use shm_config::config::{Config, Planner as PlannerConfig};
 use shm_config::message::{Plan, PlanOutcome};
 
-use super::Clocks;
-use crate::report;
-use crate::scene::Scene;
-use crate::seat::DriverKind;
-use crate::statistics::quantile;
+use crate::gauges::Gauges;
+use lab::report;
+use lab::statistics::quantile;
+use stack::driver::DriverKind;
+use stack::scene::Scene;
 
 /// Every method, the paper's first.
 const METHODS: [Method; 4] = [
@@ -171,7 +171,7 @@ pub(super) fn measure(
     scenes: &[Scene],
     config: &Config,
     rounds: u32,
-    clocks: Clocks,
+    gauges: Gauges,
     mut done: impl FnMut(u64),
 ) -> anyhow::Result<Vec<Row>> {
     let mut courses = Vec::new();
@@ -181,7 +181,7 @@ pub(super) fn measure(
     for round in 0..rounds {
         for course in &mut courses {
             for scene in scenes {
-                course.run(scene, clocks);
+                course.run(scene, gauges);
                 if round == 0 {
                     let plan = &course.plan;
                     course.found.push((plan.outcome(), plan.cost_m));
@@ -213,15 +213,15 @@ impl Course {
 
     /// One scene. The plan comes first, so that no grid of the same observation
     /// has warmed its memory up.
-    fn run(&mut self, scene: &Scene, clocks: Clocks) {
+    fn run(&mut self, scene: &Scene, gauges: Gauges) {
         scene.prepare(&mut self.planner, &mut self.plan);
-        let core_begun = (clocks.core)();
-        let begun = (clocks.wall)();
+        let core_begun = gauges.core();
+        let begun = gauges.now();
         self.planner.plan(&scene.observation, &mut self.plan);
-        let planned = (clocks.wall)();
-        let core = (clocks.core)() - core_begun;
+        let planned = gauges.now();
+        let core = gauges.core() - core_begun;
         self.grid.fill(&scene.observation);
-        let filled = (clocks.wall)();
+        let filled = gauges.now();
         let (plan_ns, grid_ns) = (planned.since_ns(begun), filled.since_ns(planned));
         self.plan_ns.saturating_record(plan_ns);
         self.core_ns.saturating_record(core.as_nanos() as u64);

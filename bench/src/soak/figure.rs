@@ -9,8 +9,8 @@ use shm_config::counted;
 
 use super::Soaked;
 use super::sample::Sample;
-use crate::bitmap::Bitmap;
-use crate::chart::{FACE, know_font};
+use view::bitmap::Bitmap;
+use view::chart::{FACE, know_font};
 
 const PANEL: (u32, u32) = (480, 260);
 const COLUMNS: usize = 3;

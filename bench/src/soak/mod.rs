@@ -10,6 +10,7 @@ use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
+use supervisor::subcommand::{Output, Subcommand};
 
 use anyhow::{Context, bail};
 use clap::Args;
@@ -21,12 +22,13 @@ use shm_config::services::{PROGRESS, Process};
 use shm_config::wire::{Subscriber, Wire};
 use supervisor::cli::parsers::whole;
 
-use crate::Clock;
 use crate::driven::Driven;
-use crate::report::{Machine, write_json};
-use crate::settings;
-use crate::stop::Stop;
+use lab::report::Machine;
+use lab::stop::Stop;
 use sample::Sample;
+use stack::Clock;
+use supervisor::subcommand::settings;
+use supervisor::subcommand::write_json;
 use verdict::{Flatness, Rule};
 
 /// Drive a set in lockstep for millions of ticks: does any process grow?
@@ -113,12 +115,25 @@ pub struct Soaked {
     pub conditions: Machine,
 }
 
+impl Subcommand for BenchSoak {
+    fn outputs(&self) -> Vec<Output> {
+        vec![
+            Output::Folder("--out", Some(self.out.clone())),
+            Output::json(&self.json),
+        ]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        bench(self, clock)
+    }
+}
+
 /// `./vlaps bench soak`.
 ///
 /// # Errors
 /// When the set does not start or fails, when it is not flat or was stopped, or a file
 /// cannot be written.
-pub fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
+fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
     settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;

@@ -6,7 +6,8 @@ use shm_config::counted;
 
 use super::Soaked;
 use super::sample::{Held, Sample};
-use crate::report::{say, table};
+use lab::report::table;
+use supervisor::subcommand::say;
 
 /// Share of the ticks that does not count: buffers fill and pages are touched first.
 const WARM_UP: f64 = 0.2;

@@ -22,8 +22,10 @@ pub struct Delegated {
     pub words: Vec<OsString>,
 }
 
-/// The program of `eval`, `bench`, `draw` and `train`. The supervisor does not
-/// link it: it brings the built-in world and all drivers along.
+/// The program of `eval`, `train`, `sweep` and `draw`. The supervisor does not link it:
+/// it holds the built-in world and all drivers.
+pub const LAB: &str = "vlaps-lab";
+/// The program of `bench`.
 pub const BENCH: &str = "vlaps-bench";
 /// The program of `judge` and `judge-server`, with an HTTP client and a server.
 pub const JUDGE: &str = "vlaps-judge";

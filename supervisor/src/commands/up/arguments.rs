@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
 use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
@@ -145,12 +146,31 @@ impl From<GateChoice> for GateMode {
 }
 
 /// The world simulator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
 pub enum WorldChoice {
     /// The built-in world.
     Sim,
-    /// The real MetaDrive.
+    /// The real MetaDrive; see `./vlaps setup metadrive`.
     Metadrive,
+}
+
+impl WorldChoice {
+    /// As on the command line.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Sim => "sim",
+            Self::Metadrive => "metadrive",
+        }
+    }
+
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sim => "the built-in world",
+            Self::Metadrive => "MetaDrive",
+        }
+    }
 }
 
 impl From<WorldChoice> for Simulator {

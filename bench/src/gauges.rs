@@ -1,0 +1,53 @@
+//! What a measurement reads of this program: time, processor time, memory.
+
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
+use shm_config::Instant;
+use stack::Clock;
+use stats_alloc::INSTRUMENTED_SYSTEM;
+
+/// The gauges. Those of memory count where the program's allocator is
+/// [`INSTRUMENTED_SYSTEM`], as in `vlaps-bench`; they are 0 elsewhere.
+#[derive(Clone, Copy, Debug)]
+pub struct Gauges {
+    clock: Clock,
+}
+
+impl Gauges {
+    /// With the program's clock.
+    pub fn new(clock: Clock) -> Gauges {
+        Gauges { clock }
+    }
+
+    /// The time now.
+    pub fn now(self) -> Instant {
+        (self.clock)()
+    }
+
+    /// The program's clock.
+    pub fn clock(self) -> Clock {
+        self.clock
+    }
+
+    /// Processor time of this thread so far.
+    #[allow(clippy::disallowed_methods)] // a measurement: no decision depends on it
+    pub fn core(self) -> Duration {
+        let now = clock_gettime(ClockId::ThreadCPUTime);
+        Duration::new(now.tv_sec.unsigned_abs(), now.tv_nsec.unsigned_abs() as u32)
+    }
+
+    /// Allocations and reallocations so far.
+    pub fn allocations(self) -> usize {
+        let stats = INSTRUMENTED_SYSTEM.stats();
+        stats.allocations + stats.reallocations
+    }
+
+    /// Bytes of the heap in use.
+    pub fn bytes_held(self) -> usize {
+        let stats = INSTRUMENTED_SYSTEM.stats();
+        stats
+            .bytes_allocated
+            .saturating_sub(stats.bytes_deallocated)
+    }
+}

@@ -1,0 +1,139 @@
+//! `./vlaps eval`.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use shm_config::counted;
+use stack::Clock;
+use stack::driver::DriverKind;
+use supervisor::cli::parsers::whole;
+use supervisor::commands::up::arguments::WorldChoice;
+use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
+use view::draw::failures;
+
+use crate::episodes::{Task, evaluate};
+use crate::evaluation::Evaluation;
+use crate::metric::FOOTNOTE;
+use crate::progress::left;
+
+/// Drive many episodes and print success, contacts and completion.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Every episode depends on its seed alone: the figures are the same on any \
+        number of threads. The expert is the very planner and controller of \
+        `./vlaps up --lockstep --gate expert`, and gives the same commands; rrt-star, \
+        informed, kinodynamic and mpc are the expert with that planner.method.\n\n\
+        Examples:\n  \
+        ./vlaps eval --driver expert --episodes 1000\n  \
+        ./vlaps eval --driver mpc --episodes 200\n  \
+        ./vlaps eval --driver policy.onnx --episodes 200\n  \
+        ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
+        ./vlaps eval --driver expert --world metadrive --episodes 50"
+)]
+pub struct Eval {
+    /// Who drives: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or
+    /// the policy of a file, FILE.onnx, alone.
+    #[arg(long, value_name = "WHO", default_value = "expert")]
+    pub driver: DriverKind,
+    /// How many episodes.
+    #[arg(long, value_name = "N", default_value_t = 1000,
+          allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=1_000_000))]
+    pub episodes: u64,
+    /// Seed of the first episode; each further one adds one.
+    #[arg(long, value_name = "N", default_value_t = 1000, allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=u64::MAX))]
+    pub first_seed: u64,
+    /// In which world.
+    #[arg(long, value_name = "WORLD", default_value = "sim")]
+    pub world: WorldChoice,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Threads; without it, as many as there are cores. Each has a MetaDrive of
+    /// its own.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub threads: Option<NonZeroUsize>,
+    /// Draw the failures into this folder, at most 50, as they go in the built-in
+    /// world.
+    #[arg(long, value_name = "DIR")]
+    pub draw: Option<PathBuf>,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for Eval {
+    fn outputs(&self) -> Vec<Output> {
+        vec![
+            Output::Folder("--draw", self.draw.clone()),
+            Output::json(&self.json),
+        ]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        eval(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// Most failures of an evaluation that are drawn.
+const DRAWN_MAX: usize = 50;
+
+fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
+    let config = arguments.configuration.resolve()?;
+    let cores = std::thread::available_parallelism()?;
+    // More would wait for a core or for an episode.
+    let of_use = cores.min(NonZeroUsize::try_from(arguments.episodes as usize)?);
+    let asked = arguments.threads.unwrap_or(of_use);
+    let task = Task {
+        driver: arguments.driver,
+        world: arguments.world,
+        first_seed: arguments.first_seed,
+        episodes: arguments.episodes,
+        threads: asked.min(of_use),
+    };
+    let bar = ProgressBar::new(task.episodes);
+    let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {left}";
+    bar.set_style(ProgressStyle::with_template(style)?.with_key("left", left(0)));
+    let begun = clock();
+    let drives = evaluate(&task, &config, clock, |_| bar.inc(1))?;
+    let elapsed_s = clock().since_ns(begun) as f64 * 1e-9;
+    bar.finish_and_clear();
+    let evaluation = Evaluation::new(&task, &drives);
+    let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
+    say(format_args!(
+        "{} in {}, seeds {} to {last_seed}: {} on {} in {elapsed_s:.1} s",
+        task.driver.word(),
+        task.world.name(),
+        task.first_seed,
+        counted(task.episodes, "episode"),
+        counted(task.threads.get() as u64, "thread")
+    ));
+    if asked > of_use {
+        say(format_args!(
+            "--threads {asked}: with {} and {} no more than {of_use} are of use",
+            counted(cores.get() as u64, "core"),
+            counted(task.episodes, "episode")
+        ));
+    }
+    say(evaluation.table());
+    say(FOOTNOTE);
+    if let Some(failures) = evaluation.failure_table() {
+        say("failures by the strict metric, with their seeds:");
+        say(failures);
+    }
+    if let Some(folder) = &arguments.draw {
+        let seeds: Vec<u64> = evaluation
+            .failures
+            .iter()
+            .map(|failure| failure.seed)
+            .collect();
+        let drawn = (&seeds[..], task.driver);
+        failures((folder, DRAWN_MAX), drawn, &config, clock)?;
+    }
+    write_json_option(&arguments.json, &evaluation)
+}

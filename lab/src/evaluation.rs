@@ -1,0 +1,182 @@
+//! What an evaluation says: the paper's metric and the strict one, side by side.
+
+use comfy_table::{ContentArrangement, Table};
+use serde::Serialize;
+use shm_config::message::{Episode, Outcome};
+use sim::observe::TICK_S;
+
+use crate::episodes::{Cause, Drives, Task};
+use crate::metric::Metric;
+use crate::report::table;
+use crate::statistics::Estimate;
+
+/// The figures of an evaluation; the JSON object of `--json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Evaluation {
+    /// Who drove.
+    pub driver: &'static str,
+    /// In which world.
+    pub world: &'static str,
+    /// How many episodes.
+    pub episodes: usize,
+    /// Seed of the first one.
+    pub first_seed: u64,
+    /// Arrived, whatever was touched: the paper's metric.
+    pub success: Estimate,
+    /// Arrived without having touched anything.
+    pub strict_success: Estimate,
+    /// Touched a vehicle or an object at any tick.
+    pub contact: Estimate,
+    /// Touched a vehicle.
+    pub contact_vehicle: Estimate,
+    /// Touched an object.
+    pub contact_object: Estimate,
+    /// Touching something at the last tick: the paper's crash.
+    pub crash_last_step: Estimate,
+    /// Left the road.
+    pub out_of_road: Estimate,
+    /// Ran out of steps.
+    pub max_step: Estimate,
+    /// Share of the route driven.
+    pub completion: Estimate,
+    /// Ticks of an episode, mean.
+    pub mean_length: f64,
+    /// Its 95 % interval.
+    pub mean_length_interval: [f64; 2],
+    /// Length driven by time, m/s, mean over episodes.
+    pub mean_speed_mps: f64,
+    /// Its 95 % interval.
+    pub mean_speed_mps_interval: [f64; 2],
+    /// Below this lie 99 % of all planning times, us; none for drivers that do
+    /// not plan.
+    pub planning_p99_us: Option<u64>,
+    /// Failures by the strict metric.
+    pub failures: Vec<Failure>,
+}
+
+/// One failed episode.
+#[derive(Clone, Debug, Serialize)]
+pub struct Failure {
+    /// Its seed.
+    pub seed: u64,
+    /// Why it failed.
+    pub cause: &'static str,
+    /// How far it came.
+    pub completion: f64,
+    /// After how many ticks it ended.
+    pub ticks: u64,
+}
+
+impl Evaluation {
+    /// Sums the episodes up.
+    pub fn new(task: &Task, drives: &Drives) -> Evaluation {
+        let episodes = &drives.episodes;
+        let share = |hit: fn(&Episode) -> bool| {
+            let hits = episodes.iter().filter(|episode| hit(episode)).count();
+            Estimate::of_share(hits, episodes.len())
+        };
+        let mean = |of: fn(&Episode) -> f64| {
+            let values: Vec<f64> = episodes.iter().map(of).collect();
+            Estimate::of_mean(&values)
+        };
+        let length = mean(|episode| episode.ticks as f64);
+        let speed = mean(|episode| episode.driven_m / (episode.ticks.max(1) as f64 * TICK_S));
+        let planning_us = &drives.planning_us;
+        Evaluation {
+            driver: task.driver.word(),
+            world: task.world.word(),
+            episodes: episodes.len(),
+            first_seed: task.first_seed,
+            success: share(|episode| episode.outcome() == Outcome::Arrived),
+            strict_success: share(Episode::is_strict_success),
+            contact: share(|episode| episode.vehicle_contacts + episode.object_contacts > 0),
+            contact_vehicle: share(|episode| episode.vehicle_contacts > 0),
+            contact_object: share(|episode| episode.object_contacts > 0),
+            crash_last_step: share(|episode| episode.crash_last_step != 0),
+            out_of_road: share(|episode| episode.outcome() == Outcome::OutOfRoad),
+            max_step: share(|episode| episode.outcome() == Outcome::MaxStep),
+            completion: mean(|episode| episode.completion),
+            mean_length: length.mean,
+            mean_length_interval: [length.low, length.high],
+            mean_speed_mps: speed.mean,
+            mean_speed_mps_interval: [speed.low, speed.high],
+            planning_p99_us: (!planning_us.is_empty()).then(|| planning_us.value_at_quantile(0.99)),
+            failures: episodes.iter().filter_map(failure).collect(),
+        }
+    }
+
+    /// The table of figures.
+    pub fn table(&self) -> Table {
+        let mut table = table(&["", "mean", "95 %"]);
+        let mut row = |name: &str, estimate, digits| {
+            let [mean, interval] = cells(estimate, digits);
+            table.add_row([name, &mean, &interval]);
+        };
+        for metric in Metric::ALL {
+            row(metric.name(), self.estimate(metric), metric.digits());
+            if metric == Metric::Contact {
+                row("  with a vehicle", self.contact_vehicle, 3);
+                row("  with an object", self.contact_object, 3);
+            }
+        }
+        if let Some(p99_us) = self.planning_p99_us {
+            table.add_row(["planning p99, us (wall clock)", &p99_us.to_string(), ""]);
+        }
+        table
+    }
+
+    fn estimate(&self, metric: Metric) -> Estimate {
+        let of = |mean, [low, high]: [f64; 2]| Estimate { mean, low, high };
+        match metric {
+            Metric::Success => self.success,
+            Metric::StrictSuccess => self.strict_success,
+            Metric::CrashLastStep => self.crash_last_step,
+            Metric::Contact => self.contact,
+            Metric::OutOfRoad => self.out_of_road,
+            Metric::MaxStep => self.max_step,
+            Metric::Completion => self.completion,
+            Metric::MeanLength => of(self.mean_length, self.mean_length_interval),
+            Metric::MeanSpeed => of(self.mean_speed_mps, self.mean_speed_mps_interval),
+        }
+    }
+
+    /// The failures by cause, each with its seeds; `None` when there is none.
+    pub fn failure_table(&self) -> Option<Table> {
+        if self.failures.is_empty() {
+            return None;
+        }
+        let mut table = Table::new();
+        table
+            .load_style(comfy_table::presets::NOTHING)
+            .set_content_arrangement(ContentArrangement::Dynamic);
+        for cause in Cause::ALL {
+            let failed = self.failures.iter();
+            let seeds: Vec<String> = failed
+                .filter(|failure| failure.cause == cause.words())
+                .map(|failure| failure.seed.to_string())
+                .collect();
+            if !seeds.is_empty() {
+                let name = format!("{} ({})", cause.words(), seeds.len());
+                table.add_row([name, seeds.join(" ")]);
+            }
+        }
+        Some(table)
+    }
+}
+
+fn cells(Estimate { mean, low, high }: Estimate, digits: usize) -> [String; 2] {
+    let interval = match low.is_finite() && high.is_finite() {
+        true => format!("{low:.digits$} to {high:.digits$}"),
+        false => "-".into(),
+    };
+    [format!("{mean:.digits$}"), interval]
+}
+
+fn failure(episode: &Episode) -> Option<Failure> {
+    Some(Failure {
+        seed: episode.seed,
+        cause: Cause::of(episode)?.words(),
+        completion: episode.completion,
+        ticks: episode.ticks,
+    })
+}

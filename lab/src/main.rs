@@ -1,0 +1,13 @@
+//! `vlaps-lab`: `./vlaps eval`, `train`, `sweep` and `draw`.
+
+use std::process::ExitCode;
+
+use lab::Command;
+use shm_config::time::monotonic;
+use supervisor::subcommand;
+
+fn main() -> ExitCode {
+    // A process entry point: the clock is read nowhere else.
+    #[allow(clippy::disallowed_methods)]
+    subcommand::main::<Command>(monotonic)
+}

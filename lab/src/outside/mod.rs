@@ -1,0 +1,155 @@
+//! Many episodes in a world that is a process of its own: the real MetaDrive.
+//!
+//! Each thread starts one world for its share of the seeds, in a run of its own,
+//! and answers every observation in lockstep, as the controller would.
+
+mod drive;
+mod world;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::Duration;
+
+use anyhow::Context;
+use hdrhistogram::Histogram;
+use shm_config::config::{Clock as RunClock, Config, GateMode, Simulator};
+use shm_config::message::Episode;
+use supervisor::cli::failure::Failure;
+use supervisor::machine::signals::Signals;
+
+use crate::episodes::{Drives, Task};
+use stack::Clock;
+use stack::driver::{DriverKind, planning_histogram};
+
+/// How long the collector sleeps at most before it looks for a signal.
+const LOOK: Duration = Duration::from_millis(50);
+/// How long a world waits for a command, s: longer than any plan takes on a
+/// machine that is busy, since a car that brakes meanwhile would be judged.
+const PATIENCE_S: f64 = 60.0;
+
+/// The seeds of one world: first and how many.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Share {
+    first_seed: u64,
+    episodes: u64,
+}
+
+/// Drives all episodes in the real MetaDrive; `done` is told of each one as it
+/// ends, in any order. A signal to stop ends all worlds.
+///
+/// # Errors
+/// When the driver needs the built-in world, MetaDrive is not set up, a world
+/// ends early, or somebody asked to stop.
+pub fn evaluate(
+    task: &Task,
+    config: &Config,
+    clock: Clock,
+    mut done: impl FnMut(&Episode),
+) -> anyhow::Result<Drives> {
+    if task.driver == DriverKind::Idm {
+        let line = "--driver idm: it looks into the built-in world; with --world metadrive \
+            use expert or lane";
+        return Err(Failure::Usage(line.into()).into());
+    }
+    let script = supervisor::setup::metadrive::world()?;
+    let mut signals = Signals::install().context("cannot take over signals")?;
+    let (send, ended) = mpsc::channel();
+    let stop = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (shares(task).into_iter().enumerate())
+            .map(|(index, share)| {
+                let (script, stop, send) = (&script, &stop, send.clone());
+                let config = resolved(config, index, share);
+                scope.spawn(move || {
+                    let driven = drive::drive(task.driver, (&config?, script), clock, stop, &send);
+                    // The others' figures would be thrown away.
+                    stop.fetch_or(driven.is_err(), Ordering::Relaxed);
+                    driven
+                })
+            })
+            .collect();
+        drop(send);
+        let mut episodes: Vec<Episode> = Vec::new();
+        loop {
+            match ended.recv_timeout(LOOK) {
+                Ok(episode) => {
+                    done(&episode);
+                    episodes.push(episode);
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            stop.fetch_or(signals.take_stops() > 0, Ordering::Relaxed);
+        }
+        let mut planning_us = planning_histogram();
+        for worker in workers {
+            let times: Histogram<u64> = match worker.join() {
+                Ok(worked) => worked?,
+                Err(panic) => std::panic::resume_unwind(panic),
+            };
+            planning_us.add(times).context("planning times")?;
+        }
+        if stop.load(Ordering::Relaxed) {
+            return Err(Failure::GivenUp("stopped by a signal".into()).into());
+        }
+        episodes.sort_by_key(|episode| episode.seed);
+        Ok(Drives {
+            episodes,
+            planning_us,
+        })
+    })
+}
+
+/// The seeds, cut into one piece for each thread; none is empty.
+fn shares(task: &Task) -> Vec<Share> {
+    let worlds = (task.threads.get() as u64).clamp(1, task.episodes.max(1));
+    let from = |world: u64| task.episodes * world / worlds;
+    (0..worlds)
+        .map(|world| Share {
+            first_seed: task.first_seed.wrapping_add(from(world)),
+            episodes: from(world + 1) - from(world),
+        })
+        .collect()
+}
+
+/// The configuration of one world's run.
+fn resolved(config: &Config, index: usize, share: Share) -> anyhow::Result<Config> {
+    let mut config = config.clone();
+    config.run.name = format!("eval-{}-{index}", std::process::id());
+    config.run.clock = RunClock::Lockstep;
+    config.run.seed = share.first_seed;
+    config.run.episodes = u32::try_from(share.episodes).context("--episodes")?;
+    config.run.duration_s = 0.0;
+    config.limits.lockstep_wait_s = PATIENCE_S;
+    config.world.simulator = Simulator::MetaDrive;
+    config.gate.mode = GateMode::Expert;
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::NonZeroUsize;
+
+    use super::*;
+    use supervisor::commands::up::arguments::WorldChoice;
+
+    #[test]
+    fn shares_cover_every_seed_once() {
+        for (episodes, threads) in [(1, 4), (4, 4), (7, 3), (50, 2)] {
+            let task = Task {
+                driver: DriverKind::Lane,
+                world: WorldChoice::Metadrive,
+                first_seed: 1000,
+                episodes,
+                threads: NonZeroUsize::new(threads).expect("not zero"),
+            };
+            let mut next = 1000;
+            for share in shares(&task) {
+                assert_eq!(share.first_seed, next);
+                assert!(share.episodes > 0);
+                next += share.episodes;
+            }
+            assert_eq!(next, 1000 + episodes);
+        }
+    }
+}

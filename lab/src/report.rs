@@ -1,0 +1,68 @@
+//! Rows, on the screen and as JSON.
+
+use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
+use serde::Serialize;
+
+/// A line below the header and one below the table; rows stand close.
+const STYLE: TableStyle = TableStyle::new()
+    .header_separator(LineStyle::new('─', '─', '─', '─'))
+    .bottom_border(LineStyle::new('─', '─', '─', '─'));
+
+/// An empty table in the style of this program; columns from the second on are
+/// right-aligned.
+pub fn table(header: &[&str]) -> Table {
+    let mut table = Table::new();
+    table
+        .load_style(STYLE)
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_header(header);
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}
+
+/// The machine that figures are from.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// What the processor calls itself, where the system tells.
+    pub processor: Option<String>,
+    /// Its cores.
+    pub cores: usize,
+    /// Runnable threads of the whole machine, averaged over the last minute,
+    /// before the run: over 0, the run competes with other work.
+    pub load: Option<f64>,
+}
+
+impl Machine {
+    /// This machine, now.
+    ///
+    /// # Errors
+    /// When the system does not tell how many cores there are.
+    pub fn here() -> anyhow::Result<Machine> {
+        let processors = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+        let named = processors.lines().find_map(|line| {
+            let (key, name) = line.split_once(':')?;
+            (key.trim() == "model name").then(|| name.trim().to_string())
+        });
+        let load = std::fs::read_to_string("/proc/loadavg").ok();
+        Ok(Machine {
+            processor: named,
+            cores: std::thread::available_parallelism()?.get(),
+            load: load.and_then(|text| text.split(' ').next()?.parse().ok()),
+        })
+    }
+}
+
+impl std::fmt::Display for Machine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Machine {
+            processor,
+            cores,
+            load,
+        } = self;
+        let processor = processor.as_deref().unwrap_or("unknown processor");
+        let load = load.map_or("unknown".into(), |load| format!("{load:.1}"));
+        write!(f, "{cores} cores, {processor}, load before the run {load}")
+    }
+}

@@ -1,0 +1,135 @@
+//! `./vlaps train` on the command line.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+use shm_config::config::Algorithm;
+use supervisor::cli::parsers::whole;
+
+use stack::Clock;
+use supervisor::commands::up::arguments::WorldChoice;
+use supervisor::subcommand::{Configuration, Output, Subcommand};
+
+use super::experiment::folder;
+use super::train;
+
+/// Train a policy while the process set drives: the paper's experiment.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "The process set drives in lockstep on seeds 100 to 149; after every 200 steps \
+        the learner updates the policy, which is adopted at the next tick and evaluated on seeds \
+        1000 to 1049 without intervention (Sec. 5). The same seed gives the same policies. \
+        Ctrl-C stops (exit code 1), --resume goes on; what is not given then is as it was \
+        begun.\n\n\
+        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; ARCHITECTURE.md compares \
+        them.\n\n\
+        Examples:\n  \
+        ./vlaps train --algorithm dagger --steps 10000\n  \
+        ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
+        ./vlaps train --out runs/pvp --resume\n  \
+        ./vlaps train --out runs/pvp --report\n  \
+        ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
+)]
+pub struct Train {
+    /// How it learns: pvp, ppl, bc, hg-dagger or dagger; without it pvp.
+    #[arg(long, value_name = "HOW", value_parser = algorithm)]
+    pub algorithm: Option<Algorithm>,
+    /// Steps to train for; without it 50000.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=100_000_000))]
+    pub steps: Option<u64>,
+    /// Episodes of the evaluation after every block; without it 50.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u64>(1..=100_000))]
+    pub eval_episodes: Option<u64>,
+    /// Episodes of the evaluation of the last policy, 0 for none; without it 1000.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=1_000_000))]
+    pub final_episodes: Option<u64>,
+    /// Seed of networks, replay and the order of episodes; without it 0.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u64>(0..=1_000_000_000))]
+    pub seed: Option<u64>,
+    /// Train this many times, each with the next seed; without it once.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=1000))]
+    pub seeds: Option<u32>,
+    /// The expert that is learnt from; without it mpc.
+    #[arg(long, value_name = "WHO")]
+    pub expert: Option<ExpertChoice>,
+    /// In which world is trained; without it sim.
+    #[arg(long, value_name = "WORLD")]
+    pub world: Option<WorldChoice>,
+    /// Folder of the experiment; without it, runs/train-HOW.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Go on with the experiment that the folder holds.
+    #[arg(long)]
+    pub resume: bool,
+    /// Neither train nor evaluate: draw and print anew what the folder holds.
+    #[arg(long, conflicts_with_all = ["resume", "steps", "seed", "seeds", "eval_episodes",
+          "final_episodes", "expert", "world", "config", "overrides"])]
+    pub report: bool,
+    /// Configuration and overrides.
+    #[command(flatten)]
+    pub configuration: Configuration,
+    /// Write the figures to this file, too.
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+impl Subcommand for Train {
+    fn outputs(&self) -> Vec<Output> {
+        let folder = match &self.out {
+            Some(folder) => Output::FolderOfParent("--out", Some(folder.clone())),
+            None => Output::Folder("--out", Some(folder(self))),
+        };
+        vec![folder, Output::json(&self.json)]
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        train(self, clock)?;
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// The experts that can be learnt from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum ExpertChoice {
+    /// The paper's RRT* and PD.
+    RrtStar,
+    /// RRT* that remembers its last path, and PD.
+    Informed,
+    /// RRT* over curves the car can drive, and PD.
+    Kinodynamic,
+    /// Model-predictive control.
+    Mpc,
+}
+
+impl ExpertChoice {
+    /// As `planner.method` has it.
+    pub fn key(self) -> &'static str {
+        match self {
+            ExpertChoice::RrtStar => "rrt_star",
+            ExpertChoice::Informed => "informed",
+            ExpertChoice::Kinodynamic => "kinodynamic",
+            ExpertChoice::Mpc => "mpc",
+        }
+    }
+}
+
+pub(crate) fn algorithm(text: &str) -> Result<Algorithm, String> {
+    let all = [
+        Algorithm::Pvp,
+        Algorithm::Ppl,
+        Algorithm::Bc,
+        Algorithm::HgDagger,
+        Algorithm::Dagger,
+    ];
+    let found = all.into_iter().find(|algorithm| algorithm.word() == text);
+    let words = all.map(Algorithm::word).join(", ");
+    found.ok_or_else(|| format!("must be one of {words}"))
+}

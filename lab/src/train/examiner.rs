@@ -1,0 +1,259 @@
+//! Episodes without intervention after every block, beside the training.
+
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::anyhow;
+use shm_config::config::Config;
+
+use super::experiment::Experiment;
+use super::protocol::{EVALUATION_SEED, Protocol};
+use super::results::{Exam, Results, append_exam, exams, policies};
+use super::student::End;
+use crate::episodes::{Task, evaluate_inside};
+use crate::evaluation::Evaluation;
+use crate::progress::Progress;
+use crate::stop::Stop;
+use stack::Clock;
+use stack::driver::DriverKind;
+use supervisor::commands::up::arguments::WorldChoice;
+use supervisor::machine::signals::pause;
+use supervisor::subcommand::write_json;
+
+/// From look to look at new policies.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Words about the last policy's evaluation.
+const PARTS: u64 = 20;
+
+/// Policies come on.
+const WATCH: u8 = 0;
+/// No more come; those that are there are evaluated.
+const FINISH: u8 = 1;
+
+/// A thread that evaluates each policy that appears.
+pub struct Examiner {
+    order: Arc<AtomicU8>,
+    /// Its own: training goes on to its orderly end when somebody asks to stop.
+    stop: Stop,
+    protocol: Protocol,
+    news: Receiver<Exam>,
+    thread: Option<JoinHandle<anyhow::Result<()>>>,
+}
+
+impl Examiner {
+    /// Begins with the first policy that was not evaluated yet.
+    ///
+    /// # Errors
+    /// When what was evaluated before cannot be read.
+    pub fn start(protocol: &Protocol, clock: Clock) -> anyhow::Result<Examiner> {
+        let (order, stop) = (Arc::new(AtomicU8::new(WATCH)), Stop::default());
+        let (send, news) = channel();
+        let thread = {
+            let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
+            std::thread::spawn(move || {
+                watch(&protocol, clock, (&order, &stop), |exam| {
+                    // Nobody may listen any more.
+                    let _ = send.send(exam);
+                })
+            })
+        };
+        Ok(Examiner {
+            order,
+            stop,
+            protocol: protocol.clone(),
+            news,
+            thread: Some(thread),
+        })
+    }
+
+    /// The newest evaluation, when there is a new one.
+    ///
+    /// # Errors
+    /// When the thread has failed.
+    pub fn news(&mut self) -> anyhow::Result<Option<Exam>> {
+        if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
+            self.join()?;
+        }
+        Ok(self.news.try_iter().last())
+    }
+
+    /// Waits until every policy is evaluated, or somebody asks to stop.
+    ///
+    /// # Errors
+    /// When the thread has failed.
+    pub fn finish(mut self, stop: &Stop) -> anyhow::Result<End> {
+        self.order.store(FINISH, Ordering::Relaxed);
+        while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
+            if stop.is_asked() {
+                let steps = self.protocol.steps;
+                self.stop()?;
+                return Ok(End::Stopped { steps });
+            }
+            pause(LOOK);
+        }
+        self.join()?;
+        Ok(End::Complete)
+    }
+
+    /// Waits for the episodes at hand only; their evaluation is begun anew next
+    /// time.
+    ///
+    /// # Errors
+    /// When the thread has failed.
+    pub fn stop(mut self) -> anyhow::Result<()> {
+        self.stop.ask();
+        self.join()
+    }
+
+    fn join(&mut self) -> anyhow::Result<()> {
+        match self.thread.take().map(JoinHandle::join) {
+            None => Ok(()),
+            Some(Ok(result)) => result,
+            Some(Err(_)) => Err(anyhow!("the evaluation's thread panicked")),
+        }
+    }
+}
+
+fn watch(
+    protocol: &Protocol,
+    clock: Clock,
+    (order, stop): (&AtomicU8, &Stop),
+    mut tell: impl FnMut(Exam),
+) -> anyhow::Result<()> {
+    let done = exams(&protocol.folder)?.last().map_or(0, |exam| exam.steps);
+    let mut done = done;
+    loop {
+        let now = order.load(Ordering::Relaxed);
+        if stop.is_asked() {
+            return Ok(());
+        }
+        let next = policies(&protocol.folder)?
+            .into_iter()
+            .find(|(steps, _)| *steps > done);
+        let Some((steps, path)) = next else {
+            if now == FINISH {
+                return Ok(());
+            }
+            pause(LOOK);
+            continue;
+        };
+        // While it drives, the other cores are the training's.
+        let threads = match now {
+            FINISH => std::thread::available_parallelism()?,
+            _ => NonZeroUsize::MIN,
+        };
+        let task = Task {
+            driver: driver(&path),
+            world: WorldChoice::Sim,
+            first_seed: EVALUATION_SEED,
+            episodes: protocol.episodes,
+            threads,
+        };
+        let Some(exam) = exam((&task, steps), &protocol.config, (clock, stop))? else {
+            return Ok(());
+        };
+        append_exam(&protocol.folder, &exam)?;
+        tell(exam);
+        done = steps;
+    }
+}
+
+/// Evaluates in the built-in world, whichever the training is in; `None` when
+/// stopped before the end.
+fn exam(
+    (task, steps): (&Task, u64),
+    config: &Config,
+    watch: (Clock, &Stop),
+) -> anyhow::Result<Option<Exam>> {
+    let Some(evaluation) = evaluated(task, config, watch, |_| {})? else {
+        return Ok(None);
+    };
+    Ok(Some(Exam {
+        steps,
+        success: evaluation.success.mean,
+        strict_success: evaluation.strict_success.mean,
+        contact: evaluation.contact.mean,
+        crash_last_step: evaluation.crash_last_step.mean,
+        out_of_road: evaluation.out_of_road.mean,
+        max_step: evaluation.max_step.mean,
+        completion: evaluation.completion.mean,
+        mean_length: evaluation.mean_length,
+        mean_speed_mps: evaluation.mean_speed_mps,
+    }))
+}
+
+fn evaluated(
+    task: &Task,
+    config: &Config,
+    watch: (Clock, &Stop),
+    mut done: impl FnMut(u64),
+) -> anyhow::Result<Option<Evaluation>> {
+    let mut config = config.clone();
+    config.world.simulator = shm_config::config::Simulator::BuiltIn;
+    let mut count = 0;
+    let drives = evaluate_inside(task, &config, watch, |_| {
+        count += 1;
+        done(count);
+    })?;
+    let is_whole = drives.episodes.len() as u64 == task.episodes;
+    Ok(is_whole.then(|| Evaluation::new(task, &drives)))
+}
+
+/// Evaluates the last policy of each seed on many episodes, once.
+///
+/// # Errors
+/// When a policy cannot be read or a file not written.
+pub fn examine_finals(
+    experiment: &Experiment,
+    results: &Results,
+    out: &Path,
+    (clock, stop): (Clock, &Stop),
+) -> anyhow::Result<End> {
+    for seed in &results.seeds {
+        let Some((steps, path)) = policies(&seed.folder)?.pop() else {
+            continue;
+        };
+        let file = seed.folder.join("final.json");
+        let episodes = experiment.final_episodes;
+        let last = seed.last.as_ref();
+        let is_known = last.is_some_and(|last| last.evaluation["episodes"] == episodes);
+        if is_known || episodes == 0 {
+            continue;
+        }
+        let protocol = Protocol::new(experiment, (seed.seed, out))?;
+        let task = Task {
+            driver: driver(&path),
+            world: WorldChoice::Sim,
+            first_seed: EVALUATION_SEED,
+            episodes,
+            threads: std::thread::available_parallelism()?,
+        };
+        let name = format!("seed {}, last policy", seed.seed);
+        let mut progress = Progress::begin(name, "episodes", (0, episodes), clock)?;
+        let part = episodes.div_ceil(PARTS);
+        let evaluation = evaluated(&task, &protocol.config, (clock, stop), |count| {
+            if count.is_multiple_of(part) || count == episodes {
+                progress.at(count);
+            }
+        })?;
+        progress.end();
+        let Some(evaluation) = evaluation else {
+            return Ok(End::Stopped { steps });
+        };
+        let mut evaluation = serde_json::to_value(evaluation)?;
+        evaluation["steps"] = steps.into();
+        evaluation["driver"] = format!("policies/{steps:08}.onnx").into();
+        write_json(&file, &evaluation)?;
+    }
+    Ok(End::Complete)
+}
+
+fn driver(path: &Path) -> DriverKind {
+    DriverKind::Policy(path.display().to_string().leak())
+}

@@ -1,0 +1,24 @@
+//! The stack in one process: planner and controller with the code that their processes
+//! run, the built-in world, and the policies. Evaluation, the learner's expert, the fuzz
+//! doors and the pictures drive it; it opens no port and starts no thread.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`Stack`] | one tick: observation, plan, command |
+//! | [`oracle`] | the expert's action at any observation |
+//! | [`driver`] | the drivers of an episode: the expert, a lane keeper, MetaDrive's IDM, a policy |
+//! | [`lane_keeper`] | the lane keeper |
+//! | [`episode`] | one episode in lockstep order |
+//! | [`scene`] | recorded observations, and their files |
+
+pub mod driver;
+pub mod episode;
+pub mod lane_keeper;
+pub mod oracle;
+pub mod scene;
+mod tick;
+
+pub use tick::Stack;
+
+/// A clock, which the program's `main` hands down.
+pub type Clock = fn() -> shm_config::Instant;

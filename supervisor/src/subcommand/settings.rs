@@ -1,0 +1,156 @@
+//! The configuration, exactly as `./vlaps up` resolves it.
+
+use std::ffi::OsString;
+use std::path::Path;
+
+use clap::Parser;
+use shm_config::config::{Clock, Config, ConfigError};
+use shm_config::secret;
+
+use crate::arguments::{Arguments, Command};
+use crate::cli::failure::Failure;
+use crate::commands::up::settings::resolve;
+
+/// Decisions in a second: a tick of the built-in world.
+const DECISION_HZ: f64 = 10.0;
+
+/// The configuration of `./vlaps up` with these words.
+fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
+    let words = [OsString::from("vlaps"), "up".into()]
+        .into_iter()
+        .chain(words);
+    let arguments =
+        Arguments::try_parse_from(words).map_err(|error| Failure::Usage(error.to_string()))?;
+    match &arguments.command {
+        Command::Up(up) => {
+            let config = resolve(up)?;
+            // Once there are threads, such as of a progress bar, it stays where it is,
+            // and is taken by the supervisor that this program starts.
+            let _ = secret::take_named(&config.vlm.key_env);
+            Ok(config)
+        }
+        _ => Err(Failure::Usage("no configuration".into())),
+    }
+}
+
+/// The configuration of a set that is started with these words in a folder of its own,
+/// where no `vlaps.toml` is.
+///
+/// # Errors
+/// When an option or an override is wrong, or the system gives no file.
+pub fn of_set(words: impl IntoIterator<Item = impl Into<OsString>>) -> anyhow::Result<Config> {
+    let empty = tempfile::NamedTempFile::new()?;
+    let none = [OsString::from("--config"), empty.path().into()];
+    let config = of_up(words.into_iter().map(Into::into).chain(none));
+    Ok(config.map_err(|failure| match failure {
+        // The file is none of the user's.
+        Failure::Config(ConfigError::OutOfRange { error, .. }) => Failure::Usage(error.to_string()),
+        other => other,
+    })?)
+}
+
+/// Refuses to override what a command sets itself: its keys, each with the option that
+/// says it, or nothing.
+///
+/// # Errors
+/// The first that is, and what to do.
+pub fn refuse_own(overrides: &[String], own: &[(&str, &str)]) -> Result<(), Failure> {
+    for text in overrides {
+        let key = text.split('=').next().unwrap_or_default().trim();
+        // A whole section as one value has its keys in it.
+        let is_meant = |(own, _): &&(&str, &str)| {
+            *own == key
+                || own
+                    .strip_prefix(key)
+                    .is_some_and(|rest| rest.starts_with('.'))
+        };
+        if let Some((own, option)) = own.iter().find(is_meant) {
+            let instead = match *option {
+                "" => "leave it out".into(),
+                option => format!("use {option}"),
+            };
+            return Err(Failure::Usage(format!(
+                "--set {text}: {own} is set by this command itself; {instead}"
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The configuration of `./vlaps up --config FILE --set KEY=VALUE ...`. It is
+/// asked for through that command's own arguments, so that file, defaults and
+/// overrides mean the same here.
+///
+/// # Errors
+/// When the file or an override is wrong; the error names the one that is.
+pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failure> {
+    let mut words: Vec<OsString> = Vec::new();
+    if let Some(file) = file {
+        words.extend(["--config".into(), file.into()]);
+    }
+    for text in overrides {
+        words.extend(["--set".into(), text.into()]);
+    }
+    let mut config = of_up(words)?;
+    // Nothing here may depend on how fast this machine is now.
+    config.run.clock = Clock::Lockstep;
+    let rates = [
+        ("run.rate_hz", config.run.rate_hz),
+        ("world.rate_hz", config.world.rate_hz),
+        ("planner.rate_hz", config.planner.rate_hz),
+    ];
+    for (key, rate_hz) in rates {
+        // 0 means the run's rate.
+        if rate_hz != 0.0 && (rate_hz - DECISION_HZ).abs() > 1e-9 {
+            return Err(Failure::Usage(format!(
+                "{key} = {rate_hz}: episodes are driven here at {DECISION_HZ} Hz, \
+                 the rate of the car's physics; leave the key out"
+            )));
+        }
+    }
+    Ok(config)
+}
+
+/// The key of an override, `KEY=VALUE`.
+pub fn key(text: &str) -> &str {
+    text.split('=').next().unwrap_or_default().trim()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_set_is_configured_by_its_words_alone() {
+        let words = |rate: &str| ["--rate", rate, "--set", "planner.rate_hz=20"].map(String::from);
+        let config = of_set(words("100")).expect("a configuration");
+        assert_eq!(
+            (config.run.rate_hz, config.planner_rate_hz()),
+            (100.0, 20.0)
+        );
+        for rate in ["2000", "0", "nan", "-5", "15"] {
+            let error = of_set(words(rate)).expect_err(rate);
+            let text = error.to_string();
+            assert!(text.starts_with("run.rate_hz = "), "{rate}: {text}");
+            assert!(error.downcast_ref::<Failure>().is_some(), "{rate}");
+        }
+    }
+
+    #[test]
+    fn what_a_command_sets_itself_is_no_override() {
+        let own = [("run.rate_hz", "--rate"), ("run.name", "")];
+        let told = |text: &str| refuse_own(&[text.into()], &own).map_err(|error| error.to_string());
+        let refused = |text: &str| told(text).expect_err(text);
+        assert!(refused("run.rate_hz=50").ends_with("; use --rate"));
+        assert!(refused(" run.name = x").ends_with("; leave it out"));
+        assert!(refused("run={rate_hz=50}").contains("run.rate_hz"));
+        for other in [
+            "run.rate=50",
+            "planner.rate_hz=20",
+            "run.rate_hz_max=1",
+            "runs=1",
+        ] {
+            assert_eq!(told(other), Ok(()), "{other}");
+        }
+    }
+}

@@ -1,0 +1,12 @@
+//! Pictures: maps, episodes, plans and camera frames for `./vlaps draw`, and the
+//! parts that all charts share.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`draw`] | the commands `draw map`, `episode`, `frame`, `plan` |
+//! | [`chart`] | font, colours, words and legends of charts |
+//! | [`bitmap`] | charts in pixels |
+
+pub mod bitmap;
+pub mod chart;
+pub mod draw;
