@@ -116,8 +116,7 @@ fn frame(name: &str, words: &[&str]) -> (u32, u32, Vec<u8>) {
     let output = draw_what("frame", &[words, &["--out", &file]].concat());
     assert!(output.status.success(), "{words:?}: {output:?}");
     let picture = image::open(&path).expect("a PNG").into_rgb8();
-    let (width, height) = picture.dimensions();
-    (width, height, picture.into_raw())
+    (picture.width(), picture.height(), picture.into_raw())
 }
 
 #[test]

@@ -9,6 +9,7 @@ use anyhow::Context;
 use serde::{Deserialize, Serialize};
 
 use lab::report::table;
+use lab::statistics::quantile;
 use supervisor::subcommand::say;
 
 /// One fault and what came of it.
@@ -216,14 +217,12 @@ pub fn lines(rows: &[Row]) -> Vec<Line> {
 }
 
 fn line(what: String, rate_hz: f64, rows: &[&Row]) -> Line {
-    let sorted = |of: fn(&Row) -> Option<f64>| {
-        let mut values: Vec<f64> = rows.iter().filter_map(|row| of(row)).collect();
-        values.sort_by(f64::total_cmp);
-        values
+    let values = |of: fn(&Row) -> Option<f64>| -> Vec<f64> {
+        rows.iter().filter_map(|row| of(row)).collect()
     };
-    let safe = sorted(|row| row.safe_ms);
-    let command = sorted(|row| row.command_ms);
-    let recovered = sorted(|row| row.recovered_ms);
+    let safe = values(|row| row.safe_ms);
+    let command = values(|row| row.command_ms);
+    let recovered = values(|row| row.recovered_ms);
     Line {
         what,
         rate_hz,
@@ -238,12 +237,6 @@ fn line(what: String, rate_hz: f64, rows: &[&Row]) -> Line {
         recovered_p50_ms: quantile(&recovered, 0.5),
         recovered_max_ms: quantile(&recovered, 1.0),
     }
-}
-
-/// The smallest value that this share of them does not exceed; NaN of none.
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let rank = (share * sorted.len() as f64).ceil() as usize;
-    sorted.get(rank.max(1) - 1).copied().unwrap_or(f64::NAN)
 }
 
 /// Prints the table.
@@ -342,13 +335,5 @@ mod tests {
             told.starts_with("/dev/full: ") && told.contains("No space"),
             "{told}"
         );
-    }
-
-    #[test]
-    fn quantiles_are_values_that_occurred() {
-        let values = [1.0, 2.0, 3.0, 4.0];
-        assert_eq!(quantile(&values, 0.5), 2.0);
-        assert_eq!(quantile(&values, 0.99), 4.0);
-        assert!(quantile(&[], 0.5).is_nan());
     }
 }

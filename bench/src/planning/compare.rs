@@ -228,8 +228,8 @@ impl<'a> Match<'a> {
 
 /// A quantile of times, us.
 fn time_us(pairs: &[Pair], share: f64, of: fn(&Pair) -> u64) -> f64 {
-    let mut times: Vec<f64> = pairs.iter().map(|pair| of(pair) as f64 * 1e-3).collect();
-    quantile(&mut times, share)
+    let times: Vec<f64> = pairs.iter().map(|pair| of(pair) as f64 * 1e-3).collect();
+    quantile(&times, share)
 }
 
 /// The comparison at equal iterations, with the curve beside it.
@@ -247,7 +247,7 @@ fn equal(
         .filter_map(|pair| Some((pair.ours.cost_m?, pair.ompl_cost_m?)))
         .collect();
     let median =
-        |of: fn(&(f64, f64)) -> f64| quantile(&mut both.iter().map(of).collect::<Vec<f64>>(), 0.5);
+        |of: fn(&(f64, f64)) -> f64| quantile(&both.iter().map(of).collect::<Vec<f64>>(), 0.5);
     let side = |time: fn(&Pair) -> u64, cost: fn(&Pair) -> Option<f64>, cost_median_m| Side {
         p50_us: time_us(pairs, 0.5, time),
         p99_us: time_us(pairs, 0.99, time),
@@ -296,7 +296,7 @@ fn curve(budgets: &[Vec<Pair>]) -> Vec<Point> {
             .collect();
         let cost = |of: fn(&Pair) -> Option<f64>| {
             let costs = pairs.iter().map(|pair| of(pair).unwrap_or(f64::INFINITY));
-            quantile(&mut costs.collect::<Vec<f64>>(), 0.5)
+            quantile(&costs.collect::<Vec<f64>>(), 0.5)
         };
         Point {
             iterations,

@@ -239,8 +239,8 @@ impl Course {
             .found
             .iter()
             .filter(|(found, _)| *found == PlanOutcome::Reached);
-        let mut costs: Vec<f64> = reached.map(|&(_, cost_m)| cost_m).collect();
-        let cost_median_m = quantile(&mut costs, 0.5);
+        let costs: Vec<f64> = reached.map(|&(_, cost_m)| cost_m).collect();
+        let cost_median_m = quantile(&costs, 0.5);
         Row {
             planner: DriverKind::of_method(self.method).word(),
             grid: Times::of(&self.grid_ns),

@@ -9,12 +9,10 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
-use controller::{Controller, Inputs, Intent, PolicySlot};
 use doors::{KINDS, as_bytes};
 use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, Mark};
 use learner::replay::{Label, Ring, Then, Transition};
-use planner::Planner;
 use policy::{Activation, Layer, Mlp, Provenance};
 use shm_config::Instant;
 use shm_config::config::planner::Method;
@@ -23,6 +21,7 @@ use shm_config::message::{
     Camera, Command, FEATURES, Header, Observation, Plan, Proposal, Step, Takeover, View,
 };
 use sim::{World, WorldConfig};
+use stack::Stack;
 
 const PERIOD_NS: u64 = 100_000_000;
 /// Where the first number stands that a door looks at.
@@ -55,8 +54,7 @@ fn drive(method: Method, map_seed: u64) -> Vec<(Observation, Plan, Step)> {
     config.run.clock = Clock::Lockstep;
     let mut world = World::new(WorldConfig::from(&config.world)).expect("a world");
     world.reset(map_seed).expect("a map");
-    let mut planner = Planner::new(&config).expect("a planner");
-    let mut controller = Controller::new(config, PolicySlot::new(None));
+    let mut stack = Stack::new(&config).expect("a planner");
     let mut ticks = Vec::new();
     for tick in 1..=40 {
         let now = Instant(tick * PERIOD_NS);
@@ -65,14 +63,8 @@ fn drive(method: Method, map_seed: u64) -> Vec<(Observation, Plan, Step)> {
         observation.header.tick = tick;
         observation.header.taken_ns = now.0;
         observation.header.sequence = tick;
-        let mut plan = Plan::default();
-        planner.plan(&observation, &mut plan);
-        let inputs = Inputs {
-            observation: Some(observation),
-            plan: Some(plan),
-            ..Inputs::default()
-        };
-        let step = *controller.tick(&inputs, tick, now, Intent::Drive);
+        let plan = *stack.plan(&observation);
+        let step = *stack.control(&observation);
         world.step(step.command.action());
         if tick % 13 == 0 {
             ticks.push((observation, plan, step));
