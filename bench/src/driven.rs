@@ -20,7 +20,7 @@ const CLEANINGS: u32 = 100;
 const LOOK: Duration = Duration::from_millis(20);
 
 /// A running set. It is killed should anything fail before it has ended; what its run
-/// has left is removed with this value, which whoever looks at the run drops first.
+/// has left is removed with this value; an observer of the run is dropped before it.
 pub struct Driven {
     child: Child,
     name: String,
@@ -45,7 +45,7 @@ impl Driven {
         let child = Command::new(&supervisor)
             .args(["up", "--run", &name])
             .args(arguments.into_iter().map(Into::into))
-            // Nothing drives on for nobody when this process is killed.
+            // The set ends with this process, even when that is killed.
             .args(["--parent", &std::process::id().to_string()])
             .arg("--json")
             .arg(&json)
@@ -53,7 +53,7 @@ impl Driven {
             // Its gate may need a key.
             .stdin(secret::lend()?)
             .stdout(Stdio::null())
-            // Ctrl-C in the terminal is ours to pass on: twice would kill.
+            // This program passes Ctrl-C on: a second one from the terminal would kill.
             .process_group(0)
             .spawn()
             .with_context(|| supervisor.display().to_string())?;
@@ -123,7 +123,7 @@ impl Drop for Driven {
         let Ok(name) = self.name.parse() else {
             return;
         };
-        // Whoever looks keeps a run alive, as does a process that is being killed.
+        // An open observer keeps a run alive, as does a process that is being killed.
         remove(&RunPaths::new(name));
     }
 }

@@ -136,6 +136,6 @@ pub fn left(first: u64) -> impl Fn(&ProgressState, &mut dyn fmt::Write) + Clone 
 }
 
 fn write_line(line: &str) {
-    // Nobody may be left to read it.
+    // The terminal may be closed.
     let _ = writeln!(std::io::stderr(), "{line}");
 }

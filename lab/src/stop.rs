@@ -1,4 +1,4 @@
-//! Somebody asks to stop: Ctrl-C or SIGTERM.
+//! A request to stop: Ctrl-C or SIGTERM.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,7 +7,7 @@ use anyhow::Context;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 
-/// Whether somebody asked to stop. Who asks twice ends the program at once.
+/// Whether a stop is requested. A second request ends the program at once.
 #[derive(Clone, Debug, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
@@ -27,12 +27,12 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Somebody did.
+    /// A stop is requested.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// Asks, as a signal does.
+    /// Requests it, as a signal does.
     pub fn ask(&self) {
         self.0.store(true, Ordering::Relaxed);
     }

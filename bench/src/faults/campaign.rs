@@ -119,7 +119,7 @@ impl<'a> Campaign<'a> {
         numbers.filter(|number| !known.contains(number)).collect()
     }
 
-    /// Makes all faults that are not done, until somebody asks to stop; the one that is
+    /// Makes all faults that are not done, until a stop is requested; the one that is
     /// in progress then is made anew another time.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Somebody with the right to write who publishes what is wrong.
+//! A publisher with the right to write that publishes wrong messages.
 
 use clap::ValueEnum;
 use rand_xoshiro::Xoshiro256PlusPlus;

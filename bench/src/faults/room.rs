@@ -1,4 +1,4 @@
-//! A room of its own: the campaign fills disks and shared memory, and nobody else
+//! A room of its own: the campaign fills disks and shared memory, and no other process
 //! on the machine shall notice. In a mount namespace of its own /dev/shm and the
 //! folder of the user's runs are small private file systems; what is left in them
 //! at the end is the campaign's, and goes with it.

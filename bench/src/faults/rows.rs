@@ -153,7 +153,7 @@ pub struct Bars {
     pub deaths_safe: usize,
     /// Things left behind; must be 0.
     pub leftovers: u64,
-    /// Ticks that nobody owns up to; must be 0.
+    /// Ticks that no figure accounts for; must be 0.
     pub unaccounted: u64,
     /// Steps read.
     pub steps: u64,

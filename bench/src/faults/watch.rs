@@ -153,7 +153,7 @@ impl Watch {
             trial.before = given;
             return;
         }
-        // A process that was stopped in its tick hands over what nobody obeys.
+        // A process that was stopped in its tick publishes a command that the vehicle ignores.
         let handed = Instant(step.timings.commanded_ns);
         let obeyed = handed.since_ns(given) <= self.limits.command_age_ns;
         if is_safe && obeyed && trial.command.is_none() {

@@ -11,7 +11,7 @@ use stack::Clock;
 /// Instants at which a receiver with [`Wake::Grid`] looks, ns apart.
 const GRID_NS: u64 = 100_000;
 /// A message that does not come within this is lost, ns: on a machine with much
-/// other work, somebody who spins is put aside for seconds.
+/// other work, a spinning thread is descheduled for seconds.
 pub const LOST_NS: u64 = 30_000_000_000;
 /// Looks without a message between two looks at the clock.
 const LOOKS: u32 = 1 << 14;

@@ -142,8 +142,8 @@ impl Subcommand for BenchIpc {
 /// `./vlaps bench ipc`.
 ///
 /// # Errors
-/// When the other process cannot be started, a message is lost or refused, or somebody
-/// stops; the rows until then are printed all the same.
+/// When the other process cannot be started, a message is lost or refused, or a stop is
+/// requested; the rows until then are printed all the same.
 fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     let conditions = Machine::here()?;
     let cores = match own_cores()[..] {
@@ -186,7 +186,7 @@ fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
     }
 }
 
-/// Adds all rows, until somebody stops.
+/// Adds all rows, until a stop is requested.
 fn measure(
     arguments: &BenchIpc,
     (run, cores): (&RunName, &[usize]),
@@ -236,7 +236,7 @@ fn measure(
 }
 
 impl Session<'_> {
-    /// All rates of one message and receiver, until somebody stops; flat out on a grid
+    /// All rates of one message and receiver, until a stop is requested; flat out on a grid
     /// says where on the grid an answer falls, and nothing else.
     fn rows<M: Measured>(&mut self, wake: Wake) -> anyhow::Result<Vec<Row>> {
         let priority = claim_for(wake);

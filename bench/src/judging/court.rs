@@ -155,7 +155,7 @@ impl Court {
             let asked = loop {
                 let asked = self.asker.ask(&prompt, &shown, deadline).await;
                 match asked.reply {
-                    // Nobody is in a hurry here.
+                    // No deadline here.
                     Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
                     Ok(_) | Err(_) => break asked,
                 }

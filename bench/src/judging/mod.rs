@@ -213,7 +213,7 @@ fn vlm(arguments: &BenchJudge, config: &Config, url: &str, view: View) -> Vlm {
         ..config.vlm.clone()
     };
     if arguments.server.is_none() {
-        // A stand-in charges nothing, and nobody else waits for it.
+        // A stand-in charges nothing and serves this program alone.
         vlm.model = STAND_IN.into();
         vlm.per_minute_max = 10_000;
         (vlm.price_in_usd, vlm.price_out_usd) = (0.0, 0.0);

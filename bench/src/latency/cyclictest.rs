@@ -43,7 +43,7 @@ impl Cyclictest {
         let period_us = (1e6 / rate_hz).round() as u64;
         command.args(["--quiet", "--threads=1", "--default-system"]);
         command.arg(format!("--interval={period_us}"));
-        // It ends by itself, should this program be killed and nobody end it.
+        // It ends by itself, even when this program is killed.
         let end_s = (seconds + SPARE_S).ceil();
         command.arg(format!("--duration={end_s}"));
         command.arg(format!("--histogram={LONGEST_US}"));

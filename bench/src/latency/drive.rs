@@ -25,7 +25,7 @@ const LOOK: Duration = Duration::from_millis(20);
 /// Seconds from block to block of the learner.
 const BLOCK_S: f64 = 2.0;
 
-/// Drives it; `None` when somebody asked to stop meanwhile.
+/// Drives it; `None` when a stop is requested meanwhile.
 /// It is the k-th: each has a run of its own, whatever the one before left.
 pub fn drive(
     bench: &Bench<'_>,
@@ -204,7 +204,7 @@ pub fn configuration(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Config> {
 
 fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
     let mut up: Vec<String> = vec!["--seed".into(), "3".into()];
-    // What somebody offers at the start is newer than a learner's first weights.
+    // A policy offered at the start is newer than a learner's first weights.
     if !case.beside.learner {
         up.extend(["--policy".into(), bench.policy.display().to_string()]);
     }

@@ -18,7 +18,7 @@ pub enum Conduct {
     },
     /// Takes the question and never answers.
     Hangs,
-    /// Nobody listens.
+    /// No server listens.
     Refuses,
     /// Answers with 10 MB.
     Floods,
@@ -82,7 +82,7 @@ impl Conduct {
         let server = server.context("the stand-in server")?;
         let url = match (&server, self) {
             (Some(server), _) => Some(server.url()),
-            (None, Self::Refuses) => Some(nobody()?),
+            (None, Self::Refuses) => Some(unused_address()?),
             (None, _) => None,
         };
         Ok(EpisodeDriver {
@@ -123,8 +123,8 @@ fn words(url: Option<&str>) -> Vec<String> {
     words
 }
 
-/// An address where nobody listens: it was free a moment ago.
-fn nobody() -> anyhow::Result<String> {
+/// An address without a server: it was free a moment ago.
+fn unused_address() -> anyhow::Result<String> {
     let address = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?;
     Ok(format!("http://{address}/v1"))
 }

@@ -41,7 +41,7 @@ use supervisor::subcommand::{say, write_json};
 pub struct Measured {
     /// In the order in which they were asked for.
     pub rows: Vec<Row>,
-    /// Rows that were asked for and not driven, since somebody stopped.
+    /// Rows that were asked for and not driven, since a stop was requested.
     pub left: usize,
     /// Where.
     pub conditions: Machine,
@@ -115,7 +115,7 @@ fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
         clock,
     };
     let cases = arguments.cases();
-    // All of them before the first: nobody waits for a row that cannot be.
+    // All of them before the first: an impossible row is an error at once.
     for case in &cases {
         drive::configuration(&bench, case).with_context(|| case.words())?;
     }
@@ -161,7 +161,7 @@ fn is_by_cyclictest(choice: FloorChoice) -> anyhow::Result<bool> {
     }
 }
 
-/// Adds a row for each case, kept or driven, until somebody stops.
+/// Adds a row for each case, kept or driven, until a stop is requested.
 ///
 /// # Errors
 /// When one cannot be driven or kept. The rows until then are there, the one that could

@@ -38,7 +38,7 @@ impl Shelf {
     /// A row that was done with the same settings.
     ///
     /// # Errors
-    /// When it was done with others: nobody's measurement is overwritten unasked.
+    /// When it was done with others: no measurement is overwritten without --fresh.
     pub fn kept(&self, case: &Case, settings: &Settings) -> Result<Option<Row>, Failure> {
         let Some(row) = self.read(case) else {
             return Ok(None);

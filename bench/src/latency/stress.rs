@@ -23,7 +23,7 @@ const CHUNK: usize = 1 << 20;
 /// Chunks of the file, which is then written anew.
 const CHUNKS: u64 = 64;
 /// Seconds after a row's end at which stress-ng ends by itself, should this program be
-/// killed and nobody end it.
+/// killed without ending it.
 pub const SPARE_S: f64 = 90.0;
 /// Folder of the files that load the disk, within the one of `--out`.
 const FILES: &str = ".load";

@@ -38,7 +38,7 @@ use verdict::{Flatness, Rule};
         resident), open files, threads; of the run, its files in shared memory. The first fifth, \
         and 60,000 ticks at least, is for warming up. Flat means: over the rest, the Theil-Sen slope of the anonymous memory is \
         within the limit, the median of the last tenth is not above that of the first by more than \
-        another limit, nobody holds more files or threads at the end than at the begin, and nobody \
+        another limit, no process holds more files or threads at the end than at the begin, and none \
         was restarted. The supervisor may grow by its list of episodes. samples.csv, memory.svg and \
         memory.png go to --out; exit 1 when it is not flat, or was stopped: Ctrl-C ends a soak with \
         the verdict on its samples so far.\n\n\
@@ -93,7 +93,7 @@ const START_NS: u64 = 60_000_000_000;
 pub struct Soaked {
     /// All of it was flat.
     pub is_flat: bool,
-    /// Somebody stopped it before its end: it is about the ticks until then.
+    /// It was stopped before its end: the figures are of the ticks until then.
     pub was_stopped: bool,
     /// What was measured of each process, and of the run.
     pub rows: Vec<Flatness>,
@@ -204,7 +204,7 @@ fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
 /// The file of samples.
 const SAMPLES: &str = "samples.csv";
 
-/// Samples until the end, or until somebody asks to stop, written as they are taken: a
+/// Samples until the end, or until a stop is requested, written as they are taken: a
 /// soak that is cut off leaves what it has seen.
 fn watch(
     arguments: &BenchSoak,

@@ -11,7 +11,7 @@ use shm_config::run::RunPaths;
 /// Name of the row that is no process: the run's files in shared memory.
 pub const SHARED_MEMORY: &str = "shared memory";
 
-/// What somebody holds.
+/// The resources that a process holds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Held {
     /// The program, or [`SHARED_MEMORY`].

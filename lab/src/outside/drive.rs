@@ -102,7 +102,7 @@ pub fn drive(
     Ok(wheel.driver.planning_us().clone())
 }
 
-/// A driver who begins anew with every episode.
+/// A driver that starts anew with every episode.
 struct Wheel {
     driver: EpisodeDriver,
     /// Header of the episode's first observation.

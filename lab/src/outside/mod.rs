@@ -39,7 +39,7 @@ struct Share {
 ///
 /// # Errors
 /// When the driver needs the built-in world, MetaDrive is not set up, a world
-/// ends early, or somebody asked to stop.
+/// ends early, or a stop is requested.
 pub fn evaluate(
     task: &Task,
     config: &Config,
