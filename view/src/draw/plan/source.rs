@@ -10,15 +10,15 @@ use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{Process, STEP};
 use shm_config::wire::Wire;
 use sim::{World, WorldConfig};
+use supervisor::cli::failure::Failure;
+use supervisor::machine::signals::pause;
+use supervisor::run::leftovers::clean_run;
+
+use super::{DrawPlan, Planned};
 use stack::Clock;
 use stack::driver::EpisodeDriver;
 use stack::episode::drive;
 use stack::scene;
-use supervisor::clean::clean_run;
-use supervisor::failure::Failure;
-use supervisor::signals::pause;
-
-use super::{DrawPlan, Planned};
 
 /// How long a run has to take a step, ns; ten periods and more.
 const LISTEN_NS: u64 = 2_000_000_000;
@@ -113,7 +113,8 @@ fn of_episode(arguments: &DrawPlan, config: Config, clock: Clock) -> anyhow::Res
 /// Plans again for what a living run saw last.
 fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
     let paths = RunPaths::new(name.clone());
-    if paths.supervisor_pid().is_none() {
+    // A folder of that name that is another user's is refused here, with its owner.
+    if paths.holder()?.is_none() {
         return Err(Failure::GivenUp(format!(
             "run '{name}' is not running; `./vlaps up --run {name}` starts it"
         ))
@@ -125,7 +126,7 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
         ))
     })?;
     let heard = hear(name, clock);
-    // The run may have ended meanwhile; then it was us who kept its place.
+    // The run may have ended meanwhile; then this process kept its place.
     if paths.supervisor_pid().is_none() {
         clean_run(&paths)?;
     }
