@@ -18,6 +18,17 @@ pub struct Field {
     pub size: usize,
 }
 
+/// The field table of a message, with those of the messages nested in it.
+#[derive(Debug)]
+pub struct Table {
+    /// The name on the wire.
+    pub name: &'static str,
+    /// The fields in order.
+    pub fields: &'static [Field],
+    /// The tables of the types among them.
+    pub nested: &'static [&'static Table],
+}
+
 /// A type with a pinned layout.
 pub trait Layout {
     /// The name on the wire, the same in every language.
@@ -26,6 +37,11 @@ pub trait Layout {
     const FIELDS: &'static [Field];
     /// A hash of the names, types and offsets of all fields, nested ones too.
     const FINGERPRINT: u64;
+    /// The fields, nested ones too.
+    const TABLE: &'static Table;
+
+    /// The memory of the message.
+    fn as_bytes(&self) -> &[u8];
 }
 
 /// FNV-1a, the only hash simple enough to run in a `const`; it tells layouts
@@ -97,7 +113,7 @@ macro_rules! message {
                 $( $crate::layout::Field {
                     name: stringify!($field),
                     type_name: stringify!($type),
-                    offset: std::mem::offset_of!($name, $field),
+                    offset: core::mem::offset_of!($name, $field),
                     size: {
                         const fn size_of_field<T, F>(_: fn(&T) -> &F) -> usize {
                             size_of::<F>()
@@ -115,6 +131,23 @@ macro_rules! message {
                 ); )+ )?
                 hash
             };
+            const TABLE: &'static $crate::layout::Table = &$crate::layout::Table {
+                name: stringify!($name),
+                fields: Self::FIELDS,
+                nested: &[$( $( <$nested as $crate::layout::Layout>::TABLE, )+ )?],
+            };
+
+            // SAFETY: `repr(C)` without padding (asserted below), so every byte is
+            // defined; the slice lives no longer than the borrow.
+            #[allow(unsafe_code)]
+            fn as_bytes(&self) -> &[u8] {
+                unsafe {
+                    core::slice::from_raw_parts(
+                        core::ptr::from_ref(self).cast::<u8>(),
+                        size_of::<$name>(),
+                    )
+                }
+            }
         }
 
         // SAFETY: `repr(C)`, `Copy`, without padding (asserted below), and every
@@ -176,8 +209,8 @@ macro_rules! word_list {
             }
         }
 
-        impl std::fmt::Display for $name {
-            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        impl core::fmt::Display for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
                 f.pad(self.word())
             }
         }

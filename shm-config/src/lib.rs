@@ -5,6 +5,7 @@
 
 pub mod config;
 mod counted;
+pub mod difference;
 pub mod file;
 mod grid;
 pub mod histogram;

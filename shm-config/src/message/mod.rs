@@ -2,6 +2,7 @@
 //! the door by `admit`.
 
 mod advice;
+mod before;
 mod camera;
 mod command;
 mod fault;
@@ -19,6 +20,7 @@ mod takeover;
 mod timing;
 
 pub use advice::{Advice, Judge, Preference};
+pub use before::{Admission, Before, Entry, Intent, Lateness, PdState, Stage, TransferState};
 pub use camera::{Camera, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, View};
 pub use command::{Command, Driver, Reason};
 pub use fault::{Fault, FaultKind};
@@ -36,7 +38,7 @@ pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 pub use progress::{Episode, Outcome, Progress};
 pub use refusal::{REFUSALS, Refusal, RefusalKind, Refusals};
 pub use roster::{PROCESSES, Roster};
-pub use step::{Assessment, Proposal, Step, Timings, Verdict};
+pub use step::{Assessment, Proposal, ShadowProposal, Step, Timings, Verdict};
 pub use takeover::Takeover;
 pub use timing::{Histogram, LATE_TICKS, LateTick, Measure, Timing};
 

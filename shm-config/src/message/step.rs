@@ -1,8 +1,8 @@
 use vehicle::Action;
 
 use super::{
-    Advice, Command, Driver, Header, Message, Observation, Plan, Reason, Refusal, Takeover,
-    header_accessors, known, within,
+    Advice, Before, Command, Driver, Entry, Header, Intent, Lateness, Message, Observation, Plan,
+    Reason, Refusal, Stage, Takeover, header_accessors, known, within,
 };
 
 crate::word_list! {
@@ -77,31 +77,61 @@ crate::message! {
 }
 
 crate::message! {
+    /// What the weights in shadow mode proposed on the tick's observation, after its
+    /// command was out.
+    #[derive(Default)]
+    pub struct ShadowProposal: 80 bytes, nested [Proposal, Assessment] {
+        /// Their proposal.
+        pub proposal: Proposal,
+        /// Its verdict.
+        pub assessment: Assessment,
+        /// Their version; 0 when none were asked.
+        pub weights_version: u64,
+        /// First 8 bytes of their SHA-256; 0 for none.
+        pub weights_hash: u64,
+    }
+}
+
+crate::message! {
     /// The record of one tick of the controller: everything it knew and decided.
-    /// With it a tick can be recomputed bit by bit.
-    pub struct Step: 4936 bytes,
+    /// From it and the run's configuration the tick can be recomputed bit by bit
+    /// (`controller::Recomputer`).
+    pub struct Step: 5200 bytes,
         nested [
-            Header, Observation, Plan, Advice, Takeover, Proposal, Assessment, Command, Timings
+            Header, Before, Entry, Observation, Plan, Advice, Takeover, Proposal, Assessment,
+            ShadowProposal, Command, Timings
         ]
     {
-        /// The controller's tick; taken when it began.
+        /// The controller's tick; taken when it admitted its inputs.
         pub header: Header,
+        /// The state that it began with.
+        pub before: Before,
+        /// The observation at the door.
+        pub observation_entry: Entry,
+        /// The plan at the door.
+        pub plan_entry: Entry,
+        /// The advice at the door.
+        pub advice_entry: Entry,
+        /// The takeover at the door.
+        pub takeover_entry: Entry,
         /// What the car perceived; the last admitted one when none came.
         pub observation: Observation,
         /// The plan followed; the last admitted one when none came.
         pub plan: Plan,
         /// The advice in force.
         pub advice: Advice,
-        /// What a person at the keys said last.
+        /// The driver's newest takeover message.
         pub takeover: Takeover,
-        /// What the expert proposed; what the person did who took its place.
+        /// What the expert proposed, or the driver's action after a takeover.
         pub expert: Proposal,
-        /// What the policy proposed.
+        /// What the active policy proposed.
         pub policy: Proposal,
         /// The judge on the expert's proposal.
         pub expert_assessment: Assessment,
         /// The judge on the policy's proposal.
         pub policy_assessment: Assessment,
+        /// What the policy in shadow mode proposed.
+        pub shadow: ShadowProposal,
         /// What was commanded, by whom and why.
         pub command: Command,
         /// When.
@@ -120,8 +150,16 @@ crate::message! {
         pub skipped: u64,
         /// Messages the controller refused since it started.
         pub refused: u64,
-        /// Random state or other number the policy needs to be replayed.
-        pub reserved: u64,
+        /// Messages that the ports refused since the tick before.
+        pub refused_at_ports: u64,
+        /// An [`Intent`]: what the process asked of the tick.
+        pub intent: u32,
+        /// A [`Stage`]: of the policy.
+        pub stage: u32,
+        /// 1 when the driver's action stands in for the expert's, else 0.
+        pub takeover_used: u32,
+        /// A [`Lateness`]: of the command.
+        pub lateness: u32,
     }
 }
 
@@ -183,12 +221,27 @@ impl Step {
     pub fn reason(&self) -> Option<Reason> {
         self.command.reason()
     }
+
+    /// What the process asked of the tick; an unknown code reads as a stop.
+    pub fn intent(&self) -> Intent {
+        Intent::from_code(self.intent).unwrap_or(Intent::Stop)
+    }
+
+    /// How far the policy was; an unknown code reads as none.
+    pub fn stage(&self) -> Stage {
+        Stage::from_code(self.stage).unwrap_or(Stage::Unloaded)
+    }
 }
 
 impl Default for Step {
     fn default() -> Self {
         Self {
             header: Header::default(),
+            before: Before::default(),
+            observation_entry: Entry::default(),
+            plan_entry: Entry::default(),
+            advice_entry: Entry::default(),
+            takeover_entry: Entry::default(),
             observation: Observation::default(),
             plan: Plan::default(),
             advice: Advice::default(),
@@ -197,6 +250,7 @@ impl Default for Step {
             policy: Proposal::default(),
             expert_assessment: Assessment::default(),
             policy_assessment: Assessment::default(),
+            shadow: ShadowProposal::default(),
             command: Command {
                 header: Header::default(),
                 steer: Action::BRAKE.steer,
@@ -212,7 +266,11 @@ impl Default for Step {
             weights_hash: 0,
             skipped: 0,
             refused: 0,
-            reserved: 0,
+            refused_at_ports: 0,
+            intent: Intent::Drive.code(),
+            stage: Stage::Unloaded.code(),
+            takeover_used: 0,
+            lateness: Lateness::OnTime.code(),
         }
     }
 }
@@ -221,6 +279,11 @@ impl Message for Step {
     header_accessors!();
 
     fn check(&self) -> Result<(), Refusal> {
+        self.before.check()?;
+        self.observation_entry.check("observation_entry")?;
+        self.plan_entry.check("plan_entry")?;
+        self.advice_entry.check("advice_entry")?;
+        self.takeover_entry.check("takeover_entry")?;
         self.observation.check()?;
         self.plan.check()?;
         self.advice.check()?;
@@ -229,6 +292,14 @@ impl Message for Step {
         self.policy.check("policy")?;
         self.expert_assessment.check("expert_assessment")?;
         self.policy_assessment.check("policy_assessment")?;
+        self.shadow.proposal.check("shadow.proposal")?;
+        self.shadow.assessment.check("shadow.assessment")?;
+        known("intent", self.intent, Intent::from_code)?;
+        known("stage", self.stage, Stage::from_code)?;
+        known("takeover_used", self.takeover_used, |code| {
+            (code <= 1).then_some(code)
+        })?;
+        known("lateness", self.lateness, Lateness::from_code)?;
         self.command.check()
     }
 }
