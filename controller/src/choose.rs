@@ -1,40 +1,9 @@
 use shm_config::Instant;
 use shm_config::config::GateMode;
-use shm_config::message::{Advice, Assessment, Driver, Plan, PlanOutcome, Preference, Reason};
+use shm_config::message::{
+    Advice, Assessment, Driver, Intent, Plan, PlanOutcome, Preference, Reason, Stage,
+};
 use vehicle::Action;
-
-/// Whether the run goes on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Intent {
-    /// Drive.
-    Drive,
-    /// Bring the car to rest.
-    Stop,
-    /// Brake: two processes send one state, so none of it can be trusted.
-    Contested,
-}
-
-/// How far a policy is on its way to the wheel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// There is none.
-    Unloaded,
-    /// The only one there is proposes in shadow.
-    Shadow,
-    /// One may drive.
-    Charged,
-}
-
-impl Stage {
-    /// Why no policy drives; `None` when one may.
-    fn hindrance(self) -> Option<Reason> {
-        match self {
-            Stage::Unloaded => Some(Reason::Unloaded),
-            Stage::Shadow => Some(Reason::Shadow),
-            Stage::Charged => None,
-        }
-    }
-}
 
 /// Everything the switch law looks at.
 pub struct Standing<'a> {
@@ -110,6 +79,15 @@ pub fn choose(standing: &Standing) -> Choice {
     }
 }
 
+/// Why no policy drives at this stage; `None` when one may.
+fn hindrance(stage: Stage) -> Option<Reason> {
+    match stage {
+        Stage::Unloaded => Some(Reason::Unloaded),
+        Stage::Shadow => Some(Reason::Shadow),
+        Stage::Active => None,
+    }
+}
+
 /// Whose turn it is, by configuration and advice alone.
 fn wanted(standing: &Standing) -> (Driver, Reason) {
     match standing.mode {
@@ -122,7 +100,7 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
         | GateMode::Committee
         | GateMode::Replay => {}
     }
-    if let Some(reason) = standing.stage.hindrance() {
+    if let Some(reason) = hindrance(standing.stage) {
         return (Driver::Expert, reason);
     }
     let Some(advice) = standing.advice.filter(|advice| advice.answers > 0) else {
@@ -140,7 +118,7 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
 
 /// The policy's turn is the policy's only if it can and may.
 fn may_policy(standing: &Standing, reason: Reason) -> (Driver, Reason) {
-    if let Some(reason) = standing.stage.hindrance() {
+    if let Some(reason) = hindrance(standing.stage) {
         (Driver::Expert, reason)
     } else if standing.policy.is_none() {
         (Driver::Expert, Reason::Faulty)

@@ -10,18 +10,23 @@
 
 mod between;
 mod choose;
+mod controller;
 mod pd;
 mod policy;
+mod recompute;
 mod slots;
 mod tick;
 mod transfer;
 
-pub use choose::{Choice, Intent, Stage, Standing, choose};
+pub use choose::{Choice, Standing, choose};
+pub use controller::Controller;
 pub use pd::Pd;
 pub use policy::{
     Begin, Exchange, Fault, Hand, Loader, Look, NativePolicy, News, Offer, OrtPolicy, OrtSession,
     Policy, PolicySlot, Terms, Turn, build, library,
 };
+pub use recompute::Recomputer;
+pub use shm_config::message::{Intent, Stage};
 pub use slots::{Release, Slot, Slots};
-pub use tick::{Controller, Inputs};
+pub use tick::{AdmittedAt, Arbiter, ArbiterConfig, Inputs, PolicyAnswer};
 pub use transfer::Transfer;

@@ -123,7 +123,11 @@ impl Waiting {
         let grid = self.grid;
         // What is refused at the door is given no tick: the clock is read after the
         // message came, else it would be from the future.
-        let door = |observation: &Observation| grid.admit(observation, monotonic());
+        let mut admitted = Instant::default();
+        let door = |observation: &Observation| {
+            let at = monotonic();
+            grid.admit(observation, at).inspect(|()| admitted = at)
+        };
         let newest = ports.observations.newest(door);
         let now = monotonic();
         if let Some(observation) = newest {
@@ -142,6 +146,7 @@ impl Waiting {
             // In lockstep nobody looks between two ticks: runs repeat.
             if is_new || !self.lockstep {
                 inputs.observation = Some(observation);
+                inputs.admitted.observation_ns = admitted.0;
             }
             if slot.is_some() {
                 return slot;
@@ -182,13 +187,20 @@ impl Waiting {
         let clock = self.clock(inputs);
         let episode = inputs.observation.map(|o| o.header.episode);
         let plan_age_ns = self.plan_age_ns;
-        let plan_door = |plan: &Plan| admit_plan(plan, clock.now(), plan_age_ns, episode);
-        // Advice has its own expiry; its age says nothing.
-        let advice_door = |advice: &Advice| advice.admit(clock.now(), u64::MAX);
         loop {
+            let at = &mut inputs.admitted;
+            let plan_door = |plan: &Plan| {
+                let now = clock.now();
+                admit_plan(plan, now, plan_age_ns, episode).inspect(|()| at.plan_ns = now.0)
+            };
             if ports.plans.newest_into(&mut inputs.plan, plan_door) {
                 self.planner_silent = false;
             }
+            // Advice has its own expiry; its age says nothing.
+            let advice_door = |advice: &Advice| {
+                let now = clock.now();
+                advice.admit(now, u64::MAX).inspect(|()| at.advice_ns = now.0)
+            };
             if ports.advices.newest_into(&mut inputs.advice, advice_door) {
                 self.gate_silent = false;
             }
@@ -363,7 +375,12 @@ fn tick(
     waiting.peers(ports, inputs, &slot, pulse);
     let clock = waiting.clock(inputs);
     let takeover_age_ns = waiting.takeover_age_ns;
-    let takeover_door = |takeover: &Takeover| takeover.admit(clock.now(), takeover_age_ns);
+    let at = &mut inputs.admitted;
+    let takeover_door = |takeover: &Takeover| {
+        let now = clock.now();
+        let admitted = takeover.admit(now, takeover_age_ns);
+        admitted.inspect(|()| at.takeover_ns = now.0)
+    };
     inputs.takeover = ports.takeovers.newest(takeover_door);
     let planned = monotonic();
     pulse.end(Part::Wait, planned);
@@ -394,14 +411,13 @@ fn tick(
     let decided = monotonic();
     pulse.end(Part::Decide, decided);
     let due_by = slot.scheduled.after_ns(waiting.period_ns);
-    let is_late = !waiting.lockstep && decided > due_by;
-    let sends = !is_late || controller.answer_late();
-    let step = controller.step_mut();
-    step.command.header.taken_ns = now.0;
+    let sends = controller.complete(slot.scheduled, decided);
     if sends {
-        ports.commands.send(&mut step.command);
+        ports.commands.send(&mut controller.step_mut().command);
     }
     let commanded = monotonic();
+    controller.propose_in_shadow();
+    let step = controller.step_mut();
     // The account is on the run's clock, as those of planner and world are. A world
     // that was restarted in lockstep begins its clock anew; the account goes on.
     let next_due = Instant(pulse.health.next_scheduled_ns);
@@ -415,11 +431,9 @@ fn tick(
         ),
     };
     step.skipped += unanswered;
-    step.timings.scheduled_ns = slot.scheduled.0;
     step.timings.released_ns = released_ns;
     step.timings.started_ns = started.0;
     step.timings.planned_ns = planned.0;
-    step.timings.decided_ns = decided.0;
     step.timings.commanded_ns = commanded.0;
     ports.steps.send(step);
     waiting.stepped = Some(tick);

@@ -1,5 +1,5 @@
 use shm_config::config::Controller;
-use shm_config::message::{Observation, Plan, PlanOutcome};
+use shm_config::message::{Observation, PdState, Plan, PlanOutcome};
 use vehicle::{Action, Point, pose};
 
 /// A goal that moved further than this between two ticks is another goal, m:
@@ -13,22 +13,27 @@ const GOAL_JUMP_M: f64 = 10.0;
 #[derive(Debug, Clone)]
 pub struct Pd {
     config: Controller,
-    last: Option<Errors>,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Errors {
-    heading_rad: f64,
-    speed_mps: f64,
-    taken_ns: u64,
-    episode: u32,
-    goal_world: Point,
+    /// The errors of the last tick that tracked.
+    last: PdState,
 }
 
 impl Pd {
     /// Tracking with these gains.
     pub fn new(config: Controller) -> Self {
-        Self { config, last: None }
+        Self {
+            config,
+            last: PdState::default(),
+        }
+    }
+
+    /// What the next tick differentiates against.
+    pub fn state(&self) -> PdState {
+        self.last
+    }
+
+    /// Goes on from this state.
+    pub fn restore(&mut self, state: &PdState) {
+        self.last = *state;
     }
 
     /// The expert's action for a plan, normalised; `None` when the plan has no
@@ -36,7 +41,7 @@ impl Pd {
     /// moved into the body frame of now.
     pub fn propose(&mut self, plan: &Plan, observation: &Observation) -> Option<Action> {
         if plan.outcome() == PlanOutcome::Blocked {
-            self.last = None;
+            self.last = PdState::default();
             return None;
         }
         let ego = &observation.ego;
@@ -44,15 +49,18 @@ impl Pd {
         let world_from_plan = plan.world_from_plan();
         let body_from_plan = world_from_body.inverse() * world_from_plan;
         let (target_body, speed_mps) = plan.lookahead(&body_from_plan, self.config.lookahead_m)?;
-        let now = Errors {
+        let goal_world = world_from_plan * Point::new(plan.goal_x_body_m, plan.goal_y_body_m);
+        let now = PdState {
             heading_rad: target_body.y.atan2(target_body.x),
             speed_mps: speed_mps - ego.speed_mps,
             taken_ns: observation.header.taken_ns,
             episode: observation.header.episode,
-            goal_world: world_from_plan * Point::new(plan.goal_x_body_m, plan.goal_y_body_m),
+            goal_x_world_m: goal_world.x,
+            goal_y_world_m: goal_world.y,
+            present: 1,
         };
         let (heading_rate_radps, speed_rate_mps2) = self.rates(&now);
-        self.last = Some(now);
+        self.last = now;
         let Controller {
             steer_kp,
             steer_kd,
@@ -67,20 +75,24 @@ impl Pd {
         Some(action.clamped())
     }
 
-    fn rates(&self, now: &Errors) -> (f64, f64) {
-        match self.last {
-            Some(last)
-                if last.episode == now.episode
-                    && now.taken_ns > last.taken_ns
-                    && (last.goal_world - now.goal_world).norm() < GOAL_JUMP_M =>
-            {
-                let step_s = (now.taken_ns - last.taken_ns) as f64 * 1e-9;
-                (
-                    (now.heading_rad - last.heading_rad) / step_s,
-                    (now.speed_mps - last.speed_mps) / step_s,
-                )
-            }
-            _ => (0.0, 0.0),
+    /// Change of both errors since the last tick, rad/s and m/s².
+    fn rates(&self, now: &PdState) -> (f64, f64) {
+        let last = &self.last;
+        let is_same_question = last.present == 1
+            && last.episode == now.episode
+            && now.taken_ns > last.taken_ns
+            && (goal_world(last) - goal_world(now)).norm() < GOAL_JUMP_M;
+        if !is_same_question {
+            return (0.0, 0.0);
         }
+        let step_s = (now.taken_ns - last.taken_ns) as f64 * 1e-9;
+        (
+            (now.heading_rad - last.heading_rad) / step_s,
+            (now.speed_mps - last.speed_mps) / step_s,
+        )
     }
+}
+
+fn goal_world(state: &PdState) -> Point {
+    Point::new(state.goal_x_world_m, state.goal_y_world_m)
 }

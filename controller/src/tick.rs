@@ -1,15 +1,18 @@
+//! The tick's arithmetic: messages, the policy's answer and the time in, a step out.
+
 use gate::{Scene, assess};
-use shm_config::config::{Config, GateMode, Late};
+use shm_config::config::{self, Config, GateMode, JudgeLimits, Late};
 use shm_config::message::{
-    Advice, Assessment, Command, Driver, Observation, Plan, Proposal, Reason, Step, Takeover,
+    Admission, Advice, Assessment, Before, Command, Driver, Entry, Intent, Lateness, Observation,
+    Plan, Proposal, Reason, ShadowProposal, Stage, Step, Takeover,
 };
 use shm_config::{Instant, Message};
-use vehicle::Action;
+use vehicle::{Action, Vehicle};
 
-use crate::{Choice, Intent, Pd, PolicySlot, Standing, Transfer, choose};
+use crate::{Choice, Pd, Standing, Transfer, choose};
 
 /// What came since the last tick. The ports have refused what was inadmissible when it
-/// was read; the tick decides at a later instant, and looks at each once more.
+/// was read; the tick decides at a later instant, and checks each message again.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Inputs {
     /// The newest observation.
@@ -18,33 +21,100 @@ pub struct Inputs {
     pub plan: Option<Plan>,
     /// The newest advice.
     pub advice: Option<Advice>,
-    /// The newest word of a person.
+    /// The newest takeover message.
     pub takeover: Option<Takeover>,
+    /// When the ports admitted them.
+    pub admitted: AdmittedAt,
     /// Messages that the ports have refused since the last tick.
     pub refused: u64,
 }
 
-/// The controller without its ports: inputs in, step out.
-pub struct Controller {
-    pub(crate) config: Config,
+/// The clock reads at which the ports admitted the inputs of a tick, ns; what did not
+/// come keeps any number.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct AdmittedAt {
+    /// Of the observation.
+    pub observation_ns: u64,
+    /// Of the plan.
+    pub plan_ns: u64,
+    /// Of the advice.
+    pub advice_ns: u64,
+    /// Of the takeover message.
+    pub takeover_ns: u64,
+}
+
+/// What the policies say in one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PolicyAnswer {
+    /// How far the policy is.
+    pub stage: Stage,
+    /// The active policy's proposal, clamped; `None` when there is none.
+    pub proposal: Option<Action>,
+    /// Version and hash of the active weights; zeros for none.
+    pub weights: (u64, u64),
+}
+
+/// The part of the configuration that decides ticks.
+#[derive(Debug, Clone, Copy)]
+pub struct ArbiterConfig {
+    /// The tracking's gains, and the rates of a hand-over.
+    pub gains: config::Controller,
+    /// Limits of the verdict.
+    pub judge: JudgeLimits,
+    /// The car.
+    pub vehicle: Vehicle,
+    /// What decides which driver drives.
+    pub mode: GateMode,
+    /// What becomes of a late command.
+    pub late: Late,
+    /// From tick to tick, ns.
+    pub period_ns: u64,
+    /// In lockstep no command is late.
+    pub is_lockstep: bool,
+    /// Older observations are not driven on, ns.
+    pub observation_age_ns: u64,
+    /// Older plans are not followed, ns.
+    pub plan_age_ns: u64,
+    /// Older takeover messages are ignored, ns.
+    pub takeover_age_ns: u64,
+}
+
+impl From<&Config> for ArbiterConfig {
+    fn from(config: &Config) -> Self {
+        Self {
+            gains: config.controller,
+            judge: config.judge,
+            vehicle: config.vehicle,
+            mode: config.gate.mode,
+            late: config.deadlines.controller,
+            period_ns: config.run.period_ns(),
+            is_lockstep: config.run.is_lockstep(),
+            observation_age_ns: config.limits.observation_age_ns(),
+            plan_age_ns: config.plan_age_ns(),
+            takeover_age_ns: config.limits.takeover_age_ns(),
+        }
+    }
+}
+
+/// Decides each tick: the controller without ports, policies and clock.
+pub struct Arbiter {
+    config: ArbiterConfig,
     pd: Pd,
-    pub(crate) policy: PolicySlot,
     transfer: Transfer,
     has_observation: bool,
     has_plan: bool,
     has_advice: bool,
     /// The record of the last tick; also holds the last admitted inputs.
-    pub(crate) step: Step,
+    step: Step,
 }
 
-impl Controller {
-    /// A controller with this policy, or none.
-    pub fn new(config: Config, policy: PolicySlot) -> Self {
+impl Arbiter {
+    /// An arbiter that has admitted nothing yet.
+    pub fn new(config: ArbiterConfig) -> Self {
         Self {
-            pd: Pd::new(config.controller),
+            pd: Pd::new(config.gains),
             transfer: Transfer::of(&config),
             config,
-            policy,
             has_observation: false,
             has_plan: false,
             has_advice: false,
@@ -52,21 +122,71 @@ impl Controller {
         }
     }
 
-    /// One tick, start to end. Always answers.
-    pub fn tick(&mut self, inputs: &Inputs, tick: u64, now: Instant, intent: Intent) -> &Step {
-        self.admit(inputs, now);
-        self.decide(tick, now, intent)
+    /// Puts the state back that a tick began with: `step` holds the messages admitted
+    /// before it.
+    pub fn restore(&mut self, before: &Before, step: Step) {
+        self.pd.restore(&before.pd);
+        self.transfer.restore(&before.transfer);
+        self.has_observation = before.has_observation == 1;
+        self.has_plan = before.has_plan == 1;
+        self.has_advice = before.has_advice == 1;
+        self.step = step;
+        self.step.refused = before.refused;
     }
 
-    /// The second half of a tick, on what [`Controller::admit`] let in.
-    pub fn decide(&mut self, tick: u64, now: Instant, intent: Intent) -> &Step {
-        let limits = &self.config.limits;
+    /// The first half of a tick, the door: what is refused is counted, and the last
+    /// good one stays.
+    pub fn admit(&mut self, inputs: &Inputs, now: Instant) {
+        let (config, at) = (&self.config, &inputs.admitted);
+        let step = &mut self.step;
+        step.before = Before {
+            pd: self.pd.state(),
+            transfer: self.transfer.state(),
+            refused: step.refused,
+            has_observation: u32::from(self.has_observation),
+            has_plan: u32::from(self.has_plan),
+            has_advice: u32::from(self.has_advice),
+            reserved: 0,
+        };
+        step.refused_at_ports = inputs.refused;
+        step.refused += inputs.refused;
+        let refused = &mut step.refused;
+        let mut entry = |port_ns, admission| entry(refused, port_ns, admission);
+        let observation = admit(
+            &inputs.observation,
+            &mut step.observation,
+            (now, config.observation_age_ns),
+        );
+        step.observation_entry = entry(at.observation_ns, observation);
+        let plan = admit(&inputs.plan, &mut step.plan, (now, config.plan_age_ns));
+        step.plan_entry = entry(at.plan_ns, plan);
+        // Advice has its own expiry; its age says nothing.
+        let advice = admit(&inputs.advice, &mut step.advice, (now, u64::MAX));
+        step.advice_entry = entry(at.advice_ns, advice);
+        let takeover = admit(
+            &inputs.takeover,
+            &mut step.takeover,
+            (now, config.takeover_age_ns),
+        );
+        step.takeover_entry = entry(at.takeover_ns, takeover);
+        self.has_observation |= observation == Admission::Admitted;
+        self.has_plan |= plan == Admission::Admitted;
+        self.has_advice |= advice == Admission::Admitted;
+    }
+
+    /// Whether the tick at `now` has an observation young enough to drive on.
+    pub fn sees(&self, now: Instant) -> bool {
+        self.observation_age_ns(now) <= self.config.observation_age_ns
+    }
+
+    /// The second half of a tick, on what [`Arbiter::admit`] let in.
+    pub fn decide(&mut self, tick: u64, now: Instant, intent: Intent, answer: &PolicyAnswer) {
         let observation = &self.step.observation;
-        let observation_age_ns = age_ns(self.has_observation, observation, now);
+        let observation_age_ns = self.observation_age_ns(now);
         let plan_age_ns = age_ns(self.has_plan, &self.step.plan, now);
-        let sees = observation_age_ns <= limits.observation_age_ns();
+        let sees = self.sees(now);
         let has_plan = sees
-            && plan_age_ns <= self.config.plan_age_ns()
+            && plan_age_ns <= self.config.plan_age_ns
             && self.step.plan.header.episode == observation.header.episode;
 
         let plan = has_plan.then_some(&self.step.plan);
@@ -74,20 +194,20 @@ impl Controller {
             [] => self.pd.propose(plan, observation),
             _ => plan.action_at(plan_age_ns),
         });
-        // A person who has taken over is the expert of the tick.
+        // After a takeover the driver is the expert of the tick.
         let takeover = self.takeover(now);
         let expert = takeover.or(planned);
-        let policy = sees.then(|| self.policy.propose(observation)).flatten();
-        let [expert_assessment, policy_assessment] = self.judge(sees, [expert, policy]);
+        let policy = answer.proposal.filter(|_| sees);
+        let [expert_assessment, policy_assessment] = self.assess(sees, [expert, policy]);
 
         let mut choice = choose(&Standing {
             intent,
-            mode: self.config.gate.mode,
+            mode: self.config.mode,
             now,
             sees,
             plan,
             advice: self.has_advice.then_some(&self.step.advice),
-            stage: self.policy.stage(),
+            stage: answer.stage,
             takeover,
             expert,
             policy,
@@ -98,7 +218,7 @@ impl Controller {
         let mut transfer = self.transfer;
         let episode = self.step.observation.header.episode;
         choice.action = transfer.ease(&choice, episode, |eased| {
-            let [assessment] = self.judge(sees, [Some(eased)]);
+            let [assessment] = self.assess(sees, [Some(eased)]);
             !assessment.is_vetoed()
         });
         self.transfer = transfer;
@@ -111,65 +231,82 @@ impl Controller {
         step.policy_assessment = policy_assessment;
         step.observation_age_ns = observation_age_ns;
         step.plan_age_ns = plan_age_ns;
-        step
+        step.intent = intent.code();
+        step.stage = answer.stage.code();
+        step.takeover_used = u32::from(takeover.is_some());
+        (step.weights_version, step.weights_hash) = answer.weights;
     }
 
-    /// The first half of a tick, the door: what is refused is counted, and the last
-    /// good one stays. Returns whether an observation came and was let in.
-    pub fn admit(&mut self, inputs: &Inputs, now: Instant) -> bool {
-        let limits = &self.config.limits;
-        self.step.refused += inputs.refused;
-        let mut sees = false;
-        if let Some(observation) = &inputs.observation {
-            match observation.admit(now, limits.observation_age_ns()) {
-                Ok(()) => {
-                    self.step.observation = *observation;
-                    self.has_observation = true;
-                    sees = true;
-                }
-                Err(_) => self.step.refused += 1,
-            }
-        }
-        if let Some(plan) = &inputs.plan {
-            match plan.admit(now, self.config.plan_age_ns()) {
-                Ok(()) => {
-                    self.step.plan = *plan;
-                    self.has_plan = true;
-                }
-                Err(_) => self.step.refused += 1,
-            }
-        }
-        if let Some(advice) = &inputs.advice {
-            // Advice has its own expiry; its age says nothing.
-            match advice.admit(now, u64::MAX) {
-                Ok(()) => {
-                    self.step.advice = *advice;
-                    self.has_advice = true;
-                }
-                Err(_) => self.step.refused += 1,
-            }
-        }
-        if let Some(takeover) = &inputs.takeover {
-            match takeover.admit(now, limits.takeover_age_ns()) {
-                Ok(()) => self.step.takeover = *takeover,
-                Err(_) => self.step.refused += 1,
-            }
-        }
-        sees
+    /// The tick due at `scheduled` was decided at `decided`: a command over its
+    /// deadline, one period later, becomes what `deadlines.controller` says. Returns
+    /// whether the command goes out.
+    pub fn complete(&mut self, scheduled: Instant, decided: Instant) -> bool {
+        let timings = &mut self.step.timings;
+        (timings.scheduled_ns, timings.decided_ns) = (scheduled.0, decided.0);
+        let due_by = scheduled.after_ns(self.config.period_ns);
+        let is_late = !self.config.is_lockstep && decided > due_by;
+        !is_late || self.answer_late()
     }
 
-    /// What a person wants who has taken over; `None` when nobody has, or the
-    /// last word is too old.
+    /// Does with the decided command what `deadlines.controller` says of a late one.
+    /// Returns whether it goes out.
+    pub fn answer_late(&mut self) -> bool {
+        let policy = self.config.late;
+        let command = &mut self.step.command;
+        if policy != Late::Count {
+            command.reason = Reason::Late.code();
+        }
+        if policy == Late::Brake {
+            // Along the line that was decided: straight wheels leave a curve.
+            command.pedal = Action::BRAKE.pedal;
+            command.driver = Driver::Brake.code();
+        }
+        let lateness = match policy {
+            Late::Count => Lateness::Counted,
+            Late::Skip => Lateness::HeldBack,
+            Late::Brake => Lateness::Braked,
+        };
+        self.step.lateness = lateness.code();
+        policy != Late::Skip
+    }
+
+    /// Records what the weights in shadow mode proposed on the tick's observation.
+    pub fn record_shadow(&mut self, proposal: Option<Action>, weights: (u64, u64)) {
+        let [assessment] = self.assess(true, [proposal]);
+        self.step.shadow = ShadowProposal {
+            proposal: Proposal::new(proposal),
+            assessment,
+            weights_version: weights.0,
+            weights_hash: weights.1,
+        };
+    }
+
+    /// The record of the last tick.
+    pub fn step(&self) -> &Step {
+        &self.step
+    }
+
+    /// The record of the last tick, for the process to add its timings to.
+    pub fn step_mut(&mut self) -> &mut Step {
+        &mut self.step
+    }
+
+    fn observation_age_ns(&self, now: Instant) -> u64 {
+        age_ns(self.has_observation, &self.step.observation, now)
+    }
+
+    /// The driver's action after a takeover; `None` without one, or when the last
+    /// takeover message is too old.
     fn takeover(&self, now: Instant) -> Option<Action> {
         let takeover = &self.step.takeover;
         let age_ns = now.since_ns(takeover.header.taken());
-        let holds = self.config.gate.mode == GateMode::Human
-            && age_ns <= self.config.limits.takeover_age_ns();
+        let holds =
+            self.config.mode == GateMode::Human && age_ns <= self.config.takeover_age_ns;
         takeover.action().filter(|_| holds)
     }
 
     /// The judge in the tick, on these proposals.
-    pub(crate) fn judge<const N: usize>(
+    fn assess<const N: usize>(
         &self,
         sees: bool,
         proposals: [Option<Action>; N],
@@ -200,33 +337,40 @@ impl Controller {
             true => now.since_ns(Instant(step.advice.question_taken_ns)),
             false => u64::MAX,
         };
-        (step.weights_version, step.weights_hash) = self.policy.weights();
+        step.lateness = Lateness::OnTime.code();
+        step.shadow = ShadowProposal::default();
     }
+}
 
-    /// The tick that was just decided is over its deadline: does with it what
-    /// `deadlines.controller` says. Returns whether its command goes out.
-    pub fn answer_late(&mut self) -> bool {
-        let policy = self.config.deadlines.controller;
-        let command = &mut self.step.command;
-        if policy != Late::Count {
-            command.reason = Reason::Late.code();
-        }
-        if policy == Late::Brake {
-            // Along the line that was decided: straight wheels leave a bend.
-            command.pedal = Action::BRAKE.pedal;
-            command.driver = Driver::Brake.code();
-        }
-        policy != Late::Skip
+/// Admits what came into its place in the step, where the last good one stays
+/// otherwise; with the tick's instant and the message's age limit, ns.
+fn admit<M: Message>(
+    input: &Option<M>,
+    held: &mut M,
+    (now, limit_ns): (Instant, u64),
+) -> Admission {
+    match input {
+        None => Admission::Absent,
+        Some(message) => match message.admit(now, limit_ns) {
+            Ok(()) => {
+                *held = *message;
+                Admission::Admitted
+            }
+            Err(_) => Admission::Refused,
+        },
     }
+}
 
-    /// The record of the last tick.
-    pub fn step(&self) -> &Step {
-        &self.step
-    }
-
-    /// The record of the last tick, for the process to add its timings to.
-    pub fn step_mut(&mut self) -> &mut Step {
-        &mut self.step
+/// The record of an admission; a refusal is counted.
+fn entry(refused: &mut u64, port_ns: u64, admission: Admission) -> Entry {
+    *refused += u64::from(admission == Admission::Refused);
+    Entry {
+        port_ns: match admission {
+            Admission::Absent => 0,
+            Admission::Admitted | Admission::Refused => port_ns,
+        },
+        admission: admission.code(),
+        reserved: 0,
     }
 }
 

@@ -1,8 +1,8 @@
-use shm_config::config::{Config, Controller as Gains, GateMode};
-use shm_config::message::{Driver, Reason};
+use shm_config::config::{Controller as Gains, GateMode};
+use shm_config::message::{Driver, Reason, TransferState};
 use vehicle::Action;
 
-use crate::Choice;
+use crate::{ArbiterConfig, Choice};
 
 /// Bumpless transfer: when the wheel changes hands, the command moves from what
 /// it was to what the new driver wants at a limited rate, not in one jump.
@@ -13,26 +13,19 @@ use crate::Choice;
 pub struct Transfer {
     steer_step: f64,
     pedal_step: f64,
-    last: Option<Last>,
-    is_easing: bool,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Last {
-    driver: Driver,
-    action: Action,
-    episode: u32,
+    /// The command of the last tick, and whether it is on its way to another.
+    last: TransferState,
 }
 
 impl Transfer {
     /// As configured. The paper's hand-overs jump (Sec. 4.2), and so does
     /// `--gate paper`.
-    pub fn of(config: &Config) -> Self {
-        let mut gains = config.controller;
-        if config.gate.mode == GateMode::Paper {
+    pub fn of(config: &ArbiterConfig) -> Self {
+        let mut gains = config.gains;
+        if config.mode == GateMode::Paper {
             (gains.handover_steer_per_s, gains.handover_pedal_per_s) = (0.0, 0.0);
         }
-        Self::new(&gains, config.run.period_ns() as f64 / 1e9)
+        Self::new(&gains, config.period_ns as f64 / 1e9)
     }
 
     /// With the configured rates, at one tick each `period_s`.
@@ -45,9 +38,18 @@ impl Transfer {
         Self {
             steer_step: step(gains.handover_steer_per_s),
             pedal_step: step(gains.handover_pedal_per_s),
-            last: None,
-            is_easing: false,
+            last: TransferState::default(),
         }
+    }
+
+    /// What the next tick starts from.
+    pub fn state(&self) -> TransferState {
+        self.last
+    }
+
+    /// Goes on from this state.
+    pub fn restore(&mut self, state: &TransferState) {
+        self.last = *state;
     }
 
     /// The action to command. `is_safe` is asked of an eased action only.
@@ -57,50 +59,48 @@ impl Transfer {
         episode: u32,
         is_safe: impl FnOnce(Action) -> bool,
     ) -> Action {
-        let before = self.last.filter(|last| last.episode == episode);
-        let action = match before {
-            None => {
-                self.is_easing = false;
-                choice.action
-            }
-            Some(before) => self.ease_from(&before, choice, is_safe),
+        let before = self.last;
+        let has_before = before.present == 1 && before.episode == episode;
+        let (action, is_easing) = match has_before {
+            true => self.ease_from(&before, choice, is_safe),
+            false => (choice.action, false),
         };
-        self.last = Some(Last {
-            driver: choice.driver,
-            action,
+        self.last = TransferState {
+            steer: action.steer,
+            pedal: action.pedal,
+            driver: choice.driver.code(),
             episode,
-        });
+            present: 1,
+            is_easing: u32::from(is_easing),
+        };
         action
     }
 
+    /// The action to command, and whether it is still on its way.
     fn ease_from(
-        &mut self,
-        before: &Last,
+        &self,
+        before: &TransferState,
         choice: &Choice,
         is_safe: impl FnOnce(Action) -> bool,
-    ) -> Action {
-        let is_urgent = matches!(choice.reason, Reason::Vetoed | Reason::Takeover);
-        if choice.driver == Driver::Brake || before.driver == Driver::Brake || is_urgent {
-            self.is_easing = false;
-        } else if choice.driver != before.driver {
-            self.is_easing = true;
-        }
-        if !self.is_easing {
-            return choice.action;
-        }
+    ) -> (Action, bool) {
         let wanted = choice.action;
+        let is_urgent = matches!(choice.reason, Reason::Vetoed | Reason::Takeover);
+        let brakes = [choice.driver.code(), before.driver].contains(&Driver::Brake.code());
+        let changes = choice.driver.code() != before.driver;
+        if brakes || is_urgent || !(changes || before.is_easing == 1) {
+            return (wanted, false);
+        }
         let toward = |from: f64, to: f64, step: f64| from + (to - from).clamp(-step, step);
         let eased = Action {
-            steer: toward(before.action.steer, wanted.steer, self.steer_step),
-            pedal: toward(before.action.pedal, wanted.pedal, self.pedal_step),
+            steer: toward(before.steer, wanted.steer, self.steer_step),
+            pedal: toward(before.pedal, wanted.pedal, self.pedal_step),
         };
         // Floats: what is within a step is there.
-        let is_there = (wanted.steer - before.action.steer).abs() <= self.steer_step
-            && (wanted.pedal - before.action.pedal).abs() <= self.pedal_step;
-        if is_there || !is_safe(eased) {
-            self.is_easing = false;
-            return wanted;
+        let is_there = (wanted.steer - before.steer).abs() <= self.steer_step
+            && (wanted.pedal - before.pedal).abs() <= self.pedal_step;
+        match is_there || !is_safe(eased) {
+            true => (wanted, false),
+            false => (eased, true),
         }
-        eased
     }
 }

@@ -86,6 +86,7 @@ impl Car {
                 ..Inputs::default()
             };
             self.controller.tick(&inputs, self.tick, now, Intent::Drive);
+            self.controller.propose_in_shadow();
             self.controller.try_policies(&mut self.hand);
             assert!(matches!(self.hand.look(&self.exchange), Look::Seen(None)));
             let mut desk = self.exchange.desk.lock().expect("a desk");
@@ -110,6 +111,7 @@ fn reason(car: &mut Car) -> Option<Reason> {
         ..Inputs::default()
     };
     car.controller.tick(&inputs, car.tick, now, Intent::Drive);
+    car.controller.propose_in_shadow();
     car.controller.try_policies(&mut car.hand);
     car.tick += 1;
     car.controller.step().reason()

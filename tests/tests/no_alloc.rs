@@ -127,12 +127,13 @@ fn controller_tick(ports: &mut Ports, controller: &mut Controller, tick: u64, no
         plan: ports.plan_in.newest(Message::check),
         advice: ports.advice_in.newest(Message::check),
         takeover: ports.takeover_in.newest(Message::check),
-        refused: 0,
+        ..Inputs::default()
     };
     controller.tick(&inputs, tick, now, Intent::Drive);
     let step = controller.step_mut();
     ports.command_out.send(&mut step.command);
-    ports.step_out.send(step);
+    controller.propose_in_shadow();
+    ports.step_out.send(controller.step_mut());
 }
 
 #[test]

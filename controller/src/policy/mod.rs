@@ -22,10 +22,10 @@ pub use native::NativePolicy;
 pub use ort::{OrtPolicy, OrtSession, library};
 pub use trial::{Fault, Limits};
 
-use shm_config::message::{BEAMS_MAX, Observation};
+use shm_config::message::{BEAMS_MAX, Observation, Stage};
 use vehicle::Action;
 
-use crate::Stage;
+use crate::PolicyAnswer;
 use trial::Trial;
 
 /// A learned driver. Called once in every tick, so it must not allocate, block
@@ -106,15 +106,10 @@ impl PolicySlot {
     /// How far the policy is on its way to the wheel.
     pub fn stage(&self) -> Stage {
         match (&self.charged, &self.shadow) {
-            (Some(_), _) => Stage::Charged,
+            (Some(_), _) => Stage::Active,
             (None, Some(_)) => Stage::Shadow,
             (None, None) => Stage::Unloaded,
         }
-    }
-
-    /// A policy is on trial, in shadow.
-    pub fn has_shadow(&self) -> bool {
-        self.shadow.is_some()
     }
 
     /// Version and hash of the weights in charge; zeros for none.
@@ -128,6 +123,21 @@ impl PolicySlot {
     pub fn propose(&mut self, observation: &Observation) -> Option<Action> {
         let charged = self.charged.as_mut()?;
         charged.propose(observation, &mut self.features)
+    }
+
+    /// What the tick needs of the policies; they are asked only where it `sees`.
+    pub fn answer(&mut self, observation: &Observation, sees: bool) -> PolicyAnswer {
+        PolicyAnswer {
+            stage: self.stage(),
+            proposal: sees.then(|| self.propose(observation)).flatten(),
+            weights: self.weights(),
+        }
+    }
+
+    /// Version and hash of the weights in shadow mode; `None` without any.
+    pub fn shadow_weights(&self) -> Option<(u64, u64)> {
+        let shadow = self.shadow.as_ref()?;
+        Some((shadow.policy.version(), shadow.policy.hash()))
     }
 
     /// The same of the weights in shadow.

@@ -1,0 +1,68 @@
+use shm_config::Instant;
+use shm_config::config::Config;
+use shm_config::message::{Admission, Intent, Step};
+
+use crate::policy::Limits;
+use crate::{Arbiter, ArbiterConfig, Inputs, PolicySlot};
+
+/// The controller without its ports: inputs in, step out.
+pub struct Controller {
+    pub(crate) arbiter: Arbiter,
+    pub(crate) policy: PolicySlot,
+    pub(crate) limits: Limits,
+    pub(crate) observation_age_ns: u64,
+}
+
+impl Controller {
+    /// A controller with this policy, or none.
+    pub fn new(config: Config, policy: PolicySlot) -> Self {
+        Self {
+            arbiter: Arbiter::new(ArbiterConfig::from(&config)),
+            policy,
+            limits: Limits::from(&config.policy),
+            observation_age_ns: config.limits.observation_age_ns(),
+        }
+    }
+
+    /// One tick, start to end. Always answers.
+    pub fn tick(&mut self, inputs: &Inputs, tick: u64, now: Instant, intent: Intent) -> &Step {
+        self.admit(inputs, now);
+        self.decide(tick, now, intent)
+    }
+
+    /// The first half of a tick, the door. Returns whether an observation came and
+    /// was admitted.
+    pub fn admit(&mut self, inputs: &Inputs, now: Instant) -> bool {
+        self.arbiter.admit(inputs, now);
+        self.arbiter.step().observation_entry.admission() == Admission::Admitted
+    }
+
+    /// The second half of a tick, on what [`Controller::admit`] let in.
+    pub fn decide(&mut self, tick: u64, now: Instant, intent: Intent) -> &Step {
+        let sees = self.arbiter.sees(now);
+        let observation = &self.arbiter.step().observation;
+        let answer = self.policy.answer(observation, sees);
+        self.arbiter.decide(tick, now, intent, &answer);
+        self.arbiter.step()
+    }
+
+    /// As [`Arbiter::complete`].
+    pub fn complete(&mut self, scheduled: Instant, decided: Instant) -> bool {
+        self.arbiter.complete(scheduled, decided)
+    }
+
+    /// As [`Arbiter::answer_late`].
+    pub fn answer_late(&mut self) -> bool {
+        self.arbiter.answer_late()
+    }
+
+    /// The record of the last tick.
+    pub fn step(&self) -> &Step {
+        self.arbiter.step()
+    }
+
+    /// The record of the last tick, for the process to add its timings to.
+    pub fn step_mut(&mut self) -> &mut Step {
+        self.arbiter.step_mut()
+    }
+}
