@@ -116,7 +116,7 @@ impl Recording {
             episode: 0,
             sequence: 0,
             producer: 100,
-            tick: 10,
+            tick: 100,
             version: 0,
             taking_over: false,
             intent: Intent::Drive,
