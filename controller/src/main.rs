@@ -199,7 +199,9 @@ impl Waiting {
             // Advice has its own expiry; its age says nothing.
             let advice_door = |advice: &Advice| {
                 let now = clock.now();
-                advice.admit(now, u64::MAX).inspect(|()| at.advice_ns = now.0)
+                advice
+                    .admit(now, u64::MAX)
+                    .inspect(|()| at.advice_ns = now.0)
             };
             if ports.advices.newest_into(&mut inputs.advice, advice_door) {
                 self.gate_silent = false;

@@ -300,8 +300,7 @@ impl Arbiter {
     fn takeover(&self, now: Instant) -> Option<Action> {
         let takeover = &self.step.takeover;
         let age_ns = now.since_ns(takeover.header.taken());
-        let holds =
-            self.config.mode == GateMode::Human && age_ns <= self.config.takeover_age_ns;
+        let holds = self.config.mode == GateMode::Human && age_ns <= self.config.takeover_age_ns;
         takeover.action().filter(|_| holds)
     }
 

@@ -49,7 +49,10 @@ fn in_field(
     let type_name = element.map_or(field.type_name, |(name, _)| name.trim());
     let nested = table.nested.iter().find(|nested| nested.name == type_name);
     let size = match (nested, type_name) {
-        (Some(nested), _) => nested.fields.last().map_or(0, |last| last.offset + last.size),
+        (Some(nested), _) => nested
+            .fields
+            .last()
+            .map_or(0, |last| last.offset + last.size),
         (None, "u8") => 1,
         (None, "u32" | "f32") => 4,
         (None, "u64" | "f64") => 8,
@@ -76,11 +79,26 @@ fn in_field(
 /// A number as users read it; other bytes in hexadecimal.
 fn value(type_name: &str, bytes: &[u8]) -> String {
     let number = match type_name {
-        "u8" => bytes.try_into().ok().map(|b| u8::from_ne_bytes(b).to_string()),
-        "u32" => bytes.try_into().ok().map(|b| u32::from_ne_bytes(b).to_string()),
-        "u64" => bytes.try_into().ok().map(|b| u64::from_ne_bytes(b).to_string()),
-        "f32" => bytes.try_into().ok().map(|b| f32::from_ne_bytes(b).to_string()),
-        "f64" => bytes.try_into().ok().map(|b| f64::from_ne_bytes(b).to_string()),
+        "u8" => bytes
+            .try_into()
+            .ok()
+            .map(|b| u8::from_ne_bytes(b).to_string()),
+        "u32" => bytes
+            .try_into()
+            .ok()
+            .map(|b| u32::from_ne_bytes(b).to_string()),
+        "u64" => bytes
+            .try_into()
+            .ok()
+            .map(|b| u64::from_ne_bytes(b).to_string()),
+        "f32" => bytes
+            .try_into()
+            .ok()
+            .map(|b| f32::from_ne_bytes(b).to_string()),
+        "f64" => bytes
+            .try_into()
+            .ok()
+            .map(|b| f64::from_ne_bytes(b).to_string()),
         _ => None,
     };
     number.unwrap_or_else(|| format!("{bytes:02x?}"))
@@ -114,7 +132,10 @@ mod tests {
         assert_eq!(found(&right), expected(name, "0", "-0"));
         right.plan.waypoints[3].x_body_m = 0.0;
         right.observation.ranges_m[239] = 2.5;
-        assert_eq!(found(&right), expected("observation.ranges_m[239]", "0", "2.5"));
+        assert_eq!(
+            found(&right),
+            expected("observation.ranges_m[239]", "0", "2.5")
+        );
         right.observation.ranges_m[239] = 0.0;
         right.lateness = 3;
         assert_eq!(found(&right), expected("lateness", "0", "3"));

@@ -50,7 +50,9 @@ pub fn net(version: u64) -> NativePolicy {
         weights: (0..inputs * outputs)
             .map(|_| draw.within(-scale, scale) as f32)
             .collect(),
-        bias: (0..outputs).map(|_| draw.within(-0.3, 0.3) as f32).collect(),
+        bias: (0..outputs)
+            .map(|_| draw.within(-0.3, 0.3) as f32)
+            .collect(),
         inputs,
         outputs,
         activation: Activation::Tanh,

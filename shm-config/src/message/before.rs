@@ -153,11 +153,7 @@ impl Before {
         }
         super::within("before.transfer.steer", transfer.steer, -1.0..=1.0)?;
         super::within("before.transfer.pedal", transfer.pedal, -1.0..=1.0)?;
-        known(
-            "before.transfer.driver",
-            transfer.driver,
-            Driver::from_code,
-        )?;
+        known("before.transfer.driver", transfer.driver, Driver::from_code)?;
         for (field, code) in [
             ("before.pd.present", pd.present),
             ("before.transfer.present", transfer.present),
