@@ -1,5 +1,6 @@
 //! What a car is: frames, poses, the kinematic bicycle, limits and footprint.
-//! Arithmetic only; no I/O, no clock, no allocation.
+//! Arithmetic only; no I/O, no clock, no allocation. Without the feature `std` the
+//! crate needs no operating system; the feature `libm` then gives the mathematics.
 //!
 //! # Frames and signs of the whole repository
 //!
@@ -19,10 +20,13 @@
 //! A normalised [`Action`] is (`steer`, `pedal`), both in [-1, 1]; positive
 //! steers left, positive pedal drives, negative brakes.
 
+#![cfg_attr(not(feature = "std"), no_std)]
+
 mod action;
 mod angle;
 mod bicycle;
 mod footprint;
+pub mod math;
 mod parameters;
 
 pub use action::{Action, Control};
