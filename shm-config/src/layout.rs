@@ -137,10 +137,10 @@ macro_rules! message {
                 nested: &[$( $( <$nested as $crate::layout::Layout>::TABLE, )+ )?],
             };
 
-            // SAFETY: `repr(C)` without padding (asserted below), so every byte is
-            // defined; the slice lives no longer than the borrow.
             #[allow(unsafe_code)]
             fn as_bytes(&self) -> &[u8] {
+                // SAFETY: `repr(C)` without padding (asserted below), so every byte is
+                // defined; the slice lives no longer than the borrow.
                 unsafe {
                     core::slice::from_raw_parts(
                         core::ptr::from_ref(self).cast::<u8>(),
