@@ -5,7 +5,7 @@
 //! | [`assembler`] | steps to transitions, with the label of their question |
 //! | [`replay`], [`journal`] | the rings of transitions, in memory and on disk |
 //! | [`algorithm`] | the ways to learn, a file each |
-//! | [`network`], [`adam`], [`matrix`], [`share`] | perceptrons, their gradients, their optimiser, the threads; `cuda` in place of [`matrix`] with that feature |
+//! | [`network`], [`adam`], [`matrix`], [`share`] | perceptrons, their gradients, their optimiser, the threads |
 //! | [`features`], [`export`] | the networks' input; a network becomes a policy file |
 //! | [`elsewhere`], [`imagine`] | what would be seen, and what the expert would do, off the driven path |
 //! | [`session`], [`checkpoint`], [`metrics`] | a learner's life, on disk after every block |
@@ -16,8 +16,6 @@ pub mod adam;
 pub mod algorithm;
 pub mod assembler;
 pub mod checkpoint;
-#[cfg(feature = "cuda")]
-pub mod cuda;
 pub mod elsewhere;
 pub mod export;
 pub mod features;

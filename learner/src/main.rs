@@ -70,8 +70,6 @@ struct Learner {
 #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
 fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut member = Member::join(Process::Learner, arguments)?;
-    #[cfg(feature = "cuda")]
-    learner::cuda::open().map_err(SetUpError::Own)?;
     let folder = Path::new(&member.config.run.folder).join("learner");
     let session = Session::open(&member.config, &folder)
         .map_err(|error| SetUpError::Own(error.to_string()))?;

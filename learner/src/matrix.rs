@@ -40,27 +40,6 @@ impl<'a> View<'a> {
     }
 }
 
-/// What a GPU has to know of a matrix.
-#[cfg(feature = "cuda")]
-impl<'a> View<'a> {
-    pub(crate) fn data(&self) -> &'a [f32] {
-        self.data
-    }
-
-    pub(crate) fn rows(&self) -> usize {
-        self.rows
-    }
-
-    pub(crate) fn columns(&self) -> usize {
-        self.columns
-    }
-
-    /// From row to row, and from column to column.
-    pub(crate) fn strides(&self) -> [usize; 2] {
-        [self.row_stride, self.column_stride]
-    }
-}
-
 /// What becomes of the numbers that are there.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Old {
@@ -78,10 +57,6 @@ pub enum Old {
 pub fn product(out: &mut [f32], old: Old, a: View, b: View) {
     assert_eq!(a.columns, b.rows, "inner sizes differ");
     assert_eq!(out.len(), a.rows * b.columns, "a result of another size");
-    #[cfg(feature = "cuda")]
-    if crate::cuda::is_open() {
-        return crate::cuda::product(out, old, a, b);
-    }
     // SAFETY: `View::new` and `transposed` keep every (row, column) within the
     // slice, the asserts above keep the sizes equal, and `out` is borrowed
     // mutably, so nothing else reads or writes it.
