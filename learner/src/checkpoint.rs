@@ -1,13 +1,11 @@
 //! What a learner knows, on disk: written whole or not at all.
 
-use std::fs;
-use std::io::{self, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::io;
 use std::path::Path;
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::{Deserialize, Serialize};
-use shm_config::file::read_ours;
+use shm_config::file::{Durable, read_ours, replace};
 
 use crate::algorithm::Student;
 
@@ -16,9 +14,6 @@ const MAGIC: &[u8; 8] = b"VLLRNR02";
 
 /// Longest file that is read, bytes: a thousand times the paper's networks.
 const BYTES_MAX: u64 = 1 << 32;
-
-/// First letters of a file that is being written.
-pub const UNFINISHED: &str = ".tmp";
 
 /// Everything but the replay, which is in the journal.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -48,7 +43,7 @@ impl Checkpoint {
         bytes.extend_from_slice(MAGIC);
         bytes.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
         bytes.extend_from_slice(&body);
-        write_whole(path, &bytes)
+        replace(path, &bytes, Durable::Yes)
     }
 
     /// Reads the file; `None` when there is none.
@@ -72,21 +67,4 @@ impl Checkpoint {
         }
         postcard::from_bytes(body).map(Some).map_err(|_| damaged())
     }
-}
-
-/// Writes a file that is there whole or not at all, whatever kills the process.
-///
-/// # Errors
-/// When it cannot be written; a file of that name stays as it was.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    // Others may read it, as they may every file of a run.
-    let mut file = tempfile::Builder::new()
-        .prefix(UNFINISHED)
-        .permissions(fs::Permissions::from_mode(0o644))
-        .tempfile_in(folder)?;
-    file.write_all(bytes)?;
-    file.as_file().sync_all()?;
-    file.persist(path).map_err(|error| error.error)?;
-    Ok(())
 }

@@ -9,11 +9,10 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use shm_config::file::{Access, open_ours};
+use shm_config::file::{Access, Durable, open_ours, replace_with};
 use shm_config::message::FEATURES;
 
 use crate::assembler::Counts;
-use crate::checkpoint::UNFINISHED;
 use crate::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
 
 /// First bytes of the file: name and version of the format.
@@ -179,20 +178,19 @@ impl Journal {
         if self.records <= SLACK * held as u64 {
             return Ok(());
         }
-        let folder = self.path.parent().unwrap_or(Path::new("."));
-        let mut new = BufWriter::new(tempfile::NamedTempFile::with_prefix_in(UNFINISHED, folder)?);
-        new.write_all(MAGIC)?;
         let mut records = 0;
-        for ring in Ring::ALL {
-            for transition in replay.iter(ring) {
-                new.write_all(&encode(ring, transition, mark))?;
-                records += 1;
+        replace_with(&self.path, Durable::Yes, |file| {
+            let mut file = BufWriter::new(file);
+            file.write_all(MAGIC)?;
+            for ring in Ring::ALL {
+                for transition in replay.iter(ring) {
+                    file.write_all(&encode(ring, transition, mark))?;
+                    records += 1;
+                }
             }
-        }
-        let new = new.into_inner().map_err(io::IntoInnerError::into_error)?;
-        new.as_file().sync_all()?;
-        let file = new.persist(&self.path).map_err(|error| error.error)?;
-        self.file = BufWriter::new(file);
+            file.flush()
+        })?;
+        self.file = BufWriter::new(open_ours(&self.path, Access::Append)?);
         self.records = records;
         Ok(())
     }

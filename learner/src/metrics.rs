@@ -5,10 +5,9 @@ use std::io::{self, BufRead, BufReader};
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shm_config::file::{Access, open_ours};
+use shm_config::file::{Access, Durable, open_ours, replace};
 
 use crate::assembler::Counts;
-use crate::checkpoint::write_whole;
 
 /// What is known at the end of a block. Losses are means over its updates,
 /// everything else is counted from the start.
@@ -76,7 +75,7 @@ impl Metrics {
                 kept.push(b'\n');
             }
         }
-        write_whole(path, &kept)?;
+        replace(path, &kept, Durable::Yes)?;
         let lines = csv::Reader::from_reader(&kept[..]).into_deserialize::<Line>();
         let last = lines.filter_map(Result::ok).last();
         let file = open_ours(path, Access::Append)?;

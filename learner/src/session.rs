@@ -10,13 +10,13 @@ use policy::Provenance;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::config::{Algorithm, Config};
-use shm_config::file::{Entry, Folder, make_folders};
+use shm_config::file::{Durable, Entry, Folder, is_unfinished, make_folders, replace};
 use shm_config::message::{Driver, FEATURES, Step};
 use vehicle::Action;
 
 use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
 use crate::assembler::{Assembler, Labelling};
-use crate::checkpoint::{Checkpoint, UNFINISHED, write_whole};
+use crate::checkpoint::Checkpoint;
 use crate::export;
 use crate::imagine::Imagination;
 use crate::journal::{Journal, Mark, Recovered};
@@ -291,7 +291,7 @@ impl Session {
         // Before a block says what it was learnt from.
         self.journal.sync()?;
         let file = format!("policies/{:08}.onnx", self.state.steps);
-        write_whole(&self.folder.join(file), policy)?;
+        replace(&self.folder.join(file), policy, Durable::Yes)?;
         self.metrics.write(&Row {
             steps: self.state.steps,
             updates: self.state.updates,
@@ -345,7 +345,7 @@ fn sweep(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         let name = path.file_name().unwrap_or_default();
-        if name.to_string_lossy().starts_with(UNFINISHED) && path.is_file() {
+        if is_unfinished(&name.to_string_lossy()) && path.is_file() {
             fs::remove_file(path)?;
         }
     }

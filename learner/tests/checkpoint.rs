@@ -336,7 +336,8 @@ fn what_was_being_written_when_a_learner_was_killed_is_removed() {
     let folder = TempDir::new().expect("a folder");
     let config = config(Algorithm::Bc);
     drive(&mut open(&config, folder.path()), 0..BLOCK);
-    let torn = [".tmpAbCdEf", "policies/.tmpGhIjKl"].map(|name| folder.path().join(name));
+    let torn =
+        ["learner.bin.4711-0", "policies/000200.onnx.4711-1"].map(|name| folder.path().join(name));
     for path in &torn {
         fs::write(path, b"half").expect("a file");
     }

@@ -167,18 +167,35 @@ pub fn read_ours(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// When the folder is missing or refuses; the old content stays.
 pub fn replace(path: &Path, bytes: &[u8], durable: Durable) -> io::Result<()> {
+    replace_with(path, durable, |file| file.write_all(bytes))
+}
+
+/// As [`replace`], with content that is written piece by piece.
+///
+/// # Errors
+/// As [`replace`], and what `write` returns.
+pub fn replace_with(
+    path: &Path,
+    durable: Durable,
+    write: impl FnOnce(&mut File) -> io::Result<()>,
+) -> io::Result<()> {
     let name = path.file_name().ok_or(Errno::ISDIR)?;
     let parent = path
         .parent()
         .filter(|parent| !parent.as_os_str().is_empty());
     let flags = OFlags::RDONLY | OFlags::DIRECTORY | CAREFUL;
     let folder = rustix::fs::open(parent.unwrap_or(Path::new(".")), flags, Mode::empty())?;
-    replace_at(
-        (folder.as_fd(), Entry::Readable),
-        Path::new(name),
-        bytes,
-        durable,
-    )
+    let folder = (folder.as_fd(), Entry::Readable);
+    replace_at(folder, Path::new(name), durable, write)
+}
+
+/// The name is one under which [`replace`] writes: a killed process left the file.
+pub fn is_unfinished(name: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    let mut parts = name.rsplitn(2, '.');
+    let suffix = parts.next().and_then(|suffix| suffix.split_once('-'));
+    suffix.is_some_and(|(pid, number)| is_number(pid) && is_number(number))
+        && parts.next().is_some_and(|replaced| !replaced.is_empty())
 }
 
 /// Makes a folder and those above it, as far as they are missing, so that only this
@@ -277,11 +294,11 @@ fn open_at(at: BorrowedFd, name: &Path, access: Access, entry: Entry) -> io::Res
 fn replace_at(
     (at, entry): (BorrowedFd, Entry),
     name: &Path,
-    bytes: &[u8],
     durable: Durable,
+    write: impl FnOnce(&mut File) -> io::Result<()>,
 ) -> io::Result<()> {
     let (beside, mut file) = make_beside((at, entry), name)?;
-    let written = file.write_all(bytes).and_then(|()| match durable {
+    let written = write(&mut file).and_then(|()| match durable {
         Durable::Yes => file.sync_all(),
         Durable::No => Ok(()),
     });

@@ -1,3 +1,5 @@
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use super::{Config, OutOfRange, in_range};
@@ -97,12 +99,12 @@ impl Run {
     }
 }
 
-/// The finaliser of SplitMix64: neighbours become strangers.
-fn mixed(number: u64) -> u64 {
-    let mut z = number.wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+/// The number at that place, from 1, of the SplitMix64 stream with seed 0: neighbouring
+/// places have unrelated numbers.
+fn mixed(place: u64) -> u64 {
+    // SplitMix64 adds this to its state for each number, so any place can be read.
+    const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+    SplitMix64::seed_from_u64(place.wrapping_sub(1).wrapping_mul(STEP)).next_u64()
 }
 
 /// Age limits and waiting times: silence means stop.
@@ -273,5 +275,25 @@ impl Supervisor {
         )?;
         in_range("supervisor.stop_s", self.stop_s, 0.1..=600.0)?;
         in_range("supervisor.log_mb", self.log_mb, 1..=1024)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The numbers are those of the published algorithm, which `world.py` computes too.
+    #[test]
+    fn shuffled_seeds_follow_the_published_numbers() {
+        assert_eq!(mixed(0), 0);
+        assert_eq!(mixed(1), 0xe220_a839_7b1d_cdaf);
+        assert_eq!(mixed(2), 0x6e78_9e6a_a1b9_65f4);
+        let run = Run {
+            seeds: 50,
+            shuffle: 7,
+            ..Run::default()
+        };
+        let seeds: Vec<_> = (0..4).map(|episode| run.episode_seed(episode)).collect();
+        assert_eq!(seeds, [1013, 1040, 1049, 1040]);
     }
 }

@@ -108,12 +108,10 @@ impl Folder {
     /// # Errors
     /// When the folder refuses; the old content stays.
     pub fn replace(&self, name: &str, bytes: &[u8], durable: Durable) -> io::Result<()> {
-        replace_at(
-            (self.fd.as_fd(), self.entry),
-            Path::new(name),
-            bytes,
-            durable,
-        )
+        let folder = (self.fd.as_fd(), self.entry);
+        replace_at(folder, Path::new(name), durable, |file| {
+            file.write_all(bytes)
+        })
     }
 
     /// Renames what is in it; what has the new name is replaced.

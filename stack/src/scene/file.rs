@@ -8,6 +8,7 @@ use anyhow::{Context, anyhow, bail};
 use flate2::Compression;
 use flate2::read::MultiGzDecoder;
 use flate2::write::GzEncoder;
+use shm_config::file::{Durable, replace};
 
 use super::Scene;
 use super::line::Line;
@@ -96,8 +97,5 @@ pub fn write(path: &Path, scenes: &[Scene]) -> anyhow::Result<()> {
         encoder.write_all(&text)?;
         text = encoder.finish()?;
     }
-    let beside = path.with_extension("part");
-    std::fs::write(&beside, text)
-        .and_then(|()| std::fs::rename(&beside, path))
-        .with_context(|| path.display().to_string())
+    replace(path, &text, Durable::Yes).with_context(|| path.display().to_string())
 }
