@@ -216,13 +216,14 @@ fn message<M: Layout>(out: &mut String) {
 }
 
 fn service<M: Layout>(out: &mut String, constant: &str, service: &Service<M>) {
-    let (depth, history) = service.delivery.queue();
-    let open = match service.taken_from {
+    let (depth, history) = service.row.delivery.queue();
+    let open = match service.row.taken_from {
         TakenFrom::Anyone => "True",
         TakenFrom::Producer => "False",
     };
     let to: Vec<_> = service
-        .to
+        .row
+        .wakes
         .iter()
         .map(|process| format!("{:?}", process.word()))
         .collect();

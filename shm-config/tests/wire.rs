@@ -380,8 +380,12 @@ fn different_layouts_refuse_each_other_by_name() {
     let run = TestRun::new("layout");
     let wire = run.join(Process::World);
     let _ours = wire.subscriber(COMMAND).unwrap();
-    let theirs: Service<another_layout::Command> =
-        Service::custom(COMMAND.name, COMMAND.from, COMMAND.to, COMMAND.delivery);
+    let theirs: Service<another_layout::Command> = Service::custom(
+        COMMAND.name,
+        COMMAND.from,
+        COMMAND.row.wakes,
+        COMMAND.row.delivery,
+    );
     let error = run
         .join(Process::Controller)
         .publisher(theirs)

@@ -16,6 +16,7 @@ pub mod planner;
 mod policy;
 mod rates;
 mod run;
+mod services;
 mod vlm;
 mod world;
 mod wrong_type;

@@ -1,125 +1,17 @@
-//! The service table: every flow of data between two processes is one row.
-//!
-//! | service | from | to | what |
-//! |---|---|---|---|
-//! | `observation` | world | planner, controller | what the car perceives, at every instant of the world; those between two ticks wake nobody |
-//! | `plan` | planner | controller | the answer to one observation, at the planner's rate |
-//! | `command` | controller | world | what the car shall do |
-//! | `step` | controller | gate, learner, supervisor | the record of one tick; a queue |
-//! | `advice` | gate | controller | who should drive, until when |
-//! | `takeover` | supervisor | controller | what a person at the keys wants, at 20 Hz; wakes nobody: a tick takes the newest |
-//! | `frame_request` | gate | world | which picture is wanted; wakes nobody: a thread beside the tick looks for it |
-//! | `frame` | world | gate | a picture of the scene, on demand |
-//! | `foresight` | world | gate | what holding either proposal would lead to; a simulator's, for the record alone |
-//! | `weights` | learner, `swap` | controller | a policy file offered for adoption; wakes nobody: a thread beside the tick looks for it |
-//! | `learning` | learner | controller | how far the learner is |
-//! | `policy_status` | controller | learner, supervisor | what became of it |
-//! | `progress` | world | supervisor | how the episode goes |
-//! | `episode` | world | supervisor | how an episode ended; a queue |
-//! | `health/*` | each process | supervisor | how the process does |
-//! | `timing/*` | each process | supervisor | how punctual it is |
-//! | `roster` | supervisor | every process | which process ids the run has started; a reader takes state from no other |
-//! | `fault` | `bench faults` | each process, with `run.faults` alone | an order to fail; a queue, so that nobody who is restarted gets an old one |
+#![doc = include_str!("../../../docs/services.md")]
 
-use std::marker::PhantomData;
+mod pages;
+mod row;
+
+pub use pages::{markdown, picture};
+pub use row::{
+    AgeLimit, Delivery, Leaves, MessageType, Process, Rate, Recorded, Row, Service, TakenFrom,
+};
 
 use crate::message::{
     Advice, Command, Episode, Fault, Foresight, Frame, FrameRequest, Health, Learning, Observation,
     Plan, PolicyStatus, Progress, Roster, Step, Takeover, Timing, Weights,
 };
-
-crate::word_list! {
-    /// The processes of a run.
-    pub enum Process {
-        /// Starts, watches, restarts and stops the others.
-        Supervisor = 0 "supervisor",
-        /// Owns the clock and the car: the built-in world, MetaDrive, or a robot.
-        World = 1 "world",
-        /// Observation to plan.
-        Planner = 2 "planner",
-        /// Plan, policy and verdict to command.
-        Controller = 3 "controller",
-        /// Frame to advice.
-        Gate = 4 "gate",
-        /// Steps to weights.
-        Learner = 5 "learner",
-    }
-}
-
-/// What a reader finds when it looks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Delivery {
-    /// The newest message; older ones are gone. Late joiners get it too.
-    Latest,
-    /// Every message, up to this many behind; then the oldest are lost and the
-    /// gap in the sequence tells how many.
-    Queue(usize),
-}
-
-impl Delivery {
-    /// How many messages a reader may fall behind, and how many a late joiner
-    /// still gets.
-    pub const fn queue(self) -> (usize, usize) {
-        match self {
-            Self::Latest => (1, 1),
-            Self::Queue(depth) => (depth, 0),
-        }
-    }
-}
-
-/// From which processes a reader takes the messages of a service.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum TakenFrom {
-    /// From the one that the run has started as the row's producer.
-    Producer,
-    /// From every process of the user: offers and requests, which decide nothing by
-    /// themselves and are checked for what they are.
-    Anyone,
-}
-
-/// One row of the service table.
-#[derive(Debug, Clone, Copy)]
-pub struct Service<M> {
-    /// The name on the wire.
-    pub name: &'static str,
-    /// Who publishes. More than one of a kind may exist for a moment while a
-    /// dead one is being replaced.
-    pub from: Process,
-    /// Who is woken by it.
-    pub to: &'static [Process],
-    /// What a reader finds.
-    pub delivery: Delivery,
-    /// From which processes a reader takes it.
-    pub taken_from: TakenFrom,
-    message: PhantomData<fn() -> M>,
-}
-
-impl<M> Service<M> {
-    /// A service outside the table, such as a test needs.
-    pub const fn custom(
-        name: &'static str,
-        from: Process,
-        to: &'static [Process],
-        delivery: Delivery,
-    ) -> Self {
-        Self {
-            name,
-            from,
-            to,
-            delivery,
-            taken_from: TakenFrom::Producer,
-            message: PhantomData,
-        }
-    }
-
-    /// The same, taken from every process of the user.
-    const fn open(self) -> Self {
-        Self {
-            taken_from: TakenFrom::Anyone,
-            ..self
-        }
-    }
-}
 
 /// Steps a slow reader may fall behind: over six minutes at 10 Hz, 18 MB.
 pub const STEP_QUEUE: usize = 4096;
@@ -128,87 +20,226 @@ pub const EPISODE_QUEUE: usize = 256;
 /// Orders to fail that a slow reader may fall behind.
 pub const FAULT_QUEUE: usize = 16;
 
+/// The processes that the supervisor starts.
+const STARTED: &[Process] = &[
+    Process::World,
+    Process::Planner,
+    Process::Controller,
+    Process::Gate,
+    Process::Learner,
+];
+
+/// Names of a family: one for each process, in the order of their codes.
+macro_rules! each_process {
+    ($family:literal) => {
+        &[
+            concat!($family, "/supervisor"),
+            concat!($family, "/world"),
+            concat!($family, "/planner"),
+            concat!($family, "/controller"),
+            concat!($family, "/gate"),
+            concat!($family, "/learner"),
+        ]
+    };
+}
+
+/// Writes each row as a typed constant, and all rows as [`SERVICES`].
+macro_rules! service_table {
+    ( $(
+        $(#[doc = $about:literal])+
+        $(#[comment = $why:literal])?
+        $name:ident: $message:ty = $service:literal $(of $instances:expr)?,
+        $delivery:expr, from $taken_from:ident,
+        $producers:expr, $(tools $tools:expr,)? => $consumers:expr, wakes $wakes:expr,
+        $rate:expr, age $age:ident, recorded $recorded:ident, leaves $leaves:ident;
+    )+ ) => {
+        $(
+            $(#[doc = $about])+
+            $(#[doc = ""] #[doc = $why])?
+            pub const $name: Service<$message> = Service::of({
+                #[allow(unused_mut, unused_assignments)]
+                let mut row = Row {
+                    name: $service,
+                    instances: &[$service],
+                    about: concat!($($about),+),
+                    message: MessageType::of::<$message>(),
+                    producers: $producers,
+                    tools: &[],
+                    consumers: $consumers,
+                    wakes: $wakes,
+                    delivery: $delivery,
+                    taken_from: TakenFrom::$taken_from,
+                    rate: $rate,
+                    age_limit: AgeLimit::$age,
+                    recorded: Recorded::$recorded,
+                    leaves: Leaves::$leaves,
+                };
+                $( row.instances = $instances; )?
+                $( row.tools = $tools; )?
+                row
+            });
+        )+
+
+        /// Every row of the table.
+        pub const SERVICES: &[Row] = &[$( $name.row, )+];
+    };
+}
+
 use Delivery::{Latest, Queue};
-use Process as P;
+use Process::{Controller, Gate, Learner, Planner, Supervisor, World};
+use Rate::{Event, Hz, Tick};
 
-/// What the car perceives, at every instant of the world.
-pub const OBSERVATION: Service<Observation> = Service::custom(
-    "observation",
-    P::World,
-    &[P::Planner, P::Controller],
-    Latest,
-);
-/// The answer to one observation.
-pub const PLAN: Service<Plan> = Service::custom("plan", P::Planner, &[P::Controller], Latest);
-/// What the car shall do.
-pub const COMMAND: Service<Command> =
-    Service::custom("command", P::Controller, &[P::World], Latest);
-/// The record of every tick.
-pub const STEP: Service<Step> = Service::custom(
-    "step",
-    P::Controller,
-    &[P::Gate, P::Learner],
-    Queue(STEP_QUEUE),
-);
-/// Who should drive, until when.
-pub const ADVICE: Service<Advice> = Service::custom("advice", P::Gate, &[P::Controller], Latest);
-/// What a person at the keys wants. No bell rings: a tick takes the newest, and
-/// has no use for being woken twenty times a second.
-pub const TAKEOVER: Service<Takeover> = Service::custom("takeover", P::Supervisor, &[], Latest);
-/// Which picture is wanted. No bell rings: it would wake the tick's thread, and the
-/// photographer beside it looks every few milliseconds.
-pub const FRAME_REQUEST: Service<FrameRequest> =
-    Service::custom("frame_request", P::Gate, &[], Latest).open();
-/// A picture of the scene.
-pub const FRAME: Service<Frame> = Service::custom("frame", P::World, &[P::Gate], Latest);
-/// What holding either proposal would lead to; for the record alone.
-pub const FORESIGHT: Service<Foresight> =
-    Service::custom("foresight", P::World, &[P::Gate], Latest);
-/// A policy file offered for adoption. No bell rings: it would wake the tick's
-/// thread, and the loader beside it looks every few milliseconds.
-pub const WEIGHTS: Service<Weights> = Service::custom("weights", P::Learner, &[], Latest).open();
-/// How far the learner is.
-pub const LEARNING: Service<Learning> =
-    Service::custom("learning", P::Learner, &[P::Controller], Latest);
-/// What became of an offered policy.
-pub const POLICY_STATUS: Service<PolicyStatus> =
-    Service::custom("policy_status", P::Controller, &[P::Learner], Latest);
-/// How the episode goes.
-pub const PROGRESS: Service<Progress> = Service::custom("progress", P::World, &[], Latest);
-/// How an episode ended.
-pub const EPISODE: Service<Episode> =
-    Service::custom("episode", P::World, &[], Queue(EPISODE_QUEUE));
+service_table! {
+    /// What the car perceives, at every instant of the world.
+    #[comment = "The instants between two ticks wake no process."]
+    OBSERVATION: Observation = "observation", Latest, from Producer,
+        &[World], => &[Planner, Controller], wakes &[Planner, Controller],
+        Tick(World), age Observation, recorded InStep, leaves No;
 
-/// An order to fail. No bell rings: each process looks for it between two ticks.
-pub const FAULT: Service<Fault> =
-    Service::custom("fault", P::Supervisor, &[], Queue(FAULT_QUEUE)).open();
+    /// The answer to one observation.
+    PLAN: Plan = "plan", Latest, from Producer,
+        &[Planner], => &[Controller], wakes &[Controller],
+        Tick(Planner), age Plan, recorded InStep, leaves No;
 
-/// Which processes the run has started. No bell rings: a reader looks for it when a
-/// message comes from a process that it does not know.
-pub const ROSTER: Service<Roster> = Service::custom("roster", P::Supervisor, &[], Latest);
+    /// What the car shall do.
+    COMMAND: Command = "command", Latest, from Producer,
+        &[Controller], => &[World], wakes &[World],
+        Tick(Controller), age Command, recorded InStep, leaves No;
+
+    /// The record of one tick: everything it knew and decided.
+    STEP: Step = "step", Queue(STEP_QUEUE), from Producer,
+        &[Controller], => &[Gate, Learner, Supervisor], wakes &[Gate, Learner],
+        Tick(Controller), age None, recorded Yes, leaves Every;
+
+    /// Who should drive, until when.
+    ADVICE: Advice = "advice", Latest, from Producer,
+        &[Gate], => &[Controller], wakes &[Controller],
+        Tick(Controller), age OwnExpiry, recorded InStep, leaves Newest;
+
+    /// What a person at the keys wants.
+    #[comment = "It wakes no process: a tick takes the newest."]
+    TAKEOVER: Takeover = "takeover", Latest, from Producer,
+        &[Supervisor], => &[Controller], wakes &[],
+        Hz(20.0), age Takeover, recorded InStep, leaves No;
+
+    /// Which picture is wanted.
+    #[comment = "It wakes no process: a thread beside the world's tick polls it."]
+    FRAME_REQUEST: FrameRequest = "frame_request", Latest, from Anyone,
+        &[Gate], => &[World], wakes &[],
+        Event("each question to a model"), age None, recorded No, leaves Newest;
+
+    /// A picture of the scene.
+    FRAME: Frame = "frame", Latest, from Producer,
+        &[World], => &[Gate], wakes &[Gate],
+        Event("each request"), age None, recorded Yes, leaves Newest;
+
+    /// What holding either proposal would lead to; a simulator's, for the record alone.
+    FORESIGHT: Foresight = "foresight", Latest, from Producer,
+        &[World], => &[Gate], wakes &[Gate],
+        Event("each request"), age None, recorded Yes, leaves Newest;
+
+    /// A policy file offered for adoption.
+    #[comment = "It wakes no process: a thread beside the controller's tick polls it."]
+    WEIGHTS: Weights = "weights", Latest, from Anyone,
+        &[Learner], tools &["swap"], => &[Controller], wakes &[],
+        Event("each block of updates, each swap"), age None, recorded Yes, leaves Newest;
+
+    /// How far the learner is.
+    LEARNING: Learning = "learning", Latest, from Producer,
+        &[Learner], => &[Controller], wakes &[Controller],
+        Tick(Controller), age None, recorded Yes, leaves Newest;
+
+    /// What became of an offered policy.
+    POLICY_STATUS: PolicyStatus = "policy_status", Latest, from Producer,
+        &[Controller], => &[Learner, Supervisor], wakes &[Learner],
+        Event("each change"), age None, recorded Yes, leaves Newest;
+
+    /// How the episode goes.
+    PROGRESS: Progress = "progress", Latest, from Producer,
+        &[World], => &[Supervisor], wakes &[],
+        Tick(Controller), age None, recorded Yes, leaves Newest;
+
+    /// How an episode ended.
+    EPISODE: Episode = "episode", Queue(EPISODE_QUEUE), from Producer,
+        &[World], => &[Supervisor], wakes &[],
+        Event("each end of an episode"), age None, recorded Yes, leaves Every;
+
+    /// How a process does.
+    HEALTH: Health = "health/*" of each_process!("health"), Latest, from Producer,
+        STARTED, => &[Supervisor], wakes &[],
+        Hz(20.0), age None, recorded Yes, leaves Newest;
+
+    /// How punctual a process is.
+    TIMING: Timing = "timing/*" of each_process!("timing"), Latest, from Producer,
+        STARTED, => &[Supervisor], wakes &[],
+        Hz(2.0), age None, recorded Yes, leaves Newest;
+
+    /// Which process ids the run has started; a reader takes state from no other.
+    #[comment = "It wakes no process: a reader reads it when a message comes from an unknown process."]
+    ROSTER: Roster = "roster", Latest, from Producer,
+        &[Supervisor], => STARTED, wakes &[],
+        Hz(20.0), age None, recorded Yes, leaves No;
+
+    /// An order to fail, obeyed with `run.faults` alone.
+    #[comment = "It is a queue, so that a restarted process gets no old order; it wakes no process, each polls it between two ticks."]
+    FAULT: Fault = "fault", Queue(FAULT_QUEUE), from Anyone,
+        &[], tools &["bench faults"], => STARTED, wakes &[],
+        Event("each order"), age None, recorded Yes, leaves No;
+}
 
 /// How a process does.
 pub const fn health(process: Process) -> Service<Health> {
-    let name = match process {
-        P::Supervisor => "health/supervisor",
-        P::World => "health/world",
-        P::Planner => "health/planner",
-        P::Controller => "health/controller",
-        P::Gate => "health/gate",
-        P::Learner => "health/learner",
-    };
-    Service::custom(name, process, &[], Latest)
+    HEALTH.of_process(process)
 }
 
 /// How punctual a process is.
 pub const fn timing(process: Process) -> Service<Timing> {
-    let name = match process {
-        P::Supervisor => "timing/supervisor",
-        P::World => "timing/world",
-        P::Planner => "timing/planner",
-        P::Controller => "timing/controller",
-        P::Gate => "timing/gate",
-        P::Learner => "timing/learner",
-    };
-    Service::custom(name, process, &[], Latest)
+    TIMING.of_process(process)
+}
+
+const _: () = {
+    let mut k = 0;
+    while k < SERVICES.len() {
+        assert!(
+            SERVICES[k].wakes_readers_only(),
+            "a row wakes a process that does not read it"
+        );
+        k += 1;
+    }
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_different_and_families_name_each_process() {
+        let mut names: Vec<_> = SERVICES.iter().flat_map(|row| row.instances).collect();
+        let count = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        for process in Process::ALL {
+            assert_eq!(health(*process).name, format!("health/{process}"));
+            assert_eq!(timing(*process).name, format!("timing/{process}"));
+        }
+    }
+
+    /// A service that is taken from its producer alone has one; every row has a source.
+    #[test]
+    fn every_row_has_a_source_and_a_reader() {
+        for row in SERVICES {
+            let name = row.name;
+            assert!(!row.consumers.is_empty(), "{name}");
+            match row.taken_from {
+                TakenFrom::Producer if row.instances.len() == 1 => {
+                    assert_eq!(row.producers.len(), 1, "{name}");
+                }
+                TakenFrom::Producer => assert_eq!(row.instances.len(), Process::ALL.len()),
+                TakenFrom::Anyone => {
+                    assert!(row.producers.len() + row.tools.len() > 0, "{name}");
+                }
+            }
+        }
+    }
 }

@@ -244,7 +244,7 @@ impl Wire {
             .create()
             .map_err(|error| failed(format!("{error:?}")))?;
         let mut bells = Vec::new();
-        for process in service.to {
+        for process in service.row.wakes {
             let bell = self.bell(*process)?;
             let notifier = bell
                 .notifier_builder()
@@ -260,7 +260,7 @@ impl Wire {
     /// # Errors
     /// As [`Wire::publisher`].
     pub fn subscriber<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
-        let (depth, _) = service.delivery.queue();
+        let (depth, _) = service.row.delivery.queue();
         self.subscriber_of_depth(service, depth)
     }
 
@@ -332,7 +332,7 @@ impl Wire {
         let name = ServiceName::new(service.name).map_err(|error| failed(format!("{error:?}")))?;
         let ours = format!("{:016x}", M::FINGERPRINT);
         let verifier = attributes(&ours).map_err(&failed)?;
-        let (depth, history) = service.delivery.queue();
+        let (depth, history) = service.row.delivery.queue();
         self.node
             .service_builder(&name)
             .publish_subscribe::<M>()

@@ -49,7 +49,7 @@ impl<M: Message> Subscriber<M> {
             port,
             topic,
             producers,
-            from: (service.from, service.taken_from),
+            from: (service.from, service.row.taken_from),
             membership: None,
             holds_one: false,
             depth,

@@ -1,0 +1,278 @@
+//! What one row of the service table says.
+
+use std::marker::PhantomData;
+
+use crate::layout::Layout;
+use crate::word_list;
+
+word_list! {
+    /// The processes of a run.
+    pub enum Process {
+        /// Starts, watches, restarts and stops the others.
+        Supervisor = 0 "supervisor",
+        /// Owns the clock and the car: the built-in world, MetaDrive, or a robot.
+        World = 1 "world",
+        /// Observation to plan.
+        Planner = 2 "planner",
+        /// Plan, policy and verdict to command.
+        Controller = 3 "controller",
+        /// Frame to advice.
+        Gate = 4 "gate",
+        /// Steps to weights.
+        Learner = 5 "learner",
+    }
+}
+
+/// What a reader finds when it looks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// The newest message; older ones are gone. Late joiners get it too.
+    Latest,
+    /// Every message, up to this many behind; then the oldest are lost and the
+    /// gap in the sequence tells how many.
+    Queue(usize),
+}
+
+impl Delivery {
+    /// How many messages a reader may fall behind, and how many a late joiner
+    /// still gets.
+    pub const fn queue(self) -> (usize, usize) {
+        match self {
+            Self::Latest => (1, 1),
+            Self::Queue(depth) => (depth, 0),
+        }
+    }
+}
+
+/// From which processes a reader takes the messages of a service.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TakenFrom {
+    /// From the process that the run has started as the row's producer.
+    Producer,
+    /// From every process of the user: offers and requests, which decide nothing by
+    /// themselves and are checked for what they are.
+    Anyone,
+}
+
+/// How often a message is published.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Rate {
+    /// At each tick of this process; the configuration has its rate.
+    Tick(Process),
+    /// This often, Hz.
+    Hz(f64),
+    /// When this happens.
+    Event(&'static str),
+}
+
+/// The limit of the configuration beyond which a message is refused as stale.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AgeLimit {
+    /// `limits.observation_age_ms`.
+    Observation,
+    /// `limits.plan_age_ms`.
+    Plan,
+    /// `limits.command_age_ms`.
+    Command,
+    /// `limits.takeover_age_ms`.
+    Takeover,
+    /// None: the message carries its own expiry.
+    OwnExpiry,
+    /// None: its content does not age, or its reader shows how old it is.
+    None,
+}
+
+impl AgeLimit {
+    /// The configuration key; `None` when no key limits the age.
+    pub const fn key(self) -> Option<&'static str> {
+        match self {
+            Self::Observation => Some("limits.observation_age_ms"),
+            Self::Plan => Some("limits.plan_age_ms"),
+            Self::Command => Some("limits.command_age_ms"),
+            Self::Takeover => Some("limits.takeover_age_ms"),
+            Self::OwnExpiry | Self::None => None,
+        }
+    }
+}
+
+/// Whether a recording holds the messages of a service.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Recorded {
+    /// Every message.
+    Yes,
+    /// None.
+    No,
+    /// None: each step holds the one that its tick used.
+    InStep,
+}
+
+/// Which messages may leave the machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Leaves {
+    /// None: they belong to the tick, or name processes of this machine.
+    No,
+    /// The newest; older ones are dropped on the way.
+    Newest,
+    /// Every one, in order.
+    Every,
+}
+
+/// The message type of a row.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MessageType {
+    /// The type's name, the same in every language.
+    pub name: &'static str,
+    /// The layout's hash, by which two binaries refuse each other.
+    pub fingerprint: u64,
+    /// Bytes of one message.
+    pub bytes: usize,
+}
+
+impl MessageType {
+    /// Of a message.
+    pub const fn of<M: Layout>() -> Self {
+        Self {
+            name: M::NAME,
+            fingerprint: M::FINGERPRINT,
+            bytes: size_of::<M>(),
+        }
+    }
+}
+
+/// One row of the service table.
+#[derive(Debug, Clone, Copy)]
+pub struct Row {
+    /// The service's name; that of a family, such as `health`, has `/*` at its end.
+    pub name: &'static str,
+    /// The names on the wire: one, or one for each process in the order of their codes.
+    pub instances: &'static [&'static str],
+    /// What the messages say.
+    pub about: &'static str,
+    /// Their type.
+    pub message: MessageType,
+    /// The processes that publish it. More than one of a kind may exist for a moment
+    /// while a dead one is replaced.
+    pub producers: &'static [Process],
+    /// The commands that publish it too.
+    pub tools: &'static [&'static str],
+    /// The processes that read it. Commands may read every service.
+    pub consumers: &'static [Process],
+    /// The consumers that a message wakes.
+    pub wakes: &'static [Process],
+    /// What a reader finds.
+    pub delivery: Delivery,
+    /// From which processes a reader takes it.
+    pub taken_from: TakenFrom,
+    /// How often it is published.
+    pub rate: Rate,
+    /// When a reader refuses it as stale.
+    pub age_limit: AgeLimit,
+    /// Whether a recording holds it.
+    pub recorded: Recorded,
+    /// Which messages may leave the machine.
+    pub leaves: Leaves,
+}
+
+impl Row {
+    /// The process publishes it.
+    pub const fn is_produced_by(&self, process: Process) -> bool {
+        holds(self.producers, process)
+    }
+
+    /// The process reads it.
+    pub const fn is_consumed_by(&self, process: Process) -> bool {
+        holds(self.consumers, process)
+    }
+
+    /// The processes that a message wakes are among those that read it.
+    pub(super) const fn wakes_readers_only(&self) -> bool {
+        let mut k = 0;
+        while k < self.wakes.len() {
+            if !self.is_consumed_by(self.wakes[k]) {
+                return false;
+            }
+            k += 1;
+        }
+        true
+    }
+}
+
+const fn holds(processes: &[Process], process: Process) -> bool {
+    let mut k = 0;
+    while k < processes.len() {
+        if processes[k].code() == process.code() {
+            return true;
+        }
+        k += 1;
+    }
+    false
+}
+
+/// A service with the type of its messages.
+#[derive(Debug, Clone, Copy)]
+pub struct Service<M> {
+    /// The name on the wire.
+    pub name: &'static str,
+    /// The producer from which readers take it, where [`TakenFrom`] asks.
+    pub from: Process,
+    /// Its row in the table.
+    pub row: Row,
+    message: PhantomData<fn() -> M>,
+}
+
+impl<M: Layout> Service<M> {
+    /// The one service of a row.
+    pub(super) const fn of(row: Row) -> Self {
+        let from = match row.producers {
+            [first, ..] => *first,
+            // Only commands publish it, and it is taken from any process.
+            [] => Process::Supervisor,
+        };
+        Self {
+            name: row.instances[0],
+            from,
+            row,
+            message: PhantomData,
+        }
+    }
+
+    /// The service of one process, of a family.
+    pub(super) const fn of_process(self, process: Process) -> Self {
+        Self {
+            name: self.row.instances[process.code() as usize],
+            from: process,
+            ..self
+        }
+    }
+
+    /// A service outside the table, such as a test needs.
+    pub const fn custom(
+        name: &'static str,
+        from: Process,
+        wakes: &'static [Process],
+        delivery: Delivery,
+    ) -> Self {
+        let row = Row {
+            name,
+            instances: &[],
+            about: "",
+            message: MessageType::of::<M>(),
+            producers: &[],
+            tools: &[],
+            consumers: wakes,
+            wakes,
+            delivery,
+            taken_from: TakenFrom::Producer,
+            rate: Rate::Event("test"),
+            age_limit: AgeLimit::None,
+            recorded: Recorded::No,
+            leaves: Leaves::No,
+        };
+        Self {
+            name,
+            from,
+            row,
+            message: PhantomData,
+        }
+    }
+}
