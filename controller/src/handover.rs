@@ -3,12 +3,12 @@
 
 use std::time::Duration;
 
+use controller::ports::LearnerPorts;
 use controller::{Controller, Hand, Loader, Look};
 use process::{Member, Pulse, SetUpError};
 use shm_config::message::Learning;
-use shm_config::services::LEARNING;
 use shm_config::time::monotonic;
-use shm_config::wire::{Doorbell, Subscriber};
+use shm_config::wire::Doorbell;
 use shm_config::{Instant, Message};
 
 /// Between two looks at a desk that somebody holds.
@@ -28,7 +28,7 @@ pub struct Handover {
 
 /// A learner that is waited for.
 struct Learner {
-    port: Subscriber<Learning>,
+    ports: LearnerPorts,
     newest: Learning,
     /// Steps driven, in this run and in those that it goes on with; `None` until
     /// the learner has said how many there were.
@@ -47,7 +47,7 @@ impl Handover {
         let learning = match member.config.run.is_lockstep() && learner.enabled {
             false => None,
             true => Some(Learner {
-                port: member.wire.subscriber(LEARNING)?,
+                ports: LearnerPorts::open(&member.wire)?,
                 newest: Learning::default(),
                 steps: None,
                 own_steps: 0,
@@ -237,8 +237,8 @@ impl Learner {
     }
 
     fn hear(&mut self) -> Heard {
-        self.port.tend();
-        let Some(learning) = self.port.newest(Message::check) else {
+        self.ports.update_connections();
+        let Some(learning) = self.ports.learning.newest(Message::check) else {
             return Heard::Same;
         };
         let before = std::mem::replace(&mut self.newest, learning)

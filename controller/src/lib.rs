@@ -14,6 +14,7 @@ mod controller;
 mod pd;
 mod policy;
 mod recompute;
+pub mod ports;
 mod slots;
 mod tick;
 mod transfer;

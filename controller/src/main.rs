@@ -6,15 +6,14 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use controller::ports::Ports;
 use controller::{Controller, Inputs, Intent, PolicySlot, Release, Slot, Slots};
 use process::{Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::message::{
-    Advice, Command, HealthState, Measure, Message, Observation, Part, Plan, Refusal, Step,
-    Takeover, Timing,
+    Advice, HealthState, Measure, Message, Observation, Part, Plan, Refusal, Step, Takeover, Timing,
 };
-use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
+use shm_config::services::{PLAN, Process, TAKEOVER};
 use shm_config::time::monotonic;
-use shm_config::wire::{Doorbell, Publisher, Subscriber};
 use shm_config::{Instant, PlanTurns, RunGrid, config::Config};
 
 use handover::Handover;
@@ -36,41 +35,6 @@ const STOP_NS: u64 = 5_000_000_000;
 
 fn main() -> ExitCode {
     exit_code(Process::Controller, drive(&Cli::parse().arguments))
-}
-
-struct Ports {
-    bell: Doorbell,
-    observations: Subscriber<Observation>,
-    plans: Subscriber<Plan>,
-    advices: Subscriber<Advice>,
-    takeovers: Subscriber<Takeover>,
-    commands: Publisher<Command>,
-    steps: Publisher<Step>,
-}
-
-impl Ports {
-    fn open(member: &Member) -> Result<Self, SetUpError> {
-        let wire = &member.wire;
-        Ok(Self {
-            bell: wire.doorbell(Process::Controller)?,
-            observations: wire.subscriber(OBSERVATION)?,
-            plans: wire.subscriber(PLAN)?,
-            advices: wire.subscriber(ADVICE)?,
-            takeovers: wire.subscriber(TAKEOVER)?,
-            commands: wire.publisher(COMMAND)?,
-            steps: wire.publisher(STEP)?,
-        })
-    }
-
-    /// Connects to peers that came or came back, between ticks.
-    fn tend(&mut self) {
-        self.observations.tend();
-        self.plans.tend();
-        self.advices.tend();
-        self.takeovers.tend();
-        self.commands.tend();
-        self.steps.tend();
-    }
 }
 
 /// Waits for what a tick needs, never longer than its deadline.
@@ -106,8 +70,8 @@ impl Waiting {
             asks_gate: config.gate.has_process(),
             period_ns,
             plan_wait_ns: share(config.limits.plan_wait),
-            plan_age_ns: config.plan_age_ns(),
-            takeover_age_ns: config.limits.takeover_age_ns(),
+            plan_age_ns: config.age_limit_ns(PLAN.row.age_limit),
+            takeover_age_ns: config.age_limit_ns(TAKEOVER.row.age_limit),
             lockstep_wait_ns: config.peer_wait_ns(),
             planner_silent: false,
             gate_silent: false,
@@ -277,7 +241,7 @@ fn origin(observation: &Observation) -> (u32, u64) {
 #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
 fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut member = Member::join(Process::Controller, arguments)?;
-    let mut ports = Ports::open(&member)?;
+    let mut ports = Ports::open(&member.wire)?;
     let mut pulse = Pulse::start(&member)?;
     let mut controller = Controller::new(member.config.clone(), PolicySlot::new(None));
     let mut handover = Handover::open(&member, handover::start(&member)?)?;
@@ -299,7 +263,7 @@ fn drive(arguments: &Arguments) -> Result<(), SetUpError> {
             pulse.health.state = HealthState::Stopping.code();
         }
         pulse.beat(now);
-        ports.tend();
+        ports.update_connections();
         handover.look(&mut controller);
         // Nobody is left to brake when no world has spoken for so long.
         let alone = now.since_ns(seen) > blind_ns;

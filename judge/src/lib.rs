@@ -27,6 +27,7 @@ mod key;
 mod limits;
 mod model;
 pub mod picture;
+pub mod ports;
 mod prompt;
 pub mod record;
 mod recorded;

@@ -12,12 +12,13 @@ use shm_config::config::{Config, View, Vlm};
 use shm_config::message::{
     Camera, Foresight, Frame, FrameRequest, Header, Judge as JudgeKind, View as Seat,
 };
-use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST, Process};
-use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
+use shm_config::services::Process;
+use shm_config::wire::{Wire, WireError};
 use shm_config::{Instant, Message};
 use tokio::task::LocalSet;
 
 use crate::picture::{Photo, Picture, Proposals, Style, picture};
+use crate::ports::PicturePorts;
 use crate::prompt::fixed_showing;
 use crate::record::{Asking, Outlook};
 use crate::{Asked, Asker, Evidence, Party, Prompt, Showing, combine};
@@ -72,10 +73,8 @@ pub fn model(
 
 /// Ports belong to one thread.
 struct Ports {
-    requests: Publisher<FrameRequest>,
-    frames: Subscriber<Frame>,
-    foresights: Subscriber<Foresight>,
-    _wire: Wire,
+    wire: PicturePorts,
+    _member: Wire,
 }
 
 impl Ports {
@@ -84,17 +83,13 @@ impl Ports {
             |error: shm_config::run::InvalidRunName| WireError::port("run", error.to_string());
         let wire = process::join_as(&config.run.name.parse().map_err(failed)?, Process::Gate)?;
         Ok(Self {
-            requests: wire.publisher(FRAME_REQUEST)?,
-            frames: wire.latest(FRAME)?,
-            foresights: wire.latest(FORESIGHT)?,
-            _wire: wire,
+            wire: PicturePorts::open(&wire)?,
+            _member: wire,
         })
     }
 
-    fn tend(&mut self) {
-        self.requests.tend();
-        self.frames.tend();
-        self.foresights.tend();
+    fn update_connections(&mut self) {
+        self.wire.update_connections();
     }
 }
 
@@ -119,7 +114,7 @@ async fn serve(court: Rc<Court>, mut ports: Ports, questions: Receiver<Question>
                 });
             }
             Err(TryRecvError::Empty) => {
-                ports.tend();
+                ports.update_connections();
                 tokio::time::sleep(LOOK).await;
             }
             Err(TryRecvError::Disconnected) => return,
@@ -191,8 +186,8 @@ impl Ports {
             proposals: [question.expert, question.policy],
             ..FrameRequest::default()
         };
-        self.tend();
-        self.requests.send(&mut request);
+        self.update_connections();
+        self.wire.requests.send(&mut request);
         let mut until = (court.clock)().after_ns(FRAME_NS);
         let mut seen = Seen {
             shot: None,
@@ -200,8 +195,8 @@ impl Ports {
         };
         let is_same = |other: &Header| (other.episode, other.tick) == question.key();
         while (court.clock)() < until && (seen.shot.is_none() || seen.foresight.is_none()) {
-            self.tend();
-            let shot = self.frames.visit(|frame| {
+            self.update_connections();
+            let shot = self.wire.frames.visit(|frame| {
                 let fits = is_of(&frame.header, &header) && frame.check().is_ok();
                 fits.then(|| Shot::of(frame))
             });
@@ -209,7 +204,7 @@ impl Ports {
                 seen.shot = Some(shot);
                 until = (court.clock)().after_ns(FORESIGHT_NS);
             }
-            let foresight = self.foresights.newest(Message::check);
+            let foresight = self.wire.foresights.newest(Message::check);
             let foresight = foresight.filter(|foresight| is_same(&foresight.header));
             seen.foresight = seen.foresight.or(foresight.as_ref().map(outlooks));
             tokio::time::sleep(LOOK).await;

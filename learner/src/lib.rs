@@ -24,6 +24,7 @@ pub mod journal;
 pub mod matrix;
 pub mod metrics;
 pub mod network;
+pub mod ports;
 pub mod replay;
 pub mod session;
 pub mod share;

@@ -5,15 +5,13 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use learner::ports::{OfferPorts, Ports};
 use learner::session::{Block, Session};
 use process::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
 use shm_config::Instant;
-use shm_config::message::{
-    HealthState, Learning, Message, PolicyState, PolicyStatus, Step, Weights,
-};
-use shm_config::services::{LEARNING, POLICY_STATUS, Process, STEP, WEIGHTS};
+use shm_config::message::{HealthState, Learning, Message, PolicyState, Step};
+use shm_config::services::Process;
 use shm_config::time::monotonic;
-use shm_config::wire::{Doorbell, Publisher, Subscriber};
 
 /// Learns from every step of a run, and offers the controller better weights
 #[derive(Parser)]
@@ -30,36 +28,10 @@ fn main() -> ExitCode {
     exit_code(Process::Learner, learn(&Cli::parse().arguments))
 }
 
-struct Ports {
-    bell: Doorbell,
-    steps: Subscriber<Step>,
-    statuses: Subscriber<PolicyStatus>,
-    weights: Publisher<Weights>,
-    learning: Publisher<Learning>,
-}
-
-impl Ports {
-    fn open(member: &Member) -> Result<Self, SetUpError> {
-        let wire = &member.wire;
-        Ok(Self {
-            bell: wire.doorbell(Process::Learner)?,
-            steps: wire.subscriber(STEP)?,
-            statuses: wire.subscriber(POLICY_STATUS)?,
-            weights: wire.publisher(WEIGHTS)?,
-            learning: wire.publisher(LEARNING)?,
-        })
-    }
-
-    fn tend(&mut self) {
-        self.steps.tend();
-        self.statuses.tend();
-        self.learning.tend();
-    }
-}
-
 /// The process between its ports and what learns.
 struct Learner {
     ports: Ports,
+    offers: OfferPorts,
     session: Session,
     /// What was last said of how far it is.
     said: Learning,
@@ -74,7 +46,8 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
     let session = Session::open(&member.config, &folder)
         .map_err(|error| SetUpError::Own(error.to_string()))?;
     let mut learner = Learner {
-        ports: Ports::open(&member)?,
+        ports: Ports::open(&member.wire)?,
+        offers: OfferPorts::open(&member.wire)?,
         session,
         said: Learning {
             block_steps: u64::from(member.config.learner.block_steps),
@@ -91,12 +64,12 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
         folder = %folder.display(),
         "learns"
     );
-    learner.ports.tend();
+    learner.ports.update_connections();
     learner.begin(&mut pulse);
     while !member.is_stopping() {
         learner.ports.bell.wait(NAP);
         pulse.beat(monotonic());
-        learner.ports.tend();
+        learner.ports.update_connections();
         learner.hear();
         while let Some(step) = learner.ports.steps.receive() {
             let begun = monotonic();
@@ -209,9 +182,9 @@ impl Learner {
     fn offer(&mut self, policy: &[u8]) {
         self.hear();
         let version = self.offered.max(self.said.version) + 1;
-        self.ports.weights.tend();
+        self.offers.update_connections();
         if self
-            .ports
+            .offers
             .weights
             .offer(version, policy::sha256(policy), policy)
         {

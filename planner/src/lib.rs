@@ -25,6 +25,7 @@ mod informed;
 mod kinodynamic;
 mod mpc;
 mod planner;
+pub mod ports;
 mod rrt_star;
 mod sampler;
 mod search;

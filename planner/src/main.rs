@@ -6,10 +6,11 @@ use std::time::Duration;
 
 use clap::Parser;
 use planner::Planner;
+use planner::ports::Ports;
 use process::{Arguments, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::config::Late;
 use shm_config::message::{Health, HealthState, Observation, Part, Plan, PlanOutcome};
-use shm_config::services::{OBSERVATION, PLAN, Process};
+use shm_config::services::Process;
 use shm_config::time::monotonic;
 use shm_config::{Instant, PlanTurns, RunGrid};
 
@@ -68,9 +69,7 @@ fn main() -> ExitCode {
 #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
 fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut member = Member::join(Process::Planner, arguments)?;
-    let bell = member.wire.doorbell(Process::Planner)?;
-    let mut observations = member.wire.subscriber(OBSERVATION)?;
-    let mut plans = member.wire.publisher(PLAN)?;
+    let mut ports = Ports::open(&member.wire)?;
     let mut pulse = Pulse::start(&member)?;
     let mut planner =
         Planner::new(&member.config).map_err(|error| SetUpError::Own(error.to_string()))?;
@@ -93,7 +92,7 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
     pulse.set_rights(&member.rights);
     pulse.enter(HealthState::Ready, monotonic());
     while !member.is_stopping() {
-        if let Some(observation) = observations.newest(door)
+        if let Some(observation) = ports.observations.newest(door)
             // Between two turns the controller moves the last plan on.
             && turns.take(&observation.header)
         {
@@ -111,7 +110,7 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
             plan.planning_ns = planned.since_ns(begun);
             let is_late = !lockstep && planned.0 > observation.scheduled_ns + period_ns;
             if !is_late || answer_late(&mut plan, member.config.deadlines.planner) {
-                plans.send(&mut plan);
+                ports.plans.send(&mut plan);
             }
             let done = monotonic();
             pulse.end(Part::Send, done);
@@ -151,9 +150,8 @@ fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
         }
         pulse.count_refused(&member.wire);
         pulse.beat(monotonic());
-        observations.tend();
-        plans.tend();
-        bell.wait(NAP);
+        ports.update_connections();
+        ports.bell.wait(NAP);
     }
     pulse.enter(HealthState::Finished, monotonic());
     Ok(())

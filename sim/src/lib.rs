@@ -38,6 +38,7 @@ pub mod model;
 pub mod navigation;
 pub mod observe;
 pub mod photographer;
+pub mod ports;
 pub mod render;
 pub mod rng;
 pub mod road;

@@ -9,14 +9,14 @@ use process::{Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, 
 use rustix::time::{ClockId, Timespec};
 use shm_config::config::Late;
 use shm_config::message::{
-    Command, Header, HealthState, Message, Observation, Outcome, Part, Progress, Refusal,
+    Command, Header, HealthState, Message, Observation, Outcome, Part, Refusal,
 };
-use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS, Process};
+use shm_config::services::{COMMAND, Process};
 use shm_config::time::monotonic;
-use shm_config::wire::{Doorbell, Publisher, Subscriber};
-use shm_config::{Instant, RunGrid, message::Episode};
+use shm_config::{Instant, RunGrid};
 use sim::grid::Grid;
 use sim::photographer::{Move, Photographer, Recorder, Seen};
+use sim::ports::Ports;
 use sim::{World, WorldConfig, score::Score};
 
 /// Drives the built-in world: maps, traffic and rules of MetaDrive
@@ -39,35 +39,6 @@ const NAP: Duration = Duration::from_millis(20);
 fn main() -> ExitCode {
     let cli = Cli::parse();
     exit_code(Process::World, run(&cli))
-}
-
-struct Ports {
-    bell: Doorbell,
-    commands: Subscriber<Command>,
-    observations: Publisher<Observation>,
-    progress: Publisher<Progress>,
-    episodes: Publisher<Episode>,
-}
-
-impl Ports {
-    fn open(member: &Member) -> Result<Self, SetUpError> {
-        let wire = &member.wire;
-        Ok(Self {
-            bell: wire.doorbell(Process::World)?,
-            commands: wire.subscriber(COMMAND)?,
-            observations: wire.publisher(OBSERVATION)?,
-            progress: wire.publisher(PROGRESS)?,
-            episodes: wire.publisher(EPISODE)?,
-        })
-    }
-
-    /// Connects to peers that came or came back, between ticks.
-    fn tend(&mut self) {
-        self.commands.tend();
-        self.observations.tend();
-        self.progress.tend();
-        self.episodes.tend();
-    }
 }
 
 /// What an instant of the world's grid is.
@@ -151,7 +122,7 @@ impl Session {
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn open(cli: &Cli) -> Result<Self, SetUpError> {
         let mut member = Member::join(Process::World, &cli.arguments)?;
-        let ports = Ports::open(&member)?;
+        let ports = Ports::open(&member.wire)?;
         let mut pulse = Pulse::start(&member)?;
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
         let mut world =
@@ -212,7 +183,7 @@ impl Session {
                 self.grid.move_on();
                 self.schedule();
                 self.pulse.beat(monotonic());
-                self.ports.tend();
+                self.ports.update_connections();
                 continue;
             }
             let moment = match self.told == Some(self.grid.tick()) {
@@ -222,7 +193,7 @@ impl Session {
             self.told = Some(self.grid.tick());
             self.publish(released, now, moment);
             self.account(released, moment);
-            self.ports.tend();
+            self.ports.update_connections();
             if self.lockstep && moment == Moment::Tick {
                 self.await_command();
             }
@@ -325,7 +296,7 @@ impl Session {
             true => begun,
             false => monotonic(),
         };
-        let limit_ns = self.member.config.limits.command_age_ns();
+        let limit_ns = self.member.config.age_limit_ns(COMMAND.row.age_limit);
         let episode = self.episode;
         let door = |command: &Command| admit(command, clock(), limit_ns, episode);
         self.ports.commands.newest_into(&mut self.command, door);
@@ -476,7 +447,7 @@ impl Session {
                 return;
             }
             self.pulse.beat(now);
-            self.ports.tend();
+            self.ports.update_connections();
             let left = Duration::from_nanos(until.since_ns(now));
             self.ports.bell.wait(NAP.min(left));
         }

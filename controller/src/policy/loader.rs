@@ -11,12 +11,13 @@ use policy::{Net, PolicyFile, Refusal, check_answers, check_hash, decode_within,
 use shm_config::Instant;
 use shm_config::config::{Backend, Config};
 use shm_config::file;
-use shm_config::message::{FEATURES, PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
-use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
-use shm_config::wire::{PUBLISHERS_MAX, Publisher, Subscriber, Wire, WireError};
+use shm_config::message::{FEATURES, PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX};
+use shm_config::services::Process;
+use shm_config::wire::{PUBLISHERS_MAX, Wire, WireError};
 
 use super::good::{Good, GoodFile};
 use super::{Begin, Exchange, NativePolicy, News, Offer, OrtPolicy, OrtSession, Policy, library};
+use crate::ports::LoaderPorts;
 
 /// From look to look at offers and at the desk. An offer waits half of it on
 /// average; 200 looks a second cost well under a thousandth of a core.
@@ -179,7 +180,7 @@ fn work(
     while !stop.load(Ordering::Relaxed) {
         bench.take_offers();
         bench.clear_desk();
-        bench.ports.status.tend();
+        bench.ports.wire.status.tend();
         thread::park_timeout(LOOK);
     }
     bench.clear_desk();
@@ -187,9 +188,8 @@ fn work(
 
 /// The loader joins the run by itself: ports belong to one thread.
 struct Ports {
-    weights: Subscriber<Weights>,
-    status: Publisher<PolicyStatus>,
-    _wire: Wire,
+    wire: LoaderPorts,
+    _member: Wire,
 }
 
 impl Ports {
@@ -201,9 +201,8 @@ impl Ports {
             Process::Controller,
         )?;
         Ok(Self {
-            weights: wire.subscriber(WEIGHTS)?,
-            status: wire.publisher(POLICY_STATUS)?,
-            _wire: wire,
+            wire: LoaderPorts::open(&wire)?,
+            _member: wire,
         })
     }
 }
@@ -285,10 +284,10 @@ impl Bench {
     }
 
     fn take_offers(&mut self) {
-        self.ports.weights.tend();
+        self.ports.wire.weights.tend();
         // As many publishers as there may be, so that none holds the loop.
         for _ in 0..PUBLISHERS_MAX {
-            let received = self.ports.weights.visit(|weights| Received {
+            let received = self.ports.wire.weights.visit(|weights| Received {
                 version: weights.version,
                 sha256: weights.sha256,
                 byte_count: weights.byte_count,
@@ -423,7 +422,7 @@ impl Bench {
 
     fn publish(&mut self) {
         self.status.header.taken_ns = (self.clock)().0;
-        self.ports.status.send(&mut self.status);
+        self.ports.wire.status.send(&mut self.status);
     }
 }
 

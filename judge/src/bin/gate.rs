@@ -6,15 +6,15 @@ use std::time::Duration;
 
 use clap::Parser;
 use gate::{Counsel, Heard};
+use judge::ports::Ports;
 use judge::{Archive, Bench, Clerk, Evidence, as_the_paper};
 use process::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
-use shm_config::message::{Advice, HealthState, Message, Step};
+use shm_config::message::{HealthState, Message, Step};
 use shm_config::secret;
-use shm_config::services::{ADVICE, Process, STEP};
+use shm_config::services::Process;
 use shm_config::time::monotonic;
-use shm_config::wire::{Doorbell, Publisher, Subscriber};
 
 /// Asks a judge which of two proposals is safer, and publishes its advice
 #[derive(Parser)]
@@ -40,9 +40,7 @@ fn main() -> ExitCode {
 
 struct Gate {
     member: Member,
-    bell: Doorbell,
-    steps: Subscriber<Step>,
-    port: Publisher<Advice>,
+    ports: Ports,
     pulse: Pulse,
     counsel: Counsel,
     evidence: Receiver<Evidence>,
@@ -67,9 +65,7 @@ impl Gate {
         let Bench { docket, evidence } =
             Bench::open(config, monotonic).map_err(|error| own(&error))?;
         let archive = Archive::open(config).map_err(|error| own(&error))?;
-        let bell = member.wire.doorbell(Process::Gate)?;
-        let steps = member.wire.latest(STEP)?;
-        let port = member.wire.publisher(ADVICE)?;
+        let ports = Ports::open(&member.wire)?;
         let mut pulse = Pulse::start(&member)?;
         let counsel = Counsel::new(&config.gate, docket);
         let jurors: &[_] = match config.gate.mode {
@@ -82,9 +78,7 @@ impl Gate {
         pulse.enter(HealthState::Ready, monotonic());
         Ok(Self {
             member,
-            bell,
-            steps,
-            port,
+            ports,
             pulse,
             counsel,
             evidence,
@@ -96,15 +90,14 @@ impl Gate {
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn work(&mut self) {
         while !self.member.is_stopping() {
-            self.bell.wait(NAP);
+            self.ports.bell.wait(NAP);
             let begun = monotonic();
-            if let Some(step) = self.steps.newest(Message::check) {
+            if let Some(step) = self.ports.steps.newest(Message::check) {
                 self.consider(&step, begun);
             }
             self.pulse.count_refused(&self.member.wire);
             self.pulse.beat(begun);
-            self.port.tend();
-            self.steps.tend();
+            self.ports.update_connections();
         }
     }
 
@@ -124,7 +117,7 @@ impl Gate {
         let heard = self.counsel.hear(now);
         self.keep_record(step, heard, now);
         let mut advice = self.counsel.advise(now);
-        self.port.send(&mut advice);
+        self.ports.advices.send(&mut advice);
         self.pulse.health.header.tick = step.header().tick;
         self.pulse.health.state = HealthState::Running.code();
         self.pulse.count_tick(Tick {
@@ -144,7 +137,7 @@ impl Gate {
                 return;
             }
             self.pulse.beat(monotonic());
-            self.bell.wait(LOOK);
+            self.ports.bell.wait(LOOK);
         }
     }
 

@@ -2,6 +2,7 @@
 
 mod cause;
 mod doorbell;
+mod ports;
 mod producers;
 mod publisher;
 mod subscriber;
@@ -17,6 +18,7 @@ use rustix::event::poll;
 use rustix::time::Timespec;
 
 pub use doorbell::Doorbell;
+pub use ports::Use;
 pub use producers::Foreigner;
 use producers::Producers;
 pub use publisher::Publisher;

@@ -19,11 +19,12 @@ use std::time::Duration;
 use process::SetUpError;
 use shm_config::Message;
 use shm_config::config::Config;
-use shm_config::message::{Foresight, Frame, FrameRequest, Header};
-use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST, Process};
-use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
+use shm_config::message::{Foresight, FrameRequest, Header};
+use shm_config::services::Process;
+use shm_config::wire::{Wire, WireError};
 
 use crate::WorldConfig;
+use crate::ports::{AnswerPorts, RequestPorts};
 use crate::render::{Renderer, Shot};
 pub use film::{Film, Move, Recorder, Reel, Seen, film};
 pub use replica::{HORIZON_S, Replica, outlook};
@@ -83,8 +84,8 @@ fn work(config: Config, film: Film, stop: &AtomicBool, begin: &Sender<Result<(),
     };
     let _ = begin.send(Ok(()));
     while !stop.load(Ordering::Relaxed) {
-        studio.requests.tend();
-        if let Some(request) = studio.requests.newest(Message::check) {
+        studio.requests.update_connections();
+        if let Some(request) = studio.requests.requests.newest(Message::check) {
             studio.answer(&request);
         }
         studio.film.develop();
@@ -117,9 +118,9 @@ enum Declined {
 struct Studio {
     config: Config,
     film: Film,
-    requests: Subscriber<FrameRequest>,
+    requests: RequestPorts,
     /// Opened with the first picture: their shared memory is large.
-    answers: Option<Answers>,
+    answers: Option<AnswerPorts>,
     /// Made for the first picture.
     replica: Option<Replica>,
     renderer: Renderer,
@@ -128,25 +129,11 @@ struct Studio {
     wire: Wire,
 }
 
-struct Answers {
-    frames: Publisher<Frame>,
-    foresights: Publisher<Foresight>,
-}
-
-impl Answers {
-    fn open(wire: &Wire) -> Result<Answers, WireError> {
-        Ok(Answers {
-            frames: wire.publisher(FRAME)?,
-            foresights: wire.publisher(FORESIGHT)?,
-        })
-    }
-}
-
 impl Studio {
     fn open(config: Config, film: Film) -> Result<Studio, SetUpError> {
         let wire = Wire::join(&config.run.name.parse()?, Process::World)?;
         Ok(Studio {
-            requests: wire.subscriber(FRAME_REQUEST)?,
+            requests: RequestPorts::open(&wire)?,
             config,
             film,
             answers: None,
@@ -198,7 +185,7 @@ impl Studio {
         let picture = renderer.draw(world, &shot).ok_or(Declined::Memory)?;
         let answers = match &mut self.answers {
             Some(answers) => answers,
-            none => none.insert(Answers::open(&self.wire)?),
+            none => none.insert(AnswerPorts::open(&self.wire)?),
         };
         let header = Header {
             tick: seen.tick,
@@ -206,8 +193,7 @@ impl Studio {
             episode: reel.episode,
             ..Header::default()
         };
-        answers.frames.tend();
-        answers.foresights.tend();
+        answers.update_connections();
         answers
             .frames
             .show(header, picture.camera, picture.size_px[0], picture.rgb);

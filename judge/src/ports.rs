@@ -1,0 +1,26 @@
+//! The ports of the gate process.
+
+use shm_config::message::{Advice, Foresight, Frame, FrameRequest, Step};
+use shm_config::services::{ADVICE, FORESIGHT, FRAME, FRAME_REQUEST, STEP};
+
+shm_config::ports! {
+    /// What the gate's loop reads and publishes.
+    pub struct Ports of Gate with bell {
+        /// The newest record of a tick.
+        steps: newest STEP: Step,
+        /// What the gate advises.
+        advices: write ADVICE: Advice,
+    }
+}
+
+shm_config::ports! {
+    /// What the thread that asks a model reads and publishes.
+    pub struct PicturePorts of Gate {
+        /// Which picture is wanted.
+        requests: write FRAME_REQUEST: FrameRequest,
+        /// The pictures.
+        frames: newest FRAME: Frame,
+        /// What holding either proposal would lead to.
+        foresights: newest FORESIGHT: Foresight,
+    }
+}

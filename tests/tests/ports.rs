@@ -1,0 +1,66 @@
+//! Every row of the service table is opened by the processes that it names.
+
+use shm_config::services::{Process, SERVICES};
+use shm_config::wire::Use;
+
+/// A process, and the rows that one of its sets of ports uses.
+type Opened = (Process, &'static [(&'static str, Use)]);
+
+macro_rules! opened {
+    ($($ports:path),+ $(,)?) => { &[$( (<$ports>::PROCESS, <$ports>::ROWS) ),+] };
+}
+
+const OPENED: &[Opened] = opened![
+    sim::ports::Ports,
+    sim::ports::RequestPorts,
+    sim::ports::AnswerPorts,
+    planner::ports::Ports,
+    controller::ports::Ports,
+    controller::ports::LoaderPorts,
+    controller::ports::LearnerPorts,
+    judge::ports::Ports,
+    judge::ports::PicturePorts,
+    learner::ports::Ports,
+    learner::ports::OfferPorts,
+];
+
+/// Rows that every process that the supervisor starts opens as it joins the run.
+const BY_ALL: [&str; 4] = ["health/*", "timing/*", "roster", "fault"];
+
+fn is_opened(process: Process, row: &str, with: Use) -> bool {
+    OPENED
+        .iter()
+        .filter(|(of, _)| *of == process)
+        .any(|(_, rows)| rows.contains(&(row, with)))
+}
+
+#[test]
+fn every_flow_of_the_table_has_its_ports() {
+    let mut missing = Vec::new();
+    for row in SERVICES.iter().filter(|row| !BY_ALL.contains(&row.name)) {
+        let writers = row.producers.iter().map(|process| (process, Use::Writes));
+        let readers = row.consumers.iter().map(|process| (process, Use::Reads));
+        for (process, with) in writers.chain(readers) {
+            // The supervisor opens ports for each process of the run's table.
+            if *process != Process::Supervisor && !is_opened(*process, row.name, with) {
+                missing.push(format!("{process} {with:?} {}", row.name));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "no ports for: {missing:?}");
+}
+
+/// The macro refuses other rows when it compiles; this says so of the whole list.
+#[test]
+fn no_process_opens_a_row_that_does_not_name_it() {
+    for (process, rows) in OPENED {
+        for (name, with) in *rows {
+            let row = SERVICES.iter().find(|row| row.name == *name).expect(name);
+            let is_named = match with {
+                Use::Reads => row.is_consumed_by(*process),
+                Use::Writes => row.is_produced_by(*process),
+            };
+            assert!(is_named, "{process} {with:?} {name}");
+        }
+    }
+}
