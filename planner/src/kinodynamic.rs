@@ -228,7 +228,7 @@ impl Kinodynamic {
     /// heading within the spread around the road's, or any.
     fn sample(&self, line: &CentreLine, along_m: f64, sampler: &mut Sampler) -> Pose {
         let corridor = self.grid.corridor();
-        let wild = sampler.unit() < self.settings.wild_share;
+        let wild = sampler.unit() < self.settings.uniform_share;
         let road = line.at(sampler.unit() * along_m).body_from_road;
         let origin_m = line.at(0.0).body_from_road.translation.y;
         let across_m =

@@ -36,7 +36,7 @@ fn wild_config() -> impl Strategy<Value = Config> {
                 slow_mps: speed_mps,
                 goal_distance_m: drive.3 + 1.0,
                 reach_m: drive.3,
-                wild_share: drive.4,
+                uniform_share: drive.4,
                 ..Settings::default()
             },
             ..Config::default()

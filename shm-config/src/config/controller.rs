@@ -63,10 +63,12 @@ pub struct JudgeLimits {
     /// How far the rollouts look, s: the paper's picture shows 1.5 s.
     pub horizon_s: f64,
     /// Integration step, s.
+    #[serde(skip)]
     pub step_s: f64,
     /// Lidar returns nearer to the footprint than this count as contact, m.
     pub margin_m: f64,
     /// A centre this far beyond the road's edge has left it, m.
+    #[serde(skip)]
     pub edge_margin_m: f64,
     /// A contact or exit sooner than the time to stop plus this vetoes, s.
     pub reaction_s: f64,

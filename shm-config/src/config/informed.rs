@@ -13,6 +13,7 @@ pub struct Informed {
     pub inflation_m: f64,
     /// A plan older than this is forgotten, s. 0.5: five ticks of the paper's
     /// 0.1 s, in which the car moves by a step of the tree.
+    #[serde(skip)]
     pub memory_s: f64,
 }
 

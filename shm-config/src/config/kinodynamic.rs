@@ -18,31 +18,39 @@ pub struct Kinodynamic {
     /// Sideways acceleration that no curve asks for more than, m/s²: at the speed
     /// v the radius is at least v²/a, and at least the car's own. 4.0 at 5 m/s is
     /// a radius of 6.25 m; tyres slide above 11.
+    #[serde(skip)]
     pub lateral_mps2: f64,
     /// When no path is found at `planner.speed_mps`, one is looked for at this
     /// speed, m/s, with the tighter curves that it allows. 2.5: 3.1 m with the
     /// default car, whose own radius is 2.94 m.
+    #[serde(skip)]
     pub slow_mps: f64,
     /// Deceleration towards the end of a path that does not reach its goal, m/s².
     /// 2.0: a fifth of what the brake can do.
+    #[serde(skip)]
     pub brake_mps2: f64,
     /// How far along the road the goal lies at most, m. 20.0: four seconds.
     pub goal_distance_m: f64,
     /// How far a bend may leave the straight line to the goal while the road's
     /// middle is free, m. 0.25: as in `planner.goal_sag_m`.
+    #[serde(skip)]
     pub goal_sag_m: f64,
     /// A node this much off the road's direction is still in the goal ball, rad.
+    #[serde(skip)]
     pub goal_heading_rad: f64,
     /// Samples head this much off the road's direction at most, rad. 0.8: past an
     /// obstacle, a car that turns at 6.25 m radius needs 0.7 for a lane of 3.5 m.
+    #[serde(skip)]
     pub spread_rad: f64,
     /// Parents are chosen and edges rewired within this distance, m; a sample
     /// farther than this from every node is approached that far. 10.0: half the
     /// way to the goal, because an edge can lead round an obstacle by itself.
+    #[serde(skip)]
     pub reach_m: f64,
     /// Share of the samples spread evenly over all headings and the whole road;
     /// the others follow the road. 0.1: rare, but it keeps every place reachable.
-    pub wild_share: f64,
+    #[serde(skip)]
+    pub uniform_share: f64,
 }
 
 impl Default for Kinodynamic {
@@ -58,7 +66,7 @@ impl Default for Kinodynamic {
             goal_heading_rad: 0.5,
             spread_rad: 0.8,
             reach_m: 10.0,
-            wild_share: 0.1,
+            uniform_share: 0.1,
         }
     }
 }
@@ -88,7 +96,7 @@ impl Kinodynamic {
             ("kinodynamic.goal_sag_m", self.goal_sag_m, 0.01..=1000.0),
             ("kinodynamic.spread_rad", self.spread_rad, 0.0..=3.2),
             ("kinodynamic.reach_m", self.reach_m, 1.0..=100.0),
-            ("kinodynamic.wild_share", self.wild_share, 0.0..=1.0),
+            ("kinodynamic.uniform_share", self.uniform_share, 0.0..=1.0),
         ];
         for (key, value, range) in rows {
             in_range(key, value, range)?;

@@ -69,6 +69,7 @@ pub struct Learner {
     pub imagined_scenes: u32,
     /// How long a step waits for the answer to its question, s; then it has no
     /// label.
+    #[serde(skip)]
     pub label_wait_s: f64,
     /// In lockstep: how long the controller waits for the learner, s on the
     /// machine's clock; then a silent learner is not waited for until it speaks

@@ -13,39 +13,52 @@ pub struct Mpc {
     /// and take half as long again.
     pub steps: u32,
     /// Length of a step, s; the period of the commands of the experiment.
+    #[serde(skip)]
     pub step_s: f64,
     /// Speed wanted on a free straight road, m/s. The other traffic drives 8.3;
     /// over 200 maps 8.0 arrives untouched in 0.970, 6.0 in 0.985.
     pub speed_mps: f64,
     /// Sideways acceleration that a bend is taken with, m/s². A quarter of where
     /// the tyres let go (11 m/s²).
+    #[serde(skip)]
     pub sideways_mps2: f64,
     /// Deceleration that is planned with, m/s²; the brake gives four times as much.
     pub brake_mps2: f64,
     /// Distance kept from obstacles and the road's edges where there is room, m.
     pub clearance_m: f64,
     /// Distance below which a way counts as blocked, m.
+    #[serde(skip)]
     pub contact_m: f64,
     /// How far before a blocked place the car stops, m, from its centre; near
     /// enough to see past, far enough to steer past.
+    #[serde(skip)]
     pub standoff_m: f64,
     /// Cost of one metre off the path, squared.
+    #[serde(skip)]
     pub weight_offset: f64,
     /// Cost of one radian off the path's direction, squared.
+    #[serde(skip)]
     pub weight_heading: f64,
     /// Cost of 1 m/s off the wanted speed, squared.
+    #[serde(skip)]
     pub weight_speed: f64,
     /// Cost of one radian of wheel angle, squared.
+    #[serde(skip)]
     pub weight_steer: f64,
     /// Cost of one radian of change of the wheel angle from step to step, squared.
+    #[serde(skip)]
     pub weight_steer_change: f64,
     /// Cost of 1 m/s² of acceleration, squared.
+    #[serde(skip)]
     pub weight_accel: f64,
     /// Cost of 1 m/s² of change of acceleration from step to step, squared.
+    #[serde(skip)]
     pub weight_accel_change: f64,
     /// Cost of one metre inside an obstacle's or edge's clearance; also of its square.
+    #[serde(skip)]
     pub weight_slack: f64,
     /// The solver stops after this many iterations; it needs 8 to 20.
+    #[serde(skip)]
     pub iterations: u32,
     /// The solver stops after this time, ms, and the last plan is followed on.
     /// In lockstep there is no such limit, so that runs repeat.

@@ -62,15 +62,18 @@ pub struct Planner {
     /// Speed written on each waypoint, m/s: `v_ref`.
     pub speed_mps: f64,
     /// Share of the samples that are the goal itself. The paper has none: 0.
+    #[serde(skip)]
     pub goal_bias: f64,
     /// How far along the road the goal lies at most, m. See the planner's `choose_goal`.
     pub goal_distance_m: f64,
     /// How far a bend of the road may leave the straight line to the goal, m.
     /// See the planner's `choose_goal`.
+    #[serde(skip)]
     pub goal_sag_m: f64,
     /// A path that does not reach the goal and ends nearer than this to the car
     /// is no path, m. 4.0: the front bumper is 2.26 m ahead of the centre, a car
     /// at 5 m/s stops within 1.1 m, and one tick is 0.5 m more.
+    #[serde(skip)]
     pub partial_min_m: f64,
     /// The stream of samples of a plan depends on this, on the episode and on
     /// the tick, and on nothing else.

@@ -41,12 +41,14 @@ pub struct Policy {
     /// are rolled back, of steering or pedal, whichever changes more.
     pub jump_max: f64,
     /// How far the answer to a probe may be from the one in the file.
+    #[serde(skip)]
     pub tolerance: f64,
     /// Nets that take longer to answer are refused, us; half of the answers in
     /// the warm-up must be quicker. Not looked at in lockstep.
     pub inference_max_us: f64,
     /// How long a tick waits for ONNX Runtime's answer, us; without one, the
     /// policy has no proposal in it.
+    #[serde(skip)]
     pub ort_wait_us: f64,
 }
 

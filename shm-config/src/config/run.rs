@@ -123,9 +123,11 @@ pub struct Limits {
     /// How long the controller waits for the plan of its observation, where the
     /// planner makes one, before it follows the one before, as a share of the
     /// controller's period.
+    #[serde(skip)]
     pub plan_wait: f64,
     /// How long after the grid's instant the controller ticks without a new
     /// observation, as a share of the controller's period.
+    #[serde(skip)]
     pub observation_wait: f64,
     /// In lockstep: how long a process waits for another before it goes on
     /// without, s on the machine's clock.
