@@ -9,6 +9,7 @@ mod markdown;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use shm_config::config::Config;
 
@@ -17,8 +18,23 @@ use markdown::Code;
 
 /// What the pages describe before the tree has it: paths by their beginning, commands by
 /// their first words. A test fails as soon as one of them exists, so the list empties.
-const PENDING_PATHS: &[&str] = &[];
-const PENDING_COMMANDS: &[&str] = &[];
+const PENDING_PATHS: &[&str] = &[
+    "runtime/",
+    "safety/",
+    "stack/",
+    "lab/",
+    "view/",
+    "gate/src/query/",
+    "gate/src/advice/",
+    "gate/src/presentation/",
+    "gate/src/model/",
+    "gate/src/judge/",
+    "supervisor/src/set/",
+    "supervisor/src/commands/",
+    "supervisor/src/cli/",
+    "controller/tests/canary.rs",
+];
+const PENDING_COMMANDS: &[&str] = &["judge serve", "sweep"];
 
 /// Endings that make a name a file's, not a configuration key's.
 const FILE_ENDINGS: &[&str] = &[
@@ -71,6 +87,12 @@ fn ending(path: &Path) -> &str {
 }
 
 impl Facts {
+    /// Read once for all tests.
+    fn get() -> &'static Self {
+        static FACTS: OnceLock<Facts> = OnceLock::new();
+        FACTS.get_or_init(Self::gather)
+    }
+
     fn gather() -> Self {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
         let root = root.canonicalize().expect("the root");
@@ -279,7 +301,10 @@ impl Facts {
         words.windows(2).find_map(|pair| {
             let [option, value] = pair else { return None };
             let is_there = match *option {
-                "-p" => self.packages.contains(*value),
+                "-p" => {
+                    let folder = format!("{value}/");
+                    self.packages.contains(*value) || PENDING_PATHS.contains(&folder.as_str())
+                }
                 "--test" | "--example" => {
                     let folder = option.trim_start_matches('-').to_string();
                     let folder = if folder == "test" {
@@ -311,6 +336,10 @@ fn names(root: &Path) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     for path in sources {
         let text = fs::read_to_string(&path).expect("a source");
+        let name = path
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned());
+        names.extend(name);
         let is_part = |c: char| c.is_ascii_alphanumeric() || c == '_';
         names.extend(text.split(|c| !is_part(c)).map(String::from));
         names.extend(
@@ -323,7 +352,7 @@ fn names(root: &Path) -> BTreeSet<String> {
 
 #[test]
 fn every_reference_in_the_pages_exists() {
-    let facts = Facts::gather();
+    let facts = Facts::get();
     let pages = files(&facts.root, &|path| ending(path) == "md");
     assert!(pages.len() > 10, "the pages were found");
     let problems: Vec<String> = pages
@@ -339,7 +368,7 @@ fn every_reference_in_the_pages_exists() {
 
 #[test]
 fn every_reference_in_the_help_exists() {
-    let facts = Facts::gather();
+    let facts = Facts::get();
     let mut problems = Vec::new();
     for (words, text) in &facts.help {
         for line in text.lines().map(str::trim) {
@@ -368,7 +397,7 @@ fn every_reference_in_the_help_exists() {
 
 #[test]
 fn the_checks_find_what_is_wrong() {
-    let facts = Facts::gather();
+    let facts = Facts::get();
     for right in [
         "[map](ARCHITECTURE.md), [unsafe](ARCHITECTURE.md#homes-of-unsafe)",
         "`./vlaps up --lockstep --episodes 5 --seed 3 --json a.json`",
@@ -401,7 +430,7 @@ fn the_checks_find_what_is_wrong() {
 
 #[test]
 fn what_is_pending_is_not_there_yet() {
-    let facts = Facts::gather();
+    let facts = Facts::get();
     for path in PENDING_PATHS {
         assert!(
             !facts.root.join(path).exists(),

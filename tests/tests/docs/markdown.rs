@@ -34,8 +34,15 @@ pub fn read(text: &str) -> Page {
             continue;
         }
         if is_fenced {
-            joined.push_str(line.trim_end_matches('\\'));
-            if !line.ends_with('\\') {
+            // One space between the parts: two of them begin a remark.
+            joined.push_str(match joined.is_empty() {
+                true => line,
+                false => line.trim_start(),
+            });
+            if joined.ends_with('\\') {
+                joined.truncate(joined.trim_end_matches(['\\', ' ']).len());
+                joined.push(' ');
+            } else {
                 page.code.push(Code {
                     line: line_number,
                     text: std::mem::take(&mut joined),
