@@ -1,6 +1,6 @@
 //! The tick's arithmetic: messages, the policy's answer and the time in, a step out.
 
-use gate::{Scene, assess};
+use safety::{Scene, assess};
 use shm_config::config::{self, Config, GateMode, JudgeLimits, Late};
 use shm_config::message::{
     Admission, Advice, Assessment, Before, Command, Driver, Entry, Intent, Lateness, Observation,

@@ -1,8 +1,8 @@
 //! When a judge is asked, whom its answers let drive, and what they teach.
 
-use gate::{
-    Answer, AtOnce, Committee, Counsel, Docket, Failure, Judge, Occasion, Question, Ruling,
-    Threaded,
+use gate::advice::Counsel;
+use gate::query::{
+    Answer, AtOnce, Committee, Docket, Failure, Judge, Occasion, Question, Ruling, Threaded,
 };
 use shm_config::Instant;
 use shm_config::config::{Gate, When};

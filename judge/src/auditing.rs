@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
+use gate::model::Asker;
+use gate::record::store::{Records, read};
+use gate::record::{Record, Said, Verdict};
 use indicatif::{ProgressBar, ProgressStyle};
-use judge::Asker;
 use judge::audit::{Figures, page};
-use judge::record::{Record, Said, Verdict};
 use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
-use judge::store::{Records, read};
 use shm_config::config::{Config, from_toml};
 use shm_config::judged::of_these_similar;
 use shm_config::text::printable_json;

@@ -8,11 +8,12 @@ use std::time::Duration;
 use image::ImageReader;
 use shm_config::config::{PromptPreset, Vlm};
 
-use crate::picture::{Encoding, Picture};
-use crate::record::{Asking, Record, Verdict};
 use crate::statistics::kappa;
-use crate::store::{Records, Store, read};
-use crate::{Asker, Fault, Prompt, Reply, Showing, combine};
+use gate::model::{Asker, Fault};
+use gate::presentation::picture::{Encoding, Picture};
+use gate::presentation::{Prompt, Reply, Showing, combine};
+use gate::record::store::{Records, Store, read};
+use gate::record::{Asking, Record, Verdict};
 
 /// How long is waited when the own limit of requests per minute is reached.
 const PACE: Duration = Duration::from_secs(1);
@@ -49,7 +50,11 @@ impl Replay {
     ///
     /// # Errors
     /// When the folder cannot be written.
-    pub fn new(vlm: &Vlm, asker: Asker, folder: &Path) -> Result<Self, crate::store::StoreError> {
+    pub fn new(
+        vlm: &Vlm,
+        asker: Asker,
+        folder: &Path,
+    ) -> Result<Self, gate::record::store::StoreError> {
         let store = Store::open(folder, vlm.record_bytes_max)?;
         let done = read(folder).map_or_else(|_| Vec::new(), |records| records.questions);
         Ok(Self {
@@ -140,7 +145,7 @@ impl Replay {
     }
 
     /// What could not be kept.
-    pub fn lost(&self) -> &crate::store::Lost {
+    pub fn lost(&self) -> &gate::record::store::Lost {
         self.store.lost()
     }
 }

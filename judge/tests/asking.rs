@@ -1,13 +1,15 @@
 //! Questions over real HTTP, and the limits on them.
 
+#[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
 
 use std::sync::Arc;
 use std::time::Duration;
 
+use gate::model::{Asked, Asker, Fault};
+use gate::presentation::{Hue, Prompt, Reply};
 use image::ImageFormat;
 use judge::standin::{Mishap, Options, Server};
-use judge::{Asked, Asker, Fault, Hue, Prompt, Reply};
 use shared::{PATIENCE_S, SHOWING, ask, asker, picture, prompt, red_ahead, runtime, vlm};
 use shm_config::config::{Dialect, PromptPreset, View, Vlm};
 
@@ -58,7 +60,7 @@ fn a_swapped_question_about_the_same_picture_has_the_same_answer() {
     let asker = asker(&vlm(server.url()));
     for view in [View::Ego, View::TopDown] {
         let [first, second] = SHOWING.hues;
-        let other = judge::Showing {
+        let other = gate::presentation::Showing {
             hues: [second, first],
             ..SHOWING
         };

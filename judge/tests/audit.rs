@@ -1,14 +1,15 @@
 //! The audit: what it counts, and that nothing a model said becomes markup.
 
+#[path = "../../gate/tests/records/mod.rs"]
 mod records;
 
 use std::path::Path;
 use std::process::Command;
 
+use gate::presentation::{Party, Reply};
+use gate::record::store::{Records, Store, read};
+use gate::record::{Record, Verdict};
 use judge::audit::{Figures, page};
-use judge::record::{Record, Verdict};
-use judge::store::{Records, Store, read};
-use judge::{Party, Reply};
 use records::{SHOWING, asking, picture, record};
 
 /// Asked twice, the paths swapped.

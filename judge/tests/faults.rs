@@ -2,12 +2,13 @@
 //! so many requests, and after a permanent one no more. A row for each mishap of
 //! the stand-in is enforced by the compiler.
 
+#[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
 
 use std::net::TcpListener;
 
+use gate::model::{Asker, Fault};
 use judge::standin::{Mishap, Options, Server};
-use judge::{Asker, Fault};
 use shared::{PATIENCE_S, ask, asker, prompt, red_ahead, vlm};
 use shm_config::config::{PromptPreset, Vlm};
 
@@ -165,7 +166,7 @@ fn the_blind_prompt_is_as_strict() {
     }
 }
 
-fn ask_at(server: String) -> (Asker, judge::Asked) {
+fn ask_at(server: String) -> (Asker, gate::model::Asked) {
     let asker = asker(&vlm(server));
     let asked = ask(
         &asker,
@@ -236,6 +237,6 @@ fn every_fault_has_a_word_of_its_own_and_is_never_an_answer() {
     for fault in Fault::ALL {
         assert!(!fault.is_permanent() || !fault.is_retryable(), "{fault:?}");
         // Whatever it is, the gate is told of a failure.
-        let _: gate::Failure = fault.failure();
+        let _: gate::query::Failure = fault.failure();
     }
 }

@@ -1,6 +1,7 @@
 //! A server of one's own behind HTTPS: its authority is trusted when
 //! `vlm.ca_file` says so, and not otherwise.
 
+#[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
 
 use std::fs;
@@ -11,8 +12,9 @@ use std::sync::Arc;
 use std::sync::mpsc;
 use std::thread;
 
+use gate::model::{Asker, Fault};
+use gate::presentation::Reply;
 use judge::standin::{Options, Server};
-use judge::{Asker, Fault, Reply};
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use rustls::ServerConfig;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};

@@ -1,16 +1,18 @@
 //! A record's questions, asked again of the stand-in over HTTP.
 
+#[path = "../../gate/tests/records/mod.rs"]
 mod records;
 
 use std::sync::Arc;
 
+use gate::model::Asker;
+use gate::presentation::picture::{Photo, Picture, Proposals, Style, picture};
+use gate::presentation::{Party, Prompt, Reply, Showing};
+use gate::record::store::{Store, read};
+use gate::record::{Record, Verdict};
 use judge::eyes::Sighted;
-use judge::picture::{Photo, Picture, Proposals, Style, picture};
-use judge::record::{Record, Verdict};
 use judge::replay::{Comparison, Replay, Step};
 use judge::standin::{Options, Server};
-use judge::store::{Store, read};
-use judge::{Asker, Party, Prompt, Reply, Showing};
 use records::{SHOWING, asking, record};
 use shm_config::config::{PromptPreset, View, Vlm};
 use shm_config::message::Camera;

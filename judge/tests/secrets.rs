@@ -1,12 +1,13 @@
 //! The key travels in one header and shows up nowhere else.
 
+#[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
 
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
+use gate::model::{Asker, Fault};
 use judge::standin::{Mishap, Options, Server};
-use judge::{Asker, Fault};
 use shared::{PATIENCE_S, ask, prompt, red_ahead, vlm};
 use shm_config::config::PromptPreset;
 use tracing_subscriber::fmt::MakeWriter;

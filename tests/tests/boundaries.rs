@@ -10,12 +10,13 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("shm-config", &["vehicle"]),
     ("process", &["shm-config"]),
     ("planner", &["vehicle", "shm-config", "process"]),
-    ("gate", &["vehicle", "shm-config", "process"]),
-    ("judge", &["vehicle", "shm-config", "process", "gate"]),
+    ("safety", &["vehicle", "shm-config"]),
+    ("gate", &["vehicle", "shm-config", "process", "safety"]),
+    ("judge", &["vehicle", "shm-config", "gate"]),
     ("policy", &["shm-config"]),
     (
         "controller",
-        &["vehicle", "shm-config", "process", "gate", "policy"],
+        &["vehicle", "shm-config", "process", "safety", "policy"],
     ),
     ("sim", &["vehicle", "shm-config", "process"]),
     (

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use gate::record::store;
+use gate::record::{Record, Verdict};
 use judge::eyes::Sighted;
-use judge::record::{Record, Verdict};
 use judge::standin::{Mishap, Options, Server};
-use judge::store;
 use serde_json::Value;
 use vlaps_tests::{Set, until};
 

@@ -18,8 +18,8 @@ const OPENED: &[Opened] = opened![
     controller::ports::Ports,
     controller::ports::LoaderPorts,
     controller::ports::LearnerPorts,
-    judge::ports::Ports,
-    judge::ports::PicturePorts,
+    gate::ports::Ports,
+    gate::ports::PicturePorts,
     learner::ports::Ports,
     learner::ports::OfferPorts,
 ];

@@ -5,13 +5,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
+use gate::model::{Asker, Fault};
+use gate::presentation::picture::{Style, picture};
+use gate::presentation::{Party, Prompt, Showing};
+use gate::record::store::Store;
+use gate::record::{Asking, Occasion, Record, Said};
 use judge::audit::Agreement;
-use judge::picture::{Style, picture};
-use judge::record::{Asking, Occasion, Record, Said};
 use judge::replay::verdict;
 use judge::statistics::Share;
-use judge::store::Store;
-use judge::{Asker, Fault, Party, Prompt, Showing};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
 use serde::Serialize;
@@ -209,7 +210,7 @@ fn fault(askings: &[Asking]) -> String {
 
 fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
     Record {
-        version: judge::record::VERSION,
+        version: gate::record::VERSION,
         question: 0,
         tick: scene.tick,
         episode: scene.seed as u32,

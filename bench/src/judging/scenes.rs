@@ -1,9 +1,9 @@
 //! Scenes for a judge, with what the simulator knows of them.
 
 use anyhow::{Context, anyhow};
-use judge::Party;
-use judge::picture::{Photo, Proposals};
-use judge::record::{Outlook, Proposed};
+use gate::presentation::Party;
+use gate::presentation::picture::{Photo, Proposals};
+use gate::record::{Outlook, Proposed};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::config::Config;
@@ -197,10 +197,10 @@ impl Drive<'_> {
     ) -> Option<Scene> {
         let (vehicle, limits) = (&self.config.vehicle, &self.config.judge);
         let speed_mps = observation.ego.speed_mps;
-        let reach_m = gate::Scene::reach_m(vehicle, limits, speed_mps);
-        let seen = gate::Scene::new(observation, reach_m);
+        let reach_m = safety::Scene::reach_m(vehicle, limits, speed_mps);
+        let seen = safety::Scene::new(observation, reach_m);
         let proposed = |action: Action| {
-            let assessment = gate::assess(vehicle, limits, &seen, Some(action));
+            let assessment = safety::assess(vehicle, limits, &seen, Some(action));
             Proposed::new(&Proposal::new(Some(action)), &assessment)
         };
         let expert_outlook = outlook_of(self.world, Party::Expert, expert)?;

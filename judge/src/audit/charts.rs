@@ -3,8 +3,8 @@
 use maud::{Markup, html};
 
 use super::figures::{BINS, Bin};
-use crate::record::{Record, Said};
 use crate::statistics::Share;
+use gate::record::{Record, Said};
 
 /// Bars of the histogram of latencies.
 const BARS: usize = 28;

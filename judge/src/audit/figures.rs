@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::record::{Asking, Record, Said, Verdict};
 use crate::statistics::{Share, kappa, quantile};
-use crate::{Hue, Party, Reply};
+use gate::presentation::{Hue, Party, Reply};
+use gate::record::{Asking, Record, Said, Verdict};
 
 /// Bins of the calibration, of equal width over [0, 1].
 pub const BINS: usize = 10;

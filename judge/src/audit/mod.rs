@@ -15,8 +15,8 @@ pub use figures::{Agreement, BINS, Bin, Figures, Flips, Truth};
 
 use shm_config::text::printable_lines;
 
-use crate::record::Record;
-use crate::store::Records;
+use gate::record::Record;
+use gate::record::store::Records;
 
 /// A picture larger than this is linked and not embedded, bytes.
 const PICTURE_BYTES_MAX: u64 = 4 << 20;

@@ -9,9 +9,9 @@ use shm_config::judged::of_these_similar;
 use super::charts::{self, seconds};
 use super::figures::{Agreement, Figures};
 use super::{Pictures, questions};
-use crate::record::Said;
 use crate::statistics::Share;
-use crate::store::Records;
+use gate::record::Said;
+use gate::record::store::Records;
 
 const STYLE: &str = include_str!("page.css");
 /// No scripts, no connections, no pictures but those in the page.

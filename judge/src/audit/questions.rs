@@ -6,8 +6,8 @@ use shm_config::counted;
 use super::charts::seconds;
 use super::figures::Truth;
 use super::{Pictures, Shown};
-use crate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Said, Vote};
-use crate::{Hue, Party, Reply, Showing};
+use gate::presentation::{Hue, Party, Reply, Showing};
+use gate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Said, Vote};
 
 pub fn question(record: &Record, pictures: &Pictures) -> Markup {
     html! {

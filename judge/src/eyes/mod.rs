@@ -18,7 +18,7 @@ use shm_config::config;
 use shm_config::message::{Camera, View};
 
 use crate::standin::{Eyes, Sighting};
-use crate::{Hue, Reply};
+use gate::presentation::{Hue, Reply};
 use ground::Ground;
 pub use ground::{Kind, Trouble};
 

@@ -8,8 +8,8 @@ use shm_config::message::Camera;
 use shm_config::palette::distance;
 use vehicle::{Point, Vector};
 
-use crate::Hue;
-use crate::picture::LINE;
+use gate::presentation::Hue;
+use gate::presentation::picture::LINE;
 
 /// A pixel is of a hue when its colour is this near: half of what the hues are
 /// apart, less a little; JPEG shifts the colours of thin lines.

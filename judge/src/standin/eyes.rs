@@ -1,7 +1,7 @@
 use image::RgbImage;
 use shm_config::config::View;
 
-use crate::{Hue, Reply};
+use gate::presentation::{Hue, Reply};
 
 /// What eyes made of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]

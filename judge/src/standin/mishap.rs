@@ -8,7 +8,7 @@ use shm_config::config::PromptPreset;
 
 use super::Sighting;
 use super::routes::{completion, error, worded};
-use crate::Reply;
+use gate::presentation::Reply;
 
 /// Declares the closed list: each mishap with its name.
 macro_rules! mishaps {

@@ -27,7 +27,7 @@ use tokio::time::Instant;
 pub use eyes::{Eyes, Middle, Sighting};
 pub use mishap::Mishap;
 
-use crate::limits::Rate;
+use gate::model::Rate;
 
 /// What the stand-in calls itself, wherever a model would say its name.
 pub use shm_config::config::STAND_IN as NAME;

@@ -7,8 +7,8 @@ use image::{ImageFormat, ImageReader, Limits, RgbImage};
 use serde_json::Value;
 use shm_config::config::{PromptPreset, View};
 
-use crate::Hue;
-use crate::prompt::{PAPER_FORM, view_words};
+use gate::presentation::Hue;
+use gate::presentation::{PAPER_FORM, view_words};
 
 /// Largest picture that is decoded, pixels along a side.
 const SIDE_MAX: u32 = 8192;

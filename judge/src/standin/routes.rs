@@ -15,8 +15,8 @@ use shm_config::config::PromptPreset;
 
 use super::question::Question;
 use super::{NAME, Shared, Sighting};
-use crate::Reply;
-use crate::prompt::{LETTERS, SIMILAR};
+use gate::presentation::Reply;
+use gate::presentation::{LETTERS, SIMILAR};
 
 /// Longest request that is read.
 const REQUEST_BYTES_MAX: usize = 64 << 20;

@@ -1,6 +1,6 @@
 //! Files and answers from outside.
 
-use judge::{Prompt, Showing};
+use gate::presentation::{Prompt, Showing};
 use planner::Planner;
 use policy::Net;
 use shm_config::config::{self, Config, PromptPreset, View};
@@ -62,7 +62,7 @@ pub fn answers(bytes: &[u8]) -> Said {
         _ => Showing::PAPER.swapped(),
     };
     let prompt = Prompt::new(preset, showing, View::Ego, 3.0);
-    let reading = judge::read_answer(body, &prompt);
+    let reading = gate::model::read_answer(body, &prompt);
     let confidence = reading.reply.ok().and_then(|(_, confidence)| confidence);
     assert!(confidence.is_none_or(|share| (0.0..=1.0).contains(&share)));
     Said::of(reading.reply.is_ok())

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use judge::{Recorded, audit, store};
+use gate::judge::Recorded;
+use gate::record::store;
+use judge::audit;
 use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, last_mark};
 

@@ -3,7 +3,9 @@
 use std::cell::RefCell;
 
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
-use gate::{AtOnce, Counsel, Rules};
+use gate::advice::Counsel;
+use gate::judge::Rules;
+use gate::query::AtOnce;
 use learner::assembler::{Assembler, Counts, Labelling};
 use planner::Planner;
 use shm_config::config::planner::Method;

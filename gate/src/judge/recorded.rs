@@ -1,0 +1,128 @@
+use std::collections::{HashMap, VecDeque};
+
+use shm_config::message::{Judge as JudgeKind, Step};
+use shm_config::{Instant, Message};
+use vehicle::Action;
+
+use crate::query::{Answer, Docket, Failure, Question, Ruling};
+use crate::record::{Proposed, Record, Verdict};
+
+/// The answers of a recorded run: asked where that run asked, heard when it
+/// heard. In lockstep, from the same seed, the same commands follow bit by bit.
+pub struct Recorded {
+    answers: HashMap<(u32, u64), Recollection>,
+    /// Questions that are not the recorded ones.
+    strayed: u64,
+    pending: VecDeque<(Question, Recollection)>,
+}
+
+/// Numbers of one tick that differ by less are the same: JSON may round them.
+const SAME: f64 = 1e-9;
+
+#[derive(Clone, Copy)]
+struct Recollection {
+    answer: Answer,
+    heard_ns: u64,
+    speed_mps: f64,
+    proposed: [Option<Action>; 2],
+}
+
+impl Recollection {
+    /// The question is the one that was recorded: the car is as fast, and both
+    /// propose the same.
+    fn is_about(&self, question: &Question) -> bool {
+        let speed_mps = question.observation.ego.speed_mps;
+        let proposed = [question.expert.action(), question.policy.action()];
+        let is_same = |(now, then): (&Option<Action>, &Option<Action>)| match (now, then) {
+            (None, None) => true,
+            (Some(now), Some(then)) => {
+                (now.steer - then.steer).abs() < SAME && (now.pedal - then.pedal).abs() < SAME
+            }
+            (None, Some(_)) | (Some(_), None) => false,
+        };
+        (speed_mps - self.speed_mps).abs() < SAME
+            && proposed.iter().zip(&self.proposed).all(is_same)
+    }
+}
+
+impl Recorded {
+    /// The answers of these records; those that were never heard stay so.
+    pub fn new<'a>(records: impl IntoIterator<Item = &'a Record>) -> Self {
+        let answers = records.into_iter().map(|record| {
+            let answer = match record.verdict {
+                Verdict::Expert => Answer::Expert,
+                Verdict::Policy => Answer::Policy,
+                Verdict::Abstain => Answer::Abstain,
+                Verdict::Failed => Answer::Failed(Failure::Unavailable),
+            };
+            let action = |proposed: &Proposed| Action {
+                steer: proposed.steer,
+                pedal: proposed.pedal,
+            };
+            let recollection = Recollection {
+                answer,
+                heard_ns: record.heard_ns,
+                speed_mps: record.speed_mps,
+                proposed: [&record.expert, &record.policy].map(|p| p.as_ref().map(action)),
+            };
+            ((record.episode, record.tick), recollection)
+        });
+        Self {
+            answers: answers.collect(),
+            strayed: 0,
+            pending: VecDeque::new(),
+        }
+    }
+}
+
+impl Docket for Recorded {
+    fn kind(&self) -> JudgeKind {
+        JudgeKind::Recorded
+    }
+
+    fn put(&mut self, question: &Question) -> bool {
+        // Once each: a tick that comes again is another run's.
+        match self.answers.remove(&question.key()) {
+            Some(recollection) if !recollection.is_about(question) => {
+                self.strayed += 1;
+                if self.strayed == 1 {
+                    tracing::warn!(
+                        tick = question.key().1,
+                        "the recording is of another run: other speed or proposals; its answers \
+                         are not used where they differ, and the expert drives"
+                    );
+                }
+                let stray = Recollection {
+                    answer: Answer::Failed(Failure::Unavailable),
+                    ..recollection
+                };
+                self.pending.push_back((*question, stray));
+                true
+            }
+            Some(recollection) => {
+                self.pending.push_back((*question, recollection));
+                true
+            }
+            None => false,
+        }
+    }
+
+    fn take(&mut self, now: Instant) -> Option<(Question, Ruling)> {
+        let is_due = |(_, answer): &(Question, Recollection)| {
+            answer.heard_ns > 0 && answer.heard_ns <= now.0
+        };
+        let first = self.pending.iter().position(is_due)?;
+        let (question, recollection) = self.pending.remove(first)?;
+        Some((question, Ruling::new(recollection.answer, 0.0)))
+    }
+
+    fn awaited(&self) -> usize {
+        // They come when they came, not sooner for being waited for.
+        0
+    }
+
+    fn wants(&self, step: &Step) -> Option<bool> {
+        let header = step.observation.header();
+        Some(self.answers.contains_key(&(header.episode, header.tick)))
+    }
+}

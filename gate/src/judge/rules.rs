@@ -1,0 +1,65 @@
+use safety::{Scene, assess};
+use shm_config::config::JudgeLimits;
+use shm_config::message::{Assessment, Judge as JudgeKind};
+use vehicle::Vehicle;
+
+use crate::query::{Answer, Judge, Question, Ruling};
+
+/// Rollouts that stay safe this much longer are safer, s: one period.
+const SAFER_S: f64 = 0.1;
+/// A policy may fall behind the expert by this share of the expert's progress and
+/// still count as similar. A share, because a rollout is short: from rest, or at a
+/// crawl, an expert that drives off gains little over a car that does not.
+const BEHIND_SHARE: f64 = 0.1;
+/// Progress that is none, m.
+const NO_PROGRESS_M: f64 = 0.1;
+
+/// The built-in judge: compares both rollouts by exact geometry.
+pub struct Rules {
+    vehicle: Vehicle,
+    limits: JudgeLimits,
+}
+
+impl Rules {
+    /// A judge of cars of this kind.
+    pub fn new(vehicle: Vehicle, limits: JudgeLimits) -> Self {
+        Self { vehicle, limits }
+    }
+}
+
+impl Judge for Rules {
+    fn kind(&self) -> JudgeKind {
+        JudgeKind::Rules
+    }
+
+    fn ask(&mut self, question: &Question) -> Ruling {
+        let speed_mps = question.observation.ego.speed_mps;
+        let reach_m = Scene::reach_m(&self.vehicle, &self.limits, speed_mps);
+        let scene = Scene::new(&question.observation, reach_m);
+        let [expert, policy] = [question.expert, question.policy]
+            .map(|proposal| assess(&self.vehicle, &self.limits, &scene, proposal.action()));
+        let answer = match (question.expert.action(), question.policy.action()) {
+            (_, None) => Answer::Abstain,
+            (None, Some(_)) if policy.is_vetoed() => Answer::Abstain,
+            (None, Some(_)) => Answer::Policy,
+            (Some(_), Some(_)) => compare(&expert, &policy),
+        };
+        Ruling::new(answer, 0.0)
+    }
+}
+
+/// Safety first, then progress; similar means the policy may drive (the
+/// prompt's 0 of Sec. 8.5).
+fn compare(expert: &Assessment, policy: &Assessment) -> Answer {
+    if policy.safe_s < expert.safe_s - SAFER_S {
+        return Answer::Expert;
+    }
+    if policy.safe_s > expert.safe_s + SAFER_S {
+        return Answer::Policy;
+    }
+    let behind_m = (BEHIND_SHARE * expert.progress_m).max(NO_PROGRESS_M);
+    if policy.progress_m < expert.progress_m - behind_m {
+        return Answer::Expert;
+    }
+    Answer::Policy
+}

@@ -1,0 +1,72 @@
+//! Connections to a server: whom they trust, and where they do not follow.
+
+use reqwest::{Certificate, Url, redirect};
+use shm_config::config::Vlm;
+
+use super::AskerError;
+use super::key::is_loopback;
+
+/// Largest file of certificates, bytes; a system's whole collection has 250 kB.
+const CA_BYTES_MAX: u64 = 4 << 20;
+
+/// Makes connections to this address; opens none yet.
+///
+/// # Errors
+/// When the authorities' certificates cannot be used.
+pub fn client(vlm: &Vlm, url: &Url) -> Result<reqwest::Client, AskerError> {
+    build(url, &authorities(vlm)?).map_err(|error| unusable(vlm, &error))
+}
+
+/// The authorities that are trusted beside the system's own.
+fn authorities(vlm: &Vlm) -> Result<Vec<Certificate>, AskerError> {
+    if vlm.ca_file.is_empty() {
+        return Ok(Vec::new());
+    }
+    let failed = |why: String| AskerError::Authorities {
+        path: vlm.ca_file.clone(),
+        why,
+    };
+    let size = std::fs::metadata(&vlm.ca_file).map_err(|error| failed(error.to_string()))?;
+    if !size.is_file() || size.len() > CA_BYTES_MAX {
+        return Err(failed(format!("no file of at most {CA_BYTES_MAX} bytes")));
+    }
+    let pem = std::fs::read(&vlm.ca_file).map_err(|error| failed(error.to_string()))?;
+    let found = Certificate::from_pem_bundle(&pem).map_err(|error| failed(error.to_string()))?;
+    match found.is_empty() {
+        true => Err(failed("no certificate in it".into())),
+        false => Ok(found),
+    }
+}
+
+/// No client can be made: with authorities of one's own, it is one of theirs.
+fn unusable(vlm: &Vlm, error: &reqwest::Error) -> AskerError {
+    match vlm.ca_file.as_str() {
+        "" => AskerError::Client(error.to_string()),
+        path => AskerError::Authorities {
+            path: path.into(),
+            why: error.to_string(),
+        },
+    }
+}
+
+fn build(url: &Url, authorities: &[Certificate]) -> Result<reqwest::Client, reqwest::Error> {
+    // Somebody else in this process may have installed one already; any will do.
+    let _ = rustls::crypto::ring::default_provider().install_default();
+    let mut builder = reqwest::Client::builder()
+        .http1_only()
+        .retry(reqwest::retry::never())
+        // The key must not follow to where a server points.
+        .redirect(redirect::Policy::none())
+        .user_agent(concat!("vlaps/", env!("CARGO_PKG_VERSION")));
+    if is_loopback(url) {
+        builder = builder.no_proxy();
+    }
+    if !authorities.is_empty() {
+        builder = builder.tls_certs_merge(authorities.iter().cloned());
+    }
+    if url.scheme() == "http" {
+        // Nothing is looked at, so no certificates need to be there.
+        builder = builder.tls_certs_only([]);
+    }
+    builder.build()
+}

@@ -1,0 +1,285 @@
+//! The picture of a question: both rollouts drawn into the frame of its tick, as
+//! a [`Showing`] says.
+
+mod letters;
+mod paths;
+mod pencil;
+mod rollout;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder, RgbImage};
+use shm_config::config::{PictureFormat, Rollout, Vlm};
+use shm_config::message::{Camera, Frame};
+use vehicle::{Action, Vehicle};
+
+use super::Showing;
+use crate::query::Question;
+pub use paths::LINE;
+pub use rollout::roll_out;
+
+/// How the picture of a question is drawn and stored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Style {
+    /// How the paths are integrated.
+    pub rollout: Rollout,
+    /// How long each proposal is held, s.
+    pub horizon_s: f64,
+    /// Width and height of the picture, pixels; `None` for the frame's own.
+    pub size_px: Option<[u32; 2]>,
+    /// PNG or JPEG.
+    pub encoding: Encoding,
+    /// Draw the car's outline at the end of each path.
+    pub footprint: bool,
+    /// Say in a corner which letter has which colour.
+    pub legend: bool,
+}
+
+impl Default for Style {
+    fn default() -> Self {
+        Self {
+            rollout: Rollout::Accurate,
+            horizon_s: 3.0,
+            size_px: None,
+            encoding: Encoding::Png,
+            footprint: true,
+            legend: true,
+        }
+    }
+}
+
+impl Style {
+    /// As the configuration says. Frames come in the configured size, so that only
+    /// those of a world with pictures of its own size are scaled.
+    pub fn of(vlm: &Vlm) -> Self {
+        Self {
+            rollout: vlm.rollout,
+            horizon_s: vlm.horizon_s,
+            size_px: Some([vlm.width_px, vlm.height_px]),
+            encoding: match vlm.format {
+                PictureFormat::Png => Encoding::Png,
+                PictureFormat::Jpeg => Encoding::Jpeg {
+                    quality: vlm.jpeg_quality,
+                },
+            },
+            ..Self::default()
+        }
+    }
+}
+
+/// How a picture is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Encoding {
+    /// Without loss.
+    Png,
+    /// Smaller, and blurred.
+    Jpeg {
+        /// 1 to 100.
+        quality: u8,
+    },
+}
+
+impl Encoding {
+    /// As HTTP calls it.
+    pub fn mime(self) -> &'static str {
+        match self {
+            Self::Png => "image/png",
+            Self::Jpeg { .. } => "image/jpeg",
+        }
+    }
+
+    /// How a file of it ends, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Jpeg { .. } => "jpg",
+        }
+    }
+}
+
+/// A picture as it is stored and sent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// The file's bytes.
+    pub bytes: Vec<u8>,
+    /// What kind of file.
+    pub encoding: Encoding,
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+}
+
+/// Why there is no picture.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum PictureError {
+    /// A proposal is missing: there is nothing to compare.
+    #[error("one of the two proposals is missing: nothing to compare")]
+    Absent,
+    /// The frame has no pixels, or fewer than it says.
+    #[error("a frame of {width} x {height} pixels does not hold them: must be 1 x 1 at least")]
+    Misfit {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+    },
+    /// The picture cannot be that small or large.
+    #[error("a picture of {width} x {height} pixels: each side must be within 64 and 4096")]
+    Size {
+        /// Pixels across.
+        width: u32,
+        /// Pixels down.
+        height: u32,
+    },
+    /// The encoder failed; it writes to memory alone.
+    #[error("the picture cannot be encoded as {0}")]
+    Encoder(&'static str),
+}
+
+/// A picture of the scene with the camera that took it.
+#[derive(Debug, Clone, Copy)]
+pub struct Photo<'a> {
+    /// The camera.
+    pub camera: &'a Camera,
+    /// Pixels across.
+    pub width: u32,
+    /// Pixels down.
+    pub height: u32,
+    /// Red, green, blue; row by row from the top. There may be more of them.
+    pub rgb: &'a [u8],
+}
+
+impl<'a> From<&'a Frame> for Photo<'a> {
+    fn from(frame: &'a Frame) -> Self {
+        Self {
+            camera: &frame.camera,
+            width: frame.width,
+            height: frame.height,
+            rgb: &frame.pixels,
+        }
+    }
+}
+
+/// Both proposals of a question and what they are rolled out from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Proposals<'a> {
+    /// The car.
+    pub vehicle: &'a Vehicle,
+    /// Its speed, m/s.
+    pub speed_mps: f64,
+    /// What the expert proposed.
+    pub expert: Action,
+    /// What the policy proposed.
+    pub policy: Action,
+}
+
+impl<'a> Proposals<'a> {
+    /// Those of a question.
+    ///
+    /// # Errors
+    /// [`PictureError::Absent`] when there are not two.
+    pub fn of(question: &Question, vehicle: &'a Vehicle) -> Result<Self, PictureError> {
+        let both = (question.expert.action(), question.policy.action());
+        let (Some(expert), Some(policy)) = both else {
+            return Err(PictureError::Absent);
+        };
+        Ok(Self {
+            vehicle,
+            speed_mps: question.observation.ego.speed_mps,
+            expert,
+            policy,
+        })
+    }
+}
+
+/// The picture of both proposals in a photo, shown as told. The same input gives
+/// the same bytes.
+///
+/// # Errors
+/// When the photo does not hold its pixels or the size is none.
+pub fn picture(
+    photo: Photo,
+    proposals: &Proposals,
+    showing: Showing,
+    style: &Style,
+) -> Result<Picture, PictureError> {
+    encode(&draw(photo, proposals, showing, style)?, style.encoding)
+}
+
+/// The same, not yet encoded.
+///
+/// # Errors
+/// As [`picture`].
+pub fn draw(
+    photo: Photo,
+    proposals: &Proposals,
+    showing: Showing,
+    style: &Style,
+) -> Result<RgbImage, PictureError> {
+    let scene = scene(photo, style)?;
+    let scale = [
+        f64::from(scene.width()) / f64::from(photo.width),
+        f64::from(scene.height()) / f64::from(photo.height),
+    ];
+    let (width, height) = scene.dimensions();
+    let misfit = PictureError::Size { width, height };
+    let mut pencil = pencil::Pencil::on(&scene).ok_or(misfit)?;
+    let paths = paths::Paths::new((photo.camera, scale), proposals, showing, style);
+    paths.draw(&mut pencil, style);
+    Ok(pencil.finish())
+}
+
+/// The photo as an image of the wanted size.
+fn scene(photo: Photo, style: &Style) -> Result<RgbImage, PictureError> {
+    let (width, height) = (photo.width, photo.height);
+    let misfit = PictureError::Misfit { width, height };
+    let bytes = u128::from(width) * u128::from(height) * 3;
+    if bytes == 0 || bytes > photo.rgb.len() as u128 {
+        return Err(misfit);
+    }
+    let pixels = photo.rgb[..bytes as usize].to_vec();
+    let image = RgbImage::from_raw(width, height, pixels).ok_or(misfit)?;
+    match style.size_px {
+        None => Ok(image),
+        Some(size_px) if size_px == [width, height] => Ok(image),
+        Some([width, height]) => {
+            let sides = 64..=4096;
+            if !sides.contains(&width) || !sides.contains(&height) {
+                return Err(PictureError::Size { width, height });
+            }
+            // The paths are drawn afterwards, and stay sharp.
+            let filter = image::imageops::FilterType::Triangle;
+            Ok(image::imageops::resize(&image, width, height, filter))
+        }
+    }
+}
+
+/// Stores an image.
+///
+/// # Errors
+/// When the encoder fails, as it does for an image without pixels.
+pub fn encode(image: &RgbImage, encoding: Encoding) -> Result<Picture, PictureError> {
+    let (width, height) = image.dimensions();
+    let mut bytes = Vec::new();
+    let color = ExtendedColorType::Rgb8;
+    let written = match encoding {
+        Encoding::Png => {
+            PngEncoder::new_with_quality(&mut bytes, CompressionType::Default, FilterType::Adaptive)
+                .write_image(image, width, height, color)
+        }
+        Encoding::Jpeg { quality } => {
+            JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
+                .write_image(image, width, height, color)
+        }
+    };
+    match written {
+        Ok(()) => Ok(Picture {
+            bytes,
+            encoding,
+            width,
+            height,
+        }),
+        Err(_) => Err(PictureError::Encoder(encoding.mime())),
+    }
+}

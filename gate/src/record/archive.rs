@@ -1,0 +1,170 @@
+use std::fs;
+use std::io;
+use std::os::unix::process::parent_id;
+use std::path::PathBuf;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+
+use shm_config::config::{Config, GateMode};
+use shm_config::file::{self, Durable, Folder, make_folders};
+use shm_config::judged::{Judged, SUMMARY};
+use shm_config::text::printable_json;
+
+use super::store::{Lost, Store, StoreError};
+use super::{Filed, tally};
+
+/// Records that may wait for the disk; more are lost, and counted.
+const WAITING_MAX: usize = 64;
+
+/// Longest summary that is read back, bytes.
+const SUMMARY_BYTES_MAX: u64 = 1 << 16;
+
+/// Counts what was asked and said, and keeps the records where that is wanted, on
+/// a thread of its own: a disk that stalls holds up no advice.
+pub struct Archive {
+    entries: Option<SyncSender<Entry>>,
+    thread: Option<JoinHandle<()>>,
+    lost: u64,
+    /// As it was last handed over.
+    trouble: String,
+}
+
+/// What the archive takes in.
+enum Entry {
+    Record(Box<Filed>),
+    Trouble(String),
+}
+
+impl Archive {
+    /// Of the run's folder, records in `judge` in it. Those of a run of the same
+    /// name before go to `judge-before`; those of this one are gone on with, when
+    /// the gate was restarted. A replay has a record already.
+    ///
+    /// # Errors
+    /// When the folder cannot be made.
+    pub fn open(config: &Config) -> Result<Self, StoreError> {
+        let path = PathBuf::from(&config.run.folder);
+        let opened = make_folders(&path).and_then(|()| Folder::open(&path, file::Entry::Readable));
+        let run_folder = opened.map_err(|source| StoreError::new(&path, source))?;
+        let ours = before(&run_folder);
+        let is_kept = config.gate.record && config.gate.mode != GateMode::Replay;
+        if is_kept && ours.is_none() {
+            make_room(&run_folder);
+        }
+        let mut store = is_kept
+            .then(|| Store::open(&path.join("judge"), config.vlm.record_bytes_max))
+            .transpose()?;
+        let (entries, inbox) = sync_channel::<Entry>(WAITING_MAX);
+        let mut judged = ours.unwrap_or_else(|| tally::begin(config, parent_id()));
+        let thread = thread::spawn(move || {
+            write_summary(&run_folder, &judged);
+            while let Ok(entry) = inbox.recv() {
+                match entry {
+                    Entry::Record(filed) => {
+                        tally::count(&mut judged, &filed.record);
+                        if let Some(store) = &mut store {
+                            judged.lost = keep(store, *filed);
+                        }
+                    }
+                    Entry::Trouble(trouble) => judged.trouble = trouble,
+                }
+                write_summary(&run_folder, &judged);
+            }
+            if let Some(store) = &store {
+                warn_of_lost(store.lost());
+            }
+        });
+        Ok(Self {
+            entries: Some(entries),
+            thread: Some(thread),
+            lost: 0,
+            trouble: String::new(),
+        })
+    }
+
+    /// Hands records over; those for which there is no room are lost.
+    pub fn keep(&mut self, filed: Vec<Filed>) {
+        for filed in filed {
+            if !self.hand_over(Entry::Record(Box::new(filed))) {
+                self.lost += 1;
+            }
+        }
+    }
+
+    /// Says at once why the server is not asked any more: records wait for what
+    /// follows their questions.
+    pub fn warn(&mut self, trouble: &str) {
+        if self.trouble != trouble && self.hand_over(Entry::Trouble(trouble.into())) {
+            self.trouble = trouble.into();
+        }
+    }
+
+    /// Whether there was room.
+    fn hand_over(&self, entry: Entry) -> bool {
+        let entries = self.entries.as_ref();
+        entries.is_some_and(|entries| entries.try_send(entry).is_ok())
+    }
+
+    /// Waits until all that was handed over is written.
+    pub fn close(&mut self) {
+        drop(self.entries.take());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        if self.lost > 0 {
+            tracing::warn!(lost = self.lost, "records of questions were lost");
+        }
+    }
+}
+
+/// Keeps a record; how much could not be kept so far.
+fn keep(store: &mut Store, filed: Filed) -> u64 {
+    let question = store.begin(filed.record, &filed.pictures);
+    store.complete(question);
+    let lost = store.lost();
+    lost.lines + lost.pictures
+}
+
+fn warn_of_lost(lost: &Lost) {
+    let Lost {
+        lines,
+        pictures,
+        reason,
+    } = lost;
+    if lines + pictures > 0 {
+        tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
+    }
+}
+
+/// Whole or not at all; a disk that refuses is counted by the store.
+fn write_summary(run_folder: &Folder, judged: &Judged) {
+    let text = serde_json::to_string(judged).unwrap_or_default();
+    let text = printable_json(&text);
+    // Not flushed: one is written for each record, and records would wait.
+    let _ = run_folder.replace(SUMMARY, text.as_bytes(), Durable::No);
+}
+
+/// What an earlier gate of this run has written: the supervisor outlives its gates.
+/// Where it could not, this one begins anew: no harm.
+fn before(run_folder: &Folder) -> Option<Judged> {
+    let text = run_folder.read_text(SUMMARY, SUMMARY_BYTES_MAX).ok()?;
+    let judged: Judged = serde_json::from_str(&text).ok()?;
+    (judged.supervisor == parent_id()).then_some(judged)
+}
+
+/// Moves the records of another run out of the way.
+fn make_room(run_folder: &Folder) {
+    if run_folder.look("judge").is_err() {
+        return;
+    }
+    // A link is removed, not what it leads to.
+    let moved = fs::remove_dir_all(run_folder.path().join("judge-before"))
+        .or_else(|error| match error.kind() {
+            io::ErrorKind::NotFound => Ok(()),
+            _ => Err(error),
+        })
+        .and_then(|()| run_folder.rename("judge", "judge-before"));
+    if let Err(error) = moved {
+        tracing::warn!(%error, "the records of the run before cannot be moved; those of this one follow them");
+    }
+}

@@ -1,0 +1,266 @@
+use std::collections::VecDeque;
+
+use safety::CLEARANCE_MAX_M;
+use shm_config::config::Juror;
+use shm_config::message::{Driver, Judge as JudgeKind, Reason, Step};
+use shm_config::{Instant, Message};
+
+use crate::advice::Heard;
+use crate::presentation::picture::Picture;
+use crate::query::{Answer, Question};
+use crate::record::{
+    Aftermath, Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict, Vote,
+};
+
+/// How long what follows a question is watched, ns.
+const AFTERMATH_NS: u64 = 3_000_000_000;
+/// Questions that are open at once: those of a judge that is asked once a second
+/// and answers after two minutes. The oldest is filed as it is when there are more.
+const OPEN_MAX: usize = 128;
+
+/// What a model's side of a question brings.
+#[derive(Debug, Clone, Default)]
+pub struct Evidence {
+    /// Episode and tick of the question.
+    pub key: (u32, u64),
+    /// The prompt preset.
+    pub preset: String,
+    /// The model.
+    pub model: String,
+    /// One asking, or two.
+    pub askings: Vec<Asking>,
+    /// The pictures of the askings, in their order.
+    pub pictures: Vec<Picture>,
+    /// Why there is no preference; empty when there is one.
+    pub fault: String,
+    /// From question to answer, s of the wall clock.
+    pub latency_s: f64,
+    /// What the simulator foresaw.
+    pub foresight: Option<[Outlook; 2]>,
+    /// Why the server is not asked any more; [`crate::model::Asker::trouble`].
+    pub trouble: Option<String>,
+}
+
+/// A record that is complete, with its pictures.
+#[derive(Debug, Clone)]
+pub struct Filed {
+    /// The record.
+    pub record: Record,
+    /// The pictures of its askings, in their order.
+    pub pictures: Vec<Picture>,
+}
+
+/// Keeps the file of every question: what was asked, said, and what followed.
+pub struct Clerk {
+    asked: u64,
+    /// Who sits on the committee, in the order of their votes.
+    jurors: Vec<Juror>,
+    /// How long an answer is waited for on the run's clock, ns.
+    patience_ns: u64,
+    open: VecDeque<Case>,
+    filed: Vec<Filed>,
+}
+
+struct Case {
+    record: Record,
+    pictures: Vec<Picture>,
+    is_heard: bool,
+    /// Evidence is still to come.
+    awaits_evidence: bool,
+    aftermath: Aftermath,
+    is_over: bool,
+}
+
+impl Clerk {
+    /// A clerk who waits so long for an answer, ns on the run's clock; `jurors`
+    /// is empty where no committee judges.
+    pub fn new(patience_ns: u64, jurors: &[Juror]) -> Self {
+        Self {
+            asked: 0,
+            jurors: jurors.into(),
+            patience_ns,
+            open: VecDeque::with_capacity(OPEN_MAX),
+            filed: Vec::new(),
+        }
+    }
+
+    /// A question was put.
+    pub fn asked(
+        &mut self,
+        question: &Question,
+        occasion: crate::query::Occasion,
+        kind: JudgeKind,
+    ) {
+        self.asked += 1;
+        if self.open.len() == OPEN_MAX
+            && let Some(case) = self.open.pop_front()
+        {
+            self.filed.push(case.file());
+        }
+        let header = question.observation.header();
+        self.open.push_back(Case {
+            record: Record {
+                version: VERSION,
+                question: self.asked,
+                tick: header.tick,
+                episode: header.episode,
+                taken_ns: header.taken_ns,
+                occasion: occasion.into(),
+                judge: kind.to_string(),
+                preset: String::new(),
+                model: String::new(),
+                speed_mps: question.observation.ego.speed_mps,
+                expert: Proposed::new(&question.expert, &question.expert_assessment),
+                policy: Proposed::new(&question.policy, &question.policy_assessment),
+                askings: Vec::new(),
+                verdict: Verdict::Failed,
+                votes: Vec::new(),
+                fault: "unheard".into(),
+                latency_s: 0.0,
+                cost_usd: 0.0,
+                heard_tick: 0,
+                heard_ns: 0,
+                foresight: None,
+                aftermath: None,
+            },
+            pictures: Vec::new(),
+            is_heard: false,
+            awaits_evidence: matches!(kind, JudgeKind::Vlm | JudgeKind::Committee),
+            aftermath: Aftermath {
+                ticks: 0,
+                expert: 0,
+                policy: 0,
+                brake: 0,
+                vetoed: 0,
+                clearance_m: CLEARANCE_MAX_M,
+                ended: false,
+            },
+            is_over: false,
+        });
+    }
+
+    /// A model's side came. The askings of a committee's models follow on each
+    /// other.
+    pub fn learn(&mut self, evidence: Evidence) {
+        let Some(case) = self.find(evidence.key) else {
+            return;
+        };
+        let record = &mut case.record;
+        record.preset = evidence.preset;
+        record.model = evidence.model;
+        record.askings.extend(evidence.askings);
+        record.fault = evidence.fault;
+        record.latency_s = record.latency_s.max(evidence.latency_s);
+        record.foresight = record.foresight.or(evidence.foresight);
+        case.pictures.extend(evidence.pictures);
+        case.awaits_evidence = false;
+    }
+
+    /// An answer was heard.
+    pub fn heard(&mut self, heard: &Heard, tick: u64, now: Instant) {
+        let votes = self.jurors.iter().zip(heard.ruling.votes);
+        let votes = votes.map(|(juror, vote)| Vote {
+            juror: juror.word().into(),
+            verdict: vote.map(Verdict::from),
+        });
+        let votes = votes.collect();
+        let Some(case) = self.find(heard.question.key()) else {
+            return;
+        };
+        case.is_heard = true;
+        let record = &mut case.record;
+        record.votes = votes;
+        record.verdict = heard.ruling.answer.into();
+        if record.fault == "unheard" {
+            record.fault = match heard.ruling.answer {
+                Answer::Failed(failure) => failure.word().into(),
+                Answer::Expert | Answer::Policy | Answer::Abstain => String::new(),
+            };
+        }
+        record.cost_usd = heard.ruling.cost_usd;
+        record.heard_tick = tick;
+        record.heard_ns = now.0;
+    }
+
+    /// What the car did next.
+    pub fn saw(&mut self, step: &Step) {
+        let header = step.observation.header();
+        for case in self.open.iter_mut().filter(|case| !case.is_over) {
+            let record = &case.record;
+            let since_ns = header.taken_ns.saturating_sub(record.taken_ns);
+            let is_other = header.episode != record.episode || header.taken_ns < record.taken_ns;
+            case.aftermath.ended = is_other;
+            case.is_over = is_other || since_ns > AFTERMATH_NS;
+            if !case.is_over {
+                case.aftermath.count(step);
+            }
+        }
+        let now_ns = step.header.taken_ns;
+        let patience_ns = self.patience_ns;
+        let mut open = VecDeque::with_capacity(OPEN_MAX);
+        for case in self.open.drain(..) {
+            let waited_ns = now_ns.saturating_sub(case.record.taken_ns);
+            let is_complete = case.is_heard && !case.awaits_evidence;
+            match case.is_over && (is_complete || waited_ns > patience_ns) {
+                true => self.filed.push(case.file()),
+                false => open.push_back(case),
+            }
+        }
+        self.open = open;
+    }
+
+    /// The records that are complete.
+    pub fn filed(&mut self) -> Vec<Filed> {
+        std::mem::take(&mut self.filed)
+    }
+
+    /// The run is over: everything, as it is.
+    pub fn finish(&mut self) -> Vec<Filed> {
+        let open = self.open.drain(..).map(Case::file);
+        self.filed.extend(open);
+        self.filed()
+    }
+
+    fn find(&mut self, key: (u32, u64)) -> Option<&mut Case> {
+        self.open
+            .iter_mut()
+            .rev()
+            .find(|case| (case.record.episode, case.record.tick) == key)
+    }
+}
+
+impl Case {
+    fn file(mut self) -> Filed {
+        self.record.aftermath = (self.aftermath.ticks > 0).then_some(self.aftermath);
+        Filed {
+            record: self.record,
+            pictures: self.pictures,
+        }
+    }
+}
+
+impl Aftermath {
+    fn count(&mut self, step: &Step) {
+        self.ticks += 1;
+        let (who, assessment) = match step.driver() {
+            Driver::Expert => (&mut self.expert, &step.expert_assessment),
+            Driver::Policy => (&mut self.policy, &step.policy_assessment),
+            Driver::Brake => (&mut self.brake, &step.expert_assessment),
+        };
+        *who += 1;
+        self.clearance_m = self.clearance_m.min(assessment.clearance_m);
+        let is_vetoed = matches!(step.reason(), Some(Reason::Vetoed | Reason::Unsafe));
+        self.vetoed += u32::from(is_vetoed);
+    }
+}
+
+impl From<crate::query::Occasion> for Occasion {
+    fn from(occasion: crate::query::Occasion) -> Self {
+        match occasion {
+            crate::query::Occasion::Episode => Self::Episode,
+            crate::query::Occasion::Period => Self::Period,
+            crate::query::Occasion::Differ => Self::Differ,
+            crate::query::Occasion::Clearance => Self::Clearance,
+        }
+    }
+}
