@@ -94,11 +94,7 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
         GateMode::Expert => return (Driver::Expert, Reason::Configured),
         // Of a person only who has not taken over comes here.
         GateMode::Policy | GateMode::Human => return (Driver::Policy, Reason::Configured),
-        GateMode::Rules
-        | GateMode::Vlm
-        | GateMode::Paper
-        | GateMode::Committee
-        | GateMode::Replay => {}
+        GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay => {}
     }
     if let Some(reason) = hindrance(standing.stage) {
         return (Driver::Expert, reason);

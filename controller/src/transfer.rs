@@ -1,4 +1,4 @@
-use shm_config::config::{Controller as Gains, GateMode};
+use shm_config::config::Controller as Gains;
 use shm_config::message::{Driver, Reason, TransferState};
 use vehicle::Action;
 
@@ -18,14 +18,9 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// As configured. The paper's hand-overs jump (Sec. 4.2), and so does
-    /// `--gate paper`.
+    /// With the configured rates, at one tick each period of the run.
     pub fn of(config: &ArbiterConfig) -> Self {
-        let mut gains = config.gains;
-        if config.mode == GateMode::Paper {
-            (gains.handover_steer_per_s, gains.handover_pedal_per_s) = (0.0, 0.0);
-        }
-        Self::new(&gains, config.period_ns as f64 / 1e9)
+        Self::new(&config.gains, config.period_ns as f64 / 1e9)
     }
 
     /// With the configured rates, at one tick each `period_s`.

@@ -9,10 +9,10 @@
 pub mod advice;
 pub mod judge;
 pub mod model;
+pub mod ports;
 pub mod presentation;
 pub mod query;
 pub mod record;
-pub mod ports;
 mod run;
 
 pub use run::run;

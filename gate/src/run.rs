@@ -5,28 +5,29 @@ use std::time::Duration;
 
 use process::{Arguments, Member, Pulse, SetUpError, Tick};
 use shm_config::Instant;
-use shm_config::config::{Config, GateMode};
+use shm_config::config::Config;
 use shm_config::message::{HealthState, Message, Step};
 use shm_config::services::Process;
 use shm_config::time::monotonic;
 
-use crate::advice::{Counsel, Heard};
-use crate::judge::{Bench, as_the_paper};
+use crate::advice::Advisor;
+use crate::judge::OpenJudge;
 use crate::ports::Ports;
-use crate::record::{Archive, Clerk, Evidence};
+use crate::query::Answer;
+use crate::record::{Archive, Evidence, QueryLog};
 
-/// How long the gate sleeps at most before it says how it does.
-const NAP: Duration = Duration::from_millis(20);
-/// From look to look at a judge that a run in lockstep waits for.
-const LOOK: Duration = Duration::from_millis(1);
+/// Longest sleep between two heartbeats.
+const HEARTBEAT_MAX: Duration = Duration::from_millis(20);
+/// Interval at which a run in lockstep polls the judge that it waits for.
+const POLL: Duration = Duration::from_millis(1);
 
 struct Gate {
     member: Member,
     ports: Ports,
     pulse: Pulse,
-    counsel: Counsel,
+    advisor: Advisor,
     evidence: Receiver<Evidence>,
-    clerk: Clerk,
+    log: QueryLog,
     archive: Archive,
 }
 
@@ -46,19 +47,14 @@ impl Gate {
     fn open(arguments: &Arguments) -> Result<Self, SetUpError> {
         let mut member = Member::join(Process::Gate, arguments)?;
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
-        member.config = as_the_paper(member.config);
         let config = &member.config;
-        let Bench { docket, evidence } =
-            Bench::open(config, monotonic).map_err(|error| own(&error))?;
+        let OpenJudge { queue, evidence } =
+            OpenJudge::new(config, monotonic).map_err(|error| own(&error))?;
         let archive = Archive::open(config).map_err(|error| own(&error))?;
         let ports = Ports::open(&member.wire)?;
         let mut pulse = Pulse::start(&member)?;
-        let counsel = Counsel::new(&config.gate, docket);
-        let jurors: &[_] = match config.gate.mode {
-            GateMode::Committee => &config.gate.committee,
-            _ => &[],
-        };
-        let clerk = Clerk::new(patience_ns(config), jurors);
+        let advisor = Advisor::new(&config.gate, queue);
+        let log = QueryLog::new(patience_ns(config));
         member.claim_rights();
         pulse.set_rights(&member.rights);
         pulse.enter(HealthState::Ready, monotonic());
@@ -66,9 +62,9 @@ impl Gate {
             member,
             ports,
             pulse,
-            counsel,
+            advisor,
             evidence,
-            clerk,
+            log,
             archive,
         })
     }
@@ -76,7 +72,7 @@ impl Gate {
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn work(&mut self) {
         while !self.member.is_stopping() {
-            self.ports.bell.wait(NAP);
+            self.ports.bell.wait(HEARTBEAT_MAX);
             let begun = monotonic();
             if let Some(step) = self.ports.steps.newest(Message::check) {
                 self.consider(&step, begun);
@@ -94,15 +90,15 @@ impl Gate {
             true => step.header().taken(),
             false => begun,
         };
-        if let Some((question, occasion)) = self.counsel.ask(step) {
-            self.clerk.asked(&question, occasion, self.counsel.kind());
+        if let Some(occasion) = self.advisor.ask(step) {
+            self.log.asked(step, occasion, self.advisor.kind());
         }
         if lockstep {
             self.await_answers(now);
         }
-        let heard = self.counsel.hear(now);
+        let heard = self.advisor.hear(now);
         self.keep_record(step, heard, now);
-        let mut advice = self.counsel.advise(now);
+        let mut advice = self.advisor.advise(now);
         self.ports.advices.send(&mut advice);
         self.pulse.health.header.tick = step.header().tick;
         self.pulse.health.state = HealthState::Running.code();
@@ -114,20 +110,20 @@ impl Gate {
         });
     }
 
-    /// In lockstep the run's time stands while a judge thinks: runs repeat.
+    /// In lockstep the run's time stands until the judge has answered: runs repeat.
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn await_answers(&mut self, now: Instant) {
         loop {
-            self.counsel.collect(now);
-            if self.counsel.awaited() == 0 || self.member.is_stopping() {
+            self.advisor.collect(now);
+            if self.advisor.awaited() == 0 || self.member.is_stopping() {
                 return;
             }
             self.pulse.beat(monotonic());
-            self.ports.bell.wait(LOOK);
+            self.ports.bell.wait(POLL);
         }
     }
 
-    fn keep_record(&mut self, step: &Step, heard: Option<Heard>, now: Instant) {
+    fn keep_record(&mut self, step: &Step, heard: Option<Answer>, now: Instant) {
         while let Ok(evidence) = self.evidence.try_recv() {
             if !evidence.fault.is_empty() {
                 tracing::warn!(
@@ -139,22 +135,22 @@ impl Gate {
             if let Some(trouble) = &evidence.trouble {
                 self.archive.warn(trouble);
             }
-            self.clerk.learn(evidence);
+            self.log.learn(evidence);
         }
         if let Some(heard) = &heard {
-            self.clerk.heard(heard, step.header().tick, now);
+            self.log.heard(heard, step.header().tick, now);
         }
-        self.clerk.saw(step);
-        let filed = self.clerk.filed();
+        self.log.saw(step);
+        let filed = self.log.filed();
         self.archive.keep(filed);
     }
 
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn close(&mut self) {
-        let filed = self.clerk.finish();
+        let filed = self.log.finish();
         self.archive.keep(filed);
         self.archive.close();
-        tracing::info!(cost_usd = self.counsel.cost_usd(), "judged");
+        tracing::info!(cost_usd = self.advisor.cost_usd(), "judged");
         self.pulse.enter(HealthState::Finished, monotonic());
     }
 }
@@ -162,5 +158,5 @@ impl Gate {
 /// How long an answer is waited for on the run's clock before its question is
 /// filed without it, ns.
 fn patience_ns(config: &Config) -> u64 {
-    ((config.gate.delay_s + config.vlm.deadline_s + 10.0) * 1e9) as u64
+    ((config.faulty_judge.delay_s + config.vlm.deadline_s + 10.0) * 1e9) as u64
 }

@@ -1,11 +1,10 @@
 //! When a judge is asked, whom its answers let drive, and what they teach.
 
-use gate::advice::Counsel;
-use gate::query::{
-    Answer, AtOnce, Committee, Docket, Failure, Judge, Occasion, Question, Ruling, Threaded,
-};
+use gate::advice::Advisor;
+use gate::judge::FaultyJudge;
+use gate::query::{Answer, Failure, Immediate, Judge, Occasion, QueryQueue, Question, Threaded};
 use shm_config::Instant;
-use shm_config::config::{Gate, When};
+use shm_config::config::{self, Gate, When};
 use shm_config::message::{Advice, Judge as Kind, Preference, Proposal, Step};
 use vehicle::Action;
 
@@ -37,28 +36,32 @@ fn calm(tick: u64) -> Step {
 }
 
 /// Answers what the script says, the last line for ever.
-struct Script(Vec<Answer>);
+struct Script(Vec<Result<Preference, Failure>>);
 
 impl Judge for Script {
     fn kind(&self) -> Kind {
         Kind::Vlm
     }
 
-    fn ask(&mut self, _: &Question) -> Ruling {
-        let answer = match self.0.len() {
+    fn ask(&mut self, question: &Question) -> Answer {
+        let preference = match self.0.len() {
             1 => self.0[0],
             _ => self.0.remove(0),
         };
-        Ruling::new(answer, 0.01)
+        Answer {
+            question: question.id(),
+            preference,
+            cost_usd: 0.01,
+        }
     }
 }
 
-fn scripted(answers: &[Answer]) -> Box<dyn Docket> {
-    Box::new(AtOnce::new(Script(answers.to_vec())))
+fn scripted(answers: &[Result<Preference, Failure>]) -> Box<dyn QueryQueue> {
+    Box::new(Immediate::new(Script(answers.to_vec())))
 }
 
-fn run(counsel: &mut Counsel, steps: impl IntoIterator<Item = Step>) -> Vec<Advice> {
-    let mut advise = |step: Step| counsel.consider(&step, Instant(step.header.taken_ns));
+fn run(advisor: &mut Advisor, steps: impl IntoIterator<Item = Step>) -> Vec<Advice> {
+    let mut advise = |step: Step| advisor.consider(&step, Instant(step.header.taken_ns));
     steps.into_iter().map(&mut advise).collect()
 }
 
@@ -82,18 +85,18 @@ fn a_question_is_asked_when_it_matters_and_never_more_often_than_the_spacing() {
             when,
             ..Gate::default()
         };
-        let mut counsel = Counsel::new(&config, scripted(&[Answer::Policy]));
-        let first = counsel.ask(&calm(1)).map(|(_, occasion)| occasion);
+        let mut advisor = Advisor::new(&config, scripted(&[Ok(Preference::Policy)]));
+        let first = advisor.ask(&calm(1));
         assert_eq!(first, Some(Occasion::Episode));
         let tick = second.header.tick;
-        let occasion = counsel.ask(&second).map(|(_, occasion)| occasion);
+        let occasion = advisor.ask(&second);
         assert_eq!(occasion, expected, "{when:?}, tick {tick}");
     }
 }
 
 #[test]
 fn a_model_is_not_asked_where_there_is_no_choice() {
-    let mut counsel = Counsel::new(&Gate::default(), scripted(&[Answer::Policy]));
+    let mut advisor = Advisor::new(&Gate::default(), scripted(&[Ok(Preference::Policy)]));
     for half in [
         Step {
             policy: Proposal::default(),
@@ -104,9 +107,9 @@ fn a_model_is_not_asked_where_there_is_no_choice() {
             ..calm(2)
         },
     ] {
-        assert!(counsel.ask(&half).is_none());
+        assert!(advisor.ask(&half).is_none());
     }
-    assert!(counsel.ask(&calm(3)).is_some());
+    assert!(advisor.ask(&calm(3)).is_some());
 }
 
 #[test]
@@ -118,11 +121,11 @@ fn the_expert_gets_the_wheel_at_once_and_the_policy_after_the_dwell() {
         confirmations: 2,
         ..Gate::default()
     };
-    let mut script = vec![Answer::Policy; 3];
-    script.push(Answer::Expert);
-    script.push(Answer::Policy);
-    let mut counsel = Counsel::new(&config, scripted(&script));
-    let advice = run(&mut counsel, (1..30).map(calm));
+    let mut script = vec![Ok(Preference::Policy); 3];
+    script.push(Ok(Preference::Expert));
+    script.push(Ok(Preference::Policy));
+    let mut advisor = Advisor::new(&config, scripted(&script));
+    let advice = run(&mut advisor, (1..30).map(calm));
     let preferred: Vec<Preference> = advice.iter().map(Advice::preference).collect();
     assert_eq!(preferred[0], Preference::Abstain, "one answer is too few");
     assert_eq!(preferred[1..3], [Preference::Policy; 2]);
@@ -133,14 +136,14 @@ fn the_expert_gets_the_wheel_at_once_and_the_policy_after_the_dwell() {
 
 #[test]
 fn a_failure_or_an_abstention_takes_the_wheel_from_the_policy_at_once() {
-    for answer in [Answer::Abstain, Answer::Failed(Failure::Malformed)] {
+    for answer in [Ok(Preference::Abstain), Err(Failure::Malformed)] {
         let config = Gate {
             when: When::Period,
             period_s: 0.1,
             ..Gate::default()
         };
-        let mut counsel = Counsel::new(&config, scripted(&[Answer::Policy, answer]));
-        let advice = run(&mut counsel, (1..4).map(calm));
+        let mut advisor = Advisor::new(&config, scripted(&[Ok(Preference::Policy), answer]));
+        let advice = run(&mut advisor, (1..4).map(calm));
         assert_eq!(advice[0].preference(), Preference::Policy);
         assert_eq!(advice[1].preference(), Preference::Abstain);
         assert_eq!(advice[1].label(), Preference::Abstain, "{answer:?}");
@@ -149,12 +152,13 @@ fn a_failure_or_an_abstention_takes_the_wheel_from_the_policy_at_once() {
 
 #[test]
 fn what_was_said_of_another_episode_is_no_advice_in_this_one() {
-    let config = Gate {
+    let faults = config::FaultyJudge {
         delay_s: 1.0,
-        ..Gate::default()
+        ..config::FaultyJudge::default()
     };
-    let mut counsel = Counsel::new(&config, scripted(&[Answer::Policy]));
-    let first = run(&mut counsel, (1..6).map(calm));
+    let queue = FaultyJudge::new(&faults, scripted(&[Ok(Preference::Policy)]));
+    let mut advisor = Advisor::new(&Gate::default(), Box::new(queue));
+    let first = run(&mut advisor, (1..6).map(calm));
     assert!(first.iter().all(|advice| advice.answers == 0));
     let second = (6..16).map(|tick| {
         let mut step = calm(tick);
@@ -162,7 +166,7 @@ fn what_was_said_of_another_episode_is_no_advice_in_this_one() {
         step.observation.header.episode = 1;
         step
     });
-    let advice = run(&mut counsel, second);
+    let advice = run(&mut advisor, second);
     let heard = advice.iter().find(|advice| advice.answers == 1);
     let heard = heard.expect("the answer of the first episode");
     assert_eq!(heard.label(), Preference::Policy, "it teaches");
@@ -177,16 +181,16 @@ fn what_was_said_of_another_episode_is_no_advice_in_this_one() {
 fn an_answer_that_was_overtaken_teaches_and_decides_nothing() {
     let (ask_first, first) = std::sync::mpsc::channel::<()>();
     // Two at once: the first is held back until the second was heard.
-    let docket = Threaded::served(
+    let queue = Threaded::served(
         Kind::Vlm,
         2,
-        Box::new(move |questions, rulings| {
+        Box::new(move |questions, answers| {
             let early = questions.recv().unwrap();
             let late = questions.recv().unwrap();
-            let ruling = |answer| Ruling::new(answer, 0.0);
-            rulings.send((late, ruling(Answer::Expert))).unwrap();
+            let answer = |question: Question, preference| Answer::free(question.id(), preference);
+            answers.send(answer(late, Preference::Expert)).unwrap();
             first.recv().unwrap();
-            rulings.send((early, ruling(Answer::Policy))).unwrap();
+            answers.send(answer(early, Preference::Policy)).unwrap();
             let _ = questions.recv();
         }),
     );
@@ -195,19 +199,19 @@ fn an_answer_that_was_overtaken_teaches_and_decides_nothing() {
         period_s: 0.1,
         ..Gate::default()
     };
-    let mut counsel = Counsel::new(&config, Box::new(docket));
-    counsel.ask(&calm(1)).unwrap();
-    counsel.ask(&calm(2)).unwrap();
-    assert!(counsel.ask(&calm(3)).is_none(), "two are on their way");
+    let mut advisor = Advisor::new(&config, Box::new(queue));
+    advisor.ask(&calm(1)).unwrap();
+    advisor.ask(&calm(2)).unwrap();
+    assert!(advisor.ask(&calm(3)).is_none(), "two are on their way");
     let now = Instant(3 * PERIOD_NS);
-    while counsel.hear(now).is_none() {
+    while advisor.hear(now).is_none() {
         std::thread::yield_now();
     }
     ask_first.send(()).unwrap();
-    while counsel.hear(now).is_none() {
+    while advisor.hear(now).is_none() {
         std::thread::yield_now();
     }
-    let advice = counsel.advise(now);
+    let advice = advisor.advise(now);
     assert_eq!(advice.answers, 2);
     assert_eq!(
         (advice.question_tick, advice.preference()),
@@ -215,55 +219,4 @@ fn an_answer_that_was_overtaken_teaches_and_decides_nothing() {
     );
     assert_eq!(advice.label_from_ns, PERIOD_NS);
     assert_eq!(advice.label(), Preference::Policy);
-}
-
-#[test]
-fn a_committee_needs_its_quorum() {
-    use Answer::{Abstain, Expert, Failed, Policy};
-    let dead = Failed(Failure::Unavailable);
-    let rows = [
-        ([Expert, Expert, Policy], Expert),
-        ([Policy, Abstain, Policy], Policy),
-        ([Expert, Policy, Abstain], Abstain),
-        ([dead, dead, Policy], Abstain),
-        ([dead, Expert, Expert], Expert),
-    ];
-    for (said, expected) in rows {
-        let jurors = said.iter().map(|&answer| scripted(&[answer])).collect();
-        let mut committee = Committee::new(jurors, 2, 1);
-        let question = Question::about(&calm(1));
-        assert!(committee.put(&question));
-        let (_, ruling) = committee.take(Instant(0)).expect("all have spoken");
-        assert_eq!(ruling.answer, expected, "{said:?}");
-        assert!((ruling.cost_usd - 0.03).abs() < 1e-12);
-    }
-}
-
-#[test]
-fn a_committee_waits_for_nobody_who_cannot_change_the_outcome() {
-    struct Asleep;
-    impl Docket for Asleep {
-        fn kind(&self) -> Kind {
-            Kind::Vlm
-        }
-        fn put(&mut self, _: &Question) -> bool {
-            true
-        }
-        fn take(&mut self, _: Instant) -> Option<(Question, Ruling)> {
-            None
-        }
-        fn awaited(&self) -> usize {
-            1
-        }
-    }
-    let expert = || scripted(&[Answer::Expert]);
-    let question = Question::about(&calm(1));
-    let mut decided = Committee::new(vec![expert(), expert(), Box::new(Asleep)], 2, 1);
-    assert!(decided.put(&question));
-    let taken = decided.take(Instant(0)).map(|(_, ruling)| ruling.answer);
-    assert_eq!(taken, Some(Answer::Expert));
-    let mut open = Committee::new(vec![expert(), Box::new(Asleep), Box::new(Asleep)], 2, 1);
-    assert!(open.put(&question));
-    assert!(open.take(Instant(0)).is_none());
-    assert!(!open.put(&question), "one question at a time");
 }

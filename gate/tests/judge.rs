@@ -2,11 +2,11 @@
 
 use std::sync::mpsc;
 
-use gate::advice::Counsel;
-use gate::judge::Rules;
-use gate::query::{Answer, AtOnce, Failure, Judge, Question, Ruling, Threaded};
+use gate::advice::Advisor;
+use gate::judge::{FaultyJudge, Rules};
+use gate::query::{Answer, Failure, Immediate, Judge, Question, Threaded};
 use shm_config::Instant;
-use shm_config::config::{Gate, JudgeLimits, When};
+use shm_config::config::{self, Gate, JudgeLimits, When};
 use shm_config::message::{Judge as Kind, Observation, Preference, Proposal, Step};
 use vehicle::{Action, Vehicle};
 
@@ -46,13 +46,13 @@ const OFF_ROAD: Action = Action {
     pedal: 0.5,
 };
 
-fn rules() -> Counsel {
+fn rules() -> Advisor {
     let judge = Rules::new(Vehicle::default(), JudgeLimits::default());
     let config = Gate {
         when: When::Period,
         ..Gate::default()
     };
-    Counsel::new(&config, Box::new(AtOnce::new(judge)))
+    Advisor::new(&config, Box::new(Immediate::new(judge)))
 }
 
 #[test]
@@ -114,12 +114,12 @@ fn rules_prefer_the_expert_to_a_policy_that_lags_at_any_speed() {
 
 #[test]
 fn questions_come_at_the_papers_cadence_and_advice_expires() {
-    let mut counsel = rules();
+    let mut advisor = rules();
     let mut answers = Vec::new();
     for tick in 0..250u64 {
         let taken_ns = SECOND + tick * SECOND / 10;
         let step = step_at(taken_ns, Some(STRAIGHT), Some(STRAIGHT));
-        let advice = counsel.consider(&step, Instant(taken_ns));
+        let advice = advisor.consider(&step, Instant(taken_ns));
         answers.push(advice.answers);
         assert_eq!(
             advice.holds_until_ns,
@@ -131,72 +131,76 @@ fn questions_come_at_the_papers_cadence_and_advice_expires() {
     let mut next = step_at(40 * SECOND, Some(STRAIGHT), Some(STRAIGHT));
     next.observation.header.episode = 1;
     assert_eq!(
-        counsel.consider(&next, Instant(40 * SECOND)).answers,
+        advisor.consider(&next, Instant(40 * SECOND)).answers,
         4,
         "and in a new episode"
     );
 }
 
 struct Slow {
-    go: mpsc::Receiver<Answer>,
+    go: mpsc::Receiver<Result<Preference, Failure>>,
 }
 
 impl Judge for Slow {
     fn kind(&self) -> Kind {
         Kind::Vlm
     }
-    fn ask(&mut self, _: &Question) -> Ruling {
-        let answer = self.go.recv().unwrap_or_else(|_| panic!("the judge dies"));
-        Ruling::new(answer, 0.01)
+    fn ask(&mut self, question: &Question) -> Answer {
+        let preference = self.go.recv().unwrap_or_else(|_| panic!("the judge dies"));
+        Answer {
+            question: question.id(),
+            preference,
+            cost_usd: 0.01,
+        }
     }
 }
 
 #[test]
 fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
     let (go, judge) = mpsc::channel();
-    let mut counsel = Counsel::new(
+    let mut advisor = Advisor::new(
         &Gate::default(),
         Box::new(Threaded::new(Slow { go: judge })),
     );
     let mut taken_ns = SECOND;
-    let mut consider = |counsel: &mut Counsel| {
+    let mut consider = |advisor: &mut Advisor| {
         taken_ns += SECOND / 10;
         let step = step_at(taken_ns, Some(STRAIGHT), Some(STRAIGHT));
-        counsel.consider(&step, Instant(taken_ns))
+        advisor.consider(&step, Instant(taken_ns))
     };
     // Hanging: three periods pass, every step is considered, nothing is advised.
     for _ in 0..300 {
-        assert_eq!(consider(&mut counsel).answers, 0);
+        assert_eq!(consider(&mut advisor).answers, 0);
     }
     let until_answered =
-        |counsel: &mut Counsel,
+        |advisor: &mut Advisor,
          count: u64,
-         consider: &mut dyn FnMut(&mut Counsel) -> shm_config::message::Advice| {
+         consider: &mut dyn FnMut(&mut Advisor) -> shm_config::message::Advice| {
             loop {
-                let advice = consider(counsel);
+                let advice = consider(advisor);
                 if advice.answers == count {
                     return advice;
                 }
                 std::thread::yield_now();
             }
         };
-    go.send(Answer::Policy).unwrap();
-    let advice = until_answered(&mut counsel, 1, &mut consider);
+    go.send(Ok(Preference::Policy)).unwrap();
+    let advice = until_answered(&mut advisor, 1, &mut consider);
     assert_eq!(advice.preference(), Preference::Policy);
     assert_eq!(
         advice.question_taken_ns,
         SECOND + SECOND / 10,
         "the answer belongs to its question"
     );
-    go.send(Answer::Failed(Failure::Timeout)).unwrap();
-    let advice = until_answered(&mut counsel, 2, &mut consider);
+    go.send(Err(Failure::Timeout)).unwrap();
+    let advice = until_answered(&mut advisor, 2, &mut consider);
     assert_eq!(
         advice.preference(),
         Preference::Abstain,
         "a failure is never read as 0"
     );
     drop(go);
-    let advice = until_answered(&mut counsel, 3, &mut consider);
+    let advice = until_answered(&mut advisor, 3, &mut consider);
     assert_eq!(
         advice.preference(),
         Preference::Abstain,
@@ -212,14 +216,24 @@ impl Judge for Content {
         Kind::Rules
     }
 
-    fn ask(&mut self, _question: &Question) -> Ruling {
-        Ruling::new(Answer::Policy, 0.0)
+    fn ask(&mut self, question: &Question) -> Answer {
+        Answer::free(question.id(), Preference::Policy)
     }
 }
 
+/// Asks a faulty judge once a second.
+fn faulty(faults: &config::FaultyJudge) -> Advisor {
+    let config = Gate {
+        period_s: 1.0,
+        ..Gate::default()
+    };
+    let judge = Box::new(Immediate::new(Content));
+    Advisor::new(&config, Box::new(FaultyJudge::new(faults, judge)))
+}
+
 /// Preferences that are heard of 2,000 questions, a second apart.
-fn heard(config: &Gate) -> Vec<Preference> {
-    let mut counsel = Counsel::new(config, Box::new(AtOnce::new(Content)));
+fn heard(faults: &config::FaultyJudge) -> Vec<Preference> {
+    let mut advisor = faulty(faults);
     let answers = (1..=2000u64).map(|k| {
         let mut step = Step {
             observation: observation(5.0),
@@ -228,7 +242,7 @@ fn heard(config: &Gate) -> Vec<Preference> {
         step.observation.header.tick = 10 * k;
         step.observation.header.taken_ns = k * 1_000_000_000;
         let now = Instant(k * 1_000_000_000);
-        let advice = counsel.consider(&step, now);
+        let advice = advisor.consider(&step, now);
         (advice.answers, advice.label())
     });
     let mut last = 0;
@@ -244,13 +258,12 @@ fn heard(config: &Gate) -> Vec<Preference> {
 
 #[test]
 fn noise_turns_and_abstention_withholds_as_many_answers_as_configured() {
-    let config = Gate {
-        period_s: 1.0,
+    let faults = config::FaultyJudge {
         noise: 0.3,
         abstention: 0.2,
-        ..Gate::default()
+        ..config::FaultyJudge::default()
     };
-    let answers = heard(&config);
+    let answers = heard(&faults);
     assert_eq!(answers.len(), 2000);
     let share = |wanted| {
         let count = answers.iter().filter(|&&preference| preference == wanted);
@@ -259,26 +272,24 @@ fn noise_turns_and_abstention_withholds_as_many_answers_as_configured() {
     // Four standard deviations of a share of 2,000.
     assert!((share(Preference::Abstain) - 0.2).abs() < 0.04);
     assert!((share(Preference::Expert) - 0.8 * 0.3).abs() < 0.04);
-    assert_eq!(answers, heard(&config), "the same seed, the same flaws");
-    let other = Gate { seed: 1, ..config };
-    assert_ne!(answers, heard(&other), "another seed, other flaws");
+    assert_eq!(answers, heard(&faults), "the same seed, the same faults");
+    let other = config::FaultyJudge { seed: 1, ..faults };
+    assert_ne!(answers, heard(&other), "another seed, other faults");
 }
 
 #[test]
 fn a_late_answer_is_heard_late_and_keeps_its_question() {
-    let config = Gate {
-        period_s: 1.0,
+    let mut advisor = faulty(&config::FaultyJudge {
         delay_s: 30.0,
-        ..Gate::default()
-    };
-    let mut counsel = Counsel::new(&config, Box::new(AtOnce::new(Content)));
+        ..config::FaultyJudge::default()
+    });
     for k in 1..=60u64 {
         let mut step = Step {
             observation: observation(5.0),
             ..Step::default()
         };
         step.observation.header.taken_ns = k * 1_000_000_000;
-        let advice = counsel.consider(&step, Instant(k * 1_000_000_000));
+        let advice = advisor.consider(&step, Instant(k * 1_000_000_000));
         let about = k.saturating_sub(30);
         assert_eq!(advice.answers, about, "after {k} s");
         assert_eq!(advice.question_taken_ns, about * 1_000_000_000);

@@ -130,7 +130,7 @@ fn swapping_twice_or_drawing_twice_gives_the_same_bytes() {
     let camera = Camera::top_down(SIZE);
     let both = proposals(&vehicle, action(0.1, 0.5), action(-0.05, -0.2));
     let rgb = asphalt();
-    for encoding in [Encoding::Png, Encoding::Jpeg { quality: 85 }] {
+    for encoding in [Encoding::Png, Encoding::Jpeg] {
         let style = Style {
             encoding,
             ..Style::default()

@@ -2,13 +2,14 @@
 
 mod records;
 
+use shm_config::message::Preference;
 use std::fs::{self, OpenOptions};
 use std::io::Write;
 use std::path::Path;
 
 use gate::presentation::{Party, Reply};
+use gate::record::Record;
 use gate::record::store::{PICTURES, QUESTIONS, QUESTIONS_BEFORE, ReadError, Store, read};
-use gate::record::{Record, Verdict};
 use records::{SHOWING, asking, picture, record};
 
 fn some_record() -> Record {
@@ -16,7 +17,7 @@ fn some_record() -> Record {
         asking(SHOWING, Reply::First, 0.9),
         asking(SHOWING.swapped(), Reply::Second, 0.8),
     ];
-    record(askings, Verdict::Expert, Party::Expert)
+    record(askings, Some(Preference::Expert), Party::Expert)
 }
 
 fn keep(store: &mut Store, count: u8) {

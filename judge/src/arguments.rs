@@ -8,7 +8,7 @@ use judge::standin::{Mishap, Options};
 
 use crate::auditing::{AuditArguments, ReplayArguments};
 
-/// What there is to do about judges apart from a run
+/// Audit a judge, ask another the same, or serve a stand-in for a model
 #[derive(Debug, Parser)]
 #[command(name = "vlaps-judge", bin_name = "./vlaps judge", version)]
 pub struct Arguments {
@@ -26,18 +26,20 @@ pub enum Command {
     /// asked, and vlm.model to vlaps-stand-in to have it counted as what it is.
     #[command(
         allow_negative_numbers = true,
-        override_usage = "./vlaps judge-server [OPTIONS]"
+        after_help = "Examples:\n  \
+            ./vlaps judge serve\n  \
+            ./vlaps judge serve --port 0 --latency 2 --noise 0.1"
     )]
-    Server(ServerArguments),
+    Serve(ServeArguments),
     /// Make a page of what a judge was asked in a run, and how right it was
     Audit(AuditArguments),
     /// Ask another model what a judge was asked in a run
     Replay(ReplayArguments),
 }
 
-/// How the stand-in is.
+/// How the stand-in behaves.
 #[derive(Debug, Args)]
-pub struct ServerArguments {
+pub struct ServeArguments {
     /// Where to listen, on this machine alone; 0 for any free port
     #[arg(long, default_value_t = 8080)]
     pub port: u16,
@@ -70,7 +72,7 @@ pub struct ServerArguments {
     pub seed: u64,
 }
 
-impl ServerArguments {
+impl ServeArguments {
     /// As the stand-in takes them.
     pub fn options(&self) -> Options {
         Options {

@@ -7,7 +7,7 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use gate::model::Asker;
 use gate::record::store::{Records, read};
-use gate::record::{Record, Said, Verdict};
+use gate::record::{Record, Said};
 use indicatif::{ProgressBar, ProgressStyle};
 use judge::audit::{Figures, page};
 use judge::replay::{Comparison, Replay, Step};
@@ -51,11 +51,11 @@ pub struct AuditArguments {
 /// Ask another model what a judge was asked in a run: the same pictures and words.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Whom: section [vlm] of the configuration. What is said goes into a folder of \
+    after_help = "Section [vlm] of the configuration names the model. What is said goes into a folder of \
         its own, to be audited like a run; what is there already is not asked again, so that an \
         interrupted replay goes on.\n\n\
         Example:\n  \
-        ./vlaps judge replay runs/default --set vlm.model=qwen2.5vl:7b --set vlm.dialect=ollama \
+        ./vlaps judge replay runs/default --set vlm.model=qwen2.5vl:7b \
         --set vlm.server=http://127.0.0.1:11434/v1"
 )]
 pub struct ReplayArguments {
@@ -277,7 +277,7 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     match now
         .questions
         .iter()
-        .all(|record| record.verdict == Verdict::Failed)
+        .all(|record| record.preference.is_none())
     {
         true => bail!("nothing was answered; the same command asks again"),
         false => Ok(()),

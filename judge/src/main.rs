@@ -1,4 +1,4 @@
-//! `vlaps-judge`: what there is to do about judges apart from a run.
+//! `vlaps-judge`: the offline tools for judges.
 
 mod arguments;
 mod auditing;
@@ -13,7 +13,7 @@ use judge::standin::{NAME, Server};
 use shm_config::text::{causes, printable_arguments, printable_lines};
 use shm_config::{counted, secret};
 
-use crate::arguments::{Arguments, Command, ServerArguments};
+use crate::arguments::{Arguments, Command, ServeArguments};
 
 /// As the supervisor's programs exit when they failed.
 const EXIT_FAILED: u8 = 1;
@@ -26,7 +26,7 @@ fn main() -> ExitCode {
         shown.unwrap_or(error).exit()
     });
     let done = taken.and_then(|()| match arguments.command {
-        Command::Server(arguments) => server(&arguments),
+        Command::Serve(arguments) => serve(&arguments),
         Command::Audit(arguments) => auditing::audit(&arguments),
         Command::Replay(arguments) => auditing::replay(&arguments),
     });
@@ -42,7 +42,7 @@ fn main() -> ExitCode {
 }
 
 /// Runs a stand-in until a signal comes.
-fn server(arguments: &ServerArguments) -> anyhow::Result<()> {
+fn serve(arguments: &ServeArguments) -> anyhow::Result<()> {
     let stop = [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM];
     let mut stop = signal_hook::iterator::Signals::new(stop).context("cannot handle signals")?;
     let server = Server::start(arguments.options()).with_context(|| {

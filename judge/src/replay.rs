@@ -1,5 +1,6 @@
-//! The questions of a record, asked again of whoever is configured now.
+//! The questions of a record, asked again of the configured model.
 
+use shm_config::message::Preference;
 use std::collections::BTreeSet;
 use std::io::Cursor;
 use std::path::Path;
@@ -13,7 +14,7 @@ use gate::model::{Asker, Fault};
 use gate::presentation::picture::{Encoding, Picture};
 use gate::presentation::{Prompt, Reply, Showing, combine};
 use gate::record::store::{Records, Store, read};
-use gate::record::{Asking, Record, Verdict};
+use gate::record::{Asking, Record};
 
 /// How long is waited when the own limit of requests per minute is reached.
 const PACE: Duration = Duration::from_secs(1);
@@ -40,7 +41,7 @@ pub enum Step {
     /// A picture of it is not kept any more, or its preset is none that is known:
     /// nothing was asked.
     Gone,
-    /// Nobody can be asked any more, for this reason; nothing was kept.
+    /// The model cannot be asked any more, for this reason; nothing was kept.
     Closed(Fault),
 }
 
@@ -64,7 +65,7 @@ impl Replay {
             // What failed is asked again.
             done: done
                 .iter()
-                .filter(|record| record.verdict != Verdict::Failed)
+                .filter(|record| record.preference.is_some())
                 .map(key)
                 .collect(),
         })
@@ -75,13 +76,9 @@ impl Replay {
         if self.done.contains(&key(record)) {
             return Step::Before;
         }
-        let preset = [
-            PromptPreset::Blind,
-            PromptPreset::Paper,
-            PromptPreset::PaperAppendix,
-        ]
-        .into_iter()
-        .find(|preset| preset.word() == record.preset);
+        let preset = [PromptPreset::Blind, PromptPreset::Paper]
+            .into_iter()
+            .find(|preset| preset.word() == record.preset);
         let pictures: Option<Vec<Picture>> = record
             .askings
             .iter()
@@ -101,7 +98,7 @@ impl Replay {
         let said = Record {
             model: self.vlm.model_name().into(),
             judge: "vlm".into(),
-            verdict: verdict(&askings),
+            preference: preference_of(&askings),
             fault: fault.unwrap_or_default(),
             latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
             cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),
@@ -130,7 +127,7 @@ impl Replay {
         loop {
             let asked = self.asker.ask(&prompt, picture, deadline).await;
             match asked.reply {
-                // Nobody is in a hurry here.
+                // Offline, there is time.
                 Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
                 Err(Fault::Budget) => return Err(Fault::Budget),
                 Err(fault) if fault.is_permanent() => return Err(fault),
@@ -158,8 +155,7 @@ fn key(record: &Record) -> Key {
 fn kept(folder: &Path, name: &str) -> Option<Picture> {
     let encoding = match Path::new(name).extension()?.to_str()? {
         "png" => Encoding::Png,
-        // How strongly it was packed is not known, and does not matter.
-        "jpg" => Encoding::Jpeg { quality: 0 },
+        "jpg" => Encoding::Jpeg,
         _ => return None,
     };
     let bytes = std::fs::read(folder.join(name)).ok()?;
@@ -174,12 +170,12 @@ fn kept(folder: &Path, name: &str) -> Option<Picture> {
 }
 
 /// What askings say together; without a reply to each there is no answer.
-pub fn verdict(askings: &[Asking]) -> Verdict {
+pub fn preference_of(askings: &[Asking]) -> Option<Preference> {
     let replies: Option<Vec<(Showing, Reply)>> = askings
         .iter()
         .map(|asking| Some((asking.showing, asking.reply?)))
         .collect();
-    replies.map_or(Verdict::Failed, |replies| combine(&replies).into())
+    replies.map(|replies| combine(&replies))
 }
 
 /// How two judges of the same questions agree: rows the one, columns the other;
@@ -198,7 +194,7 @@ impl Comparison {
             // What failed before and was asked again stands twice: the last counts.
             let mut same = other.questions.iter().rev();
             if let Some(again) = same.find(|again| key(again) == key(record)) {
-                counts[place(record.verdict)][place(again.verdict)] += 1;
+                counts[place(record.preference)][place(again.preference)] += 1;
             }
         }
         Self { counts }
@@ -211,11 +207,11 @@ impl Comparison {
     }
 }
 
-fn place(verdict: Verdict) -> usize {
-    match verdict {
-        Verdict::Expert => 0,
-        Verdict::Policy => 1,
-        Verdict::Abstain => 2,
-        Verdict::Failed => 3,
+fn place(preference: Option<Preference>) -> usize {
+    match preference {
+        Some(Preference::Expert) => 0,
+        Some(Preference::Policy) => 1,
+        Some(Preference::Abstain) => 2,
+        None => 3,
     }
 }

@@ -3,29 +3,30 @@
 #[path = "../../gate/tests/records/mod.rs"]
 mod records;
 
+use shm_config::message::Preference;
 use std::path::Path;
 use std::process::Command;
 
 use gate::presentation::{Party, Reply};
+use gate::record::Record;
 use gate::record::store::{Records, Store, read};
-use gate::record::{Record, Verdict};
 use judge::audit::{Figures, page};
 use records::{SHOWING, asking, picture, record};
 
 /// Asked twice, the paths swapped.
-fn pair(replies: [Reply; 2], verdict: Verdict, safer: Party) -> Record {
+fn pair(replies: [Reply; 2], preference: Option<Preference>, safer: Party) -> Record {
     let askings = vec![
         asking(SHOWING, replies[0], 0.85),
         asking(SHOWING.swapped(), replies[1], 0.85),
     ];
-    record(askings, verdict, safer)
+    record(askings, preference, safer)
 }
 
 fn failed(word: &str) -> Record {
     let mut asking = asking(SHOWING, Reply::First, 0.0);
     (asking.reply, asking.confidence) = (None, None);
     asking.fault = Some(word.into());
-    let mut record = record(vec![asking], Verdict::Failed, Party::Expert);
+    let mut record = record(vec![asking], None, Party::Expert);
     record.fault = word.into();
     record
 }
@@ -34,13 +35,13 @@ fn failed(word: &str) -> Record {
 fn figures_are_those_counted_by_hand() {
     use Reply::{First, Second, Similar};
     let records = [
-        pair([First, Second], Verdict::Expert, Party::Expert),
-        pair([First, Second], Verdict::Expert, Party::Expert),
-        pair([Second, First], Verdict::Policy, Party::Policy),
-        pair([First, Second], Verdict::Expert, Party::Policy),
-        pair([First, First], Verdict::Abstain, Party::Expert),
-        pair([First, Similar], Verdict::Abstain, Party::Policy),
-        pair([Similar, Similar], Verdict::Policy, Party::Policy),
+        pair([First, Second], Some(Preference::Expert), Party::Expert),
+        pair([First, Second], Some(Preference::Expert), Party::Expert),
+        pair([Second, First], Some(Preference::Policy), Party::Policy),
+        pair([First, Second], Some(Preference::Expert), Party::Policy),
+        pair([First, First], Some(Preference::Abstain), Party::Expert),
+        pair([First, Similar], Some(Preference::Abstain), Party::Policy),
+        pair([Similar, Similar], Some(Preference::Policy), Party::Policy),
         failed("timeout"),
     ];
     let figures = Figures::of(&records);
@@ -100,7 +101,7 @@ fn faults_are_counted_by_question_and_add_up_to_those_that_failed() {
 fn similar_is_an_answer_that_is_neither_right_nor_wrong_on_the_page() {
     let similar = pair(
         [Reply::Similar, Reply::Similar],
-        Verdict::Policy,
+        Some(Preference::Policy),
         Party::Policy,
     );
     let records = Records {
@@ -123,7 +124,7 @@ fn what_a_model_said_stays_text() {
     let evil = "</pre><script>alert(1)</script><img src=x onerror=alert(2)>\"'";
     let mut record = pair(
         [Reply::First, Reply::Second],
-        Verdict::Expert,
+        Some(Preference::Expert),
         Party::Expert,
     );
     record.fault = evil.into();
@@ -158,7 +159,11 @@ fn pictures_are_embedded_up_to_the_limit_and_linked_beyond() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut store = Store::open(folder.path(), 1 << 20).expect("opens");
     for safer in [Party::Expert, Party::Expert, Party::Policy] {
-        let record = pair([Reply::First, Reply::Second], Verdict::Expert, safer);
+        let record = pair(
+            [Reply::First, Reply::Second],
+            Some(Preference::Expert),
+            safer,
+        );
         store.begin(record, &[picture(1), picture(2)]);
     }
     store.finish();
@@ -183,7 +188,7 @@ fn a_page_that_is_written_elsewhere_has_its_pictures_beside_it() {
     let mut store = Store::open(&judge, 1 << 20).expect("opens");
     let record = pair(
         [Reply::First, Reply::Second],
-        Verdict::Expert,
+        Some(Preference::Expert),
         Party::Expert,
     );
     store.begin(record, &[picture(1), picture(2)]);

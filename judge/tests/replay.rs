@@ -3,13 +3,14 @@
 #[path = "../../gate/tests/records/mod.rs"]
 mod records;
 
+use shm_config::message::Preference;
 use std::sync::Arc;
 
 use gate::model::Asker;
 use gate::presentation::picture::{Photo, Picture, Proposals, Style, picture};
 use gate::presentation::{Party, Prompt, Reply, Showing};
+use gate::record::Record;
 use gate::record::store::{Store, read};
-use gate::record::{Record, Verdict};
 use judge::eyes::Sighted;
 use judge::replay::{Comparison, Replay, Step};
 use judge::standin::{Options, Server};
@@ -58,7 +59,7 @@ fn mistaken(tick: u64) -> Record {
     });
     Record {
         tick,
-        ..record(askings.collect(), Verdict::Policy, Party::Expert)
+        ..record(askings.collect(), Some(Preference::Policy), Party::Expert)
     }
 }
 
@@ -104,7 +105,7 @@ fn another_judge_is_asked_the_same_once_and_goes_on_where_it_ended() {
     assert_eq!(server.requests(), 4, "nothing is asked twice");
     let again = read(&out).expect("reads");
     for record in &again.questions {
-        assert_eq!(record.verdict, Verdict::Expert, "{record:?}");
+        assert_eq!(record.preference, Some(Preference::Expert), "{record:?}");
         assert_eq!(record.model, "another");
         assert!(out.join(&record.askings[1].picture).is_file());
     }

@@ -26,17 +26,15 @@ use view::chart::{FACE, know_font};
 
 /// Train under a judge with one flaw at a time: label noise, abstention, delay.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Each row is a training of its own (./vlaps train) with gate.noise, \
-        gate.abstention or gate.delay_s set; all rows share the first, without a flaw. What is \
+#[command(after_help = "Each row is a training of its own (./vlaps train) with \
+        faulty_judge.noise, faulty_judge.abstention or faulty_judge.delay_s set; all rows share the first, without a flaw. What is \
         done is kept in --out: a sweep that was stopped goes on. Sweeps of other seeds, made \
         elsewhere, are put together by moving their seed-N folders into one sweep's and \
         --report.\n\n\
         Examples:\n  \
         ./vlaps sweep --seeds 5\n  \
         ./vlaps sweep --algorithm pvp --steps 20000 --seeds 3 --out runs/sweep-pvp\n  \
-        ./vlaps sweep --out runs/sweep-pvp --report"
-)]
+        ./vlaps sweep --out runs/sweep-pvp --report")]
 pub struct Sweep {
     /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
     #[arg(long, value_name = "HOW", default_value = "hg-dagger", value_parser = algorithm)]
@@ -94,9 +92,9 @@ enum Flaw {
 impl Flaw {
     fn key(self) -> &'static str {
         match self {
-            Self::Noise => "gate.noise",
-            Self::Abstention => "gate.abstention",
-            Self::Delay => "gate.delay_s",
+            Self::Noise => "faulty_judge.noise",
+            Self::Abstention => "faulty_judge.abstention",
+            Self::Delay => "faulty_judge.delay_s",
         }
     }
 

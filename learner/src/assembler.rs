@@ -320,14 +320,7 @@ impl Assembler {
             (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty | Reason::Late)) => {
                 Some(Label::None)
             }
-            (
-                GateMode::Rules
-                | GateMode::Vlm
-                | GateMode::Paper
-                | GateMode::Committee
-                | GateMode::Replay,
-                _,
-            ) => None,
+            (GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay, _) => None,
         }
     }
 

@@ -67,10 +67,8 @@ pub enum Command {
     /// Train under a judge that is wrong, silent or late, and print what it costs.
     #[command(disable_help_flag = true)]
     Sweep(Delegated),
-    /// Audit what a judge was asked and said, or ask another model the same.
+    /// Audit what a judge was asked and said, ask another model the same, or serve a stand-in
+    /// for a model.
     #[command(disable_help_flag = true)]
     Judge(Delegated),
-    /// Serve a stand-in for a vision-language model: it judges pixels, and is no model.
-    #[command(disable_help_flag = true)]
-    JudgeServer(Delegated),
 }

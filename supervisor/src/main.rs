@@ -50,7 +50,6 @@ fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Bench(words) => delegate(BENCH, &["bench"], words),
         Command::Draw(words) => delegate(LAB, &["draw"], words),
         Command::Judge(words) => delegate(JUDGE, &[], words),
-        Command::JudgeServer(words) => delegate(JUDGE, &["server"], words),
         Command::Train(words) => delegate(LAB, &["train"], words),
         Command::Sweep(words) => delegate(LAB, &["sweep"], words),
     }

@@ -119,7 +119,7 @@ fn what_a_path_or_a_key_holds_is_shown_and_acts_on_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let unknown = format!("[vlm]\n{} = 1\n", json!(HOSTILE));
     fs::write(folder.path().join("unknown.toml"), unknown).expect("written");
-    let value = format!("[vlm]\ndialect = {}\n", json!(HOSTILE));
+    let value = format!("[vlm]\nprompt = {}\n", json!(HOSTILE));
     fs::write(folder.path().join("value.toml"), value).expect("written");
     let missing = format!("{HOSTILE}.toml");
     let setting = format!("vlm.{HOSTILE}=1");

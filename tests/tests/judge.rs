@@ -1,15 +1,17 @@
 //! A vision-language model as judge of real process sets. The model is the
 //! stand-in: the same protocol over HTTP, and pixels alone to go by.
 
+use shm_config::message::Preference;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use gate::record::Record;
 use gate::record::store;
-use gate::record::{Record, Verdict};
 use judge::eyes::Sighted;
 use judge::standin::{Mishap, Options, Server};
 use serde_json::Value;
+use shm_config::config::{GateMode, When, load};
 use vlaps_tests::{Set, until};
 
 /// A policy that was trained for 9,800 steps: something to judge.
@@ -69,7 +71,7 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
     let records = records(&asked);
     assert!(records.len() >= 3, "{} questions in 30 s", records.len());
     for record in &records {
-        assert_ne!(record.verdict, Verdict::Failed, "{}", record.fault);
+        assert_ne!(record.preference, None, "{}", record.fault);
         assert_eq!(record.askings.len(), 2, "asked twice");
         let [first, second] = [&record.askings[0], &record.askings[1]];
         assert_eq!(second.showing, first.showing.swapped());
@@ -79,9 +81,14 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
             assert!(!first.user.to_lowercase().contains(word), "{word}");
         }
     }
-    let answered = |verdict| records.iter().filter(|r| r.verdict == verdict).count();
+    let answered = |preference| {
+        records
+            .iter()
+            .filter(|r| r.preference == preference)
+            .count()
+    };
     let drove = json["share"]["policy"].as_f64().expect("a share") > 0.0;
-    assert_eq!(drove, answered(Verdict::Policy) > 0, "{json}");
+    assert_eq!(drove, answered(Some(Preference::Policy)) > 0, "{json}");
 
     let recording = format!(
         "gate.recording={}",
@@ -128,7 +135,7 @@ fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
         let records = records(&set);
         assert!(!records.is_empty());
         for record in records {
-            assert_eq!(record.verdict, Verdict::Failed, "{}", mishap.word());
+            assert_eq!(record.preference, None, "{}", mishap.word());
             assert!(!record.fault.is_empty(), "one reason");
         }
     }
@@ -191,18 +198,18 @@ fn the_papers_mode_pauses_the_world_and_names_both() {
         assert!(record.askings[0].user.contains("expert"));
     }
     assert_eq!(json["skipped"], 0);
-}
-
-#[test]
-fn a_committee_of_geometry_and_a_model_drives() {
-    let server = stand_in();
-    let set = Set::new("committee");
-    drive(&set, &server.url(), &["--gate", "committee"]);
-    let records = records(&set);
-    assert!(!records.is_empty());
-    assert!(records.iter().all(|record| record.judge == "committee"));
-    let agreed = records.iter().filter(|r| r.verdict != Verdict::Abstain);
-    assert!(agreed.count() > 0, "they never agreed");
+    let saved = load(&folder_of(&set).join("config.toml")).expect("the saved configuration");
+    assert_eq!(saved.gate.mode, GateMode::Paper);
+    assert_eq!((saved.gate.when, saved.gate.dwell_s), (When::Period, 0.0));
+    assert_eq!((saved.vlm.ask_twice, saved.vlm.horizon_s), (false, 1.5));
+    let text = std::fs::read_to_string(folder_of(&set).join("config.toml")).expect("a file");
+    for line in [
+        "ask_twice = false",
+        "handover_steer_per_s = 0.0",
+        "prompt = \"paper\"",
+    ] {
+        assert!(text.contains(line), "{line} drove, and is not in: {text}");
+    }
 }
 
 #[test]

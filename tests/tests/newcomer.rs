@@ -139,7 +139,7 @@ fn help_and_usage_name_what_there_is() {
     let down = help(&["down", "--help"]);
     let down: Vec<_> = down.split_whitespace().collect();
     assert!(down.join(" ").contains("status and swap exit 1"));
-    assert!(help(&["server", "--nonsense"]).contains("./vlaps judge-server [OPTIONS]"));
+    assert!(help(&["judge", "serve", "--nonsense"]).contains("./vlaps judge serve [OPTIONS]"));
 }
 
 #[test]

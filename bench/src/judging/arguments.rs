@@ -9,13 +9,13 @@ use supervisor::subcommand::Configuration;
 #[command(
     after_help = "Scenes are moments of the expert's drives in the built-in world in which \
         exactly one of two proposals, held for 3 s, ends in a contact or off the road. Without \
-        --server, ./vlaps judge-server's stand-in is asked: it is no model, it judges from the \
+        --server, the stand-in of ./vlaps judge serve is asked: it is no model, it judges from the \
         pixels alone; and once more as a stand-in that prefers the first path in --bias of all \
         pairs, as small models do.\n\n\
         Examples:\n  \
         ./vlaps bench judge --json judge.json\n  \
         ./vlaps bench judge --scenes 500 --view top_down\n  \
-        ./vlaps bench judge --server http://127.0.0.1:8080/v1 --set vlm.dialect=llama_cpp"
+        ./vlaps bench judge --server http://127.0.0.1:8080/v1 --set vlm.price_in_usd=0 --set vlm.price_out_usd=0"
 )]
 pub struct BenchJudge {
     /// How many scenes.

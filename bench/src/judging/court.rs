@@ -8,10 +8,11 @@ use anyhow::{Context, anyhow};
 use gate::model::{Asker, Fault};
 use gate::presentation::picture::{Style, picture};
 use gate::presentation::{Party, Prompt, Showing};
+use gate::query::Occasion;
 use gate::record::store::Store;
-use gate::record::{Asking, Occasion, Record, Said};
+use gate::record::{Asking, Record, Said};
 use judge::audit::Agreement;
-use judge::replay::verdict;
+use judge::replay::preference_of;
 use judge::statistics::Share;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
@@ -76,7 +77,7 @@ impl Tally {
     /// Counts what these askings say together where `safer` is right and `first`
     /// was in the first place.
     fn count(&mut self, safer: Party, first: Party, askings: &[Asking]) {
-        let said = Said::of(verdict(askings), askings);
+        let said = Said::of(preference_of(askings), askings);
         self.agreement.count(safer, said);
         if let Some(party) = said.preference() {
             self.first_place.trials += 1;
@@ -222,8 +223,7 @@ fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
         speed_mps: scene.speed_mps,
         expert: Some(scene.proposed[0]),
         policy: Some(scene.proposed[1]),
-        verdict: verdict(&askings),
-        votes: Vec::new(),
+        preference: preference_of(&askings),
         fault: fault(&askings),
         latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
         cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),

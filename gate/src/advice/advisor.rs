@@ -4,46 +4,34 @@ use shm_config::config::Gate;
 use shm_config::message::{Advice, Judge as JudgeKind, Preference, Step};
 use shm_config::{Instant, Message};
 
-use crate::advice::{Dwell, Occasions};
-use crate::judge::Flaws;
-use crate::query::{Answer, Docket, Occasion, Question, Ruling};
+use crate::advice::{Dwell, QueryPolicy};
+use crate::query::{Answer, Occasion, QueryQueue, Question};
 
-/// Answers that may be on their way: of a judge that is asked once a second and
-/// heard a minute later. The oldest is lost when there are more.
-const LATE_MAX: usize = 64;
+/// Answers that wait to be published, one for each step. The oldest is dropped when
+/// there are more.
+const WAITING_MAX: usize = 64;
 
 /// The gate process without its ports: steps in, advice out.
-pub struct Counsel {
-    docket: Box<dyn Docket>,
-    occasions: Occasions,
-    flaws: Flaws,
+pub struct Advisor {
+    queue: Box<dyn QueryQueue>,
+    policy: QueryPolicy,
     dwell: Dwell,
-    /// Answers that are not to be heard yet, the oldest first.
-    late: VecDeque<(Question, Ruling)>,
+    /// Answers that are not published yet, the oldest first.
+    waiting: VecDeque<Answer>,
     hold_ns: u64,
     label_ns: u64,
     advice: Advice,
     cost_usd: f64,
 }
 
-/// An answer that was heard.
-#[derive(Debug, Clone, Copy)]
-pub struct Heard {
-    /// What was asked.
-    pub question: Question,
-    /// What came, with the flaws that were asked for.
-    pub ruling: Ruling,
-}
-
-impl Counsel {
-    /// Asks this judge on the configured occasions.
-    pub fn new(config: &Gate, docket: Box<dyn Docket>) -> Self {
+impl Advisor {
+    /// Asks the judge behind this queue on the configured occasions.
+    pub fn new(config: &Gate, queue: Box<dyn QueryQueue>) -> Self {
         Self {
-            docket,
-            occasions: Occasions::new(config),
-            flaws: Flaws::new(config),
+            queue,
+            policy: QueryPolicy::new(config),
             dwell: Dwell::new(config),
-            late: VecDeque::with_capacity(LATE_MAX),
+            waiting: VecDeque::with_capacity(WAITING_MAX),
             hold_ns: (config.hold_s * 1e9) as u64,
             label_ns: config.label_ns(),
             advice: Advice::default(),
@@ -51,98 +39,85 @@ impl Counsel {
         }
     }
 
-    /// Asks about this step when there is reason to; `None` when there is none or
-    /// the judge has enough to do.
+    /// Asks about this step when there is an occasion to; `None` when there is none or
+    /// the queue is full.
     ///
-    /// Reason is a new episode, a period that is over (Sec. 4.2), and with
+    /// An occasion is a new episode, the end of a period (Sec. 4.2), and with
     /// `gate.when = "matters"` proposals far apart or near something.
-    pub fn ask(&mut self, step: &Step) -> Option<(Question, Occasion)> {
+    pub fn ask(&mut self, step: &Step) -> Option<Occasion> {
         self.follow(step);
         let observation = &step.observation;
         let has_seen = observation.header.taken_ns > 0 || observation.header.sequence > 0;
-        let occasion = match self.docket.wants(step) {
+        let occasion = match self.queue.wants(step) {
             Some(true) => Occasion::Period,
             Some(false) => return None,
-            None => self.occasions.at(step)?,
+            None => self.policy.at(step)?,
         };
         let has_pair = step.expert.action().is_some() && step.policy.action().is_some();
-        // Geometry costs nothing and has an answer to half a pair; a model is
-        // asked only where there is a choice.
-        let is_worth = has_pair || self.docket.kind() == JudgeKind::Rules;
-        if !has_seen || !is_worth {
+        // Geometry is free and answers half a pair, too; a model is asked only where
+        // there is a choice.
+        let is_worth = has_pair || self.queue.kind() == JudgeKind::Rules;
+        if !has_seen || !is_worth || !self.queue.put(Question::about(step)) {
             return None;
         }
-        let question = Question::about(step);
-        if !self.docket.put(&question) {
-            return None;
-        }
-        self.occasions.asked(step);
-        Some((question, occasion))
+        self.policy.asked(step);
+        Some(occasion)
     }
 
     /// Questions whose answers a run in lockstep has to wait for.
     pub fn awaited(&self) -> usize {
-        self.docket.awaited()
+        self.queue.awaited()
     }
 
     /// What kind of judge is asked.
     pub fn kind(&self) -> JudgeKind {
-        self.docket.kind()
+        self.queue.kind()
     }
 
-    /// Takes in what the judge has answered, to be heard when it is due.
+    /// Takes in the answers that have come, to be published by [`Advisor::hear`].
     pub fn collect(&mut self, now: Instant) {
-        while let Some((question, ruling)) = self.docket.take(now) {
-            if self.late.len() == LATE_MAX {
-                self.late.pop_front();
+        while let Some(answer) = self.queue.take(now) {
+            if self.waiting.len() == WAITING_MAX {
+                self.waiting.pop_front();
             }
-            let ruling = self.flaws.apply(&question, ruling);
-            self.cost_usd += ruling.cost_usd;
-            self.late.push_back((question, ruling));
+            self.cost_usd += answer.cost_usd;
+            self.waiting.push_back(answer);
         }
     }
 
-    /// Hears an answer when one is due: one a call, so that no reader of the
+    /// Lets the oldest waiting answer decide: one a call, so that no reader of the
     /// advice misses one.
-    pub fn hear(&mut self, now: Instant) -> Option<Heard> {
+    pub fn hear(&mut self, now: Instant) -> Option<Answer> {
         self.collect(now);
-        let is_due = |(question, _): &(Question, Ruling)| now >= self.flaws.due(question);
-        if !self.late.front().is_some_and(is_due) {
-            return None;
-        }
-        let (question, ruling) = self.late.pop_front()?;
-        self.settle(&question, ruling.answer, now);
-        Some(Heard { question, ruling })
+        let answer = self.waiting.pop_front()?;
+        self.settle(&answer, now);
+        Some(answer)
     }
 
-    fn settle(&mut self, question: &Question, answer: Answer, now: Instant) {
-        let header = question.observation.header;
-        let said = match answer {
-            Answer::Expert => Preference::Expert,
-            Answer::Policy => Preference::Policy,
-            // No label, and the expert drives: never read as a preference.
-            Answer::Abstain | Answer::Failed(_) => Preference::Abstain,
-        };
+    fn settle(&mut self, answer: &Answer, now: Instant) {
+        let question = answer.question;
+        // A failure makes no label, and the expert drives.
+        let preference = answer.preference.unwrap_or(Preference::Abstain);
         let advice = &mut self.advice;
-        let is_of_now = question.episode() == advice.header.episode;
         advice.answers += 1;
-        advice.judge = self.docket.kind().code();
-        advice.label = said.code();
-        advice.label_from_ns = header.taken_ns;
-        advice.label_until_ns = header.taken().after_ns(self.label_ns).0;
-        // An answer that was overtaken teaches, and decides no more.
-        if !is_of_now || header.tick < advice.question_tick {
+        advice.judge = self.queue.kind().code();
+        advice.label = preference.code();
+        advice.label_from_ns = question.taken.0;
+        advice.label_until_ns = question.taken.after_ns(self.label_ns).0;
+        // An answer to an older question than the last one is a label only.
+        let is_current = question.episode == advice.header.episode;
+        if !is_current || question.tick < advice.question_tick {
             return;
         }
-        advice.question_tick = header.tick;
-        advice.question_taken_ns = header.taken_ns;
+        advice.question_tick = question.tick;
+        advice.question_taken_ns = question.taken.0;
         advice.answered_ns = now.0;
-        advice.holds_until_ns = header.taken().after_ns(self.hold_ns).0;
-        self.dwell.hear(said, now);
+        advice.holds_until_ns = question.taken.after_ns(self.hold_ns).0;
+        self.dwell.hear(preference, now);
     }
 
-    /// The step is the newest now. What was said of another episode, or of a run
-    /// with another clock, is no advice in this one.
+    /// Follows the newest step. Answers of another episode, or of a run with another
+    /// clock, are no advice in this one.
     fn follow(&mut self, step: &Step) {
         let before = self.advice.header;
         let header = step.header();

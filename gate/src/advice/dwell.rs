@@ -2,8 +2,8 @@ use shm_config::Instant;
 use shm_config::config::Gate;
 use shm_config::message::Preference;
 
-/// Against flapping: the expert gets the wheel at once, the policy only after a
-/// time with the expert and so many answers in a row for it.
+/// Hysteresis: an answer for the expert takes effect at once, one for the policy only
+/// after a minimum time with the expert and a number of consecutive answers for it.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwell {
     dwell_ns: u64,
@@ -16,7 +16,7 @@ pub struct Dwell {
 }
 
 impl Dwell {
-    /// As configured; nobody is preferred yet.
+    /// As configured, without a preference.
     pub fn new(config: &Gate) -> Self {
         Self {
             dwell_ns: (config.dwell_s * 1e9) as u64,
@@ -27,7 +27,7 @@ impl Dwell {
         }
     }
 
-    /// A new episode: nobody is preferred, and nothing is waited for.
+    /// Forgets the preference: a new episode begins.
     pub fn begin(&mut self) {
         self.in_force = Preference::Abstain;
         self.lost = None;
@@ -48,8 +48,8 @@ impl Dwell {
         }
     }
 
-    /// Who is preferred now. To be asked at every step: a time that is over may
-    /// hand over without a new answer.
+    /// The preference in force. Call it at every step: the end of the dwell time can
+    /// change it without a new answer.
     pub fn in_force(&mut self, now: Instant) -> Preference {
         let has_dwelt = self
             .lost

@@ -2,8 +2,8 @@
 
 mod advisor;
 mod dwell;
-mod policy;
+mod query_policy;
 
-pub use advisor::{Counsel, Heard};
+pub use advisor::Advisor;
 pub use dwell::Dwell;
-pub use policy::Occasions;
+pub use query_policy::QueryPolicy;

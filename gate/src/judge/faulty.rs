@@ -1,55 +1,90 @@
+use std::collections::VecDeque;
+
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::Instant;
-use shm_config::config::Gate;
+use shm_config::config;
+use shm_config::message::{Judge as JudgeKind, Preference, Step};
 
-use crate::query::{Answer, Question, Ruling};
+use crate::query::{Answer, QueryQueue, Question, QuestionId};
 
-/// What is wrong with a judge, on purpose: answers turned round, withheld or
-/// late, to find out how much of it driving and learning bear.
+/// Answers that are delayed at once: those of a judge that is asked once a second and
+/// answers a minute later. The oldest is dropped when there are more.
+const DELAYED_MAX: usize = 64;
+
+/// A judge whose answers are inverted, withheld or delayed, to measure how much of
+/// that driving and learning tolerate.
 ///
-/// What happens to an answer depends on the seed and its question's tick alone,
-/// so runs repeat.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Flaws {
+/// What happens to an answer depends on the seed and its question alone, so runs
+/// repeat.
+pub struct FaultyJudge {
+    queue: Box<dyn QueryQueue>,
     noise: f64,
     abstention: f64,
     delay_ns: u64,
     seed: u64,
+    /// The oldest first.
+    delayed: VecDeque<Answer>,
 }
 
-impl Flaws {
-    /// As configured; none by default.
-    pub fn new(config: &Gate) -> Self {
+impl FaultyJudge {
+    /// Injects the configured faults into the answers of this queue.
+    pub fn new(config: &config::FaultyJudge, queue: Box<dyn QueryQueue>) -> Self {
         Self {
+            queue,
             noise: config.noise,
             abstention: config.abstention,
             delay_ns: (config.delay_s * 1e9) as u64,
             seed: config.seed,
+            delayed: VecDeque::with_capacity(DELAYED_MAX),
         }
     }
 
-    /// When an answer may be heard.
-    pub fn due(&self, question: &Question) -> Instant {
-        let taken = question.observation.header.taken();
-        taken.after_ns(self.delay_ns)
-    }
-
-    /// The ruling as it is heard.
-    pub fn apply(&self, question: &Question, ruling: Ruling) -> Ruling {
-        let header = &question.observation.header;
-        let place = header.tick ^ (u64::from(header.episode) << 40);
-        let mut random = SplitMix64::seed_from_u64(self.seed ^ place.wrapping_mul(0x9e37_79b9));
+    fn disturb(&self, question: QuestionId, preference: Preference) -> Preference {
+        let mut random = SplitMix64::seed_from_u64(self.seed ^ question.seed());
         // The first number of neighbouring seeds is alike.
         let _ = random.next_u64();
         let mut share = || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        let (turned, withheld) = (share() < self.noise, share() < self.abstention);
-        let answer = match ruling.answer {
-            Answer::Expert | Answer::Policy if withheld => Answer::Abstain,
-            Answer::Expert if turned => Answer::Policy,
-            Answer::Policy if turned => Answer::Expert,
-            answer => answer,
-        };
-        Ruling { answer, ..ruling }
+        let (is_inverted, is_withheld) = (share() < self.noise, share() < self.abstention);
+        match preference {
+            Preference::Expert | Preference::Policy if is_withheld => Preference::Abstain,
+            Preference::Expert if is_inverted => Preference::Policy,
+            Preference::Policy if is_inverted => Preference::Expert,
+            preference => preference,
+        }
+    }
+}
+
+impl QueryQueue for FaultyJudge {
+    fn kind(&self) -> JudgeKind {
+        self.queue.kind()
+    }
+
+    fn put(&mut self, question: Question) -> bool {
+        self.queue.put(question)
+    }
+
+    fn take(&mut self, now: Instant) -> Option<Answer> {
+        while let Some(mut answer) = self.queue.take(now) {
+            if self.delayed.len() == DELAYED_MAX {
+                self.delayed.pop_front();
+            }
+            let preference = answer.preference;
+            answer.preference = preference.map(|said| self.disturb(answer.question, said));
+            self.delayed.push_back(answer);
+        }
+        let first = self.delayed.front()?;
+        let is_due = now >= first.question.taken.after_ns(self.delay_ns);
+        is_due.then(|| self.delayed.pop_front()).flatten()
+    }
+
+    fn awaited(&self) -> usize {
+        // The run's time stands while a judge answers; it passes while an answer is
+        // delayed.
+        self.queue.awaited()
+    }
+
+    fn wants(&self, step: &Step) -> Option<bool> {
+        self.queue.wants(step)
     }
 }

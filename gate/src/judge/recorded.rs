@@ -1,11 +1,11 @@
 use std::collections::{HashMap, VecDeque};
 
-use shm_config::message::{Judge as JudgeKind, Step};
+use shm_config::message::{Judge as JudgeKind, Preference, Step};
 use shm_config::{Instant, Message};
 use vehicle::Action;
 
-use crate::query::{Answer, Docket, Failure, Question, Ruling};
-use crate::record::{Proposed, Record, Verdict};
+use crate::query::{Answer, Failure, QueryQueue, Question, QuestionId};
+use crate::record::{Proposed, Record};
 
 /// The answers of a recorded run: asked where that run asked, heard when it
 /// heard. In lockstep, from the same seed, the same commands follow bit by bit.
@@ -13,7 +13,7 @@ pub struct Recorded {
     answers: HashMap<(u32, u64), Recollection>,
     /// Questions that are not the recorded ones.
     strayed: u64,
-    pending: VecDeque<(Question, Recollection)>,
+    pending: VecDeque<(QuestionId, Recollection)>,
 }
 
 /// Numbers of one tick that differ by less are the same: JSON may round them.
@@ -21,7 +21,7 @@ const SAME: f64 = 1e-9;
 
 #[derive(Clone, Copy)]
 struct Recollection {
-    answer: Answer,
+    preference: Result<Preference, Failure>,
     heard_ns: u64,
     speed_mps: f64,
     proposed: [Option<Action>; 2],
@@ -49,18 +49,12 @@ impl Recorded {
     /// The answers of these records; those that were never heard stay so.
     pub fn new<'a>(records: impl IntoIterator<Item = &'a Record>) -> Self {
         let answers = records.into_iter().map(|record| {
-            let answer = match record.verdict {
-                Verdict::Expert => Answer::Expert,
-                Verdict::Policy => Answer::Policy,
-                Verdict::Abstain => Answer::Abstain,
-                Verdict::Failed => Answer::Failed(Failure::Unavailable),
-            };
             let action = |proposed: &Proposed| Action {
                 steer: proposed.steer,
                 pedal: proposed.pedal,
             };
             let recollection = Recollection {
-                answer,
+                preference: record.preference.ok_or(Failure::Unavailable),
                 heard_ns: record.heard_ns,
                 speed_mps: record.speed_mps,
                 proposed: [&record.expert, &record.policy].map(|p| p.as_ref().map(action)),
@@ -75,45 +69,49 @@ impl Recorded {
     }
 }
 
-impl Docket for Recorded {
+impl QueryQueue for Recorded {
     fn kind(&self) -> JudgeKind {
         JudgeKind::Recorded
     }
 
-    fn put(&mut self, question: &Question) -> bool {
+    fn put(&mut self, question: Question) -> bool {
         // Once each: a tick that comes again is another run's.
-        match self.answers.remove(&question.key()) {
-            Some(recollection) if !recollection.is_about(question) => {
+        match self.answers.remove(&question.id().key()) {
+            Some(recollection) if !recollection.is_about(&question) => {
                 self.strayed += 1;
                 if self.strayed == 1 {
                     tracing::warn!(
-                        tick = question.key().1,
+                        tick = question.id().tick,
                         "the recording is of another run: other speed or proposals; its answers \
                          are not used where they differ, and the expert drives"
                     );
                 }
                 let stray = Recollection {
-                    answer: Answer::Failed(Failure::Unavailable),
+                    preference: Err(Failure::Unavailable),
                     ..recollection
                 };
-                self.pending.push_back((*question, stray));
+                self.pending.push_back((question.id(), stray));
                 true
             }
             Some(recollection) => {
-                self.pending.push_back((*question, recollection));
+                self.pending.push_back((question.id(), recollection));
                 true
             }
             None => false,
         }
     }
 
-    fn take(&mut self, now: Instant) -> Option<(Question, Ruling)> {
-        let is_due = |(_, answer): &(Question, Recollection)| {
+    fn take(&mut self, now: Instant) -> Option<Answer> {
+        let is_due = |(_, answer): &(QuestionId, Recollection)| {
             answer.heard_ns > 0 && answer.heard_ns <= now.0
         };
         let first = self.pending.iter().position(is_due)?;
         let (question, recollection) = self.pending.remove(first)?;
-        Some((question, Ruling::new(recollection.answer, 0.0)))
+        Some(Answer {
+            question,
+            preference: recollection.preference,
+            cost_usd: 0.0,
+        })
     }
 
     fn awaited(&self) -> usize {

@@ -1,9 +1,9 @@
 use safety::{Scene, assess};
 use shm_config::config::JudgeLimits;
-use shm_config::message::{Assessment, Judge as JudgeKind};
+use shm_config::message::{Assessment, Judge as JudgeKind, Preference};
 use vehicle::Vehicle;
 
-use crate::query::{Answer, Judge, Question, Ruling};
+use crate::query::{Answer, Judge, Question};
 
 /// Rollouts that stay safe this much longer are safer, s: one period.
 const SAFER_S: f64 = 0.1;
@@ -21,7 +21,7 @@ pub struct Rules {
 }
 
 impl Rules {
-    /// A judge of cars of this kind.
+    /// A judge for this vehicle.
     pub fn new(vehicle: Vehicle, limits: JudgeLimits) -> Self {
         Self { vehicle, limits }
     }
@@ -32,34 +32,34 @@ impl Judge for Rules {
         JudgeKind::Rules
     }
 
-    fn ask(&mut self, question: &Question) -> Ruling {
+    fn ask(&mut self, question: &Question) -> Answer {
         let speed_mps = question.observation.ego.speed_mps;
         let reach_m = Scene::reach_m(&self.vehicle, &self.limits, speed_mps);
         let scene = Scene::new(&question.observation, reach_m);
         let [expert, policy] = [question.expert, question.policy]
             .map(|proposal| assess(&self.vehicle, &self.limits, &scene, proposal.action()));
-        let answer = match (question.expert.action(), question.policy.action()) {
-            (_, None) => Answer::Abstain,
-            (None, Some(_)) if policy.is_vetoed() => Answer::Abstain,
-            (None, Some(_)) => Answer::Policy,
+        let preference = match (question.expert.action(), question.policy.action()) {
+            (_, None) => Preference::Abstain,
+            (None, Some(_)) if policy.is_vetoed() => Preference::Abstain,
+            (None, Some(_)) => Preference::Policy,
             (Some(_), Some(_)) => compare(&expert, &policy),
         };
-        Ruling::new(answer, 0.0)
+        Answer::free(question.id(), preference)
     }
 }
 
 /// Safety first, then progress; similar means the policy may drive (the
 /// prompt's 0 of Sec. 8.5).
-fn compare(expert: &Assessment, policy: &Assessment) -> Answer {
+fn compare(expert: &Assessment, policy: &Assessment) -> Preference {
     if policy.safe_s < expert.safe_s - SAFER_S {
-        return Answer::Expert;
+        return Preference::Expert;
     }
     if policy.safe_s > expert.safe_s + SAFER_S {
-        return Answer::Policy;
+        return Preference::Policy;
     }
     let behind_m = (BEHIND_SHARE * expert.progress_m).max(NO_PROGRESS_M);
     if policy.progress_m < expert.progress_m - behind_m {
-        return Answer::Expert;
+        return Preference::Expert;
     }
-    Answer::Policy
+    Preference::Policy
 }

@@ -141,7 +141,7 @@ fn reply(content: &str, prompt: &Prompt) -> Result<(Reply, Option<f64>), Fault> 
         PromptPreset::Blind if !rest.is_empty() => Err(Fault::TrailingText),
         PromptPreset::Blind => blind(object),
         // The paper's prompt asks for a sentence after the object.
-        PromptPreset::Paper | PromptPreset::PaperAppendix => paper(object, prompt),
+        PromptPreset::Paper => paper(object, prompt),
     }
 }
 
@@ -281,7 +281,7 @@ mod tests {
         let text = "{\"response\": 1}\nThe green path keeps {to} the lane.";
         assert_eq!(said(text, PromptPreset::Paper), Ok((Reply::First, None)));
         let body = completion(text.into()).to_string();
-        let mut swapped = prompt(PromptPreset::PaperAppendix);
+        let mut swapped = prompt(PromptPreset::Paper);
         swapped.showing = swapped.showing.swapped();
         assert_eq!(
             read(body.as_bytes(), &swapped).reply,
@@ -327,9 +327,7 @@ mod tests {
             ),
             (" \n", Fault::NoContent),
         ] {
-            for preset in [PromptPreset::Paper, PromptPreset::PaperAppendix] {
-                assert_eq!(said(text, preset), Err(fault), "{text}");
-            }
+            assert_eq!(said(text, PromptPreset::Paper), Err(fault), "{text}");
         }
     }
 

@@ -10,8 +10,8 @@ use std::time::Duration;
 use bytes::Bytes;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
+use reqwest::Url;
 use reqwest::header::{ACCEPT, AUTHORIZATION, CONTENT_TYPE};
-use reqwest::{Response, Url};
 use shm_config::config::Vlm;
 use shm_config::secret;
 use shm_config::text::printable;
@@ -20,8 +20,9 @@ use tokio::time::Instant;
 
 use super::body::body;
 use super::breaker::Breaker;
+use super::connection::AskerError;
 use super::cost::{Estimate, cost_usd, estimate};
-use super::key::{Key, KeyError};
+use super::key::Key;
 use super::limits::{Budget, Rate};
 use super::{Fault, answer, connection, json, retry, transport};
 use crate::presentation::picture::Picture;
@@ -38,33 +39,6 @@ const SHOWN_MAX: usize = 200;
 
 /// Nesting of a server's own errors.
 const ERROR_DEPTH_MAX: u32 = 16;
-
-/// Why nobody can be asked: what, where, what to do.
-#[derive(Debug, thiserror::Error)]
-pub enum AskerError {
-    /// The address is none.
-    #[error("vlm.server = {server:?}: {why}; write it as http://127.0.0.1:8080/v1")]
-    Server {
-        /// The address.
-        server: String,
-        /// What is wrong with it.
-        why: String,
-    },
-    /// The key.
-    #[error(transparent)]
-    Key(#[from] KeyError),
-    /// The authorities' certificates.
-    #[error("{path}: {why}; vlm.ca_file must be a file of certificates in PEM")]
-    Authorities {
-        /// The file.
-        path: String,
-        /// What is wrong with it.
-        why: String,
-    },
-    /// Certificates or the like.
-    #[error("cannot set up HTTPS: {0}; is the package ca-certificates installed?")]
-    Client(String),
-}
 
 /// What became of one question.
 #[derive(Debug, Clone, PartialEq)]
@@ -370,7 +344,7 @@ impl Asker {
         if status == 200 && !is_json {
             return Outcome::fault(Fault::ContentType);
         }
-        let (bytes, end) = read_body(response, self.vlm.answer_bytes_max as usize).await;
+        let (bytes, end) = transport::read_body(response, self.vlm.answer_bytes_max as usize).await;
         if status != 200 {
             return self.refused(status, &bytes, wait);
         }
@@ -506,23 +480,4 @@ fn one_line(said: &str) -> String {
     let words: Vec<&str> = said.split_whitespace().collect();
     let line: String = words.join(" ").chars().take(SHOWN_MAX).collect();
     printable(&line).into_owned()
-}
-
-/// Reads at most `bytes_max`, and says whether that was all.
-async fn read_body(mut response: Response, bytes_max: usize) -> (Vec<u8>, Result<(), Fault>) {
-    let announced = response.content_length().unwrap_or(0);
-    if announced > bytes_max as u64 {
-        return (Vec::new(), Err(Fault::TooLarge));
-    }
-    let mut bytes = Vec::with_capacity(announced as usize);
-    loop {
-        match response.chunk().await {
-            Ok(None) => return (bytes, Ok(())),
-            Ok(Some(chunk)) if bytes.len() + chunk.len() > bytes_max => {
-                return (bytes, Err(Fault::TooLarge));
-            }
-            Ok(Some(chunk)) => bytes.extend_from_slice(&chunk),
-            Err(error) => return (bytes, Err(transport::fault(&error))),
-        }
-    }
 }

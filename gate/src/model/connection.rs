@@ -1,13 +1,39 @@
-//! Connections to a server: whom they trust, and where they do not follow.
+//! Connections to a server: trusted certificates, no redirects.
 
 use reqwest::{Certificate, Url, redirect};
 use shm_config::config::Vlm;
 
-use super::AskerError;
-use super::key::is_loopback;
+use super::key::{KeyError, is_loopback};
 
 /// Largest file of certificates, bytes; a system's whole collection has 250 kB.
 const CA_BYTES_MAX: u64 = 4 << 20;
+
+/// Why the model cannot be asked: what, where, what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum AskerError {
+    /// The address is none.
+    #[error("vlm.server = {server:?}: {why}; write it as http://127.0.0.1:8080/v1")]
+    Server {
+        /// The address.
+        server: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// The key.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    /// The authorities' certificates.
+    #[error("{path}: {why}; vlm.ca_file must be a file of certificates in PEM")]
+    Authorities {
+        /// The file.
+        path: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// Certificates or the like.
+    #[error("cannot set up HTTPS: {0}; is the package ca-certificates installed?")]
+    Client(String),
+}
 
 /// Makes connections to this address; opens none yet.
 ///

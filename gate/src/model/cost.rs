@@ -1,7 +1,7 @@
 //! What a question costs, before it is asked.
 
 use serde::Serialize;
-use shm_config::config::{Detail, Dialect, Vlm};
+use shm_config::config::Vlm;
 
 use crate::presentation::Prompt;
 
@@ -42,8 +42,7 @@ pub fn cost_usd(vlm: &Vlm, tokens_in: u64, tokens_out: u64) -> f64 {
 /// How a family of models counts pictures.
 #[derive(Clone, Copy)]
 enum Rule {
-    /// So many tokens, and so many more for each tile of 512 pixels; the first
-    /// number alone with low detail.
+    /// So many tokens, and so many more for each tile of 512 pixels.
     Tiles { base: u64, tile: u64 },
     /// So many for each patch of 32 pixels, of which there are at most 1536.
     Patches { factor: f64 },
@@ -95,18 +94,9 @@ const USUAL: Rule = Rule::Tiles {
 
 /// Tokens of a picture of `size_px`.
 fn picture_tokens(vlm: &Vlm, size_px: [u32; 2]) -> u64 {
-    if vlm.dialect != Dialect::Openai {
-        // Open models differ; Qwen's patches of 28 pixels are a guess, which
-        // costs nothing where the price is nothing.
-        return size_px
-            .map(|px| u64::from(px.div_ceil(28)))
-            .iter()
-            .product();
-    }
     let name = vlm.model_name();
     let known = RULES.iter().find(|(begin, _)| name.starts_with(begin));
     match known.map_or(USUAL, |(_, rule)| *rule) {
-        Rule::Tiles { base, .. } if vlm.detail == Detail::Low => base,
         Rule::Tiles { base, tile } => base + tile * tiles(size_px),
         Rule::Patches { factor } => (patches(size_px) as f64 * factor).ceil() as u64,
     }
@@ -153,10 +143,9 @@ mod tests {
     use super::*;
     use crate::presentation::Showing;
 
-    fn tokens(model: &str, detail: Detail, size_px: [u32; 2]) -> u64 {
+    fn tokens(model: &str, size_px: [u32; 2]) -> u64 {
         let vlm = Vlm {
             model: model.into(),
-            detail,
             ..Vlm::default()
         };
         picture_tokens(&vlm, size_px)
@@ -165,16 +154,14 @@ mod tests {
     #[test]
     fn pictures_count_as_openai_says() {
         // The examples of its guide.
-        let high = Detail::High;
-        assert_eq!(tokens("gpt-4o", high, [1024, 1024]), 765);
-        assert_eq!(tokens("gpt-4o", high, [2048, 4096]), 1105);
-        assert_eq!(tokens("gpt-4o", Detail::Low, [4096, 8192]), 85);
-        assert_eq!(tokens("gpt-4o", high, [512, 512]), 255);
-        assert_eq!(tokens("gpt-4o", high, [513, 512]), 425);
-        assert_eq!(tokens("gpt-4o-mini", high, [128, 64]), 8500);
-        assert_eq!(tokens("gpt-4o-mini-2024-07-18", Detail::Low, [9, 9]), 2833);
-        assert_eq!(tokens("o4-mini", high, [1024, 1024]), 1762);
-        assert_eq!(tokens("gpt-4.1-mini", high, [1800, 2400]), 2353);
+        assert_eq!(tokens("gpt-4o", [1024, 1024]), 765);
+        assert_eq!(tokens("gpt-4o", [2048, 4096]), 1105);
+        assert_eq!(tokens("gpt-4o", [512, 512]), 255);
+        assert_eq!(tokens("gpt-4o", [513, 512]), 425);
+        assert_eq!(tokens("gpt-4o-mini", [128, 64]), 8500);
+        assert_eq!(tokens("gpt-4o-mini-2024-07-18", [9, 9]), 8500);
+        assert_eq!(tokens("o4-mini", [1024, 1024]), 1762);
+        assert_eq!(tokens("gpt-4.1-mini", [1800, 2400]), 2353);
         assert_eq!(patches([1800, 2400]), 1452);
         assert_eq!(patches([1024, 1024]), 1024);
     }
@@ -197,9 +184,10 @@ mod tests {
     }
 
     #[test]
-    fn a_server_of_ones_own_costs_nothing_unless_it_is_told() {
+    fn a_server_of_ones_own_costs_its_configured_price() {
         let local = Vlm {
-            dialect: Dialect::Vllm,
+            price_in_usd: 0.0,
+            price_out_usd: 0.0,
             ..Vlm::default()
         };
         assert_eq!(cost_usd(&local, 1_000_000, 1_000_000), 0.0);

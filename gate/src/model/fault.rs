@@ -296,7 +296,7 @@ impl Fault {
             Self::NotFound => "check vlm.model and the end of vlm.server, usually /v1",
             Self::Budget => "raise vlm.budget_usd, or ask less often (gate.spacing_s)",
             Self::BadRequest | Self::Unprocessable => {
-                "check vlm.model, vlm.dialect and how long a context the server was started with"
+                "check vlm.model and the context length that the server was started with"
             }
             Self::RequestTooLarge => "ask with a smaller picture (vlm.width_px, vlm.height_px)",
             Self::Length => "raise vlm.tokens_max, the more for a model that thinks first",

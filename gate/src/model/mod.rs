@@ -15,7 +15,8 @@ mod transport;
 
 pub use answer::{Reading, read as read_answer};
 pub use body::body;
-pub use client::{Asked, Asker, AskerError, SAID_BYTES_MAX};
+pub use client::{Asked, Asker, SAID_BYTES_MAX};
+pub use connection::AskerError;
 pub use cost::Estimate;
 pub use fault::Fault;
 pub use key::KeyError;

@@ -1,7 +1,9 @@
-//! What went wrong below HTTP.
+//! Reading a response, and faults below HTTP.
 
 use std::error::Error;
 use std::io;
+
+use reqwest::Response;
 
 use super::Fault;
 
@@ -59,5 +61,24 @@ fn of_kind(kind: io::ErrorKind) -> Option<Fault> {
             Some(Fault::Unreachable)
         }
         _ => None,
+    }
+}
+
+/// Reads at most `bytes_max`, and says whether that was all.
+pub async fn read_body(mut response: Response, bytes_max: usize) -> (Vec<u8>, Result<(), Fault>) {
+    let announced = response.content_length().unwrap_or(0);
+    if announced > bytes_max as u64 {
+        return (Vec::new(), Err(Fault::TooLarge));
+    }
+    let mut bytes = Vec::with_capacity(announced as usize);
+    loop {
+        match response.chunk().await {
+            Ok(None) => return (bytes, Ok(())),
+            Ok(Some(chunk)) if bytes.len() + chunk.len() > bytes_max => {
+                return (bytes, Err(Fault::TooLarge));
+            }
+            Ok(Some(chunk)) => bytes.extend_from_slice(&chunk),
+            Err(error) => return (bytes, Err(fault(&error))),
+        }
     }
 }

@@ -36,7 +36,7 @@ impl Prompt {
         let (system, user) = match preset {
             PromptPreset::Blind => (blind_system(), blind_user(showing.hues, view, horizon_s)),
             // The paper has a user's message alone (Sec. 8.5).
-            PromptPreset::Paper | PromptPreset::PaperAppendix => (String::new(), paper(showing)),
+            PromptPreset::Paper => (String::new(), paper(showing)),
         };
         Self {
             preset,
@@ -52,7 +52,7 @@ impl Prompt {
     pub fn schema(&self) -> Option<Schema> {
         match self.preset {
             PromptPreset::Blind => Some(Schema::BLIND),
-            PromptPreset::Paper | PromptPreset::PaperAppendix => None,
+            PromptPreset::Paper => None,
         }
     }
 }
@@ -115,7 +115,6 @@ pub fn fixed_showing(preset: PromptPreset) -> Option<Showing> {
     match preset {
         PromptPreset::Blind => None,
         PromptPreset::Paper => Some(Showing::PAPER),
-        PromptPreset::PaperAppendix => Some(Showing::PAPER_APPENDIX),
     }
 }
 
@@ -217,11 +216,7 @@ mod tests {
 
     #[test]
     fn the_colours_named_are_the_showings_in_its_order() {
-        let presets = [
-            PromptPreset::Blind,
-            PromptPreset::Paper,
-            PromptPreset::PaperAppendix,
-        ];
+        let presets = [PromptPreset::Blind, PromptPreset::Paper];
         for preset in presets {
             for showing in showings() {
                 let prompt = Prompt::new(preset, showing, View::Ego, 3.0);
@@ -239,10 +234,9 @@ mod tests {
     }
 
     #[test]
-    fn the_presets_of_the_paper_have_its_two_sets_of_colours() {
+    fn the_papers_prompt_has_the_colours_of_its_figures() {
         let hues = |preset| fixed_showing(preset).expect("fixed").hues;
         assert_eq!(hues(PromptPreset::Paper), [Hue::Red, Hue::Blue]);
-        assert_eq!(hues(PromptPreset::PaperAppendix), [Hue::Green, Hue::Red]);
         assert_eq!(fixed_showing(PromptPreset::Blind), None);
     }
 }

@@ -1,7 +1,6 @@
 use serde::{Deserialize, Serialize};
+use shm_config::message::Preference;
 use shm_config::palette::distance;
-
-use crate::query::Answer;
 
 /// Whose proposal a path is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,11 +26,11 @@ impl Party {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hue {
-    /// The paper's expert in its figures, its novice in its prompt.
+    /// The paper's expert in its figures.
     Red,
     /// The paper's policy in its figures.
     Blue,
-    /// The paper's expert in its prompt.
+    /// Free.
     Green,
     /// Free.
     Orange,
@@ -97,12 +96,6 @@ impl Showing {
     pub const PAPER: Self = Self {
         first: Party::Expert,
         hues: [Hue::Red, Hue::Blue],
-    };
-
-    /// The paper's prompt: the expert first and green, the policy red (Sec. 8.5).
-    pub const PAPER_APPENDIX: Self = Self {
-        first: Party::Expert,
-        hues: [Hue::Green, Hue::Red],
     };
 
     /// Whose path is the first, and two colours that nobody mixes up, at random:
@@ -177,19 +170,19 @@ impl Reply {
 /// What one or two replies to the same question say together: two have to agree
 /// on the party, not on the place. "Similar" lets the policy drive, as the
 /// paper's 0 does (Sec. 8.5).
-pub fn combine(replies: &[(Showing, Reply)]) -> Answer {
+pub fn combine(replies: &[(Showing, Reply)]) -> Preference {
     let mut said = replies
         .iter()
         .map(|(showing, reply)| reply.preferred(*showing));
     let Some(first) = said.next() else {
-        return Answer::Abstain;
+        return Preference::Abstain;
     };
     if said.any(|next| next != first) {
-        return Answer::Abstain;
+        return Preference::Abstain;
     }
     match first {
-        Some(Party::Expert) => Answer::Expert,
-        Some(Party::Policy) | None => Answer::Policy,
+        Some(Party::Expert) => Preference::Expert,
+        Some(Party::Policy) | None => Preference::Policy,
     }
 }
 

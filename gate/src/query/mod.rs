@@ -4,23 +4,25 @@ mod occasion;
 mod queue;
 
 pub use occasion::Occasion;
-pub use queue::{AtOnce, Committee, Docket, Serve, Threaded};
+pub use queue::{Immediate, QueryQueue, Serve, Threaded};
 
-use shm_config::config::JURORS_MAX;
-use shm_config::message::{Assessment, Judge as JudgeKind, Observation, Proposal, Step};
+use shm_config::message::{
+    Assessment, Judge as JudgeKind, Observation, Preference, Proposal, Step,
+};
+use shm_config::{Instant, Message};
 
 /// One question: which of two proposals is safer here?
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Question {
-    /// What the car perceived; its tick and time are the question's.
+    /// The observation; its tick and time are the question's.
     pub observation: Observation,
-    /// What the expert proposed.
+    /// The expert's proposal.
     pub expert: Proposal,
-    /// What the policy proposed.
+    /// The policy's proposal.
     pub policy: Proposal,
-    /// The judge in the tick on the expert's proposal.
+    /// The tick's assessment of the expert's proposal.
     pub expert_assessment: Assessment,
-    /// The judge in the tick on the policy's proposal.
+    /// The tick's assessment of the policy's proposal.
     pub policy_assessment: Assessment,
 }
 
@@ -36,34 +38,63 @@ impl Question {
         }
     }
 
-    /// The run's episode.
-    pub fn episode(&self) -> u32 {
-        self.observation.header.episode
-    }
-
-    /// What tells the questions of a run apart: episode and tick.
-    pub fn key(&self) -> (u32, u64) {
-        (self.episode(), self.observation.header.tick)
+    /// The question's identity.
+    pub fn id(&self) -> QuestionId {
+        QuestionId::of(&self.observation)
     }
 }
 
-/// Why a judge did not answer. None of these is ever read as a preference.
+/// The identity of a question within a run: its observation's episode, tick and instant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QuestionId {
+    /// The run's episode, from 0.
+    pub episode: u32,
+    /// The run's tick.
+    pub tick: u64,
+    /// When the observation was taken, on the run's clock.
+    pub taken: Instant,
+}
+
+impl QuestionId {
+    /// The identity of the question about this observation.
+    pub fn of(observation: &Observation) -> Self {
+        let header = observation.header();
+        Self {
+            episode: header.episode,
+            tick: header.tick,
+            taken: header.taken(),
+        }
+    }
+
+    /// Episode and tick, which records are found by.
+    pub fn key(self) -> (u32, u64) {
+        (self.episode, self.tick)
+    }
+
+    /// A number that differs between neighbouring questions, to seed draws with that
+    /// depend on the question alone.
+    pub fn seed(self) -> u64 {
+        (self.tick ^ (u64::from(self.episode) << 40)).wrapping_mul(0x9e37_79b9)
+    }
+}
+
+/// Why a judge did not answer. A failure is never read as a preference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Failure {
     /// It did not answer in time.
     Timeout,
     /// It cannot be reached or broke down.
     Unavailable,
-    /// It answered something that is no answer.
+    /// Its answer is not in the form asked for.
     Malformed,
-    /// It would not answer.
+    /// It refused to answer.
     Refused,
     /// The budget is spent.
     Budget,
 }
 
 impl Failure {
-    /// One word for people and records.
+    /// One word, for records.
     pub fn word(self) -> &'static str {
         match self {
             Self::Timeout => "timeout",
@@ -75,53 +106,43 @@ impl Failure {
     }
 }
 
-/// A judge's answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Answer {
-    /// The expert's proposal is safer: `z = 1` of Sec. 4.2.
-    Expert,
-    /// The policy's proposal is as safe or safer: `z = 0` of Sec. 4.2.
-    Policy,
-    /// It has no preference it would stand by.
-    Abstain,
-    /// There is no answer.
-    Failed(Failure),
-}
-
-/// An answer and what it cost.
+/// A judge's answer to one question.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ruling {
-    /// The answer.
-    pub answer: Answer,
-    /// What it cost, US dollars.
+pub struct Answer {
+    /// The question.
+    pub question: QuestionId,
+    /// The preference, or why there is none. [`Preference::Abstain`] is an answer
+    /// without a preference.
+    pub preference: Result<Preference, Failure>,
+    /// Cost of the answer, US dollars.
     pub cost_usd: f64,
-    /// What each juror of a committee said, in their order; `None` for who had
-    /// not when it was decided, and for everybody else's judge.
-    pub votes: [Option<Answer>; JURORS_MAX],
 }
 
-impl Ruling {
-    /// One judge's answer.
-    pub fn new(answer: Answer, cost_usd: f64) -> Self {
+impl Answer {
+    /// A preference, at no cost.
+    pub fn free(question: QuestionId, preference: Preference) -> Self {
         Self {
-            answer,
-            cost_usd,
-            votes: [None; JURORS_MAX],
+            question,
+            preference: Ok(preference),
+            cost_usd: 0.0,
         }
     }
 
     /// No answer, at no cost.
-    pub fn failed(failure: Failure) -> Self {
-        Self::new(Answer::Failed(failure), 0.0)
+    pub fn failed(question: QuestionId, failure: Failure) -> Self {
+        Self {
+            question,
+            preference: Err(failure),
+            cost_usd: 0.0,
+        }
     }
 }
 
-/// Somebody who compares two proposals, however slowly.
+/// A judge: compares two proposals, at its own pace.
 pub trait Judge: Send {
     /// What kind of judge it is, for the record.
     fn kind(&self) -> JudgeKind;
 
-    /// Answers one question. May take as long as it likes on a thread of its own
-    /// ([`Threaded`]).
-    fn ask(&mut self, question: &Question) -> Ruling;
+    /// Answers one question. It may block on a thread of its own ([`Threaded`]).
+    fn ask(&mut self, question: &Question) -> Answer;
 }

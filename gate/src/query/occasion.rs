@@ -1,5 +1,8 @@
+use serde::{Deserialize, Serialize};
+
 /// Why a question is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Occasion {
     /// An episode begins, or a run whose clock starts anew.
     Episode,
@@ -7,6 +10,6 @@ pub enum Occasion {
     Period,
     /// The proposals differ by more than the threshold.
     Differ,
-    /// One of them comes near something.
+    /// The tick's geometry finds little clearance for one of the proposals.
     Clearance,
 }

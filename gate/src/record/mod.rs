@@ -6,15 +6,17 @@ mod archive;
 mod query_log;
 pub mod store;
 mod tally;
+mod word;
 
 use serde::{Deserialize, Serialize};
-use shm_config::message::{Assessment, Proposal};
+use shm_config::message::{Assessment, Preference, Proposal};
 
 pub use archive::Archive;
-pub use query_log::{Clerk, Evidence, Filed};
+pub use query_log::{Evidence, Filed, QueryLog};
 
 use crate::model::Asked;
 use crate::presentation::{Party, Prompt, Reply, Showing};
+use crate::query::Occasion;
 
 /// Version of the format; a reader refuses a newer one.
 pub const VERSION: u32 = 1;
@@ -49,12 +51,9 @@ pub struct Record {
     pub policy: Option<Proposed>,
     /// One asking, or two with the paths swapped.
     pub askings: Vec<Asking>,
-    /// The answer: a word of [`Verdict`].
-    pub verdict: Verdict,
-    /// What each juror of a committee said; `None` for who had not when it was
-    /// decided. Empty for any other judge.
-    #[serde(default)]
-    pub votes: Vec<Vote>,
+    /// The answer, a word: `expert`, `policy`, `abstain`, or `failed` for `None`.
+    #[serde(rename = "verdict", with = "word")]
+    pub preference: Option<Preference>,
     /// Why there is no preference, for people; empty when there is one.
     pub fault: String,
     /// From question to answer, s of the wall clock.
@@ -74,26 +73,17 @@ pub struct Record {
 impl Record {
     /// What was said.
     pub fn said(&self) -> Said {
-        Said::of(self.verdict, &self.askings)
+        Said::of(self.preference, &self.askings)
     }
 
     /// Why there is no answer, in one word; `None` where there is one.
     pub fn failure(&self) -> Option<&str> {
-        match (self.verdict, self.fault.as_str()) {
-            (Verdict::Failed, "") => Some("unknown"),
-            (Verdict::Failed, fault) => Some(fault),
-            (Verdict::Expert | Verdict::Policy | Verdict::Abstain, _) => None,
+        match (self.preference, self.fault.as_str()) {
+            (Some(_), _) => None,
+            (None, "") => Some("unknown"),
+            (None, fault) => Some(fault),
         }
     }
-}
-
-/// What one juror of a committee said.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Vote {
-    /// Who: a word of the configuration, such as `vlm`.
-    pub juror: String,
-    /// What; `None` for nothing before the committee had its quorum.
-    pub verdict: Option<Verdict>,
 }
 
 /// One proposal, and what the judge in the tick measured of it.
@@ -122,20 +112,6 @@ impl Proposed {
             vetoed: assessment.is_vetoed(),
         })
     }
-}
-
-/// Why a question was asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Occasion {
-    /// An episode began.
-    Episode,
-    /// The period was over: `T_vlm` of Sec. 4.2.
-    Period,
-    /// The proposals differ by more than the threshold.
-    Differ,
-    /// The judge in the tick sees little clearance for one of them.
-    Clearance,
 }
 
 /// One picture, one prompt, and what came back.
@@ -195,22 +171,8 @@ impl Asking {
     }
 }
 
-/// An answer, for the record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    /// The expert's path is safer: `z = 1` of Sec. 4.2.
-    Expert,
-    /// The policy's path is as safe or safer: `z = 0` of Sec. 4.2.
-    Policy,
-    /// No preference: the replies disagree.
-    Abstain,
-    /// No answer: never read as a preference.
-    Failed,
-}
-
-/// A verdict, "similar" told apart: an answer that lets the policy drive, as the
-/// paper's 0 does, but prefers nobody.
+/// An answer with "similar" told apart: an answer that lets the policy drive, as the
+/// paper's 0 does, but prefers neither.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Said {
     /// The expert's path is safer.
@@ -235,17 +197,17 @@ impl Said {
         Self::Failed,
     ];
 
-    /// What a verdict on these askings says.
-    pub fn of(verdict: Verdict, askings: &[Asking]) -> Self {
+    /// What the answer to these askings says.
+    pub fn of(preference: Option<Preference>, askings: &[Asking]) -> Self {
         let is_similar = |asking: &Asking| asking.reply == Some(Reply::Similar);
-        match verdict {
-            Verdict::Policy if !askings.is_empty() && askings.iter().all(is_similar) => {
+        match preference {
+            Some(Preference::Policy) if !askings.is_empty() && askings.iter().all(is_similar) => {
                 Self::Similar
             }
-            Verdict::Expert => Self::Expert,
-            Verdict::Policy => Self::Policy,
-            Verdict::Abstain => Self::Abstained,
-            Verdict::Failed => Self::Failed,
+            Some(Preference::Expert) => Self::Expert,
+            Some(Preference::Policy) => Self::Policy,
+            Some(Preference::Abstain) => Self::Abstained,
+            None => Self::Failed,
         }
     }
 
@@ -266,17 +228,6 @@ impl Said {
             Self::Similar => "similar",
             Self::Abstained => "abstained",
             Self::Failed => "failed",
-        }
-    }
-}
-
-impl From<crate::query::Answer> for Verdict {
-    fn from(answer: crate::query::Answer) -> Self {
-        match answer {
-            crate::query::Answer::Expert => Self::Expert,
-            crate::query::Answer::Policy => Self::Policy,
-            crate::query::Answer::Abstain => Self::Abstain,
-            crate::query::Answer::Failed(_) => Self::Failed,
         }
     }
 }

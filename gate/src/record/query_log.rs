@@ -1,16 +1,12 @@
 use std::collections::VecDeque;
 
 use safety::CLEARANCE_MAX_M;
-use shm_config::config::Juror;
 use shm_config::message::{Driver, Judge as JudgeKind, Reason, Step};
 use shm_config::{Instant, Message};
 
-use crate::advice::Heard;
 use crate::presentation::picture::Picture;
-use crate::query::{Answer, Question};
-use crate::record::{
-    Aftermath, Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict, Vote,
-};
+use crate::query::{Answer, Occasion};
+use crate::record::{Aftermath, Asking, Outlook, Proposed, Record, VERSION};
 
 /// How long what follows a question is watched, ns.
 const AFTERMATH_NS: u64 = 3_000_000_000;
@@ -50,11 +46,9 @@ pub struct Filed {
     pub pictures: Vec<Picture>,
 }
 
-/// Keeps the file of every question: what was asked, said, and what followed.
-pub struct Clerk {
+/// The log of every question: what was asked and answered, and what followed.
+pub struct QueryLog {
     asked: u64,
-    /// Who sits on the committee, in the order of their votes.
-    jurors: Vec<Juror>,
     /// How long an answer is waited for on the run's clock, ns.
     patience_ns: u64,
     open: VecDeque<Case>,
@@ -71,33 +65,26 @@ struct Case {
     is_over: bool,
 }
 
-impl Clerk {
-    /// A clerk who waits so long for an answer, ns on the run's clock; `jurors`
-    /// is empty where no committee judges.
-    pub fn new(patience_ns: u64, jurors: &[Juror]) -> Self {
+impl QueryLog {
+    /// A log that waits at most this long for an answer, ns on the run's clock.
+    pub fn new(patience_ns: u64) -> Self {
         Self {
             asked: 0,
-            jurors: jurors.into(),
             patience_ns,
             open: VecDeque::with_capacity(OPEN_MAX),
             filed: Vec::new(),
         }
     }
 
-    /// A question was put.
-    pub fn asked(
-        &mut self,
-        question: &Question,
-        occasion: crate::query::Occasion,
-        kind: JudgeKind,
-    ) {
+    /// A question about this step was put.
+    pub fn asked(&mut self, step: &Step, occasion: Occasion, kind: JudgeKind) {
         self.asked += 1;
         if self.open.len() == OPEN_MAX
             && let Some(case) = self.open.pop_front()
         {
             self.filed.push(case.file());
         }
-        let header = question.observation.header();
+        let header = step.observation.header();
         self.open.push_back(Case {
             record: Record {
                 version: VERSION,
@@ -105,16 +92,15 @@ impl Clerk {
                 tick: header.tick,
                 episode: header.episode,
                 taken_ns: header.taken_ns,
-                occasion: occasion.into(),
+                occasion,
                 judge: kind.to_string(),
                 preset: String::new(),
                 model: String::new(),
-                speed_mps: question.observation.ego.speed_mps,
-                expert: Proposed::new(&question.expert, &question.expert_assessment),
-                policy: Proposed::new(&question.policy, &question.policy_assessment),
+                speed_mps: step.observation.ego.speed_mps,
+                expert: Proposed::new(&step.expert, &step.expert_assessment),
+                policy: Proposed::new(&step.policy, &step.policy_assessment),
                 askings: Vec::new(),
-                verdict: Verdict::Failed,
-                votes: Vec::new(),
+                preference: None,
                 fault: "unheard".into(),
                 latency_s: 0.0,
                 cost_usd: 0.0,
@@ -125,7 +111,7 @@ impl Clerk {
             },
             pictures: Vec::new(),
             is_heard: false,
-            awaits_evidence: matches!(kind, JudgeKind::Vlm | JudgeKind::Committee),
+            awaits_evidence: kind == JudgeKind::Vlm,
             aftermath: Aftermath {
                 ticks: 0,
                 expert: 0,
@@ -139,8 +125,7 @@ impl Clerk {
         });
     }
 
-    /// A model's side came. The askings of a committee's models follow on each
-    /// other.
+    /// The model's side of a question came.
     pub fn learn(&mut self, evidence: Evidence) {
         let Some(case) = self.find(evidence.key) else {
             return;
@@ -157,32 +142,23 @@ impl Clerk {
     }
 
     /// An answer was heard.
-    pub fn heard(&mut self, heard: &Heard, tick: u64, now: Instant) {
-        let votes = self.jurors.iter().zip(heard.ruling.votes);
-        let votes = votes.map(|(juror, vote)| Vote {
-            juror: juror.word().into(),
-            verdict: vote.map(Verdict::from),
-        });
-        let votes = votes.collect();
-        let Some(case) = self.find(heard.question.key()) else {
+    pub fn heard(&mut self, answer: &Answer, tick: u64, now: Instant) {
+        let Some(case) = self.find(answer.question.key()) else {
             return;
         };
         case.is_heard = true;
         let record = &mut case.record;
-        record.votes = votes;
-        record.verdict = heard.ruling.answer.into();
+        record.preference = answer.preference.ok();
         if record.fault == "unheard" {
-            record.fault = match heard.ruling.answer {
-                Answer::Failed(failure) => failure.word().into(),
-                Answer::Expert | Answer::Policy | Answer::Abstain => String::new(),
-            };
+            let failure = answer.preference.err();
+            record.fault = failure.map_or_else(String::new, |failure| failure.word().into());
         }
-        record.cost_usd = heard.ruling.cost_usd;
+        record.cost_usd = answer.cost_usd;
         record.heard_tick = tick;
         record.heard_ns = now.0;
     }
 
-    /// What the car did next.
+    /// A step that follows the open questions.
     pub fn saw(&mut self, step: &Step) {
         let header = step.observation.header();
         for case in self.open.iter_mut().filter(|case| !case.is_over) {
@@ -242,25 +218,14 @@ impl Case {
 impl Aftermath {
     fn count(&mut self, step: &Step) {
         self.ticks += 1;
-        let (who, assessment) = match step.driver() {
+        let (ticks, assessment) = match step.driver() {
             Driver::Expert => (&mut self.expert, &step.expert_assessment),
             Driver::Policy => (&mut self.policy, &step.policy_assessment),
             Driver::Brake => (&mut self.brake, &step.expert_assessment),
         };
-        *who += 1;
+        *ticks += 1;
         self.clearance_m = self.clearance_m.min(assessment.clearance_m);
         let is_vetoed = matches!(step.reason(), Some(Reason::Vetoed | Reason::Unsafe));
         self.vetoed += u32::from(is_vetoed);
-    }
-}
-
-impl From<crate::query::Occasion> for Occasion {
-    fn from(occasion: crate::query::Occasion) -> Self {
-        match occasion {
-            crate::query::Occasion::Episode => Self::Episode,
-            crate::query::Occasion::Period => Self::Period,
-            crate::query::Occasion::Differ => Self::Differ,
-            crate::query::Occasion::Clearance => Self::Clearance,
-        }
     }
 }

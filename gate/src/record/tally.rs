@@ -1,7 +1,8 @@
 use shm_config::config::{Config, GateMode};
 use shm_config::judged::Judged;
+use shm_config::message::Preference;
 
-use super::{Record, Said, Verdict};
+use super::{Record, Said};
 
 /// Nothing asked yet, of the configured judge, in the run of this supervisor.
 pub fn begin(config: &Config, supervisor: u32) -> Judged {
@@ -25,11 +26,11 @@ pub fn begin(config: &Config, supervisor: u32) -> Judged {
 pub fn count(judged: &mut Judged, record: &Record) {
     judged.questions += 1;
     judged.cost_usd += record.cost_usd;
-    let count = match record.verdict {
-        Verdict::Expert => &mut judged.expert,
-        Verdict::Policy => &mut judged.policy,
-        Verdict::Abstain => &mut judged.abstained,
-        Verdict::Failed => &mut judged.failed,
+    let count = match record.preference {
+        Some(Preference::Expert) => &mut judged.expert,
+        Some(Preference::Policy) => &mut judged.policy,
+        Some(Preference::Abstain) => &mut judged.abstained,
+        None => &mut judged.failed,
     };
     *count += 1;
     judged.similar += u64::from(record.said() == Said::Similar);

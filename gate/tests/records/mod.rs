@@ -2,7 +2,9 @@
 
 use gate::presentation::picture::{Encoding, Picture, encode};
 use gate::presentation::{Hue, Party, Reply, Showing};
-use gate::record::{Asking, Occasion, Outlook, Proposed, Record, VERSION, Verdict};
+use gate::query::Occasion;
+use gate::record::{Asking, Outlook, Proposed, Record, VERSION};
+use shm_config::message::Preference;
 
 /// Colours that are near no other.
 pub const SHOWING: Showing = Showing {
@@ -38,7 +40,7 @@ pub fn asking(showing: Showing, reply: Reply, confidence: f64) -> Asking {
 }
 
 /// A question whose askings said this, where `safer` truly was.
-pub fn record(askings: Vec<Asking>, verdict: Verdict, safer: Party) -> Record {
+pub fn record(askings: Vec<Asking>, preference: Option<Preference>, safer: Party) -> Record {
     let proposed = Proposed {
         steer: 0.1,
         pedal: -0.25,
@@ -68,8 +70,7 @@ pub fn record(askings: Vec<Asking>, verdict: Verdict, safer: Party) -> Record {
         latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
         cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),
         askings,
-        verdict,
-        votes: Vec::new(),
+        preference,
         fault: String::new(),
         heard_tick: 50,
         heard_ns: 5_000_000_000,

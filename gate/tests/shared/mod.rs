@@ -67,7 +67,7 @@ pub fn picture(ahead: Hue, format: ImageFormat) -> Picture {
         bytes,
         encoding: match format {
             ImageFormat::Png => Encoding::Png,
-            _ => Encoding::Jpeg { quality: 90 },
+            _ => Encoding::Jpeg,
         },
         width: 120,
         height: 100,

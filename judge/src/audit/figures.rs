@@ -1,12 +1,13 @@
 //! What the records of a judge say, in numbers.
 
+use shm_config::message::Preference;
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 
 use crate::statistics::{Share, kappa, quantile};
 use gate::presentation::{Hue, Party, Reply};
-use gate::record::{Asking, Record, Said, Verdict};
+use gate::record::{Asking, Record, Said};
 
 /// Bins of the calibration, of equal width over [0, 1].
 pub const BINS: usize = 10;
@@ -163,14 +164,14 @@ pub struct Figures {
 impl Figures {
     /// Sums records up.
     pub fn of(records: &[Record]) -> Self {
-        let count = |verdict: Verdict| {
-            let with = records.iter().filter(|record| record.verdict == verdict);
+        let count = |preference: Option<Preference>| {
+            let with = records
+                .iter()
+                .filter(|record| record.preference == preference);
             with.count()
         };
-        let failed = count(Verdict::Failed);
-        let answered = records
-            .iter()
-            .filter(|record| record.verdict != Verdict::Failed);
+        let failed = count(None);
+        let answered = records.iter().filter(|record| record.preference.is_some());
         let latencies_s: Vec<f64> = answered.map(|record| record.latency_s).collect();
         let cost_usd = records.iter().map(|record| record.cost_usd).sum::<f64>();
         let askings = || records.iter().flat_map(|record| &record.askings);
@@ -181,13 +182,13 @@ impl Figures {
         let calibration = calibration(records);
         Self {
             questions: records.len(),
-            expert: count(Verdict::Expert),
-            policy: count(Verdict::Policy),
+            expert: count(Some(Preference::Expert)),
+            policy: count(Some(Preference::Policy)),
             similar: records
                 .iter()
                 .filter(|record| record.said() == Said::Similar)
                 .count(),
-            abstained: count(Verdict::Abstain),
+            abstained: count(Some(Preference::Abstain)),
             failed,
             faults,
             latency_median_s: quantile(&latencies_s, 0.5),

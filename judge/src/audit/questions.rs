@@ -7,7 +7,8 @@ use super::charts::seconds;
 use super::figures::Truth;
 use super::{Pictures, Shown};
 use gate::presentation::{Hue, Party, Reply, Showing};
-use gate::record::{Aftermath, Asking, Occasion, Outlook, Proposed, Record, Said, Vote};
+use gate::query::Occasion;
+use gate::record::{Aftermath, Asking, Outlook, Proposed, Record};
 
 pub fn question(record: &Record, pictures: &Pictures) -> Markup {
     html! {
@@ -28,23 +29,12 @@ pub fn question(record: &Record, pictures: &Pictures) -> Markup {
                 @for asking in &record.askings { (one_asking(asking, pictures)) }
             }
             (proposals(record))
-            @if !record.votes.is_empty() { p { "Committee: " (votes(&record.votes)) } }
             p class="note" { (aftermath(record.aftermath.as_ref())) }
         }
     }
 }
 
 /// What each juror said.
-fn votes(votes: &[Vote]) -> String {
-    let said = votes.iter().map(|vote| {
-        let said = vote.verdict.map(|verdict| Said::of(verdict, &[]));
-        let word = said.map_or("not heard", Said::word);
-        format!("{} {word}", vote.juror)
-    });
-    let said: Vec<String> = said.collect();
-    said.join(", ")
-}
-
 /// Right or wrong, where that is known.
 fn mark(record: &Record) -> Markup {
     let Truth::Safer(party) = Truth::of(record) else {

@@ -291,7 +291,7 @@ impl Mishap {
         // The answer's value, as it is written in a good one.
         let value = match preset {
             PromptPreset::Blind => "\"A\"",
-            PromptPreset::Paper | PromptPreset::PaperAppendix => "1",
+            PromptPreset::Paper => "1",
         };
         let key = "\"response\": ";
         let with = |other: &str| good.replace(&format!("{key}{value}"), &format!("{key}{other}"));

@@ -126,7 +126,7 @@ pub fn worded(preset: PromptPreset, seen: Sighting) -> String {
                  \"confidence\": {confidence}}}"
             )
         }
-        PromptPreset::Paper | PromptPreset::PaperAppendix => {
+        PromptPreset::Paper => {
             let response = u8::from(seen.reply == Reply::First);
             format!("{{\"response\": {response}}}\nBy what the picture shows.")
         }

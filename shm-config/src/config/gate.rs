@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, Run, in_range};
 
-/// Who decides who drives.
+/// What decides which driver acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateMode {
@@ -11,10 +11,11 @@ pub enum GateMode {
     /// The gate process asks a vision-language model (section `vlm`).
     Vlm,
     /// The same as the paper did it: a question every `period_s`, expert and
-    /// policy named, and the world waits for the answer. Lockstep only.
+    /// policy named, and the world waits for the answer. Lockstep only. It sets
+    /// further keys of `gate`, `vlm` and `controller` ([`Config::with_preset`]).
+    ///
+    /// [`Config::with_preset`]: super::Config::with_preset
     Paper,
-    /// Several judges and a quorum.
-    Committee,
     /// The answers of a run that was recorded.
     Replay,
     /// Always the expert; no gate process.
@@ -29,7 +30,7 @@ impl GateMode {
     /// The mode has a process that gives advice.
     pub fn is_advised(self) -> bool {
         match self {
-            Self::Rules | Self::Vlm | Self::Paper | Self::Committee | Self::Replay => true,
+            Self::Rules | Self::Vlm | Self::Paper | Self::Replay => true,
             Self::Expert | Self::Policy | Self::Human => false,
         }
     }
@@ -46,31 +47,11 @@ pub enum When {
     Matters,
 }
 
-/// A judge on a committee.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Juror {
-    /// Exact geometry.
-    Rules,
-    /// The model of section `vlm`; more than once for independent answers.
-    Vlm,
-}
-
-impl Juror {
-    /// As in the configuration.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Rules => "rules",
-            Self::Vlm => "vlm",
-        }
-    }
-}
-
 /// The gate process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Gate {
-    /// Who decides who drives.
+    /// What decides which driver acts.
     pub mode: GateMode,
     /// When the judge is asked: `period`, or also when it `matters`.
     pub when: When,
@@ -95,22 +76,10 @@ pub struct Gate {
     pub confirmations: u32,
     /// Questions that may be on their way to a slow judge at once.
     pub in_flight: u32,
-    /// Who sits on the committee.
-    pub committee: Vec<Juror>,
-    /// How many of them have to agree; else there is no advice.
-    pub quorum: u32,
     /// For `replay`: the folder of a recorded run's questions.
     pub recording: String,
     /// Keep every question in `runs/NAME/judge`, for `./vlaps judge audit`.
     pub record: bool,
-    /// For experiments: share of the answers that are turned round.
-    pub noise: f64,
-    /// For experiments: share of the answers that are withheld.
-    pub abstention: f64,
-    /// For experiments: how long after its question an answer is heard, s.
-    pub delay_s: f64,
-    /// Which answers those are.
-    pub seed: u64,
 }
 
 impl Default for Gate {
@@ -130,20 +99,11 @@ impl Default for Gate {
             dwell_s: 2.0,
             confirmations: 1,
             in_flight: 2,
-            committee: vec![Juror::Rules, Juror::Vlm],
-            quorum: 2,
             recording: String::new(),
             record: true,
-            noise: 0.0,
-            abstention: 0.0,
-            delay_s: 0.0,
-            seed: 0,
         }
     }
 }
-
-/// Judges that a committee may have.
-pub const JURORS_MAX: usize = 9;
 
 impl Gate {
     pub(super) fn check(&self, run: &Run) -> Result<(), OutOfRange> {
@@ -156,10 +116,7 @@ impl Gate {
         in_range("gate.label_s", self.label_s, 0.0..=7200.0)?;
         in_range("gate.dwell_s", self.dwell_s, 0.0..=3600.0)?;
         in_range("gate.confirmations", self.confirmations, 1..=100)?;
-        in_range("gate.in_flight", self.in_flight, 1..=16)?;
-        in_range("gate.noise", self.noise, 0.0..=1.0)?;
-        in_range("gate.abstention", self.abstention, 0.0..=1.0)?;
-        in_range("gate.delay_s", self.delay_s, 0.0..=600.0)
+        in_range("gate.in_flight", self.in_flight, 1..=16)
     }
 
     fn check_mode(&self, run: &Run) -> Result<(), OutOfRange> {
@@ -188,43 +145,8 @@ impl Gate {
                 "\"\"".into(),
                 "the folder runs/NAME/judge of a recorded run when gate.mode is replay",
             ),
-            (GateMode::Committee, _) => {
-                let jurors = self.committee.len();
-                if !(1..=JURORS_MAX).contains(&jurors) {
-                    let expected = "a list of 1 to 9 of rules and vlm";
-                    return refuse("gate.committee", format!("{jurors} judges"), expected);
-                }
-                let geometry = self
-                    .committee
-                    .iter()
-                    .filter(|juror| **juror == Juror::Rules);
-                if geometry.count() > 1 {
-                    let expected = "a list with rules once at most: geometry has one opinion";
-                    return refuse("gate.committee", "rules twice".into(), expected);
-                }
-                self.check_quorum(jurors as u32)
-            }
             _ => Ok(()),
         }
-    }
-
-    /// Two opinions of less than half each would both be the committee's.
-    fn check_quorum(&self, jurors: u32) -> Result<(), OutOfRange> {
-        let least = jurors / 2 + 1;
-        if (least..=jurors).contains(&self.quorum) {
-            return Ok(());
-        }
-        let range = match least == jurors {
-            true => least.to_string(),
-            false => format!("within {least} and {jurors}"),
-        };
-        Err(OutOfRange {
-            key: "gate.quorum".into(),
-            value: self.quorum.to_string(),
-            expected: format!(
-                "{range}, more than half of the judges in gate.committee, which has {jurors}"
-            ),
-        })
     }
 
     /// The mode has a process that gives advice.
@@ -236,7 +158,6 @@ impl Gate {
     pub fn asks_model(&self) -> bool {
         match self.mode {
             GateMode::Vlm | GateMode::Paper => true,
-            GateMode::Committee => self.committee.contains(&Juror::Vlm),
             GateMode::Rules | GateMode::Replay => false,
             GateMode::Expert | GateMode::Policy | GateMode::Human => false,
         }
@@ -249,5 +170,33 @@ impl Gate {
             false => self.period_s,
         };
         (label_s * 1e9) as u64
+    }
+}
+
+/// Faults injected into the judge, to measure how much of them driving and learning
+/// tolerate. Experiments alone set them; by default the judge runs without them.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FaultyJudge {
+    /// Share of the preferences that are inverted (label noise).
+    pub noise: f64,
+    /// Share of the preferences that are withheld.
+    pub abstention: f64,
+    /// Delay of an answer after its question, s.
+    pub delay_s: f64,
+    /// Seed of the draws: which answers are inverted or withheld.
+    pub seed: u64,
+}
+
+impl FaultyJudge {
+    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        in_range("faulty_judge.noise", self.noise, 0.0..=1.0)?;
+        in_range("faulty_judge.abstention", self.abstention, 0.0..=1.0)?;
+        in_range("faulty_judge.delay_s", self.delay_s, 0.0..=600.0)
+    }
+
+    /// Some fault is configured.
+    pub fn is_active(&self) -> bool {
+        self.noise > 0.0 || self.abstention > 0.0 || self.delay_s > 0.0
     }
 }

@@ -100,7 +100,8 @@ pub fn text_of(path: &Path) -> Result<String, ConfigError> {
     })
 }
 
-/// Checks and completes a configuration; `origin` names it in errors.
+/// Checks and completes a configuration, presets of `gate.mode` included; `origin` names
+/// it in errors.
 ///
 /// # Errors
 /// As [`load`].
@@ -144,7 +145,8 @@ pub fn from_toml(text: &str, origin: &str) -> Result<Config, ConfigError> {
             (plain, _) => plain,
         }
     })?;
-    config.validated().map_err(|error| ConfigError::OutOfRange {
+    let checked = config.validated().map(Config::with_preset);
+    checked.map_err(|error| ConfigError::OutOfRange {
         origin: origin.into(),
         error,
     })

@@ -14,6 +14,7 @@ mod load;
 mod mpc;
 pub mod planner;
 mod policy;
+mod preset;
 mod rates;
 mod run;
 mod services;
@@ -26,7 +27,7 @@ use vehicle::Vehicle;
 
 pub use controller::{Controller, JudgeLimits};
 pub use deadlines::{Deadlines, Late};
-pub use gate::{Gate, GateMode, JURORS_MAX, Juror, When};
+pub use gate::{FaultyJudge, Gate, GateMode, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};
@@ -36,7 +37,7 @@ pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::PHYSICS_HZ;
 pub use run::{Clock, Limits, Run, Scheduling, Supervisor};
-pub use vlm::{Detail, Dialect, PictureFormat, PromptPreset, Rollout, STAND_IN, View, Vlm};
+pub use vlm::{PictureFormat, PromptPreset, Rollout, STAND_IN, View, Vlm};
 pub use world::{Simulator, World};
 
 /// Everything a run is configured by.
@@ -70,6 +71,8 @@ pub struct Config {
     pub gate: Gate,
     /// The vision-language model that the gate process asks.
     pub vlm: Vlm,
+    /// Faults injected into the judge, for experiments.
+    pub faulty_judge: FaultyJudge,
     /// The policy: which weights, who runs them, and when they are given up.
     pub policy: Policy,
     /// The learner process.
@@ -114,6 +117,7 @@ impl Config {
         self.judge.check()?;
         self.gate.check(&self.run)?;
         self.vlm.check()?;
+        self.faulty_judge.check()?;
         self.policy.check()?;
         self.learner.check()?;
         self.supervisor.check()?;

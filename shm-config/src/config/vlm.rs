@@ -2,24 +2,6 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
-/// How a server wants to be asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Dialect {
-    /// OpenAI itself, and services that follow it to the letter.
-    Openai,
-    /// vLLM 0.11 or newer.
-    Vllm,
-    /// `llama-server` of llama.cpp.
-    LlamaCpp,
-    /// Ollama's `/v1`.
-    Ollama,
-    /// LM Studio.
-    LmStudio,
-    /// SGLang.
-    Sglang,
-}
-
 /// What the model is told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -28,8 +10,6 @@ pub enum PromptPreset {
     Blind,
     /// The paper's question, colours as in its figures (Sec. 4.2).
     Paper,
-    /// The paper's question, colours as in its prompt (Sec. 8.5).
-    PaperAppendix,
 }
 
 impl PromptPreset {
@@ -38,7 +18,6 @@ impl PromptPreset {
         match self {
             Self::Blind => "blind",
             Self::Paper => "paper",
-            Self::PaperAppendix => "paper_appendix",
         }
     }
 }
@@ -72,29 +51,6 @@ pub enum PictureFormat {
     Jpeg,
 }
 
-/// How closely the model looks, where the server knows the setting.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Detail {
-    /// A small copy of the picture, at a fixed price.
-    Low,
-    /// The picture in tiles.
-    High,
-    /// As the server likes.
-    Auto,
-}
-
-impl Detail {
-    /// As in the configuration, and as servers spell it.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Low => "low",
-            Self::High => "high",
-            Self::Auto => "auto",
-        }
-    }
-}
-
 /// How the paths in the picture are computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -111,10 +67,7 @@ pub enum Rollout {
 pub struct Vlm {
     /// Where the server's OpenAI-compatible interface begins.
     pub server: String,
-    /// What the server is: openai, vllm, llama_cpp, ollama, lm_studio or sglang.
-    pub dialect: Dialect,
-    /// Which model; empty for gpt-4o-mini with openai, and for the one that a
-    /// llama-server was started with (-m). vlaps-stand-in for ./vlaps judge-server, which is no
+    /// Model name; empty for gpt-4o-mini. vlaps-stand-in for ./vlaps judge serve, which is no
     /// model and costs nothing.
     pub model: String,
     /// Environment variable that holds the key; empty for none. For
@@ -128,8 +81,7 @@ pub struct Vlm {
     pub ca_file: String,
     /// Let the key travel unencrypted to another machine, over http.
     pub key_over_http: bool,
-    /// What the model is told: blind, paper (colours of the figures) or
-    /// paper_appendix (colours of the prompt).
+    /// What the model is told: blind or paper.
     pub prompt: PromptPreset,
     /// Ask each question a second time with the paths swapped; replies that
     /// disagree are no preference. Small models prefer the first of two in 72 %
@@ -143,10 +95,6 @@ pub struct Vlm {
     pub height_px: u32,
     /// How it is packed: png or jpeg.
     pub format: PictureFormat,
-    /// Quality of JPEG, 1 to 100.
-    pub jpeg_quality: u8,
-    /// How closely the model looks, where the server knows it: low, high or auto.
-    pub detail: Detail,
     /// How far the paths reach, s.
     pub horizon_s: f64,
     /// How they are computed: accurate (steps of 0.1 s) or paper (one of 1.5 s).
@@ -176,11 +124,11 @@ pub struct Vlm {
     pub per_minute_max: u32,
     /// What a run may cost, US dollars; then no more is asked.
     pub budget_usd: f64,
-    /// Price of a million tokens in, US dollars; negative for the dialect's own:
-    /// gpt-4o-mini's 0.15 for openai, nothing for the others.
+    /// Price of a million tokens in, US dollars; negative for gpt-4o-mini's 0.15. Set it to 0
+    /// for a server of your own.
     pub price_in_usd: f64,
-    /// Price of a million tokens out, US dollars; negative for the dialect's own:
-    /// gpt-4o-mini's 0.60 for openai, nothing for the others.
+    /// Price of a million tokens out, US dollars; negative for gpt-4o-mini's 0.60. Set it to
+    /// 0 for a server of your own.
     pub price_out_usd: f64,
     /// Questions in a row at which the server broke down in every attempt; then
     /// it is left alone. One that is asked twice counts twice.
@@ -194,9 +142,8 @@ pub struct Vlm {
 impl Default for Vlm {
     fn default() -> Self {
         Self {
-            // Where llama-server and ./vlaps judge-server listen.
+            // Where llama-server and ./vlaps judge serve listen.
             server: "http://127.0.0.1:8080/v1".into(),
-            dialect: Dialect::Openai,
             model: String::new(),
             key_env: "VLAPS_VLM_KEY".into(),
             key_file: String::new(),
@@ -209,8 +156,6 @@ impl Default for Vlm {
             width_px: 512,
             height_px: 512,
             format: PictureFormat::Png,
-            jpeg_quality: 85,
-            detail: Detail::High,
             // Twice the paper's 1.5 s: at 10 m/s that is the sight of a junction.
             horizon_s: 3.0,
             rollout: Rollout::Accurate,
@@ -241,7 +186,7 @@ impl Default for Vlm {
     }
 }
 
-/// What `./vlaps judge-server` calls itself where a model would say its name.
+/// What `./vlaps judge serve` calls itself where a model would say its name.
 pub const STAND_IN: &str = "vlaps-stand-in";
 
 /// In the place of a value that may be a key.
@@ -250,20 +195,17 @@ const HIDDEN: &str = "(not shown)";
 impl Vlm {
     /// The model's name as the server is told it.
     pub fn model_name(&self) -> &str {
-        match (self.model.as_str(), self.dialect) {
-            ("", Dialect::Openai) => "gpt-4o-mini",
-            // llama-server wants a name, and looks at it only as a router.
-            ("", _) => "default",
-            (name, _) => name,
+        match self.model.as_str() {
+            "" => "gpt-4o-mini",
+            name => name,
         }
     }
 
     /// Prices of a million tokens in and out, US dollars.
     pub fn prices_usd(&self) -> [f64; 2] {
-        let own = match (self.dialect, self.model_name()) {
-            (_, STAND_IN) => [0.0, 0.0],
-            (Dialect::Openai, _) => [0.15, 0.60],
-            (_, _) => [0.0, 0.0],
+        let own = match self.model_name() {
+            STAND_IN => [0.0, 0.0],
+            _ => [0.15, 0.60],
         };
         let given = [self.price_in_usd, self.price_out_usd];
         std::array::from_fn(|i| if given[i] < 0.0 { own[i] } else { given[i] })
@@ -274,7 +216,6 @@ impl Vlm {
         let counts = [
             ("vlm.width_px", self.width_px, 64..=4096),
             ("vlm.height_px", self.height_px, 64..=4096),
-            ("vlm.jpeg_quality", self.jpeg_quality.into(), 1..=100),
             ("vlm.tokens_max", self.tokens_max, 16..=100_000),
             (
                 "vlm.answer_bytes_max",
@@ -335,14 +276,6 @@ impl Vlm {
                 "vlm.server",
                 HIDDEN,
                 "an address such as http://127.0.0.1:8080/v1 or https://api.openai.com/v1",
-            );
-        }
-        let needs_model = !matches!(self.dialect, Dialect::Openai | Dialect::LlamaCpp);
-        if self.model.is_empty() && needs_model {
-            return refuse(
-                "vlm.model",
-                "\"\"",
-                "the name of a model that the server has",
             );
         }
         let is_name = |c: char| c.is_ascii_alphanumeric() || c == '_';

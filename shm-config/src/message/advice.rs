@@ -24,8 +24,6 @@ crate::word_list! {
         Vlm = 2 "vlm",
         /// A person.
         Human = 3 "human",
-        /// Several judges and a quorum.
-        Committee = 4 "committee",
         /// Answers from a recording.
         Recorded = 5 "recorded",
     }

@@ -27,7 +27,7 @@ pub struct Delegated {
 pub const LAB: &str = "vlaps-lab";
 /// The program of `bench`.
 pub const BENCH: &str = "vlaps-bench";
-/// The program of `judge` and `judge-server`, with an HTTP client and a server.
+/// The program of `judge`, with an HTTP client and a server.
 pub const JUDGE: &str = "vlaps-judge";
 
 /// Becomes another program of the build; only returns when it cannot.

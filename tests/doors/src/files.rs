@@ -45,11 +45,7 @@ pub fn policy(bytes: &[u8]) -> Said {
     Said::Admitted
 }
 
-const PRESETS: [PromptPreset; 3] = [
-    PromptPreset::Blind,
-    PromptPreset::Paper,
-    PromptPreset::PaperAppendix,
-];
+const PRESETS: [PromptPreset; 2] = [PromptPreset::Blind, PromptPreset::Paper];
 
 /// The body of a model's answer; the first byte chooses the prompt that it answers.
 pub fn answers(bytes: &[u8]) -> Said {

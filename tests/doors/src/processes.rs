@@ -3,9 +3,9 @@
 use std::cell::RefCell;
 
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
-use gate::advice::Counsel;
+use gate::advice::Advisor;
 use gate::judge::Rules;
-use gate::query::AtOnce;
+use gate::query::Immediate;
 use learner::assembler::{Assembler, Counts, Labelling};
 use planner::Planner;
 use shm_config::config::planner::Method;
@@ -154,8 +154,8 @@ fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Opti
 /// Steps, one after the other, as the gate and the learner read them.
 pub fn steps(bytes: &[u8]) -> Said {
     let config = Config::default();
-    let judge = AtOnce::new(Rules::new(config.vehicle, config.judge));
-    let mut counsel = Counsel::new(&config.gate, Box::new(judge));
+    let judge = Immediate::new(Rules::new(config.vehicle, config.judge));
+    let mut advisor = Advisor::new(&config.gate, Box::new(judge));
     let labelling = Labelling {
         mode: config.gate.mode,
         wait_ns: PERIOD_NS,
@@ -168,7 +168,7 @@ pub fn steps(bytes: &[u8]) -> Said {
             continue;
         }
         is_admitted = true;
-        let advice = counsel.consider(&step, step.header.taken());
+        let advice = advisor.consider(&step, step.header.taken());
         assert_eq!(advice.check(), Ok(()), "advice that others refuse");
         assembler.push(&step, |_| transitions += 1);
     }

@@ -118,8 +118,6 @@ pub enum GateChoice {
     Vlm,
     /// As in the paper: asks every 10 s, and the world waits. Implies --lockstep.
     Paper,
-    /// Several judges and a quorum (gate.committee, gate.quorum).
-    Committee,
     /// The answers of a recorded run (gate.recording).
     Replay,
     /// Always the expert; no gate process.
@@ -136,7 +134,6 @@ impl From<GateChoice> for GateMode {
             GateChoice::Rules => Self::Rules,
             GateChoice::Vlm => Self::Vlm,
             GateChoice::Paper => Self::Paper,
-            GateChoice::Committee => Self::Committee,
             GateChoice::Replay => Self::Replay,
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,

@@ -4,9 +4,9 @@ use shm_config::{Instant, Message};
 
 use crate::query::Occasion;
 
-/// When a judge is to be asked.
+/// When a judge is asked.
 #[derive(Debug, Clone, Copy)]
-pub struct Occasions {
+pub struct QueryPolicy {
     when: When,
     period_ns: u64,
     spacing_ns: u64,
@@ -21,8 +21,8 @@ struct Asked {
     episode: u32,
 }
 
-impl Occasions {
-    /// As configured; nobody was asked yet.
+impl QueryPolicy {
+    /// As configured; no question was put yet.
     pub fn new(config: &Gate) -> Self {
         Self {
             when: config.when,
@@ -63,7 +63,8 @@ impl Occasions {
         });
     }
 
-    /// Only a pair is worth a question: of one proposal there is nothing to choose.
+    /// Whether this step matters: the proposals differ, or one comes near something. A
+    /// single proposal leaves no choice, and is not asked about.
     fn matters(&self, step: &Step) -> Option<Occasion> {
         let (expert, policy) = (step.expert.action()?, step.policy.action()?);
         let apart = (expert.steer - policy.steer)
