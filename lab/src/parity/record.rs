@@ -7,8 +7,9 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use flate2::read::GzDecoder;
-use npyz::npz::NpzArchive;
+use npyz::NpyFile;
 use serde::Deserialize;
+use zip::ZipArchive;
 
 /// Begin and end of the name of a file of scenarios.
 const GOLDEN: (&str, &str) = ("golden_", ".json.gz");
@@ -370,7 +371,7 @@ impl Rollout {
     }
 
     fn read(path: &Path, seed: u64) -> anyhow::Result<Rollout> {
-        let mut archive = NpzArchive::open(path)?;
+        let mut archive = ZipArchive::new(BufReader::new(File::open(path)?))?;
         let (width, features) = array::<f32>(&mut archive, "obs")?;
         let (columns, actions) = array::<f64>(&mut archive, "act")?;
         ensure!(columns == 2, "act has {columns} columns");
@@ -396,11 +397,11 @@ impl Rollout {
 
 /// The columns and the values of a matrix.
 fn array<T: npyz::Deserialize>(
-    archive: &mut NpzArchive<BufReader<File>>,
+    archive: &mut ZipArchive<BufReader<File>>,
     name: &str,
 ) -> anyhow::Result<(usize, Vec<T>)> {
-    let file = archive.by_name(name)?;
-    let file = file.with_context(|| format!("no array '{name}'"))?;
+    let entry = archive.by_name(&format!("{name}.npy"));
+    let file = NpyFile::new(entry.with_context(|| format!("no array '{name}'"))?)?;
     let columns = match file.shape() {
         [_, columns] if *columns > 0 => *columns as usize,
         shape => bail!("array '{name}' has the shape {shape:?}: not a matrix"),
