@@ -1,0 +1,227 @@
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use shm_config::message::FEATURES;
+
+use super::{Pvp, Settings};
+use crate::algorithm::{Learned, Size};
+use crate::replay::{ACTIONS, Label, Replay, Then, Transition};
+
+/// Directions in the space of the parameters that are tried.
+const DIRECTIONS: usize = 20;
+/// Shorter, and f32 rounds the difference away; longer, and more ReLUs turn.
+const CRITIC_EPSILON: f32 = 4e-3;
+/// The same for the actor, whose loss is smaller and bends more.
+const ACTOR_EPSILON: f32 = 1e-3;
+/// Of the slope, of most directions: what f32 and the curvature leave.
+const TOLERANCE: f64 = 0.03;
+/// Of the slope, where ReLUs turn within epsilon.
+const KINKED: f64 = 0.15;
+
+/// A learner with a batch drawn, all kinds of transitions in it.
+fn drawn(seed: u64) -> Pvp {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let mut replay = Replay::new(100);
+    for k in 0..60 {
+        let mut numbers = |scale: f32| -> [f32; FEATURES] {
+            std::array::from_fn(|_| 0.5 + scale * random.random_range(-0.5..0.5))
+        };
+        let (state, next) = (numbers(0.5), numbers(0.5));
+        let mut pair = || {
+            [
+                random.random_range(-1.0..1.0),
+                random.random_range(-1.0..1.0),
+            ]
+        };
+        let (applied, policy, other) = (pair(), pair(), pair());
+        let transition = Transition {
+            state,
+            next,
+            applied,
+            policy,
+            // Otherwise in a hand-over alone.
+            expert: [applied, other][k / 3 % 2],
+            label: [Label::Expert, Label::Policy, Label::None][k % 3],
+            then: [Then::On, Then::On, Then::End, Then::Unknown][k % 4],
+        };
+        replay.push(transition.ring(), transition);
+    }
+    let size = Size {
+        hidden: 12,
+        batch: 32,
+    };
+    let settings = Settings {
+        rate: 1e-3,
+        imitation_weight: 0.7,
+        target_noise: 0.2,
+    };
+    let mut pvp = Pvp::new(settings, size, &mut random);
+    replay.sample_evenly(size.batch, &mut random, &mut pvp.room.batch);
+    pvp.targets(&mut random, 1);
+    pvp
+}
+
+/// Compares the gradient of one network with central differences of the
+/// loss in random directions.
+fn assert_gradient(
+    (seed, epsilon): (u64, f32),
+    network: impl Fn(&mut Pvp) -> &mut Learned,
+    loss: impl Fn(&mut Pvp) -> f32,
+    errors: &mut Vec<f64>,
+) {
+    let mut pvp = drawn(seed);
+    loss(&mut pvp);
+    let gradient = network(&mut pvp).gradient.clone();
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed ^ 1);
+    for k in 0..DIRECTIONS {
+        // Along the gradient, and a little aside.
+        let direction: Vec<f32> = gradient
+            .iter()
+            .map(|slope| slope.signum() * random.random_range(-0.2..1.0_f32))
+            .collect();
+        let length = direction.iter().map(|d| d * d).sum::<f32>().sqrt();
+        let mut at = |by: f32| {
+            let parameters = network(&mut pvp).network.parameters_mut();
+            let before = parameters.to_vec();
+            for (parameter, d) in parameters.iter_mut().zip(&direction) {
+                *parameter += by * d / length;
+            }
+            let value = f64::from(loss(&mut pvp));
+            network(&mut pvp)
+                .network
+                .parameters_mut()
+                .copy_from_slice(&before);
+            value
+        };
+        let difference = (at(epsilon) - at(-epsilon)) / (2.0 * f64::from(epsilon));
+        let pairs = gradient.iter().zip(&direction);
+        let slope: f64 = pairs.map(|(g, d)| f64::from(g * d / length)).sum();
+        let error = (difference - slope).abs() / slope.abs();
+        assert!(
+            error < KINKED,
+            "seed {seed}, direction {k}: {slope}, by differences {difference}"
+        );
+        errors.push(error);
+    }
+}
+
+fn assert_median(mut errors: Vec<f64>) {
+    errors.sort_by(f64::total_cmp);
+    let median = errors[errors.len() / 2];
+    assert!(median < TOLERANCE, "{median}, all of them: {errors:.3?}");
+}
+
+#[test]
+fn the_critics_gradients_are_those_of_finite_differences() {
+    let mut errors = Vec::new();
+    for seed in 0..4 {
+        for k in 0..2 {
+            assert_gradient(
+                (seed, CRITIC_EPSILON),
+                |pvp| &mut pvp.critics[k],
+                |pvp| pvp.judge_critics(1),
+                &mut errors,
+            );
+        }
+    }
+    assert_median(errors);
+}
+
+#[test]
+fn the_actors_gradient_is_that_of_finite_differences() {
+    let mut errors = Vec::new();
+    for seed in 0..4 {
+        let loss = |pvp: &mut Pvp| pvp.judge_actor(1).actor;
+        assert_gradient(
+            (seed, ACTOR_EPSILON),
+            |pvp| &mut pvp.actor,
+            loss,
+            &mut errors,
+        );
+    }
+    assert_median(errors);
+}
+
+#[test]
+fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
+    let mut pvp = drawn(5);
+    let mut replay = Replay::new(10);
+    // The pedal, since a mirror leaves it as it is.
+    let transition = Transition {
+        state: [0.5; FEATURES],
+        next: [0.5; FEATURES],
+        applied: [0.0, 0.6],
+        policy: [0.0, 0.9],
+        expert: [0.0, -0.6],
+        label: Label::Expert,
+        then: Then::Unknown,
+    };
+    replay.push(transition.ring(), transition);
+    replay.sample_evenly(8, &mut random, &mut pvp.room.batch);
+    let (mut rows, mut bounds) = (Vec::new(), Vec::new());
+    super::join_judged(&pvp.room.batch, &mut rows, &mut bounds);
+    let pedals = rows
+        .chunks_exact(FEATURES + ACTIONS)
+        .map(|row| row[FEATURES + 1]);
+    let judged: Vec<_> = pedals.zip(bounds).collect();
+    assert_eq!(judged, [(0.9, -1.0), (-0.6, 1.0)].repeat(8));
+    // The actor's imitation is of the expert, too.
+    let states = pvp.room.batch.states.clone();
+    let mut tape = crate::network::Tape::default();
+    let action = pvp.actor.network.forward(&states[..FEATURES], 1, &mut tape);
+    let off = (action[1] + 0.6).powi(2);
+    let steer: f32 = action[0].powi(2);
+    replay.sample_evenly(1, &mut random, &mut pvp.room.batch);
+    pvp.room.batch.states = states[..FEATURES].to_vec();
+    let imitation = pvp.judge_actor(1).imitation;
+    assert!(
+        (imitation - 0.5 * (off + steer)).abs() < 1e-3,
+        "{imitation}"
+    );
+}
+
+#[test]
+fn a_replay_without_preferences_is_learnt_from_all_the_same() {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
+    let mut pvp = drawn(3);
+    let mut replay = Replay::new(10);
+    let transition = Transition {
+        state: [0.5; FEATURES],
+        next: [0.4; FEATURES],
+        applied: [0.1, 0.2],
+        policy: [0.3, 0.4],
+        expert: [0.5, 0.6],
+        label: Label::None,
+        then: Then::On,
+    };
+    replay.push(transition.ring(), transition);
+    for _ in 0..10 {
+        let losses = pvp.update(&replay, &mut random, 1);
+        assert!(
+            losses.critic.is_finite() && losses.actor.is_finite(),
+            "{losses:?}"
+        );
+    }
+    assert!(
+        pvp.policy()
+            .parameters()
+            .iter()
+            .all(|value| value.is_finite())
+    );
+}
+
+#[test]
+fn targets_end_with_the_episode_and_are_the_lesser_of_two() {
+    let mut pvp = drawn(9);
+    let values = pvp.room.values.clone();
+    assert_eq!(values.len(), 32);
+    for (value, goes_on) in values.iter().zip(&pvp.room.batch.goes_on) {
+        assert_eq!(*value == 0.0, *goes_on == 0.0, "{value}");
+    }
+    // With one target far above, the other one counts.
+    let last = pvp.critic_targets[0].parameters().len() - 1;
+    pvp.critic_targets[0].parameters_mut()[last] += 100.0;
+    pvp.targets(&mut Xoshiro256PlusPlus::seed_from_u64(1), 1);
+    assert!(pvp.room.values.iter().all(|value| value.abs() < 10.0));
+    assert_eq!(ACTIONS * 32, pvp.room.actions.len());
+}
