@@ -16,6 +16,7 @@
 //! | [`idm`], [`traffic`] | how the other cars drive, and when |
 //! | [`rules`] | what ends an episode; sidewalks |
 //! | [`observe`] | state to observation |
+//! | [`reward`] | what a tick is worth, and what it costs |
 //! | [`score`] | the account of one episode |
 //! | [`world`], [`config`] | episodes by seed, tick by tick |
 //! | [`render`] | the world as a picture, with the camera that took it |
@@ -40,6 +41,7 @@ pub mod observe;
 pub mod photographer;
 pub mod ports;
 pub mod render;
+pub mod reward;
 pub mod rng;
 pub mod road;
 pub mod rules;
@@ -53,5 +55,6 @@ pub mod world;
 pub use batch::{AfterEnd, Batch, BatchConfig};
 pub use block::Parameters;
 pub use config::{OutOfRoute, WorldConfig, WorldError};
+pub use reward::{Reward, RewardConfig};
 pub use surface::Bounds;
 pub use world::{StepOutcome, World};

@@ -346,6 +346,11 @@ impl World {
         self.bodies.movers[0].motion.seen_position()
     }
 
+    /// Where the ego was when the last tick began.
+    pub fn tick_begin_position(&self) -> Point {
+        self.begun_world
+    }
+
     /// The ego's car: its measures and engine.
     pub fn ego_car(&self) -> &Car {
         &self.bodies.movers[0].car

@@ -1,0 +1,152 @@
+//! What a batch of environments is like, as Python passes it: one JSON text.
+
+use serde::{Deserialize, Serialize};
+use sim::{RewardConfig, WorldConfig};
+
+/// What follows the end of an episode (Gymnasium's `AutoresetMode`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Autoreset {
+    /// The call that ends an episode begins the next one and returns its first
+    /// observation; the last one of the ended episode is returned beside it.
+    SameStep,
+    /// The call after the one that ends an episode begins the next one and ignores
+    /// its action.
+    NextStep,
+    /// The caller resets.
+    Disabled,
+}
+
+/// Which seeds episodes have.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Seeds {
+    /// The first seed of the range.
+    pub first: u64,
+    /// Number of seeds in the range; they repeat after it.
+    pub count: u64,
+    /// Whether the order is drawn anew in each pass through the range.
+    pub shuffled: bool,
+    /// Decides the order.
+    pub order_seed: u64,
+    /// These seeds instead of the range, when not empty.
+    pub listed: Vec<u64>,
+}
+
+impl Default for Seeds {
+    fn default() -> Seeds {
+        Seeds {
+            first: 0,
+            count: 1,
+            shuffled: false,
+            order_seed: 0,
+            listed: Vec::new(),
+        }
+    }
+}
+
+impl Seeds {
+    /// How many different seeds there are.
+    fn len(&self) -> u64 {
+        match self.listed.len() {
+            0 => self.count,
+            count => count as u64,
+        }
+    }
+
+    /// The seed of the n-th episode that a batch draws. World k of n takes the places
+    /// k, k + n, k + 2 n, so no result depends on which world ends first.
+    pub fn at(&self, place: u64) -> u64 {
+        let count = self.len();
+        let (pass, mut index) = (place / count, place % count);
+        if self.shuffled {
+            index = permuted(
+                index,
+                count,
+                self.order_seed ^ pass.wrapping_mul(0x9e37_79b9),
+            );
+        }
+        match self.listed.get(index as usize) {
+            Some(&seed) => seed,
+            None => self.first + index,
+        }
+    }
+}
+
+/// The place of an index in a pseudo-random order of `0..count`, without a table: a
+/// Feistel network over the next power of four, walked until it falls into the range.
+fn permuted(index: u64, count: u64, key: u64) -> u64 {
+    let half_bits = (64 - (count - 1).leading_zeros()).div_ceil(2).max(1);
+    let mask = (1u64 << half_bits) - 1;
+    let mut value = index;
+    loop {
+        let (mut left, mut right) = (value >> half_bits, value & mask);
+        for round in 0..4u64 {
+            let mut mixed = right
+                .wrapping_add(key)
+                .wrapping_add(round.wrapping_mul(0xd1b5_4a32_d192_ed03));
+            // The finaliser of SplitMix64 (Steele, Lea, Flood 2014).
+            mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            (left, right) = (right, (left ^ mixed ^ (mixed >> 31)) & mask);
+        }
+        value = left << half_bits | right;
+        if value < count {
+            return value;
+        }
+    }
+}
+
+/// Everything a batch needs to know.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Options {
+    /// The episodes.
+    #[serde(default)]
+    pub world: WorldConfig,
+    /// Weights of reward and cost.
+    #[serde(default)]
+    pub reward: RewardConfig,
+    /// Whether contact with a vehicle ends an episode.
+    #[serde(default)]
+    pub crash_vehicle_done: bool,
+    /// Whether contact with an object ends an episode.
+    #[serde(default)]
+    pub crash_object_done: bool,
+    /// Standard deviation of the noise on each beam, as a share of its reach.
+    #[serde(default)]
+    pub beam_noise: f64,
+    /// Probability that a beam reads nothing.
+    #[serde(default)]
+    pub beam_dropout: f64,
+    /// The seeds of the episodes.
+    pub seeds: Seeds,
+    /// What follows the end of an episode.
+    pub autoreset: Autoreset,
+}
+
+impl Options {
+    /// Reads and checks the JSON text.
+    ///
+    /// # Errors
+    /// One line that names the option and what it must be.
+    pub fn parse(text: &str) -> Result<Options, String> {
+        let options: Options = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        if options.seeds.len() == 0 {
+            return Err("num_scenarios = 0: an environment needs at least one seed".into());
+        }
+        if !(0.0..=1.0).contains(&options.beam_noise) {
+            return Err(format!(
+                "gaussian_noise = {}: it must be between 0 and 1",
+                options.beam_noise
+            ));
+        }
+        if !(0.0..=1.0).contains(&options.beam_dropout) {
+            return Err(format!(
+                "dropout_prob = {}: it must be between 0 and 1",
+                options.beam_dropout
+            ));
+        }
+        Ok(options)
+    }
+}

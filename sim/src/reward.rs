@@ -1,0 +1,110 @@
+//! Reward and cost of a tick, as MetaDrive reckons them.
+//! Source: `reward_function` and `cost_function` of `envs/metadrive_env.py`.
+
+use serde::{Deserialize, Serialize};
+use shm_config::message::Outcome;
+
+use crate::world::World;
+
+/// Speed at which the speed term is one, km/h (`max_speed_km_h` of the vehicle).
+const SPEED_MAX_KMH: f64 = 80.0;
+
+/// Weights of the terms; names and defaults are MetaDrive's.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RewardConfig {
+    /// For each metre along the lane.
+    pub driving_reward: f64,
+    /// For driving at the greatest speed, in proportion to the speed.
+    pub speed_reward: f64,
+    /// Replaces the sum at the destination.
+    pub success_reward: f64,
+    /// Its negative replaces the sum off the road.
+    pub out_of_road_penalty: f64,
+    /// Its negative replaces the sum in contact with a vehicle.
+    pub crash_vehicle_penalty: f64,
+    /// Its negative replaces the sum in contact with an object.
+    pub crash_object_penalty: f64,
+    /// Whether the driving term shrinks towards the lane's edge.
+    pub use_lateral_reward: bool,
+    /// Cost of a tick off the road.
+    pub out_of_road_cost: f64,
+    /// Cost of a tick in contact with a vehicle.
+    pub crash_vehicle_cost: f64,
+    /// Cost of a tick in contact with an object.
+    pub crash_object_cost: f64,
+}
+
+impl Default for RewardConfig {
+    fn default() -> RewardConfig {
+        RewardConfig {
+            driving_reward: 1.0,
+            speed_reward: 0.1,
+            success_reward: 10.0,
+            out_of_road_penalty: 5.0,
+            crash_vehicle_penalty: 5.0,
+            crash_object_penalty: 5.0,
+            use_lateral_reward: false,
+            out_of_road_cost: 1.0,
+            crash_vehicle_cost: 1.0,
+            crash_object_cost: 1.0,
+        }
+    }
+}
+
+/// What a tick was worth.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reward {
+    /// The reward.
+    pub reward: f64,
+    /// The cost, apart from it; never negative with the default weights.
+    pub cost: f64,
+    /// Driving and speed terms alone, before an event replaced them (`step_reward`).
+    pub step_reward: f64,
+}
+
+impl RewardConfig {
+    /// Reward and cost of the last tick of a world.
+    pub fn of(&self, world: &World) -> Reward {
+        let (network, navigator) = (&world.map().network, world.navigator());
+        let road = network.road(navigator.road());
+        // A car that left the roads of its route is measured along the leftmost lane.
+        let own = navigator.lane();
+        let lane_id = match network.road_of(own) == navigator.road() {
+            true => own,
+            false => road.first_lane,
+        };
+        let lane = network.lane(lane_id);
+        let before_m = lane.local_coordinates(world.tick_begin_position()).0;
+        let (now_m, lateral_m) = lane.local_coordinates(world.ego_position());
+        let width_m = network.lane(own).width_m;
+        let lateral_factor = match self.use_lateral_reward {
+            true => (1.0 - 2.0 * lateral_m.abs() / width_m).clamp(0.0, 1.0),
+            false => 1.0,
+        };
+        let speed_kmh = world.speed_mps() * 3.6;
+        let step_reward = self.driving_reward * (now_m - before_m) * lateral_factor
+            + self.speed_reward * speed_kmh / SPEED_MAX_KMH;
+        let step = world.last_step();
+        let (reward, cost) = match (step.outcome, step.touch) {
+            (Outcome::Arrived, touch) => (self.success_reward, self.contact_cost(touch)),
+            (Outcome::OutOfRoad, _) => (-self.out_of_road_penalty, self.out_of_road_cost),
+            (_, touch) if touch.vehicle => (-self.crash_vehicle_penalty, self.crash_vehicle_cost),
+            (_, touch) if touch.object => (-self.crash_object_penalty, self.crash_object_cost),
+            _ => (step_reward, 0.0),
+        };
+        Reward {
+            reward,
+            cost,
+            step_reward,
+        }
+    }
+
+    fn contact_cost(&self, touch: crate::bodies::Touch) -> f64 {
+        match (touch.vehicle, touch.object) {
+            (true, _) => self.crash_vehicle_cost,
+            (false, true) => self.crash_object_cost,
+            (false, false) => 0.0,
+        }
+    }
+}
