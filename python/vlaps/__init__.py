@@ -1,0 +1,28 @@
+"""MetaDrive's driving task, seed by seed, as fast Gymnasium environments.
+
+>>> import gymnasium, vlaps
+>>> env = gymnasium.make("vlaps/MetaDrive-c29cc37-v0", start_seed=1000, num_scenarios=50)
+>>> observation, info = env.reset(seed=1000)
+>>> observation.shape
+(259,)
+>>> observation, reward, terminated, truncated, info = env.step([0.0, 0.5])
+>>> info["cost"]
+0.0
+"""
+
+from ._vlaps import State, __version__
+from .config import DEFAULTS
+from .env import MetaDriveEnv
+from .registration import ENV_ID, register
+from .vector import MetaDriveVectorEnv
+
+register()
+
+__all__ = [
+    "DEFAULTS",
+    "ENV_ID",
+    "MetaDriveEnv",
+    "MetaDriveVectorEnv",
+    "State",
+    "__version__",
+]
