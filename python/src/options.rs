@@ -3,9 +3,11 @@
 use serde::{Deserialize, Serialize};
 use sim::{RewardConfig, WorldConfig};
 
+/// Seeds are below this: Python passes them as signed numbers.
+const SEEDS_END: u64 = 1 << 63;
+
 /// What follows the end of an episode (Gymnasium's `AutoresetMode`).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Autoreset {
     /// The call that ends an episode begins the next one and returns its first
     /// observation; the last one of the ended episode is returned beside it.
@@ -14,7 +16,25 @@ pub enum Autoreset {
     /// its action.
     NextStep,
     /// The caller resets.
+    #[default]
     Disabled,
+}
+
+impl Autoreset {
+    /// The mode of a name in Gymnasium's `AutoresetMode`.
+    ///
+    /// # Errors
+    /// One line with the names.
+    pub fn parse(name: &str) -> Result<Autoreset, String> {
+        match name {
+            "SameStep" => Ok(Autoreset::SameStep),
+            "NextStep" => Ok(Autoreset::NextStep),
+            "Disabled" => Ok(Autoreset::Disabled),
+            _ => Err(format!(
+                "autoreset_mode {name}: choose from SameStep, NextStep, Disabled"
+            )),
+        }
+    }
 }
 
 /// Which seeds episodes have.
@@ -121,7 +141,9 @@ pub struct Options {
     pub beam_dropout: f64,
     /// The seeds of the episodes.
     pub seeds: Seeds,
-    /// What follows the end of an episode.
+    /// What follows the end of an episode. It is no part of the text: a state may be
+    /// taken from a batch into a single environment.
+    #[serde(skip)]
     pub autoreset: Autoreset,
 }
 
@@ -135,17 +157,25 @@ impl Options {
         if options.seeds.len() == 0 {
             return Err("num_scenarios = 0: an environment needs at least one seed".into());
         }
-        if !(0.0..=1.0).contains(&options.beam_noise) {
+        let seeds = &options.seeds;
+        if seeds
+            .first
+            .checked_add(seeds.count)
+            .is_none_or(|end| end > SEEDS_END)
+        {
             return Err(format!(
-                "gaussian_noise = {}: it must be between 0 and 1",
-                options.beam_noise
+                "start_seed = {}, num_scenarios = {}: a seed must be below 2**63",
+                seeds.first, seeds.count
             ));
         }
-        if !(0.0..=1.0).contains(&options.beam_dropout) {
-            return Err(format!(
-                "dropout_prob = {}: it must be between 0 and 1",
-                options.beam_dropout
-            ));
+        for (name, share) in [
+            ("accident_prob", options.world.accident_probability),
+            ("gaussian_noise", options.beam_noise),
+            ("dropout_prob", options.beam_dropout),
+        ] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(format!("{name} = {share}: it must be between 0 and 1"));
+            }
         }
         Ok(options)
     }

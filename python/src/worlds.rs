@@ -1,61 +1,21 @@
-//! The Python class of a batch.
+//! The Python class of a batch: every call writes arrays that Python owns.
 
 use std::num::NonZeroUsize;
+use std::sync::Mutex;
 
 use numpy::{
-    PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray1, PyReadwriteArray2,
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray1,
+    PyReadwriteArray2,
 };
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict};
-use serde::{Deserialize, Serialize};
-use sim::WorldError;
-use vehicle::Action;
+use pyo3::types::PyDict;
 
-use crate::batch::{Arrays, Batch, Env, FIGURES, Reset};
-use crate::options::Options;
-
-/// Raised whenever what a state holds changes its meaning.
-const STATE_VERSION: u32 = 1;
-
-/// A state of one environment that can be stored: the seed and all actions since the
-/// episode began, which are the same episode, bit by bit.
-#[derive(Serialize, Deserialize)]
-struct Stored {
-    version: u32,
-    options: String,
-    seed: u64,
-    place: u64,
-    actions: Vec<[f64; 2]>,
-}
-
-/// A state of one environment, to go back to at once.
-#[pyclass(frozen, module = "vlaps")]
-pub struct State {
-    env: Env,
-    options: String,
-}
-
-#[pymethods]
-impl State {
-    /// The state as bytes: the episode's seed and the actions since it began.
-    fn __bytes__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let (seed, place, actions) = self.env.history();
-        let stored = Stored {
-            version: STATE_VERSION,
-            options: self.options.clone(),
-            seed,
-            place,
-            actions: actions
-                .iter()
-                .map(|action| [action.steer, action.pedal])
-                .collect(),
-        };
-        let bytes = serde_json::to_vec(&stored)
-            .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-        Ok(PyBytes::new(py, &bytes))
-    }
-}
+use crate::batch::{Arrays, Batch};
+use crate::calls::{ASSESSMENTS, assessment, check_action, check_begun, picture, take};
+use crate::env::{COUNTS, Env, FIGURES, FLAGS, Pair, REALS, Reset};
+use crate::options::{Autoreset, Options};
+use crate::state::{State, world_error};
 
 /// Arrays that Python owns and every call writes.
 struct Buffers {
@@ -79,18 +39,29 @@ struct Written<'py> {
     figures: PyReadwriteArray2<'py, f64>,
 }
 
-/// Many environments in one object. The package's environments are made of it.
-#[pyclass(module = "vlaps", name = "Worlds")]
+/// Many environments in one object. `vlaps.MetaDriveVectorEnv` wraps it.
+#[pyclass(frozen, module = "vlaps")]
 pub struct Worlds {
-    batch: Batch,
+    inner: Mutex<Inner>,
     buffers: Buffers,
-    actions: Vec<Action>,
     options: String,
     process: u32,
 }
 
-fn world_error(error: WorldError) -> PyErr {
-    PyValueError::new_err(error.to_string())
+struct Inner {
+    batch: Batch,
+    begun: bool,
+}
+
+impl Inner {
+    fn env(&mut self, index: usize) -> PyResult<(&Options, &mut Env)> {
+        let count = self.batch.len();
+        self.batch.env(index).ok_or_else(|| {
+            PyIndexError::new_err(format!(
+                "environment {index}: there are {count}, counted from 0"
+            ))
+        })
+    }
 }
 
 impl Buffers {
@@ -102,7 +73,7 @@ impl Buffers {
             terminated: PyArray1::zeros(py, worlds, false).unbind(),
             truncated: PyArray1::zeros(py, worlds, false).unbind(),
             began: PyArray1::zeros(py, worlds, false).unbind(),
-            figures: PyArray2::zeros(py, [worlds, FIGURES.len()], false).unbind(),
+            figures: PyArray2::zeros(py, [worlds, FIGURES], false).unbind(),
         }
     }
 
@@ -137,66 +108,97 @@ impl Written<'_> {
     }
 }
 
+/// One action for each environment.
+struct Actions<'py>(PyReadonlyArray2<'py, f32>);
+
+impl<'py> Actions<'py> {
+    /// # Errors
+    /// When it is no contiguous float32 array `[count, 2]` of finite numbers.
+    fn new(actions: &Bound<'py, PyAny>, count: usize) -> PyResult<Self> {
+        let array: PyReadonlyArray2<f32> = actions.extract().map_err(|_| {
+            PyTypeError::new_err("actions must be a float32 array of two dimensions")
+        })?;
+        let shape = array.as_array().dim();
+        if shape != (count, 2) {
+            return Err(PyValueError::new_err(format!(
+                "actions have the shape {shape:?}: it must be ({count}, 2), steering and pedal"
+            )));
+        }
+        let actions = Self(array);
+        for (index, &pair) in actions.pairs()?.iter().enumerate() {
+            check_action(index, pair)?;
+        }
+        Ok(actions)
+    }
+
+    fn pairs(&self) -> PyResult<&[Pair]> {
+        Ok(self.0.as_slice()?.as_chunks().0)
+    }
+}
+
 impl Worlds {
+    /// Takes the environments for one call.
+    ///
     /// # Errors
     /// In a process that was forked from the one that made the threads: they are not
     /// in it, and a call would wait for them for ever.
-    fn check_process(&self) -> PyResult<()> {
-        match self.process == std::process::id() || self.batch.threads() == 0 {
-            true => Ok(()),
+    fn take(&self) -> PyResult<std::sync::MutexGuard<'_, Inner>> {
+        let inner = take(&self.inner)?;
+        match self.process == std::process::id() || inner.batch.threads() == 0 {
+            true => Ok(inner),
             false => Err(PyRuntimeError::new_err(
                 "these environments were made before a fork and have threads that the new process \
                  lacks: make them after the fork, use the spawn method, or threads=1",
             )),
         }
     }
-
-    fn env(&mut self, index: usize) -> PyResult<(&Options, &mut Env)> {
-        let count = self.batch.len();
-        self.batch.env(index).ok_or_else(|| {
-            PyIndexError::new_err(format!(
-                "environment {index}: there are {count}, counted from 0"
-            ))
-        })
-    }
 }
 
 #[pymethods]
 impl Worlds {
     #[new]
-    fn new(py: Python, options: &str, worlds: usize, threads: usize) -> PyResult<Self> {
+    fn new(
+        py: Python,
+        options: &str,
+        autoreset: &str,
+        worlds: usize,
+        threads: usize,
+    ) -> PyResult<Self> {
         let one = |name: &str, value: usize| {
             NonZeroUsize::new(value)
                 .ok_or_else(|| PyValueError::new_err(format!("{name} = 0: it must be at least 1")))
         };
         let (worlds, threads) = (one("num_envs", worlds)?, one("threads", threads)?);
-        let parsed = Options::parse(options).map_err(PyValueError::new_err)?;
+        let mut parsed = Options::parse(options).map_err(PyValueError::new_err)?;
+        parsed.autoreset = Autoreset::parse(autoreset).map_err(PyValueError::new_err)?;
         let batch = Batch::new(parsed, worlds, threads).map_err(PyValueError::new_err)?;
         Ok(Self {
             buffers: Buffers::new(py, batch.len(), batch.features()),
-            actions: vec![Action::BRAKE; batch.len()],
-            batch,
+            inner: Mutex::new(Inner {
+                batch,
+                begun: false,
+            }),
             options: options.to_owned(),
             process: std::process::id(),
         })
     }
 
-    /// Number of environments.
-    #[getter]
-    fn count(&self) -> usize {
-        self.batch.len()
-    }
-
     /// Numbers in an observation.
     #[getter]
-    fn features(&self) -> usize {
-        self.batch.features()
+    fn features(&self) -> PyResult<usize> {
+        Ok(take(&self.inner)?.batch.features())
     }
 
-    /// Names of the columns of `figures`.
+    /// Names of the columns of `figures`: real numbers, then counts, then flags.
     #[staticmethod]
-    fn figure_names() -> Vec<&'static str> {
-        FIGURES.to_vec()
+    fn figure_names() -> (Vec<&'static str>, Vec<&'static str>, Vec<&'static str>) {
+        (REALS.to_vec(), COUNTS.to_vec(), FLAGS.to_vec())
+    }
+
+    /// Names of the numbers of an assessment.
+    #[staticmethod]
+    fn assessment_names() -> Vec<&'static str> {
+        ASSESSMENTS.to_vec()
     }
 
     /// The arrays that every call writes, by name.
@@ -214,122 +216,108 @@ impl Worlds {
 
     /// Begins episodes: for each environment a seed, -1 for the next in the order of
     /// seeds, or -2 to go on with the running one.
-    fn reset(&mut self, py: Python, seeds: Vec<i64>) -> PyResult<()> {
-        self.check_process()?;
-        if seeds.len() != self.batch.len() {
+    fn reset(&self, py: Python, seeds: Vec<i64>) -> PyResult<()> {
+        let mut inner = self.take()?;
+        if seeds.len() != inner.batch.len() {
             return Err(PyValueError::new_err(format!(
                 "{} seeds for {} environments",
                 seeds.len(),
-                self.batch.len()
+                inner.batch.len()
             )));
         }
-        let resets = seeds.iter().map(|&seed| match seed {
-            -1 => Ok(Reset::Next),
-            -2 => Ok(Reset::Keep),
-            seed => u64::try_from(seed).map(Reset::To),
-        });
-        let resets: Vec<Reset> = resets
-            .collect::<Result<_, _>>()
-            .map_err(|_| PyValueError::new_err("a seed must not be negative"))?;
+        let begun = inner.begun;
+        let reset = |&seed: &i64| match (seed, begun) {
+            // There is no running episode yet.
+            (-2, false) | (-1, _) => Reset::Next,
+            (-2, true) => Reset::Keep,
+            (seed, _) => Reset::To(seed.unsigned_abs()),
+        };
+        let resets: Vec<Reset> = seeds.iter().map(reset).collect();
         let mut written = self.buffers.write(py)?;
         let arrays = written.arrays()?;
-        let batch = &mut self.batch;
+        let batch = &mut inner.batch;
         py.detach(|| batch.reset(&resets, arrays))
-            .map_err(world_error)
-    }
-
-    /// Puts the order of seeds back to its beginning.
-    fn rewind(&mut self) {
-        self.batch.rewind();
+            .map_err(world_error)?;
+        inner.begun = true;
+        Ok(())
     }
 
     /// Drives every environment for one tick; `actions` is `[worlds, 2]`, steering and
     /// pedal in [-1, 1], as float32.
-    fn step(&mut self, py: Python, actions: &Bound<'_, PyAny>) -> PyResult<()> {
-        self.check_process()?;
-        let actions: PyReadonlyArray2<f32> = actions.extract().map_err(|_| {
-            PyTypeError::new_err("actions must be a float32 array of two dimensions")
-        })?;
-        let view = actions.as_array();
-        if view.dim() != (self.batch.len(), 2) {
-            return Err(PyValueError::new_err(format!(
-                "actions have the shape {:?}: it must be ({}, 2), steering and pedal",
-                view.shape(),
-                self.batch.len()
-            )));
-        }
-        for (index, (row, action)) in view.rows().into_iter().zip(&mut self.actions).enumerate() {
-            let (steer, pedal) = (f64::from(row[0]), f64::from(row[1]));
-            if !(steer.is_finite() && pedal.is_finite()) {
-                return Err(PyValueError::new_err(format!(
-                    "action {index} is [{steer}, {pedal}]: both numbers must be finite"
-                )));
-            }
-            *action = Action { steer, pedal };
-        }
+    fn step(&self, py: Python, actions: &Bound<'_, PyAny>) -> PyResult<()> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        let actions = Actions::new(actions, inner.batch.len())?;
+        let pairs = actions.pairs()?;
         let mut written = self.buffers.write(py)?;
         let arrays = written.arrays()?;
-        let (batch, actions) = (&mut self.batch, &self.actions);
-        py.detach(|| batch.step(actions, arrays))
-            .map_err(world_error)
+        let batch = &mut inner.batch;
+        py.detach(|| batch.step(pairs, arrays)).map_err(world_error)
     }
 
     /// A copy of one environment's state.
-    fn get_state(&mut self, index: usize) -> PyResult<State> {
-        let options = self.options.clone();
-        let (_, env) = self.env(index)?;
-        Ok(State {
-            env: env.clone(),
-            options,
-        })
+    fn get_state(&self, py: Python, index: usize) -> PyResult<State> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        let features = inner.batch.features();
+        let (_, env) = inner.env(index)?;
+        let mut written = self.buffers.write(py)?;
+        let mut arrays = written.arrays()?;
+        let row = arrays.row(index, features);
+        Ok(State::of(env, row.observation, &self.options))
     }
 
     /// Puts one environment into a state: a `State`, or its bytes.
-    fn set_state(&mut self, index: usize, state: &Bound<'_, PyAny>) -> PyResult<()> {
-        let options = self.options.clone();
-        let (parsed, env) = self.env(index)?;
-        let differ = || {
-            PyValueError::new_err(
-                "the state is of an environment with other options: make one with the same",
-            )
-        };
-        if let Ok(state) = state.cast::<State>() {
-            if state.get().options != options {
-                return Err(differ());
-            }
-            *env = state.get().env.clone();
-            return Ok(());
+    fn set_state(&self, py: Python, index: usize, state: &Bound<'_, PyAny>) -> PyResult<()> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        let features = inner.batch.features();
+        let env = inner.env(index)?;
+        let mut written = self.buffers.write(py)?;
+        let mut arrays = written.arrays()?;
+        State::restore(state, &self.options, env, arrays.row(index, features))
+    }
+
+    /// The IDM driver's action in every environment, `[worlds, 2]`.
+    fn advise<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        let count = inner.batch.len();
+        let mut advice = Vec::with_capacity(2 * count);
+        for index in 0..count {
+            advice.extend(inner.env(index)?.1.advise());
         }
-        let bytes: &[u8] = state.extract().map_err(|_| {
-            PyTypeError::new_err("a state is what get_state returned, or bytes() of it")
-        })?;
-        let stored: Stored = serde_json::from_slice(bytes)
-            .map_err(|error| PyValueError::new_err(format!("these bytes are no state: {error}")))?;
-        if stored.version != STATE_VERSION {
-            return Err(PyValueError::new_err(format!(
-                "a state of version {}; this build reads version {STATE_VERSION}",
-                stored.version
-            )));
+        PyArray1::from_vec(py, advice).reshape([count, 2])
+    }
+
+    /// The tick's assessment of one proposal in every environment, `[worlds, numbers]`
+    /// in the order of `assessment_names`.
+    fn judge<'py>(
+        &self,
+        py: Python<'py>,
+        actions: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        let count = inner.batch.len();
+        let actions = Actions::new(actions, count)?;
+        let mut measured = Vec::with_capacity(count * ASSESSMENTS.len());
+        for (index, &pair) in actions.pairs()?.iter().enumerate() {
+            measured.extend(assessment(inner.env(index)?.1, pair));
         }
-        if stored.options != options {
-            return Err(differ());
-        }
-        if stored
-            .actions
-            .iter()
-            .flatten()
-            .any(|number| !number.is_finite())
-        {
-            return Err(PyValueError::new_err(
-                "the state holds an action that is no number",
-            ));
-        }
-        let actions = stored
-            .actions
-            .iter()
-            .map(|&[steer, pedal]| Action { steer, pedal });
-        let actions: Vec<Action> = actions.collect();
-        env.replay(parsed, (stored.seed, stored.place), &actions)
-            .map_err(world_error)
+        PyArray1::from_vec(py, measured).reshape([count, ASSESSMENTS.len()])
+    }
+
+    /// A picture of one environment, `[height, width, 3]`.
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        index: usize,
+        view: &str,
+        size: [u32; 2],
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        picture(py, inner.env(index)?.1, view, size)
     }
 }

@@ -15,6 +15,7 @@ from .config import DEFAULTS
 from .env import MetaDriveEnv
 from .registration import ENV_ID, register
 from .vector import MetaDriveVectorEnv
+from .window import write_video
 
 register()
 
@@ -25,4 +26,5 @@ __all__ = [
     "MetaDriveVectorEnv",
     "State",
     "__version__",
+    "write_video",
 ]

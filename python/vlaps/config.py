@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import json
-from collections.abc import Iterable
+import math
+import numbers
 from typing import Any
 
 #: Every option with its default. `vehicle_config` and `map_config` are merged key by key.
@@ -65,8 +67,6 @@ def merged(changes: dict[str, Any], defaults: dict[str, Any] = DEFAULTS) -> dict
     """The defaults with these changes; an unknown option is a `ValueError` with a hint."""
     unknown = set(changes) - set(defaults)
     if unknown:
-        import difflib
-
         name = sorted(unknown)[0]
         near = difflib.get_close_matches(name, defaults, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -74,46 +74,69 @@ def merged(changes: dict[str, Any], defaults: dict[str, Any] = DEFAULTS) -> dict
     result = {}
     for key, default in defaults.items():
         value = changes.get(key, default)
-        if isinstance(default, dict):
-            if not isinstance(value, dict):
-                raise ValueError(f"option {key!r} must be a dictionary, not {value!r}")
-            value = merged(value, default)
-        result[key] = value
+        result[key] = _checked(key, value, default)
     return result
 
 
-def to_json(config: dict[str, Any], autoreset: str) -> str:
-    """The options as the compiled module reads them; numbers out of range raise there."""
+def _checked(key: str, value: Any, default: Any) -> Any:
+    """The value with the type of its default; ranges are checked in the compiled module."""
+    if isinstance(default, dict):
+        if isinstance(value, dict):
+            return merged(value, default)
+        raise ValueError(f"option {key!r} must be a dictionary, not {value!r}")
+    if key == "map" and isinstance(value, str):
+        return value
+    if key == "seeds":
+        return None if value is None else [_count(key, seed) for seed in value]
+    if isinstance(default, bool):
+        if value in (True, False):
+            return bool(value)
+        raise ValueError(f"option {key!r} must be True or False, not {value!r}")
+    if isinstance(default, int):
+        return _count(key, value)
+    if isinstance(value, numbers.Real) and math.isfinite(value):
+        return float(value)
+    raise ValueError(f"option {key!r} must be a finite number, not {value!r}")
+
+
+def _count(key: str, value: Any) -> int:
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        count = int(value)
+        if 0 <= count < 2**63:
+            return count
+    raise ValueError(f"option {key!r} must be a whole number from 0 on, not {value!r}")
+
+
+def to_json(config: dict[str, Any]) -> str:
+    """The options of `merged` as the compiled module reads them."""
     lidar = config["vehicle_config"]["lidar"]
     road = config["map_config"]
     is_sequence = isinstance(config["map"], str)
-    seeds: Iterable[int] | None = config["seeds"]
     options = {
         "world": {
-            "blocks": 3 if is_sequence else int(config["map"]),
+            "blocks": 3 if is_sequence else config["map"],
             "block_sequence": config["map"] if is_sequence else "",
-            "lane_count": int(road["lane_num"]),
-            "lane_width_m": float(road["lane_width"]),
-            "exit_length_m": float(road["exit_length"]),
-            "traffic_density": float(config["traffic_density"]),
-            "accident_probability": float(config["accident_prob"]),
-            "horizon_steps": int(config["horizon"]),
-            "beam_count": int(lidar["num_lasers"]),
-            "lidar_range_m": float(lidar["distance"]),
+            "lane_count": road["lane_num"],
+            "lane_width_m": road["lane_width"],
+            "exit_length_m": road["exit_length"],
+            "traffic_density": config["traffic_density"],
+            "accident_probability": config["accident_prob"],
+            "horizon_steps": config["horizon"],
+            "beam_count": lidar["num_lasers"],
+            "lidar_range_m": lidar["distance"],
             "out_of_route": "ends" if config["out_of_route_done"] else "continues",
         },
         "reward": {key: config[key] for key in _REWARD},
-        "crash_vehicle_done": bool(config["crash_vehicle_done"]),
-        "crash_object_done": bool(config["crash_object_done"]),
-        "beam_noise": float(lidar["gaussian_noise"]),
-        "beam_dropout": float(lidar["dropout_prob"]),
+        "crash_vehicle_done": config["crash_vehicle_done"],
+        "crash_object_done": config["crash_object_done"],
+        "beam_noise": lidar["gaussian_noise"],
+        "beam_dropout": lidar["dropout_prob"],
         "seeds": {
-            "first": int(config["start_seed"]),
-            "count": int(config["num_scenarios"]),
-            "shuffled": bool(config["shuffle"]),
-            "order_seed": int(config["order_seed"]),
-            "listed": [] if seeds is None else [int(seed) for seed in seeds],
+            "first": config["start_seed"],
+            "count": config["num_scenarios"],
+            "shuffled": config["shuffle"],
+            "order_seed": config["order_seed"],
+            "listed": config["seeds"] or [],
         },
-        "autoreset": autoreset,
     }
     return json.dumps(options)

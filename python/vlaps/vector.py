@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import gymnasium
@@ -14,22 +15,42 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _vlaps
 from .config import merged, to_json
-from .env import _COUNTS, _FLAGS, _NAMES, action_space, checked_seed, observation_space
+from .env import (
+    ASSESSMENTS,
+    VERDICTS,
+    action_space,
+    check_expert,
+    checked_seed,
+    observation_space,
+)
 
-_MODES = {
-    AutoresetMode.SAME_STEP: "same_step",
-    AutoresetMode.NEXT_STEP: "next_step",
-    AutoresetMode.DISABLED: "disabled",
-}
+_REALS, _COUNTS, _FLAGS = _vlaps.Worlds.figure_names()
+_NAMES = _REALS + _COUNTS + _FLAGS
+_VERDICTS = np.array(VERDICTS)
+
+#: Observations, rewards, terminated, truncated, info.
+Stepped = tuple[
+    NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+]
 
 
-class MetaDriveVectorEnv(VectorEnv):
+def _cores() -> int:
+    """Number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many worlds in one object, stepped by `threads` threads with the same results.
 
     With `copy=False` the returned arrays are the object's own, and the next call writes
     them again. World k takes the places k, k + n, k + 2n in the order of seeds, so the
     episodes of a world depend on nothing but the options. To share an order of seeds
     between programs, give each its part: `seeds=range(first, last)[part::parts]`.
+
+    `info` holds each figure as an array over the worlds, of the step that was driven: in
+    the same-step mode those of the episode that ended, as in `info["final_info"]`.
     """
 
     def __init__(
@@ -40,24 +61,35 @@ class MetaDriveVectorEnv(VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         copy: bool = True,
         render_mode: str | None = None,
+        render_view: str = "top_down",
+        render_size: tuple[int, int] = (640, 480),
         **options: Any,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError("a vector of environments is not rendered: render one environment")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode {render_mode!r}: a vector of environments has rgb_array alone")
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: it must be at least 1")
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads = {threads}: it must be at least 1")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": [], "render_fps": 10}
-        self.render_mode = None
+        self.metadata = {
+            "autoreset_mode": self.autoreset_mode,
+            "render_modes": ["rgb_array"],
+            "render_fps": 10,
+        }
+        self.render_mode = render_mode
+        self._view = (render_view, render_size)
         self.config = merged(options)
-        text = to_json(self.config, _MODES[self.autoreset_mode])
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        self._worlds: _vlaps.Worlds | None = _vlaps.Worlds(text, num_envs, threads or cores)
+        self._worlds: _vlaps.Worlds | None = _vlaps.Worlds(
+            to_json(self.config), self.autoreset_mode.value, num_envs, threads or _cores()
+        )
         self._arrays = self._worlds.arrays()
         self._copy = copy
-        self._pending = False
-        self._everything = np.ones(num_envs, np.bool_)
+        self._executor: ThreadPoolExecutor | None = None
+        self._sent: Future[None] | None = None
+        everything = np.ones(num_envs, np.bool_)
+        self._masks = {f"_{name}": everything for name in _NAMES}
         self.single_observation_space = observation_space(self._worlds.features)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -66,6 +98,8 @@ class MetaDriveVectorEnv(VectorEnv):
     def _open(self) -> _vlaps.Worlds:
         if self._worlds is None:
             raise RuntimeError("the environments are closed: make others")
+        if self._sent is not None:
+            raise RuntimeError("a step was sent: call recv before anything else")
         return self._worlds
 
     def _out(self, name: str) -> NDArray[Any]:
@@ -99,67 +133,97 @@ class MetaDriveVectorEnv(VectorEnv):
                 raise ValueError(f"reset_mask must be a boolean array of the shape ({self.num_envs},)")
             seeds = [one if chosen else -2 for one, chosen in zip(seeds, mask)]
         worlds.reset(seeds)
-        return self._out("observation"), self._info(self._arrays["figures"], None)
+        return self._out("observation"), self._info(None)
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[
-        NDArray[np.float32],
-        NDArray[np.float64],
-        NDArray[np.bool_],
-        NDArray[np.bool_],
-        dict[str, Any],
-    ]:
+    def step(self, actions: ArrayLike) -> Stepped:
         """Drives all worlds for 0.1 s."""
         self._open().step(np.ascontiguousarray(actions, np.float32))
-        arrays = self._arrays
-        figures = arrays["figures"]
+        return self._stepped()
+
+    def send(self, actions: ArrayLike) -> None:
+        """Begins a step on a thread beside the caller's, and returns at once."""
+        worlds = self._open()
+        if self._executor is None:
+            self._executor = ThreadPoolExecutor(1, thread_name_prefix="vlaps-send")
+        # The caller may write its array before the step has read it.
+        self._sent = self._executor.submit(worlds.step, np.array(actions, np.float32, order="C"))
+
+    def recv(self) -> Stepped:
+        """Waits for the step that was sent, and returns what it brought."""
+        if self._sent is None:
+            raise RuntimeError("no step was sent: call send first")
+        sent, self._sent = self._sent, None
+        sent.result()
+        return self._stepped()
+
+    def _stepped(self) -> Stepped:
+        began = self._arrays["began"]
         ended = None
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and arrays["began"].any():
-            ended = arrays["began"].copy()
-        info = self._info(figures, ended)
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and began.any():
+            ended = began.copy()
         return (
             self._out("observation"),
             self._out("reward"),
             self._out("terminated"),
             self._out("truncated"),
-            info,
+            self._info(ended),
         )
 
-    def _info(self, figures: NDArray[np.float64], ended: NDArray[np.bool_] | None) -> dict[str, Any]:
+    def _info(self, ended: NDArray[np.bool_] | None) -> dict[str, Any]:
         """Gymnasium's vector info: each figure as an array, and beside it its mask."""
-        info: dict[str, Any] = {}
-        for column, name in enumerate(_NAMES):
-            values = figures[:, column]
-            if name in _FLAGS:
-                values = values != 0.0
-            elif name in _COUNTS:
-                values = values.astype(np.int64)
-            elif self._copy:
-                values = values.copy()
-            info[name] = values
-            info[f"_{name}"] = self._everything
+        # Column by column in memory, so that each figure is contiguous.
+        figures = self._arrays["figures"].T.copy()
+        flags_from = len(_REALS) + len(_COUNTS)
+        info: dict[str, Any] = dict(self._masks)
+        info.update(zip(_REALS, figures))
+        info.update(zip(_COUNTS, figures[len(_REALS) : flags_from].astype(np.int64)))
+        info.update(zip(_FLAGS, figures[flags_from:] != 0.0))
         if ended is None:
             return info
         observations = np.full(self.num_envs, None, dtype=object)
         for index in np.flatnonzero(ended):
             observations[index] = self._arrays["final_observation"][index].copy()
-        final = dict(info)
-        for key in list(final):
-            if key.startswith("_"):
-                final[key] = ended
+        final = {name: ended if name.startswith("_") else values for name, values in info.items()}
         info["final_obs"], info["_final_obs"] = observations, ended
         info["final_info"], info["_final_info"] = final, ended
         return info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of each world."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render() without a render_mode: make with render_mode="rgb_array"')
+            return None
+        worlds = self._open()
+        return tuple(worlds.render(index, *self._view) for index in range(self.num_envs))
+
+    def expert(self, method: str = "idm") -> NDArray[np.float32]:
+        """The action of an expert in each world; see `MetaDriveEnv.expert`."""
+        check_expert(method)
+        return self._open().advise()
+
+    def judge(self, actions: ArrayLike) -> dict[str, NDArray[Any]]:
+        """The assessment of an action in each world; see `MetaDriveEnv.judge`."""
+        numbers = self._open().judge(np.ascontiguousarray(actions, np.float32))
+        measured: dict[str, NDArray[Any]] = {
+            name: numbers[:, column] for column, name in enumerate(ASSESSMENTS)
+        }
+        measured["verdict"] = _VERDICTS[measured["verdict"].astype(np.int64)]
+        measured["veto"] = measured["veto"] != 0.0
+        return measured
 
     def get_state(self, index: int) -> _vlaps.State:
         """The state of one world; `bytes()` of it can be stored."""
         return self._open().get_state(index)
 
-    def set_state(self, index: int, state: _vlaps.State | bytes) -> None:
-        """Puts one world into a state of a world with the same options, bit by bit."""
+    def set_state(self, index: int, state: _vlaps.State | bytes) -> NDArray[np.float32]:
+        """Puts one world into a state of a world with the same options, bit by bit; returns
+        its observation."""
         self._open().set_state(index, state)
+        observation: NDArray[np.float32] = self._arrays["observation"][index].copy()
+        return observation
 
     def close_extras(self, **kwargs: Any) -> None:
         """Frees the worlds and ends their threads."""
-        self._worlds = None
+        if self._executor is not None:
+            self._executor.shutdown(wait=True)
+        self._worlds = self._sent = None

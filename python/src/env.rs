@@ -1,0 +1,373 @@
+//! One environment: a world, the account of its episode, and the rows it writes.
+
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use safety::{Scene, assess};
+use shm_config::config::JudgeLimits;
+use shm_config::message::{Assessment, FEATURES, Observation, Outcome};
+use sim::idm::Idm;
+use sim::render::{Renderer, Shot};
+use sim::{World, WorldError};
+use vehicle::{Action, Vehicle};
+
+use crate::options::{Autoreset, Options};
+
+/// Figures of a tick beside reward and flags: first the real numbers.
+pub const REALS: [&str; 4] = ["cost", "step_reward", "route_completion", "velocity"];
+/// Then those that are counts.
+pub const COUNTS: [&str; 4] = [
+    "episode_length",
+    "vehicle_contacts",
+    "object_contacts",
+    "seed",
+];
+/// Then those that are true or false.
+pub const FLAGS: [&str; 7] = [
+    "arrive_dest",
+    "out_of_road",
+    "max_step",
+    "crash_vehicle",
+    "crash_object",
+    "crash_sidewalk",
+    "strict_success",
+];
+/// Number of figures.
+pub const FIGURES: usize = REALS.len() + COUNTS.len() + FLAGS.len();
+
+/// Numbers in an observation before the beams: car, road and route.
+pub const STATE_FEATURES: usize = FEATURES - 240;
+
+/// Ticks between two lane changes of the IDM driver; its first one is drawn below this.
+const LANE_CHANGE_STEPS: u64 = 50;
+
+/// Steering and pedal, each in [-1, 1].
+pub type Pair = [f32; 2];
+
+/// The action of a pair.
+fn action(pair: Pair) -> Action {
+    Action {
+        steer: f64::from(pair[0]),
+        pedal: f64::from(pair[1]),
+    }
+}
+
+/// Which episode a reset begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reset {
+    /// None: the running one goes on.
+    Keep,
+    /// The next in the order of seeds.
+    Next,
+    /// That of this seed; the order of seeds goes back to its beginning.
+    To(u64),
+}
+
+/// What brings another environment of the same options to the same state.
+pub struct History<'a> {
+    /// Seed of the episode.
+    pub seed: u64,
+    /// Place in the order of seeds.
+    pub place: u64,
+    /// No episode of the order of seeds has begun.
+    pub is_fresh: bool,
+    /// The actions since the episode began.
+    pub actions: &'a [Pair],
+    /// The ticks at which the IDM driver was asked; it has a memory.
+    pub advised: &'a [u64],
+}
+
+/// One environment.
+#[derive(Clone)]
+pub struct Env {
+    world: World,
+    observation: Box<Observation>,
+    actions: Vec<Pair>,
+    advised: Vec<u64>,
+    idm: Idm,
+    place: u64,
+    /// The place at which the order begins for this environment.
+    first_place: u64,
+    vehicle_contacts: u64,
+    object_contacts: u64,
+    noise: Option<Xoshiro256PlusPlus>,
+    ended: bool,
+    /// No episode of the order of seeds has begun.
+    is_fresh: bool,
+}
+
+/// The row of the output arrays that one environment writes.
+pub struct Row<'a> {
+    /// The features of what is perceived now, [0, 1].
+    pub observation: &'a mut [f32],
+    /// The features at the end of the episode, when this call began another one.
+    pub final_observation: &'a mut [f32],
+    /// The reward.
+    pub reward: &'a mut f64,
+    /// The car's driving ended the episode.
+    pub terminated: &'a mut bool,
+    /// The horizon ended the episode.
+    pub truncated: &'a mut bool,
+    /// This call began an episode.
+    pub began: &'a mut bool,
+    /// One number for each of [`FIGURES`].
+    pub figures: &'a mut [f64],
+}
+
+impl Env {
+    /// An environment before its first episode, at its place in the order of seeds.
+    pub fn new(options: &Options, world: World, place: u64) -> Env {
+        Env {
+            world,
+            observation: Box::default(),
+            actions: Vec::with_capacity(options.world.horizon_steps.min(1 << 14) as usize),
+            advised: Vec::new(),
+            idm: Idm::new(0, 0),
+            place,
+            first_place: place,
+            vehicle_contacts: 0,
+            object_contacts: 0,
+            noise: None,
+            ended: false,
+            is_fresh: true,
+        }
+    }
+
+    /// Begins the episode of a seed.
+    fn begin(&mut self, options: &Options, seed: u64) -> Result<(), WorldError> {
+        self.world.reset(seed)?;
+        self.actions.clear();
+        self.advised.clear();
+        self.idm = Idm::new((seed.wrapping_mul(31) % LANE_CHANGE_STEPS) as u32, seed);
+        (self.vehicle_contacts, self.object_contacts) = (0, 0);
+        self.ended = false;
+        let is_noisy = options.beam_noise > 0.0 || options.beam_dropout > 0.0;
+        self.noise = is_noisy.then(|| Xoshiro256PlusPlus::seed_from_u64(seed));
+        Ok(())
+    }
+
+    /// Begins the next episode in the order of seeds, `stride` places on; at first the
+    /// episode of its own place.
+    fn begin_next(&mut self, options: &Options, stride: u64) -> Result<(), WorldError> {
+        let place = match self.is_fresh {
+            true => self.place,
+            false => self.place.wrapping_add(stride),
+        };
+        self.begin(options, options.seeds.at(place))?;
+        (self.place, self.is_fresh) = (place, false);
+        Ok(())
+    }
+
+    /// Begins an episode, or not.
+    ///
+    /// # Errors
+    /// [`WorldError`] when the seed has no map.
+    pub fn reset(
+        &mut self,
+        options: &Options,
+        reset: Reset,
+        stride: u64,
+        mut row: Row,
+    ) -> Result<(), WorldError> {
+        match reset {
+            Reset::Keep => return Ok(()),
+            Reset::Next => self.begin_next(options, stride)?,
+            Reset::To(seed) => {
+                self.begin(options, seed)?;
+                (self.place, self.is_fresh) = (self.first_place, true);
+            }
+        }
+        *row.began = true;
+        self.perceive(options, row.observation);
+        self.report(options, &mut row);
+        Ok(())
+    }
+
+    /// One call: drives, and does with an ended episode what the options say.
+    ///
+    /// # Errors
+    /// [`WorldError`] when the next seed has no map.
+    pub fn step(
+        &mut self,
+        options: &Options,
+        pair: Pair,
+        stride: u64,
+        mut row: Row,
+    ) -> Result<(), WorldError> {
+        *row.began = false;
+        match (self.ended, options.autoreset) {
+            // The world stands still; its last figures repeat without a reward.
+            (true, Autoreset::Disabled) => {
+                *row.reward = 0.0;
+                return Ok(());
+            }
+            (true, Autoreset::NextStep) => return self.reset(options, Reset::Next, stride, row),
+            (true, Autoreset::SameStep) | (false, _) => {}
+        }
+        self.drive(pair);
+        let ends = self.ends(options);
+        self.ended = ends.0 || ends.1;
+        self.report(options, &mut row);
+        if self.ended && options.autoreset == Autoreset::SameStep {
+            self.perceive(options, row.final_observation);
+            self.begin_next(options, stride)?;
+            *row.began = true;
+        }
+        self.perceive(options, row.observation);
+        Ok(())
+    }
+
+    /// Drives for one tick.
+    fn drive(&mut self, pair: Pair) {
+        self.actions.push(pair);
+        let step = self.world.step(action(pair));
+        self.vehicle_contacts += u64::from(step.touch.vehicle);
+        self.object_contacts += u64::from(step.touch.object);
+    }
+
+    /// Whether the episode is terminated, and whether it is truncated.
+    fn ends(&self, options: &Options) -> (bool, bool) {
+        let step = self.world.last_step();
+        let crashed = options.crash_vehicle_done && step.touch.vehicle
+            || options.crash_object_done && step.touch.object;
+        let terminated = crashed || matches!(step.outcome, Outcome::Arrived | Outcome::OutOfRoad);
+        (terminated, !terminated && step.outcome == Outcome::MaxStep)
+    }
+
+    fn perceive(&mut self, options: &Options, out: &mut [f32]) {
+        self.world.observe(&mut self.observation);
+        // The row is as long as the features of the configured beams.
+        let _ = self.observation.features(out);
+        let Some(noise) = &mut self.noise else {
+            return;
+        };
+        for beam in &mut out[STATE_FEATURES..] {
+            if options.beam_noise > 0.0 {
+                let error = noise.sample::<f64, _>(StandardNormal) * options.beam_noise;
+                *beam = (f64::from(*beam) + error).clamp(0.0, 1.0) as f32;
+            }
+            if options.beam_dropout > 0.0 && noise.random::<f64>() < options.beam_dropout {
+                *beam = 0.0;
+            }
+        }
+    }
+
+    /// Writes reward, flags and figures of the last tick.
+    fn report(&self, options: &Options, row: &mut Row) {
+        let (world, step) = (&self.world, self.world.last_step());
+        let reward = match world.ticks() {
+            0 => sim::Reward::default(),
+            _ => options.reward.of(world),
+        };
+        *row.reward = reward.reward;
+        (*row.terminated, *row.truncated) = self.ends(options);
+        let flag = |value: bool| f64::from(u8::from(value));
+        let arrived = step.outcome == Outcome::Arrived;
+        let untouched = self.vehicle_contacts + self.object_contacts == 0;
+        row.figures.copy_from_slice(&[
+            reward.cost,
+            reward.step_reward,
+            world.completion(),
+            world.speed_mps(),
+            world.ticks() as f64,
+            self.vehicle_contacts as f64,
+            self.object_contacts as f64,
+            world.seed() as f64,
+            flag(arrived),
+            flag(step.outcome == Outcome::OutOfRoad),
+            flag(step.outcome == Outcome::MaxStep),
+            flag(step.touch.vehicle),
+            flag(step.touch.object),
+            flag(step.on_sidewalk),
+            flag(arrived && untouched),
+        ]);
+    }
+}
+
+impl Env {
+    /// What brings another environment of these options here.
+    pub fn history(&self) -> History<'_> {
+        History {
+            seed: self.world.seed(),
+            place: self.place,
+            is_fresh: self.is_fresh,
+            actions: &self.actions,
+            advised: &self.advised,
+        }
+    }
+
+    /// Repeats a history, and writes the row of its last call.
+    ///
+    /// # Errors
+    /// [`WorldError`] when the seed has no map.
+    pub fn replay(
+        &mut self,
+        options: &Options,
+        history: &History,
+        mut row: Row,
+    ) -> Result<(), WorldError> {
+        self.begin(options, history.seed)?;
+        (self.place, self.is_fresh) = (history.place, history.is_fresh);
+        let mut advised = history.advised.iter().copied().peekable();
+        // Each observation draws its noise, so each is made again.
+        self.perceive(options, row.observation);
+        for &pair in history.actions {
+            while advised.next_if_eq(&self.world.ticks()).is_some() {
+                self.advise();
+            }
+            self.drive(pair);
+            if self.noise.is_some() {
+                self.perceive(options, row.observation);
+            }
+        }
+        for _ in advised {
+            self.advise();
+        }
+        if self.noise.is_none() {
+            self.perceive(options, row.observation);
+        }
+        self.rest(options, &mut row);
+        Ok(())
+    }
+
+    /// Becomes a copy of another environment, but for where its order of seeds begins.
+    pub fn copy_from(&mut self, other: &Env) {
+        let first_place = self.first_place;
+        *self = other.clone();
+        self.first_place = first_place;
+    }
+
+    /// Writes reward, flags and figures of the state as it is.
+    pub fn rest(&mut self, options: &Options, row: &mut Row) {
+        let ends = self.ends(options);
+        self.ended = ends.0 || ends.1;
+        self.report(options, row);
+    }
+
+    /// What MetaDrive's IDM driver does now. It remembers earlier calls, so it is asked
+    /// once a tick.
+    pub fn advise(&mut self) -> Pair {
+        self.advised.push(self.world.ticks());
+        let advice = self.world.advise(&mut self.idm).clamped();
+        [advice.steer as f32, advice.pedal as f32]
+    }
+
+    /// The assessment that the tick of the controller makes of a proposal, from the
+    /// beams without noise.
+    pub fn judge(&self, proposal: Pair) -> Assessment {
+        let (vehicle, limits) = (Vehicle::default(), JudgeLimits::default());
+        let reach_m = Scene::reach_m(&vehicle, &limits, self.observation.ego.speed_mps);
+        let scene = Scene::new(&self.observation, reach_m);
+        assess(&vehicle, &limits, &scene, Some(action(proposal).clamped()))
+    }
+
+    /// A picture of the world: rows from the top, red, green and blue. `None` when the
+    /// size is zero or larger than memory holds.
+    pub fn draw(&self, shot: &Shot) -> Option<Vec<u8>> {
+        let mut renderer = Renderer::default();
+        renderer.begin(&self.world);
+        renderer
+            .draw(&self.world, shot)
+            .map(|picture| picture.rgb.to_vec())
+    }
+}
