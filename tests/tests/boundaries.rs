@@ -24,6 +24,7 @@ const ARROWS: &[(&str, &[&str])] = &[
         &["vehicle", "shm-config", "process", "policy", "stack"],
     ),
     ("supervisor", &["vehicle", "shm-config"]),
+    ("python", &["vehicle", "shm-config", "safety", "sim"]),
     (
         "stack",
         &["vehicle", "shm-config", "planner", "controller", "sim"],

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use crate::cli::failure::Failure;
-use crate::setup::{install, onnxruntime};
+use crate::setup::{install, onnxruntime, package};
 
 /// Install what an optional part needs.
 #[derive(Debug, Args)]
@@ -17,6 +17,7 @@ use crate::setup::{install, onnxruntime};
         Examples:\n  \
         ./vlaps setup metadrive\n  \
         ./vlaps setup onnxruntime\n  \
+        ./vlaps setup python && target/python/bin/python -c 'import vlaps'\n  \
         VLAPS_METADRIVE=$HOME/md-c29 ./vlaps setup metadrive --checkout ../metadrive"
 )]
 pub struct Setup {
@@ -42,6 +43,8 @@ pub enum Part {
     Metadrive,
     /// ONNX Runtime, for policies that are no chain of layers: 60 MB.
     Onnxruntime,
+    /// The Python package vlaps, built and installed into target/python: 250 MB.
+    Python,
 }
 
 /// Makes what a part needs, as far as it is missing.
@@ -54,5 +57,6 @@ pub fn setup(arguments: &Setup) -> Result<(), Failure> {
             install::install_metadrive(arguments.python.as_deref(), arguments.checkout.as_deref())
         }
         Part::Onnxruntime => onnxruntime::setup(arguments.python.as_deref()),
+        Part::Python => package::setup(arguments.python.as_deref()),
     }
 }
