@@ -43,7 +43,7 @@ pub enum Part {
     Metadrive,
     /// ONNX Runtime, for policies that are no chain of layers: 60 MB.
     Onnxruntime,
-    /// The Python package vlaps, built and installed into target/python: 250 MB.
+    /// The Python package vlaps, built and installed into target/python: 150 MB.
     Python,
 }
 
