@@ -108,3 +108,63 @@ impl RewardConfig {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use vehicle::Action;
+
+    use super::*;
+    use crate::WorldConfig;
+
+    const AHEAD: Action = Action {
+        steer: 0.0,
+        pedal: 1.0,
+    };
+
+    fn world(letters: &str) -> World {
+        let config = WorldConfig {
+            block_sequence: letters.into(),
+            traffic_density: 0.0,
+            accident_probability: 0.0,
+            ..WorldConfig::default()
+        };
+        let mut world = World::new(config).expect("a world");
+        world.reset(100).expect("a map");
+        world
+    }
+
+    #[test]
+    fn a_straight_drive_earns_its_metres_and_its_speed() {
+        let mut world = world("SSS");
+        let config = RewardConfig::default();
+        let (mut reward, mut expected) = (0.0, 0.0);
+        for _ in 0..50 {
+            let before_m = world.driven_m();
+            world.step(AHEAD);
+            let worth = config.of(&world);
+            assert_eq!((worth.reward, worth.cost), (worth.step_reward, 0.0));
+            reward += worth.reward;
+            expected += world.driven_m() - before_m + 0.1 * world.speed_mps() * 3.6 / 80.0;
+        }
+        assert!(world.driven_m() > 20.0);
+        assert!(
+            (reward - expected).abs() < 1e-3 * expected,
+            "{reward} {expected}"
+        );
+    }
+
+    #[test]
+    fn leaving_the_road_replaces_the_reward_and_costs() {
+        let mut world = world("C");
+        let config = RewardConfig {
+            out_of_road_penalty: 7.0,
+            out_of_road_cost: 3.0,
+            ..RewardConfig::default()
+        };
+        while !world.step(AHEAD).has_ended() {}
+        assert_eq!(world.last_step().outcome, Outcome::OutOfRoad);
+        let worth = config.of(&world);
+        assert_eq!((worth.reward, worth.cost), (-7.0, 3.0));
+        assert!(worth.step_reward > 0.0);
+    }
+}
