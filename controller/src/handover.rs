@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use controller::ports::LearnerPorts;
 use controller::{Controller, Hand, Loader, Look};
-use process::{Member, Pulse, SetUpError};
+use runtime::{Member, Pulse, SetUpError};
 use shm_config::message::Learning;
 use shm_config::time::monotonic;
 use shm_config::wire::Doorbell;

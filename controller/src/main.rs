@@ -8,7 +8,7 @@ use std::time::Duration;
 use clap::Parser;
 use controller::ports::Ports;
 use controller::{Controller, Inputs, Intent, PolicySlot, Release, Slot, Slots};
-use process::{Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use runtime::{Arguments, Contest, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::message::{
     Advice, HealthState, Measure, Message, Observation, Part, Plan, Refusal, Step, Takeover, Timing,
 };

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use process::{Arguments, SetUpError, exit_code};
+use runtime::{Arguments, SetUpError, exit_code};
 use shm_config::secret;
 use shm_config::services::Process;
 

@@ -3,7 +3,7 @@
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
-use process::{Arguments, Member, Pulse, SetUpError, Tick};
+use runtime::{Arguments, Member, Pulse, SetUpError, Tick};
 use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::message::{HealthState, Message, Step};

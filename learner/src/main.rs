@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Parser;
 use learner::ports::{OfferPorts, Ports};
 use learner::session::{Block, Session};
-use process::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
+use runtime::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
 use shm_config::Instant;
 use shm_config::message::{HealthState, Learning, Message, PolicyState, Step};
 use shm_config::services::Process;

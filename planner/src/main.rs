@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::Parser;
 use planner::Planner;
 use planner::ports::Ports;
-use process::{Arguments, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
+use runtime::{Arguments, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
 use shm_config::config::Late;
 use shm_config::message::{Health, HealthState, Observation, Part, Plan, PlanOutcome};
 use shm_config::services::Process;

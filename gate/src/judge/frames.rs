@@ -38,7 +38,7 @@ impl Frames {
     pub fn open(config: &Config) -> Result<Self, WireError> {
         let failed =
             |error: shm_config::run::InvalidRunName| WireError::port("run", error.to_string());
-        let wire = process::join_as(&config.run.name.parse().map_err(failed)?, Process::Gate)?;
+        let wire = runtime::join_as(&config.run.name.parse().map_err(failed)?, Process::Gate)?;
         Ok(Self {
             ports: PicturePorts::open(&wire)?,
             _wire: wire,

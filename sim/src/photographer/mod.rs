@@ -16,7 +16,7 @@ use std::sync::mpsc::{Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use process::SetUpError;
+use runtime::SetUpError;
 use shm_config::Message;
 use shm_config::config::Config;
 use shm_config::message::{Foresight, FrameRequest, Header};

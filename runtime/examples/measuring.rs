@@ -5,7 +5,7 @@
 
 use std::hint::black_box;
 
-use process::Usage;
+use runtime::Usage;
 use shm_config::message::{Measure, Timing};
 use shm_config::time::monotonic;
 
