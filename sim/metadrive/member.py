@@ -1,5 +1,5 @@
 """What every process of a run does at its start and end, and how it says how it
-does: the mirror of the crate `process`."""
+does: the mirror of the crate `runtime`."""
 
 import argparse
 import ctypes
