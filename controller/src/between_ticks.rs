@@ -1,19 +1,19 @@
 //! What happens to policies between two ticks.
 
-use crate::{Begin, Controller, Hand, News, Offer, Turn};
+use crate::{CanaryOutcome, Candidate, Controller, StartStage, SwapEvent, TickEnd};
 
 impl Controller {
-    /// Takes weights up: in shadow, or in charge. Between two ticks; never
-    /// allocates, frees or waits: what has to go, goes over `hand`.
-    pub fn adopt(&mut self, offer: Offer, tick: u64, hand: &mut Hand) {
-        let version = offer.policy.version();
-        let begin = offer.begin;
-        hand.give_back(self.policy.adopt(offer.policy, begin));
-        hand.say(News::Adopted { version, tick });
-        if begin == Begin::Settled {
-            hand.say(News::Promoted { version, tick });
-        } else if self.limits.probation_ticks == 0 {
-            self.turn_policies(tick, hand);
+    /// Adopts weights: in shadow, or active. Between two ticks; never allocates, frees
+    /// or waits: policies to be dropped return through `end`.
+    pub fn adopt(&mut self, candidate: Candidate, tick: u64, end: &mut TickEnd) {
+        let version = candidate.policy.version();
+        let start = candidate.start;
+        end.give_back(self.policy.adopt(candidate.policy, start));
+        end.report(SwapEvent::Adopted { version, tick });
+        if start == StartStage::Settled {
+            end.report(SwapEvent::Promoted { version, tick });
+        } else if self.limits.shadow_ticks == 0 {
+            self.advance_canary(tick, end);
         }
     }
 
@@ -30,10 +30,10 @@ impl Controller {
         self.arbiter.record_shadow(proposal, weights);
     }
 
-    /// Counts how active and shadow weights did in the last tick, and promotes,
-    /// settles or rolls back what is due. After the tick's step is out.
-    pub fn try_policies(&mut self, hand: &mut Hand) {
-        if !hand.has_room() {
+    /// Counts proposals and vetoes of active and shadow weights in the last tick, and
+    /// promotes, settles or rolls back what is due. After the tick's step is out.
+    pub fn run_canary(&mut self, end: &mut TickEnd) {
+        if !end.has_space() {
             return;
         }
         let step = self.arbiter.step();
@@ -46,21 +46,25 @@ impl Controller {
             let proposal = shadow.proposal.action();
             self.policy.count_shadow(proposal, is_vetoed, episode);
         }
-        self.turn_policies(tick + 1, hand);
+        self.advance_canary(tick + 1, end);
     }
 
-    fn turn_policies(&mut self, tick: u64, hand: &mut Hand) {
-        let (turn, discarded) = self.policy.turn(&self.limits);
-        hand.give_back(discarded);
-        match turn {
-            Some(Turn::Promoted { version }) => hand.say(News::Promoted { version, tick }),
-            Some(Turn::RolledBack { version, fault }) => hand.say(News::RolledBack {
-                version,
-                tick,
-                fault,
-                charged: self.policy.weights(),
-            }),
-            Some(Turn::Settled) | None => {}
+    fn advance_canary(&mut self, tick: u64, end: &mut TickEnd) {
+        let (outcome, discarded) = self.policy.advance(&self.limits);
+        end.give_back(discarded);
+        match outcome {
+            Some(CanaryOutcome::Promoted { version }) => {
+                end.report(SwapEvent::Promoted { version, tick })
+            }
+            Some(CanaryOutcome::RolledBack { version, fault }) => {
+                end.report(SwapEvent::RolledBack {
+                    version,
+                    tick,
+                    fault,
+                    active: self.policy.weights(),
+                })
+            }
+            Some(CanaryOutcome::Settled) | None => {}
         }
     }
 }

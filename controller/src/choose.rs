@@ -5,11 +5,11 @@ use shm_config::message::{
 };
 use vehicle::Action;
 
-/// Everything the switch law looks at.
-pub struct Standing<'a> {
+/// Everything that the switch law decides on.
+pub struct ArbitrationInput<'a> {
     /// Whether the run goes on.
     pub intent: Intent,
-    /// Who decides, by configuration.
+    /// How driver and policy alternate, by configuration.
     pub mode: GateMode,
     /// The time of the tick.
     pub now: Instant,
@@ -21,7 +21,7 @@ pub struct Standing<'a> {
     pub advice: Option<&'a Advice>,
     /// How far the policy is.
     pub stage: Stage,
-    /// What a person wants who has taken over, said not long ago.
+    /// The action of a driver who has taken over, if not stale.
     pub takeover: Option<Action>,
     /// What the expert proposed.
     pub expert: Option<Action>,
@@ -33,54 +33,54 @@ pub struct Standing<'a> {
     pub policy_assessment: &'a Assessment,
 }
 
-/// Who drives, why, and what.
+/// The driver, the reason, and the action.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
-    /// Who.
+    /// The driver.
     pub driver: Driver,
-    /// Why.
+    /// The reason.
     pub reason: Reason,
-    /// What, clamped.
+    /// The action, clamped.
     pub action: Action,
 }
 
 /// The switch law: `a = (1 - z) a_policy + z a_expert` (Sec. 4.2), with `z` from
 /// valid advice, the expert when in doubt, and the brake when there is no safe
-/// proposal. A person who takes over goes before all but blindness and the end of
-/// the run. Total: every standing has an answer.
-pub fn choose(standing: &Standing) -> Choice {
-    match standing.intent {
+/// proposal. A takeover goes before all but blindness and the end of the run. Total:
+/// every input has an answer.
+pub fn choose(input: &ArbitrationInput) -> Choice {
+    match input.intent {
         Intent::Drive => {}
-        Intent::Stop => return brake(standing, Reason::Stopping),
-        Intent::Contested => return brake(standing, Reason::Contested),
+        Intent::Stop => return brake(input, Reason::Stopping),
+        Intent::Contested => return brake(input, Reason::Contested),
     }
-    if !standing.sees {
-        return brake(standing, Reason::Blind);
+    if !input.sees {
+        return brake(input, Reason::Blind);
     }
-    if let (GateMode::Human, Some(action)) = (standing.mode, standing.takeover) {
-        // The judge is asked, its answer recorded, and no veto made of it: people
-        // take over where judge and policy are wrong, and a demonstration that the
-        // judge cuts short teaches the judge's fear instead. A person needs no plan
-        // either. What the car can do bounds a person like everybody.
+    if let (GateMode::Human, Some(action)) = (input.mode, input.takeover) {
+        // The judge's verdict is recorded and vetoes nothing: drivers take over where
+        // judge and policy are wrong, and a demonstration that the judge cuts short
+        // teaches the judge's limits instead. A takeover needs no plan either. Its
+        // action is clamped to what the car can do, as every other.
         return answer(Driver::Expert, Reason::Takeover, action);
     }
-    let (wanted, reason) = wanted(standing);
+    let (wanted, reason) = wanted(input);
     let (driver, reason) = match wanted {
-        Driver::Policy => may_policy(standing, reason),
+        Driver::Policy => may_policy(input, reason),
         wanted => (wanted, reason),
     };
     match driver {
-        Driver::Policy => match standing.policy {
+        Driver::Policy => match input.policy {
             Some(action) => answer(Driver::Policy, reason, action),
-            None => expert(standing, Reason::Faulty),
+            None => expert(input, Reason::Faulty),
         },
-        Driver::Expert => expert(standing, reason),
-        Driver::Brake => brake(standing, reason),
+        Driver::Expert => expert(input, reason),
+        Driver::Brake => brake(input, reason),
     }
 }
 
 /// Why no policy drives at this stage; `None` when one may.
-fn hindrance(stage: Stage) -> Option<Reason> {
+fn blocking_reason(stage: Stage) -> Option<Reason> {
     match stage {
         Stage::Unloaded => Some(Reason::Unloaded),
         Stage::Shadow => Some(Reason::Shadow),
@@ -88,21 +88,21 @@ fn hindrance(stage: Stage) -> Option<Reason> {
     }
 }
 
-/// Whose turn it is, by configuration and advice alone.
-fn wanted(standing: &Standing) -> (Driver, Reason) {
-    match standing.mode {
+/// The driver by configuration and advice alone.
+fn wanted(input: &ArbitrationInput) -> (Driver, Reason) {
+    match input.mode {
         GateMode::Expert => return (Driver::Expert, Reason::Configured),
-        // Of a person only who has not taken over comes here.
+        // Without a takeover the policy drives.
         GateMode::Policy | GateMode::Human => return (Driver::Policy, Reason::Configured),
         GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay => {}
     }
-    if let Some(reason) = hindrance(standing.stage) {
+    if let Some(reason) = blocking_reason(input.stage) {
         return (Driver::Expert, reason);
     }
-    let Some(advice) = standing.advice.filter(|advice| advice.answers > 0) else {
+    let Some(advice) = input.advice.filter(|advice| advice.answers > 0) else {
         return (Driver::Expert, Reason::Unadvised);
     };
-    if standing.now >= Instant(advice.holds_until_ns) {
+    if input.now >= Instant(advice.holds_until_ns) {
         return (Driver::Expert, Reason::Expired);
     }
     match advice.preference() {
@@ -112,40 +112,40 @@ fn wanted(standing: &Standing) -> (Driver, Reason) {
     }
 }
 
-/// The policy's turn is the policy's only if it can and may.
-fn may_policy(standing: &Standing, reason: Reason) -> (Driver, Reason) {
-    if let Some(reason) = hindrance(standing.stage) {
+/// The policy drives only if it can and may.
+fn may_policy(input: &ArbitrationInput, reason: Reason) -> (Driver, Reason) {
+    if let Some(reason) = blocking_reason(input.stage) {
         (Driver::Expert, reason)
-    } else if standing.policy.is_none() {
+    } else if input.policy.is_none() {
         (Driver::Expert, Reason::Faulty)
-    } else if standing.policy_assessment.is_vetoed() {
+    } else if input.policy_assessment.is_vetoed() {
         (Driver::Expert, Reason::Vetoed)
     } else {
         (Driver::Policy, reason)
     }
 }
 
-/// The expert's turn is the brake's if the expert has nothing safe to offer.
-fn expert(standing: &Standing, reason: Reason) -> Choice {
-    let Some(plan) = standing.plan else {
-        return brake(standing, Reason::Unplanned);
+/// The brake drives where the expert has no safe proposal.
+fn expert(input: &ArbitrationInput, reason: Reason) -> Choice {
+    let Some(plan) = input.plan else {
+        return brake(input, Reason::Unplanned);
     };
-    let Some(action) = standing.expert else {
+    let Some(action) = input.expert else {
         return match plan.outcome() {
-            PlanOutcome::Blocked => brake(standing, Reason::Blocked),
-            PlanOutcome::Reached | PlanOutcome::Partial => brake(standing, Reason::Unplanned),
+            PlanOutcome::Blocked => brake(input, Reason::Blocked),
+            PlanOutcome::Reached | PlanOutcome::Partial => brake(input, Reason::Unplanned),
         };
     };
-    if standing.expert_assessment.is_vetoed() {
-        return brake(standing, Reason::Unsafe);
+    if input.expert_assessment.is_vetoed() {
+        return brake(input, Reason::Unsafe);
     }
     answer(Driver::Expert, reason, action)
 }
 
 /// The full brake, along the expert's line when there is one: in a bend,
 /// straight wheels leave the road.
-fn brake(standing: &Standing, reason: Reason) -> Choice {
-    let steer = standing.expert.map_or(0.0, |action| action.steer);
+fn brake(input: &ArbitrationInput, reason: Reason) -> Choice {
+    let steer = input.expert.map_or(0.0, |action| action.steer);
     let action = Action {
         steer,
         ..Action::BRAKE

@@ -9,7 +9,7 @@ use shm_config::services::{
 
 shm_config::ports! {
     /// What a tick reads and publishes.
-    pub struct Ports of Controller with bell {
+    pub struct Ports of Controller {
         /// What the car perceives.
         observations: read OBSERVATION: Observation,
         /// Answers of the planner.

@@ -9,7 +9,7 @@ use shm_config::message::{
 use shm_config::{Instant, Message};
 use vehicle::{Action, Vehicle};
 
-use crate::{Choice, Pd, Standing, Transfer, choose};
+use crate::{ArbitrationInput, Choice, Pd, Transfer, choose};
 
 /// What came since the last tick. The ports have refused what was inadmissible when it
 /// was read; the tick decides at a later instant, and checks each message again.
@@ -194,13 +194,13 @@ impl Arbiter {
             [] => self.pd.propose(plan, observation),
             _ => plan.action_at(plan_age_ns),
         });
-        // After a takeover the driver is the expert of the tick.
+        // The driver who has taken over is the expert of the tick.
         let takeover = self.takeover(now);
         let expert = takeover.or(planned);
         let policy = answer.proposal.filter(|_| sees);
         let [expert_assessment, policy_assessment] = self.assess(sees, [expert, policy]);
 
-        let mut choice = choose(&Standing {
+        let mut choice = choose(&ArbitrationInput {
             intent,
             mode: self.config.mode,
             now,

@@ -1,9 +1,10 @@
-//! New weights: in shadow, in charge and watched, settled; or given up.
+//! New weights: in shadow, active and watched, settled; or rolled back.
 
 mod road;
 
 use controller::{
-    Begin, Controller, Exchange, Hand, Inputs, Intent, Look, News, Offer, Policy, PolicySlot,
+    Candidate, Controller, Exchanged, Inputs, Intent, Mailbox, Policy, PolicySlot, StartStage,
+    SwapEvent, TickEnd,
 };
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
@@ -33,21 +34,21 @@ impl Policy for Two {
     }
 }
 
-fn offer(version: u64, actions: [f64; 2]) -> Offer {
-    Offer {
+fn offer(version: u64, actions: [f64; 2]) -> Candidate {
+    Candidate {
         policy: Box::new(Two {
             actions,
             version,
             count: 0,
         }),
-        begin: Begin::Shadow,
+        start: StartStage::Shadow,
     }
 }
 
 struct Car {
     controller: Controller,
-    hand: Hand,
-    exchange: Exchange,
+    end: TickEnd,
+    mailbox: Mailbox,
     tick: u64,
 }
 
@@ -58,19 +59,19 @@ impl Car {
         config.policy.watch_ticks = 50;
         Self {
             controller: Controller::new(config, PolicySlot::new(None)),
-            hand: Hand::default(),
-            exchange: Exchange::default(),
+            end: TickEnd::default(),
+            mailbox: Mailbox::default(),
             tick: 1,
         }
     }
 
-    fn adopt(&mut self, offer: Offer) {
-        self.controller.adopt(offer, self.tick, &mut self.hand);
+    fn adopt(&mut self, offer: Candidate) {
+        self.controller.adopt(offer, self.tick, &mut self.end);
     }
 
-    /// Ticks, and what was said meanwhile.
-    fn drive(&mut self, ticks: u64) -> Vec<News> {
-        let mut news = Vec::new();
+    /// Ticks, and what was reported meanwhile.
+    fn drive(&mut self, ticks: u64) -> Vec<SwapEvent> {
+        let mut events = Vec::new();
         for _ in 0..ticks {
             let now = Instant(self.tick * 100_000_000);
             let mut observation = Observation {
@@ -87,14 +88,17 @@ impl Car {
             };
             self.controller.tick(&inputs, self.tick, now, Intent::Drive);
             self.controller.propose_in_shadow();
-            self.controller.try_policies(&mut self.hand);
-            assert!(matches!(self.hand.look(&self.exchange), Look::Seen(None)));
-            let mut desk = self.exchange.desk.lock().expect("a desk");
-            desk.returned = Default::default();
-            news.extend(std::mem::take(&mut desk.news).into_iter().flatten());
+            self.controller.run_canary(&mut self.end);
+            assert!(matches!(
+                self.end.exchange(&self.mailbox),
+                Exchanged::Done(None)
+            ));
+            let mut contents = self.mailbox.contents.lock().expect("a mailbox");
+            contents.returned = Default::default();
+            events.extend(std::mem::take(&mut contents.events).into_iter().flatten());
             self.tick += 1;
         }
-        news
+        events
     }
 
     fn version(&self) -> u64 {
@@ -112,7 +116,7 @@ fn reason(car: &mut Car) -> Option<Reason> {
     };
     car.controller.tick(&inputs, car.tick, now, Intent::Drive);
     car.controller.propose_in_shadow();
-    car.controller.try_policies(&mut car.hand);
+    car.controller.run_canary(&mut car.end);
     car.tick += 1;
     car.controller.step().reason()
 }
@@ -129,19 +133,19 @@ fn that_the_only_weights_are_in_shadow_is_a_reason_of_its_own() {
 }
 
 #[test]
-fn good_weights_drive_after_their_probation_and_no_tick_sooner() {
+fn good_weights_drive_after_their_canary_period_and_no_tick_sooner() {
     let mut car = Car::new();
     car.adopt(offer(1, [0.0, 0.01]));
-    let news = car.drive(20);
+    let events = car.drive(20);
     assert_eq!(car.version(), 0, "in shadow, they have proposed nothing");
     assert_eq!(
-        news,
+        events,
         [
-            News::Adopted {
+            SwapEvent::Adopted {
                 version: 1,
                 tick: 1
             },
-            News::Promoted {
+            SwapEvent::Promoted {
                 version: 1,
                 tick: 21
             }
@@ -158,23 +162,23 @@ fn weights_that_jump_are_given_up_in_shadow_and_those_before_drive_on() {
     car.adopt(offer(1, [0.0, 0.01]));
     car.drive(100);
     car.adopt(offer(2, [-1.0, 1.0]));
-    let news = car.drive(20);
+    let events = car.drive(20);
     assert!(
         matches!(
-            news[1],
-            News::RolledBack {
+            events[1],
+            SwapEvent::RolledBack {
                 version: 2,
-                charged: (1, 1),
+                active: (1, 1),
                 ..
             }
         ),
-        "{news:?}"
+        "{events:?}"
     );
     car.drive(1);
     assert_eq!(car.version(), 1);
 }
 
-/// Smooth for its probation, then not.
+/// Smooth for its canary period, then not.
 struct Turncoat(u64);
 
 impl Policy for Turncoat {
@@ -200,23 +204,23 @@ fn watched_weights_are_rolled_back_to_those_before() {
     let mut car = Car::new();
     car.adopt(offer(1, [0.0, 0.01]));
     car.drive(100);
-    car.adopt(Offer {
+    car.adopt(Candidate {
         policy: Box::new(Turncoat(0)),
-        begin: Begin::Shadow,
+        start: StartStage::Shadow,
     });
     car.drive(21);
-    assert_eq!(car.version(), 9, "the probation is passed");
-    let news = car.drive(11);
+    assert_eq!(car.version(), 9, "the canary period is passed");
+    let events = car.drive(11);
     let [
-        News::RolledBack {
+        SwapEvent::RolledBack {
             version: 9,
-            charged: (1, 1),
+            active: (1, 1),
             fault,
             ..
         },
-    ] = news[..]
+    ] = events[..]
     else {
-        panic!("{news:?}");
+        panic!("{events:?}");
     };
     assert_eq!(fault.to_string(), "an answer was not finite");
     car.drive(1);

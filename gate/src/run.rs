@@ -3,7 +3,7 @@
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
-use runtime::{Arguments, Member, Pulse, SetUpError, Tick};
+use runtime::{Arguments, HEARTBEAT_MAX, Member, SetUpError, Telemetry, Tick};
 use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::message::{HealthState, Message, Step};
@@ -16,15 +16,13 @@ use crate::ports::Ports;
 use crate::query::Answer;
 use crate::record::{Archive, Evidence, QueryLog};
 
-/// Longest sleep between two heartbeats.
-const HEARTBEAT_MAX: Duration = Duration::from_millis(20);
 /// Interval at which a run in lockstep polls the judge that it waits for.
 const POLL: Duration = Duration::from_millis(1);
 
 struct Gate {
     member: Member,
     ports: Ports,
-    pulse: Pulse,
+    telemetry: Telemetry,
     advisor: Advisor,
     evidence: Receiver<Evidence>,
     log: QueryLog,
@@ -45,23 +43,23 @@ pub fn run(arguments: &Arguments) -> Result<(), SetUpError> {
 impl Gate {
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn open(arguments: &Arguments) -> Result<Self, SetUpError> {
-        let mut member = Member::join(Process::Gate, arguments)?;
+        let mut member = Member::join(Process::Gate, arguments, monotonic)?;
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
         let config = &member.config;
         let OpenJudge { queue, evidence } =
             OpenJudge::new(config, monotonic).map_err(|error| own(&error))?;
         let archive = Archive::open(config).map_err(|error| own(&error))?;
         let ports = Ports::open(&member.wire)?;
-        let mut pulse = Pulse::start(&member)?;
+        let mut telemetry = Telemetry::start(&member)?;
         let advisor = Advisor::new(&config.gate, queue);
         let log = QueryLog::new(patience_ns(config));
-        member.claim_rights();
-        pulse.set_rights(&member.rights);
-        pulse.enter(HealthState::Ready, monotonic());
+        member.apply_privileges();
+        telemetry.set_privileges(&member.privileges);
+        telemetry.enter(HealthState::Ready, monotonic());
         Ok(Self {
             member,
             ports,
-            pulse,
+            telemetry,
             advisor,
             evidence,
             log,
@@ -77,8 +75,8 @@ impl Gate {
             if let Some(step) = self.ports.steps.newest(Message::check) {
                 self.consider(&step, begun);
             }
-            self.pulse.count_refused(&self.member.wire);
-            self.pulse.beat(begun);
+            self.telemetry.count_refused(&self.member.wire);
+            self.telemetry.heartbeat(begun);
             self.ports.update_connections();
         }
     }
@@ -100,9 +98,9 @@ impl Gate {
         self.keep_record(step, heard, now);
         let mut advice = self.advisor.advise(now);
         self.ports.advices.send(&mut advice);
-        self.pulse.health.header.tick = step.header().tick;
-        self.pulse.health.state = HealthState::Running.code();
-        self.pulse.count_tick(Tick {
+        self.telemetry.health.header.tick = step.header().tick;
+        self.telemetry.health.state = HealthState::Running.code();
+        self.telemetry.count_tick(Tick {
             due: Instant(step.timings.commanded_ns),
             released: None,
             begun,
@@ -118,7 +116,7 @@ impl Gate {
             if self.advisor.awaited() == 0 || self.member.is_stopping() {
                 return;
             }
-            self.pulse.beat(monotonic());
+            self.telemetry.heartbeat(monotonic());
             self.ports.bell.wait(POLL);
         }
     }
@@ -151,7 +149,7 @@ impl Gate {
         self.archive.keep(filed);
         self.archive.close();
         tracing::info!(cost_usd = self.advisor.cost_usd(), "judged");
-        self.pulse.enter(HealthState::Finished, monotonic());
+        self.telemetry.enter(HealthState::Finished, monotonic());
     }
 }
 

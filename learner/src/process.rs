@@ -1,63 +1,49 @@
 //! The learner process: reads steps, learns, publishes policies.
 
 use std::path::Path;
-use std::process::ExitCode;
-use std::time::Duration;
 
-use clap::Parser;
-use learner::ports::{OfferPorts, Ports};
-use learner::session::{Block, Session};
-use runtime::{Arguments, Member, Pulse, SetUpError, Tick, exit_code};
+use runtime::{HEARTBEAT_MAX, Member, SetUpError, Telemetry, Tick};
 use shm_config::Instant;
 use shm_config::message::{HealthState, Learning, Message, PolicyState, Step};
-use shm_config::services::Process;
-use shm_config::time::monotonic;
+use shm_config::time::Clock;
 
-/// Learns from every step of a run, and offers the controller better weights
-#[derive(Parser)]
-#[command(name = "vlaps-learner", version)]
-struct Cli {
-    #[command(flatten)]
-    arguments: Arguments,
-}
-
-/// How long the learner sleeps at most before it says how it does.
-const NAP: Duration = Duration::from_millis(20);
-
-fn main() -> ExitCode {
-    exit_code(Process::Learner, learn(&Cli::parse().arguments))
-}
+use crate::ports::{OfferPorts, Ports};
+use crate::session::{Block, Session};
 
 /// The process between its ports and what learns.
 struct Learner {
     ports: Ports,
     offers: OfferPorts,
+    clock: Clock,
     session: Session,
-    /// What was last said of how far it is.
-    said: Learning,
-    /// The highest version that anybody has offered.
+    /// Its newest message.
+    progress: Learning,
+    /// The highest version that was offered.
     offered: u64,
 }
 
-#[allow(clippy::disallowed_methods)] // a process entry point reads the clock
-fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
-    let mut member = Member::join(Process::Learner, arguments)?;
+/// Runs the learner until it is stopped.
+///
+/// # Errors
+/// When shared memory, the configuration or the experiment's folder refuses.
+pub fn run(mut member: Member, ports: Ports, offers: OfferPorts) -> Result<(), SetUpError> {
     let folder = Path::new(&member.config.run.folder).join("learner");
     let session = Session::open(&member.config, &folder)
         .map_err(|error| SetUpError::Own(error.to_string()))?;
     let mut learner = Learner {
-        ports: Ports::open(&member.wire)?,
-        offers: OfferPorts::open(&member.wire)?,
+        ports,
+        offers,
+        clock: member.clock,
         session,
-        said: Learning {
+        progress: Learning {
             block_steps: u64::from(member.config.learner.block_steps),
             ..Learning::default()
         },
         offered: 0,
     };
-    let mut pulse = Pulse::start(&member)?;
-    member.claim_rights();
-    pulse.set_rights(&member.rights);
+    let mut telemetry = Telemetry::start(&member)?;
+    member.apply_privileges();
+    telemetry.set_privileges(&member.privileges);
     tracing::info!(
         algorithm = member.config.learner.algorithm.word(),
         steps = learner.session.driven(),
@@ -65,70 +51,69 @@ fn learn(arguments: &Arguments) -> Result<(), SetUpError> {
         "learns"
     );
     learner.ports.update_connections();
-    learner.begin(&mut pulse);
+    learner.begin(&mut telemetry);
     while !member.is_stopping() {
-        learner.ports.bell.wait(NAP);
-        pulse.beat(monotonic());
+        learner.ports.bell.wait(HEARTBEAT_MAX);
+        telemetry.heartbeat(member.now());
         learner.ports.update_connections();
-        learner.hear();
+        learner.read_status();
         while let Some(step) = learner.ports.steps.receive() {
-            let begun = monotonic();
+            let begun = member.now();
             match step.check() {
-                Ok(()) => learner.consider(&step, &mut pulse),
+                Ok(()) => learner.consider(&step, &mut telemetry),
                 Err(refusal) => {
                     member.wire.refuse(&refusal);
                     tracing::warn!(%refusal, "step refused");
                 }
             }
-            pulse.count_refused(&member.wire);
-            pulse.health.state = HealthState::Running.code();
-            pulse.health.header.tick = step.header.tick;
-            pulse.count_tick(Tick {
+            telemetry.count_refused(&member.wire);
+            telemetry.health.state = HealthState::Running.code();
+            telemetry.health.header.tick = step.header.tick;
+            telemetry.count_tick(Tick {
                 due: Instant(step.timings.commanded_ns),
                 released: None,
                 begun,
-                done: monotonic(),
+                done: member.now(),
             });
-            pulse.beat(monotonic());
+            telemetry.heartbeat(member.now());
         }
     }
     // The last steps of the run may still be on their way.
     while let Some(step) = learner.ports.steps.receive() {
         if step.check().is_ok() {
-            learner.consider(&step, &mut pulse);
+            learner.consider(&step, &mut telemetry);
         }
     }
     learner.session.finish();
     let counts = learner.session.counts();
     tracing::info!(steps = counts.steps, lost = counts.lost, "ends");
-    pulse.enter(HealthState::Finished, monotonic());
+    telemetry.enter(HealthState::Finished, member.now());
     Ok(())
 }
 
 impl Learner {
-    /// Says that it is there, and offers what it knew when it was last here: a
-    /// learner of a run that goes on is not waited for in vain. A block in whose
-    /// updates its predecessor was killed is learnt first.
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
-    fn begin(&mut self, pulse: &mut Pulse) {
-        self.said.steps = self.session.driven();
-        self.hear();
+    /// Publishes its first message, and offers the policy of the experiment so far: in
+    /// lockstep the controller waits for it. A block in whose updates its predecessor
+    /// was killed is learnt first.
+    fn begin(&mut self, telemetry: &mut Telemetry) {
+        self.progress.steps = self.session.driven();
+        self.read_status();
         if self.session.is_due() {
-            // It is there, and updates may take longer than a start may.
-            pulse.enter(HealthState::Ready, monotonic());
-            self.learn(pulse);
+            // Updates may take longer than a start may.
+            telemetry.enter(HealthState::Ready, (self.clock)());
+            self.learn(telemetry);
         } else if self.session.driven() > 0 {
             match self.session.policy_file() {
                 Ok(policy) => self.offer(&policy),
                 Err(refusal) => tracing::error!(%refusal, "no policy to begin with"),
             }
         }
-        self.ports.learning.send(&mut self.said);
-        pulse.enter(HealthState::Ready, monotonic());
+        self.ports.learning.send(&mut self.progress);
+        telemetry.enter(HealthState::Ready, (self.clock)());
     }
 
-    /// Takes in what the controller says of the offers.
-    fn hear(&mut self) {
+    /// Reads what the controller publishes of the offers.
+    fn read_status(&mut self) {
         let Some(status) = self.ports.statuses.newest(Message::check) else {
             return;
         };
@@ -145,23 +130,23 @@ impl Learner {
         }
     }
 
-    fn consider(&mut self, step: &Step, pulse: &mut Pulse) {
+    fn consider(&mut self, step: &Step, telemetry: &mut Telemetry) {
         self.session.push(step);
-        self.said.header.tick = step.header.tick;
-        self.said.header.episode = step.header.episode;
-        self.said.header.taken_ns = step.header.taken_ns;
-        self.said.steps = self.session.driven();
+        self.progress.header.tick = step.header.tick;
+        self.progress.header.episode = step.header.episode;
+        self.progress.header.taken_ns = step.header.taken_ns;
+        self.progress.steps = self.session.driven();
         if !self.session.is_due() {
-            self.ports.learning.send_quietly(&mut self.said);
+            self.ports.learning.send_quietly(&mut self.progress);
             return;
         }
-        self.learn(pulse);
-        self.ports.learning.send(&mut self.said);
+        self.learn(telemetry);
+        self.ports.learning.send(&mut self.progress);
     }
 
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
-    fn learn(&mut self, pulse: &mut Pulse) {
-        match self.session.learn(|| pulse.beat(monotonic())) {
+    fn learn(&mut self, telemetry: &mut Telemetry) {
+        let clock = self.clock;
+        match self.session.learn(|| telemetry.heartbeat(clock())) {
             Ok(block) => self.publish(&block),
             Err(refusal) => tracing::error!(%refusal, "the block's policy is not published"),
         }
@@ -180,15 +165,15 @@ impl Learner {
     }
 
     fn offer(&mut self, policy: &[u8]) {
-        self.hear();
-        let version = self.offered.max(self.said.version) + 1;
+        self.read_status();
+        let version = self.offered.max(self.progress.version) + 1;
         self.offers.update_connections();
         if self
             .offers
             .weights
             .offer(version, policy::sha256(policy), policy)
         {
-            self.said.version = version;
+            self.progress.version = version;
             self.offered = version;
         } else {
             tracing::error!(

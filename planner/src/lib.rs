@@ -11,7 +11,7 @@
 //! metres. [`RrtStar`] and [`Kinodynamic`] are functions of the configuration
 //! and the observation alone: the same input gives the same plan, bit for bit,
 //! also after a restart. [`Informed`] and [`Mpc`] remember within an episode.
-//! The three RRT* take no memory, no lock and read no clock; the solver of
+//! The three RRT* allocate nothing, take no lock and read no clock; the solver of
 //! [`Mpc`] allocates once for each plan and looks at the clock for its limit.
 
 mod beams;
@@ -25,7 +25,10 @@ mod informed;
 mod kinodynamic;
 mod mpc;
 mod planner;
+#[cfg(feature = "process")]
 pub mod ports;
+#[cfg(feature = "process")]
+mod process;
 mod rrt_star;
 mod sampler;
 mod search;
@@ -41,6 +44,8 @@ pub use informed::Informed;
 pub use kinodynamic::{Kinodynamic, PoseNode};
 pub use mpc::{Effort, Mpc};
 pub use planner::Planner;
+#[cfg(feature = "process")]
+pub use process::{PlannerProcess, run};
 pub use rrt_star::RrtStar;
 pub use shm_config::config::Planner as PlannerConfig;
 pub use tree::{Node, Tree};

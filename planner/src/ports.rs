@@ -5,7 +5,7 @@ use shm_config::services::{OBSERVATION, PLAN};
 
 shm_config::ports! {
     /// What the planner reads and publishes.
-    pub struct Ports of Planner with bell {
+    pub struct Ports of Planner {
         /// What the car perceives.
         observations: read OBSERVATION: Observation,
         /// Its answers.

@@ -1,54 +1,158 @@
 //! The planner process: a plan for every observation whose turn it is.
 
 use std::cell::Cell;
-use std::process::ExitCode;
-use std::time::Duration;
 
-use clap::Parser;
-use planner::Planner;
-use planner::ports::Ports;
-use runtime::{Arguments, Deadline, Member, Pulse, SetUpError, Skipped, Tick, exit_code};
-use shm_config::config::Late;
-use shm_config::message::{Health, HealthState, Observation, Part, Plan, PlanOutcome};
+use runtime::{Deadline, FixedRate, Flow, Member, SetUpError, Tick, TickLoop, TickSchedule};
+use shm_config::config::{Config, Late};
+use shm_config::message::{HealthState, Observation, Part, Plan, PlanOutcome};
 use shm_config::services::Process;
-use shm_config::time::monotonic;
 use shm_config::{Instant, PlanTurns, RunGrid};
 
-/// Answers observations with plans, at its own rate
-#[derive(Parser)]
-#[command(name = "vlaps-planner", version)]
-struct Cli {
-    #[command(flatten)]
-    arguments: Arguments,
+use crate::Planner;
+use crate::ports::Ports;
+
+/// Runs the planner until it is stopped.
+///
+/// # Errors
+/// When shared memory or the configuration refuses.
+pub fn run(member: Member, ports: Ports) -> Result<(), SetUpError> {
+    let mut process = PlannerProcess::new(&member.config, ports)?;
+    TickLoop::start(member)?.run(&mut process)
 }
 
-/// How long the planner sleeps at most before it says how it does.
-const NAP: Duration = Duration::from_millis(20);
-
-/// Accounts for every turn: planned, or skipped.
-struct Slots {
-    period_ns: u64,
+/// The planner between its ports.
+pub struct PlannerProcess {
+    ports: Ports,
+    planner: Planner,
+    plan: Box<Plan>,
+    grid: RunGrid,
+    turns: PlanTurns,
+    schedule: TickSchedule,
+    lockstep: bool,
+    /// Whether skipped turns are instants of the machine's clock: at a rate below the
+    /// run's each episode begins its turns anew, and lockstep has a clock of its own.
+    keeps_grid: bool,
+    late: Late,
 }
 
-impl Slots {
-    /// A plan for the observation that was due then. Those since the one before
-    /// that got no plan are skipped. Another world's grid may be shifted: whole
-    /// periods count, rounded.
-    fn account(&self, due: Instant, health: &mut Health) -> Skipped {
-        let mut count = 0;
-        if health.ticks == 1 {
-            health.first_scheduled_ns = due.0;
-        } else {
-            let late_ns = due.since_ns(Instant(health.next_scheduled_ns));
-            count = (late_ns + self.period_ns / 2) / self.period_ns;
+/// An observation whose turn it is.
+pub struct Due {
+    observation: Observation,
+    /// When it was received, before it was checked: the tick begins then.
+    received: Instant,
+}
+
+impl PlannerProcess {
+    /// Allocates everything.
+    ///
+    /// # Errors
+    /// When the planner's configuration is out of range.
+    pub fn new(config: &Config, ports: Ports) -> Result<Self, SetUpError> {
+        let lockstep = config.run.is_lockstep();
+        Ok(Self {
+            ports,
+            planner: Planner::new(config).map_err(|error| SetUpError::Own(error.to_string()))?,
+            plan: Box::default(),
+            grid: RunGrid::of(config),
+            turns: PlanTurns::every(config.plan_ticks()),
+            schedule: TickSchedule::following(config.run.period_ns() * config.plan_ticks()),
+            lockstep,
+            keeps_grid: !lockstep && config.tick_ns(Process::Planner).is_some(),
+            late: config.deadlines.planner,
+        })
+    }
+
+    /// The tick is done: counts it, and what was skipped before it.
+    fn account(&mut self, run: &mut TickLoop, due: &Due, done: Instant) {
+        let observation = &due.observation;
+        let (taken, scheduled) = (
+            observation.header.taken(),
+            Instant(observation.scheduled_ns),
+        );
+        let telemetry = &mut run.telemetry;
+        telemetry.record_tick(Tick {
+            due: scheduled,
+            released: Some(observation.published()),
+            begun: due.received,
+            done,
+        });
+        let now = match self.lockstep {
+            true => taken,
+            false => due.received,
+        };
+        let age_ns = now.since_ns(taken);
+        telemetry.timing.observation_age.record(age_ns);
+        let skipped = self.schedule.take(match self.lockstep {
+            // A restarted world begins its clock anew; the account goes on.
+            true => taken.max(self.schedule.next()),
+            false => scheduled,
+        });
+        let skipped = if self.keeps_grid { skipped } else { 0 };
+        let before = self.schedule.skipped_before(scheduled, skipped);
+        telemetry.record_skipped(before, due.received);
+        let deadline = scheduled.after_ns(self.schedule.period_ns());
+        telemetry.note_deadline(Deadline {
+            tick: observation.header.tick,
+            deadline,
+            done,
+            skipped,
+            period_ns: self.schedule.period_ns(),
+        });
+        let health = &mut telemetry.health;
+        self.schedule.report(health);
+        health.header.tick = observation.header.tick;
+        health.late += u64::from(done > deadline);
+        health.state = HealthState::Running.code();
+    }
+}
+
+impl FixedRate for PlannerProcess {
+    type Due = Due;
+
+    fn update_connections(&mut self) {
+        self.ports.update_connections();
+    }
+
+    fn await_tick(&mut self, run: &mut TickLoop) -> Option<Due> {
+        let received = Cell::new(Instant(0));
+        let door = |observation: &Observation| {
+            received.set(run.now());
+            self.grid.admit(observation, received.get())
+        };
+        if let Some(observation) = self.ports.observations.newest(door)
+            // Between two turns the controller moves the last plan on.
+            && self.turns.take(&observation.header)
+        {
+            let received = received.get();
+            return Some(Due {
+                observation,
+                received,
+            });
         }
-        health.skipped += count;
-        health.next_scheduled_ns = due.after_ns(self.period_ns).0;
-        Skipped {
-            newest: Instant(due.0.saturating_sub(self.period_ns)),
-            period_ns: self.period_ns,
-            count,
+        run.wait(None, run.now());
+        None
+    }
+
+    fn tick(&mut self, run: &mut TickLoop, due: Due) -> Result<Flow, SetUpError> {
+        let clock = run.member.clock;
+        let telemetry = &mut run.telemetry;
+        telemetry.begin(due.received);
+        telemetry.end(Part::Admit, clock());
+        let prepared = || telemetry.end(Part::Grid, clock());
+        self.planner
+            .plan_in_parts(&due.observation, &mut self.plan, prepared);
+        let planned = clock();
+        telemetry.end(Part::Search, planned);
+        self.plan.planning_ns = planned.since_ns(due.received);
+        let deadline_ns = due.observation.scheduled_ns + self.schedule.period_ns();
+        let is_late = !self.lockstep && planned.0 > deadline_ns;
+        if !is_late || answer_late(&mut self.plan, self.late) {
+            self.ports.plans.send(&mut self.plan);
         }
+        let done = clock();
+        telemetry.end(Part::Send, done);
+        self.account(run, &due, done);
+        Ok(Flow::Continue)
     }
 }
 
@@ -60,99 +164,4 @@ fn answer_late(plan: &mut Plan, policy: Late) -> bool {
         (plan.waypoint_count, plan.action_count) = (0, 0);
     }
     policy != Late::Skip
-}
-
-fn main() -> ExitCode {
-    exit_code(Process::Planner, plan(&Cli::parse().arguments))
-}
-
-#[allow(clippy::disallowed_methods)] // a process entry point reads the clock
-fn plan(arguments: &Arguments) -> Result<(), SetUpError> {
-    let mut member = Member::join(Process::Planner, arguments)?;
-    let mut ports = Ports::open(&member.wire)?;
-    let mut pulse = Pulse::start(&member)?;
-    let mut planner =
-        Planner::new(&member.config).map_err(|error| SetUpError::Own(error.to_string()))?;
-    let mut plan = Box::<Plan>::default();
-    let lockstep = member.config.run.is_lockstep();
-    let grid = RunGrid::of(&member.config);
-    // A tick begins when its observation is there, before that is checked.
-    let came = Cell::new(Instant(0));
-    let door = |observation: &Observation| {
-        came.set(monotonic());
-        grid.admit(observation, came.get())
-    };
-    let mut turns = PlanTurns::every(member.config.plan_ticks());
-    let period_ns = member.config.run.period_ns() * member.config.plan_ticks();
-    let slots = Slots { period_ns };
-    // At a rate below the run's each episode begins its turns anew, and in lockstep
-    // its instants are none of the machine's clock.
-    let keeps_grid = !lockstep && member.config.tick_ns(Process::Planner).is_some();
-    member.claim_rights();
-    pulse.set_rights(&member.rights);
-    pulse.enter(HealthState::Ready, monotonic());
-    while !member.is_stopping() {
-        if let Some(observation) = ports.observations.newest(door)
-            // Between two turns the controller moves the last plan on.
-            && turns.take(&observation.header)
-        {
-            let begun = came.get();
-            pulse.begin(begun);
-            let now = match lockstep {
-                true => observation.header.taken(),
-                false => begun,
-            };
-            pulse.end(Part::Admit, monotonic());
-            let prepared = || pulse.end(Part::Grid, monotonic());
-            planner.plan_in_parts(&observation, &mut plan, prepared);
-            let planned = monotonic();
-            pulse.end(Part::Search, planned);
-            plan.planning_ns = planned.since_ns(begun);
-            let is_late = !lockstep && planned.0 > observation.scheduled_ns + period_ns;
-            if !is_late || answer_late(&mut plan, member.config.deadlines.planner) {
-                ports.plans.send(&mut plan);
-            }
-            let done = monotonic();
-            pulse.end(Part::Send, done);
-            pulse.count_tick(Tick {
-                due: Instant(observation.scheduled_ns),
-                released: Some(observation.published()),
-                begun,
-                done,
-            });
-            let age_ns = now.since_ns(observation.header.taken());
-            pulse.timing.observation_age.record(age_ns);
-            let due = match lockstep {
-                // A restarted world begins its clock anew; the account goes on.
-                true => {
-                    let next_due = Instant(pulse.health.next_scheduled_ns);
-                    observation.header.taken().max(next_due)
-                }
-                false => Instant(observation.scheduled_ns),
-            };
-            let skipped = slots.account(due, &mut pulse.health);
-            if keeps_grid {
-                pulse.record_skipped(skipped, begun);
-            }
-            if !lockstep {
-                pulse.note_deadline(Deadline {
-                    tick: observation.header.tick,
-                    deadline: Instant(observation.scheduled_ns + period_ns),
-                    done,
-                    skipped: if keeps_grid { skipped.count } else { 0 },
-                    period_ns,
-                });
-            }
-            let health = &mut pulse.health;
-            health.header.tick = observation.header.tick;
-            health.late += u64::from(done.0 > observation.scheduled_ns + period_ns);
-            health.state = HealthState::Running.code();
-        }
-        pulse.count_refused(&member.wire);
-        pulse.beat(monotonic());
-        ports.update_connections();
-        ports.bell.wait(NAP);
-    }
-    pulse.enter(HealthState::Finished, monotonic());
-    Ok(())
 }

@@ -1,56 +1,58 @@
-//! Failing on order, so that a campaign can see what the rest of a set does.
+//! Failures on order: what a campaign of faults does to a process from within.
+//!
+//! The fault orders are read in a wrapper around the health port, which is installed
+//! with `run.faults` alone. Without it no port is open and no branch is taken.
 
 use std::time::Duration;
 
-use shm_config::message::{Fault, FaultKind, Message};
+use shm_config::message::{Fault, FaultKind, Health, Message};
 use shm_config::services::{FAULT, Process};
-use shm_config::time::monotonic;
-use shm_config::wire::{Subscriber, WireError};
+use shm_config::time::Clock;
+use shm_config::wire::{Publisher, Subscriber, WireError};
 
 use crate::Member;
+use crate::telemetry::HealthPort;
 
-/// Orders older than this are not obeyed: they were for a predecessor, ns.
+/// Orders older than this are ignored: they were for a predecessor, ns.
 const ORDER_AGE_NS: u64 = 1_000_000_000;
 /// The longest a loop is made to stand still, ns.
 const SLOW_MAX_NS: u64 = 10_000_000_000;
 
-/// Where a process hears that it shall fail; nowhere unless `run.faults` is on.
-pub(crate) struct Failing {
+/// A health port whose process fails on order.
+pub(crate) struct FaultyPort {
+    port: Publisher<Health>,
     process: Process,
-    orders: Option<Subscriber<Fault>>,
+    orders: Subscriber<Fault>,
+    clock: Clock,
 }
 
-impl Failing {
-    /// Opens the port if the configuration wants it.
+impl FaultyPort {
+    /// Wraps the port of this process.
     ///
     /// # Errors
     /// When shared memory refuses.
-    pub(crate) fn of(member: &Member) -> Result<Self, WireError> {
-        let orders = match member.config.run.faults {
-            true => Some(member.wire.subscriber(FAULT)?),
-            false => None,
-        };
+    pub(crate) fn around(port: Publisher<Health>, member: &Member) -> Result<Self, WireError> {
         Ok(Self {
+            port,
             process: member.process,
-            orders,
+            orders: member.wire.subscriber(FAULT)?,
+            clock: member.clock,
         })
     }
+}
 
-    /// Does what was ordered, which may well be the end.
-    // An order may come after any instant that was read before: it would be from
-    // the future.
-    #[allow(clippy::disallowed_methods)]
-    pub(crate) fn obey(&mut self) {
-        let Some(orders) = &mut self.orders else {
-            return;
-        };
-        orders.tend();
-        while let Some(order) = orders.receive() {
+impl HealthPort for FaultyPort {
+    /// Does what was ordered, which may end the process, and publishes.
+    fn publish(&mut self, health: &mut Health) {
+        self.orders.update_connections();
+        while let Some(order) = self.orders.receive() {
             let is_meant = order.target == self.process.code();
-            if is_meant && order.admit(monotonic(), ORDER_AGE_NS).is_ok() {
+            // Read after the order came, which else would be from the future.
+            if is_meant && order.admit((self.clock)(), ORDER_AGE_NS).is_ok() {
                 fail(&order);
             }
         }
+        self.port.publish(health);
     }
 }
 

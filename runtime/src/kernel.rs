@@ -68,40 +68,6 @@ pub fn set_ordinary() -> bool {
     unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
 }
 
-/// `struct sched_attr` of sched_setattr(2), its first version.
-#[repr(C)]
-struct Attributes {
-    size: u32,
-    policy: u32,
-    flags: u64,
-    nice: i32,
-    priority: u32,
-    runtime_ns: u64,
-    deadline_ns: u64,
-    period_ns: u64,
-}
-
-/// `SCHED_DEADLINE` for the calling thread: `runtime_ns` in each `period_ns`.
-/// Threads started later do not inherit it.
-#[allow(unsafe_code)]
-pub fn set_deadline(runtime_ns: u64, period_ns: u64) -> bool {
-    /// `SCHED_FLAG_RESET_ON_FORK`; without it the kernel lets no thread be started.
-    const RESET_ON_FORK: u64 = 1;
-    let attributes = Attributes {
-        size: size_of::<Attributes>() as u32,
-        policy: libc::SCHED_DEADLINE as u32,
-        flags: RESET_ON_FORK,
-        nice: 0,
-        priority: 0,
-        runtime_ns,
-        deadline_ns: period_ns,
-        period_ns,
-    };
-    // SAFETY: pid 0 is the calling thread; the structure is laid out and sized as
-    // the kernel's and lives through the call, which only reads it.
-    unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &attributes, 0) == 0 }
-}
-
 /// How the calling thread is scheduled, and its real-time priority (0 for none),
 /// as the kernel says.
 #[allow(unsafe_code)]
@@ -115,7 +81,6 @@ pub fn own_scheduling() -> (Scheduling, u32) {
     };
     let scheduling = match policy & !libc::SCHED_RESET_ON_FORK {
         libc::SCHED_FIFO => Scheduling::Fifo,
-        libc::SCHED_DEADLINE => Scheduling::Deadline,
         _ => Scheduling::Ordinary,
     };
     (scheduling, parameters.sched_priority.max(0) as u32)

@@ -1,10 +1,10 @@
-//! Real-time rights of the tick's thread: what it asks for, what it got.
+//! Real-time privileges of the tick's thread: what it asks for, what it got.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use shm_config::message::{Grant, Scheduling};
 
-use crate::kernel::{keep_heap, own_scheduling, set_deadline, set_fifo};
+use crate::kernel::{keep_heap, own_scheduling, set_fifo};
 
 /// Stack that is touched before the first tick, bytes. The deepest tick, that of
 /// the MPC, uses a tenth of it.
@@ -16,31 +16,20 @@ const HEAP_BYTES: usize = 1 << 20;
 /// What a process asks the kernel for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ask {
-    /// `SCHED_FIFO` priority; 0 for no right at all.
+    /// `SCHED_FIFO` priority; 0 for no privilege at all.
     pub priority: u32,
     /// Core to stay on, with that priority.
     pub core: Option<usize>,
-    /// `SCHED_DEADLINE` in place of `SCHED_FIFO`, where it is granted.
-    pub reservation: Option<Reservation>,
-}
-
-/// Processor time that `SCHED_DEADLINE` guarantees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Reservation {
-    /// Time in each period, ns.
-    pub runtime_ns: u64,
-    /// From tick to tick, ns.
-    pub period_ns: u64,
 }
 
 /// What the calling thread asks the kernel for, and what it got.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Rights {
+pub struct Privileges {
     ask: Ask,
     /// The scheduling in force, as the kernel says.
     pub scheduling: Scheduling,
     priority_got: u32,
-    /// Real-time scheduling of either kind.
+    /// Real-time scheduling.
     pub priority: Grant,
     /// Its own core.
     pub core: Grant,
@@ -48,7 +37,7 @@ pub struct Rights {
     pub memory: Grant,
 }
 
-impl Rights {
+impl Privileges {
     /// A wish list; nothing is asked of the kernel yet.
     pub fn asked(ask: Ask) -> Self {
         Self {
@@ -73,34 +62,22 @@ impl Rights {
 
     /// The scheduling asked for.
     pub fn scheduling_asked(&self) -> Scheduling {
-        match (self.ask.priority, self.ask.reservation) {
-            (0, _) => Scheduling::Ordinary,
-            (_, None) => Scheduling::Fifo,
-            (_, Some(_)) => Scheduling::Deadline,
+        match self.ask.priority {
+            0 => Scheduling::Ordinary,
+            _ => Scheduling::Fifo,
         }
     }
 
     /// Asks for everything on the list, for the calling thread, and reads back
     /// from the kernel what came of it.
-    pub(crate) fn claim(&mut self) {
-        let wants = self.ask.priority > 0;
-        let reserved = wants
-            && self
-                .ask
-                .reservation
-                .is_some_and(|time| set_deadline(time.runtime_ns, time.period_ns));
-        if !wants {
+    pub(crate) fn apply(&mut self) {
+        if self.ask.priority == 0 {
             return;
         }
-        if !reserved {
-            set_fifo(self.ask.priority);
-        }
+        set_fifo(self.ask.priority);
         (self.scheduling, self.priority_got) = own_scheduling();
-        self.priority = grant(self.scheduling != Scheduling::Ordinary);
-        // The kernel places reservations itself, and whom others may keep from a core
-        // must be free to leave it.
-        let stays = self.scheduling == Scheduling::Fifo;
-        if let Some(core) = self.ask.core.filter(|_| stays) {
+        self.priority = grant(self.scheduling == Scheduling::Fifo);
+        if let Some(core) = self.ask.core {
             self.core = grant(stay_on(core));
         }
         // Pages are locked as they are first touched: locking the whole address
@@ -136,12 +113,12 @@ fn stay_on(core: usize) -> bool {
 /// The pages of the stack are there before a tick reaches down to them.
 #[inline(never)]
 fn touch_stack() {
-    let mut room = [0u8; STACK_BYTES];
-    std::hint::black_box(&mut room);
+    let mut bytes = [0u8; STACK_BYTES];
+    std::hint::black_box(&mut bytes);
 }
 
 /// The same for the heap, which keeps what is freed.
 fn touch_heap() {
-    let room = vec![1u8; HEAP_BYTES];
-    drop(std::hint::black_box(room));
+    let bytes = vec![1u8; HEAP_BYTES];
+    drop(std::hint::black_box(bytes));
 }

@@ -1,5 +1,9 @@
+//! The instants at which the ticks of one process are due, and which had no tick.
+
 use shm_config::Instant;
-use shm_config::message::FUTURE_TOLERANCE_NS;
+use shm_config::message::{FUTURE_TOLERANCE_NS, Health};
+
+use crate::Skipped;
 
 /// What released a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -10,10 +14,10 @@ pub enum Release {
     TimeOut,
 }
 
-/// One tick of the controller: the instant of the grid it is due at.
+/// One tick that is due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Slot {
-    /// The instant of the grid, ns on the machine's clock.
+pub struct DueTick {
+    /// Its instant of the grid, on the machine's clock.
     pub scheduled: Instant,
     /// When the tick was to begin: the instant itself, or for a tick without an
     /// observation the end of the wait for one.
@@ -24,77 +28,221 @@ pub struct Slot {
     pub skipped: u64,
 }
 
-/// The controller's side of the world's grid: at most one tick for each of its
-/// instants, on a new observation or, when none came, on the grid itself.
+/// The grid of a process: at most one tick for each of its instants.
 ///
-/// So `elapsed / period == ticks + skipped` however late or lost observations are.
+/// The world moves on its own timer ([`TickSchedule::on_timer`]); planner and
+/// controller follow the instants of the observations. In both cases
+/// `elapsed / period == ticks + skipped`, however late or lost a tick is.
 #[derive(Debug, Clone)]
-pub struct Slots {
+pub struct TickSchedule {
     period_ns: u64,
-    wait_ns: u64,
-    last: Option<Instant>,
+    /// Instants in one tick: the world may move more often than the run ticks.
+    parts: u64,
+    /// `None` until the first observation says where the grid is.
+    first: Option<Instant>,
+    /// Where the tick that runs or comes next begins.
+    next: Instant,
+    /// Instants of that tick that are over.
+    part: u64,
+    /// Ticks of the grid that are over.
+    passed: u64,
+    ticks: u64,
+    missed: u64,
 }
 
-impl Slots {
-    /// A grid of this period; without an observation the tick comes `wait_ns`
-    /// after its instant.
-    pub fn new(period_ns: u64, wait_ns: u64) -> Self {
+impl TickSchedule {
+    /// A grid of this period whose place the first observation tells.
+    pub fn following(period_ns: u64) -> Self {
         Self {
             period_ns,
-            wait_ns,
-            last: None,
+            parts: 1,
+            first: None,
+            next: Instant(0),
+            part: 0,
+            passed: 0,
+            ticks: 0,
+            missed: 0,
         }
     }
 
-    /// When to tick at the latest, observation or not; `None` before the first
-    /// observation tells where the grid is.
-    pub fn deadline(&self) -> Option<Instant> {
-        self.last
-            .map(|last| last.after_ns(self.period_ns + self.wait_ns))
+    /// A grid of this period and so many instants in a tick, the first of them there.
+    pub fn on_timer(period_ns: u64, parts: u64, first: Instant) -> Self {
+        Self {
+            parts,
+            first: Some(first),
+            next: first,
+            ..Self::following(period_ns)
+        }
     }
 
-    /// The slot of an observation that was due at `scheduled`; `None` when that
-    /// slot has had its tick, or when it claims to be from the future: a grid
-    /// moved there would silence the controller.
-    pub fn on_observation(&mut self, scheduled: Instant, now: Instant) -> Option<Slot> {
-        if scheduled > now.after_ns(FUTURE_TOLERANCE_NS) {
+    /// From tick to tick, ns.
+    pub fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+
+    /// Ticks begun.
+    pub fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Instants of ticks that are over and had none.
+    pub fn skipped(&self) -> u64 {
+        self.ticks_due() - self.ticks
+    }
+
+    /// The instant of the tick that comes next; 0 before the grid is known.
+    pub fn next(&self) -> Instant {
+        match self.part {
+            0 => self.next,
+            _ => self.next.after_ns(self.period_ns),
+        }
+    }
+
+    /// Writes the account of the grid.
+    pub fn report(&self, health: &mut Health) {
+        health.ticks = self.ticks;
+        health.skipped = self.skipped();
+        health.first_scheduled_ns = self.first.unwrap_or_default().0;
+        health.next_scheduled_ns = self.next().0;
+    }
+
+    /// What was skipped just before a tick of that instant.
+    pub fn skipped_before(&self, scheduled: Instant, count: u64) -> Skipped {
+        Skipped {
+            newest: Instant(scheduled.0.saturating_sub(self.period_ns)),
+            period_ns: self.period_ns,
+            count,
+        }
+    }
+}
+
+/// Of a grid that follows observations.
+impl TickSchedule {
+    /// Accounts for the tick of that instant: returns how many are skipped since the
+    /// one before. Another world's grid may be shifted: whole periods count, rounded.
+    pub fn take(&mut self, scheduled: Instant) -> u64 {
+        let skipped = match self.first {
+            None => 0,
+            Some(_) => self.rounded(scheduled).saturating_sub(self.next.0) / self.period_ns,
+        };
+        self.first.get_or_insert(scheduled);
+        self.next = scheduled.after_ns(self.period_ns);
+        self.passed += skipped + 1;
+        self.ticks += 1;
+        skipped
+    }
+
+    fn rounded(&self, scheduled: Instant) -> u64 {
+        scheduled.0.saturating_add(self.period_ns / 2)
+    }
+
+    /// When to tick at the latest where each instant's observation is awaited for
+    /// `wait_ns`; `None` before the first one.
+    pub fn deadline(&self, wait_ns: u64) -> Option<Instant> {
+        self.first.map(|_| self.next.after_ns(wait_ns))
+    }
+
+    /// The tick of an observation that was due at `scheduled`; `None` when that
+    /// instant has had its tick, or when it claims to be from the future: a grid
+    /// moved there would silence the process.
+    pub fn on_observation(&mut self, scheduled: Instant, now: Instant) -> Option<DueTick> {
+        let has_ticked = self.first.is_some() && self.rounded(scheduled) < self.next.0;
+        if has_ticked || scheduled > now.after_ns(FUTURE_TOLERANCE_NS) {
             return None;
         }
-        let skipped = match self.last {
-            None => 0,
-            Some(last) => {
-                // Another world's grid may be shifted: round to whole periods.
-                let passed = (scheduled.since_ns(last) + self.period_ns / 2) / self.period_ns;
-                if passed == 0 {
-                    return None;
-                }
-                passed - 1
-            }
-        };
-        self.last = Some(scheduled);
-        Some(Slot {
+        Some(DueTick {
             scheduled,
             due: scheduled,
             release: Release::Observation,
-            skipped,
+            skipped: self.take(scheduled),
         })
     }
 
-    /// The slot of a tick without a new observation at `now`, at or after the
-    /// deadline.
-    pub fn on_timeout(&mut self, now: Instant) -> Option<Slot> {
-        let last = self.last?;
-        let passed = now.since_ns(last.after_ns(self.wait_ns)) / self.period_ns;
-        if passed == 0 {
-            return None;
-        }
-        let scheduled = last.after_ns(passed * self.period_ns);
-        self.last = Some(scheduled);
-        Some(Slot {
+    /// The tick without an observation at `now`; `None` before the deadline.
+    pub fn on_timeout(&mut self, now: Instant, wait_ns: u64) -> Option<DueTick> {
+        let deadline = self.deadline(wait_ns).filter(|deadline| now >= *deadline)?;
+        let over = now.since_ns(deadline) / self.period_ns;
+        let scheduled = self.next.after_ns(over * self.period_ns);
+        Some(DueTick {
             scheduled,
-            due: scheduled.after_ns(self.wait_ns),
+            due: scheduled.after_ns(wait_ns),
             release: Release::TimeOut,
-            skipped: passed - 1,
+            skipped: self.take(scheduled),
         })
+    }
+}
+
+/// Of a grid on a timer.
+impl TickSchedule {
+    /// When the instant that is next, or now, is due.
+    pub fn now(&self) -> Instant {
+        self.next.after_ns(self.part * self.period_ns / self.parts)
+    }
+
+    /// When the instant before that one was due.
+    pub fn previous(&self) -> Instant {
+        Instant(self.now().0.saturating_sub(self.step_ns()))
+    }
+
+    /// From instant to instant; a nanosecond more where the period divides unevenly.
+    pub fn step_ns(&self) -> u64 {
+        self.period_ns / self.parts
+    }
+
+    /// Instants that are over.
+    pub fn index(&self) -> u64 {
+        self.passed * self.parts + self.part
+    }
+
+    /// The run's tick of now.
+    pub fn tick(&self) -> u64 {
+        self.passed
+    }
+
+    /// When the tick of now was due.
+    pub fn scheduled(&self) -> Instant {
+        self.next
+    }
+
+    /// Ticks of the run that were due before now.
+    pub fn ticks_due(&self) -> u64 {
+        self.passed + u64::from(self.part > 0)
+    }
+
+    /// Instants missed.
+    pub fn missed(&self) -> u64 {
+        self.missed
+    }
+
+    /// Time since the first instant, ns.
+    pub fn elapsed_ns(&self, now: Instant) -> u64 {
+        self.first.map_or(0, |first| now.since_ns(first))
+    }
+
+    /// The tick of now is begun.
+    pub fn begin(&mut self) {
+        self.ticks += 1;
+    }
+
+    /// The instant of now is over.
+    pub fn move_on(&mut self) {
+        self.pass(1);
+    }
+
+    /// It is this late: the newest instant that was due is now, those before it
+    /// are missed. Returns how many.
+    pub fn miss_until(&mut self, now: Instant) -> u64 {
+        let missed = now.since_ns(self.now()) * self.parts / self.period_ns;
+        self.missed += missed;
+        self.pass(missed);
+        missed
+    }
+
+    fn pass(&mut self, instants: u64) {
+        self.part += instants;
+        let ticks = self.part / self.parts;
+        self.passed += ticks;
+        self.next = self.next.after_ns(ticks * self.period_ns);
+        self.part %= self.parts;
     }
 }

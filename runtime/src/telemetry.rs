@@ -3,10 +3,10 @@ use shm_config::message::{Health, HealthState, LateTick, PARTS, Part, Timing};
 use shm_config::services::{health, timing};
 use shm_config::wire::{Publisher, Wire, WireError};
 
-use crate::fault::Failing;
-use crate::{Member, Rights, Usage};
+use crate::fault::FaultyPort;
+use crate::{Member, Privileges, Usage};
 
-/// How often a process says how it does, ns on the machine's clock.
+/// How often a process publishes its health, ns on the machine's clock.
 const HEALTH_NS: u64 = 50_000_000;
 /// How often it publishes its histograms, ns on the machine's clock.
 const TIMING_NS: u64 = 500_000_000;
@@ -51,13 +51,26 @@ pub struct Deadline {
     pub period_ns: u64,
 }
 
-/// A process's own account of how it does, published now and then.
-pub struct Pulse {
-    /// What it says.
+/// Where the health of a process goes.
+pub(crate) trait HealthPort {
+    /// Publishes it, and connects to readers that came.
+    fn publish(&mut self, health: &mut Health);
+}
+
+impl HealthPort for Publisher<Health> {
+    fn publish(&mut self, health: &mut Health) {
+        self.send(health);
+        self.update_connections();
+    }
+}
+
+/// A process's account of itself: health, timing, deadlines and budgets.
+pub struct Telemetry {
+    /// What is published of its state.
     pub health: Health,
     /// How punctual it was. Boxed: 80 kB do not belong on a stack.
     pub timing: Box<Timing>,
-    health_port: Publisher<Health>,
+    health_port: Box<dyn HealthPort>,
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
@@ -69,19 +82,24 @@ pub struct Pulse {
     longest: (Part, u64),
     /// A tick that is no later than this is none of the latest, ns.
     late_bar_ns: u64,
-    failing: Failing,
+    /// In lockstep no tick can be late.
+    has_deadlines: bool,
 }
 
-impl Pulse {
-    /// Opens the ports and says `Starting`.
+impl Telemetry {
+    /// Opens the ports; the state is `Starting`.
     ///
     /// # Errors
     /// When shared memory refuses.
     pub fn start(member: &Member) -> Result<Self, WireError> {
-        let mut pulse = Self {
+        let health_port = member.wire.publisher(health(member.process))?;
+        let mut telemetry = Self {
             health: Health::default(),
             timing: Box::default(),
-            health_port: member.wire.publisher(health(member.process))?,
+            health_port: match member.config.run.faults {
+                true => Box::new(FaultyPort::around(health_port, member)?),
+                false => Box::new(health_port),
+            },
             timing_port: member.wire.publisher(timing(member.process))?,
             health_due: Instant(0),
             timing_due: Instant(0),
@@ -90,24 +108,24 @@ impl Pulse {
             part_begun: Instant(0),
             longest: (Part::Send, 0),
             late_bar_ns: 0,
-            failing: Failing::of(member)?,
+            has_deadlines: !member.config.run.is_lockstep(),
         };
-        pulse.set_rights(&member.rights);
-        Ok(pulse)
+        telemetry.set_privileges(&member.privileges);
+        Ok(telemetry)
     }
 
     /// Notes what the kernel granted.
-    pub fn set_rights(&mut self, rights: &Rights) {
-        self.health.priority = rights.priority.code();
-        self.health.core = rights.core.code();
-        self.health.memory = rights.memory.code();
-        self.health.priority_asked = rights.priority_asked();
-        self.health.priority_got = rights.priority_got();
-        self.health.scheduling_asked = rights.scheduling_asked().code();
-        self.health.scheduling_got = rights.scheduling.code();
+    pub fn set_privileges(&mut self, privileges: &Privileges) {
+        self.health.priority = privileges.priority.code();
+        self.health.core = privileges.core.code();
+        self.health.memory = privileges.memory.code();
+        self.health.priority_asked = privileges.priority_asked();
+        self.health.priority_got = privileges.priority_got();
+        self.health.scheduling_asked = privileges.scheduling_asked().code();
+        self.health.scheduling_got = privileges.scheduling.code();
     }
 
-    /// Says a new state at once.
+    /// Publishes a new state immediately.
     pub fn enter(&mut self, state: HealthState, now: Instant) {
         if state == HealthState::Ready {
             self.usage_before = Usage::of_this_thread();
@@ -115,31 +133,27 @@ impl Pulse {
         self.health.state = state.code();
         self.health_due = now;
         self.timing_due = now;
-        self.beat(now);
+        self.heartbeat(now);
     }
 
-    /// Publishes what is due. To be called between ticks; never allocates, logs
-    /// or blocks.
-    pub fn beat(&mut self, now: Instant) {
-        self.failing.obey();
+    /// Publishes what is due. To be called between ticks; never logs or blocks.
+    pub fn heartbeat(&mut self, now: Instant) {
         if now >= self.health_due {
             self.count_usage();
             self.health.header.taken_ns = now.0;
-            self.health_port.send(&mut self.health);
-            self.health_port.tend();
+            self.health_port.publish(&mut self.health);
             self.health_due = now.after_ns(HEALTH_NS);
         }
         if now >= self.timing_due {
             self.timing.header.taken_ns = now.0;
             self.timing_port.send(&mut self.timing);
-            self.timing_port.tend();
+            self.timing_port.update_connections();
             self.timing_due = now.after_ns(TIMING_NS);
         }
     }
 
-    /// Takes in what the ports of a membership refused, and whether a process that the
-    /// run did not start sends in the place of one that it did. To be called once a
-    /// tick, after the ports were read.
+    /// Counts what the ports of a membership refused, and names a process that sends in
+    /// the place of one that the run has started. To be called after the ports were read.
     pub fn count_refused(&mut self, wire: &Wire) {
         self.health.refused = wire.refused().counts;
         if let Some(foreigner) = wire.foreigner() {
@@ -175,8 +189,11 @@ impl Pulse {
     }
 
     /// Keeps the tick if it is one of the latest since the start. A tick that is not
-    /// costs a comparison. To be called after its last part.
+    /// costs a comparison. To be called after its last part. In lockstep none is late.
     pub fn note_deadline(&mut self, at: Deadline) {
+        if !self.has_deadlines {
+            return;
+        }
         let first = Instant(at.deadline.0.saturating_sub(at.skipped * at.period_ns));
         let late_ns = at.done.since_ns(first);
         if late_ns > self.late_bar_ns {

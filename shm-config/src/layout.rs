@@ -150,18 +150,7 @@ macro_rules! message {
             }
         }
 
-        // SAFETY: `repr(C)`, `Copy`, without padding (asserted below), and every
-        // field can travel (asserted here), so no field holds a pointer.
-        #[allow(unsafe_code)]
-        unsafe impl iceoryx2::prelude::ZeroCopySend for $name {
-            unsafe fn type_name() -> &'static str {
-                stringify!($name)
-            }
-        }
-        const _: () = {
-            const fn travels<T: iceoryx2::prelude::ZeroCopySend>() {}
-            $( travels::<$type>(); )+
-        };
+        $crate::travels! { $name: $( $type, )+ }
 
         const _: () = assert!(
             size_of::<$name>() == $size,
@@ -173,6 +162,45 @@ macro_rules! message {
         );
     };
 }
+
+/// Lets a message travel through shared memory, where the wire is built.
+#[cfg(feature = "wire")]
+#[doc(hidden)]
+#[macro_export]
+macro_rules! travels {
+    ($name:ident: $( $type:ty, )+) => {
+        // SAFETY: `repr(C)`, `Copy`, without padding (asserted by `message!`), and every
+        // field can travel (asserted here), so no field holds a pointer.
+        #[allow(unsafe_code)]
+        unsafe impl $crate::layout::Travels for $name {
+            unsafe fn type_name() -> &'static str {
+                stringify!($name)
+            }
+        }
+        const _: () = {
+            const fn travels<T: $crate::layout::Travels>() {}
+            $( travels::<$type>(); )+
+        };
+    };
+}
+
+/// Without the wire nothing travels.
+#[cfg(not(feature = "wire"))]
+#[doc(hidden)]
+#[macro_export]
+macro_rules! travels {
+    ($name:ident: $( $type:ty, )+) => {};
+}
+
+#[cfg(feature = "wire")]
+#[allow(clippy::disallowed_types)]
+pub use iceoryx2::prelude::ZeroCopySend as Travels;
+
+/// What may travel through shared memory; checked where the wire is built.
+#[cfg(not(feature = "wire"))]
+pub trait Travels {}
+#[cfg(not(feature = "wire"))]
+impl<T> Travels for T {}
 
 /// Declares a closed list that travels as a `u32`, with the word users read.
 #[macro_export]

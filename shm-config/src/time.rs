@@ -3,6 +3,7 @@
 //! Libraries get `now` as an argument. Only process entry points call
 //! [`monotonic`]; clippy refuses it elsewhere.
 
+#[cfg(feature = "wire")]
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 /// Nanoseconds on the run's clock: the machine's monotonic clock in real time,
@@ -22,6 +23,7 @@ impl Instant {
         Self(self.0.saturating_add(ns))
     }
 
+    #[cfg(feature = "wire")]
     /// As the kernel's struct, for absolute sleeps.
     pub fn timespec(self) -> Timespec {
         Timespec {
@@ -31,7 +33,11 @@ impl Instant {
     }
 }
 
+/// A clock that is passed in: `monotonic` in a process, another in a test.
+pub type Clock = fn() -> Instant;
+
 /// The machine's monotonic clock: the same for every process, never set back.
+#[cfg(feature = "wire")]
 #[allow(clippy::disallowed_methods)]
 pub fn monotonic() -> Instant {
     let now = clock_gettime(ClockId::Monotonic);

@@ -60,7 +60,7 @@ fn the_latest_value_wins_and_late_joiners_get_it() {
     assert_eq!(early.newest(Message::check).map(|c| c.header.tick), Some(3));
     assert_eq!(early.newest(Message::check), None);
     let mut late = there.subscriber(COMMAND).unwrap();
-    publisher.tend();
+    publisher.update_connections();
     let seen = late.newest(Message::check).expect("history");
     assert_eq!((seen.header.tick, seen.header.sequence), (3, 3));
     assert_eq!(seen.header.producer, std::process::id());
@@ -120,7 +120,7 @@ fn an_inadmissible_message_never_hides_an_admissible_one() {
                 true => (first.send(&mut good), second.send(&mut bad)),
                 false => (first.send(&mut bad), second.send(&mut good)),
             };
-            reader.tend();
+            reader.update_connections();
             let seen = reader.newest(admit).map(|c| c.header.tick);
             assert_eq!(seen, Some(tick), "{kind}, the good one first: {good_first}");
         }
@@ -183,7 +183,7 @@ fn two_memberships_of_one_process_id_are_a_contest() {
             true => second.send(&mut command(tick as u64)),
             false => first.send(&mut command(tick as u64)),
         };
-        reader.tend();
+        reader.update_connections();
         assert!(reader.newest(Message::check).is_some());
         contests.push(world.contests());
     }
@@ -202,10 +202,10 @@ fn a_roster_is_taken_from_its_author_alone() {
     port.send(&mut roster);
     // Not this process's, which publishes it.
     there.follow(1).unwrap();
-    port.tend();
+    port.update_connections();
     assert_eq!(there.named(Process::Controller), None);
     there.follow(std::process::id()).unwrap();
-    port.tend();
+    port.update_connections();
     assert_eq!(there.named(Process::Controller), Some(std::process::id()));
 }
 
@@ -232,7 +232,7 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
     let world = run.join(Process::World);
     let mut reader = world.subscriber(COMMAND).unwrap();
     let mut first = one.publisher(COMMAND).unwrap();
-    reader.tend();
+    reader.update_connections();
     // Tended with one publisher: one look a tick, and the other one is not lost.
     first.send(&mut command(0));
     assert!(reader.newest(Message::check).is_some());
@@ -245,7 +245,7 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
         seen == [Some(1), Some(2)] || seen == [Some(2), Some(1)],
         "{seen:?}"
     );
-    reader.tend();
+    reader.update_connections();
     first.send(&mut command(3));
     second.send(&mut command(4));
     assert!(reader.newest(Message::check).is_some());
@@ -255,7 +255,7 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
         "of two the look takes both"
     );
     drop(first);
-    reader.tend();
+    reader.update_connections();
     second.send(&mut command(5));
     assert_eq!(
         reader.newest(Message::check).map(|c| c.header.tick),
@@ -299,9 +299,9 @@ fn what_many_gone_publishers_left_is_read() {
         step.header.tick = tick;
         assert!(port.send(&mut step));
         // It is seen while it lives, and read when it is gone.
-        steps.tend();
+        steps.update_connections();
         drop(port);
-        steps.tend();
+        steps.update_connections();
     }
     let ticks: Vec<u64> = std::iter::from_fn(|| steps.receive())
         .map(|step| step.header.tick)

@@ -16,7 +16,7 @@ from score import Score
 from wire import WireError
 
 # Ticks of the simulator in a second: the only rate of this world.
-PHYSICS_HZ = 10.0
+DECISION_HZ = 10.0
 # How long the world sleeps at most before it says how it does, ns.
 NAP_NS = 20_000_000
 # From look to look at requests for pictures between two ticks, ns.
@@ -64,10 +64,10 @@ class Session:
         config = self.member.config
         run_hz = config["run"]["rate_hz"]
         rate_hz = config["world"].get("rate_hz") or run_hz
-        if rate_hz != PHYSICS_HZ or run_hz != PHYSICS_HZ:
+        if rate_hz != DECISION_HZ or run_hz != DECISION_HZ:
             raise SetUpError(
                 f"world.rate_hz = {rate_hz}, run.rate_hz = {run_hz}: "
-                f"MetaDrive steps at {PHYSICS_HZ} Hz; leave both keys out"
+                f"MetaDrive steps at {DECISION_HZ} Hz; leave both keys out"
             )
         self.ports = Ports(self.member.wire)
         self.pulse = Pulse(self.member.wire)

@@ -20,9 +20,10 @@
 //! | [`score`] | the account of one episode |
 //! | [`world`], [`config`] | episodes by seed, tick by tick |
 //! | [`render`] | the world as a picture, with the camera that took it |
-//! | [`photographer`] | pictures on demand beside the tick, and what holding an action would lead to |
-//! | [`grid`] | the instants at which the world process moves |
+//! | `photographer` | pictures on demand beside the tick, and what holding an action would lead to |
 //! | [`batch`] | many worlds at once |
+//!
+//! The feature `process` (default) adds the world process and its photographer.
 
 pub mod batch;
 mod block;
@@ -30,7 +31,6 @@ pub mod bodies;
 pub mod config;
 pub mod contact;
 pub mod dynamics;
-pub mod grid;
 pub mod idm;
 pub mod lane;
 pub mod lidar;
@@ -38,8 +38,12 @@ pub mod map;
 pub mod model;
 pub mod navigation;
 pub mod observe;
+#[cfg(feature = "process")]
 pub mod photographer;
+#[cfg(feature = "process")]
 pub mod ports;
+#[cfg(feature = "process")]
+mod process;
 pub mod render;
 pub mod reward;
 pub mod rng;
@@ -48,6 +52,8 @@ pub mod rules;
 pub mod score;
 mod settings;
 pub mod spawn;
+#[cfg(feature = "process")]
+mod substeps;
 mod surface;
 pub mod traffic;
 pub mod world;
@@ -56,5 +62,7 @@ pub use batch::{AfterEnd, Batch, BatchConfig};
 pub use block::Parameters;
 pub use config::{OutOfRoute, WorldConfig, WorldError};
 pub use reward::{Reward, RewardConfig};
+#[cfg(feature = "process")]
+pub use process::{Begin, WorldProcess, run};
 pub use surface::Bounds;
 pub use world::{StepOutcome, World};

@@ -9,7 +9,7 @@ use shm_config::services::{
 
 shm_config::ports! {
     /// What a tick of the world reads and publishes.
-    pub struct Ports of World with bell {
+    pub struct Ports of World {
         /// What the car shall do.
         commands: read COMMAND: Command,
         /// What the car perceives.

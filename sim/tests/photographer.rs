@@ -217,15 +217,15 @@ impl Gate {
     }
 
     fn ask(&mut self, request: FrameRequest) {
-        self.requests.tend();
+        self.requests.update_connections();
         assert!(self.requests.send(&mut request.clone()));
     }
 
     /// The next frame; `None` when none comes within `looks` of 2 ms.
     fn frame(&mut self, looks: u32) -> Option<Print> {
         for _ in 0..looks {
-            self.frames.tend();
-            self.foresights.tend();
+            self.frames.update_connections();
+            self.foresights.update_connections();
             let print = self.frames.visit(|frame| {
                 assert_eq!(frame.check(), Ok(()));
                 Print {

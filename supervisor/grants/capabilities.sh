@@ -1,5 +1,5 @@
 #!/bin/sh
-# Gives the processes that tick the right to real-time scheduling of both kinds
+# Gives the processes that tick the right to real-time scheduling
 # and to locked memory. To be run again after each build: a new file has none.
 #   supervisor/grants/capabilities.sh [FOLDER OF THE PROGRAMS]
 set -eu

@@ -31,7 +31,7 @@ impl Watch {
     fn until(&mut self, what: &str, wish: impl Fn(&Step) -> bool) -> Step {
         let mut found = None;
         until(what, || {
-            self.steps.tend();
+            self.steps.update_connections();
             while let Some(step) = self.steps.receive() {
                 assert_eq!(step.check(), Ok(()));
                 if wish(&step) {

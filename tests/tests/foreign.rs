@@ -41,7 +41,7 @@ impl Stranger {
         let (steps, newest) = (&mut self.steps, &mut self.newest);
         until(what, || {
             act();
-            steps.tend();
+            steps.update_connections();
             while let Some(step) = steps.receive() {
                 assert_eq!(step.check(), Ok(()));
                 assert_eq!(trace_in(&step, own), None);
@@ -122,9 +122,9 @@ fn foreign_commands(label: &str, ahead: u32) {
     let stands = || {
         let mut forged = command(&last, Instant(monotonic_ns()));
         forged.header.episode += ahead;
-        port.tend();
+        port.update_connections();
         port.send(&mut forged);
-        progress.tend();
+        progress.update_connections();
         let said = progress.newest(Message::check);
         said.is_some_and(|said| said.braked > 0 && said.speed_mps < 0.1)
     };
@@ -200,7 +200,7 @@ fn observations_of_a_stranger_consume_no_tick() {
         if sent.is_multiple_of(3) {
             forged.ego.speed_mps = f64::NAN;
         }
-        port.tend();
+        port.update_connections();
         port.send(&mut forged);
     };
     let from = stranger.newest.header.tick;
@@ -250,9 +250,9 @@ fn forged_healths_and_episodes_end_nothing_and_fill_nothing() {
         };
         let (mut said, mut episode) = (Progress::default(), Episode::default());
         (said.header, episode.header) = (header, header);
-        healths.tend();
-        progress.tend();
-        episodes.tend();
+        healths.update_connections();
+        progress.update_connections();
+        episodes.update_connections();
         healths.send(&mut health);
         progress.send(&mut said);
         episodes.send(&mut episode);

@@ -43,7 +43,7 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
     let mut foreseen = Vec::new();
     while (foreseen.len() as u64) < PICTURES {
         until("something new is observed", || {
-            observations.tend();
+            observations.update_connections();
             let newest: Option<Observation> = observations.newest(Message::check);
             seen.extend(newest.map(|observation| observation.header));
             newest.is_some() && seen.len() > BEHIND
@@ -53,12 +53,12 @@ fn ask(set: &Set) -> Vec<[Outlook; 2]> {
             _ => (BEHIND, View::Ego),
         };
         let of = seen[seen.len() - back];
-        requests.tend();
+        requests.update_connections();
         requests.send(&mut request(&of, view));
         let mut header = None;
         for _ in 0..LOOKS {
-            frames.tend();
-            foresights.tend();
+            frames.update_connections();
+            foresights.update_connections();
             header = frames.visit(|frame| {
                 assert_eq!(frame.check(), Ok(()));
                 assert_eq!((frame.width, frame.height), (480, 320));

@@ -47,7 +47,7 @@ fn a_scripted_person_takes_over_and_gives_back_and_every_step_says_so() {
     let mut steps: Vec<Step> = Vec::new();
     let is_over = |step: &Step| step.header.tick >= 60;
     until("six seconds are driven", || {
-        port.tend();
+        port.update_connections();
         steps.extend(std::iter::from_fn(|| port.receive()));
         steps.last().is_some_and(is_over)
     });

@@ -1,21 +1,33 @@
-//! No tick of planner or controller allocates: 10,000 ticks that really
-//! planned, inferred, judged and drove, ports included, with new weights adopted,
-//! tried in shadow and promoted meanwhile.
+//! No tick of planner or controller allocates: the shipped loops, waiting, accounting
+//! and the swap of weights included, on real ports of a private run, before a world in
+//! this test that the car really drives through.
+//!
+//! What the loops do between ticks (connecting to peers, heartbeats) may allocate: each
+//! loop is the shipped one, and each process is wrapped so that its waits and ticks are
+//! counted, and nothing else.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::Duration;
 
 use allocation_counter::measure;
-use controller::{
-    Begin, Controller, Exchange, Hand, Inputs, Intent, Look, NativePolicy, News, Offer, PolicySlot,
-};
-use planner::{PlannerConfig, RrtStar};
-use policy::{Activation, Layer, Mlp};
-use shm_config::config::Config;
+use controller::ControllerProcess;
+use planner::PlannerProcess;
+use policy::{Activation, Layer, Mlp, Provenance};
+use runtime::{FixedRate, Flow, Member, SetUpError, TickLoop};
+use shm_config::config::{Clock, Config, GateMode};
 use shm_config::message::{
-    Advice, Command, Driver, FEATURES, Observation, Plan, PlanOutcome, Preference, Roster, Step,
-    Takeover, Verdict,
+    Advice, Command, Driver, FEATURES, Observation, PlanOutcome, PolicyState, PolicyStatus,
+    Preference, Roster, Step, Takeover, Verdict, Weights,
 };
 use shm_config::run::{RunName, RunPaths};
-use shm_config::services::{ADVICE, COMMAND, OBSERVATION, PLAN, Process, STEP, TAKEOVER};
-use shm_config::wire::{Publisher, Subscriber, Wire};
+use shm_config::services::{
+    ADVICE, COMMAND, OBSERVATION, POLICY_STATUS, Process, STEP, TAKEOVER, WEIGHTS,
+};
+use shm_config::time::monotonic;
+use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire};
 use shm_config::{Instant, Message};
 use sim::{World, WorldConfig};
 
@@ -27,8 +39,9 @@ const SWAP_TICKS: u64 = 500;
 const PERIOD_NS: u64 = 100_000_000;
 
 /// Keeps its lane by the features alone, heading and offset, at 5 m/s: a net of
-/// the experiment's size whose first three hidden numbers are those features.
-fn lane_keeper(version: u64) -> NativePolicy {
+/// the experiment's size whose first three hidden numbers are those features. The last
+/// bias makes each version another file.
+fn lane_keeper(version: u64) -> Vec<u8> {
     let layer = |inputs: usize, outputs: usize, activation| Layer {
         weights: vec![0.0; inputs * outputs],
         bias: vec![0.0; outputs],
@@ -47,54 +60,136 @@ fn lane_keeper(version: u64) -> NativePolicy {
     let mut act = layer(256, 2, Activation::None);
     act.weights[..2].copy_from_slice(&[1.6, 0.675]);
     act.weights[256 + 2] = -6.75;
-    act.bias = vec![-1.1375, 0.3 * (5.0 + 1.0 / 3.6)];
+    act.bias = vec![-1.1375 + version as f32 * 1e-6, 0.3 * (5.0 + 1.0 / 3.6)];
     let mlp = Mlp::new(vec![see, keep, act]).expect("layers that fit");
-    NativePolicy::new(mlp, version, &[version as u8; 32])
+    policy::encode(&mlp, &Provenance::default(), &[vec![0.5; FEATURES]])
 }
 
-struct Ports {
-    observation_out: Publisher<Observation>,
-    planner_in: Subscriber<Observation>,
-    controller_in: Subscriber<Observation>,
-    plan_out: Publisher<Plan>,
-    plan_in: Subscriber<Plan>,
-    advice_out: Publisher<Advice>,
-    advice_in: Subscriber<Advice>,
-    takeover_out: Publisher<Takeover>,
-    takeover_in: Subscriber<Takeover>,
-    command_out: Publisher<Command>,
-    command_in: Subscriber<Command>,
-    step_out: Publisher<Step>,
-    _step_in: Subscriber<Step>,
+/// What was counted in one loop's waits and ticks.
+#[derive(Default)]
+struct Counts {
+    allocations: AtomicU64,
+    ticks: AtomicU64,
 }
 
-impl Ports {
-    fn open(wire: &Wire) -> Self {
-        let failed = "shared memory";
-        Self {
-            observation_out: wire.publisher(OBSERVATION).expect(failed),
-            planner_in: wire.subscriber(OBSERVATION).expect(failed),
-            controller_in: wire.subscriber(OBSERVATION).expect(failed),
-            plan_out: wire.publisher(PLAN).expect(failed),
-            plan_in: wire.subscriber(PLAN).expect(failed),
-            advice_out: wire.publisher(ADVICE).expect(failed),
-            advice_in: wire.subscriber(ADVICE).expect(failed),
-            takeover_out: wire.publisher(TAKEOVER).expect(failed),
-            takeover_in: wire.subscriber(TAKEOVER).expect(failed),
-            command_out: wire.publisher(COMMAND).expect(failed),
-            command_in: wire.subscriber(COMMAND).expect(failed),
-            step_out: wire.publisher(STEP).expect(failed),
-            _step_in: wire.subscriber(STEP).expect(failed),
+/// A shipped process whose waits and ticks are counted, connections apart.
+struct Counted<'a, P> {
+    process: P,
+    counts: &'a Counts,
+}
+
+impl<P> Counted<'_, P> {
+    fn count<R>(&mut self, work: impl FnOnce(&mut P) -> R) -> R {
+        let mut result = None;
+        let taken = measure(|| result = Some(work(&mut self.process)));
+        if self.counts.ticks.load(Ordering::Relaxed) > WARM_UP {
+            let count = &self.counts.allocations;
+            count.fetch_add(taken.count_total, Ordering::Relaxed);
         }
+        result.expect("the work was done")
     }
 }
 
-impl Ports {
-    /// What the processes do between ticks.
-    fn tend(&mut self) {
-        self.plan_out.tend();
-        self.command_out.tend();
-        self.step_out.tend();
+impl<P: FixedRate> FixedRate for Counted<'_, P> {
+    type Due = P::Due;
+
+    fn ready(&mut self, run: &mut TickLoop) {
+        self.process.ready(run);
+    }
+    fn update_connections(&mut self) {
+        self.process.update_connections();
+    }
+    fn await_tick(&mut self, run: &mut TickLoop) -> Option<P::Due> {
+        self.count(|process| process.await_tick(run))
+    }
+    fn tick(&mut self, run: &mut TickLoop, due: P::Due) -> Result<Flow, SetUpError> {
+        self.counts.ticks.fetch_add(1, Ordering::Relaxed);
+        self.count(|process| process.tick(run, due))
+    }
+    fn stop(&mut self, run: &mut TickLoop, now: Instant) -> Flow {
+        self.process.stop(run, now)
+    }
+    fn finish(&mut self, run: &mut TickLoop) {
+        self.process.finish(run);
+    }
+}
+
+/// Everything in the run that the two loops are not: world, gate, driver, learner.
+struct Rest {
+    bell: Doorbell,
+    observations: Publisher<Observation>,
+    advices: Publisher<Advice>,
+    takeovers: Publisher<Takeover>,
+    weights: Publisher<Weights>,
+    commands: Subscriber<Command>,
+    steps: Subscriber<Step>,
+    statuses: Subscriber<PolicyStatus>,
+}
+
+impl Rest {
+    fn open(wire: &Wire) -> Self {
+        let failed = "shared memory";
+        Self {
+            bell: wire.doorbell(Process::World).expect(failed),
+            observations: wire.publisher(OBSERVATION).expect(failed),
+            advices: wire.publisher(ADVICE).expect(failed),
+            takeovers: wire.publisher(TAKEOVER).expect(failed),
+            weights: wire.publisher(WEIGHTS).expect(failed),
+            commands: wire.subscriber(COMMAND).expect(failed),
+            steps: wire.subscriber(STEP).expect(failed),
+            statuses: wire.subscriber(POLICY_STATUS).expect(failed),
+        }
+    }
+
+    fn update_connections(&mut self) {
+        self.observations.update_connections();
+        self.advices.update_connections();
+        self.takeovers.update_connections();
+        self.weights.update_connections();
+        self.commands.update_connections();
+        self.steps.update_connections();
+        self.statuses.update_connections();
+    }
+
+    /// Offers new weights and waits until the controller runs them in shadow.
+    #[allow(clippy::disallowed_methods)] // a test without processes reads the clock
+    fn swap(&mut self, version: u64) {
+        let file = lane_keeper(version);
+        let sha256 = policy::sha256(&file);
+        assert!(self.weights.offer(version, sha256, &file));
+        let until = monotonic().after_ns(30_000_000_000);
+        while monotonic() < until {
+            if let Some(status) = self.statuses.newest(Message::check) {
+                let is_its = status.offered_version == version;
+                if is_its && status.state() == PolicyState::Shadow {
+                    return;
+                }
+                assert_ne!(status.state(), PolicyState::Refused, "{}", status.refusal());
+            }
+            self.update_connections();
+            self.bell.wait(Duration::from_millis(1));
+        }
+        panic!("version {version} was not adopted");
+    }
+
+    /// The command of that tick and its step.
+    #[allow(clippy::disallowed_methods)] // a test without processes reads the clock
+    fn answer(&mut self, tick: u64) -> (Command, Step) {
+        let until = monotonic().after_ns(30_000_000_000);
+        let mut command = None;
+        while monotonic() < until {
+            if let Some(newest) = self.commands.newest(Message::check) {
+                command = Some(newest).filter(|newest| newest.header.tick == tick);
+            }
+            while let Some(step) = self.steps.receive() {
+                if let Some(command) = command.filter(|_| step.header.tick == tick) {
+                    return (command, step);
+                }
+            }
+            self.update_connections();
+            self.bell.wait(Duration::from_millis(1));
+        }
+        panic!("no command for tick {tick}");
     }
 }
 
@@ -105,151 +200,146 @@ struct Done {
     judged: u64,
     expert: u64,
     policy: u64,
-    adopted: u64,
-    promoted: u64,
+    versions: u64,
     version: u64,
+    ready: bool,
     metres: f64,
 }
 
-fn planner_tick(ports: &mut Ports, planner: &mut RrtStar, plan: &mut Plan, now: Instant) {
-    let observation = ports
-        .planner_in
-        .newest(Message::check)
-        .expect("an observation");
-    assert!(observation.admit(now, PERIOD_NS).is_ok());
-    planner.plan(&observation, plan);
-    ports.plan_out.send(plan);
-}
-
-fn controller_tick(ports: &mut Ports, controller: &mut Controller, tick: u64, now: Instant) {
-    let inputs = Inputs {
-        observation: ports.controller_in.newest(Message::check),
-        plan: ports.plan_in.newest(Message::check),
-        advice: ports.advice_in.newest(Message::check),
-        takeover: ports.takeover_in.newest(Message::check),
-        ..Inputs::default()
-    };
-    controller.tick(&inputs, tick, now, Intent::Drive);
-    let step = controller.step_mut();
-    ports.command_out.send(&mut step.command);
-    controller.propose_in_shadow();
-    ports.step_out.send(controller.step_mut());
-}
-
-#[test]
-fn ten_thousand_ticks_allocate_nothing() {
-    let name: RunName = format!("t{}-alloc", std::process::id())
-        .parse()
-        .expect("a name");
-    let paths = RunPaths::new(name.clone());
-    let wire = Wire::join(&name, Process::Controller).expect("shared memory");
-    // As in a run: the ports look at who sent each message.
-    let mut roster = Roster::default();
-    for process in Process::ALL {
-        roster.set(*process, Some(std::process::id()));
+impl Done {
+    fn count(&mut self, step: &Step) {
+        self.planned += u64::from(step.plan.outcome() != PlanOutcome::Blocked);
+        let judged = [step.expert_assessment, step.policy_assessment]
+            .map(|assessment| assessment.verdict() != Verdict::Absent);
+        self.judged += u64::from(judged == [true, true]);
+        self.versions += u64::from(step.weights_version != self.version);
+        self.version = step.weights_version;
+        self.expert += u64::from(step.driver() == Driver::Expert);
+        self.policy += u64::from(step.driver() == Driver::Policy);
     }
-    wire.trust(&roster);
-    let mut ports = Ports::open(&wire);
+}
+
+#[allow(clippy::disallowed_methods)] // a test without processes chooses the clock
+fn member(
+    process: Process,
+    (name, folder): (&RunName, &Path),
+    roster: &Roster,
+    stop: &Arc<AtomicBool>,
+) -> Member {
+    let wire = Wire::join(name, process).expect("shared memory");
+    // As in a run: the ports check which process sent each message.
+    wire.trust(roster);
+    let mut config = Config::default();
+    config.run.name = name.to_string();
+    config.run.folder = folder.display().to_string();
+    config.run.clock = Clock::Lockstep;
+    config.gate.mode = GateMode::Rules;
+    Member::embedded(process, config, wire, monotonic, stop.clone())
+}
+
+/// Drives for so many ticks, swaps weights meanwhile, and returns what was done.
+fn drive(rest: &mut Rest) -> Done {
     let mut world = World::new(WorldConfig::default()).expect("a world");
-    let mut planner = RrtStar::new(PlannerConfig::default()).expect("a planner");
-    let policy = PolicySlot::new(Some(Box::new(lane_keeper(1))));
-    let (exchange, mut hand) = (Exchange::default(), Hand::default());
-    let mut controller = Controller::new(Config::default(), policy);
-    let (mut observation, mut plan) = (Box::<Observation>::default(), Box::<Plan>::default());
+    let mut observation = Box::<Observation>::default();
     let (mut done, mut seed) = (Done::default(), 100);
-    let mut allocations = 0;
     world.reset(seed).expect("a map");
-
-    let control = measure(|| drop(std::hint::black_box(Vec::<u8>::with_capacity(100))));
-    assert_eq!(control.count_total, 1, "the counter counts");
-
     for tick in 0..TICKS + WARM_UP {
-        let now = Instant((tick + 1) * PERIOD_NS);
         // A car that the judge holds before an obstacle proves nothing more.
         if world.last_step().has_ended() || world.ticks() >= 400 {
             done.metres += world.driven_m();
             seed += 1;
             world.reset(seed).expect("a map");
         }
+        if tick % SWAP_TICKS == SWAP_TICKS / 2 {
+            rest.swap(1 + tick / SWAP_TICKS);
+        }
+        let header = &mut observation.header;
+        (header.tick, header.episode) = (tick, seed as u32);
+        header.taken_ns = (tick + 1) * PERIOD_NS;
+        rest.takeovers.send(&mut Takeover {
+            header: *header,
+            ..Takeover::default()
+        });
+        let header = *header;
         world.observe(&mut observation);
-        observation.header.tick = tick;
-        observation.header.taken_ns = now.0;
-        observation.header.episode = seed as u32;
-        ports.observation_out.send(&mut observation);
-        let turn = [Preference::Policy, Preference::Expert][(tick / 50 % 2) as usize];
-        ports.advice_out.send(&mut Advice {
-            preference: turn.code(),
+        observation.header = header;
+        rest.observations.send(&mut observation);
+        let (command, step) = rest.answer(tick);
+        done.count(&step);
+        let preference = [Preference::Policy, Preference::Expert][(tick / 50 % 2) as usize];
+        rest.advices.send(&mut Advice {
+            header,
+            preference: preference.code(),
             answers: 1,
             holds_until_ns: u64::MAX,
             ..Advice::default()
         });
-        ports.takeover_out.send(&mut Takeover {
-            header: observation.header,
-            ..Takeover::default()
-        });
-
-        // What the loader's thread does: an offer now and then.
-        if tick % SWAP_TICKS == SWAP_TICKS / 2 {
-            exchange.desk.lock().expect("a desk").offer = Some(Offer {
-                policy: Box::new(lane_keeper(2 + tick / SWAP_TICKS)),
-                begin: Begin::Shadow,
-            });
+        if let Some(status) = rest.statuses.newest(Message::check) {
+            done.ready = status.state() == PolicyState::Ready;
         }
-
-        let taken = measure(|| {
-            let Look::Seen(offer) = hand.look(&exchange) else {
-                panic!("nobody holds the desk");
-            };
-            if let Some(offer) = offer {
-                controller.adopt(offer, tick, &mut hand);
-            }
-            planner_tick(&mut ports, &mut planner, &mut plan, now);
-            controller_tick(&mut ports, &mut controller, tick, now);
-            controller.try_policies(&mut hand);
-        });
-        // Sending gives back the handle that was borrowed between the ticks: a
-        // free of 48 bytes to the thread's own cache, which takes no lock.
-        if tick >= WARM_UP {
-            allocations += taken.count_total;
-        }
-        let mut desk = exchange.desk.lock().expect("a desk");
-        desk.returned = Default::default();
-        for news in std::mem::take(&mut desk.news).into_iter().flatten() {
-            done.adopted += u64::from(matches!(news, News::Adopted { .. }));
-            done.promoted += u64::from(matches!(news, News::Promoted { .. }));
-        }
-        drop(desk);
-        ports.tend();
-
-        let step = controller.step();
-        done.planned += u64::from(step.plan.outcome() != PlanOutcome::Blocked);
-        let judged = [step.expert_assessment, step.policy_assessment]
-            .map(|assessment| assessment.verdict() != Verdict::Absent);
-        done.judged += u64::from(judged == [true, true]);
-        done.version = step.weights_version;
-        done.expert += u64::from(step.driver() == Driver::Expert);
-        done.policy += u64::from(step.driver() == Driver::Policy);
-        let command = ports.command_in.newest(Message::check).expect("a command");
+        rest.update_connections();
         world.step(command.action());
     }
-    drop(ports);
-    drop(wire);
+    done
+}
+
+#[test]
+fn ten_thousand_ticks_of_the_shipped_loops_allocate_nothing() {
+    let control = measure(|| drop(std::hint::black_box(Vec::<u8>::with_capacity(100))));
+    assert_eq!(control.count_total, 1, "the counter counts");
+    let pid = std::process::id();
+    let name: RunName = format!("t{pid}-alloc").parse().expect("a name");
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut roster = Roster::default();
+    for process in Process::ALL {
+        roster.set(*process, Some(pid));
+    }
+    let wire = Wire::join(&name, Process::World).expect("shared memory");
+    wire.trust(&roster);
+    let mut rest = Rest::open(&wire);
+    let stop = Arc::new(AtomicBool::new(false));
+    let [planner, controller] = [Counts::default(), Counts::default()];
+    let done = thread::scope(|scope| {
+        let planning = scope.spawn(|| {
+            let member = member(Process::Planner, (&name, folder.path()), &roster, &stop);
+            let ports = planner::ports::Ports::open(&member.wire).expect("ports");
+            let process = PlannerProcess::new(&member.config, ports).expect("a planner");
+            let counts = &planner;
+            let run = TickLoop::start(member).expect("ports");
+            run.run(&mut Counted { process, counts })
+        });
+        let controlling = scope.spawn(|| {
+            let member = member(Process::Controller, (&name, folder.path()), &roster, &stop);
+            let ports = controller::ports::Ports::open(&member.wire).expect("ports");
+            let mut run = TickLoop::start(member).expect("ports");
+            let process = ControllerProcess::open(&mut run, ports).expect("a controller");
+            let counts = &controller;
+            run.run(&mut Counted { process, counts })
+        });
+        let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| drive(&mut rest)));
+        stop.store(true, Ordering::Relaxed);
+        planning.join().expect("planner").expect("planner");
+        controlling.join().expect("controller").expect("controller");
+        done.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    });
+    drop((rest, wire));
+    let paths = RunPaths::new(name);
     let _ = paths.clean_if_dead();
     paths.remove_dir();
+
+    let read = |count: &AtomicU64| count.load(Ordering::Relaxed);
+    let ticks = TICKS + WARM_UP;
+    assert_eq!(
+        (read(&planner.ticks), read(&controller.ticks)),
+        (ticks, ticks)
+    );
     assert!(
         done.planned > 9_000 && done.judged > 9_000 && done.expert > 3_000 && done.policy > 3_000,
         "{done:?}"
     );
     let swaps = TICKS / SWAP_TICKS;
-    assert_eq!((done.adopted, done.promoted), (swaps, swaps), "{done:?}");
-    assert_eq!(
-        done.version,
-        swaps + 1,
-        "the last one is in charge: {done:?}"
-    );
-    assert!(done.metres > 1_000.0, "{done:?}");
-    assert_eq!(
-        allocations, 0,
-        "allocations and reallocations in {TICKS} ticks"
-    );
+    assert_eq!((done.versions, done.version), (swaps, swaps), "{done:?}");
+    assert!(done.ready && done.metres > 1_000.0, "{done:?}");
+    let counted = (read(&planner.allocations), read(&controller.allocations));
+    assert_eq!(counted, (0, 0), "allocations in {TICKS} ticks");
 }

@@ -52,7 +52,7 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
         assert!(number(row, "ticks") > 0.0, "{row}");
         let threads = row["threads"].as_array().expect("threads");
         assert!(threads[0]["is_tick"] == true, "{row}");
-        // No helper has the rights of the tick's thread.
+        // No other thread has the privileges of the tick's thread.
         for helper in &threads[1..] {
             assert_eq!(helper["scheduling_got"], "ordinary", "{helper}");
             assert_eq!(helper["priority_got"], 0, "{helper}");
@@ -181,17 +181,9 @@ fn late_plans_brake_where_that_is_configured() {
 }
 
 #[test]
-fn a_budget_that_nobody_can_keep_is_overrun_in_every_tick_by_its_part() {
+fn a_budget_too_small_for_any_tick_is_overrun_in_every_tick_by_its_part() {
     let set = Set::new("budgets");
-    let json = drive(
-        &set,
-        &[
-            "--set",
-            "deadlines.controller_decide=1e-6",
-            "--set",
-            "deadlines.world_observe=1e-6",
-        ],
-    );
+    let json = drive(&set, &["--set", "deadlines.budget_scale=1e-6"]);
     let processes = &json["processes"];
     for (process, part) in [("controller", "decide"), ("world", "observe")] {
         let row = &processes[process];

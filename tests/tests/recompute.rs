@@ -31,7 +31,7 @@ fn recomputed(set: &mut Set, arguments: &[&str], ticks: u64) -> Vec<Step> {
     let config = load(&set.paths().config_file()).expect("the run's configuration");
     let mut steps: Vec<Step> = Vec::new();
     until("enough is driven", || {
-        port.tend();
+        port.update_connections();
         steps.extend(std::iter::from_fn(|| port.receive()));
         steps.last().is_some_and(|step| step.header.tick >= ticks)
     });

@@ -120,17 +120,17 @@ fn wrong_hash(set: &Set, bytes: &[u8]) -> String {
     let mut statuses = wire.subscriber(POLICY_STATUS).expect("a port");
     let mut newest = None;
     until("the controller has said what it has", || {
-        statuses.tend();
+        statuses.update_connections();
         newest = statuses.newest(Message::check).or(newest);
         newest.is_some()
     });
     let version = newest.map_or(0, |status| status.offered_version) + 1;
-    offers.tend();
+    offers.update_connections();
     assert!(offers.offer(version, [7; 32], bytes));
     let mut reason = String::new();
     until("the offer is refused", || {
-        offers.tend();
-        statuses.tend();
+        offers.update_connections();
+        statuses.update_connections();
         if let Some(status) = statuses.newest(Message::check)
             && status.offered_version == version
         {

@@ -179,7 +179,7 @@ impl Liar<'_> {
         spoil: impl Fn(&mut M, f64, u32),
     ) -> Result<(), WireError> {
         let mut port: Publisher<M> = self.wire.publisher(service)?;
-        port.tend();
+        port.update_connections();
         let count = match self.lie {
             Lie::Flood => FLOOD,
             _ => REPEATS,

@@ -102,12 +102,12 @@ impl Watch {
 
     /// Reads everything that came. Never waits.
     pub fn look(&mut self, clock: Clock) {
-        self.steps.tend();
-        self.commands.tend();
-        self.progress.tend();
-        self.orders.tend();
+        self.steps.update_connections();
+        self.commands.update_connections();
+        self.progress.update_connections();
+        self.orders.update_connections();
         for sign in &mut self.signs {
-            sign.port.tend();
+            sign.port.update_connections();
             // What a dead one left and what its successor says.
             while let Some(health) = sign.port.receive() {
                 let newer = sign

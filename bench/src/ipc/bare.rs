@@ -136,7 +136,7 @@ impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Link for Bare<M> {
         }
     }
 
-    fn tend(&mut self) {
+    fn update_connections(&mut self) {
         self.room = self.publisher.loan_uninit().ok();
     }
 

@@ -30,7 +30,7 @@ pub trait Link {
     fn receive(&mut self) -> anyhow::Result<bool>;
 
     /// What is done between two messages: room for the next one.
-    fn tend(&mut self);
+    fn update_connections(&mut self);
 
     /// Sleeps until the bell rings, or a moment has passed.
     fn wait(&self);
@@ -75,7 +75,7 @@ pub fn ping(
         if !link.send() {
             bail!("a message could not be sent: no shared memory");
         }
-        link.tend();
+        link.update_connections();
         await_message(link, turns.wake, clock)?;
         let round_ns = clock().since_ns(sent);
         if k >= warm {
@@ -95,7 +95,7 @@ pub fn echo(link: &mut impl Link, turns: Turns, clock: Clock) -> anyhow::Result<
         if !link.send() {
             bail!("a message could not be sent: no shared memory");
         }
-        link.tend();
+        link.update_connections();
     }
     Ok(())
 }

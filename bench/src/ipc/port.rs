@@ -165,9 +165,9 @@ impl<M: Measured> Link for Port<M> {
         }
     }
 
-    fn tend(&mut self) {
-        self.publisher.tend();
-        self.subscriber.tend();
+    fn update_connections(&mut self) {
+        self.publisher.update_connections();
+        self.subscriber.update_connections();
     }
 
     fn wait(&self) {

@@ -98,11 +98,11 @@ impl Watch {
     /// Takes in what came since the last look. Often enough for the queue of
     /// steps.
     pub fn look(&mut self) {
-        self.steps.tend();
+        self.steps.update_connections();
         let seen = &mut self.seen;
         while self.steps.visit(|step| seen.step(step)).is_some() {}
         for account in &mut self.accounts {
-            account.port.tend();
+            account.port.update_connections();
             let Some(health) = account.port.newest(Message::check) else {
                 continue;
             };

@@ -241,7 +241,7 @@ fn watch(
                 due = tick + step;
             }
         }
-        progress.tend();
+        progress.update_connections();
         supervisor::machine::signals::pause(LOOK);
     }
     bar.finish_and_clear();

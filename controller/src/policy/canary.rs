@@ -3,16 +3,16 @@ use std::fmt;
 use shm_config::config;
 use vehicle::Action;
 
-/// Ticks before a rate says anything, where the probation is shorter: with
-/// fewer, one bend taken badly would be a rate.
+/// Ticks before a rate counts, where the canary period is shorter: with fewer, one
+/// bend taken badly would be a rate.
 const EVIDENCE_TICKS: u32 = 10;
 
-/// When weights are promoted, settled, and given up.
+/// When weights are promoted, settled, and rolled back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     /// Ticks in shadow.
-    pub probation_ticks: u32,
-    /// Ticks in charge with those before at hand.
+    pub shadow_ticks: u32,
+    /// Ticks as the active weights with those before kept.
     pub watch_ticks: u32,
     /// Share of ticks with a veto, [0, 1].
     pub veto_rate_max: f64,
@@ -23,7 +23,7 @@ pub struct Limits {
 impl From<&config::Policy> for Limits {
     fn from(policy: &config::Policy) -> Self {
         Self {
-            probation_ticks: policy.probation_ticks,
+            shadow_ticks: policy.probation_ticks,
             watch_ticks: policy.watch_ticks,
             veto_rate_max: policy.veto_rate_max,
             jump_max: policy.jump_max,
@@ -31,14 +31,14 @@ impl From<&config::Policy> for Limits {
     }
 }
 
-/// Why weights are given up.
+/// Why weights are rolled back.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
     /// The judge vetoed too many proposals.
     Vetoed {
-        /// So many.
+        /// Proposals vetoed.
         vetoed: u32,
-        /// Of so many.
+        /// Of this many.
         ticks: u32,
     },
     /// The proposals jump.
@@ -47,7 +47,7 @@ pub enum Fault {
         mean: f64,
     },
     /// An answer was NaN or infinite.
-    NoNumber,
+    NotFinite,
 }
 
 impl fmt::Display for Fault {
@@ -61,26 +61,26 @@ impl fmt::Display for Fault {
                 f,
                 "the action jumps by {mean:.2} from tick to tick on average, over policy.jump_max"
             ),
-            Self::NoNumber => write!(f, "an answer was not finite"),
+            Self::NotFinite => write!(f, "an answer was not finite"),
         }
     }
 }
 
-/// How weights did so far.
+/// The record of new weights: proposals, vetoes, jumps.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Trial {
+pub struct Canary {
     /// Ticks with a proposal.
     ticks: u32,
     vetoed: u32,
     jumps: u32,
     jumped: f64,
     last: Option<(Action, u32)>,
-    has_no_number: bool,
+    was_not_finite: bool,
 }
 
-impl Trial {
-    /// Counts one tick. Ticks without a proposal, as those of a car that does not
-    /// see, say nothing of the weights.
+impl Canary {
+    /// Counts one tick. Ticks without a proposal, as those of a car without
+    /// an observation, do not count.
     pub fn count(&mut self, proposal: Option<Action>, is_vetoed: bool, episode: u32) {
         let Some(action) = proposal else {
             self.last = None;
@@ -98,8 +98,8 @@ impl Trial {
     }
 
     /// An answer was NaN or infinite.
-    pub fn count_no_number(&mut self) {
-        self.has_no_number = true;
+    pub fn count_not_finite(&mut self) {
+        self.was_not_finite = true;
     }
 
     /// Ticks with a proposal.
@@ -107,12 +107,12 @@ impl Trial {
         self.ticks
     }
 
-    /// Why the weights are to be given up; `None` as long as they are not.
+    /// Why the weights are to be rolled back; `None` as long as they are not.
     pub fn fault(&self, limits: &Limits) -> Option<Fault> {
-        if self.has_no_number {
-            return Some(Fault::NoNumber);
+        if self.was_not_finite {
+            return Some(Fault::NotFinite);
         }
-        if self.ticks < limits.probation_ticks.max(EVIDENCE_TICKS) {
+        if self.ticks < limits.shadow_ticks.max(EVIDENCE_TICKS) {
             return None;
         }
         let (vetoed, ticks) = (self.vetoed, self.ticks);

@@ -1,4 +1,4 @@
-//! The weights in charge, kept on disk for a restart of controller or run.
+//! The active weights, kept on disk for a restart of controller or run.
 
 use std::io;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ const NOTE_BYTES_MAX: u64 = 256;
 
 /// Weights with their version.
 #[derive(Debug, Clone)]
-pub struct Good {
+pub struct LastGood {
     /// Of the run.
     pub version: u64,
     /// The policy file.
@@ -23,13 +23,13 @@ pub struct Good {
 }
 
 /// The file in the run's folder.
-pub struct GoodFile {
+pub struct LastGoodFile {
     folder: PathBuf,
     /// The supervisor's process, which outlives its controllers.
     run: u32,
 }
 
-impl GoodFile {
+impl LastGoodFile {
     /// In this folder; nothing is read yet.
     pub fn new(folder: &str) -> Self {
         Self {
@@ -40,7 +40,7 @@ impl GoodFile {
 
     /// What is kept, if it is whole. Where the note is of another file, the
     /// version begins at 1.
-    pub fn read(&self) -> Option<Good> {
+    pub fn read(&self) -> Option<LastGood> {
         let bytes = self
             .open()
             .ok()?
@@ -51,7 +51,7 @@ impl GoodFile {
             .note()
             .filter(|note| note.hash == hash)
             .map_or(1, |note| note.version);
-        Some(Good { version, bytes })
+        Some(LastGood { version, bytes })
     }
 
     /// It was written under the supervisor that lives: the controller was
@@ -65,7 +65,7 @@ impl GoodFile {
     ///
     /// # Errors
     /// When the disk refuses; what was kept before stays.
-    pub fn write(&self, good: Option<&Good>) -> io::Result<()> {
+    pub fn write(&self, good: Option<&LastGood>) -> io::Result<()> {
         let folder = self.open()?;
         let Some(good) = good else {
             return match folder.remove(FILE) {

@@ -1,31 +1,31 @@
-//! How policies change hands between the loader's thread and the tick's.
+//! The single-slot mailbox between the loader's thread and the tick's.
 //!
-//! One desk behind a lock that is held for moving a few pointers. The tick's
-//! side only ever tries the lock, between two ticks, and comes back later when
-//! it is taken: it never waits, and never allocates or frees.
+//! Its lock is held for moving a few pointers. The tick's end only tries the lock,
+//! between two ticks, and tries again later when it is taken: it never waits, and
+//! never allocates or frees.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::{Begin, Fault, Policy};
+use super::{Fault, Policy, StartStage};
 
-/// Things that may lie on the way to the loader at a time. One turn gives back
-/// at most two policies and says one thing; the tick's side takes nothing new
-/// up before they are gone.
-const WAY_MAX: usize = 8;
+/// Policies and events on their way to the loader at a time. One outcome of a canary
+/// returns at most two policies and one event; the tick's end adopts nothing new
+/// before they are gone.
+const RETURNS_MAX: usize = 8;
 
 /// A checked, built and warmed policy.
-pub struct Offer {
-    /// What.
+pub struct Candidate {
+    /// The policy.
     pub policy: Box<dyn Policy>,
     /// How it begins.
-    pub begin: Begin,
+    pub start: StartStage,
 }
 
-/// What the tick's side says.
+/// What became of a candidate, for the loader.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum News {
-    /// This version was taken up.
+pub enum SwapEvent {
+    /// This version was adopted.
     Adopted {
         /// The version.
         version: u64,
@@ -39,7 +39,7 @@ pub enum News {
         /// From this tick on.
         tick: u64,
     },
-    /// It was given up.
+    /// It was rolled back.
     RolledBack {
         /// The version.
         version: u64,
@@ -47,34 +47,34 @@ pub enum News {
         tick: u64,
         /// Why.
         fault: Fault,
-        /// Version and hash in charge now; zeros for none.
-        charged: (u64, u64),
+        /// Version and hash of the active weights; zeros for none.
+        active: (u64, u64),
     },
 }
 
-/// What lies between the two.
+/// What is in the mailbox.
 #[derive(Default)]
-pub struct Desk {
+pub struct Contents {
     /// For the tick.
-    pub offer: Option<Offer>,
+    pub candidate: Option<Candidate>,
     /// For the loader, to be dropped.
-    pub returned: [Option<Box<dyn Policy>>; WAY_MAX],
+    pub returned: [Option<Box<dyn Policy>>; RETURNS_MAX],
     /// For the loader, in order.
-    pub news: [Option<News>; WAY_MAX],
+    pub events: [Option<SwapEvent>; RETURNS_MAX],
     /// The number of the first tick of this controller; `None` before it.
     pub first_tick: Option<u64>,
 }
 
-/// The desk, and up to which version the loader has decided.
+/// The mailbox, and up to which version the loader has decided.
 #[derive(Default)]
-pub struct Exchange {
-    /// The desk.
-    pub desk: Mutex<Desk>,
+pub struct Mailbox {
+    /// Its contents.
+    pub contents: Mutex<Contents>,
     decided: AtomicU64,
 }
 
-impl Exchange {
-    /// Up to this version, every offer is refused or lies on the desk.
+impl Mailbox {
+    /// Up to this version, every offer is refused or is in the mailbox.
     pub fn decided(&self) -> u64 {
         self.decided.load(Ordering::Acquire)
     }
@@ -85,38 +85,38 @@ impl Exchange {
     }
 }
 
-/// The tick's side of the desk.
+/// The tick's end of the mailbox.
 #[derive(Default)]
-pub struct Hand {
-    returned: [Option<Box<dyn Policy>>; WAY_MAX],
-    news: [Option<News>; WAY_MAX],
+pub struct TickEnd {
+    returned: [Option<Box<dyn Policy>>; RETURNS_MAX],
+    events: [Option<SwapEvent>; RETURNS_MAX],
     first_tick: Option<u64>,
 }
 
-/// What a look at the desk brought.
-pub enum Look {
-    /// The desk is taken: look again later.
-    Taken,
-    /// What lay there for the tick.
-    Seen(Option<Offer>),
+/// What an exchange with the mailbox brought.
+pub enum Exchanged {
+    /// The mailbox is locked: try again later.
+    Locked,
+    /// Events and policies are delivered; the candidate for the tick, if any.
+    Done(Option<Candidate>),
 }
 
-impl Hand {
-    /// Puts down what has gathered and takes what is there. Never waits.
-    pub fn look(&mut self, exchange: &Exchange) -> Look {
-        let Ok(mut desk) = exchange.desk.try_lock() else {
-            return Look::Taken;
+impl TickEnd {
+    /// Delivers returned policies and events, and takes the candidate. Never waits.
+    pub fn exchange(&mut self, mailbox: &Mailbox) -> Exchanged {
+        let Ok(mut contents) = mailbox.contents.try_lock() else {
+            return Exchanged::Locked;
         };
-        move_over(&mut self.returned, &mut desk.returned);
-        move_over(&mut self.news, &mut desk.news);
-        desk.first_tick = self.first_tick;
+        move_over(&mut self.returned, &mut contents.returned);
+        move_over(&mut self.events, &mut contents.events);
+        contents.first_tick = self.first_tick;
         let is_empty =
-            self.returned.iter().all(Option::is_none) && self.news.iter().all(Option::is_none);
-        Look::Seen(is_empty.then(|| desk.offer.take()).flatten())
+            self.returned.iter().all(Option::is_none) && self.events.iter().all(Option::is_none);
+        Exchanged::Done(is_empty.then(|| contents.candidate.take()).flatten())
     }
 
-    /// A tick of this number is done. The first one counts: what was taken up before it
-    /// proposes from it on.
+    /// A tick of this number is done. The first one counts: weights that were adopted
+    /// before it propose from it on.
     pub fn count_tick(&mut self, tick: u64) {
         self.first_tick.get_or_insert(tick);
     }
@@ -126,27 +126,27 @@ impl Hand {
         self.first_tick.is_some()
     }
 
-    /// Has room for everything that one tick can bring.
-    pub fn has_room(&self) -> bool {
-        let free = |count: usize| count + 4 <= WAY_MAX;
-        free(self.returned.iter().flatten().count()) && free(self.news.iter().flatten().count())
+    /// Holds everything that one more tick can return.
+    pub fn has_space(&self) -> bool {
+        let free = |count: usize| count + 4 <= RETURNS_MAX;
+        free(self.returned.iter().flatten().count()) && free(self.events.iter().flatten().count())
     }
 
-    /// Policies to be dropped.
+    /// Returns policies to be dropped.
     pub fn give_back(&mut self, policies: impl IntoIterator<Item = Option<Box<dyn Policy>>>) {
         for policy in policies.into_iter().flatten() {
             put(&mut self.returned, policy);
         }
     }
 
-    /// Something to be said.
-    pub fn say(&mut self, news: News) {
-        put(&mut self.news, news);
+    /// Reports an event.
+    pub fn report(&mut self, event: SwapEvent) {
+        put(&mut self.events, event);
     }
 }
 
 fn put<T>(places: &mut [Option<T>], thing: T) {
-    // There is always one: `has_room` is asked before anything happens. A policy
+    // There is always one: `has_space` is asked before anything happens. A policy
     // without one would be dropped here, which frees, but loses nothing else.
     if let Some(place) = places.iter_mut().find(|place| place.is_none()) {
         *place = Some(thing);

@@ -1,32 +1,36 @@
-//! The policy in the tick: who proposes, who is tried in shadow, who waits to
-//! come back.
+//! The policy in the tick: the active weights, those in shadow, and those kept for a
+//! roll-back.
 //!
-//! New weights go through three stages. **Shadow**: for `policy.probation_ticks`
-//! they propose beside those in charge, which go on driving; the step records
-//! those in charge alone. **Watched**: they are in charge, and those before stay
-//! at hand for `policy.watch_ticks`. **Settled**: those before are given back.
-//! Where their proposals are vetoed or jump too often, or are no numbers, they
-//! are given up for those before: in shadow or watched, by themselves, between
-//! two ticks.
+//! New weights go through three stages. **Shadow**: for the canary period
+//! (`policy.probation_ticks`) they propose beside the active ones, which go on driving;
+//! the step records the active ones alone. **Watched**: they are active, and those
+//! before are kept for `policy.watch_ticks`. **Settled**: those before are returned.
+//! Where their proposals are vetoed or jump too often, or are not finite, they are
+//! rolled back to those before, in shadow or watched, between two ticks.
 
-mod exchange;
-mod good;
+mod build;
+mod canary;
+#[cfg(feature = "process")]
+mod last_good;
+#[cfg(feature = "process")]
 mod loader;
+mod mailbox;
 mod native;
 mod ort;
-mod trial;
 
-pub use exchange::{Exchange, Hand, Look, News, Offer};
-pub use loader::{Loader, Terms, build};
+pub use build::{Terms, build};
+pub use canary::{Fault, Limits};
+#[cfg(feature = "process")]
+pub use loader::Loader;
+pub use mailbox::{Candidate, Exchanged, Mailbox, SwapEvent, TickEnd};
 pub use native::NativePolicy;
 pub use ort::{OrtPolicy, OrtSession, library};
-pub use trial::{Fault, Limits};
 
 use shm_config::message::{BEAMS_MAX, Observation, Stage};
 use vehicle::Action;
 
 use crate::PolicyAnswer;
-use trial::Trial;
+use canary::Canary;
 
 /// A learned driver. Called once in every tick, so it must not allocate, block
 /// or take long.
@@ -42,32 +46,32 @@ pub trait Policy: Send {
     fn hash(&self) -> u64;
 }
 
-/// A policy, and how it did so far.
-struct OnTrial {
+/// A policy, and its record so far.
+struct TrackedPolicy {
     policy: Box<dyn Policy>,
-    trial: Trial,
+    canary: Canary,
 }
 
 /// How new weights begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Begin {
+pub enum StartStage {
     /// In shadow, for as long as the limits say.
     Shadow,
-    /// In charge, settled: they were good before.
+    /// Active and settled: they were good before.
     Settled,
 }
 
-/// What became of the weights under trial.
+/// What became of new weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Turn {
+pub enum CanaryOutcome {
     /// They may drive from the next tick on.
     Promoted {
         /// Their version.
         version: u64,
     },
-    /// They have been in charge for long enough.
+    /// They have been active for long enough.
     Settled,
-    /// They are given up for those before.
+    /// They are rolled back to those before.
     RolledBack {
         /// Their version.
         version: u64,
@@ -76,26 +80,26 @@ pub enum Turn {
     },
 }
 
-/// Where the policies sit, and the room for their input.
+/// The policies, and the workspace of their input.
 pub struct PolicySlot {
     /// May drive.
-    charged: Option<OnTrial>,
-    /// Those before, while those in charge are watched.
+    active: Option<TrackedPolicy>,
+    /// Those before, while the active ones are watched.
     before: Option<Box<dyn Policy>>,
     is_watched: bool,
-    shadow: Option<OnTrial>,
+    shadow: Option<TrackedPolicy>,
     features: [f32; 19 + BEAMS_MAX],
 }
 
-/// Policies on their way out; whoever gets them drops them outside the tick.
+/// Policies to be dropped outside the tick.
 pub type Discarded = [Option<Box<dyn Policy>>; 3];
 
 impl PolicySlot {
-    /// With a policy in charge, or empty: then the expert drives and the step
+    /// With an active policy, or empty: then the expert drives and the step
     /// says so.
     pub fn new(policy: Option<Box<dyn Policy>>) -> Self {
         Self {
-            charged: policy.map(OnTrial::new),
+            active: policy.map(TrackedPolicy::new),
             before: None,
             is_watched: false,
             shadow: None,
@@ -105,24 +109,26 @@ impl PolicySlot {
 
     /// How far the policy is on its way to the wheel.
     pub fn stage(&self) -> Stage {
-        match (&self.charged, &self.shadow) {
+        match (&self.active, &self.shadow) {
             (Some(_), _) => Stage::Active,
             (None, Some(_)) => Stage::Shadow,
             (None, None) => Stage::Unloaded,
         }
     }
 
-    /// Version and hash of the weights in charge; zeros for none.
+    /// Version and hash of the active weights; zeros for none.
     pub fn weights(&self) -> (u64, u64) {
-        let charged = self.charged.as_ref();
-        charged.map_or((0, 0), |on| (on.policy.version(), on.policy.hash()))
+        let active = self.active.as_ref();
+        active.map_or((0, 0), |tracked| {
+            (tracked.policy.version(), tracked.policy.hash())
+        })
     }
 
-    /// The proposal of the weights in charge, clamped; `None` when there are
+    /// The proposal of the active weights, clamped; `None` when there are
     /// none or their answer is late or not finite.
     pub fn propose(&mut self, observation: &Observation) -> Option<Action> {
-        let charged = self.charged.as_mut()?;
-        charged.propose(observation, &mut self.features)
+        let active = self.active.as_mut()?;
+        active.propose(observation, &mut self.features)
     }
 
     /// What the tick needs of the policies; they are asked only where it `sees`.
@@ -146,97 +152,106 @@ impl PolicySlot {
         shadow.propose(observation, &mut self.features)
     }
 
-    /// Takes new weights up. Those in shadow, if any, make place for them.
-    pub fn adopt(&mut self, policy: Box<dyn Policy>, begin: Begin) -> Discarded {
-        let superseded = self.shadow.take().map(|on| on.policy);
-        match begin {
-            Begin::Shadow => {
-                self.shadow = Some(OnTrial::new(policy));
+    /// Adopts new weights. They replace those in shadow, if any.
+    pub fn adopt(&mut self, policy: Box<dyn Policy>, start: StartStage) -> Discarded {
+        let superseded = self.shadow.take().map(|tracked| tracked.policy);
+        match start {
+            StartStage::Shadow => {
+                self.shadow = Some(TrackedPolicy::new(policy));
                 [superseded, None, None]
             }
-            Begin::Settled => {
-                let old = self.charged.replace(OnTrial::new(policy));
+            StartStage::Settled => {
+                let old = self.active.replace(TrackedPolicy::new(policy));
                 self.is_watched = false;
-                [superseded, old.map(|on| on.policy), self.before.take()]
+                [
+                    superseded,
+                    old.map(|tracked| tracked.policy),
+                    self.before.take(),
+                ]
             }
         }
     }
 
-    /// Counts one tick of the weights in charge; of the last step's proposal and
-    /// verdict.
+    /// Counts one tick of the active weights: the last step's proposal and verdict.
     pub fn count(&mut self, proposal: Option<Action>, is_vetoed: bool, episode: u32) {
-        if let Some(on) = &mut self.charged {
-            on.trial.count(proposal, is_vetoed, episode);
+        if let Some(tracked) = &mut self.active {
+            tracked.canary.count(proposal, is_vetoed, episode);
         }
     }
 
     /// The same of the weights in shadow.
     pub fn count_shadow(&mut self, proposal: Option<Action>, is_vetoed: bool, episode: u32) {
-        if let Some(on) = &mut self.shadow {
-            on.trial.count(proposal, is_vetoed, episode);
+        if let Some(tracked) = &mut self.shadow {
+            tracked.canary.count(proposal, is_vetoed, episode);
         }
     }
 
     /// Promotes, settles or rolls back what is due; at most one of them. Between
     /// two ticks.
-    pub fn turn(&mut self, limits: &Limits) -> (Option<Turn>, Discarded) {
+    pub fn advance(&mut self, limits: &Limits) -> (Option<CanaryOutcome>, Discarded) {
         if let Some(shadow) = &self.shadow {
-            if let Some(fault) = shadow.trial.fault(limits) {
+            if let Some(fault) = shadow.canary.fault(limits) {
                 let version = shadow.policy.version();
-                let discarded = self.shadow.take().map(|on| on.policy);
-                let turn = Turn::RolledBack { version, fault };
-                return (Some(turn), [discarded, None, None]);
+                let discarded = self.shadow.take().map(|tracked| tracked.policy);
+                let outcome = CanaryOutcome::RolledBack { version, fault };
+                return (Some(outcome), [discarded, None, None]);
             }
-            if shadow.trial.ticks() >= limits.probation_ticks {
+            if shadow.canary.ticks() >= limits.shadow_ticks {
                 return self.promote();
             }
         }
         if !self.is_watched {
             return (None, [None, None, None]);
         }
-        let Some(charged) = &self.charged else {
+        let Some(active) = &self.active else {
             return (None, [None, None, None]);
         };
-        if let Some(fault) = charged.trial.fault(limits) {
-            let version = charged.policy.version();
-            let discarded = self.charged.take().map(|on| on.policy);
-            self.charged = self.before.take().map(OnTrial::new);
+        if let Some(fault) = active.canary.fault(limits) {
+            let version = active.policy.version();
+            let discarded = self.active.take().map(|tracked| tracked.policy);
+            self.active = self.before.take().map(TrackedPolicy::new);
             self.is_watched = false;
-            let turn = Turn::RolledBack { version, fault };
-            return (Some(turn), [discarded, None, None]);
+            let outcome = CanaryOutcome::RolledBack { version, fault };
+            return (Some(outcome), [discarded, None, None]);
         }
-        if charged.trial.ticks() >= limits.watch_ticks {
+        if active.canary.ticks() >= limits.watch_ticks {
             self.is_watched = false;
-            return (Some(Turn::Settled), [self.before.take(), None, None]);
+            return (
+                Some(CanaryOutcome::Settled),
+                [self.before.take(), None, None],
+            );
         }
         (None, [None, None, None])
     }
 
-    fn promote(&mut self) -> (Option<Turn>, Discarded) {
-        let promoted = self.shadow.take().map(|on| OnTrial::new(on.policy));
-        let old = std::mem::replace(&mut self.charged, promoted);
-        let older = std::mem::replace(&mut self.before, old.map(|on| on.policy));
+    fn promote(&mut self) -> (Option<CanaryOutcome>, Discarded) {
+        let promoted = self
+            .shadow
+            .take()
+            .map(|tracked| TrackedPolicy::new(tracked.policy));
+        let old = std::mem::replace(&mut self.active, promoted);
+        let older = std::mem::replace(&mut self.before, old.map(|tracked| tracked.policy));
         self.is_watched = true;
-        let turn = Turn::Promoted {
+        let outcome = CanaryOutcome::Promoted {
             version: self.weights().0,
         };
-        (Some(turn), [older, None, None])
+        (Some(outcome), [older, None, None])
     }
 }
 
-impl OnTrial {
+impl TrackedPolicy {
     fn new(policy: Box<dyn Policy>) -> Self {
         Self {
             policy,
-            trial: Trial::default(),
+            canary: Canary::default(),
         }
     }
 
-    fn propose(&mut self, observation: &Observation, room: &mut [f32]) -> Option<Action> {
-        let features = observation.features(room)?;
+    fn propose(&mut self, observation: &Observation, workspace: &mut [f32]) -> Option<Action> {
+        let features = observation.features(workspace)?;
         let action = self.policy.infer(features)?;
         if !action.is_finite() {
-            self.trial.count_no_number();
+            self.canary.count_not_finite();
             return None;
         }
         Some(action.clamped())

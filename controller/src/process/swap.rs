@@ -1,28 +1,27 @@
-//! What the process does about policies between two ticks: over the desk and
-//! back, and in lockstep the wait for the learner.
+//! What the process does about policies between two ticks: the exchange with the
+//! loader's mailbox, and in lockstep the wait for the learner.
 
 use std::time::Duration;
 
-use controller::ports::LearnerPorts;
-use controller::{Controller, Hand, Loader, Look};
-use runtime::{Member, Pulse, SetUpError};
+use runtime::{Member, SetUpError, TickLoop};
+use shm_config::Message;
 use shm_config::message::Learning;
-use shm_config::time::monotonic;
-use shm_config::wire::Doorbell;
-use shm_config::{Instant, Message};
 
-/// Between two looks at a desk that somebody holds.
-const MOMENT: Duration = Duration::from_micros(50);
-/// From look to look at the learner and the loader, in lockstep.
-const NAP: Duration = Duration::from_millis(2);
-/// How long what the run begins with may take to be loaded, ns: ONNX Runtime's
+use crate::ports::LearnerPorts;
+use crate::{Controller, Exchanged, Loader, TickEnd};
+
+/// Between two tries of a mailbox that is locked.
+const RETRY: Duration = Duration::from_micros(50);
+/// Interval at which learner and loader are polled, in lockstep, ns.
+const POLL_NS: u64 = 2_000_000;
+/// How long the run's first policy may take to be loaded, ns: ONNX Runtime's
 /// library takes a quarter of a second on an idle machine.
-const BEGIN_NS: u64 = 60_000_000_000;
+const LOAD_NS: u64 = 60_000_000_000;
 
 /// The process's side of the loader.
-pub struct Handover {
+pub struct PolicySwap {
     loader: Loader,
-    hand: Hand,
+    end: TickEnd,
     learning: Option<Learner>,
 }
 
@@ -31,7 +30,7 @@ struct Learner {
     ports: LearnerPorts,
     newest: Learning,
     /// Steps driven, in this run and in those that it goes on with; `None` until
-    /// the learner has said how many there were.
+    /// the learner has published how many there were.
     steps: Option<u64>,
     /// Steps of this controller.
     own_steps: u64,
@@ -40,9 +39,16 @@ struct Learner {
     is_silent: bool,
 }
 
-impl Handover {
-    /// Opens what is needed, with the loader at work already.
-    pub fn open(member: &Member, loader: Loader) -> Result<Self, SetUpError> {
+impl PolicySwap {
+    /// Starts the loader and opens what is needed, before the process applies its
+    /// real-time privileges.
+    ///
+    /// # Errors
+    /// When the system gives no thread, or shared memory refuses.
+    pub fn open(member: &Member) -> Result<Self, SetUpError> {
+        let loader = Loader::start(&member.config, member.clock).map_err(|error| {
+            SetUpError::Own(format!("cannot start the loader's thread: {error}"))
+        })?;
         let learner = &member.config.learner;
         let learning = match member.config.run.is_lockstep() && learner.enabled {
             false => None,
@@ -58,30 +64,31 @@ impl Handover {
         };
         Ok(Self {
             loader,
-            hand: Hand::default(),
+            end: TickEnd::default(),
             learning,
         })
     }
 
-    /// Waits until what the run begins with is loaded, and adopts it: the first
-    /// tick has it.
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
+    /// Waits until the run's first policy is loaded, and adopts it: the first tick
+    /// has it.
+    ///
+    /// # Errors
+    /// When the policy is refused, or takes too long.
     pub fn begin(
         &mut self,
+        run: &mut TickLoop,
         controller: &mut Controller,
-        member: &Member,
-        pulse: &mut Pulse,
     ) -> Result<(), SetUpError> {
-        let until = monotonic().after_ns(BEGIN_NS);
-        while !member.is_stopping() {
-            pulse.beat(monotonic());
-            match self.loader.begun(NAP) {
+        let until = run.now().after_ns(LOAD_NS);
+        while !run.member.is_stopping() {
+            run.telemetry.heartbeat(run.member.now());
+            match self.loader.begun(Duration::from_nanos(POLL_NS)) {
                 Some(Ok(())) => {
-                    self.take(controller);
+                    self.exchange_now(controller);
                     return Ok(());
                 }
                 Some(Err(why)) => return Err(SetUpError::Own(why)),
-                None if monotonic() >= until => {
+                None if run.now() >= until => {
                     return Err(SetUpError::Own("the policy takes too long to load".into()));
                 }
                 None => {}
@@ -90,55 +97,50 @@ impl Handover {
         Ok(())
     }
 
-    /// Takes up what lies on the desk, if nobody holds it now. Never waits.
-    pub fn look(&mut self, controller: &mut Controller) -> bool {
-        match self.hand.look(self.loader.exchange()) {
-            Look::Taken => false,
-            Look::Seen(None) => true,
-            Look::Seen(Some(offer)) => {
-                let tick = match self.hand.has_ticked() {
+    /// Adopts what is in the mailbox, unless that is locked now; returns whether it was
+    /// not. Never waits.
+    pub fn exchange(&mut self, controller: &mut Controller) -> bool {
+        match self.end.exchange(self.loader.mailbox()) {
+            Exchanged::Locked => false,
+            Exchanged::Done(None) => true,
+            Exchanged::Done(Some(candidate)) => {
+                let tick = match self.end.has_ticked() {
                     true => controller.step().header.tick.saturating_add(1),
                     // The loader is told the number of the first tick when it is known.
                     false => 0,
                 };
-                controller.adopt(offer, tick, &mut self.hand);
+                controller.adopt(candidate, tick, &mut self.end);
                 true
             }
         }
     }
 
-    /// The same where there is time: the desk is held for moving pointers only. Asleep
-    /// between two looks, since who holds it has no rights to a core they share.
-    fn take(&mut self, controller: &mut Controller) {
-        while !self.look(controller) {
-            std::thread::park_timeout(MOMENT);
+    /// The same where there is time: the mailbox is locked for moving pointers only.
+    /// Sleeps between two tries, since the loader has no priority on a shared core.
+    fn exchange_now(&mut self, controller: &mut Controller) {
+        while !self.exchange(controller) {
+            std::thread::park_timeout(RETRY);
         }
     }
 
-    /// After the tick's command is out: the shadow's turn.
+    /// After the tick's command is out: the weights in shadow.
     pub fn after_tick(&mut self, controller: &mut Controller) {
-        self.hand.count_tick(controller.step().header.tick);
-        controller.try_policies(&mut self.hand);
+        self.end.count_tick(controller.step().header.tick);
+        controller.run_canary(&mut self.end);
     }
 
-    /// In lockstep with a learner, before the first tick: waits until it has spoken,
-    /// and until the loader has decided about what it begins with. One that was
+    /// In lockstep with a learner, before the first tick: waits for its first message,
+    /// and for the loader's decision about the weights that it begins with. One that was
     /// killed in a block's updates makes them first, and the steps that were driven
     /// meanwhile would have no policy.
-    pub fn await_first_word(
-        &mut self,
-        controller: &mut Controller,
-        member: &Member,
-        pulse: &mut Pulse,
-        bell: &Doorbell,
-    ) {
-        let has_spoken = |learner: &mut Learner| {
-            let _ = learner.hear();
+    pub fn await_learner_start(&mut self, run: &mut TickLoop, controller: &mut Controller) {
+        let has_begun = |learner: &mut Learner| {
+            let _ = learner.receive();
             learner.newest.header.sequence > 0
         };
         match &self.learning {
             Some(learner) if !learner.is_silent && learner.newest.header.sequence == 0 => {
-                self.wait(controller, (member, pulse, bell), has_spoken);
+                self.wait(run, controller, has_begun);
             }
             Some(_) | None => {}
         }
@@ -147,18 +149,12 @@ impl Handover {
     /// In lockstep with a learner, at the end of a block: waits until it has
     /// considered the last step, and until the loader has decided about what it
     /// published. So adoption happens at the same tick in every run.
-    pub fn await_learner(
-        &mut self,
-        controller: &mut Controller,
-        member: &Member,
-        pulse: &mut Pulse,
-        bell: &Doorbell,
-    ) {
+    pub fn await_learner(&mut self, run: &mut TickLoop, controller: &mut Controller) {
         let Some(learner) = &mut self.learning else {
             return;
         };
-        // A successor that came before has nothing to say of this wait.
-        let _ = learner.hear();
+        // A successor that came before does not end this wait.
+        let _ = learner.receive();
         let tick = controller.step().header.tick;
         let is_end = learner.count(tick);
         if !is_end || learner.is_silent {
@@ -166,48 +162,46 @@ impl Handover {
         }
         let mut is_successor = false;
         let has_considered = |learner: &mut Learner| {
-            // It never saw the step that is waited for: it would wait for ever.
-            is_successor |= learner.hear() == Heard::Successor;
+            // It never received the step that is waited for: the wait would not end.
+            is_successor |= learner.receive() == Sender::Successor;
             is_successor || learner.has_considered(tick)
         };
-        self.wait(controller, (member, pulse, bell), has_considered);
+        self.wait(run, controller, has_considered);
     }
 
     /// Waits for that of the learner, and for the loader's decision about what it
     /// published; adopts it.
-    #[allow(clippy::disallowed_methods)] // the process entry point reads the clock
     fn wait(
         &mut self,
+        run: &mut TickLoop,
         controller: &mut Controller,
-        (member, pulse, bell): (&Member, &mut Pulse, &Doorbell),
         mut is_done: impl FnMut(&mut Learner) -> bool,
     ) {
         let Some(learner) = &mut self.learning else {
             return;
         };
-        let until = monotonic().after_ns(learner.wait_ns);
-        while !member.is_stopping() {
-            if is_done(learner) && learner.newest.version <= self.loader.exchange().decided() {
+        let until = run.now().after_ns(learner.wait_ns);
+        while !run.member.is_stopping() {
+            if is_done(learner) && learner.newest.version <= self.loader.mailbox().decided() {
                 break;
             }
-            let now = monotonic();
+            let now = run.now();
             if now >= until {
                 learner.is_silent = true;
                 break;
             }
-            pulse.beat(now);
-            bell.wait(NAP.min(Duration::from_nanos(until.since_ns(now))));
+            run.wait_alive(until.min(now.after_ns(POLL_NS)), now);
         }
-        self.take(controller);
+        self.exchange_now(controller);
     }
 }
 
-/// Who was heard.
+/// Which learner sent the newest message.
 #[derive(PartialEq, Eq)]
-enum Heard {
-    /// Nobody new.
+enum Sender {
+    /// The same as before, or none.
     Same,
-    /// A learner that was started in place of the one before.
+    /// One that was started in place of the one before.
     Successor,
 }
 
@@ -220,7 +214,7 @@ impl Learner {
         let steps = match (self.steps, header.sequence) {
             (Some(steps), _) => steps + 1,
             (None, 0) => return false,
-            // Its first word is said before it considers any step.
+            // Its first message is sent before it considers any step.
             (None, 1) => self.newest.steps + self.own_steps,
             (None, _) => {
                 let ahead = tick.saturating_sub(header.tick);
@@ -231,31 +225,23 @@ impl Learner {
         steps.is_multiple_of(self.block_steps)
     }
 
-    /// The learner has considered the step of this tick; its first word is of none.
+    /// The learner has considered the step of this tick; its first message is of none.
     fn has_considered(&self, tick: u64) -> bool {
         self.newest.header.sequence > 1 && self.newest.header.tick >= tick
     }
 
-    fn hear(&mut self) -> Heard {
+    fn receive(&mut self) -> Sender {
         self.ports.update_connections();
         let Some(learning) = self.ports.learning.newest(Message::check) else {
-            return Heard::Same;
+            return Sender::Same;
         };
         let before = std::mem::replace(&mut self.newest, learning)
             .header
             .producer;
         self.is_silent = false;
         match before != 0 && before != learning.header.producer {
-            true => Heard::Successor,
-            false => Heard::Same,
+            true => Sender::Successor,
+            false => Sender::Same,
         }
     }
-}
-
-/// Starts the loader, before the process claims real-time rights.
-#[allow(clippy::disallowed_methods)] // the process entry point reads the clock
-pub fn start(member: &Member) -> Result<Loader, SetUpError> {
-    let clock: fn() -> Instant = monotonic;
-    Loader::start(&member.config, clock)
-        .map_err(|error| SetUpError::Own(format!("cannot start the loader's thread: {error}")))
 }

@@ -5,7 +5,8 @@
 use std::collections::BTreeSet;
 
 use controller::{
-    Begin, Controller, Exchange, Hand, Inputs, Intent, NativePolicy, Offer, Policy, PolicySlot,
+    Candidate, Controller, Inputs, Intent, Mailbox, NativePolicy, Policy, PolicySlot, StartStage,
+    TickEnd,
 };
 use policy::{Activation, Layer, Mlp};
 use shm_config::Instant;
@@ -92,8 +93,8 @@ impl Policy for Faulty {
 pub struct Recording {
     config: Config,
     controller: Controller,
-    hand: Hand,
-    exchange: Exchange,
+    end: TickEnd,
+    mailbox: Mailbox,
     draw: Draw,
     car: State,
     episode: u32,
@@ -111,8 +112,8 @@ impl Recording {
         Self {
             controller: Controller::new(config.clone(), PolicySlot::new(None)),
             config,
-            hand: Hand::default(),
-            exchange: Exchange::default(),
+            end: TickEnd::default(),
+            mailbox: Mailbox::default(),
             draw: Draw(seed),
             car: State::at_origin(5.0),
             episode: 0,
@@ -168,7 +169,7 @@ impl Recording {
         step.timings.started_ns = now.0 - late_ns / 2;
         step.timings.commanded_ns = now.0 + decided_ns;
         let recorded = *step;
-        self.controller.try_policies(&mut self.hand);
+        self.controller.run_canary(&mut self.end);
         let control = action.control(&self.config.vehicle);
         self.car = vehicle_step(&self.config, &self.car, control);
         self.tick += 1 + late_ns / PERIOD_NS;
@@ -177,16 +178,16 @@ impl Recording {
 
     /// Restarts, new weights, a new episode, the driver's grip, the run's end.
     fn between_ticks(&mut self) {
-        let _ = self.hand.look(&self.exchange);
+        let _ = self.end.exchange(&self.mailbox);
         {
-            let mut desk = self.exchange.desk.lock().expect("a desk");
-            desk.returned = Default::default();
-            desk.news = Default::default();
+            let mut contents = self.mailbox.contents.lock().expect("a mailbox");
+            contents.returned = Default::default();
+            contents.events = Default::default();
         }
         if self.draw.one_in(700) {
             let config = self.config.clone();
             self.controller = Controller::new(config, PolicySlot::new(None));
-            self.hand = Hand::default();
+            self.end = TickEnd::default();
             (self.sequence, self.producer) = (0, self.producer + 1);
         }
         if self.draw.one_in(90) {
@@ -197,12 +198,12 @@ impl Recording {
                 true => Box::new(Faulty { net, draw }),
                 false => Box::new(net),
             };
-            let begin = match self.draw.one_in(3) {
-                true => Begin::Settled,
-                false => Begin::Shadow,
+            let start = match self.draw.one_in(3) {
+                true => StartStage::Settled,
+                false => StartStage::Shadow,
             };
-            let offer = Offer { policy, begin };
-            self.controller.adopt(offer, self.tick, &mut self.hand);
+            let candidate = Candidate { policy, start };
+            self.controller.adopt(candidate, self.tick, &mut self.end);
         }
         if self.draw.one_in(150) {
             self.episode += 1;

@@ -43,10 +43,10 @@ impl Ports {
     }
 
     /// Connects to the world that came, between ticks.
-    fn tend(&mut self) {
-        self.observations.tend();
-        self.episodes.tend();
-        self.commands.tend();
+    fn update_connections(&mut self) {
+        self.observations.update_connections();
+        self.episodes.update_connections();
+        self.commands.update_connections();
     }
 }
 
@@ -96,7 +96,7 @@ pub fn drive(
         } else {
             ports.bell.wait(NAP);
         }
-        ports.tend();
+        ports.update_connections();
         roster.update_connections();
     }
     Ok(wheel.driver.planning_us().clone())

@@ -11,7 +11,7 @@ use crate::services::Process;
 pub enum Late {
     /// It is counted; its answer goes out all the same.
     Count,
-    /// Its answer is held back: those who wait go on with the one before, up to
+    /// Its answer is held back: its readers go on with the one before, up to
     /// its age limit.
     Skip,
     /// The car brakes.
@@ -32,26 +32,9 @@ pub struct Deadlines {
     /// A command that is decided a period after its tick was due: count; skip, it
     /// is not sent; brake, it brakes.
     pub controller: Late,
-    /// Budget of the world for obeying and moving, as a share of its period.
-    pub world_move: f64,
-    /// Budget of the world for sensing, likewise.
-    pub world_observe: f64,
-    /// Budget of the world for publishing, likewise.
-    pub world_send: f64,
-    /// Budget of the planner for admission, as a share of its period.
-    pub planner_admit: f64,
-    /// Budget of the planner for its grid, likewise.
-    pub planner_grid: f64,
-    /// Budget of the planner for its search, likewise.
-    pub planner_search: f64,
-    /// Budget of the planner for publishing, likewise.
-    pub planner_send: f64,
-    /// Budget of the controller for waiting for its plan, as a share of its period.
-    pub controller_wait: f64,
-    /// Budget of the controller for its decision, likewise.
-    pub controller_decide: f64,
-    /// Budget of the controller for publishing, likewise.
-    pub controller_send: f64,
+    /// The budgets of the parts of a tick, as a multiple of the built-in ones (of the
+    /// planner's period, its search has 0.4). What takes longer is an overrun.
+    pub budget_scale: f64,
 }
 
 impl Default for Deadlines {
@@ -60,59 +43,33 @@ impl Default for Deadlines {
             world: Late::Count,
             planner: Late::Count,
             controller: Late::Count,
-            world_move: 0.2,
-            world_observe: 0.2,
-            world_send: 0.1,
-            planner_admit: 0.05,
-            planner_grid: 0.2,
-            // A plan that takes longer comes after `limits.plan_wait`: its tick
-            // follows the one before.
-            planner_search: 0.4,
-            planner_send: 0.1,
-            controller_wait: 0.5,
-            controller_decide: 0.2,
-            controller_send: 0.1,
+            budget_scale: 1.0,
         }
     }
 }
 
-impl Deadlines {
-    fn shares(&self) -> [(&'static str, Process, Part, f64); 10] {
-        use Process::{Controller, Planner, World};
-        [
-            ("world_move", World, Part::Move, self.world_move),
-            ("world_observe", World, Part::Observe, self.world_observe),
-            ("world_send", World, Part::Send, self.world_send),
-            ("planner_admit", Planner, Part::Admit, self.planner_admit),
-            ("planner_grid", Planner, Part::Grid, self.planner_grid),
-            ("planner_search", Planner, Part::Search, self.planner_search),
-            ("planner_send", Planner, Part::Send, self.planner_send),
-            (
-                "controller_wait",
-                Controller,
-                Part::Wait,
-                self.controller_wait,
-            ),
-            (
-                "controller_decide",
-                Controller,
-                Part::Decide,
-                self.controller_decide,
-            ),
-            (
-                "controller_send",
-                Controller,
-                Part::Send,
-                self.controller_send,
-            ),
-        ]
-    }
+/// Built-in budgets of the parts of a tick, as shares of the process's period.
+const BUDGETS: [(Process, Part, f64); 10] = {
+    use Process::{Controller, Planner, World};
+    [
+        (World, Part::Move, 0.2),
+        (World, Part::Observe, 0.2),
+        (World, Part::Send, 0.1),
+        (Planner, Part::Admit, 0.05),
+        (Planner, Part::Grid, 0.2),
+        // A plan that takes longer comes after `limits.plan_wait`: its tick
+        // follows the one before.
+        (Planner, Part::Search, 0.4),
+        (Planner, Part::Send, 0.1),
+        (Controller, Part::Wait, 0.5),
+        (Controller, Part::Decide, 0.2),
+        (Controller, Part::Send, 0.1),
+    ]
+};
 
+impl Deadlines {
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        for (key, _, _, share) in self.shares() {
-            in_range(&format!("deadlines.{key}"), share, 1e-6..=1.0)?;
-        }
-        Ok(())
+        in_range("deadlines.budget_scale", self.budget_scale, 1e-6..=10.0)
     }
 }
 
@@ -124,10 +81,9 @@ impl Config {
         let Some(rate_hz) = self.rate_hz(process).filter(|_| !self.run.is_lockstep()) else {
             return budgets;
         };
-        for (_, whose, part, share) in self.deadlines.shares() {
-            if whose == process {
-                budgets[part.code() as usize] = (share * 1e9 / rate_hz) as u64;
-            }
+        for (_, part, share) in BUDGETS.iter().filter(|(of, ..)| *of == process) {
+            let share = share * self.deadlines.budget_scale;
+            budgets[part.code() as usize] = (share * 1e9 / rate_hz) as u64;
         }
         budgets
     }

@@ -1,10 +1,15 @@
-use std::path::{Path, PathBuf};
+#[cfg(feature = "wire")]
+use std::path::Path;
+use std::path::PathBuf;
 
 use super::wrong_type::wrong_number;
 use super::{Config, OutOfRange};
+#[cfg(feature = "wire")]
+use crate::file;
+use crate::shortened;
 use crate::text::printable;
-use crate::{file, shortened};
 
+#[cfg(feature = "wire")]
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
 
@@ -74,6 +79,7 @@ fn suggestion(nearest: &Option<String>) -> String {
     }
 }
 
+#[cfg(feature = "wire")]
 /// Reads, checks and completes a configuration file.
 ///
 /// # Errors
@@ -82,6 +88,7 @@ pub fn load(path: &Path) -> Result<Config, ConfigError> {
     from_toml(&text_of(path)?, &path.display().to_string())
 }
 
+#[cfg(feature = "wire")]
 /// The text of a configuration file.
 ///
 /// # Errors
@@ -104,7 +111,7 @@ pub fn text_of(path: &Path) -> Result<String, ConfigError> {
 /// it in errors.
 ///
 /// # Errors
-/// As [`load`].
+/// One line that says what is wrong, where, and what to do.
 pub fn from_toml(text: &str, origin: &str) -> Result<Config, ConfigError> {
     let syntax = |error: toml::de::Error| {
         let line = error

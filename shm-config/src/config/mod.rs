@@ -31,12 +31,14 @@ pub use gate::{FaultyJudge, Gate, GateMode, When};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use learner::{Algorithm, Learner};
-pub use load::{ConfigError, from_toml, load, text_of};
+pub use load::{ConfigError, from_toml};
+#[cfg(feature = "wire")]
+pub use load::{load, text_of};
 pub use mpc::Mpc;
 pub use planner::Planner;
 pub use policy::{Backend, Policy};
-pub use rates::PHYSICS_HZ;
-pub use run::{Clock, Limits, Run, Scheduling, Supervisor};
+pub use rates::DECISION_HZ;
+pub use run::{Clock, Limits, Run, Supervisor};
 pub use vlm::{PictureFormat, PromptPreset, Rollout, STAND_IN, View, Vlm};
 pub use world::{Simulator, World};
 
@@ -77,7 +79,7 @@ pub struct Config {
     pub policy: Policy,
     /// The learner process.
     pub learner: Learner,
-    /// Restarts and real-time rights.
+    /// Restarts and real-time privileges.
     pub supervisor: Supervisor,
 }
 

@@ -5,7 +5,7 @@ use crate::services::Process;
 
 /// Ticks of the decisions of traffic and rules in a second; both worlds mirror a
 /// simulator that steps at this rate, and MetaDrive itself knows no other.
-pub const PHYSICS_HZ: f64 = 10.0;
+pub const DECISION_HZ: f64 = 10.0;
 /// A plan is followed for this many periods of the planner.
 const PLAN_PERIODS: f64 = 2.5;
 /// ... but never for less than this, ms: two lost plans at the paper's 10 Hz are
@@ -66,14 +66,14 @@ impl Config {
 
     pub(super) fn check_rates(&self) -> Result<(), OutOfRange> {
         let run_hz = self.run.rate_hz;
-        in_range("run.rate_hz", run_hz, PHYSICS_HZ..=1000.0)?;
-        whole("run.rate_hz", run_hz, run_hz / PHYSICS_HZ, || {
+        in_range("run.rate_hz", run_hz, DECISION_HZ..=1000.0)?;
+        whole("run.rate_hz", run_hz, run_hz / DECISION_HZ, || {
             "a multiple of 10".into()
         })?;
         let world_hz = self.world.rate_hz;
         if world_hz != 0.0 {
             let key = "world.rate_hz";
-            in_range(key, world_hz, PHYSICS_HZ..=1000.0)?;
+            in_range(key, world_hz, DECISION_HZ..=1000.0)?;
             whole(key, world_hz, world_hz / run_hz, || {
                 format!("0 or a multiple of run.rate_hz = {run_hz}")
             })?;
@@ -92,7 +92,7 @@ impl Config {
     /// The real MetaDrive has one rate, and no controller is faster than its world.
     fn check_metadrive(&self) -> Result<(), OutOfRange> {
         let world_hz = self.world_rate_hz();
-        if self.world.simulator == Simulator::BuiltIn || world_hz == PHYSICS_HZ {
+        if self.world.simulator == Simulator::BuiltIn || world_hz == DECISION_HZ {
             return Ok(());
         }
         let key = match self.world.rate_hz == 0.0 {

@@ -84,6 +84,8 @@ impl Run {
     }
 
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
+        // A name must be short enough for the sockets of a run, which only the wire opens.
+        #[cfg(feature = "wire")]
         self.name
             .parse::<crate::run::RunName>()
             .map_err(|_| OutOfRange {
@@ -196,17 +198,7 @@ impl Limits {
     }
 }
 
-/// What real-time scheduling the processes ask for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Scheduling {
-    /// `SCHED_FIFO`, with the priorities of the process table.
-    Fifo,
-    /// `SCHED_DEADLINE` where the kernel grants it, else `SCHED_FIFO`.
-    Deadline,
-}
-
-/// Restarts and real-time rights.
+/// Restarts and real-time privileges.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Supervisor {
@@ -222,12 +214,6 @@ pub struct Supervisor {
     pub silence_s: f64,
     /// Ask for real-time priority, own cores and locked memory.
     pub realtime: bool,
-    /// Which real-time scheduling: "fifo", or "deadline" for SCHED_DEADLINE where
-    /// the kernel grants it (it then places the threads itself) and fifo else.
-    pub scheduling: Scheduling,
-    /// With "deadline": processor time reserved for each tick, as a share of the
-    /// process's period. What takes longer waits for the next period.
-    pub deadline_share: f64,
     /// How long a sleeping processor may need to wake up while the set drives, us: 0
     /// keeps all of them from sleeping, which costs power; a negative number leaves
     /// it to the machine. For the supervisor to ask where it asks for real time.
@@ -247,10 +233,6 @@ impl Default for Supervisor {
             healthy_s: 5.0,
             silence_s: 3.0,
             realtime: true,
-            scheduling: Scheduling::Fifo,
-            // World, planner and controller together 0.9 of one core: the kernel
-            // admits up to 0.95 of each.
-            deadline_share: 0.3,
             cpu_latency_us: 0,
             stop_s: 8.0,
             log_mb: 8,
@@ -269,7 +251,6 @@ impl Supervisor {
         )?;
         in_range("supervisor.healthy_s", self.healthy_s, 0.1..=3600.0)?;
         in_range("supervisor.silence_s", self.silence_s, 0.2..=3600.0)?;
-        in_range("supervisor.deadline_share", self.deadline_share, 0.01..=0.9)?;
         in_range(
             "supervisor.cpu_latency_us",
             self.cpu_latency_us,

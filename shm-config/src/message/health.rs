@@ -36,8 +36,6 @@ crate::word_list! {
         Ordinary = 0 "ordinary",
         /// `SCHED_FIFO`: before everything of a lower priority.
         Fifo = 1 "fifo",
-        /// `SCHED_DEADLINE`: a guaranteed time in each period.
-        Deadline = 2 "deadline",
     }
 }
 

@@ -75,9 +75,7 @@ impl Header {
 pub const FUTURE_TOLERANCE_NS: u64 = 1_000_000;
 
 /// A message that can travel.
-pub trait Message:
-    Layout + iceoryx2::prelude::ZeroCopySend + Copy + std::fmt::Debug + 'static
-{
+pub trait Message: Layout + crate::layout::Travels + Copy + std::fmt::Debug + 'static {
     /// The header.
     fn header(&self) -> &Header;
 

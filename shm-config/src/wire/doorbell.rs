@@ -9,7 +9,7 @@ use rustix::time::Timespec;
 
 use super::Ipc;
 
-/// Where a process sleeps until one of its services has something new.
+/// Wakes a process when one of its services has a new message.
 pub struct Doorbell {
     listener: Listener<Ipc>,
 }
@@ -20,8 +20,8 @@ impl Doorbell {
         Self { listener }
     }
 
-    /// Sleeps until the bell rings or `timeout` has passed; returns at once when
-    /// it rang since the last look. May return early.
+    /// Sleeps until the bell rings or `timeout` has passed; returns immediately when
+    /// it rang since the last wait. May return early.
     pub fn wait(&self, timeout: Duration) {
         let timeout = Timespec {
             tv_sec: timeout.as_secs() as i64,

@@ -85,7 +85,7 @@ macro_rules! ports {
 
             /// Connects to peers that came or came back. To be called between ticks.
             pub fn update_connections(&mut self) {
-                $( self.$field.tend(); )+
+                $( self.$field.update_connections(); )+
             }
         }
 

@@ -16,9 +16,9 @@ type Port<M> = iceoryx2::port::publisher::Publisher<Ipc, M, ()>;
 
 /// Publishes one service and wakes its readers.
 pub struct Publisher<M: Message> {
-    /// Room for the next message, borrowed between ticks: the library allocates
+    /// The sample of the next message, loaned between ticks: the library allocates
     /// a handle for each loan.
-    room: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
+    loaned: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
     port: Port<M>,
     bells: Vec<Rc<Notifier<Ipc>>>,
     sequence: u64,
@@ -29,7 +29,7 @@ impl<M: Message> Publisher<M> {
     /// Over an open port, with the bells of its readers.
     pub(super) fn new(port: Port<M>, bells: Vec<Rc<Notifier<Ipc>>>) -> Self {
         Self {
-            room: port.loan_uninit().ok(),
+            loaned: port.loan_uninit().ok(),
             port,
             bells,
             sequence: 0,
@@ -43,31 +43,31 @@ impl<M: Message> Publisher<M> {
     pub fn send(&mut self, message: &mut M) -> bool {
         let sent = self.send_quietly(message);
         for bell in &self.bells {
-            // A full bell is already ringing; a dead one is swept by others.
+            // A full bell is already ringing; a dead one is swept by another process.
             let _ = bell.notify();
         }
         sent
     }
 
-    /// The same, but nobody is woken: who is awake finds the newest.
+    /// The same without waking a reader: one that is awake finds the newest.
     pub fn send_quietly(&mut self, message: &mut M) -> bool {
         self.sequence += 1;
         let (sequence, producer) = (self.sequence, self.producer);
         let header = message.header_mut();
         header.sequence = sequence;
         header.producer = producer;
-        let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
-        room.is_some_and(|room| room.write_payload(*message).send().is_ok())
+        let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
+        sample.is_some_and(|sample| sample.write_payload(*message).send().is_ok())
     }
 
     /// Connects to readers that came since the last message, gives them the
-    /// history, and borrows room for the next message. To be called between
+    /// history, and loans the sample of the next message. To be called between
     /// ticks, so that no tick pays for it.
-    pub fn tend(&mut self) {
+    pub fn update_connections(&mut self) {
         // A failure here shows again at the next send.
         let _ = self.port.update_connections();
-        if self.room.is_none() {
-            self.room = self.port.loan_uninit().ok();
+        if self.loaned.is_none() {
+            self.loaned = self.port.loan_uninit().ok();
         }
     }
 }
@@ -81,24 +81,24 @@ impl<M: Message> Publisher<M> {
     {
         self.sequence += 1;
         let (sequence, producer) = (self.sequence, self.producer);
-        let room = self.room.take().or_else(|| self.port.loan_uninit().ok());
-        let Some(mut room) = room else {
+        let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
+        let Some(mut sample) = sample else {
             return false;
         };
-        // SAFETY: the pointer is to the room's payload, which is ours alone until
+        // SAFETY: the pointer is to the sample's payload, which is ours alone until
         // it is sent; `Numbers` is only said of messages made of numbers and arrays
         // of them, so all zeros are one, and the rest is written over it.
         #[allow(unsafe_code)]
-        let room = unsafe {
-            let payload = room.payload_mut().as_mut_ptr();
+        let sample = unsafe {
+            let payload = sample.payload_mut().as_mut_ptr();
             payload.write_bytes(0, 1);
             let message = &mut *payload;
             write(message);
             let header = message.header_mut();
             (header.sequence, header.producer) = (sequence, producer);
-            room.assume_init()
+            sample.assume_init()
         };
-        let sent = room.send().is_ok();
+        let sent = sample.send().is_ok();
         for bell in &self.bells {
             let _ = bell.notify();
         }

@@ -14,7 +14,7 @@ use crate::services::{Process, Service, TakenFrom};
 
 type Port<M> = iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>;
 
-/// Messages of foreign processes that one look passes over: a flood on a queue must
+/// Messages of foreign processes that one read passes over: a flood on a queue must
 /// not hold the reader.
 const FOREIGN_MAX: usize = 64;
 
@@ -29,7 +29,7 @@ pub struct Subscriber<M: Message> {
     from: (Process, TakenFrom),
     /// The process and the membership that sent the last message that was taken.
     membership: Option<(u32, u128)>,
-    /// At the last tending at most one message could wait.
+    /// At the last update of the connections at most one message could wait.
     holds_one: bool,
     depth: usize,
     producer: u32,
@@ -88,21 +88,22 @@ impl<M: Message> Subscriber<M> {
         (self.producer, self.sequence) = (producer, sequence);
     }
 
-    /// Looks at the next message of the queue where it lies, not yet admitted;
+    /// Reads the next message of the queue in place, not yet admitted;
     /// for messages too large for a stack. `None` when there is none.
     pub fn visit<R>(&mut self, look: impl FnOnce(&M) -> R) -> Option<R> {
         self.next().map(|sample| look(sample.payload()))
     }
 
-    /// The newest admissible message since the last look; `None` when none came.
+    /// The newest admissible message since the last read; `None` when none came.
     ///
     /// `admit` is the caller's door: content, age, episode, place on the grid. It is
     /// asked before the newest is chosen, so a message that it refuses never hides one
     /// that it admits. Refusals are counted by reason ([`Wire::refused`]).
     ///
-    /// Two publishers exist while a dead one is replaced, so this reads until the queue
-    /// is empty, unless the last [`tend`](Self::tend) found one publisher and room for
-    /// one message, and the message is from that publisher: then one read is enough.
+    /// Two publishers exist while a dead one is replaced, so this drains the queue.
+    /// With one publisher connected at the last
+    /// [`update_connections`](Self::update_connections), room for one message, and the
+    /// message from that publisher, one read is enough.
     ///
     /// [`Wire::refused`]: super::Wire::refused
     pub fn newest(&mut self, admit: impl FnMut(&M) -> Result<(), Refusal>) -> Option<M> {
@@ -146,9 +147,9 @@ impl<M: Message> Subscriber<M> {
         self.lost
     }
 
-    /// Connects to publishers that came since the last look, and counts them. To be
+    /// Connects to publishers that came since the last call, and counts them. To be
     /// called between ticks, so that no tick pays for it.
-    pub fn tend(&mut self) {
+    pub fn update_connections(&mut self) {
         // A failure here shows again at the next receive.
         let _ = self.port.update_connections();
         let publishers = self.topic.dynamic_config().number_of_publishers();

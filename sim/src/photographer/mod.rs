@@ -1,7 +1,7 @@
 //! Pictures on demand, off the tick's thread.
 //!
 //! The tick's thread only tells what it did, through a queue that never blocks
-//! ([`film`]). A thread without its rights, with ports of its own, looks for
+//! ([`film`]). A thread without its privileges, with ports of its own, looks for
 //! requests, drives a [`Replica`] to the tick that is asked for, which is the same
 //! world bit by bit, draws it and tells what would come of both proposals there. As
 //! long as nobody asks it only empties the queue. What cannot be had is not sent:
@@ -41,7 +41,7 @@ pub struct Photographer {
 
 impl Photographer {
     /// Starts the thread, and gives the end of the film to tell it by. Before the
-    /// process claims its real-time rights: they are not for it.
+    /// process applies its real-time privileges: the thread must not inherit them.
     ///
     /// # Errors
     /// When the system gives no thread, or its ports cannot be opened.

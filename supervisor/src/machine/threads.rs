@@ -99,7 +99,6 @@ fn parse_stat(stat: &str) -> Option<(String, Scheduling, u32)> {
     let scheduling = match policy {
         // linux/sched.h
         1 => Scheduling::Fifo,
-        6 => Scheduling::Deadline,
         _ => Scheduling::Ordinary,
     };
     Some((stat.get(begin + 1..end)?.into(), scheduling, priority))
@@ -122,7 +121,7 @@ impl KernelThread {
             scheduling_got: self.scheduling.word(),
             priority_asked: match scheduling_asked {
                 Scheduling::Fifo => health.priority_asked,
-                Scheduling::Ordinary | Scheduling::Deadline => 0,
+                Scheduling::Ordinary => 0,
             },
             priority_got: self.priority,
             core: core.word(),

@@ -67,7 +67,7 @@ impl RosterPublisher {
 
     /// Delivers the roster to new subscribers.
     pub fn update_connections(&mut self) {
-        self.port.tend();
+        self.port.update_connections();
     }
 
     /// Warnings about foreign processes that were not reported yet.

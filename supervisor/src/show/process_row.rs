@@ -109,7 +109,7 @@ fn megabytes(bytes: u64) -> f64 {
 pub struct RealTime {
     /// Real-time scheduling: not asked, granted or refused.
     pub priority: &'static str,
-    /// The scheduling asked for: ordinary, fifo or deadline.
+    /// The scheduling asked for: ordinary or fifo.
     pub scheduling_asked: &'static str,
     /// The scheduling in force.
     pub scheduling_got: &'static str,

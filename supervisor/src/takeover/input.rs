@@ -89,7 +89,7 @@ impl TakeoverInput {
             },
             ..self.person.takeover()
         };
-        self.port.tend();
+        self.port.update_connections();
         // When shared memory is full, the last message expires and the takeover ends.
         self.port.send(&mut takeover);
         match (before, self.person.has_taken_over()) {

@@ -121,6 +121,6 @@ impl Ports {
 }
 
 fn pending<M: Message>(port: &mut Subscriber<M>, most: usize) -> impl Iterator<Item = M> {
-    port.tend();
+    port.update_connections();
     std::iter::from_fn(|| port.receive()).take(most)
 }

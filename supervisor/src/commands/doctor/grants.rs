@@ -38,7 +38,7 @@ pub fn lines() -> Vec<String> {
     vec![
         "for your user, once; log in again afterwards:".into(),
         format!("  printf \"{limits}\" | sudo tee /etc/security/limits.d/99-vlaps.conf"),
-        "or for these programs, after each build (SCHED_DEADLINE needs this one):".into(),
+        "or for these programs, after each build:".into(),
         format!("  {capabilities} target/release/vlaps-{{{programs}}}"),
         "or for one run:".into(),
         format!(

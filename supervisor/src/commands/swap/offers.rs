@@ -75,7 +75,7 @@ impl Offers {
 
     /// Offers a file. Returns whether it went out.
     pub fn offer(&mut self, version: u64, bytes: &[u8]) -> bool {
-        self.weights.tend();
+        self.weights.update_connections();
         self.weights
             .offer(version, Sha256::digest(bytes).into(), bytes)
     }
@@ -95,7 +95,7 @@ impl Offers {
         let begun: Instant = clock();
         loop {
             // A controller that is restarted meanwhile gets the offer again.
-            self.weights.tend();
+            self.weights.update_connections();
             let status = self.look();
             if let Some(answer) = status.and_then(|status| outcome_of(&status, version, hash)) {
                 return Ok(answer);
@@ -158,7 +158,7 @@ impl Offers {
 
     /// The newest status; `None` when the controller has said nothing.
     fn look(&mut self) -> Option<PolicyStatus> {
-        self.statuses.tend();
+        self.statuses.update_connections();
         if let Some(status) = self.statuses.newest(Message::check) {
             self.newest = Some(status);
         }

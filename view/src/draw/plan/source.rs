@@ -146,7 +146,7 @@ fn hear(name: &RunName, clock: Clock) -> anyhow::Result<Box<Step>> {
     let mut steps = wire.latest(STEP)?;
     let begun = clock();
     while clock().since_ns(begun) < LISTEN_NS {
-        steps.tend();
+        steps.update_connections();
         // A step without an observation has never had one.
         let seen = |step: &Step| step.observation_age_ns != u64::MAX;
         if let Some(step) = steps.newest(Message::check).filter(seen) {
