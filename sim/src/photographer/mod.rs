@@ -4,8 +4,8 @@
 //! ([`film`]). A thread without its privileges, with ports of its own, looks for
 //! requests, drives a [`Replica`] to the tick that is asked for, which is the same
 //! world bit by bit, draws it and tells what would come of both proposals there. As
-//! long as nobody asks it only empties the queue. What cannot be had is not sent:
-//! who asked stops waiting by itself.
+//! long as nothing is asked it only empties the queue. A picture that cannot be drawn is
+//! not sent: the wait for it ends by itself.
 
 mod film;
 mod replica;
