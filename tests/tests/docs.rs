@@ -16,26 +16,6 @@ use shm_config::config::Config;
 use commands::{commands_in, is_placeholder};
 use markdown::Code;
 
-/// What the pages describe before the tree has it: paths by their beginning, commands by
-/// their first words. A test fails as soon as one of them exists, so the list empties.
-const PENDING_PATHS: &[&str] = &[
-    "runtime/",
-    "safety/",
-    "stack/",
-    "lab/",
-    "view/",
-    "gate/src/query/",
-    "gate/src/advice/",
-    "gate/src/presentation/",
-    "gate/src/model/",
-    "gate/src/judge/",
-    "supervisor/src/set/",
-    "supervisor/src/commands/",
-    "supervisor/src/cli/",
-    "controller/tests/canary.rs",
-];
-const PENDING_COMMANDS: &[&str] = &["judge serve", "sweep"];
-
 /// Endings that make a name a file's, not a configuration key's.
 const FILE_ENDINGS: &[&str] = &[
     "rs", "md", "toml", "py", "svg", "png", "csv", "json", "onnx", "bin", "log", "html", "h", "c",
@@ -130,11 +110,7 @@ impl Facts {
 
     /// Whether a path exists, from the root or beside the page.
     fn exists(&self, path: &str, folder: &Path) -> bool {
-        self.root.join(path).exists()
-            || folder.join(path).exists()
-            || PENDING_PATHS
-                .iter()
-                .any(|pending| path.starts_with(pending))
+        self.root.join(path).exists() || folder.join(path).exists()
     }
 
     /// What is wrong with a page, a line each.
@@ -219,12 +195,6 @@ impl Facts {
 
     fn command(&self, words: &[String]) -> Option<String> {
         let line = words.join(" ");
-        if PENDING_COMMANDS
-            .iter()
-            .any(|pending| line.starts_with(pending))
-        {
-            return None;
-        }
         let given = words.windows(2).filter(|pair| pair[0] == "--set");
         given
             .map(|pair| &pair[1])
@@ -301,10 +271,7 @@ impl Facts {
         words.windows(2).find_map(|pair| {
             let [option, value] = pair else { return None };
             let is_there = match *option {
-                "-p" => {
-                    let folder = format!("{value}/");
-                    self.packages.contains(*value) || PENDING_PATHS.contains(&folder.as_str())
-                }
+                "-p" => self.packages.contains(*value),
                 "--test" | "--example" => {
                     let folder = option.trim_start_matches('-').to_string();
                     let folder = if folder == "test" {
@@ -425,21 +392,5 @@ fn the_checks_find_what_is_wrong() {
     ] {
         let problems = facts.problems("README.md", wrong);
         assert_eq!(problems.len(), 1, "{wrong}: {problems:?}");
-    }
-}
-
-#[test]
-fn what_is_pending_is_not_there_yet() {
-    let facts = Facts::get();
-    for path in PENDING_PATHS {
-        assert!(
-            !facts.root.join(path).exists(),
-            "{path} exists: take it off the list"
-        );
-    }
-    for command in PENDING_COMMANDS {
-        let words: Vec<String> = command.split(' ').map(String::from).collect();
-        let parsed = commands::parse(&facts.programs, &words);
-        assert!(parsed.is_err(), "{command} exists: take it off the list");
     }
 }
