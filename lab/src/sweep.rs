@@ -214,7 +214,9 @@ fn sweep(arguments: &Sweep, clock: Clock) -> anyhow::Result<()> {
 fn name(flawed: Option<(Flaw, f64)>) -> String {
     match flawed {
         None => "flawless".to_string(),
-        Some((flaw, value)) => format!("{}-{value}", flaw.key().trim_start_matches("gate.")),
+        Some((flaw, value)) => {
+            format!("{}-{value}", flaw.key().trim_start_matches("faulty_judge."))
+        }
     }
 }
 

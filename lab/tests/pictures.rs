@@ -22,7 +22,7 @@ fn scratch(name: &str) -> PathBuf {
 }
 
 fn scenes() -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/built_in.jsonl.gz");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../stack/scenes/built_in.jsonl.gz");
     path.display().to_string()
 }
 

@@ -83,8 +83,7 @@ class Part:
 class Scheduling:
     ORDINARY = 0
     FIFO = 1
-    DEADLINE = 2
-    WORDS = {0: "ordinary", 1: "fifo", 2: "deadline"}
+    WORDS = {0: "ordinary", 1: "fifo"}
 
 
 class Outcome:

@@ -61,8 +61,8 @@ pub mod world;
 pub use batch::{AfterEnd, Batch, BatchConfig};
 pub use block::Parameters;
 pub use config::{OutOfRoute, WorldConfig, WorldError};
-pub use reward::{Reward, RewardConfig};
 #[cfg(feature = "process")]
 pub use process::{Begin, WorldProcess, run};
+pub use reward::{Reward, RewardConfig};
 pub use surface::Bounds;
 pub use world::{StepOutcome, World};

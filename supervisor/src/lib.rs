@@ -14,6 +14,7 @@
 //! | [`takeover`] | keys of a human driver to takeover messages |
 //! | [`setup`] | MetaDrive, ONNX Runtime |
 //! | [`commands`] | one file or folder a command |
+//! | [`subcommand`] | what the programs of `eval`, `train`, `draw` and `bench` share |
 //!
 //! A folder imports only folders above it in this table; `tests/folders.rs` checks it.
 //! [`arguments`] lists the commands.

@@ -33,7 +33,9 @@ fn a_folder_imports_only_folders_above_it_in_the_documented_table() {
                 let Some((other, _)) = path.split_once("::") else {
                     continue;
                 };
-                let above = order[..=place].contains(&other);
+                // The list of commands imports all folders but the last.
+                let is_list = other == "arguments" && place + 1 == order.len();
+                let above = is_list || order[..=place].contains(&other);
                 assert!(above, "{} imports crate::{other}", file.display());
                 imports += 1;
             }

@@ -16,9 +16,9 @@ use crate::cli::output::Output;
 use crate::cli::print::say;
 use crate::run::leftovers::print_strangers;
 use crate::run::restarts;
-use crate::run::roster;
 use crate::run::selection::alive;
 use crate::show::view::View;
+use crate::telemetry::foreign;
 use crate::telemetry::judge;
 use crate::telemetry::late::{self, LateRow};
 use crate::telemetry::observe::observe;
@@ -131,7 +131,7 @@ fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<RunStatus, 
         supervisor,
         warnings: tally
             .foreigners()
-            .map(|foreigner| roster::warning(foreigner, &tally, paths))
+            .map(|foreigner| foreign::warning(foreigner, &tally, paths))
             .collect(),
         judge_unasked: judge::unasked(&config, &tally, judge.as_ref()),
         judge,

@@ -146,7 +146,7 @@ mod tests {
         assert!(bytes[0] < CONTAINER_BYTES, "{plain}");
         let text = plain.to_string();
         assert!(
-            text.contains("steps 20") && !text.contains("pictures"),
+            text.contains("steps 21") && !text.contains("pictures"),
             "{text}"
         );
         assert!(shown.to_string().contains("pictures 4"), "{shown}");

@@ -1,6 +1,7 @@
 //! What the messages of a run add up to.
 
 pub mod episodes;
+pub mod foreign;
 pub mod judge;
 pub mod late;
 pub mod observe;

@@ -25,6 +25,7 @@ use crate::setup::metadrive;
 use crate::show::screen::Screen;
 use crate::show::summary::Summary;
 use crate::takeover::input::{KeySource, TakeoverInput};
+use crate::telemetry::foreign::ForeignReports;
 use crate::telemetry::ports::{Depth, Ports};
 use crate::telemetry::tally::Tally;
 use crate::telemetry::timing;
@@ -76,6 +77,7 @@ pub(super) fn drive(
         ports,
         takeover,
         roster_port,
+        foreign_reports: ForeignReports::default(),
         wire,
         set,
         tally: Tally::begun(started),

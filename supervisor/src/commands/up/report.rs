@@ -31,8 +31,8 @@ impl Run<'_> {
         }
         self.warn_of_refused_priority(now);
         for line in self
-            .roster_port
-            .foreigners(&self.wire, &self.tally, self.place.paths())
+            .foreign_reports
+            .take_new(&self.wire, &self.tally, self.place.paths())
         {
             self.journal.line(now, &line);
             self.screen.line(line);

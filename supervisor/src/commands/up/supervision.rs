@@ -16,6 +16,7 @@ use crate::set::process_set::ProcessSet;
 use crate::set::stop::Stop;
 use crate::show::screen::{Screen, UNREAD};
 use crate::takeover::input::TakeoverInput;
+use crate::telemetry::foreign::ForeignReports;
 use crate::telemetry::ports::Ports;
 use crate::telemetry::tally::Tally;
 
@@ -42,6 +43,7 @@ pub(super) struct Run<'a> {
     pub(super) ports: Ports,
     pub(super) takeover: Option<TakeoverInput>,
     pub(super) roster_port: RosterPublisher,
+    pub(super) foreign_reports: ForeignReports,
     pub(super) wire: Wire,
     pub(super) set: ProcessSet,
     pub(super) tally: Tally,
