@@ -54,6 +54,9 @@ impl HealthPort for FaultyPort {
         }
         self.port.publish(health);
     }
+    fn update_connections(&mut self) {
+        self.port.update_connections();
+    }
 }
 
 fn fail(order: &Fault) {

@@ -53,14 +53,18 @@ pub struct Deadline {
 
 /// Where the health of a process goes.
 pub(crate) trait HealthPort {
-    /// Publishes it, and connects to readers that came.
+    /// Publishes it.
     fn publish(&mut self, health: &mut Health);
+    /// Connects to readers that came and prepares the next message, which allocates.
+    fn update_connections(&mut self);
 }
 
 impl HealthPort for Publisher<Health> {
     fn publish(&mut self, health: &mut Health) {
         self.send(health);
-        self.update_connections();
+    }
+    fn update_connections(&mut self) {
+        Publisher::update_connections(self);
     }
 }
 
@@ -74,6 +78,8 @@ pub struct Telemetry {
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
+    /// Something was published since the ports last updated their connections.
+    connections_due: bool,
     /// What the thread had used when it was ready.
     usage_before: Usage,
     budgets_ns: [u64; PARTS],
@@ -103,6 +109,7 @@ impl Telemetry {
             timing_port: member.wire.publisher(timing(member.process))?,
             health_due: Instant(0),
             timing_due: Instant(0),
+            connections_due: false,
             usage_before: Usage::of_this_thread(),
             budgets_ns: member.config.budgets_ns(member.process),
             part_begun: Instant(0),
@@ -136,19 +143,32 @@ impl Telemetry {
         self.heartbeat(now);
     }
 
-    /// Publishes what is due. To be called between ticks; never logs or blocks.
+    /// Publishes what is due and updates the connections of its ports. To be called
+    /// between ticks; never logs or blocks.
     pub fn heartbeat(&mut self, now: Instant) {
+        self.heartbeat_within_tick(now);
+        if self.connections_due {
+            self.health_port.update_connections();
+            self.timing_port.update_connections();
+            self.connections_due = false;
+        }
+    }
+
+    /// Publishes what is due, without an allocation the first time after a
+    /// [`Telemetry::heartbeat`]: for a tick that waits, which only lockstep has.
+    pub fn heartbeat_within_tick(&mut self, now: Instant) {
         if now >= self.health_due {
             self.count_usage();
             self.health.header.taken_ns = now.0;
             self.health_port.publish(&mut self.health);
             self.health_due = now.after_ns(HEALTH_NS);
+            self.connections_due = true;
         }
         if now >= self.timing_due {
             self.timing.header.taken_ns = now.0;
             self.timing_port.send(&mut self.timing);
-            self.timing_port.update_connections();
             self.timing_due = now.after_ns(TIMING_NS);
+            self.connections_due = true;
         }
     }
 

@@ -120,7 +120,7 @@ impl TickLoop {
 
     /// The same within a tick that may take long: a heartbeat first.
     pub fn wait_alive(&mut self, until: Instant, now: Instant) {
-        self.telemetry.heartbeat(now);
+        self.telemetry.heartbeat_within_tick(now);
         self.wait(Some(until), now);
     }
 

@@ -284,7 +284,7 @@ fn drive(rest: &mut Rest) -> Done {
 }
 
 #[test]
-fn ten_thousand_ticks_of_the_shipped_loops_do_not_allocate_each() {
+fn ten_thousand_ticks_of_the_shipped_loops_allocate_nothing() {
     let control = measure(|| drop(std::hint::black_box(Vec::<u8>::with_capacity(100))));
     assert_eq!(control.count_total, 1, "the counter counts");
     let pid = std::process::id();
@@ -340,12 +340,6 @@ fn ten_thousand_ticks_of_the_shipped_loops_do_not_allocate_each() {
     let swaps = TICKS / SWAP_TICKS;
     assert_eq!((done.versions, done.version), (swaps, swaps), "{done:?}");
     assert!(done.ready && done.metres > 1_000.0, "{done:?}");
-    assert_eq!(read(&planner.allocations), 0, "in {TICKS} ticks");
-    // Known and not yet found: the controller's loop, waits and swaps included, allocates
-    // once in 10,000 ticks with 20 swaps. The limit is that one.
-    assert!(
-        read(&controller.allocations) <= 1,
-        "{} allocations of the controller in {TICKS} ticks",
-        read(&controller.allocations)
-    );
+    let counted = (read(&planner.allocations), read(&controller.allocations));
+    assert_eq!(counted, (0, 0), "allocations in {TICKS} ticks");
 }
