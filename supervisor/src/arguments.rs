@@ -55,7 +55,8 @@ pub enum Command {
     /// Drive many episodes and print success, contacts and completion.
     #[command(disable_help_flag = true)]
     Eval(Delegated),
-    /// Measure, and compare with other systems; --help lists what.
+    /// Measure: parity, sim, planner, mpc, policy, learner, swap, judge, latency, ipc, faults,
+    /// soak.
     #[command(disable_help_flag = true)]
     Bench(Delegated),
     /// Draw a map, an episode or a plan from above as SVG, or a camera frame as PNG.

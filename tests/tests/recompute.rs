@@ -60,7 +60,7 @@ fn every_step_of_a_lockstep_run_is_recomputed_from_the_wire() {
 
 #[test]
 fn every_step_of_a_takeover_in_real_time_is_recomputed_from_the_wire() {
-    let mut set = Set::new("recompute-human");
+    let mut set = Set::new("takeover");
     fs::write(set.folder().join("policy.onnx"), bad::good(32, 1)).expect("a file");
     let keys = "1.0 space\n1.2 left\n1.6 up\n2.5 space\n";
     fs::write(set.folder().join("keys.txt"), keys).expect("a file");
