@@ -6,6 +6,7 @@
 
 use std::fmt::Write;
 
+use crate::config::Learner;
 use crate::histogram::{BUCKETS, HALF_SHIFT, UNIT_SHIFT};
 use crate::layout::Layout;
 use crate::message::{
@@ -33,84 +34,73 @@ pub fn module() -> String {
     out.push_str("\nimport ctypes\nfrom collections import namedtuple\n");
     limits(&mut out);
     colours(&mut out);
-    word_list(
-        &mut out,
-        "Process",
-        Process::ALL,
-        Process::code,
-        Process::word,
+    word_lists(&mut out);
+    messages(&mut out);
+    service_rows(&mut out);
+    out
+}
+
+fn word_lists(out: &mut String) {
+    macro_rules! lists {
+        ($($words:ident),+) => {
+            $(word_list(out, stringify!($words), $words::ALL, $words::code, $words::word);)+
+        };
+    }
+    lists!(
+        Process,
+        HealthState,
+        Grant,
+        Part,
+        Scheduling,
+        Outcome,
+        Driver,
+        Reason,
+        RefusalKind,
+        Bend,
+        View,
+        PixelFormat
     );
-    word_list(
-        &mut out,
-        "HealthState",
-        HealthState::ALL,
-        HealthState::code,
-        HealthState::word,
+}
+
+/// Each message, after those that it holds.
+fn messages(out: &mut String) {
+    macro_rules! each {
+        ($($message:ident),+) => { $(message::<$message>(out);)+ };
+    }
+    each!(
+        Header,
+        Ego,
+        Road,
+        Checkpoint,
+        Observation,
+        Command,
+        Progress,
+        Episode,
+        Health,
+        Histogram,
+        LateTick,
+        Timing,
+        Camera,
+        Frame,
+        Proposal,
+        FrameRequest,
+        Roster
     );
-    word_list(&mut out, "Grant", Grant::ALL, Grant::code, Grant::word);
-    word_list(&mut out, "Part", Part::ALL, Part::code, Part::word);
-    word_list(
-        &mut out,
-        "Scheduling",
-        Scheduling::ALL,
-        Scheduling::code,
-        Scheduling::word,
-    );
-    word_list(
-        &mut out,
-        "Outcome",
-        Outcome::ALL,
-        Outcome::code,
-        Outcome::word,
-    );
-    word_list(&mut out, "Driver", Driver::ALL, Driver::code, Driver::word);
-    word_list(&mut out, "Reason", Reason::ALL, Reason::code, Reason::word);
-    word_list(
-        &mut out,
-        "RefusalKind",
-        RefusalKind::ALL,
-        RefusalKind::code,
-        RefusalKind::word,
-    );
-    word_list(&mut out, "Bend", Bend::ALL, Bend::code, Bend::word);
-    word_list(&mut out, "View", View::ALL, View::code, View::word);
-    word_list(
-        &mut out,
-        "PixelFormat",
-        PixelFormat::ALL,
-        PixelFormat::code,
-        PixelFormat::word,
-    );
-    message::<Header>(&mut out);
-    message::<Ego>(&mut out);
-    message::<Road>(&mut out);
-    message::<Checkpoint>(&mut out);
-    message::<Observation>(&mut out);
-    message::<Command>(&mut out);
-    message::<Progress>(&mut out);
-    message::<Episode>(&mut out);
-    message::<Health>(&mut out);
-    message::<Histogram>(&mut out);
-    message::<LateTick>(&mut out);
-    message::<Timing>(&mut out);
-    message::<Camera>(&mut out);
-    message::<Frame>(&mut out);
-    message::<Proposal>(&mut out);
-    message::<FrameRequest>(&mut out);
-    message::<Roster>(&mut out);
+}
+
+fn service_rows(out: &mut String) {
     out.push_str(
         "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history open\")\n\n",
     );
-    service(&mut out, "OBSERVATION", &services::OBSERVATION);
-    service(&mut out, "COMMAND", &services::COMMAND);
-    service(&mut out, "FRAME_REQUEST", &services::FRAME_REQUEST);
-    service(&mut out, "FRAME", &services::FRAME);
-    service(&mut out, "ROSTER", &services::ROSTER);
-    service(&mut out, "PROGRESS", &services::PROGRESS);
-    service(&mut out, "EPISODE", &services::EPISODE);
-    service(&mut out, "HEALTH_WORLD", &services::health(Process::World));
-    service(&mut out, "TIMING_WORLD", &services::timing(Process::World));
-    out
+    service(out, "OBSERVATION", &services::OBSERVATION);
+    service(out, "COMMAND", &services::COMMAND);
+    service(out, "FRAME_REQUEST", &services::FRAME_REQUEST);
+    service(out, "FRAME", &services::FRAME);
+    service(out, "ROSTER", &services::ROSTER);
+    service(out, "PROGRESS", &services::PROGRESS);
+    service(out, "EPISODE", &services::EPISODE);
+    service(out, "HEALTH_WORLD", &services::health(Process::World));
+    service(out, "TIMING_WORLD", &services::timing(Process::World));
 }
 
 fn limits(out: &mut String) {
@@ -128,6 +118,7 @@ fn limits(out: &mut String) {
     line("HISTOGRAM_HALF_SHIFT", HALF_SHIFT.to_string());
     line("HISTOGRAM_BUCKETS", BUCKETS.to_string());
     line("LATE_TICKS", LATE_TICKS.to_string());
+    line("LEARNER_WAIT_S", Learner::LOCKSTEP_WAIT_S.to_string());
     line("FRAME_BYTES_MAX", FRAME_BYTES_MAX.to_string());
     line("FRAME_SIDE_MIN_PX", FRAME_SIDES_PX.start().to_string());
     line("FRAME_SIDE_MAX_PX", FRAME_SIDES_PX.end().to_string());

@@ -55,7 +55,7 @@
 //! | planner | follows the last plan up to `limits.plan_age_ms`, then the controller brakes (*unplanned*) |
 //! | controller | the world applies the last command up to `limits.command_age_ms`, then brakes |
 //! | gate | continues; when the last advice has expired, the expert drives (*expired*) |
-//! | learner | continues with the weights in use. In lockstep the controller waits for the restarted learner, `learner.lockstep_wait_s` at most |
+//! | learner | continues with the weights in use. In lockstep the controller waits for the restarted learner, 120 s at most |
 //! | world | is gone with the world; the controller brakes (*blind*) until the world is back, at the start of its episode |
 //! | supervisor | all processes end with it; the next `up` or `clean` removes their files |
 //!

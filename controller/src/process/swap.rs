@@ -58,7 +58,7 @@ impl PolicySwap {
                 steps: None,
                 own_steps: 0,
                 block_steps: u64::from(learner.block_steps),
-                wait_ns: (learner.lockstep_wait_s * 1e9) as u64,
+                wait_ns: (shm_config::config::Learner::LOCKSTEP_WAIT_S * 1e9) as u64,
                 is_silent: false,
             }),
         };

@@ -31,6 +31,10 @@ use crate::presentation::{Prompt, Reply};
 /// What is kept of what a model or a server said, bytes.
 pub const SAID_BYTES_MAX: usize = 4096;
 
+/// Longest answer, bytes of the whole HTTP body; nothing is read beyond. 200 tokens with
+/// their envelope are 2 kB; some servers add the model's reasoning.
+const ANSWER_BYTES_MAX: usize = 256 * 1024;
+
 /// Longest name of a model that is kept, bytes.
 const SERVED_BYTES_MAX: usize = 128;
 
@@ -344,7 +348,7 @@ impl Asker {
         if status == 200 && !is_json {
             return Outcome::fault(Fault::ContentType);
         }
-        let (bytes, end) = transport::read_body(response, self.vlm.answer_bytes_max as usize).await;
+        let (bytes, end) = transport::read_body(response, ANSWER_BYTES_MAX).await;
         if status != 200 {
             return self.refused(status, &bytes, wait);
         }

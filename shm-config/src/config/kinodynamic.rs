@@ -30,6 +30,7 @@ pub struct Kinodynamic {
     #[serde(skip)]
     pub brake_mps2: f64,
     /// How far along the road the goal lies at most, m. 20.0: four seconds.
+    #[serde(skip)]
     pub goal_distance_m: f64,
     /// How far a bend may leave the straight line to the goal while the road's
     /// middle is free, m. 0.25: as in `planner.goal_sag_m`.

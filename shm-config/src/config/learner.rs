@@ -71,10 +71,6 @@ pub struct Learner {
     /// label.
     #[serde(skip)]
     pub label_wait_s: f64,
-    /// In lockstep: how long the controller waits for the learner, s on the
-    /// machine's clock; then a silent learner is not waited for until it speaks
-    /// again.
-    pub lockstep_wait_s: f64,
 }
 
 impl Default for Learner {
@@ -94,13 +90,16 @@ impl Default for Learner {
             predicted_states: 4,
             imagined_scenes: 3,
             label_wait_s: 35.0,
-            // A block of updates takes seconds; a busy machine, ten times that.
-            lockstep_wait_s: 120.0,
         }
     }
 }
 
 impl Learner {
+    /// In lockstep: how long the controller waits for the learner, s on the machine's
+    /// clock; a silent learner is then not waited for until it publishes again. A block
+    /// of updates takes seconds, on a busy machine ten times that.
+    pub const LOCKSTEP_WAIT_S: f64 = 120.0;
+
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
         let counts = [
             ("learner.block_steps", self.block_steps, 1..=1_000_000),
@@ -117,11 +116,6 @@ impl Learner {
         in_range("learner.rate", self.rate, 0.0..=1.0)?;
         in_range("learner.imitation_weight", self.imitation_weight, 0.0..=1e3)?;
         in_range("learner.target_noise", self.target_noise, 0.0..=1.0)?;
-        in_range("learner.label_wait_s", self.label_wait_s, 0.0..=3600.0)?;
-        in_range(
-            "learner.lockstep_wait_s",
-            self.lockstep_wait_s,
-            0.01..=36_000.0,
-        )
+        in_range("learner.label_wait_s", self.label_wait_s, 0.0..=3600.0)
     }
 }

@@ -144,7 +144,7 @@ impl Config {
     /// for the learner, that comes on top.
     pub fn world_wait_ns(&self) -> u64 {
         let learner_s = match self.learner.enabled {
-            true => self.learner.lockstep_wait_s,
+            true => Learner::LOCKSTEP_WAIT_S,
             false => 0.0,
         };
         self.peer_wait_ns() + (learner_s * 1e9) as u64

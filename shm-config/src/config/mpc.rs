@@ -23,6 +23,7 @@ pub struct Mpc {
     #[serde(skip)]
     pub sideways_mps2: f64,
     /// Deceleration that is planned with, m/s²; the brake gives four times as much.
+    #[serde(skip)]
     pub brake_mps2: f64,
     /// Distance kept from obstacles and the road's edges where there is room, m.
     pub clearance_m: f64,

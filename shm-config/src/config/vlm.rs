@@ -104,8 +104,6 @@ pub struct Vlm {
     pub temperature: f64,
     /// Longest answer, tokens.
     pub tokens_max: u32,
-    /// Longest answer, bytes of the whole HTTP body; nothing is read beyond.
-    pub answer_bytes_max: u32,
     /// Time for one question with all its attempts, s.
     pub deadline_s: f64,
     /// Time for one attempt, s.
@@ -114,8 +112,10 @@ pub struct Vlm {
     pub attempts_max: u32,
     /// Longest wait before the second attempt, s; it doubles from attempt to
     /// attempt, and a random part of it is waited.
+    #[serde(skip)]
     pub backoff_s: f64,
     /// Longest wait before any attempt, s, unless the server asks for more.
+    #[serde(skip)]
     pub backoff_max_s: f64,
     /// Requests at once, of which a question that is asked twice makes two; one
     /// more fails at once.
@@ -134,6 +134,7 @@ pub struct Vlm {
     /// it is left alone. One that is asked twice counts twice.
     pub breaker_failures: u32,
     /// For how long, s; then one question tries it again.
+    #[serde(skip)]
     pub breaker_open_s: f64,
     /// Most that a run keeps of questions and pictures, bytes.
     pub record_bytes_max: u64,
@@ -162,9 +163,6 @@ impl Default for Vlm {
             temperature: 0.0,
             // A sentence of reason needs 60.
             tokens_max: 200,
-            // Two hundred tokens with their envelope are 2 kB; some servers add
-            // the model's reasoning.
-            answer_bytes_max: 262_144,
             // Advice is of use while its question is fresh: the paper's period.
             deadline_s: 10.0,
             attempt_s: 8.0,
@@ -217,11 +215,6 @@ impl Vlm {
             ("vlm.width_px", self.width_px, 64..=4096),
             ("vlm.height_px", self.height_px, 64..=4096),
             ("vlm.tokens_max", self.tokens_max, 16..=100_000),
-            (
-                "vlm.answer_bytes_max",
-                self.answer_bytes_max,
-                1_024..=16_777_216,
-            ),
             ("vlm.attempts_max", self.attempts_max, 1..=20),
             ("vlm.in_flight_max", self.in_flight_max, 1..=64),
             ("vlm.per_minute_max", self.per_minute_max, 1..=10_000),
@@ -235,12 +228,9 @@ impl Vlm {
             ("vlm.temperature", self.temperature, -1.0..=2.0),
             ("vlm.deadline_s", self.deadline_s, 0.01..=600.0),
             ("vlm.attempt_s", self.attempt_s, 0.01..=600.0),
-            ("vlm.backoff_s", self.backoff_s, 0.001..=60.0),
-            ("vlm.backoff_max_s", self.backoff_max_s, 0.001..=600.0),
             ("vlm.budget_usd", self.budget_usd, 0.0..=1e6),
             ("vlm.price_in_usd", self.price_in_usd, -1.0..=1e4),
             ("vlm.price_out_usd", self.price_out_usd, -1.0..=1e4),
-            ("vlm.breaker_open_s", self.breaker_open_s, 0.01..=3600.0),
         ];
         for (key, value, range) in reals {
             in_range(key, value, range)?;
