@@ -237,7 +237,7 @@ impl<M: Layout> Service<M> {
     }
 
     /// The service of one process, of a family.
-    pub(super) const fn of_process(self, process: Process) -> Self {
+    pub(crate) const fn of_process(self, process: Process) -> Self {
         Self {
             name: self.row.instances[process.code() as usize],
             from: process,

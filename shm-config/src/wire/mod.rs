@@ -18,7 +18,7 @@ use rustix::event::poll;
 use rustix::time::Timespec;
 
 pub use doorbell::Doorbell;
-pub use ports::Use;
+pub use ports::{Family, Use};
 pub use producers::Foreigner;
 use producers::Producers;
 pub use publisher::Publisher;

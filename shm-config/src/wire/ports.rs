@@ -1,5 +1,9 @@
 //! The ports of a process, derived from the service table.
 
+use super::{Subscriber, Wire, WireError};
+use crate::message::Message;
+use crate::services::{Process, Service};
+
 /// Whether a process reads a service or publishes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Use {
@@ -9,10 +13,36 @@ pub enum Use {
     Writes,
 }
 
+/// The readers of a family of services: one for each process that publishes there.
+pub struct Family<M: Message>(pub Vec<(Process, Subscriber<M>)>);
+
+impl<M: Message> Family<M> {
+    /// Opens all of them.
+    ///
+    /// # Errors
+    /// As [`Wire::subscriber`].
+    pub fn open(wire: &Wire, family: Service<M>) -> Result<Self, WireError> {
+        let producers = family.row.producers.iter();
+        let readers = producers.map(|process| {
+            let reader = wire.subscriber(family.of_process(*process))?;
+            Ok((*process, reader))
+        });
+        readers.collect::<Result<_, _>>().map(Self)
+    }
+
+    /// Connects to publishers that came. To be called between ticks.
+    pub fn update_connections(&mut self) {
+        for (_, reader) in &mut self.0 {
+            reader.update_connections();
+        }
+    }
+}
+
 /// Declares the ports that a process, or one thread of it, opens.
 ///
 /// `read` opens a reader with the table's queue, `newest` one that holds the newest
-/// message alone, `write` a publisher. It does not compile when the service's row does
+/// message alone, `each` a reader of every process's own service of a family such as
+/// `health/*`, `write` a publisher. It does not compile when the service's row does
 /// not name the process as a consumer, or as a producer. `with bell` adds the process's
 /// doorbell.
 ///
@@ -108,11 +138,14 @@ macro_rules! ports {
     };
     (@port read $message:ty) => { $crate::wire::Subscriber<$message> };
     (@port newest $message:ty) => { $crate::wire::Subscriber<$message> };
+    (@port each $message:ty) => { $crate::wire::Family<$message> };
     (@port write $message:ty) => { $crate::wire::Publisher<$message> };
     (@use read) => { $crate::wire::Use::Reads };
     (@use newest) => { $crate::wire::Use::Reads };
+    (@use each) => { $crate::wire::Use::Reads };
     (@use write) => { $crate::wire::Use::Writes };
     (@open read $wire:ident, $service:ident) => { $wire.subscriber($service)? };
     (@open newest $wire:ident, $service:ident) => { $wire.latest($service)? };
+    (@open each $wire:ident, $service:ident) => { $crate::wire::Family::open($wire, $service)? };
     (@open write $wire:ident, $service:ident) => { $wire.publisher($service)? };
 }

@@ -2,14 +2,22 @@
 
 use shm_config::message::Roster;
 use shm_config::services::{Process, ROSTER};
-use shm_config::wire::{Publisher, Wire, WireError};
+use shm_config::wire::{Wire, WireError};
 
 use crate::set::process_set::ProcessSet;
+
+shm_config::ports! {
+    /// Where the roster goes.
+    pub struct RosterPorts of Supervisor {
+        /// To every process of the run.
+        roster: write ROSTER: Roster,
+    }
+}
 
 /// Publishes the process ids that the run has started.
 pub struct RosterPublisher {
     roster: Roster,
-    port: Publisher<Roster>,
+    ports: RosterPorts,
 }
 
 impl RosterPublisher {
@@ -21,10 +29,10 @@ impl RosterPublisher {
     pub fn open(wire: &Wire) -> Result<Self, WireError> {
         let mut roster = Roster::default();
         roster.set(Process::Supervisor, Some(std::process::id()));
-        let mut port = wire.publisher(ROSTER)?;
-        port.send(&mut roster);
+        let mut ports = RosterPorts::open(wire)?;
+        ports.roster.send(&mut roster);
         wire.trust(&roster);
-        Ok(Self { roster, port })
+        Ok(Self { roster, ports })
     }
 
     /// Puts a process of the run on the roster, and publishes the roster when it changes. A
@@ -33,7 +41,7 @@ impl RosterPublisher {
     pub fn name(&mut self, wire: &Wire, process: Process, pid: u32) {
         if self.roster.pid(process) != Some(pid) {
             self.roster.set(process, Some(pid));
-            self.port.send(&mut self.roster);
+            self.ports.roster.send(&mut self.roster);
             wire.trust(&self.roster);
         }
     }
@@ -50,6 +58,6 @@ impl RosterPublisher {
 
     /// Delivers the roster to new subscribers.
     pub fn update_connections(&mut self) {
-        self.port.update_connections();
+        self.ports.update_connections();
     }
 }

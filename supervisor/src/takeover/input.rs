@@ -5,7 +5,7 @@ use std::path::Path;
 use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{Header, Takeover};
-use shm_config::wire::Publisher;
+use shm_config::services::TAKEOVER;
 
 use crate::cli::failure::Failure;
 use crate::takeover::driver::HumanDriver;
@@ -41,20 +41,28 @@ impl KeySource {
     }
 }
 
-/// KeySource, what they amount to, and who hears of it.
+shm_config::ports! {
+    /// Where a human driver's wishes go.
+    pub struct TakeoverPorts of Supervisor {
+        /// To the controller.
+        takeovers: write TAKEOVER: Takeover,
+    }
+}
+
+/// The keys, the human driver that they make, and where its wishes are published.
 pub struct TakeoverInput {
     keys: KeySource,
     person: HumanDriver,
-    port: Publisher<Takeover>,
+    ports: TakeoverPorts,
 }
 
 impl TakeoverInput {
     /// The input before any takeover.
-    pub fn new(keys: KeySource, port: Publisher<Takeover>) -> Self {
+    pub fn new(keys: KeySource, ports: TakeoverPorts) -> Self {
         Self {
             keys,
             person: HumanDriver::default(),
-            port,
+            ports,
         }
     }
 
@@ -89,9 +97,9 @@ impl TakeoverInput {
             },
             ..self.person.takeover()
         };
-        self.port.update_connections();
+        self.ports.takeovers.update_connections();
         // When shared memory is full, the last message expires and the takeover ends.
-        self.port.send(&mut takeover);
+        self.ports.takeovers.send(&mut takeover);
         match (before, self.person.has_taken_over()) {
             (false, true) => Some("the human driver took over"),
             (true, false) => Some("the human driver gave back"),

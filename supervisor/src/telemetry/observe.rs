@@ -13,7 +13,7 @@ use crate::machine::memory::Memory;
 use crate::machine::signals::pause;
 use crate::run::leftovers::clean_run;
 use crate::set::table::rows;
-use crate::telemetry::ports::{Depth, Ports};
+use crate::telemetry::ports::Ports;
 use crate::telemetry::process_tally::ProcessTally;
 use crate::telemetry::tally::Tally;
 
@@ -67,7 +67,7 @@ fn listen(
     let wire = Wire::join(paths.name(), Process::Supervisor)?;
     wire.follow(supervisor)?;
     wire.await_named(Process::Supervisor, supervisor)?;
-    let mut ports = Ports::open(&wire, config, Depth::Newest)?;
+    let mut ports = Ports::open(&wire)?;
     let begun = clock();
     while clock().since_ns(begun) < LISTEN_NS {
         ports.drain(tally);

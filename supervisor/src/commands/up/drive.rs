@@ -4,7 +4,7 @@ use std::path::Path;
 
 use shm_config::Instant;
 use shm_config::config::{Config, Simulator};
-use shm_config::services::{Process, TAKEOVER};
+use shm_config::services::Process;
 use shm_config::wire::Wire;
 
 use super::supervision::{End, Run};
@@ -24,9 +24,9 @@ use crate::set::process_set::ProcessSet;
 use crate::setup::metadrive;
 use crate::show::screen::Screen;
 use crate::show::summary::Summary;
-use crate::takeover::input::{KeySource, TakeoverInput};
+use crate::takeover::input::{KeySource, TakeoverInput, TakeoverPorts};
 use crate::telemetry::foreign::ForeignReports;
-use crate::telemetry::ports::{Depth, Ports};
+use crate::telemetry::ports::Ports;
 use crate::telemetry::tally::Tally;
 use crate::telemetry::timing;
 
@@ -63,10 +63,10 @@ pub(super) fn drive(
     let logs = folder.join("logs");
     let set = ProcessSet::new(config, launch, &logs)?;
     let wire = Wire::join(place.paths().name(), Process::Supervisor)?;
-    let ports = Ports::open(&wire, config, Depth::All)?;
+    let ports = Ports::open(&wire)?;
     let roster_port = RosterPublisher::open(&wire)?;
     let takeover = match keys {
-        Some(keys) => Some(TakeoverInput::new(keys, wire.publisher(TAKEOVER)?)),
+        Some(keys) => Some(TakeoverInput::new(keys, TakeoverPorts::open(&wire)?)),
         None => None,
     };
     let now = clock();
