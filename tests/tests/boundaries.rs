@@ -56,9 +56,9 @@ const ARROWS: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// Begins the list of the files that may hold `unsafe`, in ARCHITECTURE.md: the one
+/// Begins the list of the files that may hold `unsafe`, in docs/unsafe.md: the one
 /// definition. A row is `| path | why |`.
-const UNSAFE_HEADING: &str = "## Homes of `unsafe`";
+const UNSAFE_HEADING: &str = "# Homes of `unsafe`";
 
 /// Lines of the longest source file.
 const LINES_MAX: usize = 500;
@@ -154,9 +154,9 @@ fn only_the_wire_names_iceoryx2() {
     }
 }
 
-/// The files that ARCHITECTURE.md lists.
+/// The files that docs/unsafe.md lists.
 fn unsafe_homes() -> BTreeSet<String> {
-    let text = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
+    let text = fs::read_to_string(root().join("docs/unsafe.md")).expect("docs/unsafe.md");
     let (_, after) = text.split_once(UNSAFE_HEADING).expect("the list of homes");
     let list = after.split("\n## ").next().unwrap_or(after);
     let rows = list.lines().filter_map(|line| line.strip_prefix("| `"));
@@ -190,7 +190,7 @@ fn unsafe_code_stays_in_its_homes_and_says_why() {
         }
         assert!(
             homes.contains(&name),
-            "{name} is no home of unsafe: say why in ARCHITECTURE.md, \"{UNSAFE_HEADING}\", \
+            "{name} is no home of unsafe: say why in docs/unsafe.md, \
              or do without"
         );
         assert!(

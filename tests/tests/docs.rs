@@ -366,7 +366,7 @@ fn every_reference_in_the_help_exists() {
 fn the_checks_find_what_is_wrong() {
     let facts = Facts::get();
     for right in [
-        "[map](ARCHITECTURE.md), [unsafe](ARCHITECTURE.md#homes-of-unsafe)",
+        "[map](ARCHITECTURE.md), [tick](ARCHITECTURE.md#one-tick)",
         "`./vlaps up --lockstep --episodes 5 --seed 3 --json a.json`",
         "`eval --episodes N`, `--lockstep`, `vlaps.toml`, `gate.period_s=5`",
         "`vehicle/src/lib.rs`, `Observation::features`, `late_ticks`",
@@ -377,7 +377,7 @@ fn the_checks_find_what_is_wrong() {
     }
     for wrong in [
         "[map](ARCHITECTURE-OLD.md)",
-        "[unsafe](ARCHITECTURE.md#homes-of-nothing)",
+        "[tick](ARCHITECTURE.md#no-tick)",
         "`./vlaps fly`",
         "`./vlaps up --locked`",
         "`eval --episodes none`",

@@ -23,7 +23,7 @@ use super::train;
         1000 to 1049 without intervention (Sec. 5). The same seed gives the same policies. \
         Ctrl-C stops (exit code 1), --resume goes on; what is not given then is as it was \
         begun.\n\n\
-        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; ARCHITECTURE.md compares \
+        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; docs/learning.md compares \
         them.\n\n\
         Examples:\n  \
         ./vlaps train --algorithm dagger --steps 10000\n  \

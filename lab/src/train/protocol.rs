@@ -217,7 +217,7 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
         "supervisor.silence_s=60.0".into(),
         format!("planner.method={}", experiment.expert.key()),
         // A teacher keeps more distance than a driver must, because a pupil does
-        // not repeat it to the decimetre (ARCHITECTURE.md): 0.6 m and 1.2 m are
+        // not repeat it to the decimetre (results/learning.md): 0.6 m and 1.2 m are
         // what they drive with alone.
         "mpc.clearance_m=1.2".into(),
         "mpc.speed_mps=5.0".into(),
