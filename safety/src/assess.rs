@@ -1,5 +1,7 @@
-use shm_config::config::JudgeLimits;
 use shm_config::message::{Assessment, BEAMS_MAX, Observation, Verdict};
+use shm_config::settings::JudgeLimits;
+#[allow(unused_imports)]
+use vehicle::Float as _;
 use vehicle::{Action, Point, State, Vehicle, step};
 
 use crate::RoadAhead;
@@ -26,7 +28,7 @@ impl Scene {
     pub fn new(observation: &Observation, reach_m: f64) -> Self {
         let ranges_m = observation.ranges();
         let mut returns_body = heapless::Vec::new();
-        let turn_rad = std::f64::consts::TAU / ranges_m.len().max(1) as f64;
+        let turn_rad = core::f64::consts::TAU / ranges_m.len().max(1) as f64;
         let limit_m = observation.lidar_max_m.min(reach_m as f32);
         for (beam, &range_m) in ranges_m.iter().enumerate() {
             if range_m < limit_m {

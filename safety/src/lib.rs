@@ -5,6 +5,8 @@
 //! brake could no longer prevent what it leads to. Nothing here allocates, waits or
 //! reads a clock.
 
+#![no_std]
+
 mod assess;
 mod road;
 

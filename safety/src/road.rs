@@ -1,4 +1,6 @@
 use shm_config::message::{Bend, Observation};
+#[allow(unused_imports)]
+use vehicle::Float as _;
 use vehicle::Point;
 
 /// The road's edges near the car, in the body frame: two straight lines or two

@@ -85,6 +85,7 @@ impl Histogram {
     }
 
     /// The same counts in the library's type, for quantiles and plots.
+    #[cfg(feature = "std")]
     pub fn to_hdr(&self) -> hdrhistogram::Histogram<u64> {
         let mut hdr = hdrhistogram::Histogram::<u64>::new_with_bounds(1 << UNIT_SHIFT, 1 << 35, 2)
             .unwrap_or_else(|_| unreachable!("the bounds are constants that a test makes"));
@@ -98,6 +99,7 @@ impl Histogram {
 
     /// The duration below which a share `quantile` in [0, 1] of all lie, ns, to
     /// two digits and never above the exact maximum; 0 when nothing was counted.
+    #[cfg(feature = "std")]
     pub fn quantile_ns(&self, quantile: f64) -> u64 {
         self.to_hdr().value_at_quantile(quantile).min(self.max_ns)
     }

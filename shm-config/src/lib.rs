@@ -4,18 +4,29 @@
 //! on stands here and nowhere else.
 //!
 //! The feature `wire` (default) adds what needs iceoryx2 or Linux: ports, runs, files,
-//! secrets and the machine's clock. Messages, services and configuration need neither.
+//! secrets and the machine's clock. The feature `std`, which it includes, adds what
+//! allocates: the configuration file, the service table as a page, texts. Messages,
+//! services and the tick's settings need neither; without `std`, the feature `libm`
+//! gives the mathematics.
 
+#![cfg_attr(not(feature = "std"), no_std)]
+
+#[cfg(feature = "std")]
 pub mod config;
+#[cfg(feature = "std")]
 mod counted;
+#[cfg(feature = "std")]
 pub mod difference;
 #[cfg(feature = "wire")]
 pub mod file;
+#[cfg(feature = "std")]
 mod grid;
 pub mod histogram;
+#[cfg(feature = "std")]
 pub mod judged;
 pub mod layout;
 pub mod message;
+#[cfg(feature = "std")]
 pub mod palette;
 #[cfg(feature = "wire")]
 pub mod python;
@@ -24,7 +35,10 @@ pub mod run;
 #[cfg(feature = "wire")]
 pub mod secret;
 pub mod services;
+pub mod settings;
+#[cfg(feature = "std")]
 mod shortened;
+#[cfg(feature = "std")]
 pub mod text;
 pub mod time;
 pub mod turns;
@@ -32,9 +46,12 @@ pub mod turns;
 #[allow(clippy::disallowed_types)] // the one place that may name iceoryx2
 pub mod wire;
 
+#[cfg(feature = "std")]
 pub use counted::counted;
+#[cfg(feature = "std")]
 pub use grid::RunGrid;
 pub use message::Message;
+#[cfg(feature = "std")]
 pub use shortened::shortened;
 pub use time::Instant;
 pub use turns::PlanTurns;

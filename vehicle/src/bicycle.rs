@@ -1,4 +1,6 @@
-use crate::{Control, Point, Pose, Vector, Vehicle, math, pose, wrap_rad};
+#[cfg(not(feature = "std"))]
+use crate::Float as _;
+use crate::{Control, Point, Pose, Vector, Vehicle, pose, wrap_rad};
 
 /// State of the kinematic bicycle, `s_k` of Sec. 8.4.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,8 +39,8 @@ pub fn step(vehicle: &Vehicle, state: &State, control: Control, step_s: f64) -> 
         heading_rad,
         speed_mps,
     } = *state;
-    let (sin, cos) = math::sin_cos(heading_rad);
-    let yaw_rate_radps = speed_mps / vehicle.wheelbase_m * math::tan(control.steer_rad);
+    let (sin, cos) = heading_rad.sin_cos();
+    let yaw_rate_radps = speed_mps / vehicle.wheelbase_m * control.steer_rad.tan();
     State {
         position: position + step_s * speed_mps * Vector::new(cos, sin),
         heading_rad: wrap_rad(heading_rad + step_s * yaw_rate_radps),

@@ -1,4 +1,6 @@
-use crate::{Point, Pose, math};
+#[cfg(not(feature = "std"))]
+use crate::Float as _;
+use crate::{Point, Pose};
 
 /// The rectangle a car covers, centred on its body frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,11 +30,11 @@ impl Footprint {
     pub fn distance_m(&self, point_body: Point) -> f64 {
         let dx_m = point_body.x.abs() - self.length_m / 2.0;
         let dy_m = point_body.y.abs() - self.width_m / 2.0;
-        math::hypot(dx_m.max(0.0), dy_m.max(0.0)) + dx_m.max(dy_m).min(0.0)
+        dx_m.max(0.0).hypot(dy_m.max(0.0)) + dx_m.max(dy_m).min(0.0)
     }
 
     /// Radius of the circle around the corners, m.
     pub fn radius_m(&self) -> f64 {
-        math::hypot(self.length_m, self.width_m) / 2.0
+        self.length_m.hypot(self.width_m) / 2.0
     }
 }

@@ -22,15 +22,23 @@
 
 #![cfg_attr(not(feature = "std"), no_std)]
 
+#[cfg(not(any(feature = "std", feature = "libm")))]
+compile_error!("vehicle: enable the feature `std`, or `libm` without a standard library");
+
+/// The mathematics that `core` does not have: with the feature `std` the host's C
+/// library, bit by bit, else the crate libm, whose last bits may differ. A file of a
+/// crate without `std` imports it by `use vehicle::Float as _`; where another crate
+/// links `std`, the methods of `f64` come first and are the same.
+pub use num_traits::Float;
+
 mod action;
 mod angle;
 mod bicycle;
 mod footprint;
-pub mod math;
 mod parameters;
 
 pub use action::{Action, Control};
-pub use angle::wrap_rad;
+pub use angle::{rem_euclid, wrap_rad};
 pub use bicycle::{State, step};
 pub use footprint::Footprint;
 pub use parameters::{InvalidVehicle, Vehicle};

@@ -1,22 +1,8 @@
 use serde::{Deserialize, Serialize};
 
-use super::{Config, OutOfRange, in_range};
+use super::{Config, Late, OutOfRange, in_range};
 use crate::message::{PARTS, Part};
 use crate::services::Process;
-
-/// What follows when a tick is done after its deadline, one period after it was
-/// due.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Late {
-    /// It is counted; its answer goes out all the same.
-    Count,
-    /// Its answer is held back: its readers go on with the one before, up to
-    /// its age limit.
-    Skip,
-    /// The car brakes.
-    Brake,
-}
 
 /// Deadlines and budgets: what is slow is counted by name, and what is late does
 /// not have to be obeyed. None in lockstep.

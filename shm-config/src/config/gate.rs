@@ -1,40 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::{OutOfRange, Run, in_range};
-
-/// What decides which driver acts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum GateMode {
-    /// The gate process compares both rollouts by exact geometry.
-    Rules,
-    /// The gate process asks a vision-language model (section `vlm`).
-    Vlm,
-    /// The same as the paper did it: a question every `period_s`, expert and
-    /// policy named, and the world waits for the answer. Lockstep only. It sets
-    /// further keys of `gate`, `vlm` and `controller` ([`Config::with_preset`]).
-    ///
-    /// [`Config::with_preset`]: super::Config::with_preset
-    Paper,
-    /// The answers of a run that was recorded.
-    Replay,
-    /// Always the expert; no gate process.
-    Expert,
-    /// Always the policy, if one is loaded; no gate process.
-    Policy,
-    /// The policy until a person takes over; no gate process.
-    Human,
-}
-
-impl GateMode {
-    /// The mode has a process that gives advice.
-    pub fn is_advised(self) -> bool {
-        match self {
-            Self::Rules | Self::Vlm | Self::Paper | Self::Replay => true,
-            Self::Expert | Self::Policy | Self::Human => false,
-        }
-    }
-}
+use super::{GateMode, OutOfRange, Run, in_range};
 
 /// When a judge is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

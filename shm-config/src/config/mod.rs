@@ -4,15 +4,11 @@
 //! name only what it changes; an unknown key is an error that names the nearest
 //! valid one.
 
-mod controller;
 mod deadlines;
 mod gate;
-mod informed;
-mod kinodynamic;
 mod learner;
 mod load;
 mod mpc;
-pub mod planner;
 mod policy;
 mod preset;
 mod rates;
@@ -25,17 +21,18 @@ mod wrong_type;
 use serde::{Deserialize, Serialize};
 use vehicle::Vehicle;
 
-pub use controller::{Controller, JudgeLimits};
-pub use deadlines::{Deadlines, Late};
-pub use gate::{FaultyJudge, Gate, GateMode, When};
-pub use informed::Informed;
-pub use kinodynamic::Kinodynamic;
+use crate::settings::in_range;
+
+pub use crate::settings::{
+    Controller, GateMode, Informed, JudgeLimits, Kinodynamic, Late, OutOfRange, Planner, planner,
+};
+pub use deadlines::Deadlines;
+pub use gate::{FaultyJudge, Gate, When};
 pub use learner::{Algorithm, Learner};
 pub use load::{ConfigError, from_toml};
 #[cfg(feature = "wire")]
 pub use load::{load, text_of};
 pub use mpc::Mpc;
-pub use planner::Planner;
 pub use policy::{Backend, Policy};
 pub use rates::DECISION_HZ;
 pub use run::{Clock, Limits, Run, Supervisor};
@@ -81,18 +78,6 @@ pub struct Config {
     pub learner: Learner,
     /// Restarts and real-time privileges.
     pub supervisor: Supervisor,
-}
-
-/// A value that its key cannot take.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{key} = {value}: must be {expected}")]
-pub struct OutOfRange {
-    /// The key with its section, such as `planner.cell_m`.
-    pub key: String,
-    /// What it was.
-    pub value: String,
-    /// What it may be.
-    pub expected: String,
 }
 
 impl Config {
@@ -150,47 +135,3 @@ impl Config {
         self.peer_wait_ns() + (learner_s * 1e9) as u64
     }
 }
-
-/// A number that a key may be, and how its range is told.
-pub(crate) trait Number: PartialOrd + std::fmt::Display + std::fmt::Debug {
-    /// Such as `within 0.5 and 2`.
-    fn told(range: &std::ops::RangeInclusive<Self>) -> String
-    where
-        Self: Sized;
-}
-
-macro_rules! numbers {
-    ($($number:ty),+: $told:literal) => { $(
-        impl Number for $number {
-            fn told(range: &std::ops::RangeInclusive<Self>) -> String {
-                format!($told, range.start(), range.end())
-            }
-        }
-    )+ };
-}
-numbers!(f32, f64: "within {} and {}");
-numbers!(u32, u64, usize, i32: "a whole number from {} to {}");
-
-/// `value` lies in `range`.
-pub(crate) fn in_range<T: Number>(
-    key: &str,
-    value: T,
-    range: std::ops::RangeInclusive<T>,
-) -> Result<(), OutOfRange> {
-    if range.contains(&value) {
-        return Ok(());
-    }
-    // As it may have been written: not all 301 digits of 1e300.
-    let mut echo = value.to_string();
-    if echo.len() > ECHO_DIGITS {
-        echo = format!("{value:?}");
-    }
-    Err(OutOfRange {
-        key: key.into(),
-        value: echo,
-        expected: T::told(&range),
-    })
-}
-
-/// Longest number that is told digit by digit.
-const ECHO_DIGITS: usize = 20;

@@ -1,4 +1,6 @@
 use super::{Refusal, known, within};
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 
 crate::word_list! {
     /// From where a frame is seen.
@@ -24,9 +26,9 @@ pub const TOP_DOWN_HEIGHT_M: f64 = 50.0;
 /// paths of a question begin.
 const EGO_POSITION_BODY_M: [f64; 3] = [-2.0, 0.0, 2.4];
 /// How far it looks down, rad: the horizon then lies at a third of the height.
-const EGO_PITCH_RAD: f64 = 12.0 * std::f64::consts::PI / 180.0;
+const EGO_PITCH_RAD: f64 = 12.0 * core::f64::consts::PI / 180.0;
 /// Angle from the left rim of the picture to the right one, rad.
-const EGO_FIELD_RAD: f64 = 66.0 * std::f64::consts::PI / 180.0;
+const EGO_FIELD_RAD: f64 = 66.0 * core::f64::consts::PI / 180.0;
 /// What is nearer is not seen, m.
 const EGO_NEAR_M: f64 = 0.5;
 
@@ -129,6 +131,34 @@ impl Camera {
         pixel.iter().all(|value| value.is_finite()).then_some(pixel)
     }
 
+    fn row(&self, row: usize, point_body: [f64; 3]) -> f64 {
+        let row = &self.pixel_from_body[row * 4..row * 4 + 4];
+        let [x_m, y_m, z_m] = point_body;
+        row[0] * x_m + row[1] * y_m + row[2] * z_m + row[3]
+    }
+
+    /// Everything that a frame says of its camera is a number in range.
+    ///
+    /// # Errors
+    /// The first field that is not finite, out of range or of unknown code.
+    pub fn check(&self) -> Result<(), Refusal> {
+        for value in self.pixel_from_body {
+            within("camera.pixel_from_body", value, -1e9..=1e9)?;
+        }
+        for value in self.position_body_m {
+            within("camera.position_body_m", value, -1e4..=1e4)?;
+        }
+        within("camera.near_m", self.near_m, 0.0..=1e3)?;
+        known("camera.view", self.view, View::from_code)?;
+        known("camera.orthographic", self.orthographic, |code| {
+            (code <= 1).then_some(code)
+        })
+    }
+}
+
+/// Outlines, which grow as they are cut.
+#[cfg(feature = "std")]
+impl Camera {
     /// A line through points of the body frame as it is seen, in pixels: what is
     /// nearer than `near_m` is cut off, so that one line may become several.
     pub fn project_line(&self, points_body: &[[f64; 3]]) -> Vec<Vec<[f64; 2]>> {
@@ -185,30 +215,6 @@ impl Camera {
             [false, true] => Some([cut(), to_body]),
             [false, false] => None,
         }
-    }
-
-    fn row(&self, row: usize, point_body: [f64; 3]) -> f64 {
-        let row = &self.pixel_from_body[row * 4..row * 4 + 4];
-        let [x_m, y_m, z_m] = point_body;
-        row[0] * x_m + row[1] * y_m + row[2] * z_m + row[3]
-    }
-
-    /// Everything that a frame says of its camera is a number in range.
-    ///
-    /// # Errors
-    /// The first field that is not finite, out of range or of unknown code.
-    pub fn check(&self) -> Result<(), Refusal> {
-        for value in self.pixel_from_body {
-            within("camera.pixel_from_body", value, -1e9..=1e9)?;
-        }
-        for value in self.position_body_m {
-            within("camera.position_body_m", value, -1e4..=1e4)?;
-        }
-        within("camera.near_m", self.near_m, 0.0..=1e3)?;
-        known("camera.view", self.view, View::from_code)?;
-        known("camera.orthographic", self.orthographic, |code| {
-            (code <= 1).then_some(code)
-        })
     }
 }
 

@@ -8,7 +8,7 @@ use super::{
 pub const FRAME_BYTES_MAX: usize = 960 * 720 * 3;
 /// Least and greatest width and height of a frame that can be asked for, pixels:
 /// a car is a dot in smaller ones, and narrower ones are no pictures of a road.
-pub const FRAME_SIDES_PX: std::ops::RangeInclusive<u32> = 64..=2048;
+pub const FRAME_SIDES_PX: core::ops::RangeInclusive<u32> = 64..=2048;
 
 crate::word_list! {
     /// How a pixel is stored.

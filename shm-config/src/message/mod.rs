@@ -75,7 +75,7 @@ impl Header {
 pub const FUTURE_TOLERANCE_NS: u64 = 1_000_000;
 
 /// A message that can travel.
-pub trait Message: Layout + crate::layout::Travels + Copy + std::fmt::Debug + 'static {
+pub trait Message: Layout + crate::layout::Travels + Copy + core::fmt::Debug + 'static {
     /// The header.
     fn header(&self) -> &Header;
 
@@ -125,7 +125,7 @@ pub(crate) use header_accessors;
 pub(crate) fn within(
     field: &'static str,
     value: f64,
-    range: std::ops::RangeInclusive<f64>,
+    range: core::ops::RangeInclusive<f64>,
 ) -> Result<(), Refusal> {
     // Bounds are finite: what is not is in no range.
     if range.contains(&value) {

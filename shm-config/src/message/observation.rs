@@ -1,6 +1,8 @@
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
 use crate::Instant;
 use crate::layout::{FNV_BASIS, fnv1a};
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 
 /// Most lidar beams a world may have.
 pub const BEAMS_MAX: usize = 512;

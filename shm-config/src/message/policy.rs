@@ -74,6 +74,7 @@ impl PolicyStatus {
     }
 
     /// Why the last offer was refused or rolled back.
+    #[cfg(feature = "std")]
     pub fn refusal(&self) -> std::borrow::Cow<'_, str> {
         let count = (self.refusal_bytes as usize).min(self.refusal.len());
         String::from_utf8_lossy(&self.refusal[..count])

@@ -143,9 +143,9 @@ impl Refusals {
     }
 }
 
-impl std::fmt::Display for Refusals {
+impl core::fmt::Display for Refusals {
     /// `3 stale, 1 foreign`; `none` without any.
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         let mut separator = "";
         for (kind, count) in self.occurred() {
             write!(f, "{separator}{count} {kind}")?;

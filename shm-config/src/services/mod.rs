@@ -1,8 +1,10 @@
 #![doc = include_str!("../../../docs/services.md")]
 
+#[cfg(feature = "std")]
 mod pages;
 mod row;
 
+#[cfg(feature = "std")]
 pub use pages::{markdown, picture};
 pub use row::{
     AgeLimit, Delivery, Leaves, MessageType, Process, Rate, Recorded, Row, Service, TakenFrom,

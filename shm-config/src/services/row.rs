@@ -1,6 +1,6 @@
 //! What one row of the service table says.
 
-use std::marker::PhantomData;
+use core::marker::PhantomData;
 
 use crate::layout::Layout;
 use crate::word_list;

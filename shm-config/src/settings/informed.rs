@@ -1,7 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use super::planner::DISC_CELLS_MAX;
 use super::{OutOfRange, in_range};
-use crate::config::planner::DISC_CELLS_MAX;
 
 /// Informed RRT* with a memory, `planner.method = "informed"`. All else is as
 /// `planner` says.

@@ -40,7 +40,11 @@ impl Default for Controller {
 }
 
 impl Controller {
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// The first number that is not finite or outside its limits.
+    pub fn check(&self) -> Result<(), OutOfRange> {
         in_range("controller.steer_kp", self.steer_kp, 0.0..=100.0)?;
         in_range("controller.steer_kd", self.steer_kd, 0.0..=100.0)?;
         in_range("controller.pedal_kp", self.pedal_kp, 0.0..=100.0)?;
@@ -89,7 +93,11 @@ impl Default for JudgeLimits {
 }
 
 impl JudgeLimits {
-    pub(super) fn check(&self) -> Result<(), OutOfRange> {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// The first number that is not finite or outside its limits.
+    pub fn check(&self) -> Result<(), OutOfRange> {
         in_range("judge.horizon_s", self.horizon_s, 0.1..=5.0)?;
         in_range("judge.step_s", self.step_s, 0.02..=1.5)?;
         in_range("judge.margin_m", self.margin_m, 0.0..=5.0)?;
