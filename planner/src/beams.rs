@@ -1,4 +1,6 @@
 use shm_config::message::{BEAMS_MAX, Observation};
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Point, Vector};
 
 /// The directions of the lidar's beams in the body frame, kept between plans
@@ -39,7 +41,7 @@ impl Beams {
 /// The right half is the left half mirrored, to the last bit: left and right
 /// are then treated alike.
 fn direction_body(beam: usize, count: usize) -> Vector {
-    let angle_rad = |beam: usize| std::f64::consts::TAU * beam as f64 / count as f64;
+    let angle_rad = |beam: usize| core::f64::consts::TAU * beam as f64 / count as f64;
     if 2 * beam == count {
         return Vector::new(-1.0, 0.0);
     }

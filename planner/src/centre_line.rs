@@ -1,4 +1,6 @@
 use shm_config::message::Observation;
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Point, Pose, Vector, pose};
 
 /// A checkpoint less than this ahead of the car, along the road, has been
@@ -64,6 +66,7 @@ impl CentreLine {
     }
 
     /// Length of the car's own road from beside the car on, m.
+    #[cfg(feature = "std")]
     pub(crate) fn first_length_m(&self) -> f64 {
         self.arcs[0].length_m
     }

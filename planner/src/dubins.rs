@@ -1,6 +1,8 @@
-use std::f64::consts::{PI, TAU};
+use core::f64::consts::{PI, TAU};
 
-use vehicle::{Pose, pose};
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
+use vehicle::{Pose, pose, rem_euclid};
 
 /// An arc this much shorter than a full turn is none, rad: rounding makes -1e-16
 /// of what is 0, and a full turn of -1e-16.
@@ -271,7 +273,7 @@ fn turn(angle_rad: f64) -> f64 {
     let within_rad = match angle_rad {
         angle_rad if (0.0..TAU).contains(&angle_rad) => angle_rad,
         angle_rad if (-TAU..0.0).contains(&angle_rad) => angle_rad + TAU,
-        angle_rad => angle_rad.rem_euclid(TAU),
+        angle_rad => rem_euclid(angle_rad, TAU),
     };
     match within_rad < TAU - SAME_RAD {
         true => within_rad,

@@ -1,3 +1,5 @@
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Point, Vector};
 
 use crate::sampler::{Region, Sampler};
@@ -43,7 +45,7 @@ impl Ellipse {
         for _ in 0..DRAWS {
             // Uniform in the unit disc: the root makes up for the wider rings.
             let radius = sampler.unit().sqrt();
-            let (sin, cos) = (std::f64::consts::TAU * sampler.unit()).sin_cos();
+            let (sin, cos) = (core::f64::consts::TAU * sampler.unit()).sin_cos();
             let point = self.middle + (self.long * cos + self.short * sin) * radius;
             let inside = (0.0..=region.x_max_m).contains(&point.x)
                 && (region.right_m..=region.left_m).contains(&point.y);

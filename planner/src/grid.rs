@@ -1,11 +1,16 @@
 use shm_config::message::Observation;
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::Point;
 
 use crate::PlannerConfig;
 use crate::beams::Beams;
 use crate::corridor::Corridor;
+#[cfg(feature = "std")]
+use crate::memory::own_words;
+use crate::memory::{GridWords, Place, exactly};
 use crate::segment::{Run, Segment};
-use shm_config::config::planner::DISC_CELLS_MAX;
+use shm_config::settings::planner::DISC_CELLS_MAX;
 
 mod arc;
 mod road;
@@ -16,6 +21,20 @@ pub(crate) const STARTS_MAX: usize = 4;
 const BAND_ROWS: usize = 8;
 /// Cells in a word.
 const WORD: usize = u64::BITS as usize;
+
+/// Columns, and rows on either side of the x axis, of the configured grid.
+fn cells(config: &PlannerConfig) -> [usize; 2] {
+    let cells_per_m = 1.0 / config.cell_m;
+    // A millionth of a cell: 30 / 0.05 must not become 601.
+    let cells = |length_m: f64| (length_m * cells_per_m - 1e-6).ceil().max(1.0) as usize;
+    [cells(config.x_max_m), cells(config.y_max_m)]
+}
+
+/// Words of the configured grid.
+pub(crate) fn word_count(config: &PlannerConfig) -> usize {
+    let [columns, half_rows] = cells(config);
+    columns.div_ceil(WORD) * 2 * half_rows
+}
 
 /// A cell of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,16 +80,24 @@ pub struct Grid {
     starts: heapless::Vec<i64, STARTS_MAX>,
     /// 64 columns a word, the lowest bit nearest to the car. All rows of the first
     /// 64 columns, then of the next: the rows of a rectangle lie side by side.
-    words: Box<[u64]>,
+    words: Place<[u64]>,
 }
 
 impl Grid {
-    /// An empty grid of the configured size; the only place that allocates.
+    /// A grid of the configured size, occupied everywhere; the only place that
+    /// allocates.
+    #[cfg(feature = "std")]
     pub fn new(config: &PlannerConfig) -> Self {
+        Self::within(config, own_words(config))
+    }
+
+    /// The same in this memory.
+    ///
+    /// # Panics
+    /// When the settings were not checked and need more words than there are.
+    pub fn within(config: &PlannerConfig, words: Place<GridWords>) -> Self {
         let cells_per_m = 1.0 / config.cell_m;
-        // A millionth of a cell: 30 / 0.05 must not become 601.
-        let cells = |length_m: f64| (length_m * cells_per_m - 1e-6).ceil().max(1.0) as usize;
-        let (columns, half_rows) = (cells(config.x_max_m), cells(config.y_max_m));
+        let [columns, half_rows] = cells(config);
         let radius_cells = config.inflation_m * cells_per_m;
         let disc_squared = (radius_cells * radius_cells + 1e-6).floor() as i64;
         Self {
@@ -89,7 +116,7 @@ impl Grid {
                 left_m: 0.0,
             },
             starts: heapless::Vec::from_array([0]),
-            words: vec![!0; columns.div_ceil(WORD) * 2 * half_rows].into_boxed_slice(),
+            words: exactly(words, word_count(config)),
         }
     }
 
@@ -142,7 +169,7 @@ impl Grid {
     /// Marks what the lidar saw.
     fn stamp_returns(&mut self, observation: &Observation) {
         // The beams are taken out so that the rows can be written while they are read.
-        let mut beams = std::mem::take(&mut self.beams);
+        let mut beams = core::mem::take(&mut self.beams);
         beams.prepare(observation.ranges().len());
         let mut last = None;
         for return_body in beams.returns(observation) {

@@ -1,11 +1,14 @@
-use shm_config::config::{Informed as Settings, OutOfRange};
 use shm_config::message::{Header, Observation, Plan, WAYPOINTS_MAX};
+use shm_config::settings::{Informed as Settings, OutOfRange};
 use vehicle::{Point, Pose, pose};
 
 use crate::PlannerConfig;
 use crate::ellipse::Ellipse;
 use crate::goal::choose_goal;
 use crate::grid::Grid;
+#[cfg(feature = "std")]
+use crate::memory::own_words;
+use crate::memory::{GridWords, Place};
 use crate::rrt_star::{header, write_outcome};
 use crate::sampler::{Region, Sampler};
 use crate::search::Search;
@@ -36,7 +39,7 @@ pub struct Informed {
     config: PlannerConfig,
     settings: Settings,
     grid: Grid,
-    search: Box<Search>,
+    search: Place<Search>,
     memory: Option<Memory>,
     warm_nodes: usize,
 }
@@ -54,7 +57,22 @@ impl Informed {
     ///
     /// # Errors
     /// The first number of the configuration that is outside its limits.
+    #[cfg(feature = "std")]
     pub fn new(config: PlannerConfig, settings: Settings) -> Result<Self, OutOfRange> {
+        let search = Box::new(Search::empty());
+        Self::within(config, settings, search, own_words(&config))
+    }
+
+    /// In this memory; it does not allocate.
+    ///
+    /// # Errors
+    /// The first number of the configuration that is outside its limits.
+    pub fn within(
+        config: PlannerConfig,
+        settings: Settings,
+        search: Place<Search>,
+        words: Place<GridWords>,
+    ) -> Result<Self, OutOfRange> {
         config.check()?;
         settings.check(config.cell_m)?;
         let config = PlannerConfig {
@@ -64,8 +82,8 @@ impl Informed {
         Ok(Self {
             config,
             settings,
-            grid: Grid::new(&config),
-            search: Box::new(Search::new()),
+            grid: Grid::within(&config, words),
+            search,
             memory: None,
             warm_nodes: 0,
         })

@@ -1,11 +1,18 @@
-use shm_config::config::planner::NODES_MAX;
-use shm_config::config::{Config, Kinodynamic as Settings, OutOfRange};
+#[cfg(feature = "std")]
+use shm_config::config::Config;
 use shm_config::message::{Observation, Plan, PlanOutcome};
+use shm_config::settings::planner::NODES_MAX;
+use shm_config::settings::{Kinodynamic as Settings, OutOfRange};
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Pose, Vehicle, pose, wrap_rad};
 
 use crate::PlannerConfig;
 use crate::centre_line::CentreLine;
 use crate::grid::Grid;
+#[cfg(feature = "std")]
+use crate::memory::own_words;
+use crate::memory::{GridWords, Place};
 use crate::rrt_star::header;
 use crate::sampler::Sampler;
 
@@ -15,8 +22,9 @@ mod path;
 mod search;
 
 use body::Body;
-use path::Path;
-use search::{Question, Search};
+pub use path::Path;
+use search::Question;
+pub use search::Search;
 
 /// Of the budget, one part in so many may pass without a way to the goal before
 /// the slow car's tighter curves have the rest: a tree that reaches its goal mostly
@@ -47,8 +55,8 @@ pub struct Kinodynamic {
     vehicle: Vehicle,
     body: Body,
     grid: Grid,
-    search: Box<Search>,
-    path: Box<Path>,
+    search: Place<Search>,
+    path: Place<Path>,
     radius_m: f64,
 }
 
@@ -69,14 +77,31 @@ impl Kinodynamic {
     /// # Errors
     /// The first number of the configuration that is outside its limits; also
     /// when the grid has no room for discs as large as the body's.
+    #[cfg(feature = "std")]
     pub fn new(config: &Config) -> Result<Self, OutOfRange> {
-        let (settings, vehicle) = (config.kinodynamic, config.vehicle);
+        Self::within(
+            (config.planner, config.kinodynamic, config.vehicle),
+            (Box::new(Search::empty()), Box::new(Path::empty())),
+            own_words(&config.planner),
+        )
+    }
+
+    /// For these settings and this car, in this memory; it does not allocate.
+    ///
+    /// # Errors
+    /// The first number of the settings that is outside its limits; also when the grid
+    /// has no room for discs as large as the body's.
+    pub fn within(
+        (planner, settings, vehicle): (PlannerConfig, Settings, Vehicle),
+        (search, path): (Place<Search>, Place<Path>),
+        words: Place<GridWords>,
+    ) -> Result<Self, OutOfRange> {
         settings.check()?;
         let body = Body::new(&vehicle);
         let planner = PlannerConfig {
             inflation_m: body.radius_m + settings.clearance_m,
             lane_margin_m: settings.lane_margin_m,
-            ..config.planner
+            ..planner
         };
         planner.check()?;
         Ok(Self {
@@ -84,9 +109,9 @@ impl Kinodynamic {
             settings,
             vehicle,
             body,
-            grid: Grid::new(&planner),
-            search: Box::new(Search::new()),
-            path: Box::new(Path::default()),
+            grid: Grid::within(&planner, words),
+            search,
+            path,
             radius_m: 0.0,
         })
     }
@@ -234,7 +259,7 @@ impl Kinodynamic {
         let across_m =
             corridor.right_m + sampler.unit() * (corridor.left_m - corridor.right_m) - origin_m;
         let spread_rad = match wild {
-            true => std::f64::consts::PI,
+            true => core::f64::consts::PI,
             false => self.settings.spread_rad,
         };
         road * pose(0.0, across_m, spread_rad * (2.0 * sampler.unit() - 1.0))

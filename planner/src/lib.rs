@@ -13,6 +13,12 @@
 //! also after a restart. [`Informed`] and [`Mpc`] remember within an episode.
 //! The three RRT* allocate nothing, take no lock and read no clock; the solver of
 //! [`Mpc`] allocates once for each plan and looks at the clock for its limit.
+//!
+//! Without the feature `std` (and with `libm`), the three RRT* need neither the standard
+//! library nor an allocator: they plan in memory of the caller's
+//! ([`RrtStar::within`]).
+
+#![cfg_attr(not(feature = "std"), no_std)]
 
 mod beams;
 mod centre_line;
@@ -23,7 +29,10 @@ mod goal;
 mod grid;
 mod informed;
 mod kinodynamic;
+mod memory;
+#[cfg(feature = "std")]
 mod mpc;
+#[cfg(feature = "std")]
 mod planner;
 #[cfg(feature = "process")]
 pub mod ports;
@@ -33,6 +42,7 @@ mod rrt_star;
 mod sampler;
 mod search;
 mod segment;
+#[cfg(feature = "std")]
 mod track;
 mod tree;
 
@@ -41,11 +51,15 @@ pub use dubins::{Dubins, Piece, Turn};
 pub use goal::choose_goal;
 pub use grid::{Cell, Grid};
 pub use informed::Informed;
-pub use kinodynamic::{Kinodynamic, PoseNode};
+pub use kinodynamic::{Kinodynamic, Path, PoseNode, Search as PoseSearch};
+pub use memory::{GridWords, Place};
+#[cfg(feature = "std")]
 pub use mpc::{Effort, Mpc};
+#[cfg(feature = "std")]
 pub use planner::Planner;
 #[cfg(feature = "process")]
 pub use process::{PlannerProcess, run};
 pub use rrt_star::RrtStar;
-pub use shm_config::config::Planner as PlannerConfig;
+pub use search::Search;
+pub use shm_config::settings::Planner as PlannerConfig;
 pub use tree::{Node, Tree};

@@ -1,10 +1,13 @@
-use shm_config::config::OutOfRange;
 use shm_config::message::{Header, Observation, Plan, PlanOutcome, WAYPOINTS_MAX, Waypoint};
+use shm_config::settings::OutOfRange;
 use vehicle::Point;
 
 use crate::PlannerConfig;
 use crate::goal::choose_goal;
 use crate::grid::Grid;
+#[cfg(feature = "std")]
+use crate::memory::own_words;
+use crate::memory::{GridWords, Place};
 use crate::sampler::Sampler;
 use crate::search::Search;
 use crate::tree::Tree;
@@ -16,7 +19,7 @@ use crate::tree::Tree;
 pub struct RrtStar {
     config: PlannerConfig,
     grid: Grid,
-    search: Box<Search>,
+    search: Place<Search>,
 }
 
 impl RrtStar {
@@ -24,12 +27,25 @@ impl RrtStar {
     ///
     /// # Errors
     /// The first number of the configuration that is outside its limits.
+    #[cfg(feature = "std")]
     pub fn new(config: PlannerConfig) -> Result<Self, OutOfRange> {
+        Self::within(config, Box::new(Search::empty()), own_words(&config))
+    }
+
+    /// In this memory; it does not allocate.
+    ///
+    /// # Errors
+    /// The first number of the configuration that is outside its limits.
+    pub fn within(
+        config: PlannerConfig,
+        search: Place<Search>,
+        words: Place<GridWords>,
+    ) -> Result<Self, OutOfRange> {
         config.check()?;
         Ok(Self {
             config,
-            grid: Grid::new(&config),
-            search: Box::new(Search::new()),
+            grid: Grid::within(&config, words),
+            search,
         })
     }
 

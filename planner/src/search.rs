@@ -1,3 +1,5 @@
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::Point;
 
 use crate::PlannerConfig;
@@ -21,7 +23,7 @@ struct Near {
 
 /// RRT* of Sec. 4.1.1 with all its memory.
 #[derive(Debug)]
-pub(crate) struct Search {
+pub struct Search {
     pub(crate) tree: Tree,
     /// As many count as the tree had chunks before the new node.
     near: [Near; CHUNKS_MAX],
@@ -29,14 +31,14 @@ pub(crate) struct Search {
 }
 
 impl Search {
-    /// An empty tree.
-    pub(crate) fn new() -> Self {
+    /// Without nodes.
+    pub const fn empty() -> Self {
         let none = Near {
             distance_m: [f64::INFINITY; LANES],
             cost_via_m: [f64::INFINITY; LANES],
         };
         Self {
-            tree: Tree::default(),
+            tree: Tree::new(),
             near: [none; CHUNKS_MAX],
             near_count: 0,
         }

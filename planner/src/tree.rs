@@ -1,6 +1,6 @@
 use vehicle::Point;
 
-use shm_config::config::planner::NODES_MAX;
+use shm_config::settings::planner::NODES_MAX;
 
 /// Stands for "no node" among indices.
 const NONE: u16 = u16::MAX;
@@ -73,6 +73,14 @@ pub(crate) struct Edge {
 }
 
 impl Tree {
+    /// Empty.
+    pub const fn new() -> Self {
+        Self {
+            chunks: heapless::Vec::new(),
+            links: heapless::Vec::new(),
+        }
+    }
+
     /// Number of nodes.
     pub fn len(&self) -> usize {
         self.links.len()
@@ -100,7 +108,7 @@ impl Tree {
 
     /// The indices from a node to the start, both included.
     pub(crate) fn way_back(&self, from: usize) -> impl Iterator<Item = usize> + '_ {
-        std::iter::successors(Some(from), |&index| {
+        core::iter::successors(Some(from), |&index| {
             let parent = self.links[index].parent;
             (parent != NONE).then_some(parent as usize)
         })

@@ -1,5 +1,7 @@
-use std::f64::consts::FRAC_PI_2;
+use core::f64::consts::FRAC_PI_2;
 
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Point, Vector};
 
 use super::Grid;

@@ -1,4 +1,6 @@
 use shm_config::message::Observation;
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::Point;
 
 use super::{Grid, STARTS_MAX};

@@ -1,3 +1,5 @@
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Point, Pose, Vector, Vehicle};
 
 use crate::dubins::{Dubins, Piece, Turn};
@@ -30,7 +32,7 @@ impl Body {
     pub(crate) fn new(vehicle: &Vehicle) -> Self {
         let apart_m = vehicle.length_m / (2 * DISCS - 1) as f64;
         Self {
-            ahead_m: std::array::from_fn(|disc| disc as f64 * apart_m),
+            ahead_m: core::array::from_fn(|disc| disc as f64 * apart_m),
             radius_m: (apart_m / 2.0).hypot(vehicle.width_m / 2.0),
         }
     }

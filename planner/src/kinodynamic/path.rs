@@ -1,6 +1,8 @@
-use shm_config::config::Kinodynamic as Settings;
-use shm_config::config::planner::NODES_MAX;
 use shm_config::message::{Plan, PlanOutcome, WAYPOINTS_MAX, Waypoint};
+use shm_config::settings::Kinodynamic as Settings;
+use shm_config::settings::planner::NODES_MAX;
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::Pose;
 
 use super::search::Search;
@@ -19,8 +21,8 @@ struct Leg {
 }
 
 /// The way from the car to a node, as its curves.
-#[derive(Debug, Default)]
-pub(super) struct Path {
+#[derive(Debug)]
+pub struct Path {
     /// Nodes from the last to the first; scratch.
     back: heapless::Vec<u16, NODES_MAX>,
     legs: heapless::Vec<Leg, NODES_MAX>,
@@ -28,6 +30,15 @@ pub(super) struct Path {
 }
 
 impl Path {
+    /// Without curves.
+    pub const fn empty() -> Self {
+        Self {
+            back: heapless::Vec::new(),
+            legs: heapless::Vec::new(),
+            length_m: 0.0,
+        }
+    }
+
     /// Collects the curves to a node. They are computed anew: the same poses
     /// give the same curve.
     pub(super) fn follow(&mut self, search: &Search, end: usize, radius_m: f64) {

@@ -1,6 +1,8 @@
-use shm_config::config::planner::NODES_MAX;
-use std::f64::consts::TAU;
+use core::f64::consts::TAU;
+use shm_config::settings::planner::NODES_MAX;
 
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Point, Pose, Vector};
 
 use super::body::Body;
@@ -46,7 +48,7 @@ struct Candidate {
 
 /// RRT* over poses, with all its memory. Edges are shortest Dubins curves.
 #[derive(Debug)]
-pub(super) struct Search {
+pub struct Search {
     pub(super) tree: Tree,
     /// The pose of each node of the tree.
     pub(super) poses: heapless::Vec<Pose, NODES_MAX>,
@@ -59,9 +61,10 @@ pub(super) struct Search {
 }
 
 impl Search {
-    pub(super) fn new() -> Self {
+    /// Without nodes.
+    pub const fn empty() -> Self {
         Self {
-            tree: Tree::default(),
+            tree: Tree::new(),
             poses: heapless::Vec::new(),
             headings_rad: heapless::Vec::new(),
             goal: None,
