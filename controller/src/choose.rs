@@ -1,8 +1,8 @@
 use shm_config::Instant;
-use shm_config::config::GateMode;
 use shm_config::message::{
     Advice, Assessment, Driver, Intent, Plan, PlanOutcome, Preference, Reason, Stage,
 };
+use shm_config::settings::GateMode;
 use vehicle::Action;
 
 /// Everything that the switch law decides on.

@@ -7,31 +7,44 @@
 //! New weights are checked, built and warmed by the `Loader` in a thread of its own,
 //! pass through a single-slot [`Mailbox`], and run as a canary between two ticks
 //! ([`Controller::run_canary`]).
+//!
+//! Without the feature `std` (and with `libm`), the tick needs neither the standard
+//! library nor an allocator: it is the [`Arbiter`], to which the policy's answer is an
+//! argument. What loads, swaps and rolls back policies needs `std`.
 
+#![cfg_attr(not(feature = "std"), no_std)]
+
+#[cfg(feature = "std")]
 mod between_ticks;
 mod choose;
+#[cfg(feature = "std")]
 mod controller;
 mod pd;
+#[cfg(feature = "std")]
 mod policy;
 #[cfg(feature = "process")]
 pub mod ports;
 #[cfg(feature = "process")]
 mod process;
+#[cfg(feature = "std")]
 mod recompute;
 mod tick;
 mod transfer;
 
 pub use choose::{ArbitrationInput, Choice, choose};
+#[cfg(feature = "std")]
 pub use controller::Controller;
 pub use pd::Pd;
 #[cfg(feature = "process")]
 pub use policy::Loader;
+#[cfg(feature = "std")]
 pub use policy::{
     CanaryOutcome, Candidate, Exchanged, Fault, Mailbox, NativePolicy, OrtPolicy, OrtSession,
     Policy, PolicySlot, StartStage, SwapEvent, Terms, TickEnd, build, library,
 };
 #[cfg(feature = "process")]
 pub use process::{ControllerProcess, run};
+#[cfg(feature = "std")]
 pub use recompute::Recomputer;
 pub use shm_config::message::{Intent, Stage};
 pub use tick::{AdmittedAt, Arbiter, ArbiterConfig, Inputs, PolicyAnswer};

@@ -1,5 +1,7 @@
-use shm_config::config::Controller;
 use shm_config::message::{Observation, PdState, Plan, PlanOutcome};
+use shm_config::settings::Controller;
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
 use vehicle::{Action, Point, pose};
 
 /// A goal that moved further than this between two ticks is another goal, m:

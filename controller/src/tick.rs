@@ -1,11 +1,13 @@
 //! The tick's arithmetic: messages, the policy's answer and the time in, a step out.
 
 use safety::{Scene, assess};
-use shm_config::config::{self, Config, GateMode, JudgeLimits, Late};
+#[cfg(feature = "std")]
+use shm_config::config::Config;
 use shm_config::message::{
     Admission, Advice, Assessment, Before, Command, Driver, Entry, Intent, Lateness, Observation,
     Plan, Proposal, Reason, ShadowProposal, Stage, Step, Takeover,
 };
+use shm_config::settings::{self, GateMode, JudgeLimits, Late};
 use shm_config::{Instant, Message};
 use vehicle::{Action, Vehicle};
 
@@ -58,7 +60,7 @@ pub struct PolicyAnswer {
 #[derive(Debug, Clone, Copy)]
 pub struct ArbiterConfig {
     /// The tracking's gains, and the rates of a hand-over.
-    pub gains: config::Controller,
+    pub gains: settings::Controller,
     /// Limits of the verdict.
     pub judge: JudgeLimits,
     /// The car.
@@ -79,6 +81,7 @@ pub struct ArbiterConfig {
     pub takeover_age_ns: u64,
 }
 
+#[cfg(feature = "std")]
 impl From<&Config> for ArbiterConfig {
     fn from(config: &Config) -> Self {
         Self {

@@ -1,5 +1,5 @@
-use shm_config::config::Controller as Gains;
 use shm_config::message::{Driver, Reason, TransferState};
+use shm_config::settings::Controller as Gains;
 use vehicle::Action;
 
 use crate::{ArbiterConfig, Choice};
