@@ -2,8 +2,9 @@ use prost::Message;
 use sha2::{Digest, Sha256};
 use shm_config::message::{FEATURES, WEIGHTS_BYTES_MAX};
 
+use crate::forward::ACTIONS;
 use crate::metadata::{self, Probe, Provenance};
-use crate::mlp::{ACTIONS, all_finite};
+use crate::mlp::all_finite;
 use crate::onnx::{
     ATTRIBUTE_INT, Attribute, Dimension, FLOAT, Graph, Model, Node, OperatorSet, Shape, Tensor,
     TensorType, Type, ValueInfo,

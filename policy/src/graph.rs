@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use shm_config::message::FEATURES;
 
-use crate::mlp::{ACTIONS, LAYERS_MAX, WIDTH_MAX, all_finite, wrong_shape};
+use crate::forward::{ACTIONS, LAYERS_MAX};
+use crate::mlp::{WIDTH_MAX, all_finite, wrong_shape};
 use crate::onnx::{ATTRIBUTE_INT, EXTERNAL, FLOAT, Graph, INT64, Node, Tensor, ValueInfo};
 use crate::{Activation, Layer, Refusal};
 

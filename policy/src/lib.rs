@@ -21,20 +21,39 @@
 //! [`decode`] makes every check and gives a [`Net`]: a chain of layers runs in
 //! the native runtime [`Mlp`], anything else needs ONNX Runtime. Arithmetic
 //! only: no clock, no files, no threads.
+//!
+//! Without the feature `std` (and with `libm`), the native runtime needs neither the
+//! standard library nor an allocator: [`Forward`] over weights of the caller's.
 
+#![cfg_attr(not(feature = "std"), no_std)]
+
+#[cfg(feature = "std")]
 mod file;
+mod forward;
+#[cfg(feature = "std")]
 mod graph;
+#[cfg(feature = "std")]
 mod metadata;
+#[cfg(feature = "std")]
 mod mlp;
+#[cfg(feature = "std")]
 mod onnx;
+#[cfg(feature = "std")]
 mod refusal;
+#[cfg(feature = "std")]
 mod scan;
 
+#[cfg(feature = "std")]
 pub use file::{
     Names, Net, PolicyFile, TOLERANCE, check_answers, check_hash, decode, decode_within, encode,
     sha256, short_hash,
 };
+pub use forward::{ACTIONS, Activation, BLOCK, Forward, LAYERS_MAX, Mismatch, PackedLayer, pack};
+#[cfg(feature = "std")]
 pub use graph::OPERATORS;
+#[cfg(feature = "std")]
 pub use metadata::{FORMAT_VERSION, PROBES_MAX, Probe, Provenance};
-pub use mlp::{ACTIONS, Activation, LAYERS_MAX, Layer, Mlp, WIDTH_MAX};
+#[cfg(feature = "std")]
+pub use mlp::{Layer, Mlp, WIDTH_MAX};
+#[cfg(feature = "std")]
 pub use refusal::Refusal;

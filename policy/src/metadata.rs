@@ -1,7 +1,8 @@
 use shm_config::message::{FEATURES, OBSERVATION_LAYOUT};
 
 use crate::Refusal;
-use crate::mlp::{ACTIONS, all_finite};
+use crate::forward::ACTIONS;
+use crate::mlp::all_finite;
 use crate::onnx::Entry;
 
 /// The format that this crate writes, and the only one it reads.

@@ -1,17 +1,7 @@
 use shm_config::message::FEATURES;
 
 use crate::Refusal;
-
-/// What follows a layer's sums.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Activation {
-    /// Nothing.
-    None,
-    /// `max(0, x)`.
-    Relu,
-    /// `tanh(x)`.
-    Tanh,
-}
+use crate::forward::{ACTIONS, Activation, BLOCK, LAYERS_MAX, PackedLayer, forward, pack};
 
 /// `y = activation(weights x + bias)`.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,15 +18,8 @@ pub struct Layer {
     pub activation: Activation,
 }
 
-/// Numbers that the policy answers with: steering and pedal, normalised.
-pub const ACTIONS: usize = 2;
-/// Most layers of a net.
-pub const LAYERS_MAX: usize = 16;
 /// Widest layer: two such layers would already be over the size of a file.
 pub const WIDTH_MAX: usize = 1 << 14;
-/// Outputs whose sums are kept in registers together: four registers of AVX-512,
-/// eight of AVX2, and sixteen of SSE2, half of which then live in the cache.
-const BLOCK: usize = 64;
 
 /// The native runtime: a multilayer perceptron from 259 features to 2 actions.
 ///
@@ -47,21 +30,10 @@ const BLOCK: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Mlp {
     layers: Vec<Layer>,
-    packed: Vec<Packed>,
+    packed: Vec<PackedLayer<Vec<[f32; BLOCK]>>>,
     /// The layer's input, padded, and its output.
     scratch: [Vec<f32>; 2],
     arch: pulp::Arch,
-}
-
-/// A layer as the inner loop reads it: blocks of [`BLOCK`] outputs, in each
-/// first the bias, then for each input the weights of the block's outputs; with
-/// zeros behind the last output.
-#[derive(Debug, Clone)]
-struct Packed {
-    blocks: Vec<[f32; BLOCK]>,
-    inputs: usize,
-    outputs: usize,
-    activation: Activation,
 }
 
 impl Mlp {
@@ -73,9 +45,8 @@ impl Mlp {
     /// hold a number that is not finite.
     pub fn new(layers: Vec<Layer>) -> Result<Mlp, Refusal> {
         check(&layers)?;
-        let packed: Vec<_> = layers.iter().map(Packed::new).collect();
-        let width = packed.iter().map(|layer| layer.width().max(layer.inputs));
-        let width = width.max().unwrap_or(0);
+        let packed: Vec<_> = layers.iter().map(packed).collect::<Result<_, _>>()?;
+        let width = packed.iter().map(PackedLayer::row).max().unwrap_or(0);
         Ok(Mlp {
             layers,
             packed,
@@ -91,22 +62,10 @@ impl Mlp {
 
     /// The answer to [`FEATURES`] features: steering and pedal, normalised, as the
     /// net has them: neither clamped nor checked. Missing features count as 0,
-    /// more are not looked at. Never allocates.
+    /// more are ignored. Never allocates.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {
         let [x, y] = &mut self.scratch;
-        let count = features.len().min(FEATURES);
-        x[..count].copy_from_slice(&features[..count]);
-        x[count..FEATURES].fill(0.0);
-        for layer in &self.packed {
-            self.arch.dispatch(Product {
-                layer,
-                x: &x[..layer.inputs],
-                y: &mut y[..layer.width()],
-            });
-            layer.activate(&mut y[..layer.outputs]);
-            std::mem::swap(x, y);
-        }
-        [x[0], x[1]]
+        forward(&self.packed, [x, y], features, self.arch)
     }
 }
 
@@ -180,70 +139,11 @@ pub(crate) fn wrong_shape(what: &str, found: String, expected: String) -> Refusa
     }
 }
 
-impl Packed {
-    fn new(layer: &Layer) -> Packed {
-        let (inputs, outputs) = (layer.inputs, layer.outputs);
-        let count = outputs.div_ceil(BLOCK);
-        let mut blocks = vec![[0.0; BLOCK]; count * (1 + inputs)];
-        for output in 0..outputs {
-            let (block, lane) = (output / BLOCK, output % BLOCK);
-            let block = &mut blocks[block * (1 + inputs)..][..1 + inputs];
-            block[0][lane] = layer.bias[output];
-            let row = &layer.weights[output * inputs..][..inputs];
-            for (place, &weight) in block[1..].iter_mut().zip(row) {
-                place[lane] = weight;
-            }
-        }
-        Packed {
-            blocks,
-            inputs,
-            outputs,
-            activation: layer.activation,
-        }
-    }
-
-    /// Outputs with the zeros behind them.
-    fn width(&self) -> usize {
-        self.outputs.div_ceil(BLOCK) * BLOCK
-    }
-
-    fn activate(&self, y: &mut [f32]) {
-        match self.activation {
-            Activation::None => {}
-            // `max` would turn NaN into 0 and hide it.
-            Activation::Relu => y
-                .iter_mut()
-                .for_each(|y| *y = if *y < 0.0 { 0.0 } else { *y }),
-            Activation::Tanh => y.iter_mut().for_each(|y| *y = y.tanh()),
-        }
-    }
-}
-
-/// One layer's sums, compiled for each width of vectors and chosen at run time.
-struct Product<'a> {
-    layer: &'a Packed,
-    x: &'a [f32],
-    y: &'a mut [f32],
-}
-
-impl pulp::NullaryFnOnce for Product<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let rows = 1 + self.layer.inputs;
-        let blocks = self.layer.blocks.chunks_exact(rows);
-        for (block, y) in blocks.zip(self.y.chunks_exact_mut(BLOCK)) {
-            let Some((bias, weights)) = block.split_first() else {
-                return;
-            };
-            let mut sums = *bias;
-            for (weights, &x) in weights.iter().zip(self.x) {
-                for (sum, weight) in sums.iter_mut().zip(weights) {
-                    *sum += weight * x;
-                }
-            }
-            y.copy_from_slice(&sums);
-        }
-    }
+fn packed(layer: &Layer) -> Result<PackedLayer<Vec<[f32; BLOCK]>>, Refusal> {
+    let shape = [layer.inputs, layer.outputs];
+    let count = PackedLayer::<()>::block_count(layer.inputs, layer.outputs);
+    let mut blocks = vec![[0.0; BLOCK]; count];
+    pack(&layer.weights, &layer.bias, &mut blocks)
+        .and_then(|()| PackedLayer::packed(blocks, shape, layer.activation))
+        .map_err(|mismatch| Refusal::Graph(mismatch.to_string()))
 }

@@ -1,0 +1,245 @@
+//! The forward pass of a net: weights and workspace are the caller's, so it needs
+//! neither the standard library nor an allocator.
+
+use shm_config::message::FEATURES;
+#[cfg(not(feature = "std"))]
+use vehicle::Float as _;
+
+/// Numbers that the policy answers with: steering and pedal, normalised.
+pub const ACTIONS: usize = 2;
+/// Most layers of a net.
+pub const LAYERS_MAX: usize = 16;
+/// Outputs whose sums are kept in registers together: four registers of AVX-512,
+/// eight of AVX2, and sixteen of SSE2, half of which then live in the cache.
+pub const BLOCK: usize = 64;
+
+/// What follows a layer's sums.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Activation {
+    /// Nothing.
+    None,
+    /// `max(0, x)`.
+    Relu,
+    /// `tanh(x)`.
+    Tanh,
+}
+
+/// A layer, `y = activation(weights x + bias)`, as the inner loop reads it: blocks of
+/// [`BLOCK`] outputs, in each first the bias, then for each input the weights of the
+/// block's outputs; with zeros behind the last output.
+#[derive(Debug, Clone)]
+pub struct PackedLayer<B> {
+    blocks: B,
+    inputs: usize,
+    outputs: usize,
+    activation: Activation,
+}
+
+/// Layers and workspace do not make a net.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Mismatch {
+    /// Weights, bias or blocks are more or fewer than inputs and outputs ask for.
+    #[error("the layer has weights, bias or blocks of another size than its inputs and outputs")]
+    Layer,
+    /// No layer, or more than [`LAYERS_MAX`].
+    #[error("the net has no layer or more than {LAYERS_MAX}")]
+    Count,
+    /// A layer takes another number of inputs than the one before it gives; the first
+    /// takes [`FEATURES`], the last gives [`ACTIONS`].
+    #[error("layer {0} takes or gives another number of values than its neighbour")]
+    Chain(usize),
+    /// A row of the workspace is shorter than [`PackedLayer::row`] of a layer.
+    #[error("the workspace is shorter than the widest layer")]
+    Workspace,
+}
+
+impl<B> PackedLayer<B> {
+    /// Blocks of a layer with so many inputs and outputs.
+    pub const fn block_count(inputs: usize, outputs: usize) -> usize {
+        outputs.div_ceil(BLOCK) * (1 + inputs)
+    }
+
+    /// Length of a workspace row that holds its input and its padded output.
+    pub fn row(&self) -> usize {
+        self.padded().max(self.inputs)
+    }
+
+    /// Outputs with the zeros behind them.
+    fn padded(&self) -> usize {
+        self.outputs.div_ceil(BLOCK) * BLOCK
+    }
+}
+
+impl<B: AsRef<[[f32; BLOCK]]>> PackedLayer<B> {
+    /// Of blocks that are packed already, such as those in read-only memory.
+    ///
+    /// # Errors
+    /// [`Mismatch::Layer`] when there are not [`PackedLayer::block_count`] blocks.
+    pub fn packed(
+        blocks: B,
+        [inputs, outputs]: [usize; 2],
+        activation: Activation,
+    ) -> Result<Self, Mismatch> {
+        match blocks.as_ref().len() == Self::block_count(inputs, outputs) {
+            true => Ok(Self {
+                blocks,
+                inputs,
+                outputs,
+                activation,
+            }),
+            false => Err(Mismatch::Layer),
+        }
+    }
+}
+
+/// Writes weights (`outputs` x `inputs`, row-major) and bias (`outputs`) into the blocks
+/// of a [`PackedLayer`], all of them.
+///
+/// # Errors
+/// [`Mismatch::Layer`] when the lengths do not fit each other.
+pub fn pack(weights: &[f32], bias: &[f32], blocks: &mut [[f32; BLOCK]]) -> Result<(), Mismatch> {
+    let outputs = bias.len();
+    let inputs = weights.len().checked_div(outputs).unwrap_or(0);
+    let count = PackedLayer::<()>::block_count(inputs, outputs);
+    if weights.len() != inputs * outputs || blocks.len() != count || outputs == 0 {
+        return Err(Mismatch::Layer);
+    }
+    blocks.fill([0.0; BLOCK]);
+    for output in 0..outputs {
+        let (block, lane) = (output / BLOCK, output % BLOCK);
+        let block = &mut blocks[block * (1 + inputs)..][..1 + inputs];
+        block[0][lane] = bias[output];
+        let row = &weights[output * inputs..][..inputs];
+        for (place, &weight) in block[1..].iter_mut().zip(row) {
+            place[lane] = weight;
+        }
+    }
+    Ok(())
+}
+
+/// A net over layers and a workspace of the caller's.
+///
+/// ```
+/// use policy::{Activation, Net, PackedLayer, Forward, pack};
+/// use shm_config::message::FEATURES;
+///
+/// // One layer: full pedal, whatever it sees.
+/// let mut blocks = [[0.0; 64]; 1 + FEATURES];
+/// pack(&[0.0; 2 * FEATURES], &[0.0, 1.0], &mut blocks)?;
+/// let layers = [PackedLayer::packed(&blocks, [FEATURES, 2], Activation::Tanh)?];
+/// let (mut x, mut y) = ([0.0; FEATURES], [0.0; FEATURES]);
+/// let mut net = Forward::new(&layers, [&mut x, &mut y])?;
+/// assert_eq!(net.infer(&[0.5; FEATURES]), [0.0, 1f32.tanh()]);
+/// # Ok::<(), policy::Mismatch>(())
+/// ```
+#[derive(Debug)]
+pub struct Forward<'a, B> {
+    layers: &'a [PackedLayer<B>],
+    workspace: [&'a mut [f32]; 2],
+    arch: pulp::Arch,
+}
+
+impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
+    /// Checks that the layers follow on each other, from [`FEATURES`] to [`ACTIONS`],
+    /// and that both rows of the workspace hold the widest of them.
+    ///
+    /// # Errors
+    /// What does not fit.
+    pub fn new(
+        layers: &'a [PackedLayer<B>],
+        workspace: [&'a mut [f32]; 2],
+    ) -> Result<Self, Mismatch> {
+        if layers.is_empty() || layers.len() > LAYERS_MAX {
+            return Err(Mismatch::Count);
+        }
+        let mut width = FEATURES;
+        for (k, layer) in layers.iter().enumerate() {
+            if layer.inputs != width {
+                return Err(Mismatch::Chain(k));
+            }
+            if workspace.iter().any(|row| row.len() < layer.row()) {
+                return Err(Mismatch::Workspace);
+            }
+            width = layer.outputs;
+        }
+        match width {
+            ACTIONS => Ok(Self {
+                layers,
+                workspace,
+                arch: pulp::Arch::new(),
+            }),
+            _ => Err(Mismatch::Chain(layers.len() - 1)),
+        }
+    }
+
+    /// The answer to [`FEATURES`] features: steering and pedal, normalised, as the
+    /// net has them: neither clamped nor checked. Missing features count as 0,
+    /// more are ignored.
+    pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {
+        let [x, y] = &mut self.workspace;
+        forward(self.layers, [x, y], features, self.arch)
+    }
+}
+
+/// The forward pass. The layers follow on each other, and both rows of the workspace
+/// hold the widest of them.
+pub(crate) fn forward<B: AsRef<[[f32; BLOCK]]>>(
+    layers: &[PackedLayer<B>],
+    [mut x, mut y]: [&mut [f32]; 2],
+    features: &[f32],
+    arch: pulp::Arch,
+) -> [f32; ACTIONS] {
+    let count = features.len().min(FEATURES);
+    x[..count].copy_from_slice(&features[..count]);
+    x[count..FEATURES].fill(0.0);
+    for layer in layers {
+        arch.dispatch(Product {
+            blocks: layer.blocks.as_ref(),
+            x: &x[..layer.inputs],
+            y: &mut y[..layer.padded()],
+        });
+        activate(layer.activation, &mut y[..layer.outputs]);
+        core::mem::swap(&mut x, &mut y);
+    }
+    [x[0], x[1]]
+}
+
+fn activate(activation: Activation, y: &mut [f32]) {
+    match activation {
+        Activation::None => {}
+        // `max` would turn NaN into 0 and hide it.
+        Activation::Relu => y
+            .iter_mut()
+            .for_each(|y| *y = if *y < 0.0 { 0.0 } else { *y }),
+        Activation::Tanh => y.iter_mut().for_each(|y| *y = y.tanh()),
+    }
+}
+
+/// One layer's sums, compiled for each width of vectors and chosen at run time.
+struct Product<'a> {
+    blocks: &'a [[f32; BLOCK]],
+    x: &'a [f32],
+    y: &'a mut [f32],
+}
+
+impl pulp::NullaryFnOnce for Product<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let rows = 1 + self.x.len();
+        let blocks = self.blocks.chunks_exact(rows);
+        for (block, y) in blocks.zip(self.y.chunks_exact_mut(BLOCK)) {
+            let Some((bias, weights)) = block.split_first() else {
+                return;
+            };
+            let mut sums = *bias;
+            for (weights, &x) in weights.iter().zip(self.x) {
+                for (sum, weight) in sums.iter_mut().zip(weights) {
+                    *sum += weight * x;
+                }
+            }
+            y.copy_from_slice(&sums);
+        }
+    }
+}
