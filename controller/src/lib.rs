@@ -11,6 +11,18 @@
 //! Without the feature `std` (and with `libm`), the tick needs neither the standard
 //! library nor an allocator: it is the [`Arbiter`], to which the policy's answer is an
 //! argument. What loads, swaps and rolls back policies needs `std`.
+//!
+//! ```
+//! use controller::{Controller, Inputs, Intent, PolicySlot};
+//! use shm_config::Instant;
+//! use shm_config::config::Config;
+//! use shm_config::message::Driver;
+//!
+//! let mut controller = Controller::new(Config::default(), PolicySlot::new(None));
+//! // No observation has come: the car brakes.
+//! let step = controller.tick(&Inputs::default(), 0, Instant(0), Intent::Drive);
+//! assert_eq!(step.command.driver(), Driver::Brake);
+//! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]
 

@@ -17,6 +17,22 @@
 //! Without the feature `std` (and with `libm`), the three RRT* need neither the standard
 //! library nor an allocator: they plan in memory of the caller's
 //! ([`RrtStar::within`]).
+//!
+//! ```
+//! use planner::{PlannerConfig, RrtStar};
+//! use shm_config::message::{Observation, Plan, PlanOutcome};
+//!
+//! let mut observation = Observation::default();
+//! (observation.road.left_m, observation.road.right_m) = (5.0, 5.0);
+//! observation.checkpoints[0].x_body_m = 30.0;
+//!
+//! let mut planner = RrtStar::new(PlannerConfig::default())?;
+//! let mut plan = Plan::default();
+//! planner.plan(&observation, &mut plan);
+//! assert_ne!(plan.outcome(), PlanOutcome::Blocked);
+//! assert!(plan.waypoints().len() > 1);
+//! # Ok::<(), shm_config::settings::OutOfRange>(())
+//! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]
 

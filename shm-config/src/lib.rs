@@ -8,6 +8,28 @@
 //! allocates: the configuration file, the service table as a page, texts. Messages,
 //! services and the tick's settings need neither; without `std`, the feature `libm`
 //! gives the mathematics.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`message`] | the messages, and the check that each passes once |
+//! | [`services`] | the service table: name, message, producers, consumers, rate, age limit |
+//! | [`settings`], `config` | what the tick computes with; the file of all settings |
+//! | `wire` | ports on shared memory |
+//! | `run`, `file`, `secret` | the run's folder, files with locks, the key |
+//! | [`time`], [`layout`], [`histogram`] | instants, pinned layouts, durations in buckets |
+//!
+//! ```
+//! use shm_config::message::{Command, Message, Refusal};
+//! use shm_config::{Instant, services};
+//!
+//! let mut command = Command::default();
+//! assert_eq!(command.admit(Instant(1_000), 500), Err(Refusal::Stale { age_ns: 1_000, limit_ns: 500 }));
+//! command.header.taken_ns = 800;
+//! assert_eq!(command.admit(Instant(1_000), 500), Ok(()));
+//! command.pedal = f64::NAN;
+//! assert!(command.admit(Instant(1_000), 500).is_err());
+//! assert_eq!(services::COMMAND.name, "command");
+//! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]
 

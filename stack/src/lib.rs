@@ -10,6 +10,22 @@
 //! | [`lane_keeper`] | the lane keeper |
 //! | [`episode`] | one episode in lockstep order |
 //! | [`scene`] | recorded observations, and their files |
+//!
+//! ```
+//! use shm_config::config::Config;
+//! use shm_config::message::Observation;
+//! use stack::Stack;
+//!
+//! let mut observation = Observation::default();
+//! (observation.road.left_m, observation.road.right_m) = (5.0, 5.0);
+//! observation.checkpoints[0].x_body_m = 30.0;
+//!
+//! let mut stack = Stack::new(&Config::default())?;
+//! stack.plan(&observation);
+//! let step = stack.control(&observation);
+//! assert!(step.command.pedal > 0.0, "the road is free");
+//! # Ok::<(), shm_config::config::OutOfRange>(())
+//! ```
 
 pub mod driver;
 pub mod episode;

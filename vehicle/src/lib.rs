@@ -19,6 +19,15 @@
 //!
 //! A normalised [`Action`] is (`steer`, `pedal`), both in [-1, 1]; positive
 //! steers left, positive pedal drives, negative brakes.
+//!
+//! ```
+//! use vehicle::{Action, State, Vehicle, step};
+//!
+//! let car = Vehicle::default();
+//! let left = Action { steer: 1.0, pedal: 0.0 };
+//! let state = step(&car, &State::at_origin(5.0), left.control(&car), 0.1);
+//! assert!(state.position.x > 0.49 && state.heading_rad > 0.0);
+//! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]
 
