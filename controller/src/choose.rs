@@ -45,9 +45,9 @@ pub struct Choice {
 }
 
 /// The switch law: `a = (1 - z) a_policy + z a_expert` (Sec. 4.2), with `z` from
-/// valid advice, the expert when in doubt, and the brake when there is no safe
-/// proposal. A takeover goes before all but blindness and the end of the run. Total:
-/// every input has an answer.
+/// valid advice, the expert without it, and the brake when there is no safe
+/// proposal. A takeover overrides all except a missing observation and the end of the
+/// run. Total: every input has an answer.
 pub fn choose(input: &ArbitrationInput) -> Choice {
     match input.intent {
         Intent::Drive => {}
@@ -112,7 +112,7 @@ fn wanted(input: &ArbitrationInput) -> (Driver, Reason) {
     }
 }
 
-/// The policy drives only if it can and may.
+/// The policy drives only if it has a proposal and is allowed to.
 fn may_policy(input: &ArbitrationInput, reason: Reason) -> (Driver, Reason) {
     if let Some(reason) = blocking_reason(input.stage) {
         (Driver::Expert, reason)

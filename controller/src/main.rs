@@ -8,7 +8,7 @@ use runtime::{Arguments, Member, SetUpError, exit_code};
 use shm_config::services::Process;
 use shm_config::time::monotonic;
 
-/// Answers every observation with a command, and records who drove and why
+/// Answers every observation with a command, and records which driver drove and why
 #[derive(Parser)]
 #[command(name = "vlaps-controller", version)]
 struct Cli {

@@ -11,7 +11,7 @@ const GOAL_JUMP_M: f64 = 10.0;
 /// The PD tracking of Sec. 4.1.2: heading to the lookahead waypoint, and speed.
 ///
 /// The derivative of the first tick, and of the first tick towards another goal,
-/// is zero: the error jumped because the question changed, not the car.
+/// is zero: the error jumped because the goal changed, not because the car moved.
 #[derive(Debug, Clone)]
 pub struct Pd {
     config: Controller,
@@ -33,7 +33,7 @@ impl Pd {
         self.last
     }
 
-    /// Goes on from this state.
+    /// Restores this state.
     pub fn restore(&mut self, state: &PdState) {
         self.last = *state;
     }

@@ -16,7 +16,7 @@ shm_config::ports! {
         plans: read PLAN: Plan,
         /// Answers of the gate.
         advices: read ADVICE: Advice,
-        /// The wishes of the person at the keys.
+        /// The driver's takeover messages.
         takeovers: read TAKEOVER: Takeover,
         /// What the car shall do.
         commands: write COMMAND: Command,

@@ -4,11 +4,11 @@ use vehicle::Action;
 
 use crate::{ArbiterConfig, Choice};
 
-/// Bumpless transfer: when the wheel changes hands, the command moves from what
-/// it was to what the new driver wants at a limited rate, not in one jump.
+/// Bumpless transfer: at a hand-over the command moves from the last driver's to the
+/// new driver's at a limited rate, not in one jump.
 ///
-/// Danger is no time for it: a veto, a person's grip and the brake act at once,
-/// and so does a driver whose eased command would be unsafe.
+/// A veto, a takeover and the brake act immediately, and so does a driver whose eased
+/// command would be unsafe.
 #[derive(Debug, Clone, Copy)]
 pub struct Transfer {
     steer_step: f64,
@@ -42,7 +42,7 @@ impl Transfer {
         self.last
     }
 
-    /// Goes on from this state.
+    /// Restores this state.
     pub fn restore(&mut self, state: &TransferState) {
         self.last = *state;
     }
@@ -90,7 +90,7 @@ impl Transfer {
             steer: toward(before.steer, wanted.steer, self.steer_step),
             pedal: toward(before.pedal, wanted.pedal, self.pedal_step),
         };
-        // Floats: what is within a step is there.
+        // A difference within one step ends the hand-over: floats rarely become equal.
         let is_there = (wanted.steer - before.steer).abs() <= self.steer_step
             && (wanted.pedal - before.pedal).abs() <= self.pedal_step;
         match is_there || !is_safe(eased) {

@@ -43,7 +43,7 @@ impl Ellipse {
     /// draws from the ellipse is in the region, uniform in the region.
     pub(crate) fn point_body(&self, region: &Region, sampler: &mut Sampler) -> Point {
         for _ in 0..DRAWS {
-            // Uniform in the unit disc: the root makes up for the wider rings.
+            // Uniform in the unit disc: the root corrects for the growing circumference.
             let radius = sampler.unit().sqrt();
             let (sin, cos) = (core::f64::consts::TAU * sampler.unit()).sin_cos();
             let point = self.middle + (self.long * cos + self.short * sin) * radius;

@@ -285,7 +285,7 @@ impl Kinodynamic {
         self.search.goal.or_else(cheapest)
     }
 
-    /// The node nearest to the goal, if the way to it is worth going.
+    /// The node nearest to the goal, if the path to it is long enough to drive.
     fn nearest(&self, goal: &Pose) -> Option<usize> {
         let tree = &self.search.tree;
         let (end, _) = tree.nearest(goal.translation.vector.into());

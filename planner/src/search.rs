@@ -44,7 +44,7 @@ impl Search {
         }
     }
 
-    /// Grows a new tree from the origin: the whole budget, whatever is found.
+    /// Grows a new tree from the origin and always spends the whole budget.
     ///
     /// Each iteration draws one sample, uniform in the region; extends the
     /// nearest node towards it by a step, or up to the sample when that is

@@ -4,13 +4,13 @@ use shm_config::settings::planner::NODES_MAX;
 
 /// Stands for "no node" among indices.
 const NONE: u16 = u16::MAX;
-/// Nodes looked at together: loops over this many become loops of vectors.
+/// Nodes of a chunk: the compiler turns loops over this many into vector instructions.
 pub(crate) const LANES: usize = 8;
 /// Chunks of a full tree.
 pub(crate) const CHUNKS_MAX: usize = NODES_MAX.div_ceil(LANES);
 
-/// Neighbours by index. Places behind the last node are infinitely far away, so
-/// that whoever passes over all nodes need not end within a chunk.
+/// Nodes with neighbouring indices. Lanes after the last node are infinitely far away,
+/// so that a loop over all nodes always processes whole chunks.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Chunk {
     x_m: [f64; LANES],
@@ -55,7 +55,7 @@ pub struct Tree {
     links: heapless::Vec<Links, NODES_MAX>,
 }
 
-/// How a node hangs in the tree. The children of a node are a linked list.
+/// The links of a node in the tree. The children of a node are a linked list.
 #[derive(Debug, Clone, Copy)]
 struct Links {
     parent: u16,
@@ -65,7 +65,7 @@ struct Links {
     edge_m: f64,
 }
 
-/// A way to hang a node: which parent, how far away.
+/// A possible edge to a parent, and its length.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Edge {
     pub(crate) parent: usize,
@@ -201,11 +201,11 @@ impl Tree {
         links.edge_m = edge.length_m;
     }
 
-    /// Takes a node, with everything behind it, to a new parent, and brings the
-    /// costs of everything behind it up to date.
+    /// Moves a node with its subtree to a new parent, and updates the costs of the
+    /// subtree.
     ///
-    /// The new parent must not be behind the node; a parent that makes the node
-    /// cheaper never is.
+    /// The new parent must not be in the subtree; a parent that makes the node cheaper
+    /// never is.
     pub(crate) fn rewire(&mut self, index: usize, edge: Edge) {
         let parent = self.links[index].parent as usize;
         let after = self.links[index].next_sibling;
@@ -222,8 +222,8 @@ impl Tree {
         self.refresh(index);
     }
 
-    /// Recomputes the cost of a node and of all behind it, parents first. The
-    /// walk follows the links, so it needs neither a stack nor recursion.
+    /// Recomputes the costs of a node's subtree, parents first. The walk follows the
+    /// links, so it needs neither a stack nor recursion.
     fn refresh(&mut self, top: usize) {
         let mut at = top;
         loop {

@@ -11,16 +11,14 @@ use crate::onnx::{
 };
 use crate::{Activation, Layer, Mlp, Refusal, graph, scan};
 
-/// How far a probe's answer may be off, where nobody says otherwise: a hundred
-/// times what two orders of summation differ by, a hundredth of what a driver
-/// would notice.
+/// The default tolerance of a probe's answer: a hundred times the difference between
+/// two orders of summation, a hundredth of what changes the driving.
 pub const TOLERANCE: f32 = 1e-4;
 /// Inputs that every net must answer with numbers, on top of the file's own
 /// probes: all features at their ends and in the middle.
 const CONSTANT_INPUTS: [f32; 3] = [0.0, 0.5, 1.0];
 
-/// A policy file that passed every check which does not need to run it
-/// elsewhere than here.
+/// A policy file that passed every check except those of a foreign runtime.
 #[derive(Debug, Clone)]
 pub struct PolicyFile {
     /// What is to be run.
@@ -72,7 +70,7 @@ pub fn short_hash(sha256: &[u8; 32]) -> u64 {
     u64::from_be_bytes(*first).max(1)
 }
 
-/// The bytes are those that somebody hashed.
+/// The bytes have the claimed hash.
 ///
 /// # Errors
 /// [`Refusal::WrongHash`] when they are not.
@@ -97,7 +95,7 @@ pub fn decode(bytes: &[u8]) -> Result<PolicyFile, Refusal> {
     decode_within(bytes, TOLERANCE)
 }
 
-/// The same with a tolerance of the caller's.
+/// [`decode`] with the caller's tolerance.
 ///
 /// # Errors
 /// As [`decode`].
@@ -140,7 +138,7 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
         }
         None => Net::Graph(names(graph)),
     };
-    // Last: what can be said more exactly is said so.
+    // Last: the checks before it name the fault more exactly.
     metadata::check_graph(&model.metadata_props, || graph_hash(graph))?;
     Ok(PolicyFile {
         net,
@@ -150,8 +148,8 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
     })
 }
 
-/// A net answers with numbers, and its probes as the file says. For the caller
-/// who runs a [`Net::Graph`]; [`decode`] has done it for the others.
+/// A net answers with finite numbers, and answers its probes as the file says. A caller
+/// that runs a [`Net::Graph`] calls it; [`decode`] has called it for the other nets.
 ///
 /// # Errors
 /// [`Refusal::NotFinite`] or [`Refusal::ProbeMismatch`].
@@ -169,7 +167,7 @@ pub fn check_answers(
     }
     for (k, probe) in probes.iter().enumerate() {
         let answered = infer(&probe.features);
-        // Written so that NaN is off, too.
+        // In this form NaN is not near.
         let is_near = |k: usize| (answered[k] - probe.action[k]).abs() <= tolerance;
         if !(is_near(0) && is_near(1)) {
             return Err(Refusal::ProbeMismatch {
@@ -209,8 +207,8 @@ const OPERATOR_SET: i64 = 13;
 /// [`Provenance`], and these probes with the answers of the native runtime. A
 /// probe of other than [`FEATURES`] features is filled with zeros or cut.
 ///
-/// The graph stands last, behind the metadata: a file that is cut off anywhere
-/// has no whole graph, and can never pass for one without metadata.
+/// The graph comes last, after the metadata: a truncated file has no complete graph, and
+/// is never mistaken for a file without metadata.
 pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8> {
     let mut runtime = mlp.clone();
     let probes: Vec<Probe> = probes

@@ -65,11 +65,11 @@ pub const OPERATORS: &[&str] = &[
 /// Operators of a graph: far more than the layers of any small net need.
 const NODES_MAX: usize = 1000;
 
-/// Everything that holds for every graph, whoever runs it.
+/// The checks that hold for every graph and every back end.
 ///
 /// # Errors
-/// The first thing that is wrong; the operators are looked at before shapes and
-/// weights, because those of an unknown operator mean nothing.
+/// The first check that fails. Operators are checked before shapes and weights, which
+/// have no meaning for an unknown operator.
 pub fn check(graph: &Graph) -> Result<(), Refusal> {
     if graph.node.len() > NODES_MAX {
         return Err(Refusal::TooMany {
@@ -136,8 +136,8 @@ pub fn inputs(graph: &Graph) -> Vec<&ValueInfo> {
         .collect()
 }
 
-/// One row, or a number of rows that may be one, of `width` 32-bit floats. What
-/// is not said is let pass.
+/// One row, or a variable number of rows, of `width` 32-bit floats. A missing shape or
+/// type is accepted.
 fn check_value(what: &str, value: &ValueInfo, width: usize) -> Result<(), Refusal> {
     let tensor = value.r#type.as_ref().and_then(|t| t.tensor_type.as_ref());
     let Some(tensor) = tensor else {

@@ -3,9 +3,9 @@
 //!
 //! A policy file is an ONNX file of at most 8 MB with one input of 259 floats,
 //! the features of `Observation::features`, and one output of two, steering and
-//! pedal, each within [-1, 1] (what is beyond is clamped by who drives). It may
-//! use the operators of [`OPERATORS`] and no others. Eight metadata keys tell
-//! where it comes from and how it must answer:
+//! pedal, each within [-1, 1] (the controller clamps values beyond). It may use the
+//! operators of [`OPERATORS`] and no others. Eight metadata keys say where it comes
+//! from and how it must answer:
 //!
 //! | key | value |
 //! |---|---|
@@ -15,8 +15,8 @@
 //! | `vlaps.probe_inputs` | rows of 259 numbers: `,` between numbers, `;` between rows |
 //! | `vlaps.probe_outputs` | a row of two numbers for each |
 //!
-//! A file without any of them is a plain one: PyTorch's exporters write such.
-//! Whether its features are those of this build, nobody can tell then.
+//! A file without any of them is a plain ONNX file, such as PyTorch's exporters write.
+//! Its feature layout cannot be checked.
 //!
 //! [`decode`] makes every check and gives a [`Net`]: a chain of layers runs in
 //! the native runtime [`Mlp`], anything else needs ONNX Runtime. Arithmetic

@@ -10,13 +10,13 @@ pub const FORMAT_VERSION: u32 = 1;
 /// Most probes of a file.
 pub const PROBES_MAX: usize = 64;
 
-/// What all keys begin with; other keys are the exporter's business.
+/// The prefix of our keys; keys without it belong to the exporter and are ignored.
 const PREFIX: &str = "vlaps.";
 
-/// The hash of the graph: files of before have none.
+/// The key of the graph's hash; older files do not have it.
 const GRAPH_KEY: &str = "graph_sha256";
 
-/// Who made a net, and how.
+/// How a net was made.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Provenance {
     /// Such as `pvp` or `bc`.
@@ -67,8 +67,7 @@ pub fn write(provenance: &Provenance, probes: &[Probe], graph: &str) -> Vec<Entr
 /// The graph of a file is the one that was written.
 ///
 /// # Errors
-/// When it has another hash than the metadata say. Without such a word there is
-/// nothing to compare.
+/// When its hash differs from the metadata's. A file without that key is accepted.
 pub fn check_graph(entries: &[Entry], hash: impl FnOnce() -> String) -> Result<(), Refusal> {
     let Ok(claimed) = text(entries, GRAPH_KEY) else {
         return Ok(());
@@ -87,11 +86,11 @@ fn layout_word(layout: u64) -> String {
     format!("{layout:016x}")
 }
 
-/// What a file says of itself; `None` when it has no key of ours.
+/// The metadata of a file; `None` when it has none of our keys.
 ///
 /// # Errors
-/// When it has one and not all, or one that cannot be read, or is of another
-/// format or observation layout.
+/// When some keys are missing, a value cannot be read, or the format or observation
+/// layout is another.
 pub fn read(entries: &[Entry]) -> Result<Option<(Provenance, Vec<Probe>)>, Refusal> {
     if !entries.iter().any(|entry| entry.key.starts_with(PREFIX)) {
         return Ok(None);

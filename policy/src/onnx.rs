@@ -32,7 +32,7 @@ pub struct Model {
     pub functions: Vec<Vec<u8>>,
 }
 
-/// A set of operators that the graph speaks of.
+/// A set of operators that the graph uses.
 #[derive(Clone, PartialEq, Message)]
 pub struct OperatorSet {
     #[prost(string, tag = "1")]

@@ -3,7 +3,7 @@ use std::fmt;
 /// Why weights are not used. The publisher reads it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// No byte.
+    /// The file has no byte.
     #[error("the file is empty")]
     Empty,
     /// More bytes than a message carries.
@@ -25,7 +25,7 @@ pub enum Refusal {
     /// The net is not the one that the file was written with.
     #[error(
         "the graph has changed since it was written: SHA-256 {actual}..., the metadata say \
-         {claimed}...; who changed it on purpose removes the keys vlaps.*"
+         {claimed}...; if the change is intended, remove the keys vlaps.*"
     )]
     ChangedGraph {
         /// The begin of it, in hex.
@@ -33,13 +33,13 @@ pub enum Refusal {
         /// The begin of it, in hex.
         actual: String,
     },
-    /// Something else than an ONNX model.
+    /// The file is not an ONNX model.
     #[error("not an ONNX file: {0}")]
     NotOnnx(&'static str),
-    /// Begins as an ONNX model and ends too soon.
+    /// The file begins as an ONNX model and is cut off.
     #[error("truncated: the file ends within {0}")]
     Truncated(&'static str),
-    /// A number of messages, nodes or values no policy needs.
+    /// More messages, nodes or values than a policy needs.
     #[error("{what}: {count} are over the limit of {limit}")]
     TooMany {
         /// Of what.
@@ -49,7 +49,7 @@ pub enum Refusal {
         /// How many may be.
         limit: usize,
     },
-    /// Metadata of a format of later days, or broken.
+    /// The metadata have another format or cannot be read.
     #[error("metadata {key}: {what}")]
     Metadata {
         /// The key.
@@ -57,7 +57,7 @@ pub enum Refusal {
         /// What is wrong.
         what: String,
     },
-    /// Trained for other features.
+    /// The net was trained for other features.
     #[error(
         "wrong observation layout: trained for {theirs}, this build has {ours}; train again, \
          or use the build that it was trained with"
@@ -68,7 +68,7 @@ pub enum Refusal {
         /// This build's.
         ours: String,
     },
-    /// Does not take the features or does not answer with two numbers.
+    /// The net does not take the features or does not answer with two numbers.
     #[error("wrong shape: {what} has {found}, expected {expected}")]
     WrongShape {
         /// Of what.
@@ -87,7 +87,7 @@ pub enum Refusal {
     /// The graph cannot be understood.
     #[error("graph: {0}")]
     Graph(String),
-    /// The net answers otherwise than the file says.
+    /// The net's answer to a probe differs from the file's.
     #[error(
         "probe {probe} answers {answered:?}, the file says {expected:?}: off by {}, more than {tolerance}",
         Off(*answered, *expected)
@@ -99,10 +99,10 @@ pub enum Refusal {
         answered: [f32; 2],
         /// What the file says.
         expected: [f32; 2],
-        /// What would be let pass.
+        /// The largest accepted difference.
         tolerance: f32,
     },
-    /// Takes too long for a tick.
+    /// An answer takes too long for a tick.
     #[error(
         "too slow: half of the answers in the warm-up took {median_us:.0} us or more, \
          policy.inference_max_us is {limit_us:.0}"
@@ -113,7 +113,7 @@ pub enum Refusal {
         /// The limit, us.
         limit_us: f64,
     },
-    /// Valid, but no back end here can run it.
+    /// The file is valid, but no back end of this machine can run it.
     #[error("{0}")]
     NoBackEnd(String),
 }

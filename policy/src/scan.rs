@@ -1,5 +1,5 @@
-//! A look at the bytes before they are decoded: what is no ONNX file, ends too
-//! soon, or would decode into far more memory than it takes, is refused here.
+//! A scan of the bytes before they are decoded. It refuses bytes that are not an ONNX
+//! file, are truncated, or would decode into far more memory than they take.
 
 use crate::Refusal;
 
@@ -69,8 +69,8 @@ fn walk(bytes: &[u8], kind: Kind, parts: &mut usize) -> Result<(), Refusal> {
     let mut rest = bytes;
     let mut fields = 0;
     while !rest.is_empty() {
-        // Nothing says "ONNX" at the begin of a file: a first field that a model
-        // has makes it one, and from there on it can be truncated.
+        // An ONNX file has no magic number: a valid first field of a model makes it
+        // one, and any later fault means that it is truncated.
         let ended = |number| match is_model && fields > 0 {
             true => Refusal::Truncated(kind.name(number)),
             false => Refusal::NotOnnx("a field is longer than what holds it"),

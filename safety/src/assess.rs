@@ -46,8 +46,8 @@ impl Scene {
         }
     }
 
-    /// How far a car can get from where it is within the horizon, m, footprint
-    /// and margin included.
+    /// The farthest that a car can get within the horizon, m, footprint and margin
+    /// included.
     pub fn reach_m(vehicle: &Vehicle, limits: &JudgeLimits, speed_mps: f64) -> f64 {
         let speed_mps = speed_mps.max(0.0);
         let travel_m = speed_mps * limits.horizon_s
@@ -59,7 +59,7 @@ impl Scene {
 /// Rolls a proposal out, held for the whole horizon, and measures it.
 ///
 /// The rollout is the bicycle of Eq. 3 to 6 with the accurate step; the paper's
-/// single step of 1.5 s is a matter of the picture only. Obstacles are the lidar
+/// single step of 1.5 s is used in its picture only. Obstacles are the lidar
 /// returns at rest. The proposal is vetoed when it would touch something, or
 /// leave the road, sooner than the brake could still prevent it.
 pub fn assess(
@@ -77,7 +77,7 @@ pub fn assess(
     let control = action.control(vehicle);
     let steps = (limits.horizon_s / limits.step_s).ceil() as u32;
     let mut state = State::at_origin(scene.speed_mps);
-    // Where the car stands now is nobody's proposal: only what it does next counts.
+    // The car's present position is not part of a proposal: only later states count.
     let edge_now_m = edge_m(vehicle, scene, &state);
     let mut measured = Assessment {
         clearance_m: clearance_m(vehicle, scene, &state),

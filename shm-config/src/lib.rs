@@ -19,16 +19,18 @@
 //! | [`time`], [`layout`], [`histogram`] | instants, pinned layouts, durations in buckets |
 //!
 //! ```
-//! use shm_config::message::{Command, Message, Refusal};
+//! use shm_config::message::{Message, Observation, Refusal};
 //! use shm_config::{Instant, services};
 //!
-//! let mut command = Command::default();
-//! assert_eq!(command.admit(Instant(1_000), 500), Err(Refusal::Stale { age_ns: 1_000, limit_ns: 500 }));
-//! command.header.taken_ns = 800;
-//! assert_eq!(command.admit(Instant(1_000), 500), Ok(()));
-//! command.pedal = f64::NAN;
-//! assert!(command.admit(Instant(1_000), 500).is_err());
-//! assert_eq!(services::COMMAND.name, "command");
+//! let (now, limit_ns) = (Instant(1_000), 500);
+//! let mut observation = Observation::default();
+//! let stale = Refusal::Stale { age_ns: 1_000, limit_ns };
+//! assert_eq!(observation.admit(now, limit_ns), Err(stale));
+//! observation.header.taken_ns = 800;
+//! assert_eq!(observation.admit(now, limit_ns), Ok(()));
+//! observation.ego.speed_mps = f64::NAN;
+//! assert!(observation.admit(now, limit_ns).is_err());
+//! assert_eq!(services::OBSERVATION.name, "observation");
 //! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]

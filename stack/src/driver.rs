@@ -157,7 +157,7 @@ impl EpisodeDriver {
     pub fn new(kind: DriverKind, config: &Config, clock: Clock) -> anyhow::Result<EpisodeDriver> {
         let mut config = kind.configure(config);
         config.gate.mode = GateMode::Expert;
-        // Nothing may depend on how fast this machine is now.
+        // The result must not depend on the machine's speed.
         config.run.clock = shm_config::config::Clock::Lockstep;
         let driver = match kind {
             DriverKind::Expert

@@ -11,9 +11,9 @@ const SIDEWAYS_MPS2: f64 = 3.0;
 const BEND_AHEAD_M: f64 = 12.0;
 /// Half the width of the strip ahead in which it brakes for what it sees, m.
 const STRIP_M: f64 = 1.3;
-/// It stands this far behind what is ahead, from centre to return, m.
+/// It stops this far behind an obstacle, from centre to return, m.
 const STANDOFF_M: f64 = 5.0;
-/// The deceleration it reckons with, m/s².
+/// The deceleration that it assumes, m/s².
 const BRAKE_MPS2: f64 = 3.0;
 
 /// Keeps to its lane, slows down for bends and for what is straight ahead, and

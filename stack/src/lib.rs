@@ -36,5 +36,5 @@ mod tick;
 
 pub use tick::Stack;
 
-/// A clock, which the program's `main` hands down.
+/// A clock, which the program's `main` passes as an argument.
 pub type Clock = fn() -> shm_config::Instant;

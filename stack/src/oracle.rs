@@ -25,7 +25,7 @@ impl Oracle {
     pub fn new(config: &Config) -> Result<Oracle, OutOfRange> {
         let mut config = config.clone();
         config.gate.mode = GateMode::Expert;
-        // No answer may depend on the speed of this machine.
+        // An answer must not depend on the machine's speed.
         config.run.clock = Clock::Lockstep;
         Ok(Oracle {
             stack: Box::new(Stack::new(&config)?),

@@ -19,7 +19,7 @@ pub struct Control {
 }
 
 impl Action {
-    /// Wheels straight, full brake: what silence and the unknown case mean.
+    /// Wheels straight, full brake: the answer to silence and to unknown cases.
     pub const BRAKE: Self = Self {
         steer: 0.0,
         pedal: -1.0,

@@ -11,7 +11,7 @@ use super::{NativePolicy, OrtPolicy, OrtSession, Policy, library};
 
 /// Answers of the warm-up: enough for caches and branch predictors, and a median.
 const WARM_UP: usize = 64;
-/// How long ONNX Runtime is waited for where no deadline is.
+/// Longest wait for ONNX Runtime where there is no deadline.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// On which terms weights become a policy.
@@ -76,7 +76,7 @@ fn warm_up(terms: &Terms, mut infer: impl FnMut(&[f32]) -> [f32; 2]) -> Result<(
     times_ns.sort_unstable();
     let median_us = times_ns[WARM_UP / 2] as f64 / 1e3;
     let limit_us = terms.config.policy.inference_max_us;
-    // In lockstep what is decided may not depend on how fast the machine is now.
+    // In lockstep a decision must not depend on the machine's speed.
     match median_us > limit_us && !terms.config.run.is_lockstep() {
         true => Err(Refusal::TooSlow {
             median_us,

@@ -38,7 +38,7 @@ impl LastGoodFile {
         }
     }
 
-    /// What is kept, if it is whole. Where the note is of another file, the
+    /// The kept weights, if they are complete. If the note belongs to another file, the
     /// version begins at 1.
     pub fn read(&self) -> Option<LastGood> {
         let bytes = self
@@ -79,7 +79,7 @@ impl LastGoodFile {
             hex(&policy::sha256(&good.bytes)),
             self.run
         );
-        // The note first: with another file beside it, it is not believed.
+        // The note first: a note whose hash is not the file's is ignored.
         folder.replace(NOTE, note.as_bytes(), Durable::Yes)?;
         folder.replace(FILE, &good.bytes, Durable::Yes)
     }

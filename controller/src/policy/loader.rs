@@ -209,7 +209,7 @@ impl Worker {
 
     fn take_offers(&mut self) {
         self.ports.wire.weights.update_connections();
-        // As many publishers as there may be, so that none holds the loop.
+        // At most one offer of each possible publisher, so that none blocks the loop.
         for _ in 0..PUBLISHERS_MAX {
             let received = self.ports.wire.weights.visit(|weights| Received {
                 version: weights.version,

@@ -107,7 +107,7 @@ impl PolicySlot {
         }
     }
 
-    /// How far the policy is on its way to the wheel.
+    /// The stage of the policy.
     pub fn stage(&self) -> Stage {
         match (&self.active, &self.shadow) {
             (Some(_), _) => Stage::Active,

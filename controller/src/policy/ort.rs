@@ -2,11 +2,10 @@
 //!
 //! Its call allocates: the Rust wrapper five times a run as it is called here
 //! (`./vlaps bench policy` counts them), and the library behind it builds a frame
-//! of execution on the C heap each time, which no binding can keep it from. So it
-//! never runs in the
-//! tick's thread. A thread of its own holds the session; the tick hands it the
-//! features, sleeps until the answer or `policy.ort_wait_us`, and without an
-//! answer has no proposal: the expert drives, an old action is never repeated.
+//! of execution on the C heap each time, which no binding prevents. So it never runs in
+//! the tick's thread. A thread of its own holds the session; the tick gives it the
+//! features and sleeps until the answer or `policy.ort_wait_us`. Without an answer there
+//! is no proposal: the expert drives, and an old action is never repeated.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -210,7 +209,7 @@ impl OrtPolicy {
     }
 }
 
-/// The helper's life.
+/// The helper's loop.
 fn answer(mut session: OrtSession, shared: &Shared) {
     let (mut done, mut features) = (0, [0.0; FEATURES]);
     loop {
@@ -245,7 +244,7 @@ impl Policy for OrtPolicy {
             *self.shared.tick_thread.try_lock().ok()? = Some(thread::current());
             self.knows_me = true;
         }
-        // Still reading the features of a tick before: this one goes without.
+        // The helper still reads the features of an earlier tick: no answer for this one.
         let mut room = self.shared.features.try_lock().ok()?;
         let count = features.len().min(FEATURES);
         room[..count].copy_from_slice(&features[..count]);

@@ -1,4 +1,4 @@
-//! The controller process: a command for every tick, whatever happens.
+//! The controller process: one command for every tick, without exception.
 
 mod swap;
 mod wait;
@@ -98,9 +98,9 @@ impl ControllerProcess {
         self.inputs.takeover = self.ports.takeovers.newest(door);
     }
 
-    /// The number of the tick, and whether it answers a new observation. What is refused
-    /// must not number the tick, nor what came after the tick of its own instant: that
-    /// has its number.
+    /// The number of the tick, and whether it answers a new observation. A refused
+    /// observation does not give the tick its number; neither does one whose own tick is
+    /// over, because that number is used.
     fn number(&mut self, due: &DueTick, is_admitted: bool) -> (u64, Origin) {
         let observation = self.inputs.observation.as_ref();
         let of_this_tick = observation.filter(|o| is_admitted && o.scheduled_ns == due.scheduled.0);
@@ -110,7 +110,7 @@ impl ControllerProcess {
                 self.waiting.answered = origin;
                 (tick, Origin::New)
             }
-            // A foreign observation may have been of the last tick there is.
+            // An observation of a foreign process may carry the largest tick number.
             _ => {
                 let last = self.controller.step().header.tick;
                 let tick = last.saturating_add(1 + due.skipped);
@@ -125,7 +125,7 @@ impl ControllerProcess {
     fn take(&mut self, due: &DueTick, now: Instant, origin: Origin) -> u64 {
         let schedule = &mut self.waiting.schedule;
         match (self.waiting.lockstep, origin) {
-            // Done when the tick was released.
+            // Counted when the tick was released.
             (false, _) => due.skipped,
             (true, Origin::None) => schedule.take(schedule.next()),
             (true, Origin::New | Origin::Answered) => schedule.take(now.max(schedule.next())),
@@ -207,7 +207,7 @@ impl FixedRate for ControllerProcess {
     fn stop(&mut self, run: &mut TickLoop, now: Instant) -> Flow {
         run.telemetry.health.state = HealthState::Stopping.code();
         let until = *self.stop_until.get_or_insert(now.after_ns(STOP_NS));
-        // Without a world for so long, no car is left to brake.
+        // After this long without a world there is no car to brake.
         let is_alone = now.since_ns(self.observed) > self.blind_ns;
         match now >= until || is_alone {
             true => Flow::End,
@@ -308,7 +308,7 @@ fn count_ages(step: &Step, timing: &mut Timing) {
         (Measure::AdviceAge, step.advice_age_ns),
     ];
     for (measure, age_ns) in ages {
-        // The greatest number stands for "there never was one".
+        // The largest number means that none ever came.
         if age_ns != u64::MAX {
             timing.of_mut(measure).record(age_ns);
         }

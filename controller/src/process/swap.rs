@@ -97,8 +97,8 @@ impl PolicySwap {
         Ok(())
     }
 
-    /// Adopts what is in the mailbox, unless that is locked now; returns whether it was
-    /// not. Never waits.
+    /// Adopts the mailbox's candidate, unless the mailbox is locked; returns whether it was
+    /// free. Never waits.
     pub fn exchange(&mut self, controller: &mut Controller) -> bool {
         match self.end.exchange(self.loader.mailbox()) {
             Exchanged::Locked => false,
@@ -106,7 +106,7 @@ impl PolicySwap {
             Exchanged::Done(Some(candidate)) => {
                 let tick = match self.end.has_ticked() {
                     true => controller.step().header.tick.saturating_add(1),
-                    // The loader is told the number of the first tick when it is known.
+                    // The loader learns the number of the first tick when it is known.
                     false => 0,
                 };
                 controller.adopt(candidate, tick, &mut self.end);
@@ -153,7 +153,7 @@ impl PolicySwap {
         let Some(learner) = &mut self.learning else {
             return;
         };
-        // A successor that came before does not end this wait.
+        // A learner that was restarted before this wait does not end it.
         let _ = learner.receive();
         let tick = controller.step().header.tick;
         let is_end = learner.count(tick);
@@ -162,7 +162,7 @@ impl PolicySwap {
         }
         let mut is_successor = false;
         let has_considered = |learner: &mut Learner| {
-            // It never received the step that is waited for: the wait would not end.
+            // It never received the step that this wait is for: the wait would not end.
             is_successor |= learner.receive() == Sender::Successor;
             is_successor || learner.has_considered(tick)
         };

@@ -22,7 +22,7 @@ pub struct Waiting {
     plan_wait_ns: u64,
     plan_age_ns: u64,
     lockstep_wait_ns: u64,
-    /// A peer that let a wait run out is not waited for until its next message.
+    /// A peer that exceeded a wait is not waited for until its next message.
     planner_silent: bool,
     gate_silent: bool,
     /// The newest tick whose step was published.
@@ -74,7 +74,7 @@ impl Waiting {
         if let Some(observation) = newest {
             let is_new = self.answered != Some(origin(&observation));
             let due = self.due(&observation, is_new, now);
-            // In lockstep nothing is read between two ticks: runs repeat.
+            // In lockstep nothing is read between two ticks, so that runs repeat.
             if is_new || !self.lockstep {
                 inputs.observation = Some(observation);
                 inputs.admitted.observation_ns = admitted.0;
@@ -170,8 +170,8 @@ impl Waiting {
                 self.gate_silent = !advised;
                 return;
             }
-            // In lockstep a model may think for longer than a silent process may live.
-            // A lost ring costs one heartbeat interval, not the whole wait.
+            // In lockstep a model's answer may take longer than the supervisor accepts
+            // silence. A lost doorbell costs one heartbeat interval, not the whole wait.
             match self.lockstep {
                 true => run.wait_alive(until, now),
                 false => run.wait(Some(until), now),
@@ -198,7 +198,7 @@ impl RunClock {
     }
 }
 
-/// The door for plans: also of the episode that is driven, where there is one.
+/// Admits a plan: as the message's own check, and of the current episode, if there is one.
 fn admit_plan(
     plan: &Plan,
     now: Instant,

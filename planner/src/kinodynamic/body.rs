@@ -48,8 +48,8 @@ impl Body {
     /// Whether the car can drive a curve.
     pub(crate) fn is_free_along(&self, grid: &Grid, from: &Pose, curve: &Dubins) -> bool {
         let pieces = || curve.walk(from).filter(|(_, piece)| piece.length_m > 0.0);
-        // What is in the way of most curves that are not free is in the way at
-        // the beginning or the middle of a piece, where it is found at once.
+        // Most blocked curves are blocked at the beginning or in the middle of a piece,
+        // which are cheap to test first.
         let stands_free = |(begin, piece): (Pose, Piece)| {
             let middle = begin * curve.moved(piece.turn, piece.length_m / 2.0);
             self.is_free_at(grid, &middle) && self.is_free_at(grid, &begin)

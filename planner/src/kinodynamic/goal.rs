@@ -14,14 +14,14 @@ const APART_M: f64 = 0.5;
 ///
 /// While the middle line itself is free, the goal is on it, and in a bend no
 /// farther than the bend leaves the straight line to it by `sag_m`: the shortest
-/// way to a goal far round a bend hugs the inner edge, and cuts off who drives
-/// there. With something on the line, the goal is behind it, as far as may be.
+/// path to a goal far round a bend follows the inner edge, and cuts into the path of other
+/// cars. With an obstacle on the line, the goal is behind it, as far as allowed.
 ///
 /// Then it is the farthest place along the line where the car could stand, and of those
 /// across the road there the one nearest to the middle line; of two as near the
-/// one on the side where the car is. Nothing is asked of the way there: that is
-/// the tree's work. Without any such place, straight ahead on the road, as near
-/// as goals are.
+/// one on the side where the car is. The path there is not checked: the tree finds it.
+/// Without any such place, the goal is straight ahead on the road, at the least
+/// distance.
 ///
 /// Returns the pose and how far along the line it is, m.
 pub(super) fn choose_goal(

@@ -55,7 +55,7 @@ impl Path {
                 from,
                 curve,
             };
-            // As many places as nodes.
+            // The capacity is that of the tree.
             let _ = self.legs.push(leg);
             self.length_m += curve.length_m();
         }
@@ -66,7 +66,7 @@ impl Path {
         let intervals = (self.length_m / APART_M) as usize;
         let intervals = intervals.clamp(1, WAYPOINTS_MAX - 1);
         let apart_m = self.length_m / intervals as f64;
-        // The end of a path that leads nowhere is where the car has to stand.
+        // The car must stand at the end of a path that does not reach the goal.
         let mut next_mps = match out.outcome() {
             PlanOutcome::Reached => config.speed_mps,
             PlanOutcome::Partial | PlanOutcome::Blocked => 0.0,

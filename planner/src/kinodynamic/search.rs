@@ -10,7 +10,7 @@ use crate::dubins::Dubins;
 use crate::grid::Grid;
 use crate::tree::{CHUNKS_MAX, Edge, LANES, Tree};
 
-/// A curve shorter than this leads nowhere, m.
+/// Shorter curves are not edges, m.
 const SAME_M: f64 = 1e-6;
 /// Of two costs that differ by less the first counts, m: rounding alone must
 /// not rewire the tree.
@@ -87,9 +87,9 @@ impl Search {
     /// One iteration: connect a sample, or what of the way to it is in reach, to
     /// its cheapest parent; rewire; try the goal from there.
     ///
-    /// A sample that no way to the goal could pass and be shorter than the one
-    /// there is, is left out (Gammell et al. 2014, with the curves from the start
-    /// and to the goal, whatever is in their way, as the least costs).
+    /// A sample is skipped if no path through it can be shorter than the best path to the
+    /// goal (Gammell et al. 2014, with the curves from the start
+    /// and to the goal, obstacles ignored, as the least costs).
     pub(super) fn extend(&mut self, grid: &Grid, question: &Question, sample: &Pose) {
         let Some(at) = self.approach(question, sample) else {
             return;
@@ -131,7 +131,7 @@ impl Search {
         };
         let cost_m = self.tree.cost_m(goal);
         let way: Vector = question.goal.translation.vector - at.translation.vector;
-        // Most samples are ruled out by the straight lines alone.
+        // The straight lines alone exclude most samples.
         if at.translation.vector.norm() + way.norm() >= cost_m {
             return false;
         }

@@ -1,7 +1,7 @@
 use crate::mpc::line::{Line, Place};
 use crate::track::Sighting;
 
-/// Beyond this distance clearance is not told apart, m.
+/// Larger clearances count as this one, m.
 pub(crate) const FAR_M: f64 = 2.5;
 /// The field reaches from here, m along the road from the car.
 const BEGIN_M: f64 = -4.0;
@@ -17,9 +17,9 @@ const FACE_M: f64 = 0.7;
 /// How far it goes on, m: so that the way back into the lane is not planned
 /// through the unseen part of a standing car.
 const BEHIND_M: [f64; 2] = [1.5, 3.0];
-/// Slowest progress that arrival times are reckoned with, m/s.
+/// Least speed for computing arrival times, m/s.
 const ARRIVE_MPS: f64 = 3.0;
-/// Predictions further ahead than this are worth nothing, s.
+/// Longest horizon of a prediction, s.
 const PREDICT_S: f64 = 3.0;
 
 /// Distance to the nearest obstacle over the places of the road, m, at the time

@@ -1,6 +1,6 @@
 //! Model-predictive control: a path along the road by dynamic programming, a
-//! speed along it that meets nobody, and a quadratic programme on the bicycle
-//! that drives both (`planner.method = "mpc"`).
+//! speed along it without collisions, and a quadratic programme on the bicycle
+//! that follows both (`planner.method = "mpc"`).
 //!
 //! ```text
 //! Observation -> Tracker, EgoFilter -> Line, Field -> Lattice -> Way -> Problem -> Plan
@@ -42,7 +42,7 @@ use problem::{Problem, Solution, Stage, Task};
 pub use problem::Effort;
 use speed::{Profile, Way};
 
-/// What is remembered is worth something for this long, s.
+/// Longest time for which the memory is used, s.
 const MEMORY_S: f64 = 0.5;
 /// The car is kept this far from what the corridor ends at, m, if there is room.
 const ROOM_M: f64 = 0.3;
@@ -81,7 +81,7 @@ struct Memory {
 
 impl Memory {
     /// What of the last answer is still to come: by the time that has passed,
-    /// whatever number of plans there were in it.
+    /// for any number of plans within it.
     fn actions_left(&self, now_ns: u64, step_s: f64) -> &[PlannedAction] {
         let passed_s = now_ns.saturating_sub(self.answered_ns) as f64 * 1e-9;
         // As `Plan::action_at` counts.
@@ -262,8 +262,8 @@ impl Mpc {
         }
         .control(&self.vehicle);
         // A brake only stops the car: held at rest it is no acceleration, and to
-        // let go of it is no change. Else a car that somebody else has stopped
-        // would be asked to stay where it is.
+        // let go of it is no change. Otherwise a car that another driver has stopped
+        // would be told to stay at rest.
         let stopping_mps2 = -ego.speed_mps().max(0.0) / model.step_s;
         let task = Task {
             now,

@@ -8,19 +8,19 @@ use shm_config::message::PLANNED_MAX;
 
 /// Instants looked at: the steps, and as many after them.
 const INSTANTS: usize = 2 * PLANNED_MAX;
-/// Speed at the end of what is known of the road, m/s: whatever comes, down to a
-/// bend of 10 m, can be driven at it or braked for.
+/// Speed at the end of the known road, m/s: at it the car can drive, or brake for, any
+/// bend of at least 10 m radius.
 const UNKNOWN_MPS: f64 = 6.0;
-/// Speed is reckoned along the path at this spacing, m.
+/// Spacing along the path at which speed limits are computed, m.
 const SPACING_M: f64 = 1.0;
 const PLACES: usize = 64;
-/// Gap kept to a moving body, m, and what it grows by with time, m/s: nobody
-/// knows what others do next.
+/// Gap kept to a moving body, m, and its growth with time, m/s: predictions become less
+/// certain.
 const GAP_M: f64 = 0.5;
 const GAP_MPS: f64 = 0.15;
 /// Part of the gap ahead that grows with speed, s.
 const HEADWAY_S: f64 = 0.4;
-/// Predictions further ahead than this are worth nothing, s.
+/// Longest horizon of a prediction, s.
 const PREDICT_S: f64 = 4.0;
 /// Acceleration that is planned with, m/s².
 const ACCEL_MPS2: f64 = 2.0;
@@ -66,8 +66,8 @@ pub(crate) struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// The fastest of the ways along the path that meets nobody; else the one
-    /// that meets somebody latest.
+    /// The fastest profile without a collision with a moving body; else the profile
+    /// whose first collision is latest.
     pub(crate) fn choose(&self, speed_mps: f64) -> Profile {
         let stop_m = match self.path.is_blocked {
             true => (self.path.length_m() - self.config.standoff_m).max(0.0),
@@ -159,8 +159,8 @@ impl Way<'_> {
             length_m, width_m, ..
         } = *self.vehicle;
         let footprint = Footprint { length_m, width_m };
-        // Whoever comes from behind sees the car; to stop for him would be to
-        // stand in his way.
+        // A body that approaches from behind can see the car; a stop would block its
+        // path.
         let follows = |sighting: &Sighting| {
             sighting.point_body.x < -length_m / 2.0 && sighting.velocity_body.x > 0.0
         };

@@ -41,7 +41,7 @@ pub(crate) fn clusters(
     for offset in 1..=count {
         let index = begin + offset;
         if offset == count || parted(index % count) {
-            // What does not fit is left out: it rests.
+            // A cluster over the capacity is left out: it rests.
             let _ = found.push(cluster(returns, first % count, index - first));
             first = index;
         }

@@ -158,8 +158,8 @@ impl Tracker {
             track.missed += 1;
         }
         let clusters = clusters(&returns_world);
-        // First whatever is where it was: else neighbours in a row of cones would
-        // hand their tracks on, and seem to run.
+        // First the clusters that have not moved: otherwise neighbours in a row of cones
+        // would exchange their tracks and seem to move.
         let still = RESTING_MPS * step_s + JITTER_M;
         let found = clusters
             .iter()
@@ -173,7 +173,7 @@ impl Tracker {
     }
 
     /// A cluster that is where a track was last is that track; after some scans
-    /// of that it rests, whatever it seemed to do before. Its velocity.
+    /// of that it rests, even if it seemed to move before. Returns its velocity.
     fn find_resting(&mut self, cluster: &Cluster, still_m: f64) -> Option<Vector> {
         let is_there =
             |track: &&mut Track| !track.taken && (track.middle - cluster.middle).norm() < still_m;
@@ -203,7 +203,7 @@ impl Tracker {
             .filter(|track| !track.taken && away(track) < GATE_M * GATE_M)
             .min_by(|a, b| away(a).total_cmp(&away(b)));
         let Some(track) = nearest else {
-            // With no room left it is not followed, and rests.
+            // Without a free track it is not followed, and rests.
             let _ = self.tracks.push(Track::new(cluster));
             return Vector::zeros();
         };

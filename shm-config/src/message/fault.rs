@@ -6,20 +6,20 @@ crate::word_list! {
     pub enum FaultKind {
         /// Its loop waits for ever; the process lives.
         Hang = 0 "hang",
-        /// Its loop stands still for a while.
+        /// Its loop pauses for a while.
         Slow = 1 "slow",
         /// It panics.
         Panic = 2 "panic",
-        /// The allocator has nothing to give.
+        /// An allocation fails.
         Allocation = 3 "allocation",
-        /// Its loop turns for ever and leaves its core to nobody below its priority.
+        /// Its loop spins for ever and leaves its core to no thread of lower priority.
         Spin = 4 "spin",
     }
 }
 
 crate::message! {
-    /// An order to fail, for fault campaigns. Nobody reads it unless the
-    /// configuration says so (`run.faults`).
+    /// An order to fail, for fault campaigns. A process reads it only with
+    /// `run.faults` in the configuration.
     #[derive(Default)]
     pub struct Fault: 48 bytes, nested [Header] {
         /// When it was ordered.

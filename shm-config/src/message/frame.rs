@@ -44,7 +44,7 @@ const _: () = assert!(FRAME_BYTES_MAX == 2_073_600, "as the message declares");
 
 crate::message! {
     /// The wish for a picture. Who can still show that tick does; where it is
-    /// gone nothing comes, and who asked waits no longer than it likes.
+    /// gone no answer comes, and the gate waits until its own deadline.
     #[derive(Default)]
     pub struct FrameRequest: 96 bytes, nested [Header, Proposal] {
         /// Tick, episode and instant of the observation that the picture shall be of.

@@ -31,7 +31,7 @@ impl Message for Takeover {
 }
 
 impl Takeover {
-    /// What the person does with the car; `None` while nobody has taken over.
+    /// What the person does with the car; `None` without a takeover.
     pub fn action(&self) -> Option<Action> {
         (self.active == 1).then_some(Action {
             steer: self.steer,

@@ -1,5 +1,5 @@
-//! Recorded scenes: what a planner was asked in real episodes, in a file that
-//! others can write, too. `stack/scenes/README.md` describes the format.
+//! Recorded scenes: observations of real episodes that a planner answered, in a file
+//! that other programs can write, too. `stack/scenes/README.md` describes the format.
 
 mod file;
 mod line;
@@ -14,7 +14,7 @@ use shm_config::message::{Observation, Plan, PlanOutcome};
 /// What the car saw at one tick, and at the tick before it.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// Where it is from; for people.
+    /// Its source, for readers of the file.
     pub origin: Origin,
     /// What is to be planned for.
     pub observation: Box<Observation>,
@@ -33,8 +33,8 @@ pub struct Origin {
 }
 
 impl Scene {
-    /// Brings a planner to where the scene begins: nothing of other scenes, and
-    /// the plan of the tick before.
+    /// Prepares a planner for the scene: it forgets other scenes and plans the tick
+    /// before this one.
     pub fn prepare(&self, planner: &mut Planner, plan: &mut Plan) {
         planner.forget();
         if let Some(before) = &self.before {
