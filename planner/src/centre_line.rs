@@ -7,8 +7,8 @@ use vehicle::{Point, Pose, Vector, pose};
 /// passed, m. The world moves on to the next one up to 5 m late.
 const PASSED_M: f64 = 1.0;
 
-/// A car wants to be this far behind the last checkpoint at most, m: twice the
-/// 5 m before and behind it in which it has arrived.
+/// A goal lies at most this far after the last checkpoint, m: twice the 5 m around it
+/// in which the car has arrived.
 const BEYOND_M: f64 = 10.0;
 
 /// One road of the route: an arc, or a straight line when the curvature is 0.
@@ -76,9 +76,9 @@ impl CentreLine {
         self.arcs.iter().map(|arc| arc.length_m).sum()
     }
 
-    /// How far along it a car may want to be, m: to its end; behind the last
-    /// checkpoint of the route, which is said twice, a little farther, so that
-    /// what stands on the goal line can be passed.
+    /// The farthest useful goal along it, m: its end; after the last checkpoint of the
+    /// route, which an observation has twice, a little farther, so that the car can pass
+    /// an obstacle on the goal line.
     pub(crate) fn known_m(&self) -> f64 {
         let beyond_m = if self.is_last { BEYOND_M } else { 0.0 };
         self.length_m() + beyond_m

@@ -30,10 +30,9 @@ impl Corridor {
     /// This corridor widened so that the row of cells on either side of the
     /// x axis is inside.
     ///
-    /// The car stands at the origin whether the corridor holds it or not. A
-    /// margin that is used up is no reason to stand still: between the car and
-    /// the corridor the road is as free as where the car is, and the goal,
-    /// which stays inside the corridor, leads back.
+    /// The car stands at the origin, inside the corridor or not. A car that has left the
+    /// margin may still drive: the road between car and corridor is as free as at the
+    /// car, and the goal, which stays inside the corridor, leads back.
     pub fn with_start(self, cell_m: f64) -> Self {
         Self {
             right_m: self.right_m.min(-cell_m),

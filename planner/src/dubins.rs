@@ -4,8 +4,8 @@ use core::f64::consts::{PI, TAU};
 use vehicle::Float as _;
 use vehicle::{Pose, pose, rem_euclid};
 
-/// An arc this much shorter than a full turn is none, rad: rounding makes -1e-16
-/// of what is 0, and a full turn of -1e-16.
+/// An arc within this of a full turn counts as no arc, rad: rounding turns 0 into
+/// -1e-16, which would become a full turn.
 const SAME_RAD: f64 = 1e-9;
 
 /// Which way a piece of a curve turns.
@@ -28,8 +28,8 @@ pub struct Piece {
     pub length_m: f64,
 }
 
-/// The shortest way of a car that cannot turn tighter than a radius and does
-/// not back up: at most three pieces (Dubins 1957).
+/// The shortest curve of a car with a least turning radius that only drives forwards:
+/// at most three pieces (Dubins 1957).
 ///
 /// The six words are those of Shkel & Lumelsky, *Classification of the Dubins
 /// set*, 2001, Eq. 11 to 16; the three that begin to the left are computed as
@@ -43,7 +43,7 @@ pub struct Dubins {
     pub pieces: [Piece; 3],
 }
 
-/// The question in units of the radius, turned so that the end lies on x; `mirrored`
+/// The problem in units of the radius, rotated so that the end lies on x; `mirrored`
 /// flips left and right.
 #[derive(Clone, Copy)]
 struct Question {
@@ -160,7 +160,7 @@ impl Dubins {
         })
     }
 
-    /// What going so far along an arc or a straight line does to a pose.
+    /// The motion along a part of an arc or a straight line.
     pub(crate) fn moved(&self, turn: Turn, length_m: f64) -> Pose {
         let turn_rad = turn.sign() * length_m / self.radius_m;
         match turn {
@@ -211,7 +211,8 @@ impl Question {
         }
     }
 
-    /// `None` also when it cannot be shorter than so much; its angles are what costs.
+    /// `None` also when it cannot be shorter than the limit, because its angles are
+    /// expensive.
     fn rsr(&self, most: f64) -> Option<[f64; 3]> {
         let across = self.distance - self.start_sin + self.end_sin;
         let along = self.start_cos - self.end_cos;
@@ -228,7 +229,7 @@ impl Question {
         Some([first, straight, turn(line_rad - self.end_rad)])
     }
 
-    /// `None` also when it cannot be shorter than so much.
+    /// `None` also when it cannot be shorter than the limit.
     fn lsr(&self, most: f64) -> Option<[f64; 3]> {
         let across = self.distance + self.start_sin + self.end_sin;
         let along = -self.start_cos - self.end_cos;

@@ -15,7 +15,7 @@ const ALONG_M: f64 = 0.5;
 /// the goal ball.
 const ACROSS_M: f64 = 0.5;
 
-/// Where the car is to go now: the local goal of Sec. 4.1.1, m.
+/// The local goal of Sec. 4.1.1, m.
 ///
 /// The paper takes the next checkpoint, and does not say what happens when it is
 /// outside the grid, behind a bend, or occupied. Here the goal is on the middle
@@ -29,13 +29,12 @@ const ACROSS_M: f64 = 0.5;
 ///    goal nearer: the corridor is straight and the car is drawn straight to the
 ///    goal, so a goal far round the bend would lead across its inner edge.
 /// 3. If that point is occupied or hidden, the nearest point across the road
-///    which is in plain view from the car, no occupied cell between; then the
-///    nearest one that is merely free; then the same nearer by, half a metre at
-///    a time. With all of them occupied it remains what it was.
+///    that the car sees, with no occupied cell between; then the nearest one that is
+///    only free; then the same at places nearer to the car, half a metre at a time.
+///    If all are occupied, the goal stays where rule 2 put it.
 ///
-/// The point in plain view makes the side on which an obstacle is passed follow
-/// from where the car is, so that the planner, which remembers nothing, does not
-/// change its mind from tick to tick.
+/// Because the goal is visible, the car's position decides on which side an obstacle is
+/// passed, so that the planner, which has no memory, chooses the same side at each tick.
 ///
 /// `grid` shows the same observation. The goal is inside the grid and the lane
 /// corridor, and at least 3 m ahead.

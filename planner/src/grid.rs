@@ -17,7 +17,7 @@ mod road;
 
 /// Most points of the body that are protected at the start.
 pub(crate) const STARTS_MAX: usize = 4;
-/// A line that is not in the open is looked at in pieces of so many rows.
+/// A line whose bounding box is not free is tested in pieces of so many rows.
 const BAND_ROWS: usize = 8;
 /// Cells in a word.
 const WORD: usize = u64::BITS as usize;
@@ -57,9 +57,9 @@ pub struct Cell {
 /// never occupied: the corridor is widened to hold them
 /// ([`Corridor::with_start`]), and the disc around a return is made smaller, to
 /// less than the return's distance from the nearer of the two. So the clearance
-/// asked of a cell is the inflation radius or what the car has now, whichever
-/// is less: from a start that is already too near to an obstacle, every way
-/// that comes no nearer is free, and no way that comes nearer is.
+/// required of a cell is the lesser of the inflation radius and the car's present
+/// clearance: from a start that is already too near to an obstacle, a path is free if
+/// and only if it comes no nearer.
 #[derive(Debug)]
 pub struct Grid {
     cell_m: f64,
@@ -91,7 +91,7 @@ impl Grid {
         Self::within(config, own_words(config))
     }
 
-    /// The same in this memory.
+    /// The same grid in the caller's memory.
     ///
     /// # Panics
     /// When the settings were not checked and need more words than there are.
@@ -319,11 +319,11 @@ impl Grid {
         }
         let segment = Segment::new(from, to, self.columns - 1, self.rows() - 1);
         let rows = segment.rows();
-        // Most lines are in the open: the rectangle around them is looked at first.
+        // The bounding box of most lines is free: it is tested first.
         if self.is_rectangle_free(rows, segment.columns()) {
             return true;
         }
-        // Of most others pieces are.
+        // For most other lines, the bounding boxes of pieces are free.
         let (first, last) = rows;
         let columns_in = segment.columns_in();
         (first..=last).step_by(BAND_ROWS).all(|row| {

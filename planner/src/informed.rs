@@ -14,25 +14,24 @@ use crate::sampler::{Region, Sampler};
 use crate::search::Search;
 use crate::tree::Tree;
 
-/// The paper's planner with two things added and nothing taken away: it begins
-/// with what is left of its last path, and once it has a path to the goal, it
-/// samples only where a shorter one can be.
+/// The paper's planner with two additions: it begins with the rest of its last path, and
+/// once it has a path to the goal, it samples only where a shorter one is possible.
 ///
 /// *Warm start.* The last path is moved by what the ego has moved since. Of its
 /// points those that are still ahead become the first nodes, from the car on,
-/// as far as the way from each to the next is free; each costs one iteration of
-/// the budget. So a path that still holds is never exchanged for a longer one.
+/// as far as the edge from each to the next is free; each costs one iteration of
+/// the budget. So a path that is still free is never replaced by a longer one.
 ///
-/// *Then straight for the goal,* a step at a time, until something is in the way
-/// (the *connect* of RRT-Connect, Kuffner & LaValle 2000); each step is one
+/// *Connection.* It extends straight to the goal, a step at a time, until an obstacle
+/// blocks it (the *connect* of RRT-Connect, Kuffner & LaValle 2000); each step is one
 /// iteration.
 ///
 /// *Informed sampling* (Gammell et al. 2014): with a path of the cost c into the
 /// goal ball of radius r, a shorter one only passes points whose distances to
 /// car and goal are less than c + r together.
 ///
-/// The memory is one path. It counts only for the tick right after, of the same
-/// episode, and not when it is too old. The same observations in the same order
+/// The memory is one path. It is used only at the next tick of the same episode, and
+/// not when it is too old. The same observations in the same order
 /// give the same plans. All memory is taken at the start.
 #[derive(Debug)]
 pub struct Informed {
@@ -155,8 +154,8 @@ impl Informed {
         });
     }
 
-    /// Makes the points of the last path that are ahead the first nodes; how
-    /// many iterations that took.
+    /// Makes the points of the last path that are ahead the first nodes; returns the
+    /// iterations used.
     fn remember(&mut self, observation: &Observation) -> u32 {
         let limit_ns = (self.settings.memory_s * 1e9) as u64;
         let Some(memory) = &self.memory else { return 0 };
@@ -187,8 +186,8 @@ impl Informed {
         spent
     }
 
-    /// Goes from the node nearest to the goal straight for it; how many of at
-    /// most so many iterations that took.
+    /// Extends the node nearest to the goal straight to it; returns the iterations used,
+    /// at most `most`.
     fn connect(&mut self, goal_body: Point, most: u32) -> u32 {
         for spent in 0..most {
             let before = self.search.tree.len();

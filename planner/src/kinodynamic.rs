@@ -45,9 +45,8 @@ const FAST_PART: u32 = 4;
 /// or `v² / a` for the sideways acceleration allowed, whichever is more.
 ///
 /// A plan begins where the car is and as it is turned, so the car can drive it
-/// as it stands, up to how quickly the wheels turn. It depends on the
-/// configuration and the observation, on nothing before. All memory is taken at
-/// the start.
+/// as it stands, except for the time that the wheels take to turn. It depends on the
+/// configuration and the observation alone. All memory is taken at the start.
 #[derive(Debug)]
 pub struct Kinodynamic {
     config: PlannerConfig,

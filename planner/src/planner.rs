@@ -41,8 +41,8 @@ impl Planner {
         self.plan_in_parts(observation, out, || ());
     }
 
-    /// The same; `prepared` is called when grid, course and predictions are there
-    /// and the search begins.
+    /// The same; `prepared` is called when grid, goal and predictions are ready and the
+    /// search begins.
     pub fn plan_in_parts(
         &mut self,
         observation: &Observation,
@@ -76,8 +76,8 @@ impl Planner {
         }
     }
 
-    /// An episode begins: nothing of what was before counts any more. Methods
-    /// with a memory also notice it themselves by the observation's header.
+    /// Forgets the last plans: an episode begins. Methods with a memory also detect it
+    /// by the observation's header.
     pub fn forget(&mut self) {
         match self {
             Self::RrtStar(_) | Self::Kinodynamic(_) => {}

@@ -1,4 +1,4 @@
-//! The planner process: a plan for every observation whose turn it is.
+//! The planner process: a plan for every observation at its turn.
 
 use std::cell::Cell;
 
@@ -83,7 +83,7 @@ impl PlannerProcess {
         let age_ns = now.since_ns(taken);
         telemetry.timing.observation_age.record(age_ns);
         let skipped = self.schedule.take(match self.lockstep {
-            // A restarted world begins its clock anew; the account goes on.
+            // A restarted world restarts its clock; the account continues.
             true => taken.max(self.schedule.next()),
             false => scheduled,
         });
@@ -156,8 +156,7 @@ impl FixedRate for PlannerProcess {
     }
 }
 
-/// The plan is over its deadline: does with it what `deadlines.planner` says.
-/// Returns whether it goes out.
+/// Applies `deadlines.planner` to a plan that is late. Returns whether it is published.
 fn answer_late(plan: &mut Plan, policy: Late) -> bool {
     if policy == Late::Brake {
         plan.outcome = PlanOutcome::Blocked.code();

@@ -13,8 +13,7 @@ use crate::search::Search;
 use crate::tree::Tree;
 
 /// The paper's planner (Sec. 4.1.1): grid, goal, RRT*, path. All memory is taken
-/// at the start; a plan depends on the configuration and the observation, on
-/// nothing before.
+/// at the start; a plan depends on the configuration and the observation alone.
 #[derive(Debug)]
 pub struct RrtStar {
     config: PlannerConfig,
@@ -101,7 +100,7 @@ impl RrtStar {
     }
 }
 
-/// An empty plan for an observation; what is the caller's stays.
+/// An empty plan for an observation; the caller's fields keep their values.
 pub(crate) fn header(observation: &Observation, out: &Plan) -> Plan {
     Plan {
         header: Header {

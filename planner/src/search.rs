@@ -110,7 +110,8 @@ impl Search {
             least,
             Edge {
                 parent: from,
-                // Of the points as they are, not the step: costs are then exact sums.
+                // The distance between the points as stored, not the step: costs are then
+                // exact sums.
                 length_m: (point_body - from_body).norm_squared().sqrt(),
             },
         );
@@ -122,9 +123,9 @@ impl Search {
     /// Measures the way from every node within the radius; the chunk with the
     /// cheapest parent, and the new node's cost with that one, m.
     ///
-    /// Passes over all nodes, those outside too: at the paper's 200 iterations a
-    /// loop of vectors over all is cheaper than to pick out who is inside, and
-    /// than keeping buckets.
+    /// The loop covers all nodes, also those outside the radius: at the paper's 200
+    /// iterations a vectorised loop over all is cheaper than a selection of the nodes
+    /// inside, and than buckets.
     fn find_near(&mut self, point_body: Point, radius_m: f64) -> (usize, f64) {
         let limit = radius_m * radius_m;
         let chunks = self.tree.chunks();
@@ -191,8 +192,8 @@ impl Search {
             }
             for (lane, &distance_m) in near.distance_m.iter().enumerate() {
                 let other = chunk * LANES + lane;
-                // Rewiring makes others cheaper, never dearer; so none that the
-                // look at the whole chunk left out would be one now.
+                // Rewiring only lowers costs; so no node that the test of the whole
+                // chunk excluded would pass now.
                 if cost_m + distance_m < self.tree.cost_m(other)
                     && grid.is_segment_free(point_body, self.tree.point(other))
                 {
@@ -206,7 +207,7 @@ impl Search {
         }
     }
 
-    /// Of the nodes in the goal ball the cheapest.
+    /// The cheapest node in the goal ball.
     pub(crate) fn reached(&self, goal_body: Point, radius_m: f64) -> Option<usize> {
         let in_ball = |&index: &usize| {
             (self.tree.point(index) - goal_body).norm_squared() <= radius_m * radius_m

@@ -123,7 +123,7 @@ impl Grid {
                 };
                 (first, last) = (first.min(x), last.max(x));
             }
-            // A hundred-millionth of a cell: neighbouring pieces leave no seam.
+            // A hundred-millionth of a cell: neighbouring pieces leave no gap.
             let (first, last) = (first - 1e-8, last + 1e-8);
             if last < 0.0 || first > self.columns as f64 {
                 continue;

@@ -36,7 +36,7 @@ const TIGHT: f32 = 4.0;
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Path {
     left_m: heapless::Vec<f64, { STATIONS + 1 }>,
-    /// Whether it ends because nothing behind is free.
+    /// Whether it ends because no later station is free.
     pub(crate) is_blocked: bool,
 }
 
@@ -162,7 +162,7 @@ impl Lattice {
         self.trace(reached, shift_m, left_m)
     }
 
-    /// One station further; whether anything of it can be reached.
+    /// Extends the search by one station; returns whether any state of it is reachable.
     fn advance(&mut self, ground: &Ground, station: usize, shift_m: f64, slack: &Slack) -> bool {
         let along_m = station as f64 * STATION_M;
         let last = ground.last.map(|path| path.at(along_m).0);
@@ -235,7 +235,7 @@ impl Lattice {
     }
 }
 
-/// Where the car stands is as it is: the first stations need not be better.
+/// The first stations need no more clearance than the car has now.
 struct Slack {
     clear_m: f64,
     edge_m: f64,
@@ -273,7 +273,7 @@ impl Ground<'_> {
         self.line.half_width_m(place.along_m) - place.left_m.abs() - reach_m
     }
 
-    /// What a place costs; infinite when it is not free.
+    /// The cost of a place; infinite when it is not free.
     fn cost(
         &self,
         place: Place,

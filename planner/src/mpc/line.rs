@@ -37,7 +37,7 @@ struct Knot {
 const NEXT_HALF_WIDTH_M: f64 = 5.25;
 
 impl Line {
-    /// The line of an observation; straight on beyond what is known.
+    /// The line of an observation; straight beyond its known part.
     pub(crate) fn new(observation: &Observation) -> Self {
         let centre = CentreLine::new(observation);
         let road = &observation.road;

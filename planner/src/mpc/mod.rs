@@ -7,10 +7,10 @@
 //! ```
 //!
 //! The lattice decides what a convex programme cannot: on which side an obstacle
-//! is passed. Around its path the dynamics are made linear and the free corridor
-//! is read off the field; limits are softened with slacks, so that there is
-//! always an answer. When the solver gives up all the same, the last answer is
-//! followed on, and when that has run out, the car brakes.
+//! is passed. Around its path the dynamics are linearised and the free corridor
+//! is read from the field; limits are softened with slacks, so that there is
+//! always an answer. When the solver fails all the same, the last answer is
+//! continued, and when that has ended, the car brakes.
 //!
 //! The solver (clarabel) keeps its symbolic factorisation and updates its data
 //! in place, but allocates a little for each solution; `tests/mpc.rs` counts it.
@@ -44,11 +44,11 @@ use speed::{Profile, Way};
 
 /// Longest time for which the memory is used, s.
 const MEMORY_S: f64 = 0.5;
-/// The car is kept this far from what the corridor ends at, m, if there is room.
+/// Distance kept from the corridor's limits, m, where there is room.
 const ROOM_M: f64 = 0.3;
-/// How much less room than the path there may be beside it, m.
+/// The clearance beside the path may be less than the path's own by this, m.
 const GIVE_M: f64 = 0.15;
-/// The corridor is looked for in steps of this, m.
+/// Step of the search for the corridor's limits, m.
 const LOOK_M: f64 = 0.25;
 /// Hardest braking that is planned, m/s²: below where friction ends (11.8).
 const BRAKE_MAX_MPS2: f64 = 8.0;
@@ -67,31 +67,31 @@ pub struct Mpc {
     memory: Option<Memory>,
 }
 
-/// What one plan leaves for the next one.
+/// The memory from one plan to the next.
 #[derive(Debug)]
 struct Memory {
     header: Header,
     ego: EgoFilter,
     path_world: heapless::Vec<Point, { lattice::STATIONS + 1 }>,
-    /// What the solver answered last; nothing when it never did.
+    /// The solver's last answer; empty before the first.
     actions: heapless::Vec<PlannedAction, PLANNED_MAX>,
-    /// When what that answer was for was seen.
+    /// The instant of the observation that it answers.
     answered_ns: u64,
 }
 
 impl Memory {
-    /// What of the last answer is still to come: by the time that has passed,
-    /// for any number of plans within it.
+    /// The part of the last answer that is still ahead, by the time that has passed and
+    /// not by the number of plans.
     fn actions_left(&self, now_ns: u64, step_s: f64) -> &[PlannedAction] {
         let passed_s = now_ns.saturating_sub(self.answered_ns) as f64 * 1e-9;
-        // As `Plan::action_at` counts.
+        // The same rule as `Plan::action_at`.
         let passed = (passed_s / step_s + 1e-6) as usize;
         self.actions.get(passed..).unwrap_or_default()
     }
 }
 
 impl Mpc {
-    /// The only place that allocates, but for the solver.
+    /// The only place that allocates, except the solver.
     pub fn new(config: &Config) -> Self {
         let time_limit_s = match config.run.is_lockstep() {
             true => f64::INFINITY,
@@ -115,7 +115,7 @@ impl Mpc {
         self.problem.effort()
     }
 
-    /// Nothing of what was before counts any more.
+    /// Forgets everything: an episode begins.
     pub fn forget(&mut self) {
         self.memory = None;
         self.tracker.forget();
@@ -185,8 +185,8 @@ impl Mpc {
         self.keep(observation, ego, &line, &path, out);
     }
 
-    /// Brings tracker and filter up to this observation; forgets what is of
-    /// another episode, or too old.
+    /// Updates tracker and filter with this observation; forgets a memory of another
+    /// episode, or one that is too old.
     fn remember(&mut self, observation: &Observation) -> EgoFilter {
         let header = &observation.header;
         let since_s = self.memory.as_ref().and_then(|memory| {
@@ -288,8 +288,8 @@ impl Mpc {
             along_m,
             left_m: path_m,
         });
-        // Where the path itself has less room, the corridor is not a line: a way
-        // that costs slack all along would not be driven at all.
+        // Where the path itself has less clearance, the corridor is not a single line: a
+        // path that costs slack at each step would stop the car.
         let needed_m = (self.body.radius_m + ROOM_M)
             .min(here_m - GIVE_M)
             .max(self.body.half_width_m);

@@ -34,7 +34,7 @@ pub(crate) struct Stage {
     pub(crate) stop_m: f64,
 }
 
-/// What is asked of the whole problem.
+/// The data of the whole problem.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Task {
     /// The state now.
@@ -123,9 +123,9 @@ impl Problem {
             .time_limit(time_limit_s)
             .presolve_enable(false)
             .input_sparse_dropzeros(false)
-            // The scaling would be that of the first data for ever after.
+            // The scaling would stay that of the first data.
             .equilibrate_enable(false)
-            // A millimetre and a milliradian are far more than the model knows.
+            // A millimetre and a milliradian are far below the model's error.
             .tol_gap_abs(1e-5)
             .tol_gap_rel(1e-5)
             .tol_feas(1e-5)
@@ -160,7 +160,7 @@ impl Problem {
         self.effort
     }
 
-    /// Solves; `None` when the solver gave up, in time or number.
+    /// Solves; `None` when the solver reaches its limit of time or iterations.
     pub(crate) fn solve(&mut self, task: &Task, stages: &[Stage]) -> Option<Solution> {
         debug_assert_eq!(stages.len(), self.steps, "a stage for each step");
         self.effort = Effort::default();
