@@ -50,7 +50,7 @@ pub enum Net {
 pub struct Names {
     /// The features.
     pub input: String,
-    /// Elements of the input: [1, 259] or [259].
+    /// Elements of the input: `[1, 259]` or `[259]`.
     pub input_shape: Vec<i64>,
     /// The actions.
     pub output: String,

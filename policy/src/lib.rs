@@ -24,6 +24,23 @@
 //!
 //! Without the feature `std` (and with `libm`), the native runtime needs neither the
 //! standard library nor an allocator: [`Forward`] over weights of the caller's.
+//!
+//! ```
+//! use policy::{Activation, Layer, Mlp, Net, Provenance, decode, encode};
+//! use shm_config::message::FEATURES;
+//!
+//! let layer = Layer {
+//!     weights: vec![0.0; 2 * FEATURES],
+//!     bias: vec![0.0, 1.0],
+//!     inputs: FEATURES,
+//!     outputs: 2,
+//!     activation: Activation::Tanh,
+//! };
+//! let file = encode(&Mlp::new(vec![layer])?, &Provenance::default(), &[]);
+//! let Net::Mlp { mut mlp, .. } = decode(&file)?.net else { panic!("a chain of layers") };
+//! assert_eq!(mlp.infer(&[0.5; FEATURES]), [0.0, 1f32.tanh()]);
+//! # Ok::<(), policy::Refusal>(())
+//! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]
 

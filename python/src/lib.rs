@@ -3,10 +3,10 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`options`] | what environments are like, as Python passes it |
-//! | [`env`], [`batch`] | one environment, many on several threads: plain Rust |
-//! | [`single`], [`worlds`], [`state`] | the Python classes |
-//! | [`calls`] | what the classes share |
+//! | `options` | what environments are like, as Python passes it |
+//! | `env`, `batch` | one environment, many on several threads: plain Rust |
+//! | `single`, `worlds`, `state` | the Python classes |
+//! | `calls` | what the classes share |
 //!
 //! Nothing here uses shared memory or a real-time process.
 

@@ -1,6 +1,6 @@
 //! Message layouts that name themselves.
 //!
-//! [`message!`](crate::message) writes down each field's name, type and offset
+//! [`message!`](macro@crate::message) writes down each field's name, type and offset
 //! beside the struct. From that table come the layout's fingerprint, by which a
 //! producer and a consumer built from different sources refuse each other, and
 //! the layout in other languages, which therefore cannot drift.

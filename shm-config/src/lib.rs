@@ -11,7 +11,7 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`message`] | the messages, and the check that each passes once |
+//! | [`mod@message`] | the messages, and the check that each passes once |
 //! | [`services`] | the service table: name, message, producers, consumers, rate, age limit |
 //! | [`settings`], `config` | what the tick computes with; the file of all settings |
 //! | `wire` | ports on shared memory |

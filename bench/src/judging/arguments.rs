@@ -32,7 +32,7 @@ pub struct BenchJudge {
     /// nothing else speaks for one.
     #[arg(long, value_name = "SHARE", default_value_t = 0.72, value_parser = bias)]
     pub bias: f64,
-    /// Ask this server in place of the stand-ins; the rest of [vlm] says how.
+    /// Ask this server in place of the stand-ins; section vlm says the rest.
     #[arg(long, value_name = "URL", conflicts_with = "bias")]
     pub server: Option<String>,
     /// Keep questions and pictures in this folder, for ./vlaps judge audit.

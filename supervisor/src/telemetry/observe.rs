@@ -22,7 +22,7 @@ const LISTEN_NS: u64 = 1_000_000_000;
 /// Time between two reads.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Listens to a living run for at most [`LISTEN_NS`], and reads memory and threads of its
+/// Listens to a living run for at most `LISTEN_NS`, and reads memory and threads of its
 /// processes from the kernel.
 ///
 /// # Errors

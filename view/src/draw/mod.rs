@@ -138,7 +138,7 @@ fn episode(arguments: &DrawEpisode, clock: Clock) -> anyhow::Result<()> {
 /// Draws the failures of an evaluation into a folder, at most this many.
 ///
 /// # Errors
-/// As [`map`].
+/// As `map`.
 pub fn failures(
     (folder, most): (&Path, usize),
     (seeds, driver): (&[u64], DriverKind),
