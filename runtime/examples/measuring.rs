@@ -1,7 +1,7 @@
-//! What always-on measurement costs a tick: the same empty tick with and without
-//! it, in turns.
+//! What always-on measurement costs: times the same empty tick with and without it,
+//! alternating.
 //!
-//! `cargo run --release -p process --example measuring`
+//! `cargo run --release -p runtime --example measuring`
 
 use std::hint::black_box;
 
@@ -9,11 +9,12 @@ use runtime::Usage;
 use shm_config::message::{Measure, Timing};
 use shm_config::time::monotonic;
 
-/// Ticks in a turn.
+/// Ticks in one round.
 const TICKS: u64 = 200_000;
-/// Turns of each kind; the median counts.
+/// Rounds of each kind; the median is reported.
 const TURNS: usize = 15;
-/// Instants that a controller's tick takes for its parts, as the process does.
+/// Instants at which a controller's tick takes the time of its parts, as in the
+/// process.
 const INSTANTS: usize = 5;
 
 #[allow(clippy::disallowed_methods)] // an entry point reads the clock
@@ -49,7 +50,7 @@ fn main() {
     );
 }
 
-/// What the controller does: an instant at the end of each part, seven durations.
+/// A tick like the controller's: one instant at the end of each part, seven durations.
 #[allow(clippy::disallowed_methods)] // an entry point reads the clock
 fn measured_tick(timing: &mut Timing, tick: u64) {
     let mut last = monotonic();
@@ -59,7 +60,8 @@ fn measured_tick(timing: &mut Timing, tick: u64) {
         last = now;
     }
     for measure in Measure::ALL {
-        // Spread over some thousand buckets, as a run's durations are over tens.
+        // The values spread over some thousand buckets; the durations of a run spread
+        // over tens.
         timing
             .of_mut(*measure)
             .record(tick.wrapping_mul(7919) & 0xf_ffff);

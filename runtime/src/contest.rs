@@ -1,14 +1,13 @@
 use shm_config::Instant;
 use shm_config::wire::Wire;
 
-/// How long the car is braked after the last message of a process that sends in the
-/// place of one that the run has started, ns: at the slowest rate of a sender that a
-/// loop at 10 Hz notices, several messages come in that time, so that the brake holds
-/// between them.
+/// How long the car is braked after the last message of a foreign process that sends in
+/// place of a process of the run, ns. Even the slowest sender that a loop at 10 Hz
+/// notices sends several messages in this time, so the brake holds between them.
 const HOLD_NS: u64 = 1_000_000_000;
 
-/// Whether two living processes send one state: then nothing that is received can be
-/// trusted to be the run's own, and the car is braked.
+/// Detects that two living processes send the same state. Then no received message can
+/// be trusted to be the run's own, and the car is braked.
 #[derive(Debug, Clone, Default)]
 pub struct Contest {
     seen: u64,
@@ -16,8 +15,8 @@ pub struct Contest {
 }
 
 impl Contest {
-    /// Looks at what the ports refused, after they were read at `now`; whether the car
-    /// is to be braked.
+    /// Reads the refusals that the ports counted; call it after they were read at
+    /// `now`. Returns whether the car must brake.
     pub fn look(&mut self, wire: &Wire, now: Instant) -> bool {
         self.count(wire.contests(), now)
     }

@@ -1,4 +1,4 @@
-//! Failures on order: what a campaign of faults does to a process from within.
+//! Failures on order: what a fault campaign makes a process do.
 //!
 //! The fault orders are read in a wrapper around the health port, which is installed
 //! with `run.faults` alone. Without it no port is open and no branch is taken.
@@ -13,12 +13,12 @@ use shm_config::wire::{Publisher, Subscriber, WireError};
 use crate::Member;
 use crate::telemetry::HealthPort;
 
-/// Orders older than this are ignored: they were for a predecessor, ns.
+/// Orders older than this are ignored, ns: they were sent to a predecessor.
 const ORDER_AGE_NS: u64 = 1_000_000_000;
-/// The longest a loop is made to stand still, ns.
+/// The longest time for which a loop is stopped, ns.
 const SLOW_MAX_NS: u64 = 10_000_000_000;
 
-/// A health port whose process fails on order.
+/// A health port that reads fault orders and fails as ordered.
 pub(crate) struct FaultyPort {
     port: Publisher<Health>,
     process: Process,
@@ -42,12 +42,13 @@ impl FaultyPort {
 }
 
 impl HealthPort for FaultyPort {
-    /// Does what was ordered, which may end the process, and publishes.
+    /// Carries out the newest order, which may end the process, and publishes.
     fn publish(&mut self, health: &mut Health) {
         self.orders.update_connections();
         while let Some(order) = self.orders.receive() {
             let is_meant = order.target == self.process.code();
-            // Read after the order came, which else would be from the future.
+            // The clock is read after the order arrived; otherwise the order would seem
+            // to come from the future.
             if is_meant && order.admit((self.clock)(), ORDER_AGE_NS).is_ok() {
                 fail(&order);
             }
@@ -70,13 +71,14 @@ fn fail(order: &Fault) {
         },
         Some(FaultKind::Slow) => {
             let moment = Duration::from_nanos(order.duration_ns.min(SLOW_MAX_NS));
-            // The stop on order of a campaign, in no loop that drives.
+            // Only a fault campaign orders this stop; no loop that drives blocks here.
             #[allow(clippy::disallowed_methods)]
             std::thread::sleep(moment);
         }
         Some(FaultKind::Panic) => panic!("ordered to panic"),
         Some(FaultKind::Allocation) => {
-            // More than any machine has: the allocator's own refusal ends the process.
+            // More memory than any machine has: the allocator refuses it, which ends
+            // the process.
             let bytes: Vec<u8> = Vec::with_capacity(isize::MAX as usize);
             std::hint::black_box(bytes);
         }

@@ -2,24 +2,24 @@
 
 use shm_config::message::Scheduling;
 
-/// What the kernel counted for one thread since it began.
+/// What the kernel has counted for one thread since the thread began.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Usage {
-    /// Page faults that needed no disk.
+    /// Page faults that needed no disk access.
     pub minor_faults: u64,
     /// Page faults that waited for the disk.
     pub major_faults: u64,
-    /// Times that the processor was taken away from it.
+    /// Times that the kernel took the processor away from the thread.
     pub involuntary_switches: u64,
 }
 
 impl Usage {
-    /// Of the calling thread: getrusage(2) with `RUSAGE_THREAD`, no allocation, no
-    /// wait, a third of a microsecond.
+    /// The counts of the calling thread: getrusage(2) with `RUSAGE_THREAD`. No
+    /// allocation, no wait, a third of a microsecond.
     #[allow(unsafe_code)]
     pub fn of_this_thread() -> Self {
-        // SAFETY: `rusage` is made of numbers, so all zeros are one, and the kernel
-        // writes nothing but it.
+        // SAFETY: `rusage` consists of numbers, so all zeros are a valid value, and the
+        // kernel writes nothing else.
         let usage = unsafe {
             let mut usage: libc::rusage = std::mem::zeroed();
             match libc::getrusage(libc::RUSAGE_THREAD, &mut usage) {
@@ -34,7 +34,7 @@ impl Usage {
         }
     }
 
-    /// What was added since an earlier look.
+    /// The counts added since an earlier reading.
     #[must_use]
     pub fn since(self, earlier: Self) -> Self {
         Self {
@@ -47,7 +47,7 @@ impl Usage {
     }
 }
 
-/// `SCHED_FIFO` for the calling thread. Threads started later do not inherit it.
+/// Sets `SCHED_FIFO` for the calling thread. Threads started later do not inherit it.
 #[allow(unsafe_code)]
 pub fn set_fifo(priority: u32) -> bool {
     let parameters = libc::sched_param {
@@ -58,18 +58,18 @@ pub fn set_fifo(priority: u32) -> bool {
     unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
 }
 
-/// Ordinary scheduling for the calling thread.
+/// Sets ordinary scheduling for the calling thread.
 #[allow(unsafe_code)]
 pub fn set_ordinary() -> bool {
     let parameters = libc::sched_param { sched_priority: 0 };
-    // Only the privileged may take the flag away again.
+    // Only a privileged thread may clear the reset-on-fork flag.
     let policy = libc::SCHED_OTHER | libc::SCHED_RESET_ON_FORK;
     // SAFETY: pid 0 is the calling thread and the parameters live through the call.
     unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
 }
 
-/// How the calling thread is scheduled, and its real-time priority (0 for none),
-/// as the kernel says.
+/// The scheduling of the calling thread, and its real-time priority (0 for none), as
+/// the kernel reports them.
 #[allow(unsafe_code)]
 pub fn own_scheduling() -> (Scheduling, u32) {
     let mut parameters = libc::sched_param { sched_priority: 0 };
@@ -86,14 +86,14 @@ pub fn own_scheduling() -> (Scheduling, u32) {
     (scheduling, parameters.sched_priority.max(0) as u32)
 }
 
-/// The heap keeps what is freed: given back to the kernel, it would fault anew.
+/// Makes the heap keep freed memory: memory returned to the kernel would fault again.
 #[allow(unsafe_code)]
 pub fn keep_heap() {
     #[cfg(target_env = "gnu")]
     // SAFETY: mallopt changes two thresholds of the allocator, under its own lock.
     unsafe {
         libc::mallopt(libc::M_TRIM_THRESHOLD, libc::c_int::MAX);
-        // The most that glibc takes.
+        // The largest value that glibc takes.
         libc::mallopt(libc::M_MMAP_THRESHOLD, 32 << 20);
     }
 }

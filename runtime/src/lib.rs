@@ -5,9 +5,9 @@
 //! | `member` | arguments, configuration, membership, logs, stop signal, exit code |
 //! | `tick_loop` | the loop of every process with a fixed rate: heartbeat, connections, waiting, stop |
 //! | `schedule` | the grid of its ticks: due, skipped, missed |
-//! | `telemetry` | how the process does: health, timing, deadlines, budgets |
+//! | `telemetry` | what a process reports: health, timing, deadlines, budgets |
 //! | `privileges` | real-time priority, own core, locked memory |
-//! | `contest` | two living producers of one state |
+//! | `contest` | detects two living producers of one state |
 //! | `fault` | failures on order, installed with `run.faults` alone |
 //! | `kernel` | system calls that no library wraps |
 //!

@@ -1,4 +1,4 @@
-//! Membership of a process in a run: what it does at its start and end.
+//! Membership of a process in a run: what a process does at its start and end.
 
 use std::io::Write as _;
 use std::path::PathBuf;
@@ -20,8 +20,8 @@ use crate::Privileges;
 use crate::kernel::set_ordinary;
 use crate::privileges::Ask;
 
-/// The exit code of a process that could not be set up. The supervisor does not
-/// restart it: it would fail again.
+/// The exit code of a process that could not be set up. The supervisor does not restart
+/// it, because it would fail again.
 pub const SET_UP_FAILED: u8 = 2;
 
 /// The arguments that every process takes.
@@ -41,26 +41,26 @@ pub struct Arguments {
 /// Why a process could not be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum SetUpError {
-    /// The configuration.
+    /// The configuration is wrong.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The run's name.
+    /// The run's name is invalid.
     #[error(transparent)]
     Name(#[from] InvalidRunName),
-    /// Shared memory.
+    /// Shared memory refuses.
     #[error(transparent)]
     Wire(#[from] WireError),
-    /// Signals.
+    /// Signals cannot be handled.
     #[error("cannot handle signals: {0}")]
     Signals(#[from] std::io::Error),
-    /// Something of the process's own.
+    /// An error of this process alone.
     #[error("{0}")]
     Own(String),
 }
 
 /// A process that has joined its run.
 pub struct Member {
-    /// Which it is.
+    /// Which process it is.
     pub process: Process,
     /// The run's configuration.
     pub config: Config,
@@ -68,35 +68,37 @@ pub struct Member {
     pub wire: Wire,
     /// The machine's clock.
     pub clock: Clock,
-    /// What it asked the kernel for, and got.
+    /// The privileges that it asked the kernel for, and those it got.
     pub privileges: Privileges,
     stop: Arc<AtomicBool>,
     _logs: Option<Logs>,
 }
 
-/// Writes out what is still queued when the process ends.
+/// The logging thread; dropping it writes out the queued lines when the process ends.
 struct Logs {
     _guard: tracing_appender::non_blocking::WorkerGuard,
 }
 
 impl Drop for Logs {
-    /// The guard waits for its thread in a loop. That thread has no privileges: were it
-    /// kept from the core by those of this one, both would wait for as long as the
-    /// kernel lets a real-time thread run, and every thread on that core with them.
+    /// The guard waits for its thread in a loop, and that thread has no privileges. If
+    /// this thread kept its real-time priority, it could keep the logging thread from
+    /// the core; both would then wait for as long as the kernel lets a real-time thread
+    /// run, as would every other thread on that core.
     fn drop(&mut self) {
         set_ordinary();
     }
 }
 
 impl Member {
-    /// Joins the run of the configuration. Real-time privileges are asked for later,
-    /// when everything is allocated ([`Member::apply_privileges`]).
+    /// Joins the run of the configuration. [`Member::apply_privileges`] asks for
+    /// real-time privileges later, when everything is allocated.
     ///
     /// # Errors
     /// One line that says what is wrong and what to do.
     pub fn join(process: Process, arguments: &Arguments, clock: Clock) -> Result<Self, SetUpError> {
         die_with_parent();
-        // Before the first thread: nothing may copy the environment.
+        // Done before the first thread starts: no other copy of the environment exists
+        // yet.
         secret::take().map_err(|error| {
             SetUpError::Own(format!(
                 "cannot take the keys out of the environment: {error}"
@@ -109,8 +111,8 @@ impl Member {
         let logs = Logs::start();
         let config = load(&arguments.config)?;
         let wire = join_as(&config.run.name.parse()?, process)?;
-        // In lockstep every process runs flat out: with real-time priority they
-        // would starve the machine.
+        // In lockstep every process runs without a pause; real-time priority would
+        // starve the machine.
         let priority = match config.run.is_lockstep() {
             true => 0,
             false => arguments.priority,
@@ -130,8 +132,9 @@ impl Member {
         })
     }
 
-    /// A process of a run that is a thread of this program: it asks for no privileges,
-    /// and leaves signals and logs to the program. It stops when `stop` is set.
+    /// Joins as a thread of this program, in place of a process. It asks for no
+    /// privileges, leaves signals and logs to the program, and stops when `stop` is
+    /// set.
     pub fn embedded(
         process: Process,
         config: Config,
@@ -164,7 +167,7 @@ impl Member {
     }
 
     /// Asks the kernel for the privileges of the calling thread, once everything is
-    /// allocated. What is refused is logged, and the process runs without it.
+    /// allocated. A refusal is logged, and the process runs without that privilege.
     pub fn apply_privileges(&mut self) {
         self.privileges.apply();
         tracing::info!(
@@ -178,8 +181,8 @@ impl Member {
 }
 
 impl Logs {
-    /// A logging thread. Lines are dropped when the disk cannot follow: no disk ever
-    /// holds up a process.
+    /// Starts a logging thread. Lines are dropped when the disk is too slow, so no disk
+    /// delays a process.
     fn start() -> Self {
         let (writer, guard) = tracing_appender::non_blocking(Printable(std::io::stderr()));
         tracing_subscriber::fmt()
@@ -195,24 +198,25 @@ impl Logs {
     }
 }
 
-/// Joins a run as the process that the supervisor has started: takes state only from
-/// those that its roster names, and waits until that names this one, too.
+/// Joins a run as the process that the supervisor has started. It takes state only from
+/// processes that the supervisor's roster names, and waits until the roster names this
+/// process too.
 ///
 /// # Errors
-/// When shared memory refuses, or no supervisor names it.
+/// When shared memory refuses, or no supervisor names this process.
 pub fn join_as(run: &RunName, process: Process) -> Result<Wire, WireError> {
     let wire = Wire::join(run, process)?;
-    // The one that started it: another process could publish any roster.
+    // Only the parent's roster counts: any other process could publish one.
     let supervisor = rustix::process::getppid().map_or(0, |pid| pid.as_raw_nonzero().get());
     wire.follow(supervisor.unsigned_abs())?;
     wire.await_named(process, std::process::id())?;
     Ok(wire)
 }
 
-/// Ends with the supervisor, however it ends: no process of a run outlives it.
+/// Asks the kernel to end this process when the supervisor ends, in any way.
 fn die_with_parent() {
     let parent = rustix::process::getppid();
-    // Refused only for invalid signals.
+    // The call is refused for invalid signals only.
     let _ = rustix::process::set_parent_process_death_signal(Some(Signal::KILL));
     // The parent may have died before the line above.
     if rustix::process::getppid() != parent {
@@ -220,14 +224,14 @@ fn die_with_parent() {
     }
 }
 
-/// Runs a process's main function and turns its error into one line and the
-/// exit code that the supervisor understands.
+/// Runs a process's main function. An error becomes one line and the exit code that the
+/// supervisor understands.
 pub fn exit_code(process: Process, result: Result<(), SetUpError>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let error = error.to_string();
-            // A disk that takes no log must not turn the refusal into a panic.
+            // A full disk must not turn the error message into a panic.
             let _ = writeln!(
                 std::io::stderr(),
                 "vlaps-{process}: {}",

@@ -1,4 +1,4 @@
-//! Real-time privileges of the tick's thread: what it asks for, what it got.
+//! Real-time privileges of the tick's thread: those it asks for and those it got.
 
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
@@ -6,11 +6,11 @@ use shm_config::message::{Grant, Scheduling};
 
 use crate::kernel::{keep_heap, own_scheduling, set_fifo};
 
-/// Stack that is touched before the first tick, bytes. The deepest tick, that of
-/// the MPC, uses a tenth of it.
+/// Stack that is touched before the first tick, bytes. The deepest tick, that of MPC,
+/// uses a tenth of it.
 const STACK_BYTES: usize = 512 << 10;
 /// Heap that is touched before the first tick and kept, bytes. A tick allocates
-/// nothing; what runs between ticks (connecting to a restarted peer) does.
+/// nothing, but code between ticks does (connecting to a restarted peer).
 const HEAP_BYTES: usize = 1 << 20;
 
 /// What a process asks the kernel for.
@@ -18,7 +18,7 @@ const HEAP_BYTES: usize = 1 << 20;
 pub struct Ask {
     /// `SCHED_FIFO` priority; 0 for no privilege at all.
     pub priority: u32,
-    /// Core to stay on, with that priority.
+    /// Core to stay on, if that priority is set.
     pub core: Option<usize>,
 }
 
@@ -26,7 +26,7 @@ pub struct Ask {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Privileges {
     ask: Ask,
-    /// The scheduling in force, as the kernel says.
+    /// The scheduling in force, as the kernel reports it.
     pub scheduling: Scheduling,
     priority_got: u32,
     /// Real-time scheduling.
@@ -38,7 +38,7 @@ pub struct Privileges {
 }
 
 impl Privileges {
-    /// A wish list; nothing is asked of the kernel yet.
+    /// The privileges to ask for; nothing is asked of the kernel yet.
     pub fn asked(ask: Ask) -> Self {
         Self {
             ask,
@@ -68,8 +68,8 @@ impl Privileges {
         }
     }
 
-    /// Asks for everything on the list, for the calling thread, and reads back
-    /// from the kernel what came of it.
+    /// Asks for all these privileges for the calling thread, and reads back from the
+    /// kernel which are in force.
     pub(crate) fn apply(&mut self) {
         if self.ask.priority == 0 {
             return;
@@ -80,14 +80,15 @@ impl Privileges {
         if let Some(core) = self.ask.core {
             self.core = grant(stay_on(core));
         }
-        // Pages are locked as they are first touched: locking the whole address
-        // space would also fill the reserved but unused parts of large queues.
+        // Pages are locked when they are first touched. Locking the whole address space
+        // would also fill the reserved but unused parts of large queues.
         let flags = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
         self.memory = grant(mlockall(flags).is_ok());
         touch_stack();
         keep_heap();
         touch_heap();
-        // Timed waits of real-time threads have no slack; of others, 50 us.
+        // Timed waits of real-time threads have no slack; those of other threads have
+        // 50 us.
         let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
     }
 }
@@ -110,14 +111,14 @@ fn stay_on(core: usize) -> bool {
     asked && sched_getaffinity(None).is_ok_and(|got| got == cores)
 }
 
-/// The pages of the stack are there before a tick reaches down to them.
+/// Touches the pages of the stack, so that no tick faults on them.
 #[inline(never)]
 fn touch_stack() {
     let mut bytes = [0u8; STACK_BYTES];
     std::hint::black_box(&mut bytes);
 }
 
-/// The same for the heap, which keeps what is freed.
+/// Touches the pages of the heap, which keeps freed memory.
 fn touch_heap() {
     let bytes = vec![1u8; HEAP_BYTES];
     drop(std::hint::black_box(bytes));

@@ -1,4 +1,5 @@
-//! The instants at which the ticks of one process are due, and which had no tick.
+//! The instants at which the ticks of one process are due, and which of them were
+//! skipped.
 
 use shm_config::Instant;
 use shm_config::message::{FUTURE_TOLERANCE_NS, Health};
@@ -10,25 +11,25 @@ use crate::Skipped;
 pub enum Release {
     /// An observation.
     Observation,
-    /// The end of the wait for one.
+    /// The end of the wait for an observation.
     TimeOut,
 }
 
 /// One tick that is due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DueTick {
-    /// Its instant of the grid, on the machine's clock.
+    /// Its instant on the grid, on the machine's clock.
     pub scheduled: Instant,
-    /// When the tick was to begin: the instant itself, or for a tick without an
-    /// observation the end of the wait for one.
+    /// When the tick was to begin: the instant itself or, for a tick without an
+    /// observation, the end of the wait for one.
     pub due: Instant,
     /// What released it.
     pub release: Release,
-    /// Instants of the grid that passed without a tick before this one.
+    /// Instants of the grid that passed without a tick just before this one.
     pub skipped: u64,
 }
 
-/// The grid of a process: at most one tick for each of its instants.
+/// The grid of a process: at most one tick for each instant.
 ///
 /// The world moves on its own timer ([`TickSchedule::on_timer`]); planner and
 /// controller follow the instants of the observations. In both cases
@@ -36,22 +37,22 @@ pub struct DueTick {
 #[derive(Debug, Clone)]
 pub struct TickSchedule {
     period_ns: u64,
-    /// Instants in one tick: the world may move more often than the run ticks.
+    /// Instants in one tick: the world may move several times in each tick of the run.
     parts: u64,
-    /// `None` until the first observation says where the grid is.
+    /// `None` until the first observation fixes the phase of the grid.
     first: Option<Instant>,
-    /// Where the tick that runs or comes next begins.
+    /// When the present or next tick begins.
     next: Instant,
-    /// Instants of that tick that are over.
+    /// Instants of that tick that have passed.
     part: u64,
-    /// Ticks of the grid that are over.
+    /// Ticks of the grid that have passed.
     passed: u64,
     ticks: u64,
     missed: u64,
 }
 
 impl TickSchedule {
-    /// A grid of this period whose place the first observation tells.
+    /// A grid of this period whose phase the first observation fixes.
     pub fn following(period_ns: u64) -> Self {
         Self {
             period_ns,
@@ -65,7 +66,8 @@ impl TickSchedule {
         }
     }
 
-    /// A grid of this period and so many instants in a tick, the first of them there.
+    /// A grid of this period with `parts` instants in a tick, the first of them at
+    /// `first`.
     pub fn on_timer(period_ns: u64, parts: u64, first: Instant) -> Self {
         Self {
             parts,
@@ -75,22 +77,22 @@ impl TickSchedule {
         }
     }
 
-    /// From tick to tick, ns.
+    /// Time from tick to tick, ns.
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
-    /// Ticks begun.
+    /// Ticks that were begun.
     pub fn ticks(&self) -> u64 {
         self.ticks
     }
 
-    /// Instants of ticks that are over and had none.
+    /// Instants that passed without a tick.
     pub fn skipped(&self) -> u64 {
         self.ticks_due() - self.ticks
     }
 
-    /// The instant of the tick that comes next; 0 before the grid is known.
+    /// The instant of the next tick; 0 before the phase is known.
     pub fn next(&self) -> Instant {
         match self.part {
             0 => self.next,
@@ -98,7 +100,7 @@ impl TickSchedule {
         }
     }
 
-    /// Writes the account of the grid.
+    /// Writes the counts of ticks and skipped instants.
     pub fn report(&self, health: &mut Health) {
         health.ticks = self.ticks;
         health.skipped = self.skipped();
@@ -106,7 +108,7 @@ impl TickSchedule {
         health.next_scheduled_ns = self.next().0;
     }
 
-    /// What was skipped just before a tick of that instant.
+    /// The instants skipped just before a tick at this instant.
     pub fn skipped_before(&self, scheduled: Instant, count: u64) -> Skipped {
         Skipped {
             newest: Instant(scheduled.0.saturating_sub(self.period_ns)),
@@ -116,10 +118,11 @@ impl TickSchedule {
     }
 }
 
-/// Of a grid that follows observations.
+/// A grid that follows observations.
 impl TickSchedule {
-    /// Accounts for the tick of that instant: returns how many are skipped since the
-    /// one before. Another world's grid may be shifted: whole periods count, rounded.
+    /// Counts the tick of this instant and returns how many instants were skipped since
+    /// the tick before. Another world's grid may be shifted, so the number of periods
+    /// is rounded.
     pub fn take(&mut self, scheduled: Instant) -> u64 {
         let skipped = match self.first {
             None => 0,
@@ -136,15 +139,15 @@ impl TickSchedule {
         scheduled.0.saturating_add(self.period_ns / 2)
     }
 
-    /// When to tick at the latest where each instant's observation is awaited for
-    /// `wait_ns`; `None` before the first one.
+    /// The latest instant for the next tick when each observation is awaited for
+    /// `wait_ns`; `None` before the first observation.
     pub fn deadline(&self, wait_ns: u64) -> Option<Instant> {
         self.first.map(|_| self.next.after_ns(wait_ns))
     }
 
-    /// The tick of an observation that was due at `scheduled`; `None` when that
-    /// instant has had its tick, or when it claims to be from the future: a grid
-    /// moved there would silence the process.
+    /// The tick of an observation that was due at `scheduled`. `None` when that instant
+    /// has had its tick, or when it lies in the future: a grid moved there would
+    /// silence the process.
     pub fn on_observation(&mut self, scheduled: Instant, now: Instant) -> Option<DueTick> {
         let has_ticked = self.first.is_some() && self.rounded(scheduled) < self.next.0;
         if has_ticked || scheduled > now.after_ns(FUTURE_TOLERANCE_NS) {
@@ -158,7 +161,7 @@ impl TickSchedule {
         })
     }
 
-    /// The tick without an observation at `now`; `None` before the deadline.
+    /// The tick at `now` without an observation; `None` before the deadline.
     pub fn on_timeout(&mut self, now: Instant, wait_ns: u64) -> Option<DueTick> {
         let deadline = self.deadline(wait_ns).filter(|deadline| now >= *deadline)?;
         let over = now.since_ns(deadline) / self.period_ns;
@@ -172,39 +175,39 @@ impl TickSchedule {
     }
 }
 
-/// Of a grid on a timer.
+/// A grid on a timer.
 impl TickSchedule {
-    /// When the instant that is next, or now, is due.
+    /// When the present or next instant is due.
     pub fn now(&self) -> Instant {
         self.next.after_ns(self.part * self.period_ns / self.parts)
     }
 
-    /// When the instant before that one was due.
+    /// When the instant before it was due.
     pub fn previous(&self) -> Instant {
         Instant(self.now().0.saturating_sub(self.step_ns()))
     }
 
-    /// From instant to instant; a nanosecond more where the period divides unevenly.
+    /// Time from instant to instant, ns; one more where the period divides unevenly.
     pub fn step_ns(&self) -> u64 {
         self.period_ns / self.parts
     }
 
-    /// Instants that are over.
+    /// Instants that have passed.
     pub fn index(&self) -> u64 {
         self.passed * self.parts + self.part
     }
 
-    /// The run's tick of now.
+    /// The number of the present tick of the run.
     pub fn tick(&self) -> u64 {
         self.passed
     }
 
-    /// When the tick of now was due.
+    /// When the present tick was due.
     pub fn scheduled(&self) -> Instant {
         self.next
     }
 
-    /// Ticks of the run that were due before now.
+    /// Ticks of the run that were due before the present one.
     pub fn ticks_due(&self) -> u64 {
         self.passed + u64::from(self.part > 0)
     }
@@ -219,18 +222,18 @@ impl TickSchedule {
         self.first.map_or(0, |first| now.since_ns(first))
     }
 
-    /// The tick of now is begun.
+    /// Begins the present tick.
     pub fn begin(&mut self) {
         self.ticks += 1;
     }
 
-    /// The instant of now is over.
+    /// Ends the present instant.
     pub fn move_on(&mut self) {
         self.pass(1);
     }
 
-    /// It is this late: the newest instant that was due is now, those before it
-    /// are missed. Returns how many.
+    /// Accounts for a late wake-up: the newest instant that was due becomes the present
+    /// one, and those before it are missed. Returns how many.
     pub fn miss_until(&mut self, now: Instant) -> u64 {
         let missed = now.since_ns(self.now()) * self.parts / self.period_ns;
         self.missed += missed;

@@ -14,14 +14,13 @@ const TIMING_NS: u64 = 500_000_000;
 /// When a tick happened, on the machine's clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Tick {
-    /// The instant it was to begin at.
+    /// The instant at which it was to begin.
     pub due: Instant,
-    /// When the event that released it happened; `None` where the process does not
-    /// know.
+    /// When the event that released it happened; `None` if the process does not know.
     pub released: Option<Instant>,
-    /// When its work began.
+    /// When it began.
     pub begun: Instant,
-    /// When its work was done.
+    /// When it was done.
     pub done: Instant,
 }
 
@@ -30,32 +29,32 @@ pub struct Tick {
 pub struct Skipped {
     /// The newest of them.
     pub newest: Instant,
-    /// From one to the next.
+    /// Time from one to the next, ns.
     pub period_ns: u64,
     /// How many.
     pub count: u64,
 }
 
-/// How a tick stood to its deadline.
+/// How a tick compares with its deadline.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadline {
-    /// Which tick of the run it was.
+    /// The number of the tick in the run.
     pub tick: u64,
     /// When it had to be done.
     pub deadline: Instant,
     /// When it was done.
     pub done: Instant,
-    /// Ticks skipped just before it, each a period earlier; they end with it.
+    /// Ticks skipped just before it, each one period earlier; they end with it.
     pub skipped: u64,
-    /// From tick to tick, ns.
+    /// Time from tick to tick, ns.
     pub period_ns: u64,
 }
 
-/// Where the health of a process goes.
+/// Where a process sends its health.
 pub(crate) trait HealthPort {
     /// Publishes it.
     fn publish(&mut self, health: &mut Health);
-    /// Connects to readers that came and prepares the next message, which allocates.
+    /// Connects to new readers and prepares the next message; this allocates.
     fn update_connections(&mut self);
 }
 
@@ -68,25 +67,25 @@ impl HealthPort for Publisher<Health> {
     }
 }
 
-/// A process's account of itself: health, timing, deadlines and budgets.
+/// What a process reports about itself: health, timing, deadlines and budgets.
 pub struct Telemetry {
-    /// What is published of its state.
+    /// Its state, to be published.
     pub health: Health,
-    /// How punctual it was. Boxed: 80 kB do not belong on a stack.
+    /// Its durations. Boxed: 80 kB do not belong on a stack.
     pub timing: Box<Timing>,
     health_port: Box<dyn HealthPort>,
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
-    /// Something was published since the ports last updated their connections.
+    /// A message was published since the ports last updated their connections.
     connections_due: bool,
-    /// What the thread had used when it was ready.
+    /// The usage of the thread at the instant when it was ready.
     usage_before: Usage,
     budgets_ns: [u64; PARTS],
     part_begun: Instant,
-    /// The part of this tick that took longest so far, and how long, ns.
+    /// The longest part of this tick so far, and its duration, ns.
     longest: (Part, u64),
-    /// A tick that is no later than this is none of the latest, ns.
+    /// Ticks no later than this are not among the latest that are kept, ns.
     late_bar_ns: u64,
     /// In lockstep no tick can be late.
     has_deadlines: bool,
@@ -143,8 +142,8 @@ impl Telemetry {
         self.heartbeat(now);
     }
 
-    /// Publishes what is due and updates the connections of its ports. To be called
-    /// between ticks; never logs or blocks.
+    /// Publishes what is due and updates the connections of its ports. Call it between
+    /// ticks. It never logs or blocks.
     pub fn heartbeat(&mut self, now: Instant) {
         self.heartbeat_within_tick(now);
         if self.connections_due {
@@ -154,8 +153,8 @@ impl Telemetry {
         }
     }
 
-    /// Publishes what is due, without an allocation the first time after a
-    /// [`Telemetry::heartbeat`]: for a tick that waits, which only lockstep has.
+    /// Publishes what is due. The first call after a [`Telemetry::heartbeat`] allocates
+    /// nothing; it is for a tick that waits, which only lockstep has.
     pub fn heartbeat_within_tick(&mut self, now: Instant) {
         if now >= self.health_due {
             self.count_usage();
@@ -172,8 +171,8 @@ impl Telemetry {
         }
     }
 
-    /// Counts what the ports of a membership refused, and names a process that sends in
-    /// the place of one that the run has started. To be called after the ports were read.
+    /// Counts the messages that the ports of a membership refused, and names a process
+    /// that sends in place of a process of the run. Call it after the ports were read.
     pub fn count_refused(&mut self, wire: &Wire) {
         self.health.refused = wire.refused().counts;
         if let Some(foreigner) = wire.foreigner() {
@@ -182,7 +181,7 @@ impl Telemetry {
         }
     }
 
-    /// To be called from the tick's thread, between ticks.
+    /// Call it from the tick's thread, between ticks.
     fn count_usage(&mut self) {
         let usage = Usage::of_this_thread().since(self.usage_before);
         self.health.minor_faults = usage.minor_faults;
@@ -190,13 +189,13 @@ impl Telemetry {
         self.health.involuntary_switches = usage.involuntary_switches;
     }
 
-    /// A tick begins, and with it its first part.
+    /// Begins a tick and its first part.
     pub fn begin(&mut self, now: Instant) {
         self.part_begun = now;
         self.longest = (Part::Send, 0);
     }
 
-    /// A part of the tick is done, and the next one begins. What took longer than
+    /// Ends a part of the tick and begins the next one. A part that took longer than
     /// its budget is counted.
     pub fn end(&mut self, part: Part, now: Instant) {
         let place = part.code() as usize;
@@ -208,8 +207,9 @@ impl Telemetry {
         }
     }
 
-    /// Keeps the tick if it is one of the latest since the start. A tick that is not
-    /// costs a comparison. To be called after its last part. In lockstep none is late.
+    /// Keeps the tick if it is one of the latest since the start. Other ticks cost one
+    /// comparison. Call it after the last part of the tick. In lockstep no tick is
+    /// late.
     pub fn note_deadline(&mut self, at: Deadline) {
         if !self.has_deadlines {
             return;
@@ -229,13 +229,13 @@ impl Telemetry {
         }
     }
 
-    /// Counts one tick, and how punctual it was.
+    /// Counts one tick and records its lateness.
     pub fn count_tick(&mut self, tick: Tick) {
         self.health.ticks += 1;
         self.record_tick(tick);
     }
 
-    /// How punctual a tick was.
+    /// Records the lateness of a tick.
     pub fn record_tick(&mut self, tick: Tick) {
         let timing = &mut self.timing;
         let lateness_ns = tick.begun.since_ns(tick.due);
@@ -246,10 +246,10 @@ impl Telemetry {
         timing.execution.record(tick.done.since_ns(tick.begun));
     }
 
-    /// Skipped instants are as late as they really were: each from itself until the
-    /// process next began a tick. Left out, a stall would count once, however many
-    /// ticks it swallowed (coordinated omission). What would have released them the
-    /// process never saw, so their wake-up counts from their instants, too.
+    /// Records each skipped instant with its full lateness: from the instant until the
+    /// process next began a tick. Without this a stall would count once, however many
+    /// ticks it caused to be skipped (coordinated omission). The process never saw what
+    /// would have released them, so their wake-up counts from their instants too.
     pub fn record_skipped(&mut self, skipped: Skipped, begun: Instant) {
         let newest_ns = begun.since_ns(skipped.newest);
         let (period_ns, count) = (skipped.period_ns, skipped.count);

@@ -15,32 +15,32 @@ pub const HEARTBEAT_MAX: Duration = Duration::from_millis(20);
 /// Whether the loop goes on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flow {
-    /// With the next tick.
+    /// It goes on with the next tick.
     Continue,
-    /// It does not.
+    /// It ends.
     End,
 }
 
-/// What one process does at a fixed rate. [`TickLoop::run`] says when.
+/// What one process does at a fixed rate; [`TickLoop::run`] calls its functions.
 pub trait FixedRate {
-    /// What the end of the wait knows of the tick.
+    /// What the end of a wait tells the tick.
     type Due;
 
-    /// Everything is allocated, and the run may begin.
+    /// Called once, when everything is allocated and before the first tick.
     fn ready(&mut self, _run: &mut TickLoop) {}
 
-    /// Connects the ports to peers that came or came back. Between ticks: this may
+    /// Connects the ports to new or restarted peers. Called between ticks: it may
     /// allocate.
     fn update_connections(&mut self);
 
-    /// Waits for the next tick, once and no longer than [`HEARTBEAT_MAX`] where the
-    /// time of the tick is not known; `None` when none is due yet.
+    /// Waits for the next tick; `None` when none is due yet. Where the time of the tick
+    /// is not known, it waits once, and no longer than [`HEARTBEAT_MAX`].
     fn await_tick(&mut self, run: &mut TickLoop) -> Option<Self::Due>;
 
-    /// One tick, its account included. Never allocates, locks, logs or blocks.
+    /// Runs one tick and accounts for it. It never allocates, locks, logs or blocks.
     ///
     /// # Errors
-    /// What ends the process.
+    /// An error that ends the process.
     fn tick(&mut self, run: &mut TickLoop, due: Self::Due) -> Result<Flow, SetUpError>;
 
     /// The process was asked to stop. Called before each wait from then on.
@@ -48,15 +48,15 @@ pub trait FixedRate {
         Flow::End
     }
 
-    /// After the last tick.
+    /// Called after the last tick.
     fn finish(&mut self, _run: &mut TickLoop) {}
 }
 
-/// A process that has joined its run and drives a [`FixedRate`].
+/// A process that has joined its run; it drives a [`FixedRate`].
 pub struct TickLoop {
     /// Its membership.
     pub member: Member,
-    /// Its account of itself.
+    /// What it reports about itself.
     pub telemetry: Telemetry,
     bell: Doorbell,
 }
@@ -77,7 +77,7 @@ impl TickLoop {
     /// Applies the privileges and runs the process to its end.
     ///
     /// # Errors
-    /// Those of its ticks.
+    /// The errors of its ticks.
     pub fn run(mut self, process: &mut impl FixedRate) -> Result<(), SetUpError> {
         self.member.apply_privileges();
         self.telemetry.set_privileges(&self.member.privileges);
@@ -110,7 +110,7 @@ impl TickLoop {
         self.member.now()
     }
 
-    /// Sleeps until the doorbell rings, that instant has come, or a heartbeat is due.
+    /// Sleeps until the doorbell rings, `until` has come, or a heartbeat is due.
     pub fn wait(&self, until: Option<Instant>, now: Instant) {
         let left = until.map_or(HEARTBEAT_MAX, |until| {
             Duration::from_nanos(until.since_ns(now))
@@ -118,13 +118,14 @@ impl TickLoop {
         self.bell.wait(HEARTBEAT_MAX.min(left));
     }
 
-    /// The same within a tick that may take long: a heartbeat first.
+    /// As [`TickLoop::wait`], for a wait within a tick that may take long; publishes a
+    /// heartbeat before it.
     pub fn wait_alive(&mut self, until: Instant, now: Instant) {
         self.telemetry.heartbeat_within_tick(now);
         self.wait(Some(until), now);
     }
 
-    /// Sleeps until that instant of the machine's clock, whatever rings.
+    /// Sleeps until this instant of the machine's clock; the doorbell does not wake it.
     pub fn sleep_until(&self, instant: Instant) {
         let instant: Timespec = instant.timespec();
         while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &instant).is_err() {}

@@ -1,5 +1,5 @@
-//! One tick for each instant of the grid, however late a process or its
-//! observations are.
+//! Each instant of the grid has one tick or counts as skipped, however late a process
+//! or its observations are.
 
 use proptest::prelude::*;
 use runtime::{Release, TickSchedule};
@@ -10,7 +10,7 @@ const PERIOD_NS: u64 = 100_000_000;
 const WAIT_NS: u64 = 50_000_000;
 const START: Instant = Instant(7_000_000_000);
 
-/// Ticks and skipped ones as published; they add up to the time elapsed.
+/// The published counts of ticks and skipped instants.
 fn accounted(schedule: &TickSchedule) -> (u64, u64) {
     let mut health = Health::default();
     schedule.report(&mut health);
@@ -21,8 +21,8 @@ fn accounted(schedule: &TickSchedule) -> (u64, u64) {
 }
 
 proptest! {
-    /// Observations are lost or come late at random; the controller looks every
-    /// few milliseconds, sometimes much later.
+    /// Observations are lost or late at random; the controller reads them every few
+    /// milliseconds, sometimes much later.
     #[test]
     fn ticks_and_skipped_add_up_to_elapsed(
         arrivals in prop::collection::vec(prop::option::weighted(0.8, 0u64..180_000_000), 1..60),
@@ -88,7 +88,7 @@ fn a_grid_from_the_future_is_not_followed() {
 }
 
 proptest! {
-    /// A world with up to ten instants in a tick oversleeps at random.
+    /// A world with up to ten instants in a tick wakes too late at random.
     #[test]
     fn ticks_and_skipped_add_up_on_a_timer(
         parts in 1u64..=10,
