@@ -16,7 +16,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    // Before it holds a key.
+    // Done before the process holds a key.
     let guarded = secret::forbid_dumps().map_err(|error| {
         SetUpError::Own(format!("cannot keep the key out of core files: {error}"))
     });

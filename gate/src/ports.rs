@@ -8,7 +8,7 @@ shm_config::ports! {
     pub struct Ports of Gate with bell {
         /// The newest record of a tick.
         steps: newest STEP: Step,
-        /// What the gate advises.
+        /// The gate's advice.
         advices: write ADVICE: Advice,
     }
 }
@@ -16,11 +16,11 @@ shm_config::ports! {
 shm_config::ports! {
     /// What the thread that asks a model reads and publishes.
     pub struct PicturePorts of Gate {
-        /// Which picture is wanted.
+        /// Requests for pictures.
         requests: write FRAME_REQUEST: FrameRequest,
         /// The pictures.
         frames: newest FRAME: Frame,
-        /// What holding either proposal would lead to.
+        /// What would follow if either proposal were held.
         foresights: newest FORESIGHT: Foresight,
     }
 }

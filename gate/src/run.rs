@@ -16,7 +16,7 @@ use crate::ports::Ports;
 use crate::query::Answer;
 use crate::record::{Archive, Evidence, QueryLog};
 
-/// Interval at which a run in lockstep polls the judge that it waits for.
+/// Interval at which a run in lockstep polls the judge.
 const POLL: Duration = Duration::from_millis(1);
 
 struct Gate {
@@ -108,7 +108,8 @@ impl Gate {
         });
     }
 
-    /// In lockstep the run's time stands until the judge has answered: runs repeat.
+    /// In lockstep the run's clock stands still until the judge has answered, so that
+    /// runs repeat.
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
     fn await_answers(&mut self, now: Instant) {
         loop {
@@ -153,8 +154,8 @@ impl Gate {
     }
 }
 
-/// How long an answer is waited for on the run's clock before its question is
-/// filed without it, ns.
+/// How long an answer is waited for before its question is filed without it, ns on the
+/// run's clock.
 fn patience_ns(config: &Config) -> u64 {
     ((config.faulty_judge.delay_s + config.vlm.deadline_s + 10.0) * 1e9) as u64
 }

@@ -1,4 +1,5 @@
-//! When a judge is asked, whom its answers let drive, and what they teach.
+//! Tests when a judge is asked, which driver its answers choose, and which labels they
+//! make.
 
 use gate::advice::Advisor;
 use gate::judge::FaultyJudge;
@@ -15,7 +16,7 @@ const CALM: Action = Action {
 };
 const FAR: f64 = 20.0;
 
-/// A step in which both propose; the tick is its time, too.
+/// A step in which both drivers propose; the tick number is also its time.
 fn step(tick: u64, policy: Action, clearance_m: f64) -> Step {
     let mut step = Step {
         expert: Proposal::new(Some(CALM)),
@@ -35,7 +36,7 @@ fn calm(tick: u64) -> Step {
     step(tick, CALM, FAR)
 }
 
-/// Answers what the script says, the last line for ever.
+/// A judge that gives the answers of a script; the last one repeats.
 struct Script(Vec<Result<Preference, Failure>>);
 
 impl Judge for Script {
@@ -113,7 +114,7 @@ fn a_model_is_not_asked_where_there_is_no_choice() {
 }
 
 #[test]
-fn the_expert_gets_the_wheel_at_once_and_the_policy_after_the_dwell() {
+fn the_expert_drives_at_once_and_the_policy_after_the_dwell_time() {
     let config = Gate {
         when: When::Period,
         period_s: 0.1,
@@ -131,11 +132,15 @@ fn the_expert_gets_the_wheel_at_once_and_the_policy_after_the_dwell() {
     assert_eq!(preferred[1..3], [Preference::Policy; 2]);
     assert_eq!(preferred[3..13], [Preference::Expert; 10], "a second");
     assert!(preferred[13..].iter().all(|&p| p == Preference::Policy));
-    assert_eq!(advice[5].label(), Preference::Policy, "and yet it teaches");
+    assert_eq!(
+        advice[5].label(),
+        Preference::Policy,
+        "the answer still makes a label"
+    );
 }
 
 #[test]
-fn a_failure_or_an_abstention_takes_the_wheel_from_the_policy_at_once() {
+fn after_a_failure_or_an_abstention_the_policy_stops_driving_at_once() {
     for answer in [Ok(Preference::Abstain), Err(Failure::Malformed)] {
         let config = Gate {
             when: When::Period,
@@ -151,7 +156,7 @@ fn a_failure_or_an_abstention_takes_the_wheel_from_the_policy_at_once() {
 }
 
 #[test]
-fn what_was_said_of_another_episode_is_no_advice_in_this_one() {
+fn an_answer_about_another_episode_is_no_advice_in_this_one() {
     let faults = config::FaultyJudge {
         delay_s: 1.0,
         ..config::FaultyJudge::default()
@@ -178,9 +183,9 @@ fn what_was_said_of_another_episode_is_no_advice_in_this_one() {
 }
 
 #[test]
-fn an_answer_that_was_overtaken_teaches_and_decides_nothing() {
+fn an_overtaken_answer_makes_a_label_and_decides_nothing() {
     let (ask_first, first) = std::sync::mpsc::channel::<()>();
-    // Two at once: the first is held back until the second was heard.
+    // Two questions at once: the first answer is held back until the second was heard.
     let queue = Threaded::served(
         Kind::Vlm,
         2,

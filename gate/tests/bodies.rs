@@ -1,6 +1,6 @@
-//! The body of a request, byte by byte, beside this file in `bodies/`. After a
-//! change on purpose: `VLAPS_WRITE_BODIES=1 cargo test -p gate --test bodies`,
-//! and look at the difference.
+//! The body of a request, compared byte by byte with the files in `bodies/`. After an
+//! intended change run `VLAPS_WRITE_BODIES=1 cargo test -p gate --test bodies`, and
+//! read the difference.
 
 mod shared;
 
@@ -23,7 +23,7 @@ fn body_of(preset: PromptPreset) -> String {
         width: 1,
         height: 1,
     };
-    let bytes = body(&vlm, &shared::prompt(preset), &picture);
+    let bytes = body(&vlm, &shared::prompt(preset), &picture).expect("a body");
     String::from_utf8(bytes).expect("UTF-8")
 }
 
@@ -59,7 +59,8 @@ fn a_negative_temperature_is_left_to_the_server() {
         &vlm,
         &shared::prompt(PromptPreset::Blind),
         &shared::red_ahead(),
-    );
+    )
+    .expect("a body");
     let body: Value = serde_json::from_slice(&bytes).expect("JSON");
     assert_eq!(body.get("temperature"), None);
     assert_eq!(body["model"], "gpt-4o-mini");

@@ -1,4 +1,4 @@
-//! The geometric judge, judges that hang or die, and faults that are injected.
+//! The geometric judge, judges that hang or fail, and injected faults.
 
 use std::sync::mpsc;
 
@@ -56,7 +56,7 @@ fn rules() -> Advisor {
 }
 
 #[test]
-fn rules_prefer_whoever_stays_on_the_road_and_abstain_without_a_pair() {
+fn rules_prefer_the_path_that_stays_on_the_road_and_abstain_without_a_pair() {
     let rows = [
         (Some(STRAIGHT), Some(OFF_ROAD), Preference::Expert),
         (Some(OFF_ROAD), Some(STRAIGHT), Preference::Policy),
@@ -88,11 +88,11 @@ fn rules_prefer_whoever_stays_on_the_road_and_abstain_without_a_pair() {
 fn rules_prefer_the_expert_to_a_policy_that_lags_at_any_speed() {
     let pedal = |pedal| Some(Action { steer: 0.0, pedal });
     let rows = [
-        // From rest, however slowly the expert drives off.
+        // From rest, with an expert that drives off slowly.
         (0.0, pedal(0.2), pedal(0.19), Preference::Policy),
         (0.0, pedal(0.2), pedal(0.0), Preference::Expert),
         (0.0, pedal(0.1), pedal(-0.5), Preference::Expert),
-        // Both stand: nobody is behind.
+        // Both stand: neither falls behind.
         (0.0, pedal(-1.0), pedal(-0.5), Preference::Policy),
         // At a crawl: 0.9 m of 4 m.
         (2.0, pedal(0.3), pedal(0.0), Preference::Expert),
@@ -156,7 +156,7 @@ impl Judge for Slow {
 }
 
 #[test]
-fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
+fn a_judge_that_hangs_or_fails_delays_no_step_and_makes_no_label() {
     let (go, judge) = mpsc::channel();
     let mut advisor = Advisor::new(
         &Gate::default(),
@@ -168,7 +168,8 @@ fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
         let step = step_at(taken_ns, Some(STRAIGHT), Some(STRAIGHT));
         advisor.consider(&step, Instant(taken_ns))
     };
-    // Hanging: three periods pass, every step is considered, nothing is advised.
+    // The judge hangs for three periods: every step is considered, and there is no
+    // advice.
     for _ in 0..300 {
         assert_eq!(consider(&mut advisor).answers, 0);
     }
@@ -204,7 +205,7 @@ fn a_judge_that_hangs_or_dies_holds_up_nobody_and_makes_no_label() {
     assert_eq!(
         advice.preference(),
         Preference::Abstain,
-        "a dead judge neither"
+        "nor is that of a dead judge"
     );
 }
 
@@ -231,7 +232,7 @@ fn faulty(faults: &config::FaultyJudge) -> Advisor {
     Advisor::new(&config, Box::new(FaultyJudge::new(faults, judge)))
 }
 
-/// Preferences that are heard of 2,000 questions, a second apart.
+/// The preferences heard for 2,000 questions, one a second.
 fn heard(faults: &config::FaultyJudge) -> Vec<Preference> {
     let mut advisor = faulty(faults);
     let answers = (1..=2000u64).map(|k| {
@@ -257,7 +258,7 @@ fn heard(faults: &config::FaultyJudge) -> Vec<Preference> {
 }
 
 #[test]
-fn noise_turns_and_abstention_withholds_as_many_answers_as_configured() {
+fn noise_inverts_and_abstention_withholds_the_configured_share_of_answers() {
     let faults = config::FaultyJudge {
         noise: 0.3,
         abstention: 0.2,

@@ -9,7 +9,7 @@ use vehicle::{Action, Vehicle};
 
 const SIZE: [u32; 2] = [480, 480];
 
-/// An empty road that fills everything.
+/// A road without objects that fills the whole picture.
 fn asphalt() -> Vec<u8> {
     palette::ROAD.repeat((SIZE[0] * SIZE[1]) as usize)
 }
@@ -52,18 +52,18 @@ const SHOWING: Showing = Showing {
 
 #[test]
 fn paths_lie_where_the_bicycle_goes() {
-    // 480 px show 60 m: 8 px/m, the car at (240, 360). Straight on at 8 m/s for
-    // 3 s is 24 m: 192 px up. The other stands on the brake: 8 m/s are gone after
-    // 8 / 11.8 = 0.68 s; the seven steps of 0.1 s until then cover
-    // 0.1 * (7 * 8 - 1.18 * 21) = 3.122 m: 25 px.
+    // 480 px show 60 m: 8 px/m, the car at (240, 360). Straight on at 8 m/s for 3 s is
+    // 24 m: 192 px up. The other path is a full brake: 8 m/s are gone after 8 / 11.8 =
+    // 0.68 s; the seven steps of 0.1 s until then cover 0.1 * (7 * 8 - 1.18 * 21) =
+    // 3.122 m: 25 px.
     let vehicle = Vehicle::default();
     let camera = Camera::top_down(SIZE);
     let (straight, brake) = (action(0.0, 0.0), action(0.0, -1.0));
     let both = proposals(&vehicle, straight, brake);
     let rgb = asphalt();
     let image = draw(photo(&camera, &rgb), &both, SHOWING, &bare()).expect("a picture");
-    // Side by side: equal wheels, so the first is on the left. Lines of 5 px with
-    // their rims: middles 3.3 px aside where both are, none beyond.
+    // Side by side: equal wheels, so the first is on the left. Lines of 5 px with their
+    // rims: their middles are 3.3 px aside where both paths are, and 0 px beyond.
     let at = |x: u32, y: u32| image.get_pixel(x, y).0;
     let (first, second) = (Hue::Magenta.rgb(), Hue::Cyan.rgb());
     assert_eq!(at(236, 350), first, "the brake, on the left");
@@ -71,7 +71,7 @@ fn paths_lie_where_the_bicycle_goes() {
     assert_eq!(at(240, 250), second, "straight on alone");
     assert_eq!(at(240, 170), second, "almost 24 m ahead");
     assert_ne!(at(240, 162), second, "beyond 24 m");
-    // The brake's label stands left of its end; below it the path is over.
+    // The brake's label stands left of its end; below it the path has ended.
     assert_ne!(at(236, 330), first, "beyond 3.1 m");
 }
 
@@ -119,7 +119,8 @@ fn a_swap_changes_colours_and_letters_alone() {
             }
         }
         assert!(turned > 500, "{view:?}: the paths' pixels change colour");
-        // Blended rims, two letters, and nothing of the legend.
+        // The other differences are blended rims and two letters; the legend does not
+        // differ.
         assert!(different < turned, "{view:?}: {different} of {turned}");
     }
 }
@@ -148,7 +149,7 @@ fn swapping_twice_or_drawing_twice_gives_the_same_bytes() {
 }
 
 #[test]
-fn equal_proposals_are_both_to_be_seen() {
+fn equal_proposals_are_both_visible() {
     let vehicle = Vehicle::default();
     for view in [View::TopDown, View::Ego] {
         let camera = Camera::of(view, SIZE);
@@ -199,7 +200,7 @@ fn the_scaled_picture_has_the_paths_in_their_own_colours() {
 }
 
 #[test]
-fn the_papers_step_is_straight_whatever_the_wheel_does() {
+fn the_papers_step_is_straight_for_any_steering() {
     let vehicle = Vehicle::default();
     let camera = Camera::top_down(SIZE);
     let both = proposals(&vehicle, action(1.0, 0.0), action(-1.0, 0.0));
@@ -215,7 +216,7 @@ fn the_papers_step_is_straight_whatever_the_wheel_does() {
             .enumerate_pixels()
             .filter(move |(_, _, p)| p.0 == hue.rgb())
     };
-    // 12 m ahead, the two side by side: nothing is more than a line away.
+    // 12 m ahead, the two paths side by side, at most a line's width apart.
     for hue in [Hue::Red, Hue::Blue] {
         // Letters stand beyond the end, beside the car's outline.
         let line = || seen(hue).filter(|(_, y, _)| (270..360).contains(y));
@@ -225,7 +226,7 @@ fn the_papers_step_is_straight_whatever_the_wheel_does() {
 }
 
 #[test]
-fn what_is_no_frame_is_refused() {
+fn an_incomplete_frame_is_refused() {
     let vehicle = Vehicle::default();
     let camera = Camera::top_down(SIZE);
     let both = proposals(&vehicle, action(0.0, 0.0), action(0.2, 0.0));

@@ -1,4 +1,4 @@
-//! The folder of records: whole lines, bounded bytes, and a disk that is full.
+//! The folder of records: complete lines, bounded size, and a full disk.
 
 mod records;
 
@@ -71,14 +71,14 @@ fn what_was_written_is_read() {
 }
 
 #[test]
-fn the_end_of_a_run_writes_what_still_waits() {
+fn the_end_of_a_run_writes_all_waiting_records() {
     let folder = tempfile::tempdir().expect("a folder");
     let inner = folder.path().join("judge");
     let mut store = Store::open(&inner, 1 << 20).expect("opens");
     store.begin(some_record(), &[]);
     store.begin(some_record(), &[]);
     drop(store);
-    // A run's folder is as good as the one in it.
+    // The folder of the run can be given in place of its `judge` folder.
     let records = read(folder.path()).expect("reads");
     let numbers: Vec<u64> = records
         .questions
@@ -95,7 +95,7 @@ fn a_torn_last_line_is_left_out_and_then_cut_off() {
     append(&folder.path().join(QUESTIONS), b"{\"version\":1,\"questi");
     let records = read(folder.path()).expect("reads");
     assert_eq!((records.questions.len(), records.is_torn), (2, true));
-    // A gate that is started again goes on with a line of its own and its number.
+    // A restarted gate appends a new line with the next number.
     keep(&mut Store::open(folder.path(), 1 << 20).expect("opens"), 1);
     let records = read(folder.path()).expect("reads");
     let numbers: Vec<u64> = records
@@ -166,15 +166,15 @@ fn the_folder_stays_within_its_bound_and_old_pictures_go_first() {
 }
 
 #[test]
-fn a_full_disk_is_counted_and_stops_nobody() {
+fn a_full_disk_is_counted_and_stops_no_run() {
     const WITHIN: &str = "VLAPS_TEST_NO_FILE_GROWS";
     if std::env::var_os(WITHIN).is_none() {
-        // The same test in a process whose files may hold no byte.
+        // The same test in a process that may write no byte to a file.
         let limits = "trap '' XFSZ; ulimit -f 0; exec \"$0\" \"$@\"";
         let output = std::process::Command::new("sh")
             .args(["-c", limits])
             .arg(std::env::current_exe().expect("this program"))
-            .args(["--exact", "a_full_disk_is_counted_and_stops_nobody"])
+            .args(["--exact", "a_full_disk_is_counted_and_stops_no_run"])
             .env(WITHIN, "1")
             .output()
             .expect("a shell");
@@ -217,7 +217,7 @@ fn pictures_that_cannot_be_written_are_counted_and_the_line_is_kept() {
 }
 
 #[test]
-fn what_json_cannot_hold_is_lost_and_said() {
+fn a_number_that_json_cannot_hold_is_counted_as_lost() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut store = Store::open(folder.path(), 1 << 20).expect("opens");
     let mut broken = some_record();

@@ -7,8 +7,8 @@ use shm_config::{Instant, Message};
 use crate::advice::{Dwell, QueryPolicy};
 use crate::query::{Answer, Occasion, QueryQueue, Question};
 
-/// Answers that wait to be published, one for each step. The oldest is dropped when
-/// there are more.
+/// Answers that wait to be published, one for each step. When there are more, the
+/// oldest is dropped.
 const WAITING_MAX: usize = 64;
 
 /// The gate process without its ports: steps in, advice out.
@@ -39,11 +39,12 @@ impl Advisor {
         }
     }
 
-    /// Asks about this step when there is an occasion to; `None` when there is none or
-    /// the queue is full.
+    /// Asks about this step if there is an occasion; `None` if there is none or the
+    /// queue is full.
     ///
     /// An occasion is a new episode, the end of a period (Sec. 4.2), and with
-    /// `gate.when = "matters"` proposals far apart or near something.
+    /// `gate.when = "matters"` a step whose proposals differ much or come near
+    /// something.
     pub fn ask(&mut self, step: &Step) -> Option<Occasion> {
         self.follow(step);
         let observation = &step.observation;
@@ -54,8 +55,8 @@ impl Advisor {
             None => self.policy.at(step)?,
         };
         let has_pair = step.expert.action().is_some() && step.policy.action().is_some();
-        // Geometry is free and answers half a pair, too; a model is asked only where
-        // there is a choice.
+        // The geometric judge costs nothing and also assesses a single proposal; a
+        // model is asked only where there is a choice.
         let is_worth = has_pair || self.queue.kind() == JudgeKind::Rules;
         if !has_seen || !is_worth || !self.queue.put(Question::about(step)) {
             return None;
@@ -74,7 +75,7 @@ impl Advisor {
         self.queue.kind()
     }
 
-    /// Takes in the answers that have come, to be published by [`Advisor::hear`].
+    /// Takes the answers that have arrived; [`Advisor::hear`] publishes them.
     pub fn collect(&mut self, now: Instant) {
         while let Some(answer) = self.queue.take(now) {
             if self.waiting.len() == WAITING_MAX {
@@ -85,8 +86,8 @@ impl Advisor {
         }
     }
 
-    /// Lets the oldest waiting answer decide: one a call, so that no reader of the
-    /// advice misses one.
+    /// Applies the oldest waiting answer. It applies one a call, so that no reader of
+    /// the advice misses one.
     pub fn hear(&mut self, now: Instant) -> Option<Answer> {
         self.collect(now);
         let answer = self.waiting.pop_front()?;
@@ -104,7 +105,8 @@ impl Advisor {
         advice.label = preference.code();
         advice.label_from_ns = question.taken.0;
         advice.label_until_ns = question.taken.after_ns(self.label_ns).0;
-        // An answer to an older question than the last one is a label only.
+        // An answer to an older question than the last one becomes a label and decides
+        // nothing.
         let is_current = question.episode == advice.header.episode;
         if !is_current || question.tick < advice.question_tick {
             return;
@@ -116,8 +118,8 @@ impl Advisor {
         self.dwell.hear(preference, now);
     }
 
-    /// Follows the newest step. Answers of another episode, or of a run with another
-    /// clock, are no advice in this one.
+    /// Follows the newest step. Answers about another episode, or about a run with
+    /// another clock, do not apply to this one.
     fn follow(&mut self, step: &Step) {
         let before = self.advice.header;
         let header = step.header();
@@ -132,14 +134,14 @@ impl Advisor {
         }
     }
 
-    /// The advice in force, about the step asked about last, to be published.
+    /// The advice in force, about the step that was last asked about.
     pub fn advise(&mut self, now: Instant) -> Advice {
         self.advice.preference = self.dwell.in_force(now).code();
         self.advice
     }
 
-    /// Asks, hears and advises: one step of a judge that answers at once, or of
-    /// a run in real time.
+    /// Asks, hears and advises: everything that one step needs when the judge answers
+    /// at once or the run is in real time.
     pub fn consider(&mut self, step: &Step, now: Instant) -> Advice {
         self.ask(step);
         self.hear(now);

@@ -2,21 +2,22 @@ use shm_config::Instant;
 use shm_config::config::Gate;
 use shm_config::message::Preference;
 
-/// Hysteresis: an answer for the expert takes effect at once, one for the policy only
-/// after a minimum time with the expert and a number of consecutive answers for it.
+/// Hysteresis: an answer for the expert takes effect at once; an answer for the policy
+/// takes effect only after a minimum time with the expert and a number of consecutive
+/// answers for the policy.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwell {
     dwell_ns: u64,
     confirmations: u32,
     in_force: Preference,
-    /// When the policy lost the wheel; `None` when it never did.
+    /// When the policy last stopped driving; `None` if it never did.
     lost: Option<Instant>,
-    /// Answers in a row that prefer the policy.
+    /// Consecutive answers that prefer the policy.
     in_favour: u32,
 }
 
 impl Dwell {
-    /// As configured, without a preference.
+    /// The configured hysteresis, without a preference yet.
     pub fn new(config: &Gate) -> Self {
         Self {
             dwell_ns: (config.dwell_s * 1e9) as u64,
@@ -27,7 +28,7 @@ impl Dwell {
         }
     }
 
-    /// Forgets the preference: a new episode begins.
+    /// Forgets the preference, because a new episode begins.
     pub fn begin(&mut self) {
         self.in_force = Preference::Abstain;
         self.lost = None;

@@ -22,7 +22,7 @@ struct Asked {
 }
 
 impl QueryPolicy {
-    /// As configured; no question was put yet.
+    /// The configured policy; no question was asked yet.
     pub fn new(config: &Gate) -> Self {
         Self {
             when: config.when,
@@ -54,7 +54,7 @@ impl QueryPolicy {
         }
     }
 
-    /// A question was put.
+    /// Notes that a question was asked at this step.
     pub fn asked(&mut self, step: &Step) {
         let header = step.observation.header();
         self.asked = Some(Asked {
@@ -63,8 +63,8 @@ impl QueryPolicy {
         });
     }
 
-    /// Whether this step matters: the proposals differ, or one comes near something. A
-    /// single proposal leaves no choice, and is not asked about.
+    /// Whether this step matters: the proposals differ, or one of them comes near
+    /// something. A single proposal leaves no choice, so there is no question.
     fn matters(&self, step: &Step) -> Option<Occasion> {
         let (expert, policy) = (step.expert.action()?, step.policy.action()?);
         let apart = (expert.steer - policy.steer)

@@ -8,22 +8,21 @@ use shm_config::message::{Judge as JudgeKind, Preference, Step};
 
 use crate::query::{Answer, QueryQueue, Question, QuestionId};
 
-/// Answers that are delayed at once: those of a judge that is asked once a second and
-/// answers a minute later. The oldest is dropped when there are more.
+/// Answers that are delayed at the same time: enough for a judge that is asked once a
+/// second and answers a minute later. When there are more, the oldest is dropped.
 const DELAYED_MAX: usize = 64;
 
-/// A judge whose answers are inverted, withheld or delayed, to measure how much of
-/// that driving and learning tolerate.
+/// A judge whose answers are inverted, withheld or delayed. It measures how much of
+/// this driving and learning tolerate.
 ///
-/// What happens to an answer depends on the seed and its question alone, so runs
-/// repeat.
+/// The fault of an answer depends only on the seed and the question, so runs repeat.
 pub struct FaultyJudge {
     queue: Box<dyn QueryQueue>,
     noise: f64,
     abstention: f64,
     delay_ns: u64,
     seed: u64,
-    /// The oldest first.
+    /// The delayed answers, the oldest first.
     delayed: VecDeque<Answer>,
 }
 
@@ -42,7 +41,7 @@ impl FaultyJudge {
 
     fn disturb(&self, question: QuestionId, preference: Preference) -> Preference {
         let mut random = SplitMix64::seed_from_u64(self.seed ^ question.seed());
-        // The first number of neighbouring seeds is alike.
+        // Neighbouring seeds give similar first numbers, so the first is skipped.
         let _ = random.next_u64();
         let mut share = || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
         let (is_inverted, is_withheld) = (share() < self.noise, share() < self.abstention);
@@ -79,8 +78,8 @@ impl QueryQueue for FaultyJudge {
     }
 
     fn awaited(&self) -> usize {
-        // The run's time stands while a judge answers; it passes while an answer is
-        // delayed.
+        // The run's clock stands still while a judge answers; it advances while an
+        // answer is delayed.
         self.queue.awaited()
     }
 

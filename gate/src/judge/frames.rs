@@ -14,17 +14,16 @@ use crate::presentation::picture::Photo;
 use crate::query::Question;
 use crate::record::Outlook;
 
-/// Interval at which questions and frames are polled; a model takes a hundred times as
+/// Interval at which questions and frames are polled. A model takes a hundred times as
 /// long, and 200 polls a second cost well under a hundredth of a core.
 pub const POLL: Duration = Duration::from_millis(5);
-/// How long a frame is waited for, ns. The world draws it within some ms, where
-/// it has a camera at all.
+/// How long to wait for a frame, ns. A world with a camera draws it within some ms.
 const FRAME_NS: u64 = 1_000_000_000;
-/// How long the simulator's foresight is waited for after the frame, ns: it follows
-/// the frame immediately, or there is none.
+/// How long to wait for the simulator's foresight after the frame, ns. It follows the
+/// frame immediately, or there is none.
 const FORESIGHT_NS: u64 = 200_000_000;
 
-/// The judge thread's own membership of the run, and its ports.
+/// The judge thread's own membership in the run, with its ports.
 pub struct Frames {
     ports: PicturePorts,
     _wire: Wire,
@@ -53,9 +52,9 @@ impl Frames {
 
 /// A question's scene as the world drew it.
 pub struct Scene {
-    /// The frame; `None` when none came in time.
+    /// The frame; `None` if none arrived in time.
     pub shot: Option<Shot>,
-    /// What the simulator foresees of the expert's and the policy's proposal.
+    /// What the simulator foresees for the expert's and the policy's proposal.
     pub foresight: Option<[Outlook; 2]>,
 }
 
@@ -77,7 +76,7 @@ impl Shot {
         }
     }
 
-    /// The frame as it is drawn into.
+    /// The photo to draw into.
     pub fn photo(&self) -> Photo<'_> {
         Photo {
             camera: &self.camera,
@@ -87,7 +86,8 @@ impl Shot {
         }
     }
 
-    /// The view of the frame, whatever was asked for: MetaDrive has one view.
+    /// The view that the frame shows. It may differ from the requested one, because
+    /// MetaDrive has a single view.
     pub fn view(&self) -> View {
         match self.camera.orthographic {
             0 => View::Ego,
@@ -144,8 +144,8 @@ fn request(question: &Question, vlm: &Vlm) -> FrameRequest {
     }
 }
 
-/// The frame is of the question's scene: of its tick, or of one soon after where
-/// the world draws the current scene, as MetaDrive does.
+/// Whether the frame shows the question's scene: its tick, or a tick soon after it
+/// where the world draws the current scene, as MetaDrive does.
 fn is_of(frame: &Header, question: &Header) -> bool {
     frame.episode == question.episode
         && frame.tick >= question.tick

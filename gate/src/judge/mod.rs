@@ -21,11 +21,11 @@ use crate::query::{Immediate, QueryQueue};
 use crate::record::Evidence;
 use crate::record::store::{ReadError, read};
 
-/// The configured judge, and what it leaves for the record.
+/// The configured judge, and the source of evidence for its record.
 pub struct OpenJudge {
-    /// Where questions go.
+    /// The queue that takes questions.
     pub queue: Box<dyn QueryQueue>,
-    /// What models saw and said.
+    /// What a model was shown and answered.
     pub evidence: Receiver<Evidence>,
 }
 
@@ -44,7 +44,7 @@ impl OpenJudge {
     /// The judge of the configured mode, with the configured faults.
     ///
     /// # Errors
-    /// When the model's key, or the recording, cannot be had.
+    /// When the model's key is missing, or the recording cannot be read.
     pub fn new(config: &Config, clock: fn() -> Instant) -> Result<Self, JudgeError> {
         let (sender, evidence) = channel();
         let queue = open(config, sender, clock)?;
@@ -74,13 +74,13 @@ fn open(
 fn recorded(folder: &Path) -> Result<Recorded, ReadError> {
     let records = read(folder)?;
     if records.is_torn {
-        tracing::warn!("the recording's last line is torn and left out");
+        tracing::warn!("the recording's last line is incomplete and is left out");
     }
     let last = records.questions.last();
     tracing::info!(
         answers = records.questions.len(),
         last_tick = last.map_or(0, |record| record.tick),
-        "recorded answers; after the last the expert drives"
+        "replaying recorded answers; after the last one the expert drives"
     );
     Ok(Recorded::new(&records.questions))
 }

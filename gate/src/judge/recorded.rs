@@ -7,16 +7,17 @@ use vehicle::Action;
 use crate::query::{Answer, Failure, QueryQueue, Question, QuestionId};
 use crate::record::{Proposed, Record};
 
-/// The answers of a recorded run: asked where that run asked, heard when it
-/// heard. In lockstep, from the same seed, the same commands follow bit by bit.
+/// The answers of a recorded run: asked at the ticks at which that run asked, and heard
+/// at the ticks at which it heard them. In lockstep, the same seed then gives the same
+/// commands, bit by bit.
 pub struct Recorded {
     answers: HashMap<(u32, u64), Recollection>,
-    /// Questions that are not the recorded ones.
+    /// Questions that differ from the recorded ones.
     strayed: u64,
     pending: VecDeque<(QuestionId, Recollection)>,
 }
 
-/// Numbers of one tick that differ by less are the same: JSON may round them.
+/// Numbers of one tick that differ by less are equal: JSON may round them.
 const SAME: f64 = 1e-9;
 
 #[derive(Clone, Copy)]
@@ -28,8 +29,7 @@ struct Recollection {
 }
 
 impl Recollection {
-    /// The question is the one that was recorded: the car is as fast, and both
-    /// propose the same.
+    /// Whether the question is the recorded one: equal speed and equal proposals.
     fn is_about(&self, question: &Question) -> bool {
         let speed_mps = question.observation.ego.speed_mps;
         let proposed = [question.expert.action(), question.policy.action()];
@@ -46,7 +46,7 @@ impl Recollection {
 }
 
 impl Recorded {
-    /// The answers of these records; those that were never heard stay so.
+    /// The answers of these records. Answers that were never heard stay unheard.
     pub fn new<'a>(records: impl IntoIterator<Item = &'a Record>) -> Self {
         let answers = records.into_iter().map(|record| {
             let action = |proposed: &Proposed| Action {
@@ -75,7 +75,7 @@ impl QueryQueue for Recorded {
     }
 
     fn put(&mut self, question: Question) -> bool {
-        // Once each: a tick that comes again is another run's.
+        // Each record is used once: a tick that comes again belongs to another run.
         match self.answers.remove(&question.id().key()) {
             Some(recollection) if !recollection.is_about(&question) => {
                 self.strayed += 1;
@@ -115,7 +115,7 @@ impl QueryQueue for Recorded {
     }
 
     fn awaited(&self) -> usize {
-        // They come when they came, not sooner for being waited for.
+        // An answer comes at its recorded instant, even if the run waits for it.
         0
     }
 

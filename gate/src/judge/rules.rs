@@ -5,13 +5,13 @@ use vehicle::Vehicle;
 
 use crate::query::{Answer, Judge, Question};
 
-/// Rollouts that stay safe this much longer are safer, s: one period.
+/// A rollout that stays safe for this much longer is the safer one, s: one period.
 const SAFER_S: f64 = 0.1;
-/// A policy may fall behind the expert by this share of the expert's progress and
-/// still count as similar. A share, because a rollout is short: from rest, or at a
-/// crawl, an expert that drives off gains little over a car that does not.
+/// A policy that progresses less than the expert by at most this share of the expert's
+/// progress counts as similar. It is a share because a rollout is short: from rest or
+/// at walking speed, an expert that drives off gains little over a car that stands.
 const BEHIND_SHARE: f64 = 0.1;
-/// Progress that is none, m.
+/// Progress up to this distance counts as none, m.
 const NO_PROGRESS_M: f64 = 0.1;
 
 /// The built-in judge: compares both rollouts by exact geometry.
@@ -48,7 +48,7 @@ impl Judge for Rules {
     }
 }
 
-/// Safety first, then progress; similar means the policy may drive (the
+/// Compares safety first, then progress. Similar means that the policy may drive (the
 /// prompt's 0 of Sec. 8.5).
 fn compare(expert: &Assessment, policy: &Assessment) -> Preference {
     if policy.safe_s < expert.safe_s - SAFER_S {

@@ -1,5 +1,6 @@
-//! The thread that asks a model: a frame of the question's tick from the world,
-//! pictures, prompts, requests, and the answer that the replies combine to.
+//! The thread that asks a model: it gets the frame of the question's tick from the
+//! world, makes pictures and prompts, sends requests, and combines the replies to an
+//! answer.
 
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError};
@@ -19,10 +20,10 @@ use crate::presentation::{Prompt, Showing, combine, fixed_showing};
 use crate::query::{Answer, Failure, Question, QuestionId, Threaded};
 use crate::record::{Asking, Evidence};
 
-/// The judge of section `vlm`, on a thread of its own with ports of its own.
+/// The judge of section `vlm`, on its own thread with its own ports.
 ///
 /// # Errors
-/// When the configuration does not say whom to ask, or its key cannot be had.
+/// When the configuration names no server or model, or the key cannot be read.
 pub fn open(
     config: &Config,
     evidence: Sender<Evidence>,
@@ -48,7 +49,8 @@ pub fn open(
                 let served = serve(worker, frames, questions);
                 runtime.block_on(LocalSet::new().run_until(served));
             }
-            // The thread ends, and the queue answers every question with a failure.
+            // The thread ends, and the queue then answers every question with a
+            // failure.
             (Err(error), _) => tracing::error!(%error, "the judge cannot start"),
             (_, Err(error)) => tracing::error!(%error, "the judge cannot join the run"),
         }
@@ -65,7 +67,8 @@ struct Worker {
     evidence: Sender<Evidence>,
 }
 
-/// Gets the frames one question after the other, and asks the questions concurrently.
+/// Fetches the frames one question after the other, and asks the questions
+/// concurrently.
 async fn serve(worker: Rc<Worker>, mut frames: Frames, questions: Receiver<Question>) {
     loop {
         match questions.try_recv() {
@@ -107,7 +110,7 @@ impl Worker {
         evidence.trouble = self.asker.trouble();
         evidence.latency_s = (self.clock)().since_ns(begun) as f64 / 1e9;
         let cost_usd = evidence.askings.iter().map(|asking| asking.cost_usd).sum();
-        // Evidence first: it is there when the answer is heard.
+        // The evidence is sent first, so that it is there when the answer is heard.
         let _ = self.evidence.send(evidence);
         let _ = self.answers.try_send(Answer {
             question: question.id(),
@@ -193,14 +196,14 @@ impl Worker {
     }
 }
 
-/// Which path is the first, and in which colours: as the preset says, or at
-/// random by the question alone, so that runs repeat.
+/// Which path is the first, and in which colours: as the preset says, or drawn from the
+/// question alone, so that runs repeat.
 fn showing(vlm: &Vlm, question: QuestionId) -> Showing {
     if let Some(showing) = fixed_showing(vlm.prompt) {
         return showing;
     }
     let mut random = SplitMix64::seed_from_u64(!question.seed());
-    // The first number of neighbouring seeds is alike.
+    // Neighbouring seeds give similar first numbers, so the first is skipped.
     let _ = random.next_u64();
     Showing::at_random(|count| ((random.next_u64() >> 33) as usize) % count)
 }

@@ -1,6 +1,6 @@
-//! From the bytes of a 200 to a reply, or to the one reason why there is none.
-//! Nothing is guessed and nothing is mended: a model that does not keep to the
-//! form it was told is not trusted with the wheel.
+//! Reads the body of a response with status 200: the result is a reply, or the one
+//! reason why there is none. Nothing is guessed or repaired: a model that does not keep
+//! to the requested form is not trusted with the driving decision.
 
 use serde_json::{Map, Value};
 use shm_config::config::PromptPreset;
@@ -8,22 +8,23 @@ use shm_config::config::PromptPreset;
 use super::{Fault, json};
 use crate::presentation::{LETTERS, Party, Prompt, Reply, SIMILAR};
 
-/// Nesting of a chat completion; those of the known servers have 8 at most.
+/// Deepest nesting of a chat completion; those of the known servers have 8 levels at
+/// most.
 const ENVELOPE_DEPTH_MAX: u32 = 32;
 
-/// Nesting of what the model says: one object, without anything inside.
+/// Deepest nesting of what the model says: one object that holds no other.
 const CONTENT_DEPTH_MAX: u32 = 4;
 
-/// More tokens than any question has; a count beyond it is a server's mistake,
-/// which must not spend the budget.
+/// More tokens than any question has. A larger count is a server's mistake and must not
+/// spend the budget.
 const TOKENS_MAX: u64 = 10_000_000;
 
-/// What came back with a 200.
+/// The content of a response with status 200.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// The reply and how sure the model says it is, or why there is none.
+    /// The reply and the model's confidence, or why there is no reply.
     pub reply: Result<(Reply, Option<f64>), Fault>,
-    /// What the model said, or the whole body where that cannot be told apart.
+    /// What the model said, or the whole body where the model's text cannot be found.
     pub said: String,
     /// Tokens in and out, as the server counts them.
     pub tokens: Option<[u64; 2]>,
@@ -78,7 +79,7 @@ pub fn read(body: &[u8], prompt: &Prompt) -> Reading {
     }
 }
 
-/// Tokens in and out; `None` unless both are there and can be.
+/// Tokens in and out; `None` unless both counts are there and plausible.
 fn tokens(envelope: &Value) -> Option<[u64; 2]> {
     let count = |key: &str| {
         let count = envelope.get("usage")?.get(key)?.as_u64();
@@ -87,7 +88,8 @@ fn tokens(envelope: &Value) -> Option<[u64; 2]> {
     Some([count("prompt_tokens")?, count("completion_tokens")?])
 }
 
-/// What a model says in place of an answer; only OpenAI has a field for it.
+/// A refusal that the model gives in place of an answer; only OpenAI has a field for
+/// it.
 fn refusal(envelope: &Value) -> Option<&str> {
     message(envelope)?.get("refusal")?.as_str()
 }
@@ -96,7 +98,7 @@ fn message(envelope: &Value) -> Option<&Value> {
     envelope.get("choices")?.get(0)?.get("message")
 }
 
-/// What the model said, if it came to its end.
+/// What the model said, if it was not cut off.
 fn content(envelope: &Value) -> Result<&str, Fault> {
     let choices = envelope.get("choices").and_then(Value::as_array);
     let choice = match choices.ok_or(Fault::Envelope)?.as_slice() {
@@ -122,7 +124,7 @@ fn content(envelope: &Value) -> Result<&str, Fault> {
     }
 }
 
-/// The reply in what the model said.
+/// The reply in the model's text.
 fn reply(content: &str, prompt: &Prompt) -> Result<(Reply, Option<f64>), Fault> {
     let text = content.trim();
     if text.starts_with("```") {
@@ -145,7 +147,7 @@ fn reply(content: &str, prompt: &Prompt) -> Result<(Reply, Option<f64>), Fault> 
     }
 }
 
-/// What is wrong with an answer that does not begin with an object.
+/// The fault of a text that does not begin with an object.
 fn without_object(text: &str) -> Fault {
     if text.contains('{') {
         return Fault::LeadingText;
@@ -156,7 +158,7 @@ fn without_object(text: &str) -> Fault {
     }
 }
 
-/// Another object with an answer stands in `text`.
+/// Whether `text` holds another object with an answer.
 fn holds_answer(text: &str) -> bool {
     text.match_indices('{').any(|(at, _)| {
         json::read_first(&text[at..], CONTENT_DEPTH_MAX)
@@ -188,7 +190,7 @@ fn blind(object: &Map<String, Value>) -> Result<(Reply, Option<f64>), Fault> {
     }
 }
 
-/// 1: the expert is better, whichever place it has in the picture. 0: similar.
+/// 1: the expert is better, in either place of the picture. 0: the paths are similar.
 fn paper(object: &Map<String, Value>, prompt: &Prompt) -> Result<(Reply, Option<f64>), Fault> {
     let expert = match prompt.showing.first {
         Party::Expert => Reply::First,
@@ -210,7 +212,7 @@ fn paper(object: &Map<String, Value>, prompt: &Prompt) -> Result<(Reply, Option<
     }
 }
 
-/// What is wrong with a value that is none of the right type.
+/// The fault of a value of the wrong type or outside the allowed values.
 fn not_one(value: &Value) -> Fault {
     match value {
         Value::Array(values) if values.len() > 1 => Fault::BothAnswers,
@@ -277,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_one_is_the_expert_wherever_it_stands() {
+    fn the_papers_one_means_the_expert_in_both_places() {
         let text = "{\"response\": 1}\nThe green path keeps {to} the lane.";
         assert_eq!(said(text, PromptPreset::Paper), Ok((Reply::First, None)));
         let body = completion(text.into()).to_string();
@@ -292,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_answers_that_are_none() {
+    fn invalid_answers_to_the_papers_prompt_are_faults() {
         for (text, fault) in [
             ("{\"response\": \"1\"}", Fault::WrongType),
             ("{\"response\": true}", Fault::WrongType),
@@ -332,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn the_blind_answers_that_are_none() {
+    fn invalid_answers_to_the_blind_prompt_are_faults() {
         let with = |response: &str| {
             format!("{{\"reason\": \"x\", \"response\": {response}, \"confidence\": 0.5}}")
         };
@@ -377,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn completions_that_are_none() {
+    fn invalid_completions_are_faults() {
         let read = |body: &Value| {
             let body = body.to_string();
             super::read(body.as_bytes(), &prompt(PromptPreset::Paper)).reply
@@ -431,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_are_no_completion() {
+    fn bytes_without_a_completion_are_faults() {
         let nested = format!("{}{}", "[".repeat(5000), "]".repeat(5000));
         for (body, fault) in [
             (&b""[..], Fault::EmptyBody),
@@ -449,7 +451,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_counts_of_tokens_are_unknown() {
+    fn impossible_token_counts_count_as_unknown() {
         let counted = |usage: Value| {
             let mut body = completion("{\"response\": 1}".into());
             body["usage"] = usage;
@@ -471,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn json_is_known_by_its_type() {
+    fn json_is_recognised_by_its_content_type() {
         for (text, expected) in [
             (Some("application/json"), true),
             (Some("Application/JSON; charset=utf-8"), true),

@@ -1,5 +1,5 @@
 //! The body of a request: OpenAI's "chat completions", which the other servers
-//! speak, too.
+//! understand too.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -9,8 +9,10 @@ use shm_config::config::Vlm;
 use crate::presentation::picture::Picture;
 use crate::presentation::{Prompt, Schema};
 
-/// Resolution at which the model looks, where the server knows the setting: `low` would
-/// shrink the picture until the paths are a pixel wide.
+use super::Fault;
+
+/// Resolution at which the model looks, for servers that know the setting: `low` would
+/// shrink the picture until the paths are one pixel wide.
 const DETAIL: &str = "high";
 
 /// The body of a request.
@@ -66,9 +68,12 @@ struct NamedSchema {
     schema: Schema,
 }
 
-/// The body of the request, JSON in UTF-8. The picture goes inside, as a
-/// base64 `data:` address: no server needs to fetch anything, and several cannot.
-pub fn body(vlm: &Vlm, prompt: &Prompt, picture: &Picture) -> Vec<u8> {
+/// The body of the request, JSON in UTF-8. The picture is inside it as a base64 `data:`
+/// URL, because several servers cannot fetch a picture.
+///
+/// # Errors
+/// [`Fault::Encoding`] when it cannot be written as JSON.
+pub fn body(vlm: &Vlm, prompt: &Prompt, picture: &Picture) -> Result<Vec<u8>, Fault> {
     let body = Body {
         model: vlm.model_name(),
         messages: messages(prompt, picture),
@@ -84,7 +89,7 @@ pub fn body(vlm: &Vlm, prompt: &Prompt, picture: &Picture) -> Vec<u8> {
             },
         }),
     };
-    serde_json::to_vec(&body).expect("strings and numbers are JSON")
+    serde_json::to_vec(&body).map_err(|_| Fault::Encoding)
 }
 
 fn messages<'a>(prompt: &'a Prompt, picture: &Picture) -> Vec<Message<'a>> {

@@ -1,7 +1,8 @@
 use std::time::Duration;
 
-/// Leaves a server alone that broke down again and again, and tries it with one
-/// request after a while. Arithmetic: instants are times since any one moment.
+/// A circuit breaker: it stops requests to a server that failed repeatedly, and tries
+/// one request after a while. It is arithmetic; instants are times since any fixed
+/// moment.
 #[derive(Debug, Clone)]
 pub struct Breaker {
     failures_max: u32,
@@ -11,17 +12,17 @@ pub struct Breaker {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
-    /// Questions pass; so many breakdowns in a row so far.
+    /// Closed: requests pass. Holds the number of failures in a row.
     Closed { failures: u32 },
-    /// No question passes until then.
+    /// Open: no request passes until this instant.
     Open { until: Duration },
-    /// One question has passed to try the server. Another may after that
-    /// instant: the one that tries may have been given up without a word.
+    /// Half open: one request has passed to try the server. Another may pass after this
+    /// instant, because the first may never report its result.
     HalfOpen { until: Duration },
 }
 
 impl Breaker {
-    /// Opens after `failures_max` breakdowns in a row, for `open_for`.
+    /// Opens after `failures_max` failures in a row, for `open_for`.
     pub fn new(failures_max: u32, open_for: Duration) -> Self {
         Self {
             failures_max,
@@ -38,7 +39,7 @@ impl Breaker {
         }
     }
 
-    /// Lets a request pass, if one may: the one that tries the server is alone.
+    /// Lets a request pass if it may. Only one request at a time tries the server.
     pub fn admit(&mut self, now: Duration) -> bool {
         let passes = !self.is_open(now);
         if passes && !matches!(self.state, State::Closed { .. }) {
@@ -49,16 +50,16 @@ impl Breaker {
         passes
     }
 
-    /// The server was there, whatever it said.
+    /// A request reached the server, with any status.
     pub fn succeeded(&mut self) {
         self.state = State::Closed { failures: 0 };
     }
 
-    /// The server was not there, in no attempt of a question.
+    /// No attempt of a question reached the server.
     pub fn failed(&mut self, now: Duration) {
         let failures = match self.state {
             State::Closed { failures } => failures + 1,
-            // What was asked before it opened says nothing new.
+            // A request from before the breaker opened says nothing new.
             State::Open { .. } => return,
             State::HalfOpen { .. } => self.failures_max,
         };
@@ -87,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn it_opens_after_breakdowns_in_a_row_and_for_its_time() {
+    fn it_opens_after_failures_in_a_row_for_the_configured_time() {
         let mut breaker = opened();
         assert!(!breaker.admit(S(2)));
         assert!(!breaker.admit(S(31)));
@@ -95,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_success_between_them_begins_the_row_again() {
+    fn a_success_resets_the_count_of_failures() {
         let mut breaker = Breaker::new(3, S(30));
         for second in 0..20 {
             assert!(breaker.admit(S(second)), "second {second}");
@@ -107,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn one_question_tries_and_decides() {
+    fn one_trial_request_closes_or_opens_it_again() {
         let mut breaker = opened();
         assert!(breaker.admit(S(40)));
         assert!(!breaker.admit(S(40)), "one alone");
@@ -119,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trial_that_was_given_up_does_not_close_it_for_ever() {
+    fn an_abandoned_trial_does_not_block_the_next_one() {
         let mut breaker = opened();
         assert!(breaker.admit(S(40)));
         assert!(!breaker.admit(S(69)));
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn late_news_of_earlier_questions_changes_nothing() {
+    fn late_failures_of_earlier_questions_change_nothing() {
         let mut breaker = opened();
         breaker.failed(S(20));
         assert!(breaker.admit(S(32)), "not put off");

@@ -1,5 +1,5 @@
-//! Asks a model over HTTP. One question is a picture, a prompt and a deadline;
-//! what comes back is a reply or a fault, with what it took.
+//! Asks a model over HTTP. A question is a picture, a prompt and a deadline; the result
+//! is a reply or a fault, with its cost.
 
 use std::fmt;
 use std::hash::{BuildHasher as _, Hasher as _};
@@ -28,45 +28,46 @@ use super::{Fault, answer, connection, json, retry, transport};
 use crate::presentation::picture::Picture;
 use crate::presentation::{Prompt, Reply};
 
-/// What is kept of what a model or a server said, bytes.
+/// Bytes that are kept of a model's or a server's text.
 pub const SAID_BYTES_MAX: usize = 4096;
 
 /// Longest answer, bytes of the whole HTTP body; nothing is read beyond. 200 tokens with
 /// their envelope are 2 kB; some servers add the model's reasoning.
 const ANSWER_BYTES_MAX: usize = 256 * 1024;
 
-/// Longest name of a model that is kept, bytes.
+/// Bytes that are kept of a model's name.
 const SERVED_BYTES_MAX: usize = 128;
 
-/// What is shown of what a server said of an error, characters.
+/// Characters that are shown of a server's error text.
 const SHOWN_MAX: usize = 200;
 
-/// Nesting of a server's own errors.
+/// Deepest nesting of a server's error body.
 const ERROR_DEPTH_MAX: u32 = 16;
 
-/// What became of one question.
+/// The result of one question.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Asked {
-    /// The reply and how sure the model says it is, or why there is none.
+    /// The reply and the model's confidence, or why there is no reply.
     pub reply: Result<(Reply, Option<f64>), Fault>,
-    /// What the model or the server said last; at most [`SAID_BYTES_MAX`].
+    /// The last text of the model or the server; at most [`SAID_BYTES_MAX`].
     pub said: String,
     /// The model that answered, as the server names it; empty when it does not.
     pub served: String,
     /// HTTP requests made.
     pub attempts: u32,
-    /// From the question to its end.
+    /// Time from the question to its end.
     pub latency: Duration,
     /// Tokens in, of all attempts, as the server counts them.
     pub tokens_in: u64,
     /// Tokens out, of all attempts, as the server counts them.
     pub tokens_out: u64,
-    /// What all attempts cost, US dollars; estimated where the server does not
-    /// say.
+    /// Cost of all attempts, US dollars; estimated where the server does not count
+    /// tokens.
     pub cost_usd: f64,
 }
 
-/// Somebody to ask. Limits hold over all its questions, so a run has one.
+/// A client of one model. Its limits hold over all its questions, so a run has one
+/// client.
 pub struct Asker {
     vlm: Vlm,
     client: reqwest::Client,
@@ -81,23 +82,23 @@ struct State {
     breaker: Breaker,
     rate: Rate,
     budget: Budget,
-    // Why nothing more is asked.
+    // Why no further question is asked.
     closed: Option<Fault>,
-    // The last reason for which questions go unasked or unanswered.
+    // The last reason for which questions were not asked or not answered.
     trouble: Option<Trouble>,
-    // The server asked to be left alone until then.
+    // Until then no request is made, because the server asked for it.
     hold_until: Duration,
     random: Xoshiro256PlusPlus,
 }
 
-/// Why questions go unasked or unanswered until somebody changes something.
+/// Why questions are not asked or not answered until the user changes something.
 struct Trouble {
     fault: Fault,
-    /// The server's own words when it was first met, on one line.
+    /// The server's text at the first occurrence, on one line.
     said: String,
 }
 
-/// What became of one request.
+/// The result of one request.
 struct Outcome {
     reply: Result<(Reply, Option<f64>), Fault>,
     said: String,
@@ -130,7 +131,7 @@ impl fmt::Debug for Asker {
 }
 
 impl Asker {
-    /// Reads the key and prepares connections; asks nobody yet.
+    /// Reads the key and prepares connections; sends no request yet.
     ///
     /// # Errors
     /// When the address or the key cannot be used.
@@ -138,8 +139,8 @@ impl Asker {
         Self::with_environment(vlm, secret::value)
     }
 
-    /// As [`Asker::new`], with environment variables read by `variable`; what it
-    /// returns is overwritten after use.
+    /// As [`Asker::new`], with environment variables read by `variable`. The values it
+    /// returns are overwritten after use.
     ///
     /// # Errors
     /// As [`Asker::new`].
@@ -181,27 +182,25 @@ impl Asker {
         estimate(&self.vlm, prompt, size_px)
     }
 
-    /// Why nothing more is asked, if that is so.
+    /// Why no further question is asked; `None` while questions are asked.
     pub fn closed(&self) -> Option<Fault> {
         self.state().closed
     }
 
-    /// Why questions go unasked or unanswered, for good or for a while, and what
-    /// to do: the last reason there was, with the server's words for it.
+    /// Why questions are not asked or not answered, for good or for a while, and what
+    /// to do: the last reason, with the server's text.
     pub fn trouble(&self) -> Option<String> {
         let state = self.state();
         let Trouble { fault, said } = state.trouble.as_ref()?;
         let what = match fault {
             Fault::Length => "the model is cut off before it has answered".into(),
-            fault if fault.is_of_the_question() => {
-                "the server does not take what it is asked".into()
-            }
-            Fault::Budget => "what the run may cost is spent".into(),
+            fault if fault.is_of_the_question() => "the server refuses the request".into(),
+            Fault::Budget => "the run's budget is spent".into(),
             fault if fault.is_permanent() => {
                 "no more questions are asked until the next start".into()
             }
             _ => format!(
-                "the server is left alone for {} s at a time",
+                "the server gets no request for {} s at a time",
                 self.vlm.breaker_open_s
             ),
         };
@@ -216,13 +215,13 @@ impl Asker {
         ))
     }
 
-    /// What all questions so far cost, with what is set aside for those being
-    /// asked, US dollars.
+    /// Cost of all questions so far, with the amount reserved for questions in flight,
+    /// US dollars.
     pub fn spent_usd(&self) -> f64 {
         self.state().budget.spent_usd()
     }
 
-    /// Asks one question; ends by the deadline.
+    /// Asks one question; returns by the deadline.
     pub async fn ask(&self, prompt: &Prompt, picture: &Picture, deadline: Duration) -> Asked {
         let begun = Instant::now();
         let mut asked = Asked {
@@ -252,14 +251,20 @@ impl Asker {
         asked
     }
 
-    /// Attempt after attempt, while there is hope and time.
+    /// Makes attempts until one succeeds, none can succeed, or the time is over.
     async fn insist(&self, prompt: &Prompt, picture: &Picture, until: Instant, asked: &mut Asked) {
         let size_px = [picture.width, picture.height];
         let reserve_usd = self.estimate(prompt, size_px).cost_usd;
-        let body = Bytes::from(body(&self.vlm, prompt, picture));
+        let body = match body(&self.vlm, prompt, picture) {
+            Ok(body) => Bytes::from(body),
+            Err(fault) => {
+                asked.reply = Err(fault);
+                return;
+            }
+        };
         for attempt in 0..self.vlm.attempts_max {
             if let Err(fault) = self.admit(reserve_usd, until).await {
-                // What an attempt before this one met says more.
+                // The fault of an earlier attempt says more than the end of the time.
                 if attempt == 0 {
                     asked.reply = Err(fault);
                 }
@@ -281,12 +286,12 @@ impl Asker {
         }
     }
 
-    /// Whether a request may be made, and its price set aside. Waits while the
-    /// server has asked to be left alone, if the question can wait as long.
+    /// Whether a request may be made; reserves its price. Waits while the server has
+    /// asked for a pause, if the question can wait that long.
     async fn admit(&self, reserve_usd: f64, until: Instant) -> Result<(), Fault> {
         let hold_until = self.begun + self.state().hold_until;
         if hold_until > Instant::now() {
-            // A closed shop says why at once.
+            // A closed client answers at once.
             if let Some(fault) = self.closed() {
                 return Err(fault);
             }
@@ -314,7 +319,7 @@ impl Asker {
         Ok(())
     }
 
-    /// One request, within its time.
+    /// Makes one request within its time.
     async fn attempt(&self, body: Bytes, prompt: &Prompt, until: Instant) -> Outcome {
         let end = Instant::now() + Duration::from_secs_f64(self.vlm.attempt_s);
         let has_begun = AtomicBool::new(false);
@@ -367,12 +372,12 @@ impl Asker {
         }
     }
 
-    /// What a status other than 200 says.
+    /// The result of a status other than 200.
     fn refused(&self, status: u16, bytes: &[u8], wait: Option<Duration>) -> Outcome {
         let text = String::from_utf8_lossy(bytes);
         let error = json::read(&text, ERROR_DEPTH_MAX).ok();
         let word = |key: &str| error.as_ref()?.get("error")?.get(key)?.as_str();
-        // OpenAI says it in either.
+        // OpenAI gives the code in either field.
         let codes = [word("code"), word("type")];
         let faults = codes.map(|code| Fault::of_status(status, code));
         let plain = Fault::of_status(status, None);
@@ -387,12 +392,12 @@ impl Asker {
         }
     }
 
-    /// Counts what a request cost and what it says of the server.
+    /// Counts the cost of a request and what it says about the server.
     fn settle(&self, outcome: &Outcome, reserved_usd: f64, asked: &mut Asked) {
         let cost_usd = match (outcome.tokens, outcome.reply) {
             (Some([tokens_in, tokens_out]), _) => cost_usd(&self.vlm, tokens_in, tokens_out),
             (None, Err(fault)) if fault.is_free() => 0.0,
-            // It may have been answered, and charged, without our hearing it.
+            // The server may have answered and charged, although no answer arrived.
             (None, _) => reserved_usd,
         };
         let [tokens_in, tokens_out] = outcome.tokens.unwrap_or_default();
@@ -421,8 +426,8 @@ impl Asker {
         }
     }
 
-    /// Takes note of a question without a reply. One that is given up because of
-    /// the server is one breakdown, however many attempts it took.
+    /// Notes a question without a reply. A question that fails because of the server
+    /// counts as one failure, however many attempts it took.
     fn note(&self, fault: Fault, said: &str) {
         let now = self.begun.elapsed();
         let mut state = self.state();
@@ -434,13 +439,13 @@ impl Asker {
             || fault.is_permanent()
             || fault.is_of_the_question()
             || fault == Fault::Budget;
-        // Told once, whatever numbers are in the server's words next time.
+        // Reported once per fault, because the server's text may differ each time.
         let is_news = state
             .trouble
             .as_ref()
             .is_none_or(|trouble| trouble.fault != fault);
         if is_trouble && is_news {
-            // A proxy's page says less than its status.
+            // The page of a proxy says less than its status.
             let has_words = fault.is_status() && !said.trim_start().starts_with('<');
             state.trouble = Some(Trouble {
                 fault,
@@ -456,13 +461,13 @@ impl Asker {
         let base = Duration::from_secs_f64(self.vlm.backoff_s);
         let longest = Duration::from_secs_f64(self.vlm.backoff_max_s);
         match asked {
-            // Not before, and not all at the same instant.
+            // Not before the server's time, and not all clients at the same instant.
             Some(wait) => wait + retry::backoff(0, base.min(wait), longest, part),
             None => retry::backoff(attempt, base, longest, part),
         }
     }
 
-    /// What is kept of a text: no key, and not too much.
+    /// The part of a text that is kept: without the key, and cut to a length.
     fn kept(&self, text: &str, bytes_max: usize) -> String {
         let mut text = match &self.key {
             Some(key) => key.redact(text),
@@ -473,13 +478,13 @@ impl Asker {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        // Whoever panicked left numbers behind that are still numbers.
+        // A thread that panicked with the lock left valid numbers behind.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// A server's words as they may be shown in a terminal: on one line, nothing that acts
-/// on what is around it, and not too much.
+/// A server's text made fit for a terminal: on one line, without control characters,
+/// and cut to a length.
 fn one_line(said: &str) -> String {
     let words: Vec<&str> = said.split_whitespace().collect();
     let line: String = words.join(" ").chars().take(SHOWN_MAX).collect();

@@ -5,13 +5,13 @@ use shm_config::config::Vlm;
 
 use super::key::{KeyError, is_loopback};
 
-/// Largest file of certificates, bytes; a system's whole collection has 250 kB.
+/// Largest file of certificates, bytes; a whole system's collection has 250 kB.
 const CA_BYTES_MAX: u64 = 4 << 20;
 
-/// Why the model cannot be asked: what, where, what to do.
+/// Why the model cannot be asked: what is wrong, where, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum AskerError {
-    /// The address is none.
+    /// The address is invalid.
     #[error("vlm.server = {server:?}: {why}; write it as http://127.0.0.1:8080/v1")]
     Server {
         /// The address.
@@ -19,10 +19,10 @@ pub enum AskerError {
         /// What is wrong with it.
         why: String,
     },
-    /// The key.
+    /// The key cannot be used.
     #[error(transparent)]
     Key(#[from] KeyError),
-    /// The authorities' certificates.
+    /// The certificates of the authorities cannot be used.
     #[error("{path}: {why}; vlm.ca_file must be a file of certificates in PEM")]
     Authorities {
         /// The file.
@@ -30,12 +30,12 @@ pub enum AskerError {
         /// What is wrong with it.
         why: String,
     },
-    /// Certificates or the like.
+    /// The HTTPS client cannot be made.
     #[error("cannot set up HTTPS: {0}; is the package ca-certificates installed?")]
     Client(String),
 }
 
-/// Makes connections to this address; opens none yet.
+/// A client for this address; it opens no connection yet.
 ///
 /// # Errors
 /// When the authorities' certificates cannot be used.
@@ -43,7 +43,7 @@ pub fn client(vlm: &Vlm, url: &Url) -> Result<reqwest::Client, AskerError> {
     build(url, &authorities(vlm)?).map_err(|error| unusable(vlm, &error))
 }
 
-/// The authorities that are trusted beside the system's own.
+/// The authorities that are trusted beside those of the system.
 fn authorities(vlm: &Vlm) -> Result<Vec<Certificate>, AskerError> {
     if vlm.ca_file.is_empty() {
         return Ok(Vec::new());
@@ -64,7 +64,8 @@ fn authorities(vlm: &Vlm) -> Result<Vec<Certificate>, AskerError> {
     }
 }
 
-/// No client can be made: with authorities of one's own, it is one of theirs.
+/// The error of a client that cannot be made: with `vlm.ca_file`, one of its
+/// certificates is the cause.
 fn unusable(vlm: &Vlm, error: &reqwest::Error) -> AskerError {
     match vlm.ca_file.as_str() {
         "" => AskerError::Client(error.to_string()),
@@ -76,12 +77,12 @@ fn unusable(vlm: &Vlm, error: &reqwest::Error) -> AskerError {
 }
 
 fn build(url: &Url, authorities: &[Certificate]) -> Result<reqwest::Client, reqwest::Error> {
-    // Somebody else in this process may have installed one already; any will do.
+    // Another part of this process may have installed a provider already; any will do.
     let _ = rustls::crypto::ring::default_provider().install_default();
     let mut builder = reqwest::Client::builder()
         .http1_only()
         .retry(reqwest::retry::never())
-        // The key must not follow to where a server points.
+        // The key must not follow a redirect.
         .redirect(redirect::Policy::none())
         .user_agent(concat!("vlaps/", env!("CARGO_PKG_VERSION")));
     if is_loopback(url) {
@@ -91,7 +92,7 @@ fn build(url: &Url, authorities: &[Certificate]) -> Result<reqwest::Client, reqw
         builder = builder.tls_certs_merge(authorities.iter().cloned());
     }
     if url.scheme() == "http" {
-        // Nothing is looked at, so no certificates need to be there.
+        // Without encryption no certificate is checked, so none needs to be installed.
         builder = builder.tls_certs_only([]);
     }
     builder.build()

@@ -1,28 +1,28 @@
-//! What a question costs, before it is asked.
+//! The cost of a question, before it is asked.
 
 use serde::Serialize;
 use shm_config::config::Vlm;
 
 use crate::presentation::Prompt;
 
-/// What one request will cost at most.
+/// The highest cost of one request.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
     /// Tokens of the picture.
     pub tokens_picture: u64,
-    /// Tokens of the words, guessed: a token is four bytes of English.
+    /// Tokens of the text, estimated at four bytes each.
     pub tokens_words: u64,
-    /// Tokens that the answer may have.
+    /// The most tokens that the answer may have.
     pub tokens_out_max: u64,
     /// US dollars for all of them.
     pub cost_usd: f64,
 }
 
-/// What one request about a picture of `size_px` (width, height) will cost.
+/// The highest cost of one request about a picture of `size_px` (width, height).
 pub fn estimate(vlm: &Vlm, prompt: &Prompt, size_px: [u32; 2]) -> Estimate {
     let tokens_picture = picture_tokens(vlm, size_px);
     let bytes = prompt.system.len() + prompt.user.len();
-    // Role markers and the schema come on top.
+    // Role markers and the schema count too.
     let tokens_words = bytes.div_ceil(4) as u64 + 100;
     let tokens_out_max = u64::from(vlm.tokens_max);
     Estimate {
@@ -33,7 +33,7 @@ pub fn estimate(vlm: &Vlm, prompt: &Prompt, size_px: [u32; 2]) -> Estimate {
     }
 }
 
-/// What so many tokens cost, US dollars.
+/// The price of these tokens, US dollars.
 pub fn cost_usd(vlm: &Vlm, tokens_in: u64, tokens_out: u64) -> f64 {
     let [price_in, price_out] = vlm.prices_usd();
     (tokens_in as f64 * price_in + tokens_out as f64 * price_out) / 1e6
@@ -42,14 +42,14 @@ pub fn cost_usd(vlm: &Vlm, tokens_in: u64, tokens_out: u64) -> f64 {
 /// How a family of models counts pictures.
 #[derive(Clone, Copy)]
 enum Rule {
-    /// So many tokens, and so many more for each tile of 512 pixels.
+    /// A base number of tokens, and a number for each tile of 512 pixels.
     Tiles { base: u64, tile: u64 },
-    /// So many for each patch of 32 pixels, of which there are at most 1536.
+    /// A number for each patch of 32 pixels; there are at most 1536 patches.
     Patches { factor: f64 },
 }
 
-/// OpenAI's table ("Images and vision", calculating costs), by how the name of a
-/// model begins; longer beginnings first.
+/// OpenAI's table ("Images and vision", calculating costs), by the beginning of the
+/// model's name; longer beginnings come first.
 const RULES: &[(&str, Rule)] = &[
     ("gpt-4.1-mini", Rule::Patches { factor: 1.62 }),
     ("gpt-4.1-nano", Rule::Patches { factor: 2.46 }),
@@ -86,7 +86,7 @@ const RULES: &[(&str, Rule)] = &[
     ),
 ];
 
-/// That of gpt-4o, gpt-4.1 and gpt-4.5, and a guess for what is not known.
+/// The rule of gpt-4o, gpt-4.1 and gpt-4.5, also used for unknown models.
 const USUAL: Rule = Rule::Tiles {
     base: 85,
     tile: 170,
@@ -102,8 +102,8 @@ fn picture_tokens(vlm: &Vlm, size_px: [u32; 2]) -> u64 {
     }
 }
 
-/// Tiles of 512 pixels, once the picture is shrunk into a square of 2048 and then
-/// to a shorter side of 768. It is never enlarged.
+/// Tiles of 512 pixels. The picture is first shrunk into a square of 2048, then to a
+/// shorter side of 768; it is never enlarged.
 fn tiles(size_px: [u32; 2]) -> u64 {
     let [width, height] = size_px.map(f64::from);
     let into_square = (2048.0 / width.max(height)).min(1.0);
@@ -115,8 +115,8 @@ fn tiles(size_px: [u32; 2]) -> u64 {
         .product()
 }
 
-/// Patches of 32 pixels, once the picture is shrunk to at most 1536 of them, a
-/// whole number along the side that fits worse.
+/// Patches of 32 pixels. The picture is first shrunk to at most 1536 patches, with a
+/// whole number of them along the side that fits worse.
 fn patches(size_px: [u32; 2]) -> u64 {
     const PATCHES_MAX: f64 = 1536.0;
     let [width, height] = size_px.map(f64::from);
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_count_as_openai_says() {
+    fn picture_tokens_equal_the_examples_of_openai() {
         // The examples of its guide.
         assert_eq!(tokens("gpt-4o", [1024, 1024]), 765);
         assert_eq!(tokens("gpt-4o", [2048, 4096]), 1105);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_of_ones_own_costs_its_configured_price() {
+    fn another_server_costs_its_configured_price() {
         let local = Vlm {
             price_in_usd: 0.0,
             price_out_usd: 0.0,

@@ -1,9 +1,9 @@
 use crate::query::Failure;
 
-/// Declares the closed list: each fault with its word and what it means.
+/// Declares the closed list: each fault with its word and its meaning.
 macro_rules! faults {
     ($($(#[$doc:meta])* $name:ident => $word:literal,)*) => {
-        /// Why there is no reply. None of these is ever read as one.
+        /// Why there is no reply. No fault is ever read as a reply.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
         pub enum Fault {
             $($(#[$doc])* $name,)*
@@ -28,27 +28,27 @@ faults! {
     Timeout => "timeout",
     /// An answer began and did not end within the time.
     SlowBody => "slow_body",
-    /// Nobody listens there.
+    /// No process listens at the address.
     ConnectionRefused => "connection_refused",
     /// The connection broke.
     ConnectionReset => "connection_reset",
-    /// No way there: name, route or connection.
+    /// The server cannot be reached: name, route or connection.
     Unreachable => "unreachable",
     /// The encrypted connection failed.
     Tls => "tls",
-    /// What came is no HTTP.
+    /// The response is not HTTP.
     Protocol => "protocol",
-    /// The server points elsewhere; the key does not follow.
+    /// The server redirects; the key does not follow.
     Redirect => "redirect",
-    /// 400: the server does not take the request.
+    /// 400: the server refuses the request.
     BadRequest => "http_400",
     /// 401: the key is missing or wrong.
     Unauthorized => "http_401",
-    /// 402, or a 429 that says so: the account is spent.
+    /// 402, or a 429 that says so: the account is empty.
     Quota => "quota",
-    /// 403: the key may not do this.
+    /// 403: the key lacks the right.
     Forbidden => "http_403",
-    /// 404: no such model, or no such interface.
+    /// 404: the model or the interface does not exist.
     NotFound => "http_404",
     /// 408: the server waited too long.
     RequestTimeout => "http_408",
@@ -62,75 +62,77 @@ faults! {
     RateLimited => "http_429",
     /// 500: the server broke down.
     ServerError => "http_500",
-    /// 502: what is behind the server broke down.
+    /// 502: the server behind the proxy failed.
     BadGateway => "http_502",
     /// 503: the server is busy or starting.
     ServiceUnavailable => "http_503",
-    /// 504: what is behind the server is too slow.
+    /// 504: the server behind the proxy is too slow.
     GatewayTimeout => "http_504",
     /// 529: the server is overloaded.
     Overloaded => "http_529",
-    /// Any other status but 200.
+    /// Another status than 200 and those above.
     OtherStatus => "http_other",
-    /// The answer says that it is no JSON.
+    /// The content type of the answer is not JSON.
     ContentType => "content_type",
-    /// The answer is longer than what is read.
+    /// The answer is longer than the limit.
     TooLarge => "too_large",
-    /// The answer has no byte.
+    /// The answer is empty.
     EmptyBody => "empty_body",
-    /// The answer is no UTF-8.
+    /// The answer is not UTF-8.
     InvalidUtf8 => "invalid_utf8",
     /// The answer ends in the middle.
     Truncated => "truncated",
-    /// The answer is no JSON.
+    /// The answer is not JSON.
     NotJson => "not_json",
-    /// A key occurs twice: readers differ on which counts.
+    /// A key occurs twice, and readers differ on which one counts.
     DuplicateKeys => "duplicate_keys",
     /// The answer is nested too deeply.
     TooDeep => "too_deep",
-    /// JSON, but no chat completion.
+    /// The answer is JSON, but not a chat completion.
     Envelope => "envelope",
-    /// A completion without a choice.
+    /// The completion has no choice.
     NoChoices => "no_choices",
-    /// The model would not answer.
+    /// The model refused to answer.
     Refused => "refused",
-    /// The model reached its limit of tokens.
+    /// The model reached its token limit.
     Length => "length",
     /// A filter cut the answer off.
     ContentFilter => "content_filter",
     /// The model stopped for another reason.
     Unfinished => "unfinished",
-    /// The model said nothing.
+    /// The model's text is empty.
     NoContent => "no_content",
     /// The model wrapped its answer in a code fence.
     CodeFence => "code_fence",
-    /// The model said something before its answer.
+    /// The model's text has words before the answer.
     LeadingText => "leading_text",
-    /// The model said something after its answer.
+    /// The model's text has words after the answer.
     TrailingText => "trailing_text",
-    /// A value is of another type than was asked for.
+    /// A value has another type than requested.
     WrongType => "wrong_type",
-    /// A value is none of those asked for.
+    /// A value is not one of those requested.
     OutOfRange => "out_of_range",
     /// The model gave two answers.
     BothAnswers => "both_answers",
     /// The answer lacks a field.
     MissingField => "missing_field",
-    /// The answer has a field nobody asked for.
+    /// The answer has a field that was not requested.
     ExtraField => "extra_field",
-    /// As many questions as may be are being asked.
+    /// The request cannot be written as JSON.
+    Encoding => "request_encoding",
+    /// The limit of concurrent questions is reached.
     Busy => "busy",
-    /// As many requests as may be were made in the last minute.
+    /// The limit of requests a minute is reached.
     OwnRate => "own_rate",
     /// The run's budget is spent.
     Budget => "budget",
-    /// The server broke down again and again and is left alone for a while.
+    /// The server failed repeatedly and gets no request for a while.
     BreakerOpen => "breaker_open",
 }
 
 impl Fault {
-    /// It will not pass by itself: nothing more is asked until somebody has
-    /// changed something and started again.
+    /// It does not pass by itself: nothing more is asked until the user has changed
+    /// something and started again.
     pub fn is_permanent(self) -> bool {
         matches!(
             self,
@@ -138,7 +140,7 @@ impl Fault {
         )
     }
 
-    /// The same request may well succeed a moment later.
+    /// The same request may succeed a moment later.
     pub fn is_retryable(self) -> bool {
         matches!(
             self,
@@ -158,15 +160,15 @@ impl Fault {
         )
     }
 
-    /// It says that the server is down, which counts for the circuit breaker.
-    /// Being asked to slow down does not, nor does a model that talks nonsense.
+    /// It says that the server is down, which counts for the circuit breaker. A request
+    /// to slow down does not count, nor does an invalid answer of the model.
     pub fn is_outage(self) -> bool {
         let asked_to_wait = matches!(self, Self::Conflict | Self::RateLimited);
         let not_retried = matches!(self, Self::Tls | Self::Protocol | Self::Redirect);
         (self.is_retryable() && !asked_to_wait) || not_retried
     }
 
-    /// The question as it is put gets no answer, and the next will be put alike.
+    /// It is caused by the question's form, which the next question shares.
     pub fn is_of_the_question(self) -> bool {
         matches!(
             self,
@@ -174,12 +176,12 @@ impl Fault {
         )
     }
 
-    /// It is a status that the server gave, mostly with words of its own.
+    /// It is a status of the server, usually with a text.
     pub(crate) fn is_status(self) -> bool {
         self == Self::Quota || self.word().starts_with("http_")
     }
 
-    /// A request was made and cost nothing: it did not reach a model.
+    /// The request cost nothing, because it did not reach a model.
     pub(crate) fn is_free(self) -> bool {
         matches!(
             self,
@@ -201,7 +203,7 @@ impl Fault {
         )
     }
 
-    /// As the gate counts it.
+    /// The same fault in the gate's coarser list.
     pub fn failure(self) -> Failure {
         match self {
             Self::Timeout | Self::SlowBody | Self::RequestTimeout | Self::GatewayTimeout => {
@@ -249,14 +251,15 @@ impl Fault {
             | Self::ServiceUnavailable
             | Self::Overloaded
             | Self::OtherStatus
+            | Self::Encoding
             | Self::Busy
             | Self::OwnRate
             | Self::BreakerOpen => Failure::Unavailable,
         }
     }
 
-    /// What a status other than 200 means. `code` is the server's own word for
-    /// the error, where it gave one.
+    /// The fault of a status other than 200. `code` is the server's code for the error,
+    /// if it gave one.
     pub(crate) fn of_status(status: u16, code: Option<&str>) -> Self {
         let spent = [
             "insufficient_quota",
@@ -287,7 +290,7 @@ impl Fault {
         }
     }
 
-    /// What to do about one that will not pass, or not for a while.
+    /// What the user can do about a fault that does not pass soon.
     pub fn advice(self) -> &'static str {
         match self {
             Self::Unauthorized => "check the key (vlm.key_env, vlm.key_file)",

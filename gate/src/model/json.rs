@@ -1,5 +1,5 @@
-//! JSON, read more strictly than most do: a key that occurs twice is an error,
-//! because readers differ on which one counts, and depth has a limit.
+//! A JSON reader that is stricter than most: a key that occurs twice is an error,
+//! because readers differ on which one counts, and the depth is limited.
 
 use std::cell::Cell;
 use std::fmt;
@@ -9,7 +9,8 @@ use serde_json::{Map, Number, Value};
 
 use super::Fault;
 
-/// Reads the JSON value that `text` begins with, and says at which byte it ends.
+/// Reads the JSON value at the beginning of `text`, and returns the byte at which it
+/// ends.
 ///
 /// # Errors
 /// `Truncated`, `NotJson`, `DuplicateKeys` or `TooDeep`.
@@ -30,10 +31,10 @@ pub fn read_first(text: &str, depth_max: u32) -> Result<(Value, usize), Fault> {
     }
 }
 
-/// Reads a JSON value that is all of `text`.
+/// Reads a JSON value that is the whole of `text`.
 ///
 /// # Errors
-/// As [`read_first`]; `NotJson` when anything follows.
+/// As [`read_first`]; `NotJson` when anything follows the value.
 pub fn read(text: &str, depth_max: u32) -> Result<Value, Fault> {
     let (value, end) = read_first(text, depth_max)?;
     match text[end..].trim().is_empty() {
@@ -42,8 +43,8 @@ pub fn read(text: &str, depth_max: u32) -> Result<Value, Fault> {
     }
 }
 
-/// One value and all below it. `serde_json` takes the last of two equal keys and
-/// has a limit of depth that is not ours.
+/// One value and all below it. `serde_json` would accept the last of two equal keys,
+/// and its own depth limit is larger.
 struct Node<'a> {
     depth_left: u32,
     flaw: &'a Cell<Option<Fault>>,
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_has_a_name() {
+    fn each_error_has_its_fault() {
         for (text, fault) in [
             ("{\"a\": 1, \"a\": 1}", Fault::DuplicateKeys),
             (
@@ -169,12 +170,12 @@ mod tests {
     }
 
     #[test]
-    fn a_hundred_thousand_brackets_end_at_the_limit() {
+    fn a_hundred_thousand_brackets_are_too_deep() {
         assert_eq!(read(&"[".repeat(100_000), 32), Err(Fault::TooDeep));
     }
 
     #[test]
-    fn the_first_value_ends_where_it_ends() {
+    fn the_end_of_the_first_value_is_returned() {
         let text = "{\"response\": 1}\nBecause.";
         let (_, end) = read_first(text, 4).expect("an object");
         assert_eq!(&text[end..], "\nBecause.");

@@ -1,5 +1,5 @@
-//! The key to a server. It is read from the environment or from a file that only
-//! its owner can read, travels in one header, and shows up nowhere else.
+//! The key to a server. It is read from the environment or from a file that only its
+//! owner can read, is sent in one header, and appears nowhere else.
 
 use std::fmt;
 use std::io::Read as _;
@@ -8,21 +8,25 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use reqwest::Url;
-use reqwest::header::HeaderValue;
+use reqwest::header::{HeaderValue, InvalidHeaderValue};
 use shm_config::config::Vlm;
 use zeroize::Zeroizing;
 
-/// Longest key, bytes; the longest known ones have about 200.
+/// Longest key, bytes; the longest known keys have about 200.
 const KEY_BYTES_MAX: usize = 4096;
 
-/// Read for OpenAI's own server when nothing else is given.
+/// The variable that is read for OpenAI's own server when nothing else is given.
 const OPENAI_ENV: &str = "OPENAI_API_KEY";
 
 /// OpenAI's own server.
 const OPENAI_HOST: &str = "api.openai.com";
 
-/// A key. It is overwritten when it is dropped, and cannot be printed.
-pub struct Key(Zeroizing<String>);
+/// A key. It is overwritten when it is dropped, and it cannot be printed.
+pub struct Key {
+    text: Zeroizing<String>,
+    /// The value of the header that carries it, marked as secret.
+    header: HeaderValue,
+}
 
 impl fmt::Debug for Key {
     fn fmt(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
@@ -30,7 +34,7 @@ impl fmt::Debug for Key {
     }
 }
 
-/// Why there is no usable key. Never says what the key is.
+/// Why there is no usable key. The text never contains the key.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     /// The file cannot be read.
@@ -38,39 +42,41 @@ pub enum KeyError {
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// No file, but a folder, a pipe or a device.
-    #[error("{0}: no regular file; vlm.key_file must be one")]
+    /// The path is a folder, a pipe or a device.
+    #[error("{0}: not a regular file; vlm.key_file must be one")]
     NoFile(PathBuf),
-    /// Others have rights to the file.
-    #[error("{path}: others may use this key file (mode {mode:04o}); say: chmod 600 {path}")]
+    /// Other users have rights to the file.
+    #[error(
+        "{path}: other users may read or change this key file (mode {mode:04o}); run: chmod 600 {path}"
+    )]
     Open {
         /// The file.
         path: PathBuf,
-        /// Its rights.
+        /// Its mode.
         mode: u32,
     },
-    /// The file is somebody else's.
-    #[error(
-        "{path}: this key file belongs to user {owner}, not to you ({us}); make a copy of your own"
-    )]
+    /// The file belongs to another user.
+    #[error("{path}: this key file belongs to user {owner}, not to you ({us}); make your own copy")]
     Owner {
         /// The file.
         path: PathBuf,
-        /// Whose it is.
+        /// The user id of its owner.
         owner: u32,
-        /// Who we are.
+        /// The user id of this process.
         us: u32,
     },
-    /// Empty, too long, or not a word.
-    #[error("{origin}: no key: must be one word of visible ASCII, at most {KEY_BYTES_MAX} bytes")]
+    /// The key is empty, too long, or not one word.
+    #[error(
+        "{origin}: no key: a key must be one word of visible ASCII, at most {KEY_BYTES_MAX} bytes"
+    )]
     Malformed {
         /// The file or the variable.
         origin: String,
     },
-    /// OpenAI answers nobody without one.
+    /// OpenAI answers no request without a key.
     #[error(
         "no key for {OPENAI_HOST}: set the environment variable {env}, or name a file in vlm.key_file"
     )]
@@ -78,10 +84,10 @@ pub enum KeyError {
         /// The variable.
         env: String,
     },
-    /// It would be sent in the clear.
+    /// The key would be sent unencrypted.
     #[error(
-        "the key would travel unencrypted to {host}: make vlm.server begin with https://, or set \
-         vlm.key_over_http=true where the network is yours"
+        "the key would be sent unencrypted to {host}: make vlm.server begin with https://, or set \
+         vlm.key_over_http=true if you trust the network"
     )]
     InTheClear {
         /// The server.
@@ -90,11 +96,11 @@ pub enum KeyError {
 }
 
 impl Key {
-    /// The key for a server; `None` where none is given and none is needed.
+    /// The key for a server; `None` if none is given and none is needed.
     /// `variable` reads an environment variable.
     ///
     /// # Errors
-    /// What is wrong with it, and what to do.
+    /// What is wrong with the key, and what to do.
     pub fn find(
         vlm: &Vlm,
         server: &Url,
@@ -117,8 +123,8 @@ impl Key {
         host: &str,
         variable: impl Fn(&str) -> Option<String>,
     ) -> Result<Option<Self>, KeyError> {
-        // OpenAI's own variable goes to OpenAI alone: whoever has set it has not
-        // meant it for another server.
+        // OpenAI's own variable is used for OpenAI alone: its user has not meant it for
+        // another server.
         let is_openai = host == OPENAI_HOST;
         let own = (!vlm.key_env.is_empty()).then_some(vlm.key_env.as_str());
         let names = own.into_iter().chain(is_openai.then_some(OPENAI_ENV));
@@ -139,7 +145,7 @@ impl Key {
             path: path.into(),
             source,
         };
-        // A pipe would make opening wait; what is opened is checked again.
+        // Opening a pipe would block; the opened file is checked again.
         if !std::fs::metadata(path).map_err(failed)?.is_file() {
             return Err(KeyError::NoFile(path.into()));
         }
@@ -163,7 +169,7 @@ impl Key {
                 us,
             });
         }
-        // Room for all of it at once: a buffer that grows leaves copies behind.
+        // Capacity for the whole key: a buffer that grows leaves copies behind.
         let mut text = Zeroizing::new(String::with_capacity(KEY_BYTES_MAX + 2));
         file.take(KEY_BYTES_MAX as u64 + 2)
             .read_to_string(&mut text)
@@ -174,33 +180,41 @@ impl Key {
     fn checked(text: &str, origin: &str) -> Result<Self, KeyError> {
         let key = text.trim_end_matches(['\n', '\r']);
         let is_word = !key.is_empty() && key.bytes().all(|byte| byte.is_ascii_graphic());
-        match is_word && key.len() <= KEY_BYTES_MAX {
-            true => Ok(Self(Zeroizing::new(key.into()))),
-            false => Err(KeyError::Malformed {
+        let header = bearer(key).ok();
+        match header {
+            Some(header) if is_word && key.len() <= KEY_BYTES_MAX => Ok(Self {
+                text: Zeroizing::new(key.into()),
+                header,
+            }),
+            _ => Err(KeyError::Malformed {
                 origin: origin.into(),
             }),
         }
     }
 
-    /// The header's value, marked as a secret; its bytes are overwritten when
-    /// the last request that holds them is gone.
+    /// The header's value, marked as secret. Its bytes are overwritten when the key and
+    /// the last request that holds them are dropped.
     pub(crate) fn header(&self) -> HeaderValue {
-        let mut text = Zeroizing::new(Vec::with_capacity(7 + self.0.len()));
-        text.extend_from_slice(b"Bearer ");
-        text.extend_from_slice(self.0.as_bytes());
-        let mut value = HeaderValue::from_maybe_shared(Bytes::from_owner(text))
-            .expect("visible ASCII is a header's value");
-        value.set_sensitive(true);
-        value
+        self.header.clone()
     }
 
-    /// `text` without the key: servers like to repeat what they were told.
+    /// `text` without the key, because servers may repeat what they received.
     pub(crate) fn redact(&self, text: &str) -> String {
-        text.replace(self.0.as_str(), "(key)")
+        text.replace(self.text.as_str(), "(key)")
     }
 }
 
-/// The server is on this machine.
+/// The value of an `Authorization` header with this key.
+fn bearer(key: &str) -> Result<HeaderValue, InvalidHeaderValue> {
+    let mut text = Zeroizing::new(Vec::with_capacity(7 + key.len()));
+    text.extend_from_slice(b"Bearer ");
+    text.extend_from_slice(key.as_bytes());
+    let mut value = HeaderValue::from_maybe_shared(Bytes::from_owner(text))?;
+    value.set_sensitive(true);
+    Ok(value)
+}
+
+/// Whether the server is on this machine.
 pub(crate) fn is_loopback(server: &Url) -> bool {
     let host = server.host_str().unwrap_or_default();
     let host = host.trim_start_matches('[').trim_end_matches(']');
@@ -240,10 +254,10 @@ mod tests {
     }
 
     #[test]
-    fn openais_variable_goes_to_openai_alone() {
+    fn openais_variable_is_used_for_openai_alone() {
         let set = [("OPENAI_API_KEY", SECRET)];
         let openai = at("https://api.openai.com/v1", &set).expect("a key");
-        assert_eq!(openai.expect("a key").0.as_str(), SECRET);
+        assert_eq!(openai.expect("a key").text.as_str(), SECRET);
         for other in [
             "http://127.0.0.1:8080/v1",
             "https://api.openai.com.example/v1",
@@ -255,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn no_key_travels_in_the_clear_unasked() {
+    fn a_key_is_sent_unencrypted_only_if_allowed() {
         let set = [("VLAPS_VLM_KEY", SECRET)];
         for server in [
             "http://127.0.0.1:1/v1",
@@ -286,13 +300,13 @@ mod tests {
     }
 
     #[test]
-    fn a_file_must_be_its_owners_alone() {
+    fn a_key_file_must_have_no_rights_for_others() {
         let folder = tempfile::tempdir().expect("a folder");
         let server = "https://x/v1";
         for mode in [0o600, 0o400] {
             let vlm = file(folder.path(), &format!("{SECRET}\n"), mode);
             let key = find(&vlm, server, &[]).expect("readable").expect("a key");
-            assert_eq!(key.0.as_str(), SECRET, "without the end of the line");
+            assert_eq!(key.text.as_str(), SECRET, "without the end of the line");
         }
         for mode in [0o644, 0o640, 0o604, 0o620, 0o601] {
             let vlm = file(folder.path(), SECRET, mode);
@@ -303,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_key_is_refused_without_being_told() {
+    fn an_invalid_key_is_refused_and_not_shown() {
         let folder = tempfile::tempdir().expect("a folder");
         let long = "k".repeat(KEY_BYTES_MAX + 1);
         for text in ["", "\n", "two words", "line\nline", "clé", long.as_str()] {
@@ -329,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn it_shows_nowhere() {
+    fn neither_debug_output_nor_an_echo_shows_the_key() {
         let key = Key::checked(SECRET, "test").expect("a key");
         assert!(!format!("{key:?}").contains("sk-"));
         assert!(!format!("{:?}", key.header()).contains("sk-"));

@@ -1,13 +1,13 @@
-//! What may be asked at all: so many requests a minute, for so much money.
-//! Arithmetic: instants are times since any one moment.
+//! The limits of a run: requests per minute, and money. They are arithmetic; instants
+//! are times since any fixed moment.
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// At most so many requests in any 60 s.
+/// Limits the requests in any 60 s.
 #[derive(Debug, Clone)]
 pub struct Rate {
-    // When the last requests were made; never more than the limit.
+    // When the last requests were made; never more entries than the limit.
     made: VecDeque<Duration>,
     per_minute_max: usize,
 }
@@ -15,7 +15,7 @@ pub struct Rate {
 const MINUTE: Duration = Duration::from_secs(60);
 
 impl Rate {
-    /// A limit of at least 1.
+    /// A limit of at least 1 request.
     pub fn new(per_minute_max: u32) -> Self {
         let per_minute_max = per_minute_max.max(1) as usize;
         Self {
@@ -24,7 +24,7 @@ impl Rate {
         }
     }
 
-    /// Counts a request, or says how long it would have to wait.
+    /// Counts a request, or returns how long it must wait.
     ///
     /// # Errors
     /// The time until one may be made.
@@ -41,7 +41,7 @@ impl Rate {
     }
 }
 
-/// What a run may cost.
+/// The money that a run may spend.
 #[derive(Debug, Clone)]
 pub struct Budget {
     limit_usd: f64,
@@ -49,7 +49,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// Nothing spent yet.
+    /// A budget of which nothing is spent.
     pub fn new(limit_usd: f64) -> Self {
         Self {
             limit_usd,
@@ -57,8 +57,8 @@ impl Budget {
         }
     }
 
-    /// Sets the cost aside before a request is made; `false` when it is more than
-    /// what is left. What is never settled stays spent: nobody knows better.
+    /// Reserves the cost before a request is made; `false` if it exceeds the rest. A
+    /// reservation that is never settled stays spent, because the real cost is unknown.
     #[must_use]
     pub fn reserve(&mut self, cost_usd: f64) -> bool {
         let fits = self.spent_usd + cost_usd <= self.limit_usd;
@@ -68,7 +68,7 @@ impl Budget {
         fits
     }
 
-    /// Puts what a request did cost in the place of what was set aside.
+    /// Replaces a reservation by the real cost of the request.
     pub fn settle(&mut self, reserved_usd: f64, cost_usd: f64) {
         self.spent_usd = (self.spent_usd - reserved_usd + cost_usd).max(0.0);
     }
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wait_is_as_long_as_it_says() {
+    fn a_request_passes_after_the_returned_wait() {
         let mut rate = Rate::new(2);
         assert_eq!(rate.admit(Duration::from_secs(1)), Ok(()));
         assert_eq!(rate.admit(Duration::from_secs(5)), Ok(()));
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_is_never_overdrawn_by_what_was_foreseen() {
+    fn reservations_never_exceed_the_budget() {
         let mut budget = Budget::new(0.10);
         let asked = (0..1000).filter(|_| budget.reserve(0.03)).count();
         assert_eq!(asked, 3);
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_may_be_spent_and_free_is_free() {
+    fn an_empty_budget_admits_only_free_requests() {
         let mut budget = Budget::new(0.0);
         assert!(budget.reserve(0.0));
         assert!(!budget.reserve(1e-9));

@@ -1,4 +1,4 @@
-//! A model's client: one question over HTTP, within its limits.
+//! The client of a model: one question over HTTP, within the run's limits.
 
 mod answer;
 mod body;

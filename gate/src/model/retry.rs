@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use reqwest::header::{DATE, HeaderMap, RETRY_AFTER};
 
-/// Longest wait that a server is taken at its word for.
+/// The longest wait that a server may ask for.
 pub const ASKED_MAX: Duration = Duration::from_secs(600);
 
-/// What the server asks for, in `retry-after-ms` or `Retry-After`, as seconds or
-/// as a date; at most [`ASKED_MAX`]. A date counts from the server's own `Date`,
-/// so that no clocks need to agree; without one it says nothing.
+/// The wait that the server asks for, in `retry-after-ms` or `Retry-After`, as seconds
+/// or as a date; at most [`ASKED_MAX`]. A date counts from the server's own `Date`, so
+/// that the clocks need not agree; without `Date` it is ignored.
 pub fn asked(headers: &HeaderMap) -> Option<Duration> {
     let text = |name: &str| headers.get(name)?.to_str().ok();
     let number = |name: &str| text(name)?.trim().parse::<f64>().ok();
@@ -28,9 +28,9 @@ pub fn asked(headers: &HeaderMap) -> Option<Duration> {
     Some(wait.min(ASKED_MAX))
 }
 
-/// Full jitter: any part of `base * 2^attempt`, at most of `longest`. `attempt`
-/// counts from 0, `part` lies within [0, 1]. Clients that failed together do not
-/// come back together.
+/// Full jitter: the share `part` of `base * 2^attempt`, which is at most `longest`.
+/// `attempt` counts from 0, `part` lies within [0, 1]. Clients that failed together
+/// then do not return together.
 pub fn backoff(attempt: u32, base: Duration, longest: Duration, part: f64) -> Duration {
     let whole = base.saturating_mul(1 << attempt.min(16)).min(longest);
     whole.mul_f64(part.clamp(0.0, 1.0))
@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn servers_are_taken_at_their_word() {
+    fn the_wait_is_the_one_that_the_server_asks_for() {
         let s = Duration::from_secs_f64;
         let date = ("date", "Sun, 06 Nov 1994 08:49:37 GMT");
         for (headers, expected) in [

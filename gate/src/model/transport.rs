@@ -1,4 +1,4 @@
-//! Reading a response, and faults below HTTP.
+//! Reads a response, and names faults below HTTP.
 
 use std::error::Error;
 use std::io;
@@ -7,13 +7,13 @@ use reqwest::Response;
 
 use super::Fault;
 
-/// The fault in an error of `reqwest`, found in the chain of its causes.
+/// The fault in an error of `reqwest`, found in its chain of causes.
 pub fn fault(error: &reqwest::Error) -> Fault {
     let mut cause: Option<&(dyn Error + 'static)> = Some(error);
     while let Some(current) = cause {
         if let Some(fault) = of_cause(current) {
             return match fault {
-                // Ended in the middle of shaking hands.
+                // The connection ended during the TLS handshake.
                 Fault::ConnectionReset if is_handshake(error) => Fault::Tls,
                 fault => fault,
             };
@@ -37,7 +37,7 @@ fn of_cause(cause: &(dyn Error + 'static)) -> Option<Fault> {
         return Some(Fault::Tls);
     }
     if let Some(error) = cause.downcast_ref::<io::Error>() {
-        // An I/O error that wraps another does not name it as its cause.
+        // An I/O error that wraps another does not name it as its source.
         let inner = error.get_ref().and_then(|inner| of_cause(inner));
         return inner.or_else(|| of_kind(error.kind()));
     }
@@ -64,7 +64,7 @@ fn of_kind(kind: io::ErrorKind) -> Option<Fault> {
     }
 }
 
-/// Reads at most `bytes_max`, and says whether that was all.
+/// Reads at most `bytes_max`, and returns whether that was all.
 pub async fn read_body(mut response: Response, bytes_max: usize) -> (Vec<u8>, Result<(), Fault>) {
     let announced = response.content_length().unwrap_or(0);
     if announced > bytes_max as u64 {

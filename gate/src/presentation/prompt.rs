@@ -3,20 +3,20 @@ use shm_config::config::{PromptPreset, View};
 
 use super::{Hue, Party, Showing};
 
-/// What a model is told about one picture, and how its answer is read.
+/// The text that a model gets with one picture, and how its answer is read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Prompt {
-    /// Which words, and which form of answer.
+    /// The preset, which defines the text and the form of the answer.
     pub preset: PromptPreset,
-    /// What the picture shows; the words are made from it.
+    /// What the picture shows; the text is made from it.
     pub showing: Showing,
-    /// What comes before everything; empty for nothing.
+    /// The system message; may be empty.
     pub system: String,
     /// The question.
     pub user: String,
 }
 
-/// How the views are described; the stand-in knows them by these words.
+/// The description of each view; the stand-in recognises the view by it.
 pub const fn view_words(view: View) -> &'static str {
     match view {
         View::Ego => "The picture is taken from a car that drives on a road, looking ahead.",
@@ -31,11 +31,11 @@ pub const LETTERS: [&str; 2] = Showing::LETTERS;
 pub const SIMILAR: &str = "similar";
 
 impl Prompt {
-    /// The words for a picture of two paths, each `horizon_s` long.
+    /// The text for a picture of two paths, each `horizon_s` long.
     pub fn new(preset: PromptPreset, showing: Showing, view: View, horizon_s: f64) -> Self {
         let (system, user) = match preset {
             PromptPreset::Blind => (blind_system(), blind_user(showing.hues, view, horizon_s)),
-            // The paper has a user's message alone (Sec. 8.5).
+            // The paper has only a user message (Sec. 8.5).
             PromptPreset::Paper => (String::new(), paper(showing)),
         };
         Self {
@@ -46,9 +46,8 @@ impl Prompt {
         }
     }
 
-    /// The JSON schema of the answer. `None` for the paper's prompt, which asks
-    /// for a sentence after the object: a server that keeps to a schema would cut
-    /// it off.
+    /// The JSON schema of the answer. `None` for the paper's prompt, which asks for a
+    /// sentence after the object: a server that enforces a schema would cut it off.
     pub fn schema(&self) -> Option<Schema> {
         match self.preset {
             PromptPreset::Blind => Some(Schema::BLIND),
@@ -57,10 +56,10 @@ impl Prompt {
     }
 }
 
-/// The JSON schema of the blind prompt's answer. Serialised in this order, in
-/// which servers that compile it into a grammar have the fields written: the
-/// reason comes first, so that the model has given one when it decides. Ranges
-/// are said in words alone; strict modes differ in the keywords they take.
+/// The JSON schema of the blind prompt's answer. Servers that compile it into a grammar
+/// require the fields in this order: the reason comes first, so that the model has
+/// given one when it decides. Ranges are stated in words only, because strict modes
+/// differ in the keywords they accept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Schema {
     r#type: &'static str,
@@ -110,7 +109,7 @@ impl Schema {
     };
 }
 
-/// The fixed colours of a preset; `None` where they are drawn at random.
+/// The fixed colours of a preset; `None` if they are drawn at random.
 pub fn fixed_showing(preset: PromptPreset) -> Option<Showing> {
     match preset {
         PromptPreset::Blind => None,
@@ -143,7 +142,7 @@ fn blind_user(hues: [Hue; 2], view: View, horizon_s: f64) -> String {
     )
 }
 
-/// The form that the paper's prompt asks for; the stand-in knows it by this.
+/// The answer's form in the paper's prompt; the stand-in recognises the prompt by it.
 pub const PAPER_FORM: &str = "{\"response\": <1 or 0>}";
 
 /// The meaning of the paper's prompt (Sec. 8.5): it names the parties, 1 is "the
@@ -166,7 +165,7 @@ fn paper(showing: Showing) -> String {
 mod tests {
     use super::*;
 
-    /// Words that tell which path is whose, or that there is something to tell.
+    /// Words that identify a path's owner, or reveal that the owners differ.
     const TELLING: [&str; 16] = [
         "expert", "novice", "policy", "policies", "learned", "learning", "learner", "trained",
         "agent", "planner", "human", "teacher", "student", "baseline", "neural", "network",
@@ -192,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn the_blind_prompt_tells_nobody_apart() {
+    fn the_blind_prompt_identifies_no_party() {
         for view in [View::Ego, View::TopDown] {
             for showing in showings() {
                 let prompt = Prompt::new(PromptPreset::Blind, showing, view, 3.0);
@@ -202,13 +201,13 @@ mod tests {
                 let mut swapped = Prompt::new(PromptPreset::Blind, showing.swapped(), view, 3.0);
                 assert_ne!(swapped.showing.first, showing.first);
                 swapped.showing = showing;
-                assert_eq!(swapped, prompt, "whose path it is changes no word");
+                assert_eq!(swapped, prompt, "the owner of a path changes no word");
             }
         }
     }
 
     #[test]
-    fn the_paper_prompt_does_tell_them_apart() {
+    fn the_paper_prompt_names_both_parties() {
         let prompt = Prompt::new(PromptPreset::Paper, Showing::PAPER, View::Ego, 1.5);
         let said = all_words(&prompt);
         assert!(TELLING.iter().any(|word| said.contains(&(*word).into())));

@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 use shm_config::message::Preference;
 use shm_config::palette::distance;
 
-/// Whose proposal a path is.
+/// The party that proposed a path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Party {
@@ -13,7 +13,7 @@ pub enum Party {
 }
 
 impl Party {
-    /// The other one.
+    /// The other party.
     pub fn other(self) -> Self {
         match self {
             Self::Expert => Self::Policy,
@@ -22,21 +22,21 @@ impl Party {
     }
 }
 
-/// The colour of a path: saturated, and far from every colour of the scene.
+/// The colour of a path: saturated, and unlike every colour of the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Hue {
-    /// The paper's expert in its figures.
+    /// The expert's colour in the paper's figures.
     Red,
-    /// The paper's policy in its figures.
+    /// The policy's colour in the paper's figures.
     Blue,
-    /// Free.
+    /// Used in random showings.
     Green,
-    /// Free.
+    /// Used in random showings.
     Orange,
-    /// Free.
+    /// Used in random showings.
     Magenta,
-    /// Free.
+    /// Used in random showings.
     Cyan,
 }
 
@@ -51,7 +51,7 @@ impl Hue {
         Self::Cyan,
     ];
 
-    /// What is drawn: red, green, blue.
+    /// The colour as drawn: red, green, blue.
     pub const fn rgb(self) -> [u8; 3] {
         match self {
             Self::Red => [230, 25, 25],
@@ -63,7 +63,7 @@ impl Hue {
         }
     }
 
-    /// What the prompt says.
+    /// The colour's name in the prompt.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Red => "red",
@@ -76,30 +76,29 @@ impl Hue {
     }
 }
 
-/// How the two proposals are shown to a judge once: whose path is the first
-/// (path A), and in which colours. The one definition that picture and prompt
-/// are made from.
+/// How one picture shows the two proposals: the party of the first path (path A), and
+/// the colours. Picture and prompt are both made from this value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Showing {
-    /// Whose path is the first.
+    /// The party of the first path.
     pub first: Party,
     /// The colours of the first path and the second.
     pub hues: [Hue; 2],
 }
 
-/// Least distance of the two colours of a picture in the cube of bytes. Red and
-/// orange are nearer: thin paths of them look alike from above.
+/// Least distance of the two colours of a picture in the cube of bytes. Red and orange
+/// are nearer to each other: thin paths of them look alike from above.
 const HUES_APART: f64 = 140.0;
 
 impl Showing {
-    /// The paper's figures: the expert first and red, the policy blue (Sec. 4.2).
+    /// The paper's figures: the expert is first and red, the policy blue (Sec. 4.2).
     pub const PAPER: Self = Self {
         first: Party::Expert,
         hues: [Hue::Red, Hue::Blue],
     };
 
-    /// Whose path is the first, and two colours that nobody mixes up, at random:
-    /// `below(n)` is a random number in [0, n).
+    /// A random first party and two clearly different random colours. `below(n)` is a
+    /// random number in [0, n).
     pub fn at_random(mut below: impl FnMut(usize) -> usize) -> Self {
         let first = match below(2) {
             0 => Party::Expert,
@@ -115,8 +114,8 @@ impl Showing {
         }
     }
 
-    /// The same question with the paths in each other's place and colour: what
-    /// a judge says of the places alone turns round.
+    /// The same question with places and colours of the paths exchanged. A judge that
+    /// decides by place alone reverses its answer.
     pub fn swapped(self) -> Self {
         Self {
             first: self.first.other(),
@@ -124,10 +123,10 @@ impl Showing {
         }
     }
 
-    /// What the first path and the second are called.
+    /// The names of the first and the second path.
     pub const LETTERS: [&'static str; 2] = ["A", "B"];
 
-    /// What somebody's path is called.
+    /// The name of a party's path.
     pub fn letter(self, party: Party) -> &'static str {
         match party == self.first {
             true => Self::LETTERS[0],
@@ -135,7 +134,7 @@ impl Showing {
         }
     }
 
-    /// The colour of somebody's path.
+    /// The colour of a party's path.
     pub fn hue(self, party: Party) -> Hue {
         match party == self.first {
             true => self.hues[0],
@@ -144,7 +143,7 @@ impl Showing {
     }
 }
 
-/// What a model said of one picture.
+/// A model's answer about one picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Reply {
@@ -157,7 +156,7 @@ pub enum Reply {
 }
 
 impl Reply {
-    /// Whose path is safer; `None` when they are similar.
+    /// The party with the safer path; `None` when they are similar.
     fn preferred(self, showing: Showing) -> Option<Party> {
         match self {
             Self::First => Some(showing.first),
@@ -167,8 +166,8 @@ impl Reply {
     }
 }
 
-/// What one or two replies to the same question say together: two have to agree
-/// on the party, not on the place. "Similar" lets the policy drive, as the
+/// The answer that one or two replies to the same question give together. Two replies
+/// must agree on the party, not on the place. "Similar" lets the policy drive, as the
 /// paper's 0 does (Sec. 8.5).
 pub fn combine(replies: &[(Showing, Reply)]) -> Preference {
     let mut said = replies
@@ -191,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn any_two_colours_that_can_be_told_apart_are_shown_and_no_others() {
+    fn all_pairs_of_different_colours_are_shown_and_no_others() {
         let mut shown = Vec::new();
         for first in 0..2 {
             for one in 0..Hue::ALL.len() {
@@ -206,7 +205,7 @@ mod tests {
                 }
             }
         }
-        // Of 30 ordered pairs, all but red and orange, either first.
+        // 30 ordered pairs, without red and orange in either order.
         assert_eq!(shown.len(), 2 * 28);
     }
 }

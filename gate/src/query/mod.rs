@@ -14,7 +14,7 @@ use shm_config::{Instant, Message};
 /// One question: which of two proposals is safer here?
 #[derive(Debug, Clone)]
 pub struct Question {
-    /// The observation; its tick and time are the question's.
+    /// The observation; its tick and time identify the question.
     pub observation: Observation,
     /// The expert's proposal.
     pub expert: Proposal,
@@ -66,12 +66,12 @@ impl QuestionId {
         }
     }
 
-    /// Episode and tick, which records are found by.
+    /// Episode and tick; they identify a record.
     pub fn key(self) -> (u32, u64) {
         (self.episode, self.tick)
     }
 
-    /// A number that differs between neighbouring questions, to seed draws with that
+    /// A number that differs between neighbouring questions; it seeds random draws that
     /// depend on the question alone.
     pub fn seed(self) -> u64 {
         (self.tick ^ (u64::from(self.episode) << 40)).wrapping_mul(0x9e37_79b9)
@@ -81,20 +81,20 @@ impl QuestionId {
 /// Why a judge did not answer. A failure is never read as a preference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Failure {
-    /// It did not answer in time.
+    /// The judge did not answer in time.
     Timeout,
-    /// It cannot be reached or broke down.
+    /// The judge cannot be reached or has failed.
     Unavailable,
-    /// Its answer is not in the form asked for.
+    /// The answer is not in the required form.
     Malformed,
-    /// It refused to answer.
+    /// The judge refused to answer.
     Refused,
     /// The budget is spent.
     Budget,
 }
 
 impl Failure {
-    /// One word, for records.
+    /// The failure in one word, for records.
     pub fn word(self) -> &'static str {
         match self {
             Self::Timeout => "timeout",

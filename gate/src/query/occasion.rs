@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Occasion {
-    /// An episode begins, or a run whose clock starts anew.
+    /// An episode begins, or a run begins with a new clock.
     Episode,
     /// The period is over: `T_vlm` of Sec. 4.2.
     Period,

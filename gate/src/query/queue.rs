@@ -6,19 +6,19 @@ use shm_config::message::{Judge as JudgeKind, Step};
 
 use super::{Answer, Failure, Judge, Question, QuestionId};
 
-/// The queue between the advisor and a judge. It never blocks: a slow judge works
-/// on a thread of its own.
+/// The queue between the advisor and a judge. It never blocks: a slow judge runs on its
+/// own thread.
 pub trait QueryQueue {
     /// What kind of judge it is.
     fn kind(&self) -> JudgeKind;
 
-    /// Puts a question; `false` when the queue is full.
+    /// Adds a question; `false` when the queue is full.
     fn put(&mut self, question: Question) -> bool;
 
-    /// Takes an answer that has come. `now` is on the run's clock.
+    /// Takes an answer that has arrived. `now` is on the run's clock.
     fn take(&mut self, now: Instant) -> Option<Answer>;
 
-    /// Questions whose answers a run in lockstep has to wait for.
+    /// The number of questions whose answers a run in lockstep must wait for.
     fn awaited(&self) -> usize;
 
     /// Whether to ask about this step; `None` leaves it to the configured query policy.
@@ -62,11 +62,12 @@ impl<J: Judge> QueryQueue for Immediate<J> {
     }
 }
 
-/// The body of a judge's thread: receives questions and sends answers, several at
-/// once and in any order. It ends when either channel closes.
+/// The body of a judge's thread. It receives questions and sends answers; several
+/// questions may be open, and answers come in any order. It ends when either channel
+/// closes.
 pub type Serve = dyn FnOnce(Receiver<Question>, SyncSender<Answer>) + Send;
 
-/// A judge on a thread of its own: a judge that hangs blocks nothing else.
+/// A judge on its own thread: a judge that hangs blocks nothing else.
 pub struct Threaded {
     kind: JudgeKind,
     questions: SyncSender<Question>,
@@ -92,7 +93,7 @@ impl Threaded {
         )
     }
 
-    /// A judge that has up to `capacity` questions at once.
+    /// A judge with up to `capacity` open questions.
     pub fn served(kind: JudgeKind, capacity: usize, serve: Box<Serve>) -> Self {
         let (questions, asked) = sync_channel(capacity);
         let (answered, answers) = sync_channel(capacity);

@@ -13,32 +13,33 @@ use shm_config::text::printable_json;
 use super::store::{Lost, Store, StoreError};
 use super::{Filed, tally};
 
-/// Records that may wait for the disk; more are lost, and counted.
+/// Records that may wait for the disk. Further ones are lost, and counted.
 const WAITING_MAX: usize = 64;
 
 /// Longest summary that is read back, bytes.
 const SUMMARY_BYTES_MAX: u64 = 1 << 16;
 
-/// Counts what was asked and said, and keeps the records where that is wanted, on
-/// a thread of its own: a disk that stalls holds up no advice.
+/// Counts questions and answers, and stores the records if configured. It runs on its
+/// own thread, so that a slow disk delays no advice.
 pub struct Archive {
     entries: Option<SyncSender<Entry>>,
     thread: Option<JoinHandle<()>>,
     lost: u64,
-    /// As it was last handed over.
+    /// The counts as they were last sent to the thread.
     trouble: String,
 }
 
-/// What the archive takes in.
+/// What the thread receives.
 enum Entry {
     Record(Box<Filed>),
     Trouble(String),
 }
 
 impl Archive {
-    /// Of the run's folder, records in `judge` in it. Those of a run of the same
-    /// name before go to `judge-before`; those of this one are gone on with, when
-    /// the gate was restarted. A replay has a record already.
+    /// Opens the archive of a run's folder; records are in its folder `judge`. Records
+    /// of an earlier run of the same name move to `judge-before`. When the gate was
+    /// restarted, it appends to the records of this run. A replay stores no record,
+    /// because it has one already.
     ///
     /// # Errors
     /// When the folder cannot be made.
@@ -82,7 +83,7 @@ impl Archive {
         })
     }
 
-    /// Hands records over; those for which there is no room are lost.
+    /// Sends records to the thread; those that do not fit into its queue are lost.
     pub fn keep(&mut self, filed: Vec<Filed>) {
         for filed in filed {
             if !self.hand_over(Entry::Record(Box::new(filed))) {
@@ -91,21 +92,21 @@ impl Archive {
         }
     }
 
-    /// Says at once why the server is not asked any more: records wait for what
-    /// follows their questions.
+    /// Reports immediately why the server gets no more questions. The records of the
+    /// questions come later, because they wait for the aftermath.
     pub fn warn(&mut self, trouble: &str) {
         if self.trouble != trouble && self.hand_over(Entry::Trouble(trouble.into())) {
             self.trouble = trouble.into();
         }
     }
 
-    /// Whether there was room.
+    /// Sends an entry; returns whether the queue had room.
     fn hand_over(&self, entry: Entry) -> bool {
         let entries = self.entries.as_ref();
         entries.is_some_and(|entries| entries.try_send(entry).is_ok())
     }
 
-    /// Waits until all that was handed over is written.
+    /// Waits until everything sent is written.
     pub fn close(&mut self) {
         drop(self.entries.take());
         if let Some(thread) = self.thread.take() {
@@ -117,7 +118,7 @@ impl Archive {
     }
 }
 
-/// Keeps a record; how much could not be kept so far.
+/// Stores a record; returns how many could not be stored so far.
 fn keep(store: &mut Store, filed: Filed) -> u64 {
     let question = store.begin(filed.record, &filed.pictures);
     store.complete(question);
@@ -132,32 +133,38 @@ fn warn_of_lost(lost: &Lost) {
         reason,
     } = lost;
     if lines + pictures > 0 {
-        tracing::warn!(lines, pictures, reason, "not all was kept of the questions");
+        tracing::warn!(
+            lines,
+            pictures,
+            reason,
+            "some records of questions could not be stored"
+        );
     }
 }
 
-/// Whole or not at all; a disk that refuses is counted by the store.
+/// Replaces the whole file or nothing. The store counts what a full disk refuses.
 fn write_summary(run_folder: &Folder, judged: &Judged) {
     let text = serde_json::to_string(judged).unwrap_or_default();
     let text = printable_json(&text);
-    // Not flushed: one is written for each record, and records would wait.
+    // The file is not flushed to the disk: one is written for each record, and records
+    // would wait.
     let _ = run_folder.replace(SUMMARY, text.as_bytes(), Durable::No);
 }
 
-/// What an earlier gate of this run has written: the supervisor outlives its gates.
-/// Where it could not, this one begins anew: no harm.
+/// The summary of an earlier gate of this run, because the supervisor outlives its
+/// gates. Without one the counts begin at zero.
 fn before(run_folder: &Folder) -> Option<Judged> {
     let text = run_folder.read_text(SUMMARY, SUMMARY_BYTES_MAX).ok()?;
     let judged: Judged = serde_json::from_str(&text).ok()?;
     (judged.supervisor == parent_id()).then_some(judged)
 }
 
-/// Moves the records of another run out of the way.
+/// Moves the records of another run to another folder.
 fn make_room(run_folder: &Folder) {
     if run_folder.look("judge").is_err() {
         return;
     }
-    // A link is removed, not what it leads to.
+    // A link is removed; its target is not touched.
     let moved = fs::remove_dir_all(run_folder.path().join("judge-before"))
         .or_else(|error| match error.kind() {
             io::ErrorKind::NotFound => Ok(()),
@@ -165,6 +172,6 @@ fn make_room(run_folder: &Folder) {
         })
         .and_then(|()| run_folder.rename("judge", "judge-before"));
     if let Err(error) = moved {
-        tracing::warn!(%error, "the records of the run before cannot be moved; those of this one follow them");
+        tracing::warn!(%error, "the records of the earlier run cannot be moved; those of this run are appended to them");
     }
 }

@@ -1,4 +1,4 @@
-//! What is kept of every question: one line of JSON, and the pictures beside it.
+//! The record of every question: one line of JSON, and the pictures beside it.
 //!
 //! A run's folder holds `judge/questions.jsonl` and `judge/pictures/`.
 
@@ -21,12 +21,12 @@ use crate::query::Occasion;
 /// Version of the format; a reader refuses a newer one.
 pub const VERSION: u32 = 1;
 
-/// One question and everything that became of it.
+/// One question, its answer and its aftermath.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
     /// [`VERSION`].
     pub version: u32,
-    /// Counts the questions of a run from 1.
+    /// The number of the question in the run, from 1.
     pub question: u64,
     /// The run's tick.
     pub tick: u64,
@@ -34,49 +34,49 @@ pub struct Record {
     pub episode: u32,
     /// When the observation was taken, on the run's clock, ns.
     pub taken_ns: u64,
-    /// Why it was asked.
+    /// Why the judge was asked.
     pub occasion: Occasion,
     /// What kind of judge answered, a word of `shm_config::message::Judge`.
     pub judge: String,
     /// Name of the prompt preset.
     pub preset: String,
-    /// Name of the model that was asked for; what a server says it is stands with
-    /// each asking.
+    /// Name of the model that was requested. Each asking holds the name that the server
+    /// gave.
     pub model: String,
     /// Speed of the car, m/s.
     pub speed_mps: f64,
-    /// What the expert proposed; `None` for nothing.
+    /// The expert's proposal; `None` if there was none.
     pub expert: Option<Proposed>,
-    /// What the policy proposed; `None` for nothing.
+    /// The policy's proposal; `None` if there was none.
     pub policy: Option<Proposed>,
     /// One asking, or two with the paths swapped.
     pub askings: Vec<Asking>,
     /// The answer, a word: `expert`, `policy`, `abstain`, or `failed` for `None`.
     #[serde(rename = "verdict", with = "word")]
     pub preference: Option<Preference>,
-    /// Why there is no preference, for people; empty when there is one.
+    /// Why there is no preference, as text; empty when there is one.
     pub fault: String,
-    /// From question to answer, s of the wall clock.
+    /// Time from question to answer, s of the wall clock.
     pub latency_s: f64,
     /// What all attempts have cost, US dollars.
     pub cost_usd: f64,
-    /// When the answer was heard: tick of the run; 0 when it never was.
+    /// The tick of the run at which the answer was heard; 0 if it was never heard.
     pub heard_tick: u64,
     /// When the answer was heard, on the run's clock, ns.
     pub heard_ns: u64,
-    /// What the simulator says would have happened; `None` where nobody knows.
+    /// What the simulator foresaw for both proposals; `None` if it foresaw nothing.
     pub foresight: Option<[Outlook; 2]>,
-    /// What happened in the 3 s after the question; `None` when the run ended.
+    /// What happened in the 3 s after the question; `None` when the run ended earlier.
     pub aftermath: Option<Aftermath>,
 }
 
 impl Record {
-    /// What was said.
+    /// The answer, with "similar" as a case of its own.
     pub fn said(&self) -> Said {
         Said::of(self.preference, &self.askings)
     }
 
-    /// Why there is no answer, in one word; `None` where there is one.
+    /// Why there is no answer, in one word; `None` if there is one.
     pub fn failure(&self) -> Option<&str> {
         match (self.preference, self.fault.as_str()) {
             (Some(_), _) => None,
@@ -86,7 +86,7 @@ impl Record {
     }
 }
 
-/// One proposal, and what the judge in the tick measured of it.
+/// One proposal, and the assessment of the safety check in the tick.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Proposed {
     /// Steering, normalised.
@@ -97,12 +97,12 @@ pub struct Proposed {
     pub clearance_m: f64,
     /// Time to the first contact or to leaving the road, s.
     pub safe_s: f64,
-    /// It was vetoed in the tick.
+    /// The safety check vetoed it.
     pub vetoed: bool,
 }
 
 impl Proposed {
-    /// A proposal with its assessment; `None` when there is none.
+    /// A proposal with its assessment; `None` if there is no proposal.
     pub fn new(proposal: &Proposal, assessment: &Assessment) -> Option<Self> {
         proposal.action().map(|action| Self {
             steer: action.steer,
@@ -114,32 +114,32 @@ impl Proposed {
     }
 }
 
-/// One picture, one prompt, and what came back.
+/// One picture, one prompt, and the reply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Asking {
-    /// How the two paths were shown.
+    /// How the picture showed the two paths.
     pub showing: Showing,
-    /// File of the picture, relative to the folder of the records; empty when
-    /// there was none or the folder was full.
+    /// File of the picture, relative to the folder of the records; empty if there was
+    /// no picture or no room.
     pub picture: String,
-    /// What the model was told.
+    /// The system message.
     pub system: String,
-    /// What the model was asked.
+    /// The user message.
     pub user: String,
-    /// What it said, as it came, cut to a limit.
+    /// The model's text, cut to a length.
     pub said: String,
-    /// The model that said it, as the server names it; empty when it does not.
+    /// The model's name as the server gave it; empty if it gave none.
     #[serde(default)]
     pub served: String,
-    /// What that was read as.
+    /// The reply read from the text.
     pub reply: Option<Reply>,
-    /// How sure it said it was, 0 to 1.
+    /// The model's stated confidence, 0 to 1.
     pub confidence: Option<f64>,
     /// Why there is no reply: a word of the closed list of faults.
     pub fault: Option<String>,
-    /// HTTP requests made for it.
+    /// HTTP requests made for this asking.
     pub attempts: u32,
-    /// From the first request to the end, s.
+    /// Time from the first request to the end, s.
     pub latency_s: f64,
     /// Tokens in, as the server counts them.
     pub tokens_in: u64,
@@ -150,7 +150,7 @@ pub struct Asking {
 }
 
 impl Asking {
-    /// What came of a prompt; the picture's file is named where it is kept.
+    /// The result of a prompt; the picture's file is named once it is stored.
     pub fn new(prompt: &Prompt, asked: &Asked) -> Self {
         Self {
             showing: prompt.showing,
@@ -171,7 +171,7 @@ impl Asking {
     }
 }
 
-/// An answer with "similar" told apart: an answer that lets the policy drive, as the
+/// An answer in which "similar" is a case of its own: it lets the policy drive, as the
 /// paper's 0 does, but prefers neither.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Said {
@@ -197,7 +197,7 @@ impl Said {
         Self::Failed,
     ];
 
-    /// What the answer to these askings says.
+    /// The meaning of the answer to these askings.
     pub fn of(preference: Option<Preference>, askings: &[Asking]) -> Self {
         let is_similar = |asking: &Asking| asking.reply == Some(Reply::Similar);
         match preference {
@@ -211,7 +211,7 @@ impl Said {
         }
     }
 
-    /// Whom it prefers.
+    /// The party that the answer prefers.
     pub fn preference(self) -> Option<Party> {
         match self {
             Self::Expert => Some(Party::Expert),
@@ -220,7 +220,7 @@ impl Said {
         }
     }
 
-    /// In one word.
+    /// The answer in one word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Expert => "expert",
@@ -232,30 +232,30 @@ impl Said {
     }
 }
 
-/// What the simulator says would have happened had a proposal been held.
+/// What the simulator foresees if a proposal were held.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Outlook {
-    /// Whose proposal.
+    /// The party of the proposal.
     pub party: Party,
-    /// Time looked ahead, s.
+    /// Horizon, s.
     pub horizon_s: f64,
-    /// Time to the first contact, s; the horizon when there is none.
+    /// Time to the first contact, s; the horizon if there is none.
     pub contact_s: f64,
-    /// Time to leaving the road, s; the horizon when it is not left.
+    /// Time to leaving the road, s; the horizon if the car stays on it.
     pub out_s: f64,
 }
 
 impl Outlook {
-    /// It ends in a contact or off the road.
+    /// The rollout ends in a contact or off the road.
     pub fn is_accident(&self) -> bool {
         self.contact_s < self.horizon_s || self.out_s < self.horizon_s
     }
 }
 
-/// What happened after the question, whoever drove.
+/// What happened after the question, with any driver.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Aftermath {
-    /// Ticks looked at.
+    /// Ticks in the window.
     pub ticks: u32,
     /// Ticks the expert drove.
     pub expert: u32,
@@ -263,11 +263,11 @@ pub struct Aftermath {
     pub policy: u32,
     /// Ticks the brake drove.
     pub brake: u32,
-    /// Ticks in which the judge in the tick vetoed whose turn it was.
+    /// Ticks in which the safety check vetoed the driver in charge.
     pub vetoed: u32,
-    /// Least clearance that the judge in the tick measured of the rollout of
-    /// whoever drove, m; of the expert's while the brake did.
+    /// Least clearance of the driver's rollout, as the safety check measured it, m; of
+    /// the expert's rollout while the brake drove.
     pub clearance_m: f64,
-    /// The episode ended meanwhile.
+    /// The episode ended within the window.
     pub ended: bool,
 }

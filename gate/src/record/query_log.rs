@@ -8,22 +8,22 @@ use crate::presentation::picture::Picture;
 use crate::query::{Answer, Occasion};
 use crate::record::{Aftermath, Asking, Outlook, Proposed, Record, VERSION};
 
-/// How long what follows a question is watched, ns.
+/// How long the steps after a question are watched, ns.
 const AFTERMATH_NS: u64 = 3_000_000_000;
-/// Questions that are open at once: those of a judge that is asked once a second
-/// and answers after two minutes. The oldest is filed as it is when there are more.
+/// Open questions: enough for a judge that is asked once a second and answers after two
+/// minutes. When there are more, the oldest is filed unfinished.
 const OPEN_MAX: usize = 128;
 
-/// What a model's side of a question brings.
+/// What the thread that asks a model reports about a question.
 #[derive(Debug, Clone, Default)]
 pub struct Evidence {
     /// Episode and tick of the question.
     pub key: (u32, u64),
-    /// The prompt preset.
+    /// Name of the prompt preset.
     pub preset: String,
-    /// The model.
+    /// Name of the model.
     pub model: String,
-    /// One asking, or two.
+    /// One asking, or two with the paths swapped.
     pub askings: Vec<Asking>,
     /// The pictures of the askings, in their order.
     pub pictures: Vec<Picture>,
@@ -31,13 +31,13 @@ pub struct Evidence {
     pub fault: String,
     /// From question to answer, s of the wall clock.
     pub latency_s: f64,
-    /// What the simulator foresaw.
+    /// What the simulator foresaw for both proposals.
     pub foresight: Option<[Outlook; 2]>,
-    /// Why the server is not asked any more; [`crate::model::Asker::trouble`].
+    /// Why the server gets no more questions; [`crate::model::Asker::trouble`].
     pub trouble: Option<String>,
 }
 
-/// A record that is complete, with its pictures.
+/// A finished record, with its pictures.
 #[derive(Debug, Clone)]
 pub struct Filed {
     /// The record.
@@ -46,10 +46,10 @@ pub struct Filed {
     pub pictures: Vec<Picture>,
 }
 
-/// The log of every question: what was asked and answered, and what followed.
+/// The log of every question: question, answer, and aftermath.
 pub struct QueryLog {
     asked: u64,
-    /// How long an answer is waited for on the run's clock, ns.
+    /// How long to wait for an answer, ns on the run's clock.
     patience_ns: u64,
     open: VecDeque<Case>,
     filed: Vec<Filed>,
@@ -59,7 +59,7 @@ struct Case {
     record: Record,
     pictures: Vec<Picture>,
     is_heard: bool,
-    /// Evidence is still to come.
+    /// Evidence is still expected.
     awaits_evidence: bool,
     aftermath: Aftermath,
     is_over: bool,
@@ -76,7 +76,7 @@ impl QueryLog {
         }
     }
 
-    /// A question about this step was put.
+    /// Notes a question about this step.
     pub fn asked(&mut self, step: &Step, occasion: Occasion, kind: JudgeKind) {
         self.asked += 1;
         if self.open.len() == OPEN_MAX
@@ -125,7 +125,7 @@ impl QueryLog {
         });
     }
 
-    /// The model's side of a question came.
+    /// Adds the evidence of a question.
     pub fn learn(&mut self, evidence: Evidence) {
         let Some(case) = self.find(evidence.key) else {
             return;
@@ -141,7 +141,7 @@ impl QueryLog {
         case.awaits_evidence = false;
     }
 
-    /// An answer was heard.
+    /// Adds the answer of a question.
     pub fn heard(&mut self, answer: &Answer, tick: u64, now: Instant) {
         let Some(case) = self.find(answer.question.key()) else {
             return;
@@ -158,7 +158,7 @@ impl QueryLog {
         record.heard_ns = now.0;
     }
 
-    /// A step that follows the open questions.
+    /// Adds a step to the aftermath of the open questions.
     pub fn saw(&mut self, step: &Step) {
         let header = step.observation.header();
         for case in self.open.iter_mut().filter(|case| !case.is_over) {
@@ -185,12 +185,12 @@ impl QueryLog {
         self.open = open;
     }
 
-    /// The records that are complete.
+    /// Takes the finished records.
     pub fn filed(&mut self) -> Vec<Filed> {
         std::mem::take(&mut self.filed)
     }
 
-    /// The run is over: everything, as it is.
+    /// Finishes all records, because the run is over.
     pub fn finish(&mut self) -> Vec<Filed> {
         let open = self.open.drain(..).map(Case::file);
         self.filed.extend(open);

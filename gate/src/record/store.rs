@@ -6,10 +6,10 @@
 //! DIR/pictures/000123-a.png   the picture of the first asking; -b: the second
 //! ```
 //!
-//! A line is appended with one write; a reader skips a last line that is torn. The
-//! folder holds at most the bytes it is told: half of them is for lines, in two
-//! files of which the older one goes, the rest for pictures, of which the oldest
-//! go. Nothing here fails once the folder is open: what a full disk swallows is
+//! A line is appended with one write; a reader skips an incomplete last line. The
+//! folder holds at most a fixed number of bytes: half of them for the lines, in two
+//! files of which the older is replaced, and the rest for pictures, of which the oldest
+//! are deleted. Once the folder is open, nothing here fails: what cannot be written is
 //! counted.
 
 use std::collections::VecDeque;
@@ -25,22 +25,22 @@ use crate::presentation::picture::Picture;
 
 /// The file of lines.
 pub const QUESTIONS: &str = "questions.jsonl";
-/// The lines before those.
+/// The file of the lines before those, after one rotation.
 pub const QUESTIONS_BEFORE: &str = "questions-before.jsonl";
 /// The folder of pictures.
 pub const PICTURES: &str = "pictures";
-/// Questions that may wait for their aftermath: those of a minute at four a
-/// second. The oldest is written as it is when there are more.
+/// Questions that may wait for their aftermath: those of a minute at four a second.
+/// When there are more, the oldest is written unfinished.
 const OPEN_MAX: usize = 256;
-/// A line is at most this long; longer ones are no record.
+/// Longest line, bytes; a longer one is not a record.
 const LINE_BYTES_MAX: usize = 1 << 20;
 
-/// What could not be kept.
+/// What could not be stored.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Lost {
     /// Lines.
     pub lines: u64,
-    /// Pictures, of those that were to be written; deleted ones do not count.
+    /// Pictures that could not be written; deleted ones do not count.
     pub pictures: u64,
     /// The last reason.
     pub reason: String,
@@ -63,8 +63,8 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens a folder, makes it if need be, and goes on after what it holds. It
-    /// grows to `bytes_max` at most.
+    /// Opens a folder, creates it if necessary, and continues after its last record.
+    /// The folder grows to `bytes_max` at most.
     ///
     /// # Errors
     /// When the folder cannot be made or its files not opened.
@@ -84,8 +84,8 @@ impl Store {
         let line_bytes = drop_torn_line(&mut lines).map_err(failed(&path))?;
         let pictures = pictures_in(&pictures_folder).map_err(failed(&pictures_folder))?;
         let before = fs::metadata(folder.join(QUESTIONS_BEFORE));
-        // Lines that cannot be read do not stop a run; no picture of theirs is
-        // written over either.
+        // Lines that cannot be read do not stop a run, and no picture of theirs is
+        // overwritten.
         let written = read(folder).map_or_else(|_| Vec::new(), |records| records.questions);
         let numbers = written.iter().map(|record| record.question);
         let shown = pictures
@@ -106,9 +106,9 @@ impl Store {
         })
     }
 
-    /// Takes a record in with the pictures of its askings, in their order, and
-    /// gives it the next number, which is returned. The pictures are on disk
-    /// afterwards; the line waits for [`Store::complete`].
+    /// Takes a record with the pictures of its askings, in their order, gives it the
+    /// next number, and returns the number. The pictures are then on disk; the line
+    /// waits for [`Store::complete`].
     pub fn begin(&mut self, mut record: Record, pictures: &[Picture]) -> u64 {
         self.last_question += 1;
         record.version = VERSION;
@@ -128,15 +128,14 @@ impl Store {
         self.last_question
     }
 
-    /// The record of a question that is not written yet, to add what has become
-    /// of it.
+    /// The record of a question whose line is not written yet, to be completed.
     pub fn record(&mut self, question: u64) -> Option<&mut Record> {
         self.open
             .iter_mut()
             .find(|record| record.question == question)
     }
 
-    /// Writes the line of a question: nothing more is going to be known.
+    /// Writes the line of a question that is complete.
     pub fn complete(&mut self, question: u64) {
         let at = self
             .open
@@ -147,14 +146,14 @@ impl Store {
         }
     }
 
-    /// Writes all that still waits: the run is over.
+    /// Writes all waiting lines, because the run is over.
     pub fn finish(&mut self) {
         while let Some(record) = self.open.pop_front() {
             self.write(&record);
         }
     }
 
-    /// What could not be kept so far.
+    /// What could not be stored so far.
     pub fn lost(&self) -> &Lost {
         &self.lost
     }
@@ -173,7 +172,7 @@ impl Store {
             return None;
         }
         let pictures = self.folder.inside(PICTURES, Entry::Readable);
-        // Half a picture is none.
+        // An incomplete picture is removed.
         let written = pictures.and_then(|pictures| pictures.replace(&name, bytes, Durable::No));
         if let Err(error) = written {
             let path = self.folder.path().join(&kept);
@@ -207,7 +206,7 @@ impl Store {
     fn write(&mut self, record: &Record) {
         let line = serde_json::to_string(record).unwrap_or_default();
         let mut line = printable_json(&line).into_owned().into_bytes();
-        // JSON has no NaN: what is written for one cannot be read again.
+        // JSON has no NaN: a line written for one could not be read again.
         if serde_json::from_slice::<Record>(&line).is_err() {
             return self.lose_line("a number that JSON cannot hold".into());
         }
@@ -227,15 +226,15 @@ impl Store {
                     Ok(_) => "the disk is full".into(),
                     Err(error) => error.to_string(),
                 };
-                // What was written of it must not stand before the next line. On
-                // what is no regular file there is nothing to take back.
+                // An incomplete line must not stand before the next one. A file that is
+                // not regular cannot be cut.
                 let _ = self.lines.set_len(self.line_bytes);
                 self.lose_line(reason);
             }
         }
     }
 
-    /// The lines become those before; what was there before goes.
+    /// Moves the lines to the older file, which is replaced.
     fn rotate(&mut self) {
         let renamed = self.folder.rename(QUESTIONS, QUESTIONS_BEFORE);
         let opened = renamed.and_then(|()| self.folder.open_file(QUESTIONS, Access::New));
@@ -278,14 +277,14 @@ pub struct StoreError {
 }
 
 impl StoreError {
-    /// Of this folder or file.
+    /// The error about this folder or file.
     pub(crate) fn new(path: &Path, source: std::io::Error) -> Self {
         let path = path.into();
         Self { path, source }
     }
 }
 
-/// Cuts off what follows the last line's end; returns the length left.
+/// Cuts off an incomplete last line; returns the remaining length.
 fn drop_torn_line(file: &mut File) -> std::io::Result<u64> {
     if !file.metadata()?.is_file() {
         return Ok(0);
@@ -301,8 +300,8 @@ fn drop_torn_line(file: &mut File) -> std::io::Result<u64> {
     Ok(length)
 }
 
-/// Names and sizes of the pictures of a folder, the oldest first: their names
-/// begin with the number of the question.
+/// Names and sizes of the pictures of a folder, the oldest first: a name begins with
+/// the number of its question.
 fn pictures_in(folder: &Path) -> std::io::Result<VecDeque<(String, u64)>> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder)? {
@@ -323,23 +322,22 @@ fn pictures_in(folder: &Path) -> std::io::Result<VecDeque<(String, u64)>> {
 pub struct Records {
     /// The folder they are in; their pictures' names are relative to it.
     pub folder: PathBuf,
-    /// In the order they were written.
+    /// The records, in the order in which they were written.
     pub questions: Vec<Record>,
-    /// The last line was cut off, and is left out: the gate was killed while it
-    /// wrote.
+    /// The last line is incomplete and left out: the gate was killed while it wrote.
     pub is_torn: bool,
 }
 
 /// Why records cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// There are none.
+    /// The folder has no records.
     #[error(
         "{}: no record of a judge here; drive with --gate vlm first, or name a run's folder, \
          such as runs/NAME", folder.display()
     )]
     Nothing {
-        /// Where was looked.
+        /// The folder that was read.
         folder: PathBuf,
     },
     /// The file cannot be read.
@@ -347,10 +345,10 @@ pub enum ReadError {
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The error of the system.
         source: std::io::Error,
     },
-    /// A line is no record.
+    /// A line is not a record.
     #[error("{}, line {line}: {reason}; delete the line to read the rest", path.display())]
     Line {
         /// The file.
@@ -365,8 +363,8 @@ pub enum ReadError {
 /// Reads the records of a run's folder or of the `judge` folder in it.
 ///
 /// # Errors
-/// When there are none, a file cannot be read, or a line is no record; a torn
-/// last line is none.
+/// When there are none, a file cannot be read, or a line is not a record. An incomplete
+/// last line is no error.
 pub fn read(folder: &Path) -> Result<Records, ReadError> {
     let inner = folder.join("judge");
     let holds =
@@ -398,7 +396,7 @@ pub fn read(folder: &Path) -> Result<Records, ReadError> {
     Ok(records)
 }
 
-/// Appends the records of a file; whether its last line is torn.
+/// Appends the records of a file; returns whether its last line is incomplete.
 fn read_lines(path: &Path, bytes: &[u8], records: &mut Vec<Record>) -> Result<bool, ReadError> {
     for (index, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
         let wrong = |reason: String| ReadError::Line {
@@ -410,7 +408,10 @@ fn read_lines(path: &Path, bytes: &[u8], records: &mut Vec<Record>) -> Result<bo
             return Ok(true);
         };
         if line.len() > LINE_BYTES_MAX {
-            return Err(wrong(format!("{} bytes are no record", line.len())));
+            return Err(wrong(format!(
+                "{} bytes are too long for a record",
+                line.len()
+            )));
         }
         let version = serde_json::from_slice::<Version>(line)
             .map_err(|error| wrong(error.to_string()))?
@@ -426,7 +427,7 @@ fn read_lines(path: &Path, bytes: &[u8], records: &mut Vec<Record>) -> Result<bo
     Ok(false)
 }
 
-/// What every version of the format says.
+/// The fields that every version of the format has.
 #[derive(serde::Deserialize)]
 struct Version {
     version: u32,

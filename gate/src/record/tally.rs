@@ -4,7 +4,7 @@ use shm_config::message::Preference;
 
 use super::{Record, Said};
 
-/// Nothing asked yet, of the configured judge, in the run of this supervisor.
+/// Counts at zero, for the configured judge in the run of this supervisor.
 pub fn begin(config: &Config, supervisor: u32) -> Judged {
     let mode = format!("{:?}", config.gate.mode).to_lowercase();
     let judge = match config.gate.mode {

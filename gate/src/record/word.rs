@@ -1,10 +1,10 @@
-//! The answer in a record's line: one word.
+//! The answer as it stands in a record's line: one word.
 
 use serde::de::{Deserialize, Deserializer, Error};
 use serde::ser::Serializer;
 use shm_config::message::Preference;
 
-/// The word of an answer; `None` stands for no answer.
+/// The word of an answer; `None` means no answer.
 const WORDS: [(Option<Preference>, &str); 4] = [
     (Some(Preference::Expert), "expert"),
     (Some(Preference::Policy), "policy"),

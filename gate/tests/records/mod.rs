@@ -1,4 +1,4 @@
-//! Records as tests need them.
+//! Records for the tests.
 
 use gate::presentation::picture::{Encoding, Picture, encode};
 use gate::presentation::{Hue, Party, Reply, Showing};
@@ -6,7 +6,7 @@ use gate::query::Occasion;
 use gate::record::{Asking, Outlook, Proposed, Record, VERSION};
 use shm_config::message::Preference;
 
-/// Colours that are near no other.
+/// Colours unlike any other.
 pub const SHOWING: Showing = Showing {
     first: Party::Expert,
     hues: [Hue::Red, Hue::Cyan],
@@ -19,7 +19,7 @@ pub fn picture(shade: u8) -> Picture {
     encode(&image, Encoding::Png).expect("a picture")
 }
 
-/// One asking with a reply.
+/// One asking with this reply.
 pub fn asking(showing: Showing, reply: Reply, confidence: f64) -> Asking {
     Asking {
         showing,
@@ -39,7 +39,7 @@ pub fn asking(showing: Showing, reply: Reply, confidence: f64) -> Asking {
     }
 }
 
-/// A question whose askings said this, where `safer` truly was.
+/// A question with these askings, where the path of `safer` truly was safer.
 pub fn record(askings: Vec<Asking>, preference: Option<Preference>, safer: Party) -> Record {
     let proposed = Proposed {
         steer: 0.1,

@@ -11,17 +11,16 @@ use gate::presentation::{Hue, Party, Prompt, Showing};
 use image::{ImageFormat, Rgb, RgbImage};
 use shm_config::config::{PromptPreset, View, Vlm};
 
-/// A test must not fail because the machine is busy: nothing here is expected to
-/// take that long.
+/// A limit that no test reaches, so that a busy machine fails no test.
 pub const PATIENCE_S: f64 = 60.0;
 
-/// Red first, blue second.
+/// The first path is red, the second blue.
 pub const SHOWING: Showing = Showing {
     first: Party::Policy,
     hues: [Hue::Red, Hue::Blue],
 };
 
-/// Asks `server`, without waiting long between attempts.
+/// The configuration for this server, with short waits between attempts.
 pub fn vlm(server: String) -> Vlm {
     Vlm {
         server,
@@ -42,8 +41,8 @@ pub fn asker(vlm: &Vlm) -> Asker {
     Asker::with_environment(vlm, |_| None).expect("usable")
 }
 
-/// A red path straight ahead and a blue one that leaves to the right, or the
-/// other way round.
+/// A red path straight ahead and a blue one that leaves to the right, or with the
+/// colours exchanged.
 pub fn picture(ahead: Hue, format: ImageFormat) -> Picture {
     let aside = if ahead == Hue::Red {
         Hue::Blue
@@ -74,24 +73,24 @@ pub fn picture(ahead: Hue, format: ImageFormat) -> Picture {
     }
 }
 
-/// Red ahead.
+/// The picture with the red path ahead.
 pub fn red_ahead() -> Picture {
     picture(Hue::Red, ImageFormat::Png)
 }
 
-/// The words of a preset for [`SHOWING`], or the paper's own.
+/// The prompt of a preset for [`SHOWING`], or for the paper's colours.
 pub fn prompt(preset: PromptPreset) -> Prompt {
     let showing = gate::presentation::fixed_showing(preset).unwrap_or(SHOWING);
     Prompt::new(preset, showing, View::Ego, 3.0)
 }
 
-/// Asks one question and waits for what becomes of it.
+/// Asks one question and waits for its result.
 pub fn ask(asker: &Asker, prompt: &Prompt, picture: &Picture, deadline_s: f64) -> Asked {
     let deadline = Duration::from_secs_f64(deadline_s);
     runtime().block_on(asker.ask(prompt, picture, deadline))
 }
 
-/// One thread that does it all.
+/// A runtime with one thread.
 pub fn runtime() -> tokio::runtime::Runtime {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     builder.enable_all().build().expect("a runtime")

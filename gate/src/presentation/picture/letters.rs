@@ -3,13 +3,13 @@
 use ab_glyph::{Font, FontRef, OutlineCurve, ScaleFont};
 use tiny_skia::{Path, PathBuilder};
 
-/// Open shapes that stay legible at 10 pixels.
+/// A font with open shapes, legible at 10 pixels.
 const FACE: &[u8] = epaint_default_fonts::HACK_REGULAR;
 
-/// The outline of a word, its base line beginning at a point, and its width, px.
-/// `None` of nothing but blanks.
+/// The outline of a word, whose base line begins at a point, and its width, px. The
+/// outline is `None` for blanks alone.
 pub fn word(text: &str, [x, y]: [f32; 2], size_px: f32) -> (Option<Path>, f32) {
-    // The bytes are part of the program; a test reads them.
+    // Always succeeds: the font is part of the program, and a test reads it.
     let Ok(font) = FontRef::try_from_slice(FACE) else {
         return (None, 0.0);
     };

@@ -1,5 +1,5 @@
-//! The picture of a question: both rollouts drawn into the frame of its tick, as
-//! a [`Showing`] says.
+//! The picture of a question: both rollouts, drawn into the frame of its tick as a
+//! [`Showing`] defines.
 
 mod letters;
 mod paths;
@@ -31,7 +31,7 @@ pub struct Style {
     pub encoding: Encoding,
     /// Draw the car's outline at the end of each path.
     pub footprint: bool,
-    /// Say in a corner which letter has which colour.
+    /// Show in a corner which letter has which colour.
     pub legend: bool,
 }
 
@@ -49,8 +49,8 @@ impl Default for Style {
 }
 
 impl Style {
-    /// As the configuration says. Frames come in the configured size, so that only
-    /// those of a world with pictures of its own size are scaled.
+    /// The configured style. Frames arrive in the configured size, so only the frames
+    /// of a world with its own picture size are scaled.
     pub fn of(vlm: &Vlm) -> Self {
         Self {
             rollout: vlm.rollout,
@@ -65,20 +65,20 @@ impl Style {
     }
 }
 
-/// JPEG quality, 1 to 100: a fifth of the size of PNG, and paths keep their colour.
+/// JPEG quality, 1 to 100: the file is a fifth of the PNG, and paths keep their colour.
 const JPEG_QUALITY: u8 = 85;
 
 /// How a picture is stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
-    /// Without loss.
+    /// PNG: lossless.
     Png,
-    /// Smaller, and blurred.
+    /// JPEG: smaller and blurred.
     Jpeg,
 }
 
 impl Encoding {
-    /// As HTTP calls it.
+    /// The MIME type.
     pub fn mime(self) -> &'static str {
         match self {
             Self::Png => "image/png",
@@ -86,7 +86,7 @@ impl Encoding {
         }
     }
 
-    /// How a file of it ends, without the dot.
+    /// The extension of its files, without the dot.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Png => "png",
@@ -100,7 +100,7 @@ impl Encoding {
 pub struct Picture {
     /// The file's bytes.
     pub bytes: Vec<u8>,
-    /// What kind of file.
+    /// The format of the file.
     pub encoding: Encoding,
     /// Pixels across.
     pub width: u32,
@@ -114,23 +114,25 @@ pub enum PictureError {
     /// A proposal is missing: there is nothing to compare.
     #[error("one of the two proposals is missing: nothing to compare")]
     Absent,
-    /// The frame has no pixels, or fewer than it says.
-    #[error("a frame of {width} x {height} pixels does not hold them: must be 1 x 1 at least")]
+    /// The frame has fewer pixels than its size needs, or none.
+    #[error(
+        "a frame of {width} x {height} pixels has too few bytes or no pixel: it must have at least 1 x 1"
+    )]
     Misfit {
         /// Pixels across.
         width: u32,
         /// Pixels down.
         height: u32,
     },
-    /// The picture cannot be that small or large.
-    #[error("a picture of {width} x {height} pixels: each side must be within 64 and 4096")]
+    /// The size of the picture is out of range.
+    #[error("a picture of {width} x {height} pixels: each side must have 64 to 4096 pixels")]
     Size {
         /// Pixels across.
         width: u32,
         /// Pixels down.
         height: u32,
     },
-    /// The encoder failed; it writes to memory alone.
+    /// The encoder failed; it writes only to memory.
     #[error("the picture cannot be encoded as {0}")]
     Encoder(&'static str),
 }
@@ -144,7 +146,7 @@ pub struct Photo<'a> {
     pub width: u32,
     /// Pixels down.
     pub height: u32,
-    /// Red, green, blue; row by row from the top. There may be more of them.
+    /// Red, green, blue; row by row from the top. The slice may be longer.
     pub rgb: &'a [u8],
 }
 
@@ -159,7 +161,7 @@ impl<'a> From<&'a Frame> for Photo<'a> {
     }
 }
 
-/// Both proposals of a question and what they are rolled out from.
+/// Both proposals of a question, and the state from which they are rolled out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Proposals<'a> {
     /// The car.
@@ -173,10 +175,10 @@ pub struct Proposals<'a> {
 }
 
 impl<'a> Proposals<'a> {
-    /// Those of a question.
+    /// The proposals of a question.
     ///
     /// # Errors
-    /// [`PictureError::Absent`] when there are not two.
+    /// [`PictureError::Absent`] when one of them is missing.
     pub fn of(question: &Question, vehicle: &'a Vehicle) -> Result<Self, PictureError> {
         let both = (question.expert.action(), question.policy.action());
         let (Some(expert), Some(policy)) = both else {
@@ -191,11 +193,11 @@ impl<'a> Proposals<'a> {
     }
 }
 
-/// The picture of both proposals in a photo, shown as told. The same input gives
+/// The picture of both proposals in a photo, as `showing` defines. The same input gives
 /// the same bytes.
 ///
 /// # Errors
-/// When the photo does not hold its pixels or the size is none.
+/// When the photo has too few pixels or the size is out of range.
 pub fn picture(
     photo: Photo,
     proposals: &Proposals,
@@ -205,7 +207,7 @@ pub fn picture(
     encode(&draw(photo, proposals, showing, style)?, style.encoding)
 }
 
-/// The same, not yet encoded.
+/// As [`picture`], not yet encoded.
 ///
 /// # Errors
 /// As [`picture`].
@@ -228,7 +230,7 @@ pub fn draw(
     Ok(pencil.finish())
 }
 
-/// The photo as an image of the wanted size.
+/// The photo as an image of the configured size.
 fn scene(photo: Photo, style: &Style) -> Result<RgbImage, PictureError> {
     let (width, height) = (photo.width, photo.height);
     let misfit = PictureError::Misfit { width, height };
@@ -246,14 +248,14 @@ fn scene(photo: Photo, style: &Style) -> Result<RgbImage, PictureError> {
             if !sides.contains(&width) || !sides.contains(&height) {
                 return Err(PictureError::Size { width, height });
             }
-            // The paths are drawn afterwards, and stay sharp.
+            // The paths are drawn after scaling, and stay sharp.
             let filter = image::imageops::FilterType::Triangle;
             Ok(image::imageops::resize(&image, width, height, filter))
         }
     }
 }
 
-/// Stores an image.
+/// Encodes an image.
 ///
 /// # Errors
 /// When the encoder fails, as it does for an image without pixels.

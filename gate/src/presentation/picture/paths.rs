@@ -7,17 +7,19 @@ use super::pencil::{Pencil, Place};
 use super::{Proposals, Style, roll_out};
 use crate::presentation::{Hue, Party, Showing};
 
-/// Around coloured lines: they stand out from any ground, and from each other.
+/// The rim of coloured lines: it separates them from any background and from each
+/// other.
 const RIM: [u8; 3] = [16, 18, 22];
 /// Letters on dark hues and on the panel of the legend.
 const LIGHT: [u8; 3] = [255, 255, 255];
 /// Width of a line, as a share of the picture's shorter side.
 pub const LINE: f32 = 0.0105;
-/// Narrowest line, px: below, JPEG leaves nothing of its colour.
+/// Narrowest line, px: JPEG leaves no colour of a narrower one.
 const LINE_MIN_PX: f32 = 3.0;
-/// Points of a line lie this far apart where two lines are kept apart, px.
+/// Distance of a line's points where two lines are kept apart, px.
 const SPACING_PX: f32 = 2.0;
-/// No line has more points: at the rim of the picture there is nothing to see.
+/// Most points of a line; further ones lie at the rim of the picture, where nothing is
+/// seen.
 const POINTS_MAX: usize = 4096;
 
 /// Both paths in the order they are shown.
@@ -29,15 +31,16 @@ pub struct Paths {
 struct Shown {
     hue: Hue,
     letter: &'static str,
-    /// 1 when it keeps to the left of the other, -1 to the right.
+    /// 1 when the path keeps to the left of the other, -1 to the right.
     side: f32,
-    /// What of it lies before the camera, from the car outward.
+    /// The part of the path before the camera, from the car outward.
     parts: Vec<Vec<Place>>,
-    /// The car's outline at its end; empty when it is not all before the camera.
+    /// The car's outline at the end of the path; empty unless all of it is before the
+    /// camera.
     footprint: Vec<Place>,
 }
 
-/// Lengths that follow from the size of the picture, px.
+/// Lengths that depend on the size of the picture, px.
 #[derive(Clone, Copy)]
 struct Measures {
     line: f32,
@@ -58,8 +61,8 @@ impl Measures {
 }
 
 impl Paths {
-    /// Rolls both proposals out and looks at them through the camera, whose
-    /// pixels are stretched by `scale` across and down.
+    /// Rolls both proposals out and projects them through the camera, whose pixels are
+    /// scaled by `scale` across and down.
     pub fn new(
         (camera, scale): (&Camera, [f64; 2]),
         proposals: &Proposals,
@@ -95,7 +98,7 @@ impl Paths {
         Self { shown }
     }
 
-    /// Draws both: labels first, so that no label hides a path.
+    /// Draws both paths; labels come first, so that no label hides a path.
     pub fn draw(mut self, pencil: &mut Pencil, style: &Style) {
         let measures = Measures::of(pencil.size_px());
         self.set_apart(measures);
@@ -159,8 +162,8 @@ impl Paths {
 }
 
 impl Shown {
-    /// Where the letter stands: beyond the last visible end of the path, on its
-    /// side; at the lower rim when nothing of the path is visible.
+    /// The place of the letter: beyond the last visible end of the path, on its side;
+    /// at the lower rim if no part of the path is visible.
     fn label_place(&self, measures: Measures, [width, height]: [f32; 2]) -> Place {
         let radius_px = measures.label;
         let (low, high) = (
@@ -188,7 +191,7 @@ impl Shown {
                     y + along[1] * ahead_px + left[1] * aside_px,
                 ]
             }
-            // Left of a path that leads up is left in the picture.
+            // The left of a path that leads up is the left of the picture.
             None => [width / 2.0 - aside_px, height],
         };
         [
@@ -198,8 +201,8 @@ impl Shown {
     }
 }
 
-/// Which side of the other path somebody's is: that to which it turns more; of
-/// equal ones the first is on the left, so that both are to be seen.
+/// The side of a party's path: the side to which it turns more than the other. With
+/// equal turns the first path is on the left, so that both are visible.
 fn side(proposals: &Proposals, showing: Showing, party: Party) -> f32 {
     let more = proposals.expert.steer - proposals.policy.steer;
     let left = if more > 0.0 {
@@ -234,13 +237,13 @@ fn label(pencil: &mut Pencil, at: Place, (hue, letter): (Hue, &str), measures: M
     pencil.disc(at, measures.label + measures.rim, RIM);
     pencil.disc(at, measures.label, hue.rgb());
     let size_px = 1.7 * measures.label;
-    // A letter of this face is 0.517 of its size wide.
+    // A letter of this font is 0.517 of its size wide.
     let left = at[0] - 0.257 * size_px;
     let base = at[1] + super::letters::capital_px(size_px) / 2.0;
     pencil.word(letter, [left, base], (size_px, ink(hue)));
 }
 
-/// Says in the left upper corner which letter has which colour.
+/// Shows in the left upper corner which letter has which colour.
 fn legend(pencil: &mut Pencil, shown: &[Shown; 2], measures: Measures) {
     let size_px = (1.2 * measures.label).max(11.0);
     let (pad, row, swatch) = (0.5 * size_px, 1.45 * size_px, 1.8 * size_px);
@@ -267,14 +270,14 @@ fn ink(hue: Hue) -> [u8; 3] {
     if luma > 120.0 { RIM } else { LIGHT }
 }
 
-/// The same line with points at most `SPACING_PX` apart; a line that goes
-/// nowhere is one point.
+/// The same line with points at most `SPACING_PX` apart. A line without length becomes
+/// one point.
 fn resample(part: &[Place]) -> Vec<Place> {
     let mut dense: Vec<Place> = part.first().copied().into_iter().collect();
     for pair in part.windows(2) {
         let [[x0, y0], [x1, y1]] = [pair[0], pair[1]];
         let length_px = (x1 - x0).hypot(y1 - y0);
-        // Nothing beyond a few pictures' width is worth points of its own.
+        // Parts far outside the picture get no further points.
         let count = (length_px / SPACING_PX).ceil().min(512.0);
         if dense.len() + count as usize > POINTS_MAX {
             break;
@@ -295,7 +298,7 @@ fn distance_px([x, y]: Place, parts: &[Vec<Place>]) -> f32 {
         .fold(f32::INFINITY, f32::min)
 }
 
-/// Unit vector along a line at one of its points; up where it goes nowhere.
+/// Unit vector along a line at one of its points; up for a line without length.
 fn direction(part: &[Place], at: usize) -> Place {
     let before = part[at.saturating_sub(2)];
     let after = part[(at + 2).min(part.len() - 1)];
@@ -307,7 +310,7 @@ fn direction(part: &[Place], at: usize) -> Place {
     }
 }
 
-/// To the left of a direction; the picture's y points down.
+/// The vector to the left of a direction; the picture's y axis points down.
 fn left_of([x, y]: Place) -> Place {
     [y, -x]
 }

@@ -1,4 +1,4 @@
-//! What is drawn with: anti-aliased lines, discs and words over an image.
+//! Drawing on an image: anti-aliased lines, discs and words.
 
 use image::RgbImage;
 use tiny_skia::{
@@ -7,20 +7,20 @@ use tiny_skia::{
 
 use super::letters;
 
-/// A place in the picture, px right and down.
+/// A position in the picture, px right and down.
 pub type Place = [f32; 2];
 
-/// Pixels further than this beyond the picture are not drawn to: near the camera
-/// a line may be a million pixels long.
+/// Pixels further outside the picture than this are not drawn: near the camera a line
+/// may be a million pixels long.
 const BEYOND_PX: f32 = 4096.0;
 
-/// A picture that is drawn into.
+/// A picture to draw into.
 pub struct Pencil {
     pixmap: Pixmap,
 }
 
 impl Pencil {
-    /// On top of an image; `None` when it has no pixels.
+    /// Draws on top of an image; `None` when the image has no pixels.
     pub fn on(image: &RgbImage) -> Option<Self> {
         let mut pixmap = Pixmap::new(image.width(), image.height())?;
         let places = pixmap.data_mut().chunks_exact_mut(4);
@@ -36,14 +36,14 @@ impl Pencil {
         [self.pixmap.width() as f32, self.pixmap.height() as f32]
     }
 
-    /// A line through places, with round ends.
+    /// A line through positions, with round ends.
     pub fn line(&mut self, places: &[Place], color: [u8; 3], width_px: f32) {
         if let Some(path) = polyline(places) {
             self.stroke(&path, color, width_px);
         }
     }
 
-    /// A closed line through places.
+    /// A closed line through positions.
     pub fn outline(&mut self, places: &[Place], color: [u8; 3], width_px: f32) {
         let closed: Vec<Place> = places.iter().chain(places.first()).copied().collect();
         self.line(&closed, color, width_px);
@@ -63,12 +63,12 @@ impl Pencil {
         }
     }
 
-    /// A word whose base line begins at a place; returns its width, px.
+    /// A word whose base line begins at a position; returns its width, px.
     pub fn word(&mut self, text: &str, at: Place, (size_px, color): (f32, [u8; 3])) -> f32 {
         let (path, width_px) = letters::word(text, at, size_px);
         if let Some(path) = path {
             self.fill(&path, color, 1.0);
-            // The face has one weight; a rim of its own colour makes it bold.
+            // The font has one weight; a rim of the same colour makes it bold.
             self.stroke(&path, color, size_px * 0.05);
         }
         width_px
@@ -112,7 +112,7 @@ fn paint(color: [u8; 3], cover: f32) -> Paint<'static> {
     paint
 }
 
-/// A path through places; a single one is a dot.
+/// A path through positions; a single position is a dot.
 fn polyline(places: &[Place]) -> Option<Path> {
     let inside = |[x, y]: Place| {
         let limit = |value: f32| value.clamp(-BEYOND_PX, 2.0 * BEYOND_PX);
@@ -121,7 +121,7 @@ fn polyline(places: &[Place]) -> Option<Path> {
     let (x, y) = inside(*places.first()?);
     let mut builder = PathBuilder::new();
     builder.move_to(x, y);
-    // A line of no length has no ends to be rounded.
+    // A line without length has no ends that could be rounded.
     builder.line_to(x + 0.01, y);
     for &place in &places[1..] {
         let (x, y) = inside(place);

@@ -1,4 +1,4 @@
-//! Where the car goes when a proposal is held.
+//! The path of a car that holds a proposal.
 
 use shm_config::config::Rollout;
 use vehicle::{Action, State, Vehicle, step};
@@ -8,12 +8,12 @@ const STEP_S: f64 = 0.1;
 /// Step of the paper's rollout, s: its `dt_vis` (Sec. 4.2).
 const PAPER_STEP_S: f64 = 1.5;
 
-/// The states of a car that holds an action, the present one first, in the body
-/// frame of now; two at least. Eq. 3 to 6.
+/// The states of a car that holds an action, from the present one, in its present body
+/// frame; at least two. Eq. 3 to 6.
 ///
-/// Accurate are steps of 0.1 s until the horizon. The paper's is one step, whatever
-/// the horizon: it goes straight ahead whatever the wheels do, and the brake is felt
-/// after it only.
+/// The accurate rollout has steps of 0.1 s until the horizon. The paper's rollout is a
+/// single step for any horizon: it goes straight ahead for any steering, and the brake
+/// acts only after it.
 pub fn roll_out(
     vehicle: &Vehicle,
     action: Action,
@@ -21,7 +21,7 @@ pub fn roll_out(
     (rollout, horizon_s): (Rollout, f64),
 ) -> Vec<State> {
     let (step_s, steps) = match rollout {
-        // A horizon of 3 s is 30 steps, not 31 for a rounding.
+        // Rounding must not turn the 30 steps of a horizon of 3 s into 31.
         Rollout::Accurate => (STEP_S, (horizon_s / STEP_S - 1e-9).ceil().max(1.0)),
         Rollout::Paper => (PAPER_STEP_S, 1.0),
     };
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_held_wheel_is_a_circle() {
+    fn constant_steering_gives_a_circle() {
         let vehicle = Vehicle::default();
         let action = Action {
             steer: 0.25,
@@ -50,7 +50,7 @@ mod tests {
         let radius_m = vehicle.wheelbase_m / (0.25 * vehicle.max_steer_rad()).tan();
         for state in &states {
             let middle_m = state.position.x.hypot(state.position.y - radius_m);
-            // Euler's polygon of 0.8 m chords leaves the circle outwards.
+            // The chords of 0.8 m of Euler's method leave the circle outwards.
             assert!((middle_m / radius_m - 1.0).abs() < 0.1, "{state:?}");
         }
         let turned_rad = states.last().map(|state| state.heading_rad);
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_single_step_does_not_see_the_wheel() {
+    fn the_papers_single_step_ignores_the_steering() {
         let vehicle = Vehicle::default();
         let action = Action {
             steer: 1.0,
