@@ -9,11 +9,11 @@ use supervisor::subcommand::{Output, Subcommand, seconds};
 
 use anyhow::Context;
 use learner::algorithm::{Pvp, Regression, Size, Source, Student, pvp};
-use learner::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
+use learner::replay::{ACTIONS, Buffer, Replay, Then, Transition};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, Preference};
 
 use crate::products::{Pass, Room};
 use lab::report::{Machine, table};
@@ -235,10 +235,10 @@ fn replay(held: usize) -> Replay {
             policy,
             // Who drives is obeyed, but for hand-overs.
             expert: [applied, other][k % 2],
-            label: [Label::Expert, Label::Policy][k % 2],
+            label: [Preference::Expert, Preference::Policy][k % 2],
             then: [Then::On, Then::End][usize::from(k % 500 < 2)],
         };
-        replay.push([Ring::Expert, Ring::Learner][k % 2], transition);
+        replay.push([Buffer::Expert, Buffer::Learner][k % 2], transition);
     }
     replay
 }

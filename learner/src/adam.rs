@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 const BETA_1: f64 = 0.9;
 /// Exponential decay of the second moment.
 const BETA_2: f64 = 0.999;
-/// Keeps the step finite.
+/// Epsilon: keeps the division finite.
 const EPSILON: f32 = 1e-8;
 
 /// The optimiser of one network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Adam {
-    /// Length of a step.
+    /// Learning rate.
     pub rate: f32,
     first: Vec<f32>,
     second: Vec<f32>,
@@ -20,7 +20,7 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// For this many parameters.
+    /// An optimiser for this many parameters.
     pub fn new(parameters: usize, rate: f32) -> Adam {
         Adam {
             rate,
@@ -30,7 +30,7 @@ impl Adam {
         }
     }
 
-    /// One step down the gradient.
+    /// One step against the gradient.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32]) {
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);

@@ -1,14 +1,13 @@
-//! Steps become transitions, with the label of the question they belong to.
+//! Turns steps into transitions, with the label of the question they belong to.
 //!
-//! A transition needs the step after it: only one of the same world, episode and
-//! the next tick is that. After anything else (a lost step, a restarted process,
-//! a swap of worlds) it is not known what followed, and no run's state leaks
-//! into another.
+//! A transition needs the step after it: the step of the next tick, of the same world
+//! and episode. After anything else (a lost step, a restarted process, another world)
+//! the successor is unknown, and no state of one run leaks into another.
 //!
-//! A label holds for the window that its advice names: from the question's
-//! observation for one period of asking, to the end of the episode at the
-//! latest, or until a later question's answer covers it. Answers come late, so
-//! transitions wait for theirs, for a limited time.
+//! A label holds for the window that its advice names: from the question's observation
+//! for one period of asking, at most to the end of the episode, or until the answer to
+//! a later question covers it. Answers come late, so transitions wait for them, for a
+//! limited time.
 
 use std::collections::VecDeque;
 
@@ -16,31 +15,31 @@ use shm_config::config::GateMode;
 use shm_config::message::{Driver, FEATURES, Preference, Reason, Step};
 use vehicle::Action;
 
-use crate::replay::{ACTIONS, Label, Then, Transition};
+use crate::replay::{ACTIONS, Then, Transition};
 
-/// Answers that are remembered; more come only from a judge that is asked more
-/// often than ten times a second for as long as a transition waits.
+/// Answers that are remembered. More come only from a judge that is asked more than ten
+/// times a second for as long as a transition waits.
 const WINDOWS_MAX: usize = 512;
 
-/// How labels come about.
+/// The configuration of labels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Labelling {
-    /// Who decides who drives.
+    /// Which driver drives; the gate's mode.
     pub mode: GateMode,
     /// How long a transition waits for its answer, ns.
     pub wait_ns: u64,
 }
 
-/// What became of the steps.
+/// Counts of steps and of the transitions made from them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Counts {
     /// Steps received.
     pub steps: u64,
-    /// Steps that were published and never received.
+    /// Steps that were published and not received.
     pub lost: u64,
-    /// Steps that are no transition: the car saw nothing new.
+    /// Steps without a new observation; they make no transition.
     pub unseen: u64,
-    /// Transitions of which nobody knows what followed.
+    /// Transitions whose successor is unknown.
     pub cut: u64,
     /// Transitions whose label prefers the expert.
     pub expert: u64,
@@ -53,18 +52,18 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Transitions made.
+    /// Transitions made so far.
     pub fn transitions(&self) -> u64 {
         self.expert + self.policy + self.unlabelled
     }
 
-    /// Steps driven: received, and published while nobody listened.
+    /// Steps driven: received, or published while the learner was not connected.
     pub fn driven(&self) -> u64 {
         self.steps + self.lost
     }
 
-    /// The larger of the two for each count: both count the same steps from the same
-    /// start, one of them further.
+    /// The larger of the two values of each count. Both count the same steps from the
+    /// same start, and one of them counted further.
     #[must_use]
     pub fn max(&self, other: &Counts) -> Counts {
         Counts {
@@ -80,14 +79,15 @@ impl Counts {
     }
 }
 
-/// Who published a step, and the world it saw: both start anew when restarted.
+/// The controller that published a step, and the world it observed; both change when a
+/// process restarts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Origin {
     controller: u32,
     world: u32,
 }
 
-/// The newest observation that was seen, and when its episode began here.
+/// The newest observation, and when the first step of its episode was received.
 #[derive(Clone, Copy, Debug)]
 struct Newest {
     world: u32,
@@ -96,46 +96,46 @@ struct Newest {
     begun_ns: u64,
 }
 
-/// One step, seen.
+/// One received step.
 #[derive(Clone, Debug)]
 struct Seen {
     origin: Origin,
     episode: u32,
     tick: u64,
     taken_ns: u64,
-    /// When the first step of its episode was taken that came here, ns.
+    /// When the first received step of its episode was taken, ns.
     begun_ns: u64,
-    /// The label, when it depends on no answer.
-    known: Option<Label>,
+    /// The label, if it depends on no answer.
+    known: Option<Preference>,
     transition: Transition,
 }
 
-/// What an answer is about.
+/// The steps that an answer labels.
 #[derive(Clone, Copy, Debug)]
 struct Window {
     from_ns: u64,
     to_ns: u64,
-    label: Label,
+    label: Preference,
 }
 
-/// Steps in, transitions out.
+/// Takes steps, gives transitions.
 pub struct Assembler {
     labelling: Labelling,
     counts: Counts,
-    /// The sequence number of the last step, and who published it.
+    /// The controller and the sequence number of the last step.
     heard: Option<(u32, u64)>,
     answers: u64,
     /// When the last step was taken, ns.
     now_ns: u64,
     newest: Option<Newest>,
     last: Option<Seen>,
-    /// Complete, but for the label; the oldest first.
+    /// Transitions that wait for their label, the oldest first.
     waiting: VecDeque<Seen>,
     windows: VecDeque<Window>,
 }
 
 impl Assembler {
-    /// Goes on counting from these counts.
+    /// Continues from these counts.
     pub fn new(labelling: Labelling, counts: Counts) -> Assembler {
         Assembler {
             labelling,
@@ -150,32 +150,31 @@ impl Assembler {
         }
     }
 
-    /// What became of the steps so far.
+    /// Counts of steps and transitions so far.
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Sequence numbers follow on from this one, of this publisher: what is
-    /// missing in between was lost.
+    /// Sets the controller and the sequence number from which steps continue; numbers
+    /// that are missing after it count as lost.
     pub fn follows(&mut self, (producer, sequence): (u32, u64)) {
         self.heard = Some((producer, sequence));
     }
 
-    /// Publisher and sequence number of the newest step.
+    /// Controller and sequence number of the newest step.
     pub fn heard(&self) -> Option<(u32, u64)> {
         self.heard
     }
 
-    /// Steps that will be transitions when it is known what followed and whom
-    /// the judge preferred.
+    /// Steps that become transitions once their successor and their label are known.
     pub fn waiting(&self) -> u64 {
         self.waiting.len() as u64 + u64::from(self.last.is_some())
     }
 
-    /// Takes in a step that was checked at the door; `out` gets the transitions
-    /// that are complete now, the oldest first.
+    /// Takes an admitted step; `out` receives the transitions that are now complete,
+    /// the oldest first.
     pub fn push(&mut self, step: &Step, mut out: impl FnMut(Transition)) {
-        // A clock that ran backwards is that of another run.
+        // A clock that ran backwards belongs to another run.
         if step.header.taken_ns < self.now_ns {
             self.finish(&mut out);
             self.windows.clear();
@@ -201,7 +200,7 @@ impl Assembler {
         self.release(step.header.taken_ns, &mut out);
     }
 
-    /// Ends the run: what waits gets the label that is known, or none.
+    /// Ends the run: each waiting transition gets its label if known, else none.
     pub fn finish(&mut self, mut out: impl FnMut(Transition)) {
         if let Some(mut last) = self.last.take() {
             last.transition.then = Then::Unknown;
@@ -213,7 +212,8 @@ impl Assembler {
 
     fn count(&mut self, step: &Step) {
         let header = &step.header;
-        // A new publisher counts from 1; what it published unheard is lost too.
+        // A new controller counts from 1; the steps that it published before the first
+        // one received are lost too.
         let expected = match self.heard {
             Some((producer, sequence)) if producer == header.producer => sequence + 1,
             Some(_) | None => 1,
@@ -230,7 +230,7 @@ impl Assembler {
         self.counts.interventions += u64::from(step.driver() != Driver::Policy);
     }
 
-    /// A new answer opens a window of labels; an abstention's label is none.
+    /// A new answer opens a window of labels; an abstention labels nothing.
     fn learn_answer(&mut self, step: &Step) {
         let advice = &step.advice;
         if advice.answers == self.answers {
@@ -246,15 +246,11 @@ impl Assembler {
         self.windows.push_back(Window {
             from_ns: advice.label_from_ns,
             to_ns: advice.label_until_ns,
-            label: match advice.label() {
-                Preference::Expert => Label::Expert,
-                Preference::Policy => Label::Policy,
-                Preference::Abstain => Label::None,
-            },
+            label: advice.label(),
         });
     }
 
-    /// The step's own part of a transition; `None` when the car saw nothing new.
+    /// The step's part of a transition; `None` without a new observation.
     fn see(&mut self, step: &Step) -> Option<Seen> {
         let observation = &step.observation;
         let header = &observation.header;
@@ -298,27 +294,26 @@ impl Assembler {
                 applied,
                 policy: step.policy.action().map_or(applied, pair),
                 expert: pair(expert_command(step)),
-                label: Label::None,
+                label: Preference::Abstain,
                 then: Then::Unknown,
             },
         })
     }
 
-    /// The label of a step that needs no answer: the judge in the tick refused
-    /// the policy, a person took over, or the configuration leaves no choice. Where
-    /// a person watched and let the policy drive, that is no label: nobody can say
-    /// whether they agreed or had not looked up yet (HG-DAgger and PVP take no
-    /// preference from it either).
-    fn known_label(&self, step: &Step) -> Option<Label> {
+    /// The label of a step that needs no answer: the safety check vetoed the policy, a
+    /// person took over, or the configuration leaves no choice. A person who watched
+    /// and let the policy drive gives no label: it is unknown whether they agreed or
+    /// did not look (HG-DAgger and PVP take no preference from it either).
+    fn known_label(&self, step: &Step) -> Option<Preference> {
         match (self.labelling.mode, step.reason()) {
-            (GateMode::Expert, _) => Some(Label::Expert),
-            (GateMode::Human, Some(Reason::Takeover)) => Some(Label::Expert),
-            (_, Some(Reason::Vetoed)) => Some(Label::Expert),
-            (GateMode::Policy | GateMode::Human, _) => Some(Label::None),
-            // Nobody can prefer a policy that proposed nothing; and of a late tick
-            // only the machine is to blame.
+            (GateMode::Expert, _) => Some(Preference::Expert),
+            (GateMode::Human, Some(Reason::Takeover)) => Some(Preference::Expert),
+            (_, Some(Reason::Vetoed)) => Some(Preference::Expert),
+            (GateMode::Policy | GateMode::Human, _) => Some(Preference::Abstain),
+            // A policy that proposed nothing cannot be preferred, and a late tick is
+            // caused by the machine.
             (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty | Reason::Late)) => {
-                Some(Label::None)
+                Some(Preference::Abstain)
             }
             (GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay, _) => None,
         }
@@ -329,16 +324,16 @@ impl Assembler {
             let waited_ns = now_ns.saturating_sub(seen.taken_ns);
             let label = match seen.known.or_else(|| self.answered(seen)) {
                 Some(label) => label,
-                None if waited_ns > self.labelling.wait_ns => Label::None,
+                None if waited_ns > self.labelling.wait_ns => Preference::Abstain,
                 None => return,
             };
             let Some(mut seen) = self.waiting.pop_front() else {
                 return;
             };
             *match label {
-                Label::Expert => &mut self.counts.expert,
-                Label::Policy => &mut self.counts.policy,
-                Label::None => &mut self.counts.unlabelled,
+                Preference::Expert => &mut self.counts.expert,
+                Preference::Policy => &mut self.counts.policy,
+                Preference::Abstain => &mut self.counts.unlabelled,
             } += 1;
             seen.transition.label = label;
             out(seen.transition);
@@ -346,7 +341,7 @@ impl Assembler {
     }
 
     /// The label of the newest question whose window holds the step.
-    fn answered(&self, seen: &Seen) -> Option<Label> {
+    fn answered(&self, seen: &Seen) -> Option<Preference> {
         let covers = |window: &&Window| {
             window.from_ns >= seen.begun_ns
                 && (window.from_ns..window.to_ns).contains(&seen.taken_ns)
@@ -359,9 +354,9 @@ impl Assembler {
     }
 }
 
-/// What the expert would have commanded: its proposal, with the brake where the
-/// judge in the tick vetoes it, as [`controller::choose`] has it. No proposal is
-/// the brake, too. A person is not vetoed.
+/// What the expert would have commanded: its proposal, but the brake if the safety
+/// check vetoes it or there is none, as in [`controller::choose`]. The action of a
+/// person is not vetoed.
 ///
 /// [`controller::choose`]: ../../controller/fn.choose.html
 pub fn expert_command(step: &Step) -> Action {
@@ -376,7 +371,7 @@ pub fn expert_command(step: &Step) -> Action {
     }
 }
 
-/// What followed a step, by the step that came next.
+/// The successor of a step, given the step that was received next.
 fn follows(last: &Seen, next: &Seen) -> Then {
     if last.origin != next.origin {
         Then::Unknown

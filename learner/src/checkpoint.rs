@@ -1,4 +1,4 @@
-//! What a learner knows, on disk: written whole or not at all.
+//! The state of a learner on disk; the file is replaced as a whole or not at all.
 
 use std::io;
 use std::path::Path;
@@ -9,34 +9,34 @@ use shm_config::file::{Durable, read_ours, replace};
 
 use crate::algorithm::Student;
 
-/// First bytes of the file: name and version of the format.
+/// The first bytes of the file: name and version of the format.
 const MAGIC: &[u8; 8] = b"VLLRNR02";
 
-/// Longest file that is read, bytes: a thousand times the paper's networks.
+/// Longest file that is read, bytes: a thousand times that of the paper's networks.
 const BYTES_MAX: u64 = 1 << 32;
 
-/// Everything but the replay, which is in the journal.
+/// All state but the replay, which is in the journal.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// The algorithm's name, as configured.
     pub algorithm: String,
     /// Networks and optimisers.
     pub student: Student,
-    /// State of the random numbers.
+    /// State of the random number generator.
     pub random: Xoshiro256PlusPlus,
     /// Steps driven at the end of the last block.
     pub steps: u64,
     /// Updates made.
     pub updates: u64,
-    /// Blocks ended.
+    /// Blocks finished.
     pub blocks: u64,
 }
 
 impl Checkpoint {
-    /// Writes the file, in place of the one before.
+    /// Replaces the file.
     ///
     /// # Errors
-    /// When it cannot be written; the one before stays.
+    /// When it cannot be written; the old file then stays.
     pub fn write(&self, path: &Path) -> io::Result<()> {
         let body = postcard::to_stdvec(self).map_err(io::Error::other)?;
         let mut bytes = Vec::with_capacity(MAGIC.len() + 4 + body.len());
@@ -57,7 +57,7 @@ impl Checkpoint {
             Err(error) => return Err(error),
         };
         let damaged = || {
-            let what = "is damaged or of another version; move it away to begin anew";
+            let what = "is damaged or of another version; move it away to start anew";
             io::Error::new(io::ErrorKind::InvalidData, what)
         };
         let rest = bytes.strip_prefix(MAGIC).ok_or_else(damaged)?;

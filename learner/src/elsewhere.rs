@@ -1,23 +1,23 @@
-//! What the car would see a little way from where it is.
+//! The observation from another pose near the car.
 //!
-//! Predicted states of a rollout are asked about as if the car were there: the
-//! lidar returns, the road and the checkpoints are those of the observation,
-//! seen from the other pose. What was hidden stays unknown, and what moves is
-//! where it was, which holds for the second or two that a rollout lasts.
+//! The expert is asked at predicted states of a rollout as if the car were there: the
+//! lidar returns, the road and the checkpoints of the observation are transformed to
+//! the other pose. What was hidden stays unknown, and moving bodies stay where they
+//! were, which is a good approximation for the second or two of a rollout.
 
 use shm_config::message::{BEAMS_MAX, Bend, Observation};
 use vehicle::{Point, Pose, State, wrap_rad};
 
-/// Neighbouring returns nearer to each other than this belong to one body, m:
-/// less than a car could pass through.
+/// Neighbouring returns nearer to each other than this belong to one body, m: a car
+/// could not pass between them.
 const JOINED_M: f64 = 1.5;
-/// Half the lane width that the leftmost lane's centre line is from its edge, m.
+/// Distance of the leftmost lane's centre line from the road's edge, in lane widths.
 const HALF_LANE_M: f64 = 1.75;
-/// A bend's centre nearer than this is no bend that a car can follow, m.
+/// A bend with a smaller radius is too tight for any car, m.
 const CENTRE_MIN_M: f64 = 1.0;
 
-/// Writes what would be observed after a motion: `moved` is the car's state in
-/// the body frame of the observation, its speed in m/s, and what it last obeyed.
+/// Writes the observation after a motion. `moved` is the car's state in the body frame
+/// of `from`, its speed in m/s, and the action it last applied.
 pub fn observe(
     from: &Observation,
     moved: &State,
@@ -47,7 +47,7 @@ fn move_ego(from: &Observation, moved: &State, out: &mut Observation) {
     out.ego.speed_mps = moved.speed_mps;
 }
 
-/// The road as two lines or two arcs around one centre.
+/// The edges of the road as two lines, or as two arcs around one centre.
 fn move_road(from: &Observation, body_from_there: &Pose, out: &mut Observation) {
     let road = &from.road;
     let checkpoint = &from.checkpoints[0];
@@ -76,8 +76,8 @@ fn move_road(from: &Observation, body_from_there: &Pose, out: &mut Observation) 
     out.road.heading_rad = wrap_rad(heading_rad);
 }
 
-/// The scan from there: segments between joined neighbours, single returns as
-/// wide as the gap between two beams.
+/// The scan from the other pose: joined neighbours become segments; a single return
+/// becomes a segment as wide as the gap between two beams.
 fn scan(from: &Observation, there_from_body: &Pose, out: &mut Observation) {
     let ranges_m = from.ranges();
     let beams = ranges_m.len();
@@ -110,11 +110,12 @@ fn scan(from: &Observation, there_from_body: &Pose, out: &mut Observation) {
     }
 }
 
-/// Shortens the beams that meet the segment.
+/// Shortens the beams that hit the segment.
 fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) {
     let (from_rad, to_rad) = (a.y.atan2(a.x), b.y.atan2(b.x));
     let sweep_rad = wrap_rad(to_rad - from_rad);
-    // Half a gap further at both ends, so that no body falls between two beams.
+    // The segment is extended by half a gap at both ends, so that no body falls between
+    // two beams.
     let (low_rad, high_rad) = match sweep_rad < 0.0 {
         true => (from_rad + sweep_rad, from_rad),
         false => (from_rad, from_rad + sweep_rad),
@@ -125,7 +126,7 @@ fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) 
     let beams = ranges_m.len() as i64;
     for k in first..=last {
         let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
-        // The beam meets the line of the segment at this share of its length.
+        // The beam crosses the segment's line at this share of its length.
         let across = cos * along.y - sin * along.x;
         let share = match across.abs() > 1e-9 {
             true => ((sin * a.x - cos * a.y) / across).clamp(0.0, 1.0),
@@ -138,7 +139,7 @@ fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) 
     }
 }
 
-/// Puts a body there that is not: its outline shortens the beams that meet it.
+/// Adds a body to the observation: its outline shortens the beams that hit it.
 pub fn place(outline_body: &[Point], observation: &mut Observation) {
     let beams = observation.ranges().len();
     if beams == 0 {

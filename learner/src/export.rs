@@ -1,12 +1,12 @@
-//! A network becomes a policy file.
+//! Turns a network into a policy file.
 
 use policy::{Activation, Layer, Mlp, Provenance, Refusal};
 
 use crate::features::scaling;
 use crate::network::{Head, Network};
 
-/// The runtime's net: it takes the plain features, so the change that the
-/// networks learn with is folded into the first layer.
+/// The network as the runtime evaluates it. It takes the plain features, so the linear
+/// change of the networks' input is folded into the first layer.
 ///
 /// # Errors
 /// When a number is not finite, or the sizes are not those of a policy.
@@ -40,7 +40,7 @@ pub fn mlp(network: &Network) -> Result<Mlp, Refusal> {
     Mlp::new(layers.collect())
 }
 
-/// The bytes of a policy file, with these plain features as probes.
+/// The bytes of a policy file with these plain features as probes.
 ///
 /// # Errors
 /// As [`mlp`].

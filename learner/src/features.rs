@@ -1,9 +1,9 @@
-//! The policy's input as the networks get it.
+//! The input of the networks, made from the policy's features.
 //!
-//! MetaDrive's features lie in [0, 1], most of them in a small part of it; a free
-//! beam is 1. The networks learn faster from numbers around zero and beams that
-//! are 0 where there is nothing. The change is linear, so it is folded into the
-//! first layer when a policy is written: its file takes the plain features.
+//! MetaDrive's features lie in [0, 1], most of them in a small part of it, and a free
+//! beam is 1. The networks learn faster from standardised features and an inverted
+//! lidar, in which free beams are 0. The change is linear, so it is folded into the
+//! first layer when a policy is exported: its file takes the plain features.
 
 use shm_config::message::FEATURES;
 
@@ -11,9 +11,9 @@ use crate::replay::ACTIONS;
 
 /// Features before the beams.
 const EGO: usize = 19;
-/// The ego's features are centred and stretched by this.
+/// Scale of the ego's features, after centring.
 const STRETCH: f32 = 4.0;
-/// First features of the two checkpoints.
+/// Index of the first feature of each of the two checkpoints.
 const CHECKPOINTS: [usize; 2] = [9, 14];
 /// Widths are divided by this, m.
 const WIDTH_M: f32 = 18.0;
@@ -30,7 +30,7 @@ pub const fn scaling(feature: usize) -> (f32, f32) {
     }
 }
 
-/// Plain features become the networks' input, in place.
+/// Turns plain features into the networks' input, in place.
 pub fn prepare(row: &mut [f32]) {
     for (feature, value) in row.iter_mut().enumerate() {
         let (scale, shift) = scaling(feature);
@@ -38,11 +38,11 @@ pub fn prepare(row: &mut [f32]) {
     }
 }
 
-/// Plain features of the same scene seen in a mirror, in place: what is left is
-/// right. The action's steering turns with it.
+/// Mirrors the plain features of a scene, in place: left and right are exchanged, the
+/// steering changes sign.
 ///
-/// A bend's radius is that of the leftmost lane, which is the rightmost one in
-/// the mirror.
+/// The radius of a bend is that of the leftmost lane, which is the rightmost lane of
+/// the mirrored scene.
 pub fn mirror(row: &mut [f32; FEATURES]) {
     let width_m = (row[0] + row[1]) * WIDTH_M;
     row.swap(0, 1);
@@ -64,11 +64,11 @@ pub fn mirror(row: &mut [f32; FEATURES]) {
         };
         row[first + 3] = 1.0 - bend;
     }
-    // Beam 0 looks ahead; the others change sides.
+    // Beam 0 points ahead; each other beam is exchanged with the one on the other side.
     row[EGO + 1..].reverse();
 }
 
-/// The action in the mirror.
+/// Mirrors an action.
 pub fn mirror_action(action: &mut [f32; ACTIONS]) {
     action[0] = -action[0];
 }

@@ -1,46 +1,46 @@
-//! States that were never visited, and what the expert would do there.
+//! Imagined states, and what the expert would do at each.
 //!
-//! The expert is a program: it can be asked at any observation, for a millisecond
-//! of a learner's time and without a step of the world. Two kinds of states are
-//! worth asking about: those that a rejected action would have led to, and those
-//! a little beside what was seen, with bodies in the way that were not there.
+//! The expert is a program: it can be asked at any observation, which costs a
+//! millisecond of the learner and no step of the world. Two kinds of states are useful:
+//! those to which a rejected action would have led, and those near an observation, with
+//! a lateral offset or added bodies.
 
 use std::f64::consts::FRAC_PI_2;
 
 use rand::{Rng, RngExt};
 use shm_config::config::{Config, OutOfRange};
-use shm_config::message::{Bend, FEATURES, Observation};
+use shm_config::message::{Bend, FEATURES, Observation, Preference};
 use stack::oracle::Oracle;
 use vehicle::{Action, Point, Pose, State, Vehicle, wrap_rad};
 
 use crate::elsewhere;
-use crate::replay::{ACTIONS, Label, Then, Transition};
+use crate::replay::{ACTIONS, Then, Transition};
 
-/// From predicted state to predicted state, s.
+/// Time between predicted states, s.
 const STRIDE_S: f64 = 0.2;
-/// Steps of the bicycle between two of them.
+/// Steps of the bicycle model between them.
 const STRIDE_STEPS: usize = 2;
-/// Sideways displacement, standard deviation, m: a fifth of a lane.
+/// Lateral offset, standard deviation, m: a fifth of a lane.
 const ASIDE_M: f64 = 0.7;
 /// Change of heading, standard deviation, rad: 7 degrees.
 const TURN_RAD: f64 = 0.12;
-/// Share of the states that get another speed.
+/// Share of the states that get a random speed.
 const SPEED_SHARE: f64 = 0.3;
-/// The highest of these speeds, m/s.
+/// The highest random speed, m/s.
 const SPEED_MAX_MPS: f64 = 8.0;
 /// The car's centre stays this far from the edges, m.
 const EDGE_M: f64 = 1.2;
-/// Where bodies are placed ahead, m.
+/// Distance ahead of an added body, m.
 const AHEAD_M: std::ops::Range<f64> = 4.0..30.0;
-/// Half lengths and half widths of the bodies placed: a cone, a barrier, a car, m.
+/// Half lengths and half widths of added bodies: a cone, a barrier, a car, m.
 const BODIES_M: [(f64, f64); 3] = [(0.2, 0.2), (0.15, 0.8), (2.3, 1.0)];
-/// Bodies placed, drawn evenly from this list.
+/// Number of added bodies, drawn uniformly from this list.
 const BODY_COUNTS: [usize; 4] = [0, 1, 1, 2];
-/// Nothing is placed this near before the car's centre or beside it, m: it would
-/// already be a crash.
+/// No body is added nearer than this ahead of the car's centre or beside it, m: it
+/// would already touch the car.
 const CLEAR_M: [f64; 2] = [3.5, 1.5];
 
-/// Asks the expert where nobody was.
+/// Asks the expert at imagined states.
 pub struct Imagination {
     oracle: Oracle,
     vehicle: Vehicle,
@@ -60,8 +60,8 @@ impl Imagination {
         })
     }
 
-    /// Follows a rejected action for this many states, held as it is; `out` gets
-    /// each with the expert's answer.
+    /// Predicts this many states while a rejected action is held; `out` receives each
+    /// with the expert's answer.
     pub fn predict(
         &mut self,
         observation: &Observation,
@@ -84,7 +84,7 @@ impl Imagination {
         }
     }
 
-    /// A state beside the one observed, with bodies in the way.
+    /// A state near the observation, with added bodies.
     pub fn disturb(&mut self, observation: &Observation, random: &mut impl Rng) -> Transition {
         let (ego, road) = (&observation.ego, &observation.road);
         let mut state = State::at_origin(ego.speed_mps);
@@ -101,11 +101,11 @@ impl Imagination {
         self.ask(None)
     }
 
-    /// The state there, with the expert's answer; where nothing was rejected,
-    /// nothing is preferred to the answer.
+    /// The imagined state with the expert's answer. Without a rejected action the
+    /// answer is a target, but no preference.
     fn ask(&mut self, rejected: Option<Action>) -> Transition {
         let mut state = [0.0; FEATURES];
-        // Steps with another number of beams are refused before they come here.
+        // Steps with another number of beams were refused before.
         self.there.features(&mut state);
         let expert = self.oracle.ask(&mut self.there);
         let rejected = rejected.unwrap_or(expert);
@@ -117,13 +117,13 @@ impl Imagination {
             applied: pair(rejected),
             policy: pair(rejected),
             expert: pair(expert),
-            label: Label::Expert,
+            label: Preference::Expert,
             then: Then::Unknown,
         }
     }
 }
 
-/// Puts a body on the road ahead.
+/// Adds a body to the road ahead.
 fn place(observation: &mut Observation, random: &mut impl Rng) {
     let road = &observation.road;
     let checkpoint = &observation.checkpoints[0];
@@ -153,7 +153,7 @@ fn outline(body_from_box: &Pose, half_length_m: f64, half_width_m: f64) -> [Poin
         .map(|(x, y)| body_from_box * Point::new(x * half_length_m, y * half_width_m))
 }
 
-/// A normal number, by Box and Muller.
+/// A normally distributed number (Box and Muller).
 fn normal(random: &mut impl Rng) -> f64 {
     let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();
     radius * (std::f64::consts::TAU * random.random::<f64>()).cos()

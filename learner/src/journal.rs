@@ -1,60 +1,60 @@
-//! The replay on disk: every transition is appended as it comes, so that a
-//! learner that is killed has lost none but the last few.
+//! The replay on disk. Each transition is appended when it arrives, so a killed learner
+//! loses only the last few.
 //!
-//! One record after the other, each with its checksum; a torn one at the end is
-//! cut off when the file is opened. When the file holds much more than the rings
-//! do, it is written anew, whole or not at all.
+//! Records follow one another, each with a checksum; an incomplete record at the end is
+//! cut off when the file is opened. When the file holds much more than the replay
+//! buffers, it is replaced by a shorter one, as a whole or not at all.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use shm_config::file::{Access, Durable, open_ours, replace_with};
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, Preference};
 
 use crate::assembler::Counts;
-use crate::replay::{ACTIONS, Label, Replay, Ring, Then, Transition};
+use crate::replay::{ACTIONS, Buffer, Replay, Then, Transition};
 
-/// First bytes of the file: name and version of the format.
+/// The first bytes of the file: name and version of the format.
 const MAGIC: &[u8; 8] = b"VLREPL01";
-/// Numbers of a transition.
+/// Floating-point numbers in a transition.
 const NUMBERS: usize = 2 * FEATURES + 3 * ACTIONS;
 /// Counters beside each transition.
 const COUNTERS: usize = 11;
-/// Codes beside them: ring, label, what followed.
+/// Codes beside them: buffer, label, successor.
 const CODES: usize = 3;
 /// Bytes of a record: numbers, codes, counters, checksum.
 pub const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
-/// The file is written anew at this many times what the rings can hold.
+/// The file is replaced when it holds this many times the capacity of the buffers.
 const SLACK: u64 = 2;
 
-/// Records at the end of a file that are looked at for a whole one.
+/// Records at the end of a file that are searched for a valid one.
 const LOOK_BACK: u64 = 64;
 
-/// How far the steps had come when a record was written.
+/// The counts at the time when a record was written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
-    /// What became of the steps.
+    /// Counts of steps and transitions.
     pub counts: Counts,
     /// Process id of the controller.
     pub producer: u32,
     /// Its last step's sequence number.
     pub sequence: u64,
-    /// Updates of the networks.
+    /// Updates made.
     pub updates: u64,
 }
 
 impl Mark {
-    /// The mark when these counts were reached as well. Only a step that completes a
-    /// transition writes a mark, so the last block may have ended some steps later.
-    /// Each of these steps had a sequence number: one that is not skipped here would be
-    /// counted a second time, as lost.
+    /// The mark, advanced to these counts. Only a step that completes a transition
+    /// writes a mark, so the last block may have ended some steps later. Each of these
+    /// steps had a sequence number; if it were not skipped here, it would count a
+    /// second time, as lost.
     #[must_use]
     pub fn reached(self, counts: &Counts) -> Mark {
         let counts = self.counts.max(counts);
         let further = counts.driven() - self.counts.driven();
         let sequence = match self.sequence {
-            // The publisher is unknown.
+            // The controller is unknown.
             0 => 0,
             sequence => sequence + further,
         };
@@ -66,32 +66,32 @@ impl Mark {
     }
 }
 
-/// The file, open for more.
+/// The journal's file, opened for appending.
 pub struct Journal {
     path: PathBuf,
     file: BufWriter<File>,
     records: u64,
 }
 
-/// What a file held.
+/// The content of a journal's file.
 pub struct Recovered {
-    /// The file, open for more.
+    /// The file, opened for appending.
     pub journal: Journal,
-    /// The transitions, in their rings.
+    /// The transitions, in their replay buffers.
     pub replay: Replay,
     /// The last record's mark.
     pub mark: Option<Mark>,
-    /// Bytes of a torn record that were cut off.
+    /// Bytes of an incomplete record that were cut off.
     pub torn_bytes: u64,
 }
 
 impl Journal {
-    /// Opens the file, or begins it, and reads what it holds; `learnt` transitions
-    /// were in it at the end of the last block.
+    /// Opens or creates the file and reads its transitions. `learnt` is the number of
+    /// transitions at the end of the last block.
     ///
     /// # Errors
-    /// When the file cannot be read or written, is of another format, or holds
-    /// less than was learnt from: it is left as it is then.
+    /// When the file cannot be read or written, has another format, or holds fewer
+    /// transitions than were learnt from. It is then left unchanged.
     pub fn open(path: &Path, capacity: usize, learnt: u64) -> io::Result<Recovered> {
         let mut replay = Replay::new(capacity);
         let mut mark = None;
@@ -111,17 +111,17 @@ impl Journal {
         if magic.len() == MAGIC.len() {
             let mut record = [0; RECORD];
             while let Whole::Yes = read_record(&mut reader, &mut record)? {
-                let Some((ring, transition, at)) = decode(&record) else {
+                let Some((buffer, transition, at)) = decode(&record) else {
                     break;
                 };
-                replay.push(ring, transition);
+                replay.push(buffer, transition);
                 mark = Some(at);
                 records += 1;
             }
         }
         check_whole(mark, learnt)?;
         if magic.len() < MAGIC.len() {
-            // Killed while it began the file.
+            // A learner was killed while it created the file.
             file.set_len(0)?;
             file.rewind()?;
             file.write_all(MAGIC)?;
@@ -146,13 +146,18 @@ impl Journal {
     /// Appends a transition.
     ///
     /// # Errors
-    /// When the file cannot be written: the disk is full.
-    pub fn append(&mut self, ring: Ring, transition: &Transition, mark: &Mark) -> io::Result<()> {
+    /// When the file cannot be written, for example on a full disk.
+    pub fn append(
+        &mut self,
+        buffer: Buffer,
+        transition: &Transition,
+        mark: &Mark,
+    ) -> io::Result<()> {
         self.records += 1;
-        self.file.write_all(&encode(ring, transition, mark))
+        self.file.write_all(&encode(buffer, transition, mark))
     }
 
-    /// Hands everything to the kernel: from now on a kill loses nothing of it.
+    /// Passes all buffered records to the kernel: a kill then loses none of them.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -160,7 +165,7 @@ impl Journal {
         self.file.flush()
     }
 
-    /// Hands everything to the disk: from now on a power cut loses nothing of it.
+    /// Passes all buffered records to the disk: a power cut then loses none of them.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -169,12 +174,12 @@ impl Journal {
         self.file.get_ref().sync_data()
     }
 
-    /// Writes the file anew when it holds much more than the replay does.
+    /// Replaces the file by a shorter one when it holds much more than the replay.
     ///
     /// # Errors
-    /// When the new file cannot be written; the old one stays.
+    /// When the new file cannot be written; the old one then stays.
     pub fn compact(&mut self, replay: &Replay, mark: &Mark) -> io::Result<()> {
-        let held = Ring::ALL.len() * replay.capacity();
+        let held = Buffer::ALL.len() * replay.capacity();
         if self.records <= SLACK * held as u64 {
             return Ok(());
         }
@@ -182,9 +187,9 @@ impl Journal {
         replace_with(&self.path, Durable::Yes, |file| {
             let mut file = BufWriter::new(file);
             file.write_all(MAGIC)?;
-            for ring in Ring::ALL {
-                for transition in replay.iter(ring) {
-                    file.write_all(&encode(ring, transition, mark))?;
+            for buffer in Buffer::ALL {
+                for transition in replay.iter(buffer) {
+                    file.write_all(&encode(buffer, transition, mark))?;
                     records += 1;
                 }
             }
@@ -196,9 +201,10 @@ impl Journal {
     }
 }
 
-/// A kill tears no more than the last record, and every transition was in the file
-/// before it was learnt from: what is missing, somebody else has cut off. Going on
-/// would count the missing steps a second time and never come to the end.
+/// A kill damages only the last record, and each transition was in the file before it
+/// was learnt from. If transitions are missing, another program has cut the file.
+/// Continuing would count the missing steps a second time and never reach the last
+/// step.
 fn check_whole(mark: Option<Mark>, learnt: u64) -> io::Result<()> {
     let held = mark.map_or(0, |mark| mark.counts.transitions());
     if held >= learnt {
@@ -206,13 +212,13 @@ fn check_whole(mark: Option<Mark>, learnt: u64) -> io::Result<()> {
     }
     let what = format!(
         "is damaged: it holds {held} of the {learnt} transitions that were learnt from; put the \
-         whole file back, or move its folder away to begin anew"
+         whole file back, or move its folder away to start anew"
     );
     Err(io::Error::new(io::ErrorKind::InvalidData, what))
 }
 
-/// How far the steps had come when a file's last whole record was written; `None`
-/// of a file that is not there or holds none. It is only read, and may be in use.
+/// The counts of a file's last valid record; `None` if the file is missing or holds
+/// none. The file is only read, and another process may be using it.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -224,7 +230,7 @@ pub fn last_mark(path: &Path) -> io::Result<Option<Mark>> {
     };
     let body = file.metadata()?.len().saturating_sub(MAGIC.len() as u64);
     let mut record = [0; RECORD];
-    // What a kill has torn stands at the end, and is less than a record or two.
+    // A kill leaves at most one or two incomplete records at the end.
     for back in 1..=(body / RECORD as u64).min(LOOK_BACK) {
         let index = body / RECORD as u64 - back;
         file.seek(SeekFrom::Start(MAGIC.len() as u64 + index * RECORD as u64))?;
@@ -237,13 +243,13 @@ pub fn last_mark(path: &Path) -> io::Result<Option<Mark>> {
     Ok(None)
 }
 
-/// Whether a record was there to its end.
+/// Whether a record was read completely.
 enum Whole {
     Yes,
     No,
 }
 
-/// A disk that cannot be read is no end of the file: nothing is cut off then.
+/// A read error is not the end of the file: nothing is cut off then.
 fn read_record(reader: &mut impl Read, record: &mut [u8; RECORD]) -> io::Result<Whole> {
     match reader.read_exact(record) {
         Ok(()) => Ok(Whole::Yes),
@@ -269,7 +275,7 @@ fn counters(mark: &Mark) -> [u64; COUNTERS] {
     ]
 }
 
-fn encode(ring: Ring, transition: &Transition, mark: &Mark) -> [u8; RECORD] {
+fn encode(buffer: Buffer, transition: &Transition, mark: &Mark) -> [u8; RECORD] {
     let mut record = [0; RECORD];
     let (body, sum) = record.split_at_mut(RECORD - 4);
     let (numbers, rest) = body.split_at_mut(4 * NUMBERS);
@@ -284,11 +290,11 @@ fn encode(ring: Ring, transition: &Transition, mark: &Mark) -> [u8; RECORD] {
     for (bytes, value) in numbers.chunks_exact_mut(4).zip(values) {
         bytes.copy_from_slice(&value.to_le_bytes());
     }
-    rest[0] = ring as u8;
+    rest[0] = buffer as u8;
     rest[1] = match transition.label {
-        Label::None => 0,
-        Label::Expert => 1,
-        Label::Policy => 2,
+        Preference::Abstain => 0,
+        Preference::Expert => 1,
+        Preference::Policy => 2,
     };
     rest[2] = match transition.then {
         Then::Unknown => 0,
@@ -304,7 +310,7 @@ fn encode(ring: Ring, transition: &Transition, mark: &Mark) -> [u8; RECORD] {
 }
 
 /// `None` when the checksum or a code is wrong.
-fn decode(record: &[u8; RECORD]) -> Option<(Ring, Transition, Mark)> {
+fn decode(record: &[u8; RECORD]) -> Option<(Buffer, Transition, Mark)> {
     let (body, sum) = record.split_at(RECORD - 4);
     if crc32fast::hash(body).to_le_bytes() != sum {
         return None;
@@ -324,11 +330,13 @@ fn decode(record: &[u8; RECORD]) -> Option<(Ring, Transition, Mark)> {
         *place = numbers.next()?;
     }
     let [applied, policy, expert] = actions;
-    let ring = Ring::ALL.into_iter().find(|&ring| ring as u8 == rest[0])?;
+    let buffer = Buffer::ALL
+        .into_iter()
+        .find(|&buffer| buffer as u8 == rest[0])?;
     let label = match rest[1] {
-        0 => Label::None,
-        1 => Label::Expert,
-        2 => Label::Policy,
+        0 => Preference::Abstain,
+        1 => Preference::Expert,
+        2 => Preference::Policy,
         _ => return None,
     };
     let then = match rest[2] {
@@ -368,5 +376,5 @@ fn decode(record: &[u8; RECORD]) -> Option<(Ring, Transition, Mark)> {
         label,
         then,
     };
-    Some((ring, transition, mark))
+    Some((buffer, transition, mark))
 }

@@ -1,16 +1,19 @@
-//! Steps to weights: what was driven becomes a better driver.
+//! From steps to weights: the learner makes better policies from recorded steps.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`assembler`] | steps to transitions, with the label of their question |
 //! | [`replay`], [`journal`] | the replay buffers, in memory and on disk |
-//! | [`algorithm`] | the ways to learn, a file each |
+//! | [`algorithm`] | the learning algorithms, one file each |
 //! | [`network`], [`adam`], [`matrix`], [`share`] | perceptrons, their gradients, their optimiser, the threads |
-//! | [`features`], [`export`] | the networks' input; a network becomes a policy file |
-//! | [`elsewhere`], [`imagine`] | what would be seen, and what the expert would do, off the driven path |
-//! | [`session`], [`checkpoint`], [`metrics`] | a learner's life, on disk after every block |
+//! | [`features`], [`export`] | the networks' input; the export of a network as a
+//! policy file |
+//! | [`elsewhere`], [`imagine`] | observations and the expert's actions at states that
+//! were never visited |
+//! | [`session`], [`checkpoint`], [`metrics`] | the learning session, which is on disk
+//! after every block |
 //!
-//! The feature `process` (default) adds the process: the loop between the ports.
+//! The feature `process` (default) adds the process: the loop that reads and publishes.
 
 pub mod adam;
 pub mod algorithm;

@@ -1,4 +1,4 @@
-//! The one place that hands slices to the matrix library.
+//! The only place that passes slices to the matrix library.
 
 use gemm::Parallelism;
 
@@ -13,10 +13,10 @@ pub struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// Rows one after the other.
+    /// A matrix whose rows follow one another.
     ///
     /// # Panics
-    /// When the slice is not of that size.
+    /// When the slice has another length.
     pub fn new(data: &'a [f32], rows: usize, columns: usize) -> Self {
         assert_eq!(data.len(), rows * columns, "a matrix of another size");
         Self {
@@ -28,7 +28,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// The same numbers, mirrored at the diagonal.
+    /// The transposed matrix, on the same numbers.
     pub fn transposed(self) -> Self {
         Self {
             rows: self.columns,
@@ -40,7 +40,7 @@ impl<'a> View<'a> {
     }
 }
 
-/// What becomes of the numbers that are there.
+/// What happens to the numbers in the output.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Old {
     /// They are overwritten.
@@ -49,8 +49,8 @@ pub enum Old {
     Add,
 }
 
-/// `out = a b`, or `out += a b`, on the calling thread; `out` has its rows one
-/// after the other.
+/// `out = a b`, or `out += a b`, on the calling thread; the rows of `out` follow one
+/// another.
 ///
 /// # Panics
 /// When the sizes do not fit.

@@ -1,4 +1,4 @@
-//! A row for each block, as CSV.
+//! One row for each block, as CSV.
 
 use std::fs;
 use std::io::{self, BufRead, BufReader};
@@ -9,31 +9,31 @@ use shm_config::file::{Access, Durable, open_ours, replace};
 
 use crate::assembler::Counts;
 
-/// What is known at the end of a block. Losses are means over its updates,
-/// everything else is counted from the start.
+/// The figures at the end of a block. Losses are means over its updates; all other
+/// figures count from the start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
-    /// Steps driven at its end.
+    /// Steps driven.
     pub steps: u64,
     /// Updates made.
     pub updates: u64,
-    /// What became of the steps.
+    /// Counts of steps and transitions.
     pub counts: Counts,
-    /// Transitions in the ring of steps that prefer the expert.
+    /// Transitions in the buffer of steps that prefer the expert.
     pub expert_ring: u64,
-    /// Transitions in the ring of all other steps.
+    /// Transitions in the buffer of all other steps.
     pub learner_ring: u64,
     /// Predicted states.
     pub predicted_ring: u64,
-    /// Loss of the actor.
+    /// Mean loss of the actor.
     pub actor_loss: f32,
-    /// Loss of the imitation.
+    /// Mean loss of the imitation.
     pub imitation_loss: f32,
-    /// Loss of the critics.
+    /// Mean loss of the critics.
     pub critic_loss: f32,
 }
 
-/// A row as it stands in the file.
+/// A row as it is written to the file.
 #[derive(Serialize, Deserialize)]
 struct Line {
     steps: u64,
@@ -53,15 +53,15 @@ struct Line {
     critic_loss: f32,
 }
 
-/// The file, open for more.
+/// The file, opened for appending.
 pub struct Metrics {
     writer: csv::Writer<fs::File>,
     counts: Counts,
 }
 
 impl Metrics {
-    /// Goes on after this many rows; what stands behind them is of blocks that
-    /// were never finished.
+    /// Opens the file and keeps this many rows; further rows are of blocks that were
+    /// never finished.
     ///
     /// # Errors
     /// When the file cannot be read or written.
@@ -69,7 +69,7 @@ impl Metrics {
         let mut kept = Vec::new();
         if let Ok(file) = open_ours(path, Access::Read) {
             let lines = BufReader::new(file).lines();
-            // The header stands before the rows.
+            // The header precedes the rows.
             for line in lines.take(rows as usize + usize::from(rows > 0)) {
                 kept.extend_from_slice(line?.as_bytes());
                 kept.push(b'\n');
@@ -97,8 +97,7 @@ impl Metrics {
         })
     }
 
-    /// What had become of the steps at the end of the last block that was in the file;
-    /// zeros when no row can be read.
+    /// The counts of the last row that was in the file; zeros if no row can be read.
     pub fn counts(&self) -> Counts {
         self.counts
     }

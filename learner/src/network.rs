@@ -1,7 +1,7 @@
-//! A multi-layer perceptron with its own gradients.
+//! A multi-layer perceptron with explicit gradients.
 //!
-//! Explicit forward and backward passes on a matrix library: twice as fast as
-//! the autograd frameworks at these sizes, and the loss code stays a page.
+//! Explicit forward and backward passes with a matrix library are twice as fast as the
+//! autograd frameworks at these sizes, and the loss code stays short.
 //! `tests/gradients.rs` compares every gradient with finite differences.
 
 use rand::{Rng, RngExt};
@@ -10,26 +10,26 @@ use serde::{Deserialize, Serialize};
 use crate::matrix::{Old, View, product};
 use crate::share::share;
 
-/// Rows of a batch that one thread works on at a time. Neither they nor the sums
-/// over them depend on how many threads there are, so that any number learns the
-/// same to the last bit.
+/// Rows of a batch that one thread processes at a time. Neither the parts nor the sums
+/// over them depend on the number of threads, so the result is the same, bit by bit,
+/// for any number.
 pub const ROWS: usize = 128;
 
-/// What the last layer ends with; the others end with a ReLU.
+/// The activation of the last layer; the other layers end with a ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Head {
-    /// Nothing: a value.
+    /// No activation: a value.
     Linear,
     /// The hyperbolic tangent: an action.
     Tanh,
 }
 
-/// Sizes of one layer, and where its parameters begin.
+/// The sizes of one layer, and the offset of its parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Dense {
     inputs: usize,
     outputs: usize,
-    /// Weights, `outputs x inputs`, rows one after the other; then the bias.
+    /// Weights, `outputs x inputs`, row by row; then the biases.
     at: usize,
 }
 
@@ -53,7 +53,7 @@ pub struct Network {
     parameters: Vec<f32>,
 }
 
-/// A network from a file, whose sizes may not fit together.
+/// A network read from a file, not checked yet.
 #[derive(Deserialize)]
 struct Stored {
     layers: Vec<Dense>,
@@ -91,29 +91,29 @@ impl TryFrom<Stored> for Network {
     }
 }
 
-/// One pass over a batch, for the pass back.
+/// The activations of a forward pass over a batch, for the backward pass.
 #[derive(Clone, Debug, Default)]
 pub struct Tape {
-    /// At least as many as the batch needs.
+    /// The parts of the batch; there may be more than it needs.
     parts: Vec<Part>,
     /// `batch x outputs`.
     outputs: Vec<f32>,
 }
 
-/// What belongs to at most [`ROWS`] rows of a batch.
+/// The activations of at most [`ROWS`] rows of a batch.
 #[derive(Clone, Debug, Default)]
 struct Part {
-    /// Of every layer: `rows x outputs`.
+    /// The outputs of each layer, `rows x outputs`.
     activations: Vec<Vec<f32>>,
-    /// Of the layer at hand: `rows x outputs`; the other is for the one before.
+    /// The gradients of the present and the previous layer, `rows x outputs`.
     deltas: [Vec<f32>; 2],
-    /// Of the parameters.
+    /// The gradient of the parameters.
     gradient: Vec<f32>,
 }
 
 impl Network {
-    /// A network with these sizes, input first, initialised as PyTorch's
-    /// `Linear`: uniform within one over the root of the inputs.
+    /// A network with these sizes, input first, initialised as PyTorch's `Linear`:
+    /// uniform within one over the square root of the number of inputs.
     ///
     /// # Panics
     /// With fewer than two sizes.
@@ -144,32 +144,32 @@ impl Network {
         }
     }
 
-    /// Numbers that go in.
+    /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.layers[0].inputs
     }
 
-    /// Numbers that come out.
+    /// Number of outputs.
     pub fn outputs(&self) -> usize {
         self.layers[self.layers.len() - 1].outputs
     }
 
-    /// What the last layer ends with.
+    /// The activation of the last layer.
     pub fn head(&self) -> Head {
         self.head
     }
 
-    /// All weights and biases, layer after layer.
+    /// All weights and biases, layer by layer.
     pub fn parameters(&self) -> &[f32] {
         &self.parameters
     }
 
-    /// All weights and biases, to be changed.
+    /// All weights and biases, mutable.
     pub fn parameters_mut(&mut self) -> &mut [f32] {
         &mut self.parameters
     }
 
-    /// Of each layer: inputs, outputs, weights (`outputs x inputs`), bias.
+    /// For each layer: inputs, outputs, weights (`outputs x inputs`), biases.
     pub fn layers(&self) -> impl ExactSizeIterator<Item = (usize, usize, &[f32], &[f32])> {
         self.layers.iter().map(|layer| {
             (
@@ -181,7 +181,7 @@ impl Network {
         })
     }
 
-    /// Outputs, `batch x outputs`, of the inputs, `batch x inputs`, computed by at
+    /// Outputs, `batch x outputs`, of these inputs, `batch x inputs`, computed with at
     /// most this many threads.
     pub fn forward<'a>(&self, inputs: &[f32], threads: usize, tape: &'a mut Tape) -> &'a [f32] {
         let inputs = inputs.chunks(ROWS * self.inputs());
@@ -223,17 +223,17 @@ impl Network {
         }
     }
 
-    /// `outputs x inputs`.
+    /// The layer's weights, `outputs x inputs`.
     fn weights(&self, layer: &Dense) -> View<'_> {
         let weights = &self.parameters[layer.weights()];
         View::new(weights, layer.outputs, layer.inputs)
     }
 
-    /// The pass back: adds the gradient of the parameters to `gradient`, and
-    /// writes that of the inputs to `input_gradient`, where they are asked for.
+    /// The backward pass: adds the gradient of the parameters to `gradient`, and writes
+    /// the gradient of the inputs to `input_gradient`, each if requested.
     ///
-    /// `delta` is the gradient of the outputs, `batch x outputs`; `tape` that of
-    /// the forward pass over the same inputs.
+    /// `delta` is the gradient of the outputs, `batch x outputs`; `tape` is that of the
+    /// forward pass over the same inputs.
     pub fn backward(
         &self,
         (inputs, delta): (&[f32], &[f32]),
@@ -265,8 +265,8 @@ impl Network {
         }
     }
 
-    /// Writes the gradients that are wanted, of the parameters and of the inputs,
-    /// to the part's `gradient` and first `deltas`.
+    /// Writes the requested gradients, of the parameters and of the inputs, to the
+    /// part's `gradient` and to the first of its `deltas`.
     fn backward_rows(
         &self,
         (inputs, delta): (&[f32], &[f32]),
@@ -320,7 +320,8 @@ impl Network {
         }
     }
 
-    /// Moves towards another network of the same sizes by this share (Polyak).
+    /// Moves the parameters towards those of another network of the same sizes by this
+    /// share (Polyak averaging).
     pub fn follow(&mut self, other: &Network, share: f32) {
         for (own, other) in self.parameters.iter_mut().zip(&other.parameters) {
             *own += share * (other - *own);

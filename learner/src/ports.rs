@@ -8,16 +8,16 @@ shm_config::ports! {
     pub struct Ports of Learner with bell {
         /// The record of each tick.
         steps: read STEP: Step,
-        /// What became of its offers.
+        /// The status of its offers.
         statuses: read POLICY_STATUS: PolicyStatus,
-        /// How far it is.
+        /// Its progress.
         learning: write LEARNING: Learning,
     }
 }
 
 shm_config::ports! {
-    /// Its offers, connected when it makes one: a controller that was restarted begins
-    /// with the weights it kept, not with the last offer.
+    /// Its offers. The port is connected when the learner makes one: a restarted
+    /// controller begins with the weights it kept, not with the last offer.
     pub struct OfferPorts of Learner {
         /// Policies.
         weights: write WEIGHTS: Weights,

@@ -10,15 +10,15 @@ use shm_config::time::Clock;
 use crate::ports::{OfferPorts, Ports};
 use crate::session::{Block, Session};
 
-/// The process between its ports and what learns.
+/// The learner's process: its ports and its session.
 struct Learner {
     ports: Ports,
     offers: OfferPorts,
     clock: Clock,
     session: Session,
-    /// Its newest message.
+    /// The newest message that was published.
     progress: Learning,
-    /// The highest version that was offered.
+    /// The highest version offered so far.
     offered: u64,
 }
 
@@ -78,7 +78,7 @@ pub fn run(mut member: Member, ports: Ports, offers: OfferPorts) -> Result<(), S
             telemetry.heartbeat(member.now());
         }
     }
-    // The last steps of the run may still be on their way.
+    // The last steps of the run may still arrive.
     while let Some(step) = learner.ports.steps.receive() {
         if step.check().is_ok() {
             learner.consider(&step, &mut telemetry);
@@ -92,27 +92,27 @@ pub fn run(mut member: Member, ports: Ports, offers: OfferPorts) -> Result<(), S
 }
 
 impl Learner {
-    /// Publishes its first message, and offers the policy of the experiment so far: in
-    /// lockstep the controller waits for it. A block in whose updates its predecessor
-    /// was killed is learnt first.
+    /// Publishes the first message, and offers the policy of the experiment so far,
+    /// because in lockstep the controller waits for it. If an earlier learner was
+    /// killed during the updates of a block, the block is learnt first.
     fn begin(&mut self, telemetry: &mut Telemetry) {
         self.progress.steps = self.session.driven();
         self.read_status();
         if self.session.is_due() {
-            // Updates may take longer than a start may.
+            // These updates may take longer than the limit for a start.
             telemetry.enter(HealthState::Ready, (self.clock)());
             self.learn(telemetry);
         } else if self.session.driven() > 0 {
             match self.session.policy_file() {
                 Ok(policy) => self.offer(&policy),
-                Err(refusal) => tracing::error!(%refusal, "no policy to begin with"),
+                Err(refusal) => tracing::error!(%refusal, "cannot export the first policy"),
             }
         }
         self.ports.learning.send(&mut self.progress);
         telemetry.enter(HealthState::Ready, (self.clock)());
     }
 
-    /// Reads what the controller publishes of the offers.
+    /// Reads what the controller publishes about the offers.
     fn read_status(&mut self) {
         let Some(status) = self.ports.statuses.newest(Message::check) else {
             return;
@@ -148,7 +148,7 @@ impl Learner {
         let clock = self.clock;
         match self.session.learn(|| telemetry.heartbeat(clock())) {
             Ok(block) => self.publish(&block),
-            Err(refusal) => tracing::error!(%refusal, "the block's policy is not published"),
+            Err(refusal) => tracing::error!(%refusal, "the policy of the block is not published"),
         }
     }
 

@@ -1,114 +1,102 @@
-//! What the car lived through, ready to be learnt from.
+//! Replay buffers: the transitions from which the algorithms learn.
 //!
-//! Two rings, as in Sec. 4.3: steps whose label prefers the expert, and all
-//! others. They are sampled evenly, so that a policy which has become good does
-//! not forget what it was told. A third ring holds states that were never
-//! visited, only predicted, and the expert's answer there.
+//! There are two buffers, as in Sec. 4.3: steps whose label prefers the expert, and all
+//! others. Both are sampled evenly, so that a policy that has become good does not
+//! forget the expert's corrections. A third buffer holds predicted states, which were
+//! never visited, with the expert's answer there.
 
 use rand::{Rng, RngExt};
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, Preference};
 
 use crate::features;
 
-/// Numbers of an action: steering, pedal.
+/// Numbers in an action: steering, pedal.
 pub const ACTIONS: usize = 2;
 
-/// Whom the judge preferred at a step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Label {
-    /// Nobody: it abstained, failed, or was never asked.
-    None,
-    /// The expert: `z = 1`.
-    Expert,
-    /// The policy: `z = 0`.
-    Policy,
-}
-
-/// What followed a step.
+/// The successor of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
     /// Another step of the same episode.
     On,
-    /// The end of the episode, running out of time included.
+    /// The end of the episode; reaching the time limit counts as an end.
     End,
-    /// Nobody knows: the next step was lost.
+    /// Unknown, because the next step was lost.
     Unknown,
 }
 
-/// One step, as it is learnt from.
+/// One step with all that the algorithms use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transition {
     /// The policy's input.
     pub state: [f32; FEATURES],
-    /// The input one step later; that of the state itself when nothing followed.
+    /// The policy's input one step later; equal to `state` without a successor.
     pub next: [f32; FEATURES],
-    /// What was obeyed.
+    /// The action that the car applied.
     pub applied: [f32; ACTIONS],
-    /// What the policy proposed; what was obeyed when it proposed nothing.
+    /// The policy's proposal; the applied action if there was none.
     pub policy: [f32; ACTIONS],
-    /// What the expert would have commanded, its brake included.
+    /// What the expert would have commanded, the brake of a veto included.
     pub expert: [f32; ACTIONS],
-    /// Whom the judge preferred.
-    pub label: Label,
-    /// What followed.
+    /// The judge's preference; [`Preference::Abstain`] if there is no label.
+    pub label: Preference,
+    /// The successor.
     pub then: Then,
 }
 
-/// Which of the rings.
+/// The replay buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ring {
+pub enum Buffer {
     /// Steps whose label prefers the expert.
     Expert,
     /// All other steps.
     Learner,
-    /// States that were predicted; `expert` is what the expert answered there,
-    /// `policy` what was rejected.
+    /// Predicted states; `expert` is the expert's answer, `policy` the rejected action.
     Predicted,
 }
 
-impl Ring {
+impl Buffer {
     /// All of them.
-    pub const ALL: [Ring; 3] = [Ring::Expert, Ring::Learner, Ring::Predicted];
+    pub const ALL: [Buffer; 3] = [Buffer::Expert, Buffer::Learner, Buffer::Predicted];
 }
 
 impl Transition {
-    /// The ring it belongs to.
-    pub fn ring(&self) -> Ring {
+    /// The buffer it belongs to.
+    pub fn buffer(&self) -> Buffer {
         match self.label {
-            Label::Expert => Ring::Expert,
-            Label::Policy | Label::None => Ring::Learner,
+            Preference::Expert => Buffer::Expert,
+            Preference::Policy | Preference::Abstain => Buffer::Learner,
         }
     }
 }
 
-/// The rings.
+/// The replay buffers with their transitions.
 #[derive(Clone, Debug)]
 pub struct Replay {
     capacity: usize,
-    rings: [Vec<Transition>; 3],
-    /// Transitions ever put into each.
+    buffers: [Vec<Transition>; 3],
+    /// Transitions ever put into each buffer.
     counts: [u64; 3],
 }
 
-/// How a transition is looked at: driving is the same in a mirror, which doubles
-/// what there is to learn from.
+/// Whether a transition is mirrored. Driving is symmetric, so mirroring doubles the
+/// data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Seen {
-    Plainly,
+enum Reflection {
+    None,
     Mirrored,
 }
 
-impl Seen {
-    fn draw(random: &mut impl Rng) -> Seen {
+impl Reflection {
+    fn draw(random: &mut impl Rng) -> Reflection {
         match random.random() {
-            true => Seen::Mirrored,
-            false => Seen::Plainly,
+            true => Reflection::Mirrored,
+            false => Reflection::None,
         }
     }
 }
 
-/// Transitions drawn for one update, each as it was or in the mirror; rows one
-/// after the other, states as the networks get them ([`features::prepare`]).
+/// Transitions drawn for one update, each as recorded or mirrored; row by row, with
+/// states as the networks take them ([`features::prepare`]).
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
     /// `batch x FEATURES`.
@@ -121,23 +109,22 @@ pub struct Batch {
     pub policy: Vec<f32>,
     /// `batch x ACTIONS`.
     pub expert: Vec<f32>,
-    /// 1 where the label prefers the expert, and it drove, else 0: of an answer
-    /// that came when the policy had driven already, the preferred action was
-    /// never taken.
+    /// 1 where the label prefers the expert and the expert drove, else 0. If the policy
+    /// was already driving when the answer came, the preferred action was never taken.
     pub is_preferred: Vec<f32>,
-    /// 1 where the episode went on, 0 where it ended.
+    /// 1 where the episode continued, 0 where it ended.
     pub goes_on: Vec<f32>,
-    /// 1 where it is known what followed, else 0.
+    /// 1 where the successor is known, else 0.
     pub is_known: Vec<f32>,
 }
 
 impl Batch {
-    /// How many transitions it holds.
+    /// Number of transitions.
     pub fn len(&self) -> usize {
         self.goes_on.len()
     }
 
-    /// It holds none.
+    /// Whether it holds no transition.
     pub fn is_empty(&self) -> bool {
         self.goes_on.is_empty()
     }
@@ -153,13 +140,13 @@ impl Batch {
         self.is_known.clear();
     }
 
-    /// Appends a transition, as it is or in the mirror.
-    fn push(&mut self, transition: &Transition, seen: Seen) {
+    /// Appends a transition, as recorded or mirrored.
+    fn push(&mut self, transition: &Transition, reflection: Reflection) {
         for (states, mut state) in [
             (&mut self.states, transition.state),
             (&mut self.nexts, transition.next),
         ] {
-            if seen == Seen::Mirrored {
+            if reflection == Reflection::Mirrored {
                 features::mirror(&mut state);
             }
             features::prepare(&mut state);
@@ -170,7 +157,7 @@ impl Batch {
             (&mut self.policy, transition.policy),
             (&mut self.expert, transition.expert),
         ] {
-            if seen == Seen::Mirrored {
+            if reflection == Reflection::Mirrored {
                 features::mirror_action(&mut action);
             }
             actions.extend_from_slice(&action);
@@ -178,27 +165,27 @@ impl Batch {
         let one_if = |condition| if condition { 1.0 } else { 0.0 };
         let obeyed = transition.applied != transition.policy;
         self.is_preferred
-            .push(one_if(transition.label == Label::Expert && obeyed));
+            .push(one_if(transition.label == Preference::Expert && obeyed));
         self.goes_on.push(one_if(transition.then == Then::On));
         self.is_known.push(one_if(transition.then != Then::Unknown));
     }
 }
 
 impl Replay {
-    /// Empty rings of this capacity each.
+    /// Empty buffers of this capacity each.
     pub fn new(capacity: usize) -> Replay {
         Replay {
             capacity: capacity.max(1),
-            rings: [const { Vec::new() }; 3],
+            buffers: [const { Vec::new() }; 3],
             counts: [0; 3],
         }
     }
 
-    /// Puts a transition into a ring, in place of the oldest of a full one.
-    pub fn push(&mut self, ring: Ring, transition: Transition) {
+    /// Adds a transition to a buffer; in a full buffer it replaces the oldest one.
+    pub fn push(&mut self, buffer: Buffer, transition: Transition) {
         let (held, count) = (
-            &mut self.rings[ring as usize],
-            &mut self.counts[ring as usize],
+            &mut self.buffers[buffer as usize],
+            &mut self.counts[buffer as usize],
         );
         match held.len() < self.capacity {
             true => held.push(transition),
@@ -207,68 +194,74 @@ impl Replay {
         *count += 1;
     }
 
-    /// Transitions that each ring can hold.
+    /// The capacity of each buffer, transitions.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Transitions in a ring now.
-    pub fn len(&self, ring: Ring) -> usize {
-        self.rings[ring as usize].len()
+    /// Number of transitions in a buffer.
+    pub fn len(&self, buffer: Buffer) -> usize {
+        self.buffers[buffer as usize].len()
     }
 
-    /// All rings are empty.
+    /// Whether all buffers are empty.
     pub fn is_empty(&self) -> bool {
-        self.rings.iter().all(Vec::is_empty)
+        self.buffers.iter().all(Vec::is_empty)
     }
 
-    /// A ring's transitions, the oldest first.
-    pub fn iter(&self, ring: Ring) -> impl Iterator<Item = &Transition> {
-        let held = &self.rings[ring as usize];
+    /// The transitions of a buffer, the oldest first.
+    pub fn iter(&self, buffer: Buffer) -> impl Iterator<Item = &Transition> {
+        let held = &self.buffers[buffer as usize];
         let oldest = match held.len() < self.capacity {
             true => 0,
-            false => (self.counts[ring as usize] % self.capacity as u64) as usize,
+            false => (self.counts[buffer as usize] % self.capacity as u64) as usize,
         };
         held[oldest..].iter().chain(&held[..oldest])
     }
 
-    /// Draws this many steps, with replacement: half of those that prefer the
-    /// expert and half of the others, or all from the only ring that holds any
+    /// Draws this many steps, with replacement: half of them from those that prefer the
+    /// expert and half from the others, or all from the only buffer that is not empty
     /// (Sec. 4.3).
     pub fn sample_evenly(&self, size: usize, random: &mut impl Rng, batch: &mut Batch) {
         batch.clear();
-        let expert = match (self.len(Ring::Expert), self.len(Ring::Learner)) {
+        let expert = match (self.len(Buffer::Expert), self.len(Buffer::Learner)) {
             (0, 0) => return,
             (_, 0) => size,
             (0, _) => 0,
             (_, _) => size / 2,
         };
-        for (ring, share) in [(Ring::Expert, expert), (Ring::Learner, size - expert)] {
-            let held = &self.rings[ring as usize];
+        for (buffer, share) in [(Buffer::Expert, expert), (Buffer::Learner, size - expert)] {
+            let held = &self.buffers[buffer as usize];
             for _ in 0..share {
                 let transition = &held[random.random_range(0..held.len())];
-                batch.push(transition, Seen::draw(random));
+                batch.push(transition, Reflection::draw(random));
             }
         }
     }
 
-    /// Draws this many of these rings as if they were one, with replacement;
-    /// none when all of them are empty.
-    pub fn sample(&self, rings: &[Ring], size: usize, random: &mut impl Rng, batch: &mut Batch) {
+    /// Draws this many transitions from these buffers as if they were one, with
+    /// replacement; none when all of them are empty.
+    pub fn sample(
+        &self,
+        buffers: &[Buffer],
+        size: usize,
+        random: &mut impl Rng,
+        batch: &mut Batch,
+    ) {
         batch.clear();
-        let total: usize = rings.iter().map(|&ring| self.len(ring)).sum();
+        let total: usize = buffers.iter().map(|&buffer| self.len(buffer)).sum();
         if total == 0 {
             return;
         }
         for _ in 0..size {
             let mut k = random.random_range(0..total);
-            for &ring in rings {
-                match self.rings[ring as usize].get(k) {
+            for &buffer in buffers {
+                match self.buffers[buffer as usize].get(k) {
                     Some(transition) => {
-                        batch.push(transition, Seen::draw(random));
+                        batch.push(transition, Reflection::draw(random));
                         break;
                     }
-                    None => k -= self.len(ring),
+                    None => k -= self.len(buffer),
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! The learner without its ports: steps in, policies out.
+//! The learner without its ports: takes steps, gives policies.
 
 use std::fs;
 use std::io;
@@ -21,16 +21,16 @@ use crate::export;
 use crate::imagine::Imagination;
 use crate::journal::{Journal, Mark, Recovered};
 use crate::metrics::{Metrics, Row};
-use crate::replay::{Replay, Ring, Transition};
+use crate::replay::{Buffer, Replay, Transition};
 
-/// Length of Adam's steps of what imitates, unless it is configured.
+/// Learning rate of the imitating algorithms, unless configured.
 const IMITATION_RATE: f32 = 1e-3;
-/// Length of Adam's steps of `pvp`; PVP4Real.
+/// Learning rate of `pvp`, unless configured; PVP4Real.
 const VALUE_RATE: f32 = 1e-4;
-/// States of the replay whose answers a policy file promises.
+/// Number of probes in a policy file: replay states with the network's answers.
 const PROBES: usize = 4;
 
-/// Everything that learns, and what it has learnt from.
+/// A learning session: the algorithm, its data and its files.
 pub struct Session {
     config: Config,
     folder: PathBuf,
@@ -40,28 +40,29 @@ pub struct Session {
     journal: Journal,
     metrics: Metrics,
     state: Checkpoint,
-    /// Of an update. In lockstep nobody drives meanwhile; else the other cores do.
+    /// Threads of an update. In lockstep the set waits, so all cores are free; in real
+    /// time the other cores are busy.
     threads: usize,
-    /// A disk that refuses is told of once; learning goes on without it.
+    /// A write error is reported once; learning continues without saving.
     disk_failed: bool,
 }
 
-/// What a block of updates brought.
+/// The result of a block.
 pub struct Block {
     /// Steps driven at its end.
     pub steps: u64,
     /// The policy file.
     pub policy: Vec<u8>,
-    /// Means over the block.
+    /// Mean losses over the block.
     pub losses: Losses,
 }
 
 impl Session {
-    /// Goes on where a learner in this folder ended, or begins.
+    /// Continues a session from this folder, or begins one.
     ///
     /// # Errors
-    /// When the folder cannot be written, or holds what another algorithm, other
-    /// settings or another version have left.
+    /// When the folder cannot be written, or holds a session of another algorithm, of
+    /// other settings or of another version.
     pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
         make_folders(folder)?;
         Folder::open(folder, Entry::Readable)?.make_inside("policies", Entry::Readable)?;
@@ -91,7 +92,10 @@ impl Session {
         } = Journal::open(&path, capacity, metrics.counts().transitions())
             .map_err(|error| name(error, &path))?;
         if torn_bytes > 0 {
-            tracing::warn!(torn_bytes, "the end of the replay was torn and is cut off");
+            tracing::warn!(
+                torn_bytes,
+                "the end of the replay was incomplete and is cut off"
+            );
         }
         let labelling = Labelling {
             mode: config.gate.mode,
@@ -129,50 +133,50 @@ impl Session {
         })
     }
 
-    /// Considers one step that was checked at the door.
+    /// Takes one admitted step.
     pub fn push(&mut self, step: &Step) {
         let mut made = Vec::new();
         self.assembler
             .push(step, |transition| made.push(transition));
         for transition in made {
-            self.keep(transition.ring(), transition);
+            self.keep(transition.buffer(), transition);
         }
         self.imagine(step);
     }
 
-    /// Steps driven since the learner first began, those included that it missed:
-    /// blocks end where the controller counts them to end, whoever was away.
+    /// Steps driven since the session first began, including steps that the learner
+    /// missed: a block ends where the controller's count says so.
     pub fn driven(&self) -> u64 {
         self.assembler.counts().driven()
     }
 
-    /// What became of the steps.
+    /// Counts of steps and transitions.
     pub fn counts(&self) -> crate::assembler::Counts {
         self.assembler.counts()
     }
 
-    /// A block of steps is complete that no updates were made for.
+    /// Whether a block is complete whose updates are not made yet.
     pub fn is_due(&self) -> bool {
         self.block_end() > self.state.steps
     }
 
-    /// Where the last complete block has ended.
+    /// The step at which the last complete block ended.
     fn block_end(&self) -> u64 {
         let driven = self.driven();
         driven - driven % u64::from(self.config.learner.block_steps)
     }
 
-    /// The updates of a block, written down before anybody hears of them; `beat`
-    /// is called between them, for who watches that this goes on.
+    /// Makes the updates of a block and saves them before the policy is published.
+    /// `heartbeat` is called between them, so that the process counts as alive.
     ///
     /// # Errors
-    /// When the policy cannot be exported: its numbers are not finite. The state
-    /// before the block stays on disk.
-    pub fn learn(&mut self, mut beat: impl FnMut()) -> Result<Block, policy::Refusal> {
+    /// When the policy cannot be exported, because its numbers are not finite. The
+    /// state before the block then stays on disk.
+    pub fn learn(&mut self, mut heartbeat: impl FnMut()) -> Result<Block, policy::Refusal> {
         let updates = self.config.learner.updates;
         let mut sum = Losses::default();
         for _ in 0..updates {
-            beat();
+            heartbeat();
             let state = &mut self.state;
             let losses = state
                 .student
@@ -187,15 +191,16 @@ impl Session {
             imitation: sum.imitation / count,
             critic: sum.critic / count,
         };
-        // Of a block whose last steps were missed, too: all runs have one grid.
+        // The end counts even if the last steps of the block were missed: all runs
+        // share one grid of blocks.
         self.state.steps = self.block_end();
         self.state.updates += u64::from(updates);
         self.state.blocks += 1;
         let policy = self.policy_file()?;
-        beat();
+        heartbeat();
         let done = self.write_down(&policy, &losses);
         self.tell(done);
-        beat();
+        heartbeat();
         Ok(Block {
             steps: self.state.steps,
             policy,
@@ -203,7 +208,7 @@ impl Session {
         })
     }
 
-    /// The policy as it is now, as a file.
+    /// The present policy as a file.
     ///
     /// # Errors
     /// When its numbers are not finite.
@@ -214,8 +219,8 @@ impl Session {
             steps: self.state.steps,
             commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
         };
-        let rings = Ring::ALL.into_iter();
-        let states = rings.flat_map(|ring| self.replay.iter(ring));
+        let buffers = Buffer::ALL.into_iter();
+        let states = buffers.flat_map(|buffer| self.replay.iter(buffer));
         let probes: Vec<Vec<f32>> = states
             .take(PROBES)
             .map(|transition| transition.state.to_vec())
@@ -223,18 +228,19 @@ impl Session {
         export::encode(self.state.student.policy(), &provenance, &probes)
     }
 
-    /// Ends the run: what waits for a label is kept without, and written down.
+    /// Ends the run: transitions that wait for a label are stored without one, and
+    /// saved.
     pub fn finish(&mut self) {
         let mut made = Vec::new();
         self.assembler.finish(|transition| made.push(transition));
         for transition in made {
-            self.keep(transition.ring(), transition);
+            self.keep(transition.buffer(), transition);
         }
         let done = self.journal.flush();
         self.tell(done);
     }
 
-    /// States that were never visited, of algorithms that ask about them.
+    /// Adds imagined states, for the algorithms that use them.
     fn imagine(&mut self, step: &Step) {
         let Some(mut imagination) = self.imagination.take() else {
             return;
@@ -256,23 +262,23 @@ impl Session {
         }
         self.imagination = Some(imagination);
         for transition in made {
-            self.keep(Ring::Predicted, transition);
+            self.keep(Buffer::Predicted, transition);
         }
     }
 
-    /// What the policy proposed and did not get to do.
+    /// The policy's proposal, if another driver drove.
     fn rejected(&self, step: &Step) -> Option<Action> {
         let is_ppl = self.config.learner.algorithm == Algorithm::Ppl;
         let rejected = is_ppl && step.driver() != Driver::Policy;
         rejected.then(|| step.policy.action()).flatten()
     }
 
-    fn keep(&mut self, ring: Ring, transition: Transition) {
+    fn keep(&mut self, buffer: Buffer, transition: Transition) {
         let mark = self.mark();
-        let done = self.journal.append(ring, &transition, &mark);
+        let done = self.journal.append(buffer, &transition, &mark);
         let done = done.and_then(|()| self.journal.flush());
         self.tell(done);
-        self.replay.push(ring, transition);
+        self.replay.push(buffer, transition);
     }
 
     fn mark(&self) -> Mark {
@@ -288,7 +294,7 @@ impl Session {
     fn write_down(&mut self, policy: &[u8], losses: &Losses) -> io::Result<()> {
         let mark = self.mark();
         self.journal.compact(&self.replay, &mark)?;
-        // Before a block says what it was learnt from.
+        // The journal is saved before the block that was learnt from it.
         self.journal.sync()?;
         let file = format!("policies/{:08}.onnx", self.state.steps);
         replace(&self.folder.join(file), policy, Durable::Yes)?;
@@ -296,9 +302,9 @@ impl Session {
             steps: self.state.steps,
             updates: self.state.updates,
             counts: mark.counts,
-            expert_ring: self.replay.len(Ring::Expert) as u64,
-            learner_ring: self.replay.len(Ring::Learner) as u64,
-            predicted_ring: self.replay.len(Ring::Predicted) as u64,
+            expert_ring: self.replay.len(Buffer::Expert) as u64,
+            learner_ring: self.replay.len(Buffer::Learner) as u64,
+            predicted_ring: self.replay.len(Buffer::Predicted) as u64,
             actor_loss: losses.actor,
             imitation_loss: losses.imitation,
             critic_loss: losses.critic,
@@ -312,22 +318,21 @@ impl Session {
         {
             self.disk_failed = true;
             let folder = self.folder.display();
-            tracing::error!(%folder, %error, "cannot write; learning goes on, unsaved");
+            tracing::error!(%folder, %error, "cannot write; learning continues, but is not saved");
         }
     }
 }
 
-/// A learner goes on as it was begun: its networks and optimisers have their size
-/// and their steps for good.
+/// A session keeps the network sizes and learning rates with which it began.
 fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
     let word = config.learner.algorithm.word();
     let refuse = |what: String| {
-        let what = format!("{what}; move the folder away to begin anew");
+        let what = format!("{what}; move the folder away to start anew");
         Err(io::Error::new(io::ErrorKind::InvalidData, what))
     };
     if state.algorithm != word {
         let left = &state.algorithm;
-        return refuse(format!("was left by {left}, and {word} is configured"));
+        return refuse(format!("is a session of {left}, and {word} is configured"));
     }
     let now = begin(config).student.begun_with();
     for ((key, begun), (_, now)) in state.student.begun_with().into_iter().zip(now) {
@@ -340,7 +345,7 @@ fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
     Ok(())
 }
 
-/// Removes what was being written when a learner was killed.
+/// Removes the temporary file of a learner that was killed.
 fn sweep(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
@@ -356,7 +361,7 @@ fn checkpoint_path(folder: &Path) -> PathBuf {
     folder.join("learner.bin")
 }
 
-/// A learner that knows nothing yet.
+/// The state of a new session.
 fn begin(config: &Config) -> Checkpoint {
     let settings = &config.learner;
     let mut random = Xoshiro256PlusPlus::seed_from_u64(settings.seed);

@@ -1,9 +1,9 @@
-//! The work on the parts of a batch, shared by threads.
+//! Shares the work on the parts of a batch between threads.
 
 use std::sync::{Mutex, PoisonError};
 
-/// Does the work on all items: here, and on other threads of the process's pool,
-/// on at most `threads` in all. Returns when all is done.
+/// Processes all items with at most `threads` threads: this one and others of the
+/// process's pool. Returns when all items are done.
 pub fn share<T: Send>(
     threads: usize,
     items: impl ExactSizeIterator<Item = T> + Send,
@@ -15,7 +15,7 @@ pub fn share<T: Send>(
     }
     let items = Mutex::new(items);
     let help = || {
-        // The lock is let go before the work begins.
+        // The lock is released before the work begins.
         let next = || items.lock().unwrap_or_else(PoisonError::into_inner).next();
         while let Some(item) = next() {
             work(item);

@@ -1,9 +1,9 @@
-//! Steps become transitions; every one of them is accounted for.
+//! Tests that steps become transitions and that each step is counted.
 
 mod steps;
 
 use learner::assembler::{Assembler, Counts, Labelling};
-use learner::replay::{Label, Then, Transition};
+use learner::replay::{Then, Transition};
 use shm_config::config::GateMode;
 use shm_config::message::{Preference, Reason, Step};
 use steps::{CONTROLLER, PERIOD_NS, WORLD, advised, of_episode, state, step, vetoed};
@@ -11,7 +11,7 @@ use steps::{CONTROLLER, PERIOD_NS, WORLD, advised, of_episode, state, step, veto
 /// Answers are awaited for 3.5 s.
 const WAIT: u64 = 35;
 
-/// An assembler, what it was given and what it made of it.
+/// An assembler with the steps it received and the transitions it made.
 struct Bench {
     assembler: Assembler,
     given: Vec<Step>,
@@ -62,7 +62,7 @@ impl Bench {
         );
     }
 
-    /// What was made of the given step, by what was seen then.
+    /// The transition made from the step with this index, found by its state.
     fn of(&self, index: usize) -> &Transition {
         let wanted = state(&self.given[index]);
         let mut found = self.made.iter().filter(|made| made.state == wanted);
@@ -71,7 +71,7 @@ impl Bench {
         first.unwrap_or_else(|| panic!("nothing was made of step {index}"))
     }
 
-    fn labels(&self) -> Vec<Label> {
+    fn labels(&self) -> Vec<Preference> {
         (0..self.given.len())
             .map(|index| self.of(index).label)
             .collect()
@@ -89,7 +89,7 @@ fn a_tick_leads_to_the_next() {
         let made = bench.of(index);
         assert_eq!(made.then, Then::On, "step {index}");
         assert_eq!(made.next, state(&bench.given[index + 1]), "step {index}");
-        assert_eq!(made.label, Label::Expert);
+        assert_eq!(made.label, Preference::Expert);
         let given = &bench.given[index];
         assert_eq!(
             made.applied,
@@ -124,7 +124,7 @@ fn an_episode_ends_where_the_next_begins() {
 }
 
 #[test]
-fn after_an_episode_that_was_missed_nobody_knows_what_followed() {
+fn after_a_missed_episode_the_successor_is_unknown() {
     let mut bench = Bench::new(GateMode::Expert);
     bench.push(step(0));
     bench.push(of_episode(step(1), 2));
@@ -133,7 +133,7 @@ fn after_an_episode_that_was_missed_nobody_knows_what_followed() {
 }
 
 #[test]
-fn a_lost_step_is_counted_and_cuts() {
+fn a_lost_step_is_counted_and_ends_the_transition_before_it() {
     let mut bench = Bench::new(GateMode::Expert);
     for tick in [0, 1, 4, 5] {
         bench.push(step(tick));
@@ -147,11 +147,11 @@ fn a_lost_step_is_counted_and_cuts() {
 }
 
 #[test]
-fn steps_before_the_first_one_heard_are_lost() {
+fn steps_before_the_first_one_received_are_lost() {
     let mut bench = Bench::new(GateMode::Expert);
     bench.push(step(7));
     assert_eq!(bench.counts().lost, 7);
-    // A learner that goes on knows what it heard last.
+    // A restarted learner knows the number of the last step it received.
     let mut again = Bench::new(GateMode::Expert);
     again.assembler.follows((CONTROLLER, 6));
     again.push(step(7));
@@ -159,7 +159,7 @@ fn steps_before_the_first_one_heard_are_lost() {
 }
 
 #[test]
-fn a_restarted_controller_cuts_and_its_unheard_steps_are_lost() {
+fn steps_of_a_restarted_controller_before_the_first_one_received_are_lost() {
     let mut bench = Bench::new(GateMode::Expert);
     bench.push(step(0));
     bench.push(step(1));
@@ -204,19 +204,19 @@ fn no_state_leaks_from_one_world_into_its_successor() {
     assert_eq!(bench.of(3).then, Then::Unknown);
     assert_eq!(bench.of(3).next, bench.of(3).state);
     let labels = bench.labels();
-    assert_eq!(labels[..4], [Label::Expert; 4]);
+    assert_eq!(labels[..4], [Preference::Expert; 4]);
     assert_eq!(
         labels[4..],
-        [Label::None; 5],
+        [Preference::Abstain; 5],
         "the question was about another world"
     );
 }
 
 #[test]
-fn another_run_on_another_clock_inherits_nothing() {
+fn labels_of_a_run_do_not_reach_a_run_on_another_clock() {
     let mut bench = Bench::new(GateMode::Rules);
     for tick in 100..104 {
-        // It counts from 1 like any run's.
+        // The other run counts from 1, like any run.
         let mut step = step(tick);
         step.header.sequence -= 100;
         bench.push(step);
@@ -227,7 +227,7 @@ fn another_run_on_another_clock_inherits_nothing() {
             step.header.sequence -= 100;
             step
         },
-        // An early question of this run: its window holds ticks 2 to 11.
+        // An early question of this run; its window holds ticks 2 to 11.
         (1, 2),
         Preference::Expert,
     ));
@@ -240,15 +240,15 @@ fn another_run_on_another_clock_inherits_nothing() {
     assert_eq!(
         bench.made[..5].len(),
         5,
-        "nothing of the first run waits any longer"
+        "no transition of the first run waits any longer"
     );
     bench.finish();
     assert_eq!(bench.of(4).then, Then::Unknown);
-    assert_eq!(bench.labels(), [Label::None; 17]);
+    assert_eq!(bench.labels(), [Preference::Abstain; 17]);
 }
 
 #[test]
-fn weights_that_are_swapped_mid_episode_cut_nothing() {
+fn a_swap_of_weights_ends_no_transition() {
     let mut bench = Bench::new(GateMode::Policy);
     for tick in 0..6 {
         let mut step = step(tick);
@@ -265,19 +265,19 @@ fn a_veto_labels_at_once() {
     bench.push(vetoed(step(0)));
     bench.push(step(1));
     assert_eq!(bench.made.len(), 1, "no answer is awaited");
-    assert_eq!(bench.of(0).label, Label::Expert);
+    assert_eq!(bench.of(0).label, Preference::Expert);
     let mut policy = Bench::new(GateMode::Policy);
     policy.push(step(0));
     policy.push(vetoed(step(1)));
     policy.finish();
-    assert_eq!(policy.labels(), [Label::None, Label::Expert]);
+    assert_eq!(policy.labels(), [Preference::Abstain, Preference::Expert]);
 }
 
 #[test]
 fn a_late_answer_labels_the_steps_of_its_window_and_no_other() {
     for (preference, label) in [
-        (Preference::Expert, Label::Expert),
-        (Preference::Policy, Label::Policy),
+        (Preference::Expert, Preference::Expert),
+        (Preference::Policy, Preference::Policy),
     ] {
         let mut bench = Bench::new(GateMode::Rules);
         for tick in 0..60 {
@@ -292,7 +292,7 @@ fn a_late_answer_labels_the_steps_of_its_window_and_no_other() {
         for (tick, &given) in labels.iter().enumerate() {
             let expected = match (5..15).contains(&tick) {
                 true => label,
-                false => Label::None,
+                false => Preference::Abstain,
             };
             assert_eq!(given, expected, "{preference:?}, tick {tick}");
         }
@@ -308,19 +308,19 @@ fn a_step_keeps_its_own_veto_inside_a_window_for_the_policy() {
     bench.finish();
     assert_eq!(
         bench.labels(),
-        [Label::Policy, Label::Expert, Label::Policy]
+        [Preference::Policy, Preference::Expert, Preference::Policy]
     );
 }
 
 #[test]
-fn an_abstention_makes_no_label_and_nobody_waits_for_another() {
+fn an_abstention_makes_no_label_and_ends_the_wait() {
     let mut bench = Bench::new(GateMode::Rules);
     for tick in 0..5 {
         bench.push(advised(step(tick), (1, 0), Preference::Abstain));
     }
     assert_eq!(bench.made.len(), 4);
     bench.finish();
-    assert_eq!(bench.labels(), [Label::None; 5]);
+    assert_eq!(bench.labels(), [Preference::Abstain; 5]);
     assert_eq!(bench.counts().unlabelled, 5);
 }
 
@@ -333,7 +333,7 @@ fn an_answer_that_never_comes_is_awaited_for_a_limited_time() {
     }
     bench.push(step(WAIT + 1));
     assert_eq!(bench.made.len(), 1);
-    assert_eq!(bench.of(0).label, Label::None);
+    assert_eq!(bench.of(0).label, Preference::Abstain);
     for tick in WAIT + 2..200 {
         bench.push(step(tick));
         assert!(bench.assembler.waiting() <= WAIT + 1, "tick {tick}");
@@ -349,9 +349,9 @@ fn a_window_ends_with_its_episode() {
     }
     bench.finish();
     let labels = bench.labels();
-    assert_eq!(labels[..5], [Label::None; 5]);
-    assert_eq!(labels[5..8], [Label::Expert; 3]);
-    assert_eq!(labels[8..], [Label::None; 4]);
+    assert_eq!(labels[..5], [Preference::Abstain; 5]);
+    assert_eq!(labels[5..8], [Preference::Expert; 3]);
+    assert_eq!(labels[8..], [Preference::Abstain; 4]);
 }
 
 #[test]
@@ -360,7 +360,7 @@ fn an_observation_counts_once_however_long_it_stays_the_newest() {
     for tick in 0..10 {
         let mut step = advised(step(tick), (1, 0), Preference::Expert);
         if (2..6).contains(&tick) {
-            // The world is late: what was seen at tick 1 is the newest still.
+            // The world is late: the observation of tick 1 is still the newest.
             step.observation = self::step(1).observation;
         }
         bench.push(step);
@@ -369,8 +369,12 @@ fn an_observation_counts_once_however_long_it_stays_the_newest() {
     assert_eq!(bench.counts().unseen, 4);
     assert_eq!(bench.made.len(), 6);
     assert_eq!(bench.counts().cut, 2, "tick 1 and the last");
-    let labels: Vec<Label> = bench.made.iter().map(|made| made.label).collect();
-    assert_eq!(labels, [Label::Expert; 6], "the question's episode went on");
+    let labels: Vec<Preference> = bench.made.iter().map(|made| made.label).collect();
+    assert_eq!(
+        labels,
+        [Preference::Expert; 6],
+        "the question's episode went on"
+    );
 }
 
 #[test]

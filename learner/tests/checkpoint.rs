@@ -1,4 +1,4 @@
-//! A learner that stops and comes back is the one it was.
+//! Tests that a learner that is stopped or killed continues from its state on disk.
 
 mod steps;
 
@@ -22,7 +22,7 @@ const ALGORITHMS: [Algorithm; 5] = [
 
 fn config(algorithm: Algorithm) -> Config {
     let mut config = Config::default();
-    // Vetoes give labels at once, all other steps have none.
+    // Steps with a veto have a label at once; all other steps have none.
     config.gate.mode = GateMode::Policy;
     let learner = &mut config.learner;
     learner.algorithm = algorithm;
@@ -36,8 +36,8 @@ fn config(algorithm: Algorithm) -> Config {
     config
 }
 
-/// Considers the steps of these ticks, and learns at the end of each block;
-/// the last policy.
+/// Takes the steps of these ticks and learns at the end of each block; returns the last
+/// policy.
 fn drive(session: &mut Session, ticks: std::ops::Range<u64>) -> Vec<u8> {
     let mut policy = Vec::new();
     for tick in ticks {
@@ -57,11 +57,11 @@ fn open(config: &Config, folder: &Path) -> Session {
 }
 
 #[test]
-fn a_learner_that_was_stopped_learns_what_one_that_went_on_does() {
+fn a_stopped_and_restarted_learner_learns_the_same() {
     for algorithm in ALGORITHMS {
         let config = config(algorithm);
         let [through, stopped] = [(), ()].map(|()| TempDir::new().expect("a folder"));
-        // The step between the two halves is lost to both.
+        // Both learners miss the step between the two halves.
         let halves = [0..BLOCK, BLOCK + 1..3 * BLOCK + 1];
         let mut session = open(&config, through.path());
         let first = drive(&mut session, halves[0].clone());
@@ -110,7 +110,7 @@ fn a_learner_that_was_killed_goes_on_from_its_last_block() {
         let folder = TempDir::new().expect("a folder");
         let mut session = open(&config, folder.path());
         let first = drive(&mut session, 0..BLOCK + 7);
-        // Killed: nothing is finished.
+        // A killed learner does not finish.
         drop(session);
         let mut session = open(&config, folder.path());
         assert_eq!(
@@ -157,7 +157,7 @@ fn a_damaged_checkpoint_is_refused_with_its_name() {
         assert_eq!(
             fs::read(&path).expect("the file"),
             bad,
-            "{what}: left alone"
+            "{what}: the file is unchanged"
         );
     }
     fs::write(&path, &bytes).expect("a file");
@@ -165,7 +165,7 @@ fn a_damaged_checkpoint_is_refused_with_its_name() {
 }
 
 #[test]
-fn a_replay_that_lacks_what_was_learnt_from_is_refused_and_left_alone() {
+fn a_replay_that_lacks_what_was_learnt_from_is_refused_and_unchanged() {
     let config = config(Algorithm::HgDagger);
     let folder = TempDir::new().expect("a folder");
     drive(&mut open(&config, folder.path()), 0..3 * BLOCK + 7);
@@ -186,7 +186,7 @@ fn a_replay_that_lacks_what_was_learnt_from_is_refused_and_left_alone() {
         assert_eq!(
             fs::read(&path).expect("the file"),
             bad,
-            "{what}: left alone"
+            "{what}: the file is unchanged"
         );
     }
     fs::remove_file(&path).expect("the file");
@@ -194,7 +194,7 @@ fn a_replay_that_lacks_what_was_learnt_from_is_refused_and_left_alone() {
         .err()
         .expect("a refusal");
 
-    // What a kill may tear, was not learnt from yet.
+    // A kill can damage only transitions that were not learnt from yet.
     fs::write(&path, &bytes[..bytes.len() - 1]).expect("a file");
     assert_eq!(open(&config, folder.path()).driven(), 3 * BLOCK + 6);
 }
@@ -236,7 +236,7 @@ fn column(folder: &Path, name: &str) -> Vec<u64> {
     rows.map(|row| field(row).expect("a number")).collect()
 }
 
-/// The car saw nothing new at this step: it completes no transition but that before.
+/// A step without a new observation: it completes only the transition before it.
 fn blind(mut step: Step) -> Step {
     step.observation_age_ns = u64::MAX;
     step
@@ -255,12 +255,12 @@ fn what_a_block_counted_stays_counted_after_a_kill() {
     session.learn(|| {}).expect("finite numbers");
     let counts = session.counts();
     assert_eq!(counts.lost, 2 * BLOCK - BLOCK / 2 - 2);
-    // Killed: nothing is finished.
+    // A killed learner does not finish.
     drop(session);
     let mut session = open(&config, folder.path());
     assert_eq!(session.counts(), counts);
     assert!(!session.is_due(), "the block has been learnt from");
-    // The controller was not killed: its sequence numbers go on.
+    // The controller was not killed, so its sequence numbers continue.
     drive(&mut session, 2 * BLOCK..3 * BLOCK);
     assert_eq!(session.driven(), 3 * BLOCK);
     assert_eq!(column(folder.path(), "lost"), [counts.lost; 2]);
@@ -268,11 +268,11 @@ fn what_a_block_counted_stays_counted_after_a_kill() {
 }
 
 #[test]
-fn blocks_end_on_the_grid_of_the_steps_driven_whatever_was_missed() {
+fn blocks_end_on_the_grid_of_driven_steps_although_steps_were_missed() {
     let config = config(Algorithm::HgDagger);
     let folder = TempDir::new().expect("a folder");
     drive(&mut open(&config, folder.path()), 0..BLOCK + 7);
-    // Away for the end of the second block and of the third.
+    // The learner is stopped at the end of the second and of the third block.
     let mut session = open(&config, folder.path());
     drive(&mut session, 3 * BLOCK + 5..5 * BLOCK);
     let column = |name| column(folder.path(), name);
@@ -290,7 +290,7 @@ fn a_block_whose_updates_were_cut_short_is_due_at_the_next_start() {
     for tick in 0..=BLOCK {
         session.push(&vetoed(step(tick)));
     }
-    // Killed before the updates.
+    // The learner is killed before the updates.
     drop(session);
     let mut session = open(&config, folder.path());
     assert!(session.is_due());
@@ -332,7 +332,7 @@ fn other_sizes_and_rates_are_refused_with_both_values() {
 }
 
 #[test]
-fn what_was_being_written_when_a_learner_was_killed_is_removed() {
+fn temporary_files_of_a_killed_learner_are_removed() {
     let folder = TempDir::new().expect("a folder");
     let config = config(Algorithm::Bc);
     drive(&mut open(&config, folder.path()), 0..BLOCK);

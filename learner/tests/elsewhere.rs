@@ -1,19 +1,19 @@
-//! What would be seen elsewhere, against what the built-in world shows there.
+//! Compares predicted observations with those of the built-in world at the same pose.
 
 use learner::elsewhere;
 use shm_config::message::{Bend, Observation};
 use sim::{World, WorldConfig};
 use vehicle::{Action, Point, State, wrap_rad};
 
-/// Returns nearer than this are compared, m: of what is further, a beam more or
-/// less is all there is.
+/// Only returns nearer than this are compared, m; single beams decide whether a body
+/// further away is hit.
 const RETURN_MAX_M: f32 = 25.0;
 /// Pairs with a return nearer than this are left out, m.
 const CLEAR_M: f32 = 3.0;
-/// Ranges that agree, m.
+/// Tolerance of ranges, m.
 const RETURN_M: f32 = 0.5;
 
-/// Keeps to its lane and swings about its middle.
+/// Follows its lane and swings about the centre line.
 fn swing(observation: &Observation, tick: u64) -> Action {
     let road = &observation.road;
     let aside_m = 0.5 * (tick as f64 * 0.13).sin();
@@ -43,7 +43,7 @@ fn checkpoint_world(observation: &Observation, k: usize) -> Point {
     world_from_body * Point::new(checkpoint.x_body_m, checkpoint.y_body_m)
 }
 
-/// How far the prediction was off, over many pairs of observations.
+/// Errors of the prediction over many pairs of observations.
 #[derive(Default)]
 struct Errors {
     pairs: u32,
@@ -56,7 +56,7 @@ struct Errors {
     invented: Beams,
 }
 
-/// Returns, and those that nothing agrees with.
+/// Number of returns, and of those without a counterpart.
 #[derive(Default)]
 struct Beams {
     all: u32,
@@ -64,8 +64,8 @@ struct Beams {
 }
 
 impl Beams {
-    /// Counts the returns of one scan and which of them the other lacks: neither
-    /// on that beam nor on one beside it.
+    /// Counts the returns of one scan, and those that the other scan lacks both on the
+    /// same beam and on its neighbours.
     fn note(&mut self, scan: &[f32], other: &[f32]) {
         for (k, &range_m) in scan.iter().enumerate() {
             if range_m > RETURN_MAX_M {
@@ -101,14 +101,14 @@ impl Errors {
     }
 }
 
-/// The value that this share of the numbers does not exceed.
+/// The quantile of this share of the numbers.
 fn quantile(numbers: &mut [f64], share: f64) -> f64 {
     numbers.sort_by(f64::total_cmp);
     numbers[((numbers.len() - 1) as f64 * share) as usize]
 }
 
-/// Drives episodes without traffic and compares pairs this many ticks apart, by
-/// the bend that the car is in.
+/// Drives episodes without traffic and compares observations this many ticks apart; the
+/// result is grouped by the bend that the car is in.
 fn compare(apart: usize) -> [Errors; 3] {
     let mut errors = [(); 3].map(|()| Errors::default());
     let mut world = World::new(WorldConfig {
@@ -132,10 +132,11 @@ fn compare(apart: usize) -> [Errors; 3] {
             }
         }
         for (here, there) in seen.iter().zip(&seen[apart.min(seen.len())..]) {
-            // The same road: the next checkpoint is the same, and so is the lane.
+            // The car is on the same road if the next checkpoint and the lane are the
+            // same.
             let same = (checkpoint_world(here, 0) - checkpoint_world(there, 0)).norm() < 1e-6;
             let width_m = |o: &Observation| o.road.left_m + o.road.right_m;
-            // A car that is in a cone sees it from within.
+            // A car inside a cone would see it from within.
             let nearest_m = |o: &Observation| o.ranges().iter().fold(50.0_f32, |m, &r| m.min(r));
             let is_clear = nearest_m(here).min(nearest_m(there)) > CLEAR_M;
             if !is_clear || !same || (width_m(here) - width_m(there)).abs() > 1e-6 {
@@ -150,9 +151,9 @@ fn compare(apart: usize) -> [Errors; 3] {
 }
 
 #[test]
-fn what_is_predicted_is_what_is_seen() {
-    // Ticks apart, and shares of returns that may have come into sight or gone
-    // out of it, or fall between two beams.
+fn predicted_observations_equal_those_of_the_world() {
+    // Distance in ticks, and the share of returns that may have come into view, left
+    // it, or lie between two beams.
     for (apart, unseen, invented) in [(1, 0.15, 0.15), (4, 0.25, 0.25), (10, 0.5, 0.35)] {
         for (bend, mut errors) in Bend::ALL.iter().zip(compare(apart)) {
             let what = format!("{apart} ticks apart, {bend:?}, {} pairs", errors.pairs);
@@ -166,7 +167,8 @@ fn what_is_predicted_is_what_is_seen() {
                 let worst = quantile(numbers, 1.0);
                 assert!(worst < most, "{what}: {name} is off by {worst}");
             }
-            // The offset is that of the lane the car is in, which may be the next.
+            // The offset is that of the lane the car is in, which may be a neighbouring
+            // one.
             let offset_m = quantile(&mut errors.offset_m, 0.99);
             assert!(offset_m < 0.01, "{what}: the offset is off by {offset_m}");
             let (seen, made_up) = (&errors.seen, &errors.invented);

@@ -1,4 +1,5 @@
-//! The networks' input: its mirror, and the change that a policy file undoes.
+//! Tests of the networks' input: mirroring, and the linear change that is folded into a
+//! policy file.
 
 use learner::export;
 use learner::features::{mirror, mirror_action, prepare};
@@ -7,7 +8,7 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{Bend, FEATURES, Observation};
 
-/// Features are f32 in [0, 1], changed at most twice.
+/// Features are f32 in [0, 1] and change at most twice.
 const TOLERANCE: f32 = 1e-6;
 /// Width of a lane of the built-in world, m.
 const LANE_M: f64 = 3.5;
@@ -21,7 +22,7 @@ fn assert_near(a: &[f32], b: &[f32], what: &str) {
     }
 }
 
-/// A scene on a road of three lanes, out of a seed.
+/// A scene on a road of three lanes, made from a seed.
 fn scene(seed: u64) -> Observation {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut observation = Observation {
@@ -43,7 +44,7 @@ fn scene(seed: u64) -> Observation {
         let bend = [Bend::Straight, Bend::Left, Bend::Right][random.random_range(0..3)];
         checkpoint.bend = bend.code();
         if bend != Bend::Straight {
-            // Of the leftmost lane, the outermost one of a bend to the right.
+            // The radius of the leftmost lane, the outer one of a bend to the right.
             let inner_m = random.random_range(25.0..60.0);
             let across_m = if bend == Bend::Right {
                 2.0 * LANE_M
@@ -71,7 +72,7 @@ fn mirrored(scene: &Observation) -> Observation {
     mirrored.ego.steer = -scene.ego.steer;
     for checkpoint in &mut mirrored.checkpoints {
         checkpoint.y_body_m = -checkpoint.y_body_m;
-        // What was the rightmost lane is the leftmost one.
+        // The rightmost lane becomes the leftmost one.
         let (bend, across_m) = match checkpoint.bend() {
             Bend::Straight => (Bend::Straight, 0.0),
             Bend::Left => (Bend::Right, 2.0 * LANE_M),
@@ -108,7 +109,7 @@ fn the_mirror_of_the_mirror_is_the_scene() {
         let row = features(&scene(seed));
         let mut twice = row;
         mirror(&mut twice);
-        assert_ne!(twice, row, "seed {seed}: the mirror does nothing");
+        assert_ne!(twice, row, "seed {seed}: mirroring changes nothing");
         mirror(&mut twice);
         assert_near(&twice, &row, &format!("seed {seed}"));
     }

@@ -1,6 +1,6 @@
-//! Every gradient of a network, against finite differences.
+//! Compares every gradient of a network with finite differences.
 //!
-//! Those of the losses are tested beside them, in `src/algorithm`.
+//! The gradients of the losses are tested in `src/algorithm`.
 
 use learner::network::{Head, Network, Tape};
 use rand::{RngExt, SeedableRng};
@@ -8,11 +8,12 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 const SIZES: [usize; 4] = [5, 8, 7, 3];
 const BATCH: usize = 6;
-/// Short enough that few ReLUs turn within it, long enough for f32.
+/// Finite difference: small enough that few ReLUs change sides, large enough for f32.
 const EPSILON: f32 = 2e-3;
-/// Of the largest slope: what f32 and the curvature leave.
+/// Tolerance relative to the largest gradient: what f32 and the curvature leave.
 const TOLERANCE: f64 = 5e-3;
-/// Slopes that a ReLU turns within epsilon, at most this share.
+/// At most this share of the gradients may be wrong because a ReLU changes sides within
+/// epsilon.
 const KINKS: f64 = 0.1;
 
 struct Case {
@@ -47,8 +48,8 @@ impl Case {
         terms.map(|(&y, &w)| f64::from(y) * f64::from(w)).sum()
     }
 
-    /// Slopes of the parameters and of the inputs, with this many threads.
-    fn slopes(&self, threads: usize) -> (Vec<f32>, Vec<f32>) {
+    /// Gradients of the parameters and of the inputs, with this many threads.
+    fn gradients(&self, threads: usize) -> (Vec<f32>, Vec<f32>) {
         let mut tape = Tape::default();
         self.network.forward(&self.inputs, threads, &mut tape);
         let mut parameters = vec![0.0; self.network.parameters().len()];
@@ -64,34 +65,34 @@ impl Case {
     }
 }
 
-/// Compares slopes with finite differences; `change` moves number k by a little.
-fn assert_slopes(
-    slopes: &[f32],
+/// Compares gradients with finite differences; `change` moves number k by a little.
+fn assert_gradients(
+    gradients: &[f32],
     case: &mut Case,
     change: impl Fn(&mut Case, usize, f32),
     what: &str,
 ) {
-    let largest = slopes
+    let largest = gradients
         .iter()
-        .fold(0.0_f32, |largest, slope| largest.max(slope.abs()));
-    assert!(largest > 0.0, "{what}: no slope at all");
+        .fold(0.0_f32, |largest, gradient| largest.max(gradient.abs()));
+    assert!(largest > 0.0, "{what}: all gradients are zero");
     let mut wrong = Vec::new();
-    for (k, &slope) in slopes.iter().enumerate() {
+    for (k, &gradient) in gradients.iter().enumerate() {
         change(case, k, EPSILON);
         let above = case.loss();
         change(case, k, -2.0 * EPSILON);
         let below = case.loss();
         change(case, k, EPSILON);
         let difference = (above - below) / (2.0 * f64::from(EPSILON));
-        let error = (difference - f64::from(slope)).abs();
+        let error = (difference - f64::from(gradient)).abs();
         if error > TOLERANCE * f64::from(largest) {
-            wrong.push((k, slope, difference));
+            wrong.push((k, gradient, difference));
         }
     }
-    let share = wrong.len() as f64 / slopes.len() as f64;
+    let share = wrong.len() as f64 / gradients.len() as f64;
     assert!(
         share <= KINKS,
-        "{what}: (number, slope, finite difference) {wrong:?}"
+        "{what}: (number, gradient, finite difference) {wrong:?}"
     );
 }
 
@@ -100,15 +101,15 @@ fn slopes_of_parameters_and_inputs_are_those_of_finite_differences() {
     for head in [Head::Linear, Head::Tanh] {
         for seed in 0..5 {
             let mut case = Case::new(head, seed);
-            let (parameters, inputs) = case.slopes(1);
+            let (parameters, inputs) = case.gradients(1);
             let what = format!("{head:?}, seed {seed}");
-            assert_slopes(
+            assert_gradients(
                 &parameters,
                 &mut case,
                 |case, k, by| case.network.parameters_mut()[k] += by,
                 &format!("{what}, parameters"),
             );
-            assert_slopes(
+            assert_gradients(
                 &inputs,
                 &mut case,
                 |case, k, by| case.inputs[k] += by,
@@ -121,7 +122,7 @@ fn slopes_of_parameters_and_inputs_are_those_of_finite_differences() {
 #[test]
 fn a_pass_back_adds_to_the_gradient_that_is_there() {
     let case = Case::new(Head::Tanh, 1);
-    let (once, _) = case.slopes(1);
+    let (once, _) = case.gradients(1);
     let mut tape = Tape::default();
     case.network.forward(&case.inputs, 1, &mut tape);
     let mut twice = once.clone();
@@ -136,7 +137,7 @@ fn a_pass_back_adds_to_the_gradient_that_is_there() {
 #[test]
 fn slopes_of_the_inputs_do_not_need_those_of_the_parameters() {
     let case = Case::new(Head::Linear, 2);
-    let (_, expected) = case.slopes(1);
+    let (_, expected) = case.gradients(1);
     let mut tape = Tape::default();
     case.network.forward(&case.inputs, 1, &mut tape);
     let mut inputs = Vec::new();
@@ -147,19 +148,19 @@ fn slopes_of_the_inputs_do_not_need_those_of_the_parameters() {
 }
 
 #[test]
-fn any_number_of_threads_gives_the_same_slopes_to_the_last_bit() {
+fn any_number_of_threads_gives_the_same_gradients_to_the_last_bit() {
     // Many parts of a batch, the last of them short.
     let case = Case::of(Head::Tanh, 3, 1001);
-    let one = case.slopes(1);
+    let one = case.gradients(1);
     for threads in [0, 2, 3] {
-        assert_eq!(case.slopes(threads), one, "{threads} threads");
+        assert_eq!(case.gradients(threads), one, "{threads} threads");
     }
 }
 
 #[test]
-fn a_batch_in_parts_has_the_slopes_of_its_rows() {
+fn a_batch_in_parts_has_the_gradients_of_its_rows() {
     let case = Case::of(Head::Linear, 4, 301);
-    let (whole, inputs) = case.slopes(1);
+    let (whole, inputs) = case.gradients(1);
     let mut tape = Tape::default();
     let mut sum = vec![0.0; whole.len()];
     let mut each = Vec::new();
@@ -169,11 +170,11 @@ fn a_batch_in_parts_has_the_slopes_of_its_rows() {
         .zip(case.weights.chunks(SIZES[3]))
     {
         case.network.forward(input, 1, &mut tape);
-        let mut slope = Vec::new();
+        let mut gradient = Vec::new();
         let pass = (input, weight);
         case.network
-            .backward(pass, 1, &mut tape, Some(&mut sum), Some(&mut slope));
-        each.extend(slope);
+            .backward(pass, 1, &mut tape, Some(&mut sum), Some(&mut gradient));
+        each.extend(gradient);
     }
     let rows = whole.iter().zip(&sum).chain(inputs.iter().zip(&each));
     for (whole, rows) in rows {
@@ -187,7 +188,7 @@ fn a_batch_in_parts_has_the_slopes_of_its_rows() {
 #[test]
 fn a_tape_may_be_used_again_for_a_batch_of_another_size() {
     let case = Case::new(Head::Tanh, 4);
-    let (expected, _) = case.slopes(1);
+    let (expected, _) = case.gradients(1);
     let mut tape = Tape::default();
     let larger = [&case.inputs[..], &case.inputs, &case.inputs].concat();
     case.network.forward(&larger, 1, &mut tape);

@@ -1,4 +1,4 @@
-//! The replay on disk survives what its process does not.
+//! Tests that the replay on disk survives the end of its process.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -7,20 +7,20 @@ use std::process::{Command, Stdio};
 
 use learner::assembler::Counts;
 use learner::journal::{Journal, Mark, Recovered, last_mark};
-use learner::replay::{Label, Replay, Ring, Then, Transition};
+use learner::replay::{Buffer, Replay, Then, Transition};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, Preference};
 use tempfile::TempDir;
 
 /// Bytes before the first record.
 const MAGIC: usize = 8;
-/// Where a child of this test finds its file.
+/// The variable that names the file of a child of this test.
 const CHILD: &str = "VLAPS_TEST_JOURNAL";
-/// Transitions that each ring holds here.
+/// Capacity of each buffer in these tests, transitions.
 const CAPACITY: usize = 4;
 
-/// A transition out of a number, which its first feature says.
+/// A transition made from a number, which is its first feature.
 fn numbered(number: u64) -> Transition {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(number);
     let mut pair = || {
@@ -42,15 +42,15 @@ fn numbered(number: u64) -> Transition {
         applied,
         policy,
         expert,
-        label: [Label::None, Label::Expert, Label::Policy][number as usize % 3],
+        label: [Preference::Abstain, Preference::Expert, Preference::Policy][number as usize % 3],
         then: [Then::On, Then::End, Then::Unknown][number as usize / 3 % 3],
     }
 }
 
-fn ring(number: u64) -> Ring {
+fn buffer(number: u64) -> Buffer {
     match number % 5 {
-        4 => Ring::Predicted,
-        _ => numbered(number).ring(),
+        4 => Buffer::Predicted,
+        _ => numbered(number).buffer(),
     }
 }
 
@@ -74,23 +74,23 @@ fn mark(number: u64) -> Mark {
 
 fn append(journal: &mut Journal, replay: &mut Replay, number: u64) {
     let transition = numbered(number);
-    let done = journal.append(ring(number), &transition, &mark(number));
-    done.expect("room on the disk");
-    replay.push(ring(number), transition);
+    let done = journal.append(buffer(number), &transition, &mark(number));
+    done.expect("written");
+    replay.push(buffer(number), transition);
 }
 
 fn open(path: &Path) -> Recovered {
     Journal::open(path, CAPACITY, 0).expect("a journal")
 }
 
-/// A file with these many transitions; its bytes.
+/// Writes a file with this many transitions; returns its bytes.
 fn written(path: &Path, count: u64) -> Vec<u8> {
     let mut journal = open(path).journal;
     let mut replay = Replay::new(CAPACITY);
     for number in 0..count {
         append(&mut journal, &mut replay, number);
     }
-    journal.flush().expect("room on the disk");
+    journal.flush().expect("written");
     drop(journal);
     fs::read(path).expect("the file")
 }
@@ -98,15 +98,15 @@ fn written(path: &Path, count: u64) -> Vec<u8> {
 fn assert_holds(replay: &Replay, count: u64, what: &str) {
     let mut expected = Replay::new(CAPACITY);
     for number in 0..count {
-        expected.push(ring(number), numbered(number));
+        expected.push(buffer(number), numbered(number));
     }
     assert_same(replay, &expected, what);
 }
 
 fn assert_same(replay: &Replay, expected: &Replay, what: &str) {
-    for ring in Ring::ALL {
-        let equal = replay.iter(ring).eq(expected.iter(ring));
-        assert!(equal, "{what}: {ring:?} differs");
+    for buffer in Buffer::ALL {
+        let equal = replay.iter(buffer).eq(expected.iter(buffer));
+        assert!(equal, "{what}: {buffer:?} differs");
     }
 }
 
@@ -128,7 +128,7 @@ fn a_file_gives_back_what_was_written() {
 }
 
 #[test]
-fn the_last_mark_is_read_past_what_a_kill_has_torn() {
+fn the_last_mark_is_read_before_an_incomplete_record() {
     let folder = TempDir::new().expect("a folder");
     let path = folder.path().join("replay.bin");
     assert_eq!(last_mark(&path).expect("no file is no mark"), None);
@@ -152,7 +152,7 @@ fn appending_goes_on_after_reopening() {
         } = open(&path);
         assert_holds(&replay, number, "before");
         append(&mut journal, &mut replay, number);
-        // Dropped, not flushed: an orderly end writes all the same.
+        // The journal is dropped without a flush: dropping writes the rest.
     }
     assert_holds(&open(&path).replay, 12, "after");
 }
@@ -208,7 +208,7 @@ fn a_flipped_byte_ends_the_file_there() {
 }
 
 #[test]
-fn a_file_of_another_kind_is_refused_and_left_alone() {
+fn a_file_of_another_kind_is_refused_and_unchanged() {
     let folder = TempDir::new().expect("a folder");
     let path = folder.path().join("replay.bin");
     let mut other_version = written(&path, 2);
@@ -243,7 +243,7 @@ fn a_file_whose_beginning_was_torn_begins_anew() {
 }
 
 #[test]
-fn compaction_keeps_what_the_rings_hold() {
+fn compaction_keeps_what_the_buffers_hold() {
     let folder = TempDir::new().expect("a folder");
     let path = folder.path().join("replay.bin");
     let Recovered {
@@ -254,10 +254,8 @@ fn compaction_keeps_what_the_rings_hold() {
     let mut lengths = Vec::new();
     for number in 0..200 {
         append(&mut journal, &mut replay, number);
-        journal.flush().expect("room on the disk");
-        journal
-            .compact(&replay, &mark(number))
-            .expect("room on the disk");
+        journal.flush().expect("written");
+        journal.compact(&replay, &mark(number)).expect("written");
         lengths.push(fs::metadata(&path).expect("the file").len());
         let found = Journal::open(&path, CAPACITY, 0).expect("a journal");
         assert_same(&found.replay, &replay, &format!("after {number}"));
@@ -283,8 +281,8 @@ fn compaction_that_fails_leaves_the_file() {
     for number in 0..60 {
         append(&mut journal, &mut replay, number);
     }
-    journal.flush().expect("room on the disk");
-    // Nobody can make a file where there is no folder.
+    journal.flush().expect("written");
+    // No file can be created where there is no folder.
     let aside = folder.path().join("aside");
     fs::rename(&inner, &aside).expect("moved");
     journal.compact(&replay, &mark(59)).expect_err("no folder");
@@ -295,40 +293,38 @@ fn compaction_that_fails_leaves_the_file() {
     assert_eq!(found.mark, Some(mark(60)));
 }
 
-/// Appends and compacts for ever, and says after each how far it is.
-#[test]
-#[ignore = "the child that the next test kills"]
-fn child_that_compacts() {
-    let Some(path) = std::env::var_os(CHILD) else {
-        return;
-    };
+/// Appends and compacts until it is killed, and reports each number that is on disk.
+fn append_for_ever(path: &Path) -> ! {
     let Recovered {
         mut journal,
         mut replay,
         ..
-    } = open(Path::new(&path));
+    } = open(path);
     let mut said = std::io::stderr();
     for number in 0.. {
         append(&mut journal, &mut replay, number);
-        journal.flush().expect("room on the disk");
-        journal
-            .compact(&replay, &mark(number))
-            .expect("room on the disk");
-        writeln!(said, "{number}").expect("somebody listens");
+        journal.flush().expect("written");
+        journal.compact(&replay, &mark(number)).expect("written");
+        writeln!(said, "{number}").expect("the parent reads");
     }
+    unreachable!("the parent kills this process")
 }
 
 #[test]
 fn a_process_killed_at_any_instant_leaves_a_whole_file() {
+    const NAME: &str = "a_process_killed_at_any_instant_leaves_a_whole_file";
+    if let Some(path) = std::env::var_os(CHILD) {
+        append_for_ever(Path::new(&path));
+    }
     let folder = TempDir::new().expect("a folder");
     let path = folder.path().join("replay.bin");
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
     for round in 0..12 {
         let _ = fs::remove_file(&path);
-        // Every 25th append compacts: around one of these it is killed.
+        // Every 25th append compacts; the child is killed around one of these.
         let until: u64 = 22 + 21 * random.random_range(0..4) + random.random_range(0..5);
         let mut child = Command::new(std::env::current_exe().expect("this test"))
-            .args(["--exact", "child_that_compacts", "--ignored", "--nocapture"])
+            .args(["--exact", NAME, "--nocapture"])
             .env(CHILD, &path)
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -344,7 +340,7 @@ fn a_process_killed_at_any_instant_leaves_a_whole_file() {
         let what = format!("seed 5, round {round}, killed after {until}");
         let heard = heard.unwrap_or_else(|| panic!("{what}: the child ended by itself"));
         let found = open(&path);
-        // Everything that was said to be handed over, and perhaps more.
+        // Every record that was reported must be there; more may be.
         let reached = found.mark.expect("a mark").counts.steps;
         assert!(reached >= heard, "{what}: {reached} of {heard}");
         assert_holds(&found.replay, reached + 1, &what);

@@ -1,12 +1,13 @@
-//! The rings: what they hold, what they forget, what is drawn from them.
+//! Tests of the replay buffers: what they hold, what they drop, and what is drawn from
+//! them.
 
-use learner::replay::{ACTIONS, Batch, Label, Replay, Ring, Then, Transition};
+use learner::replay::{ACTIONS, Batch, Buffer, Replay, Then, Transition};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, Preference};
 
-/// A transition that can be told from others by its pedal, which no mirror turns.
-fn numbered(number: u32, label: Label) -> Transition {
+/// A transition that is identified by its pedal, which mirroring leaves unchanged.
+fn numbered(number: u32, label: Preference) -> Transition {
     Transition {
         state: [0.5; FEATURES],
         next: [0.5; FEATURES],
@@ -18,9 +19,9 @@ fn numbered(number: u32, label: Label) -> Transition {
     }
 }
 
-fn numbers(replay: &Replay, ring: Ring) -> Vec<u32> {
+fn numbers(replay: &Replay, buffer: Buffer) -> Vec<u32> {
     replay
-        .iter(ring)
+        .iter(buffer)
         .map(|held| held.applied[1] as u32)
         .collect()
 }
@@ -31,38 +32,38 @@ fn drawn(batch: &Batch) -> Vec<u32> {
 }
 
 #[test]
-fn a_full_ring_forgets_the_oldest_and_only_its_own() {
+fn a_full_buffer_drops_its_oldest_transition_alone() {
     let mut replay = Replay::new(5);
-    replay.push(Ring::Learner, numbered(1000, Label::None));
+    replay.push(Buffer::Learner, numbered(1000, Preference::Abstain));
     for number in 0..13 {
-        replay.push(Ring::Expert, numbered(number, Label::Expert));
+        replay.push(Buffer::Expert, numbered(number, Preference::Expert));
         let oldest = (number + 1).saturating_sub(5);
         let expected: Vec<u32> = (oldest..=number).collect();
-        assert_eq!(numbers(&replay, Ring::Expert), expected);
-        assert_eq!(replay.len(Ring::Expert), expected.len());
+        assert_eq!(numbers(&replay, Buffer::Expert), expected);
+        assert_eq!(replay.len(Buffer::Expert), expected.len());
     }
-    assert_eq!(numbers(&replay, Ring::Learner), [1000]);
-    assert_eq!(replay.len(Ring::Predicted), 0);
+    assert_eq!(numbers(&replay, Buffer::Learner), [1000]);
+    assert_eq!(replay.len(Buffer::Predicted), 0);
 }
 
 #[test]
-fn labels_choose_the_ring() {
-    let ring = |label| numbered(0, label).ring();
-    assert_eq!(ring(Label::Expert), Ring::Expert);
-    assert_eq!(ring(Label::Policy), Ring::Learner);
-    assert_eq!(ring(Label::None), Ring::Learner);
+fn the_label_chooses_the_buffer() {
+    let buffer = |label| numbered(0, label).buffer();
+    assert_eq!(buffer(Preference::Expert), Buffer::Expert);
+    assert_eq!(buffer(Preference::Policy), Buffer::Learner);
+    assert_eq!(buffer(Preference::Abstain), Buffer::Learner);
 }
 
 #[test]
 fn half_of_an_even_sample_prefers_the_expert_however_few_do() {
     let mut replay = Replay::new(1000);
     for number in 0..3 {
-        replay.push(Ring::Expert, numbered(number, Label::Expert));
+        replay.push(Buffer::Expert, numbered(number, Preference::Expert));
     }
     for number in 100..900 {
-        replay.push(Ring::Learner, numbered(number, Label::Policy));
+        replay.push(Buffer::Learner, numbered(number, Preference::Policy));
     }
-    replay.push(Ring::Predicted, numbered(9000, Label::Expert));
+    replay.push(Buffer::Predicted, numbered(9000, Preference::Expert));
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut batch = Batch::default();
     let mut seen = [0; 3];
@@ -75,13 +76,14 @@ fn half_of_an_even_sample_prefers_the_expert_however_few_do() {
         assert_eq!(batch.is_preferred.iter().sum::<f32>(), 32.0);
         assert!(
             drawn.iter().all(|&number| number < 9000),
-            "predicted states have a ring of their own"
+            "predicted states have a buffer of their own"
         );
         for number in drawn.into_iter().filter(|&number| number < 3) {
             seen[number as usize] += 1;
         }
     }
-    // 640 draws of three: each within ten standard deviations of its share.
+    // 640 draws of three buffers: each count lies within ten standard deviations of its
+    // share.
     assert!(
         seen.iter().all(|count| (100..330).contains(count)),
         "seed 1: {seen:?}"
@@ -89,42 +91,50 @@ fn half_of_an_even_sample_prefers_the_expert_however_few_do() {
 }
 
 #[test]
-fn an_even_sample_of_one_ring_is_whole() {
-    for (ring, label) in [(Ring::Expert, Label::Expert), (Ring::Learner, Label::None)] {
+fn an_even_sample_of_one_buffer_is_complete() {
+    for (buffer, label) in [
+        (Buffer::Expert, Preference::Expert),
+        (Buffer::Learner, Preference::Abstain),
+    ] {
         let mut replay = Replay::new(10);
-        replay.push(ring, numbered(7, label));
+        replay.push(buffer, numbered(7, label));
         let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
         let mut batch = Batch::default();
         replay.sample_evenly(9, &mut random, &mut batch);
-        assert_eq!(drawn(&batch), [7; 9], "{ring:?}");
+        assert_eq!(drawn(&batch), [7; 9], "{buffer:?}");
     }
 }
 
 #[test]
-fn nothing_is_drawn_from_empty_rings() {
+fn nothing_is_drawn_from_empty_buffers() {
     let mut replay = Replay::new(10);
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut batch = Batch::default();
-    replay.push(Ring::Predicted, numbered(0, Label::Expert));
+    replay.push(Buffer::Predicted, numbered(0, Preference::Expert));
     replay.sample_evenly(8, &mut random, &mut batch);
     assert!(batch.is_empty());
-    replay.sample(&[Ring::Expert, Ring::Learner], 8, &mut random, &mut batch);
+    replay.sample(
+        &[Buffer::Expert, Buffer::Learner],
+        8,
+        &mut random,
+        &mut batch,
+    );
     assert!(batch.is_empty());
 }
 
 #[test]
-fn rings_are_drawn_from_by_their_sizes() {
+fn buffers_are_sampled_in_proportion_to_their_sizes() {
     let mut replay = Replay::new(1000);
     for number in 0..300 {
-        replay.push(Ring::Expert, numbered(number, Label::Expert));
+        replay.push(Buffer::Expert, numbered(number, Preference::Expert));
     }
     for number in 1000..1100 {
-        replay.push(Ring::Predicted, numbered(number, Label::Expert));
+        replay.push(Buffer::Predicted, numbered(number, Preference::Expert));
     }
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
     let mut batch = Batch::default();
     replay.sample(
-        &[Ring::Expert, Ring::Predicted],
+        &[Buffer::Expert, Buffer::Predicted],
         4000,
         &mut random,
         &mut batch,
@@ -134,14 +144,14 @@ fn rings_are_drawn_from_by_their_sizes() {
         .iter()
         .filter(|&&number| number >= 1000)
         .count();
-    // A quarter, within ten standard deviations.
+    // The share is a quarter, within ten standard deviations.
     assert!((725..1275).contains(&predicted), "seed 2: {predicted}");
 }
 
 #[test]
-fn about_half_of_a_sample_is_seen_in_the_mirror() {
+fn about_half_of_a_sample_is_mirrored() {
     let mut replay = Replay::new(10);
-    replay.push(Ring::Expert, numbered(1, Label::Expert));
+    replay.push(Buffer::Expert, numbered(1, Preference::Expert));
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
     let mut batch = Batch::default();
     replay.sample_evenly(1000, &mut random, &mut batch);
@@ -155,7 +165,7 @@ fn about_half_of_a_sample_is_seen_in_the_mirror() {
     assert_eq!(
         turned,
         mirrored(&batch.applied),
-        "all actions of a row turn together"
+        "all actions of a row are mirrored together"
     );
     assert_eq!(turned, mirrored(&batch.policy));
     let count = turned.iter().filter(|&&turned| turned).count();

@@ -1,10 +1,10 @@
-//! A person's driving is what is learned from; that they let the policy drive
-//! is no preference.
+//! Tests that a person's takeover is labelled and imitated, and that a person who lets
+//! the policy drive gives no label.
 
 use learner::assembler::{Assembler, Counts, Labelling, expert_command};
-use learner::replay::{Label, Transition};
+use learner::replay::Transition;
 use shm_config::config::GateMode;
-use shm_config::message::{Driver, Proposal, Reason, Step};
+use shm_config::message::{Driver, Preference, Proposal, Reason, Step};
 use vehicle::Action;
 
 const PERSON: Action = Action {
@@ -12,8 +12,8 @@ const PERSON: Action = Action {
     pedal: 0.25,
 };
 
-/// The step of one tick; the judge would have vetoed what stands in the expert's
-/// place.
+/// The step of one tick; the safety check would have vetoed the expert's action, which
+/// may be the person's.
 fn step(tick: u64, driver: Driver, reason: Reason) -> Step {
     let mut step = Step::default();
     step.header.sequence = tick;
@@ -38,12 +38,12 @@ fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
         wait_ns: 0,
     };
     let rows = [
-        (Driver::Policy, Reason::Configured, Label::None),
-        (Driver::Expert, Reason::Takeover, Label::Expert),
-        (Driver::Expert, Reason::Vetoed, Label::Expert),
-        (Driver::Expert, Reason::Unloaded, Label::None),
-        (Driver::Expert, Reason::Faulty, Label::None),
-        (Driver::Policy, Reason::Configured, Label::None),
+        (Driver::Policy, Reason::Configured, Preference::Abstain),
+        (Driver::Expert, Reason::Takeover, Preference::Expert),
+        (Driver::Expert, Reason::Vetoed, Preference::Expert),
+        (Driver::Expert, Reason::Unloaded, Preference::Abstain),
+        (Driver::Expert, Reason::Faulty, Preference::Abstain),
+        (Driver::Policy, Reason::Configured, Preference::Abstain),
     ];
     let mut assembler = Assembler::new(labelling, Counts::default());
     let mut made: Vec<Transition> = Vec::new();
@@ -51,7 +51,7 @@ fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
         assembler.push(&step(tick, driver, reason), |one| made.push(one));
     }
     assembler.finish(|one| made.push(one));
-    let labels: Vec<Label> = made.iter().map(|one| one.label).collect();
+    let labels: Vec<Preference> = made.iter().map(|one| one.label).collect();
     assert_eq!(labels, rows.map(|(_, _, label)| label));
     let person = [PERSON.steer as f32, PERSON.pedal as f32];
     assert_eq!(made[1].expert, person, "a person is not vetoed");
@@ -62,7 +62,7 @@ fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
 }
 
 #[test]
-fn only_a_persons_command_is_not_braked_by_the_judge() {
+fn only_a_persons_command_is_not_braked_by_the_safety_check() {
     let taken_over = step(1, Driver::Expert, Reason::Takeover);
     assert_eq!(expert_command(&taken_over), PERSON);
     let planned = step(1, Driver::Expert, Reason::Configured);

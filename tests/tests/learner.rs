@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use learner::assembler::Counts;
 use learner::journal::{Journal, Mark, Recovered};
-use learner::replay::Ring;
+use learner::replay::Buffer;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rustix::process::Signal;
@@ -176,9 +176,9 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
     assert_eq!(found.torn_bytes, 0, "the last one ended in order");
     assert_accounts(&mark);
     let counts: Counts = mark.counts;
-    let held: u64 = Ring::ALL
+    let held: u64 = Buffer::ALL
         .iter()
-        .map(|&ring| found.replay.len(ring) as u64)
+        .map(|&buffer| found.replay.len(buffer) as u64)
         .sum();
     assert_eq!(held, counts.transitions(), "seed {SEED}: {counts:?}");
     let published = json["processes"]["controller"]["ticks"].as_u64();

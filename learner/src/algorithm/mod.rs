@@ -1,5 +1,5 @@
-//! The ways to learn, one file each, hyper-parameters at the top with their
-//! source.
+//! The algorithms, one file each, with their hyper-parameters and the sources of these
+//! at the top.
 //!
 //! | algorithm | learns from | loss |
 //! |---|---|---|
@@ -25,17 +25,17 @@ pub use ppl::Ppl;
 pub use pvp::Pvp;
 pub use regression::{Regression, Source};
 
-/// What the algorithms have in common.
+/// The sizes that all algorithms have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Size {
     /// Neurons of each of the two hidden layers.
     pub hidden: usize,
-    /// Transitions of an update.
+    /// Transitions in an update.
     pub batch: usize,
 }
 
 impl Size {
-    /// By configuration key, with the length of Adam's steps.
+    /// The values that a learner keeps from its start, by configuration key.
     fn begun_with(self, rate: f32) -> Vec<(&'static str, f64)> {
         vec![
             ("learner.hidden", self.hidden as f64),
@@ -45,14 +45,14 @@ impl Size {
     }
 }
 
-/// What an update cost; zeros for what an algorithm has not.
+/// The losses of an update; zero for those that an algorithm does not have.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Losses {
-    /// Of the actor, imitation included.
+    /// Loss of the actor, imitation included.
     pub actor: f32,
-    /// Of the imitation alone.
+    /// Loss of the imitation alone.
     pub imitation: f32,
-    /// Of the critics.
+    /// Loss of the critics.
     pub critic: f32,
 }
 
@@ -67,7 +67,7 @@ pub struct Learned {
 }
 
 impl Learned {
-    /// Initialised at random.
+    /// A network with random parameters, and its optimiser.
     pub fn new(sizes: &[usize], head: Head, rate: f32, random: &mut impl Rng) -> Learned {
         let network = Network::new(sizes, head, random);
         let count = network.parameters().len();
@@ -78,7 +78,8 @@ impl Learned {
         }
     }
 
-    /// One step of the optimiser along the gradient gathered; it is empty after.
+    /// Takes one step of the optimiser along the gathered gradient, and clears the
+    /// gradient.
     fn step(&mut self) {
         self.adam
             .step(self.network.parameters_mut(), &self.gradient);
@@ -86,26 +87,27 @@ impl Learned {
     }
 }
 
-/// An actor of the experiment's size: 259-256-256-2 by default.
+/// An actor of the configured size: 259-256-256-2 by default.
 pub fn actor(size: Size, rate: f32, random: &mut impl Rng) -> Learned {
     let sizes = [FEATURES, size.hidden, size.hidden, ACTIONS];
     Learned::new(&sizes, Head::Tanh, rate, random)
 }
 
-/// Who learns: networks, optimisers and what else outlives an update.
+/// An algorithm's state: networks, optimisers, and all else that outlives an update.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Student {
-    /// By imitation.
+    /// Imitation (`bc`, `hg-dagger`, `dagger`).
     Regression(Regression),
-    /// By proxy values.
+    /// Proxy values (`pvp`).
     Pvp(Box<Pvp>),
-    /// By pairs at predicted states.
+    /// Pairs at predicted states (`ppl`).
     Ppl(Ppl),
 }
 
 impl Student {
-    /// One update from the replay, on at most this many threads, whose number
-    /// changes no bit of it; nothing when it holds nothing to learn from.
+    /// One update from the replay, with at most this many threads. The number of
+    /// threads changes no bit of the result. Does nothing when the replay buffers it
+    /// needs are empty.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
         match self {
             Student::Regression(student) => student.update(replay, random, threads),
@@ -114,7 +116,7 @@ impl Student {
         }
     }
 
-    /// What it was begun with, by configuration key.
+    /// The values it keeps from its start, by configuration key.
     pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
         match self {
             Student::Regression(student) => student.begun_with(),
@@ -123,7 +125,7 @@ impl Student {
         }
     }
 
-    /// The policy as it is now.
+    /// The present policy.
     pub fn policy(&self) -> &Network {
         match self {
             Student::Regression(student) => student.policy(),
@@ -133,23 +135,23 @@ impl Student {
     }
 }
 
-/// Compares slopes with central differences of a loss, which is given back with
-/// number k moved by a little.
+/// Compares gradients with central differences of a loss. `loss(k, by)` returns the
+/// loss with number k changed by `by`.
 #[cfg(test)]
-fn assert_slopes(slopes: &[f32], what: &str, mut loss: impl FnMut(usize, f32) -> f32) {
+fn assert_gradients(gradients: &[f32], what: &str, mut loss: impl FnMut(usize, f32) -> f32) {
     const EPSILON: f32 = 5e-3;
-    /// Of the largest slope: what f32 and the curvature leave.
+    /// Relative to the largest gradient: the error left by f32 and by the curvature.
     const TOLERANCE: f32 = 5e-3;
-    let largest = slopes
+    let largest = gradients
         .iter()
-        .fold(0.0_f32, |most, slope| most.max(slope.abs()));
-    assert!(largest > 0.0, "{what}: no slope at all");
-    for (k, &slope) in slopes.iter().enumerate() {
+        .fold(0.0_f32, |most, gradient| most.max(gradient.abs()));
+    assert!(largest > 0.0, "{what}: all gradients are zero");
+    for (k, &gradient) in gradients.iter().enumerate() {
         let difference = (loss(k, EPSILON) - loss(k, -EPSILON)) / (2.0 * EPSILON);
-        let error = (difference - slope).abs() / largest;
+        let error = (difference - gradient).abs() / largest;
         assert!(
             error < TOLERANCE,
-            "{what}, number {k}: {slope}, by differences {difference}"
+            "{what}, number {k}: {gradient}, by differences {difference}"
         );
     }
 }

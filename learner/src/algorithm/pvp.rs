@@ -1,7 +1,7 @@
-//! PVP: a proxy value from preferences, spread along the trajectory by temporal
-//! differences without a reward, and an actor that follows it (Sec. 4.3).
+//! PVP: proxy values from preferences, spread along the trajectory by temporal
+//! differences without a reward, and an actor that maximises them (Sec. 4.3).
 //!
-//! After PVP4Real, whose numbers stand where the paper gives none.
+//! After PVP4Real, which supplies the numbers that the paper does not give.
 
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
@@ -13,21 +13,21 @@ use crate::replay::{ACTIONS, Batch, Replay};
 
 /// Discount; PVP4Real.
 const GAMMA: f32 = 0.99;
-/// Share by which targets follow; PVP4Real.
+/// Polyak averaging factor (tau) of the target networks; PVP4Real.
 const TAU: f32 = 0.005;
-/// Updates of the critics for one of the actor; PVP4Real.
+/// Critic updates for each actor update; PVP4Real.
 const POLICY_DELAY: u64 = 2;
-/// Bound of the noise on target actions, in its standard deviations; TD3.
+/// Bound of the noise on target actions, in standard deviations; TD3.
 const TARGET_NOISE_CLIP: f32 = 2.5;
-/// Value of a preferred action, and less this of a rejected one; PVP4Real.
+/// Value of a preferred action; a rejected action has the negative value; PVP4Real.
 const VALUE_BOUND: f32 = 1.0;
-/// Keeps the mean over interventions finite; PVP4Real.
-const FEW: f32 = 1e-5;
+/// Epsilon: keeps the mean over interventions finite; PVP4Real.
+const EPSILON: f32 = 1e-5;
 
-/// The hyper-parameters that the configuration may change.
+/// The hyper-parameters that the configuration can change.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// Length of Adam's steps for all networks; PVP4Real has 1e-4.
+    /// Learning rate of all networks; PVP4Real has 1e-4.
     pub rate: f32,
     /// `lambda_BC` of Eq. 2; PVP4Real has 1.
     pub imitation_weight: f32,
@@ -48,12 +48,12 @@ pub struct Pvp {
     #[serde(skip)]
     last_actor: Losses,
     #[serde(skip)]
-    room: Room,
+    workspace: Workspace,
 }
 
-/// What an update writes to, kept from one to the next.
+/// Buffers of an update, kept from one update to the next.
 #[derive(Clone, Debug, Default)]
-struct Room {
+struct Workspace {
     batch: Batch,
     tape: Tape,
     critic_tape: Tape,
@@ -61,12 +61,13 @@ struct Room {
     inputs: Vec<f32>,
     values: Vec<f32>,
     delta: Vec<f32>,
-    slope: Vec<f32>,
+    judged: Vec<f32>,
+    gradient: Vec<f32>,
     bounds: Vec<f32>,
 }
 
 impl Pvp {
-    /// With fresh networks.
+    /// With random parameters.
     pub fn new(settings: Settings, size: Size, random: &mut impl Rng) -> Pvp {
         let actor = actor(size, settings.rate, random);
         let sizes = [FEATURES + ACTIONS, size.hidden, size.hidden, 1];
@@ -80,20 +81,21 @@ impl Pvp {
             critics,
             updates: 0,
             last_actor: Losses::default(),
-            room: Room::default(),
+            workspace: Workspace::default(),
         }
     }
 
-    /// `y = gamma min_i Q'_i(s', a')` where the episode went on: no reward.
+    /// The target `y = gamma min_i Q'_i(s', a')` where the episode continued; there is
+    /// no reward.
     fn targets(&mut self, random: &mut impl Rng, threads: usize) {
-        let Room {
+        let Workspace {
             batch,
             tape,
             actions,
             inputs,
             values,
             ..
-        } = &mut self.room;
+        } = &mut self.workspace;
         actions.clear();
         actions.extend_from_slice(self.actor_target.forward(&batch.nexts, threads, tape));
         for action in actions.iter_mut() {
@@ -109,23 +111,23 @@ impl Pvp {
         }
     }
 
-    /// For each critic `[Q(s, a_applied) - y]^2 + I [Q(s, a_expert) - 1]^2
-    /// + I [Q(s, a_policy) + 1]^2`, means over the batch, and its gradient.
-    fn judge_critics(&mut self, threads: usize) -> f32 {
-        let Room {
+    /// The critics' loss and gradient: for each critic `[Q(s, a_applied) - y]^2 + I
+    /// [Q(s, a_expert) - 1]^2 + I [Q(s, a_policy) + 1]^2`, averaged over the batch.
+    fn critic_loss(&mut self, threads: usize) -> f32 {
+        let Workspace {
             batch,
             tape,
             critic_tape,
             inputs,
             values,
             delta,
-            slope: judged,
+            judged,
             bounds,
             ..
-        } = &mut self.room;
+        } = &mut self.workspace;
         let share = 1.0 / batch.len() as f32;
         join(&batch.states, &batch.applied, inputs);
-        join_judged(batch, judged, bounds);
+        join_preferences(batch, judged, bounds);
         let mut loss = 0.0;
         for critic in &mut self.critics {
             let taken = critic.network.forward(inputs, threads, tape);
@@ -157,18 +159,19 @@ impl Pvp {
         loss
     }
 
-    /// Eq. 2: `-mean Q(s, mu(s)) + lambda_BC` times Eq. 1, and its gradient.
-    fn judge_actor(&mut self, threads: usize) -> Losses {
-        let Room {
+    /// The actor's loss and gradient, Eq. 2: `-mean Q(s, mu(s)) + lambda_BC` times Eq.
+    /// 1.
+    fn actor_loss(&mut self, threads: usize) -> Losses {
+        let Workspace {
             batch,
             tape,
             critic_tape,
             actions,
             inputs,
             delta,
-            slope,
+            gradient: action_gradient,
             ..
-        } = &mut self.room;
+        } = &mut self.workspace;
         let share = 1.0 / batch.len() as f32;
         actions.clear();
         actions.extend_from_slice(self.actor.network.forward(&batch.states, threads, tape));
@@ -178,12 +181,18 @@ impl Pvp {
         let value = values.iter().sum::<f32>() * share;
         delta.clear();
         delta.resize(batch.len(), -share);
-        critic.backward((inputs, delta), threads, critic_tape, None, Some(slope));
+        critic.backward(
+            (inputs, delta),
+            threads,
+            critic_tape,
+            None,
+            Some(action_gradient),
+        );
         delta.clear();
-        for row in slope.chunks_exact(FEATURES + ACTIONS) {
+        for row in action_gradient.chunks_exact(FEATURES + ACTIONS) {
             delta.extend_from_slice(&row[FEATURES..]);
         }
-        let preferred = batch.is_preferred.iter().sum::<f32>() + FEW;
+        let preferred = batch.is_preferred.iter().sum::<f32>() + EPSILON;
         let weight = self.settings.imitation_weight / (preferred * ACTIONS as f32);
         let mut imitation = 0.0;
         for (k, (action, expert)) in actions.iter().zip(&batch.expert).enumerate() {
@@ -205,18 +214,18 @@ impl Pvp {
 }
 
 impl Pvp {
-    /// One update of the critics, every second time one of the actor.
+    /// One update of the critics; every second call also updates the actor.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
-        replay.sample_evenly(self.size.batch, random, &mut self.room.batch);
-        if self.room.batch.is_empty() {
+        replay.sample_evenly(self.size.batch, random, &mut self.workspace.batch);
+        if self.workspace.batch.is_empty() {
             return Losses::default();
         }
         self.targets(random, threads);
-        let critic = self.judge_critics(threads);
+        let critic = self.critic_loss(threads);
         self.critics.iter_mut().for_each(Learned::step);
         self.updates += 1;
         if self.updates.is_multiple_of(POLICY_DELAY) {
-            self.last_actor = self.judge_actor(threads);
+            self.last_actor = self.actor_loss(threads);
             self.actor.step();
             self.actor_target.follow(&self.actor.network, TAU);
             for (target, critic) in self.critic_targets.iter_mut().zip(&self.critics) {
@@ -229,7 +238,7 @@ impl Pvp {
         }
     }
 
-    /// What it was begun with, by configuration key.
+    /// The values it keeps from its start, by configuration key.
     pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
         let mut begun = self.size.begun_with(self.settings.rate);
         let weight = f64::from(self.settings.imitation_weight);
@@ -239,13 +248,13 @@ impl Pvp {
         begun
     }
 
-    /// The policy as it is now.
+    /// The present policy.
     pub fn policy(&self) -> &Network {
         &self.actor.network
     }
 }
 
-/// States and actions side by side: `batch x (FEATURES + ACTIONS)`.
+/// Each row holds a state and an action: `batch x (FEATURES + ACTIONS)`.
 fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
     out.clear();
     let rows = states.chunks_exact(FEATURES);
@@ -255,17 +264,17 @@ fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
     }
 }
 
-/// What was applied is what the expert proposed: but for hand-overs, which are
-/// eased, it is, wherever the expert drives.
+/// Whether the applied action is the expert's proposal. While the expert drives it is,
+/// except during a hand-over, which limits the change of the command.
 fn is_experts(batch: &Batch, row: usize) -> bool {
     let action = row * ACTIONS..(row + 1) * ACTIONS;
     batch.applied[action.clone()] == batch.expert[action]
 }
 
-/// Where the label prefers the expert: states with what the policy proposed, and
-/// with what the expert did unless that was applied and is judged as such; and
-/// the value that each should have.
-fn join_judged(batch: &Batch, out: &mut Vec<f32>, bounds: &mut Vec<f32>) {
+/// Where the label prefers the expert: each state with the policy's proposal, and with
+/// the expert's proposal unless the applied action, which has its own term, is that
+/// proposal; and the value that each pair should have.
+fn join_preferences(batch: &Batch, out: &mut Vec<f32>, bounds: &mut Vec<f32>) {
     out.clear();
     bounds.clear();
     for (k, state) in batch.states.chunks_exact(FEATURES).enumerate() {
@@ -284,7 +293,7 @@ fn join_judged(batch: &Batch, out: &mut Vec<f32>, bounds: &mut Vec<f32>) {
     }
 }
 
-/// A normal number, by Box and Muller.
+/// A normally distributed number (Box and Muller).
 fn normal(random: &mut impl Rng) -> f32 {
     let radius = (-2.0 * (1.0 - random.random::<f32>()).ln()).sqrt();
     radius * (std::f32::consts::TAU * random.random::<f32>()).cos()

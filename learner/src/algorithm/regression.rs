@@ -1,4 +1,5 @@
-//! Imitation: the actor's squared distance to the expert's action.
+//! Imitation: minimises the squared distance between the actor's and the expert's
+//! action.
 
 use rand::Rng;
 
@@ -6,25 +7,25 @@ use serde::{Deserialize, Serialize};
 
 use super::{Learned, Losses, Size, actor};
 use crate::network::{Network, Tape};
-use crate::replay::{ACTIONS, Batch, Replay, Ring};
+use crate::replay::{ACTIONS, Batch, Buffer, Replay};
 
-/// The policy is the average of the actors of about this many updates: single
-/// ones wobble by more than the car has room beside an obstacle.
+/// The policy averages the actors of about this many updates: single actors vary by
+/// more than the distance between the car and an obstacle that it passes.
 const AVERAGED: f32 = 200.0;
-/// An error of the steering counts as much as one of the pedal this many times
-/// as large squared: steering is smaller, and what a crash depends on.
+/// Weight of the squared steering error relative to the squared pedal error: steering
+/// values are smaller, and decide whether the car crashes.
 const STEER_WEIGHT: f32 = 10.0;
 
 /// Which steps are imitated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Source {
-    /// Those at which the judge preferred the expert.
+    /// The steps at which the judge preferred the expert.
     Preferred,
-    /// All: every step records what the expert would have done.
+    /// All steps: each records what the expert would have done.
     All,
 }
 
-/// Behaviour cloning of what the expert would have done.
+/// Behaviour cloning of the expert's action.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Regression {
     imitator: Imitator,
@@ -32,7 +33,7 @@ pub struct Regression {
 }
 
 impl Regression {
-    /// With a fresh actor.
+    /// With random parameters.
     pub fn new(source: Source, size: Size, rate: f32, random: &mut impl Rng) -> Regression {
         Regression {
             imitator: Imitator::new(size, rate, random),
@@ -40,67 +41,67 @@ impl Regression {
         }
     }
 
-    /// One update; none when there is nothing to imitate.
+    /// One update; does nothing when there is nothing to imitate.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
-        let rings: &[Ring] = match self.source {
-            Source::Preferred => &[Ring::Expert],
-            Source::All => &Ring::ALL,
+        let buffers: &[Buffer] = match self.source {
+            Source::Preferred => &[Buffer::Expert],
+            Source::All => &Buffer::ALL,
         };
         self.imitator
-            .update((replay, rings), random, threads, |_, _, _| 0.0)
+            .update((replay, buffers), random, threads, |_, _, _| 0.0)
     }
 
-    /// What it was begun with, by configuration key.
+    /// The values it keeps from its start, by configuration key.
     pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
         self.imitator.begun_with()
     }
 
-    /// The policy as it is now.
+    /// The present policy.
     pub fn policy(&self) -> &Network {
         self.imitator.policy()
     }
 }
 
-/// An actor that imitates, and its average.
+/// An actor that imitates, and the average of its recent versions.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Imitator {
     actor: Learned,
     average: Network,
     size: Size,
     #[serde(skip)]
-    room: Room,
+    workspace: Workspace,
 }
 
 #[derive(Clone, Debug, Default)]
-struct Room {
+struct Workspace {
     batch: Batch,
     tape: Tape,
     delta: Vec<f32>,
 }
 
 impl Imitator {
-    /// With a fresh actor.
+    /// With random parameters.
     pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Imitator {
         let actor = actor(size, rate, random);
         Imitator {
             average: actor.network.clone(),
             actor,
             size,
-            room: Room::default(),
+            workspace: Workspace::default(),
         }
     }
 
-    /// One update from these rings; `also` adds the gradient of another loss of
-    /// the actions to that of Eq. 1, and returns it.
+    /// One update from these replay buffers. `also` adds the gradient of another loss
+    /// of the actions to that of Eq. 1, and returns that loss.
     pub fn update(
         &mut self,
-        (replay, rings): (&Replay, &[Ring]),
+        (replay, buffers): (&Replay, &[Buffer]),
         random: &mut impl Rng,
         threads: usize,
         also: impl FnOnce(&[f32], &Batch, &mut [f32]) -> f32,
     ) -> Losses {
-        let Room { batch, tape, delta } = &mut self.room;
-        replay.sample(rings, self.size.batch, random, batch);
+        let Workspace { batch, tape, delta } = &mut self.workspace;
+        replay.sample(buffers, self.size.batch, random, batch);
         if batch.is_empty() {
             return Losses::default();
         }
@@ -120,12 +121,12 @@ impl Imitator {
         }
     }
 
-    /// What it was begun with, by configuration key.
+    /// The values it keeps from its start, by configuration key.
     pub fn begun_with(&self) -> Vec<(&'static str, f64)> {
         self.size.begun_with(self.actor.adam.rate)
     }
 
-    /// The policy as it is now.
+    /// The present policy.
     pub fn policy(&self) -> &Network {
         &self.average
     }
@@ -152,22 +153,22 @@ fn imitate(actions: &[f32], expert: &[f32], delta: &mut Vec<f32>) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::{STEER_WEIGHT, imitate};
-    use crate::algorithm::assert_slopes;
+    use crate::algorithm::assert_gradients;
 
     #[test]
-    fn the_slopes_of_the_imitation_are_those_of_finite_differences() {
+    fn the_gradients_of_the_imitation_are_those_of_finite_differences() {
         let mut actions = [0.3, -0.6, 0.9, 0.1, -0.2, 0.0_f32];
         let expert = [0.1, -0.5, -0.9, 0.1, 0.2, 1.0];
         let mut delta = Vec::new();
         imitate(&actions, &expert, &mut delta);
-        let slopes = delta.clone();
-        assert_slopes(&slopes, "the imitation", |k, by| {
+        let gradients = delta.clone();
+        assert_gradients(&gradients, "the imitation", |k, by| {
             actions[k] += by;
             let loss = imitate(&actions, &expert, &mut delta);
             actions[k] -= by;
             loss
         });
-        // One error of 1 in one of three rows.
+        // One row of three has an error of 1.
         let loss = imitate(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], &[0.0; 6], &mut delta);
         assert!((loss - STEER_WEIGHT / 3.0).abs() < 1e-6, "{loss}");
     }

@@ -1,19 +1,19 @@
-//! Steps as a run would publish them, without a run.
+//! Steps as a run publishes them, made without a run.
 #![allow(dead_code)]
 
 use shm_config::message::{Driver, FEATURES, Judge, Preference, Proposal, Reason, Step};
 use vehicle::Action;
 
-/// From tick to tick, ns: 10 Hz.
+/// Time from tick to tick, ns: 10 Hz.
 pub const PERIOD_NS: u64 = 100_000_000;
-/// The processes that publish, until a test restarts one.
+/// The process ids of the publishers, until a test restarts one.
 pub const CONTROLLER: u32 = 100;
 pub const WORLD: u32 = 200;
-/// How long an answer is a label, ticks: a question each second.
+/// How long an answer labels steps, ticks: a question each second.
 pub const WINDOW: u64 = 10;
 
-/// The step of a tick of the first episode; the policy drives. What is seen
-/// differs from tick to tick.
+/// The step of a tick in the first episode; the policy drives. The observations differ
+/// from tick to tick.
 pub fn step(tick: u64) -> Step {
     let mut step = Step::default();
     step.header.tick = tick;
@@ -43,8 +43,7 @@ pub fn step(tick: u64) -> Step {
     step
 }
 
-/// The same step, with the expert at the wheel because the judge in the tick
-/// refused the policy.
+/// The same step, driven by the expert because the safety check vetoed the policy.
 pub fn vetoed(mut step: Step) -> Step {
     step.command.steer = step.expert.steer;
     step.command.pedal = step.expert.pedal;
@@ -54,7 +53,7 @@ pub fn vetoed(mut step: Step) -> Step {
     step
 }
 
-/// The same step, which knows this answer to the question of a tick.
+/// The same step with the answer to the question of a tick.
 pub fn advised(mut step: Step, (answers, tick): (u64, u64), preference: Preference) -> Step {
     step.advice.header = step.header;
     step.advice.answers = answers;

@@ -12,13 +12,14 @@ use std::path::Path;
 use doors::{KINDS, as_bytes};
 use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, Mark};
-use learner::replay::{Label, Ring, Then, Transition};
+use learner::replay::{Buffer, Then, Transition};
 use policy::{Activation, Layer, Mlp, Provenance};
 use shm_config::Instant;
 use shm_config::config::planner::Method;
 use shm_config::config::{Clock, Config};
 use shm_config::message::{
-    Camera, Command, FEATURES, Header, Observation, Plan, Proposal, Step, Takeover, View,
+    Camera, Command, FEATURES, Header, Observation, Plan, Preference, Proposal, Step, Takeover,
+    View,
 };
 use sim::{World, WorldConfig};
 use stack::Stack;
@@ -256,7 +257,7 @@ fn of_recordings() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("replay.bin");
     let mut journal = Journal::open(&path, 8, 0).expect("a journal").journal;
-    for (k, label) in [Label::None, Label::Expert, Label::Policy]
+    for (k, label) in [Preference::Abstain, Preference::Expert, Preference::Policy]
         .into_iter()
         .enumerate()
     {
@@ -275,7 +276,7 @@ fn of_recordings() {
             ..Mark::default()
         };
         journal
-            .append(Ring::ALL[k % Ring::ALL.len()], &transition, &mark)
+            .append(Buffer::ALL[k % Buffer::ALL.len()], &transition, &mark)
             .expect("room");
     }
     journal.flush().expect("room");

@@ -1,23 +1,24 @@
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, Preference};
 
 use super::{Pvp, Settings};
 use crate::algorithm::{Learned, Size};
-use crate::replay::{ACTIONS, Label, Replay, Then, Transition};
+use crate::replay::{ACTIONS, Replay, Then, Transition};
 
-/// Directions in the space of the parameters that are tried.
+/// Directions in parameter space that are tried.
 const DIRECTIONS: usize = 20;
-/// Shorter, and f32 rounds the difference away; longer, and more ReLUs turn.
+/// Finite difference. With a smaller one f32 rounds the difference away; with a larger
+/// one more ReLUs change sides.
 const CRITIC_EPSILON: f32 = 4e-3;
-/// The same for the actor, whose loss is smaller and bends more.
+/// The same for the actor, whose loss is smaller and has more curvature.
 const ACTOR_EPSILON: f32 = 1e-3;
-/// Of the slope, of most directions: what f32 and the curvature leave.
+/// Relative error in the median direction: what f32 and the curvature leave.
 const TOLERANCE: f64 = 0.03;
-/// Of the slope, where ReLUs turn within epsilon.
+/// Relative error in a direction in which ReLUs change sides within epsilon.
 const KINKED: f64 = 0.15;
 
-/// A learner with a batch drawn, all kinds of transitions in it.
+/// A learner with a drawn batch that holds all kinds of transitions.
 fn drawn(seed: u64) -> Pvp {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut replay = Replay::new(100);
@@ -38,12 +39,12 @@ fn drawn(seed: u64) -> Pvp {
             next,
             applied,
             policy,
-            // Otherwise in a hand-over alone.
+            // Outside a test this happens only in a hand-over.
             expert: [applied, other][k / 3 % 2],
-            label: [Label::Expert, Label::Policy, Label::None][k % 3],
+            label: [Preference::Expert, Preference::Policy, Preference::Abstain][k % 3],
             then: [Then::On, Then::On, Then::End, Then::Unknown][k % 4],
         };
-        replay.push(transition.ring(), transition);
+        replay.push(transition.buffer(), transition);
     }
     let size = Size {
         hidden: 12,
@@ -55,13 +56,13 @@ fn drawn(seed: u64) -> Pvp {
         target_noise: 0.2,
     };
     let mut pvp = Pvp::new(settings, size, &mut random);
-    replay.sample_evenly(size.batch, &mut random, &mut pvp.room.batch);
+    replay.sample_evenly(size.batch, &mut random, &mut pvp.workspace.batch);
     pvp.targets(&mut random, 1);
     pvp
 }
 
-/// Compares the gradient of one network with central differences of the
-/// loss in random directions.
+/// Compares the gradient of one network with central differences of the loss in random
+/// directions.
 fn assert_gradient(
     (seed, epsilon): (u64, f32),
     network: impl Fn(&mut Pvp) -> &mut Learned,
@@ -73,7 +74,7 @@ fn assert_gradient(
     let gradient = network(&mut pvp).gradient.clone();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed ^ 1);
     for k in 0..DIRECTIONS {
-        // Along the gradient, and a little aside.
+        // Near the direction of the gradient.
         let direction: Vec<f32> = gradient
             .iter()
             .map(|slope| slope.signum() * random.random_range(-0.2..1.0_f32))
@@ -118,7 +119,7 @@ fn the_critics_gradients_are_those_of_finite_differences() {
             assert_gradient(
                 (seed, CRITIC_EPSILON),
                 |pvp| &mut pvp.critics[k],
-                |pvp| pvp.judge_critics(1),
+                |pvp| pvp.critic_loss(1),
                 &mut errors,
             );
         }
@@ -130,7 +131,7 @@ fn the_critics_gradients_are_those_of_finite_differences() {
 fn the_actors_gradient_is_that_of_finite_differences() {
     let mut errors = Vec::new();
     for seed in 0..4 {
-        let loss = |pvp: &mut Pvp| pvp.judge_actor(1).actor;
+        let loss = |pvp: &mut Pvp| pvp.actor_loss(1).actor;
         assert_gradient(
             (seed, ACTOR_EPSILON),
             |pvp| &mut pvp.actor,
@@ -146,34 +147,34 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(5);
     let mut pvp = drawn(5);
     let mut replay = Replay::new(10);
-    // The pedal, since a mirror leaves it as it is.
+    // The test changes the pedal, which mirroring leaves unchanged.
     let transition = Transition {
         state: [0.5; FEATURES],
         next: [0.5; FEATURES],
         applied: [0.0, 0.6],
         policy: [0.0, 0.9],
         expert: [0.0, -0.6],
-        label: Label::Expert,
+        label: Preference::Expert,
         then: Then::Unknown,
     };
-    replay.push(transition.ring(), transition);
-    replay.sample_evenly(8, &mut random, &mut pvp.room.batch);
+    replay.push(transition.buffer(), transition);
+    replay.sample_evenly(8, &mut random, &mut pvp.workspace.batch);
     let (mut rows, mut bounds) = (Vec::new(), Vec::new());
-    super::join_judged(&pvp.room.batch, &mut rows, &mut bounds);
+    super::join_preferences(&pvp.workspace.batch, &mut rows, &mut bounds);
     let pedals = rows
         .chunks_exact(FEATURES + ACTIONS)
         .map(|row| row[FEATURES + 1]);
     let judged: Vec<_> = pedals.zip(bounds).collect();
     assert_eq!(judged, [(0.9, -1.0), (-0.6, 1.0)].repeat(8));
-    // The actor's imitation is of the expert, too.
-    let states = pvp.room.batch.states.clone();
+    // The actor imitates the expert's proposal too.
+    let states = pvp.workspace.batch.states.clone();
     let mut tape = crate::network::Tape::default();
     let action = pvp.actor.network.forward(&states[..FEATURES], 1, &mut tape);
     let off = (action[1] + 0.6).powi(2);
     let steer: f32 = action[0].powi(2);
-    replay.sample_evenly(1, &mut random, &mut pvp.room.batch);
-    pvp.room.batch.states = states[..FEATURES].to_vec();
-    let imitation = pvp.judge_actor(1).imitation;
+    replay.sample_evenly(1, &mut random, &mut pvp.workspace.batch);
+    pvp.workspace.batch.states = states[..FEATURES].to_vec();
+    let imitation = pvp.actor_loss(1).imitation;
     assert!(
         (imitation - 0.5 * (off + steer)).abs() < 1e-3,
         "{imitation}"
@@ -191,10 +192,10 @@ fn a_replay_without_preferences_is_learnt_from_all_the_same() {
         applied: [0.1, 0.2],
         policy: [0.3, 0.4],
         expert: [0.5, 0.6],
-        label: Label::None,
+        label: Preference::Abstain,
         then: Then::On,
     };
-    replay.push(transition.ring(), transition);
+    replay.push(transition.buffer(), transition);
     for _ in 0..10 {
         let losses = pvp.update(&replay, &mut random, 1);
         assert!(
@@ -213,15 +214,15 @@ fn a_replay_without_preferences_is_learnt_from_all_the_same() {
 #[test]
 fn targets_end_with_the_episode_and_are_the_lesser_of_two() {
     let mut pvp = drawn(9);
-    let values = pvp.room.values.clone();
+    let values = pvp.workspace.values.clone();
     assert_eq!(values.len(), 32);
-    for (value, goes_on) in values.iter().zip(&pvp.room.batch.goes_on) {
+    for (value, goes_on) in values.iter().zip(&pvp.workspace.batch.goes_on) {
         assert_eq!(*value == 0.0, *goes_on == 0.0, "{value}");
     }
-    // With one target far above, the other one counts.
+    // With one target far above, the other one is used.
     let last = pvp.critic_targets[0].parameters().len() - 1;
     pvp.critic_targets[0].parameters_mut()[last] += 100.0;
     pvp.targets(&mut Xoshiro256PlusPlus::seed_from_u64(1), 1);
-    assert!(pvp.room.values.iter().all(|value| value.abs() < 10.0));
-    assert_eq!(ACTIONS * 32, pvp.room.actions.len());
+    assert!(pvp.workspace.values.iter().all(|value| value.abs() < 10.0));
+    assert_eq!(ACTIONS * 32, pvp.workspace.actions.len());
 }
