@@ -1,6 +1,5 @@
-//! Generates maps and scenarios over ranges of seeds and prints how long one
-//! takes and what they are like:
-//!
+//! Generates maps and scenarios over ranges of seeds and prints how long each takes and
+//! its figures:
 //! ```text
 //! cargo run --release -p sim --example map_stats
 //! cargo run --release -p sim --example map_stats -- SCrRXTO 0 500
@@ -20,7 +19,7 @@ use std::time::{Duration, Instant};
 use sim::map::{BlockPlan, Map, MapError};
 use sim::spawn::{Scenario, ScenarioConfig};
 
-/// The ranges of seeds looked at when none is given.
+/// The ranges of seeds that are used when none is given.
 const RANGES: [(u64, u64); 3] = [(0, 2000), (1000, 50), (100_000, 2000)];
 
 fn main() -> ExitCode {
@@ -42,7 +41,7 @@ fn run(arguments: &[String]) -> Result<(), String> {
     let number = |index: usize, default: u64| match arguments.get(index) {
         Some(text) => text
             .parse()
-            .map_err(|_| format!("{text:?} is no whole number")),
+            .map_err(|_| format!("{text:?} is not a whole number")),
         None => Ok(default),
     };
     println!("{}", Row::HEADER);

@@ -1,5 +1,5 @@
-//! A million ticks of random driving over a thousand seeds: nothing panics and
-//! every number stays one.
+//! A million ticks of random driving over a thousand seeds: no panic, and every number
+//! stays finite and in range.
 //!
 //! `cargo run --release -p sim --example random_steps`
 
@@ -22,8 +22,8 @@ fn main() -> Result<(), WorldError> {
         world.reset(seed)?;
         for tick in 0..TICKS {
             let mut action = noise.action();
-            // Half of the time the noise is biased forward: uniform noise
-            // hardly leaves the first road.
+            // Half of the time the noise is biased forward: uniform noise hardly leaves
+            // the first road.
             if tick % 100 < 50 {
                 action.pedal = action.pedal.abs();
                 action.steer *= 0.2;

@@ -1,11 +1,11 @@
 //! Many worlds at once, on one thread or several, with the same bits.
 //!
-//! Worlds are dealt to shards, one for each thread; a shard is locked by its
-//! thread while it steps and by the caller between steps. Nothing is shared
-//! between worlds, so the number of threads cannot change a result.
+//! Each world belongs to a shard, one for each thread. A shard is locked by its thread
+//! while it steps, and by the caller between steps. Worlds share nothing, so the number
+//! of threads cannot change a result.
 //!
 //! Threads wait for each other with a lock and a condition variable: a channel
-//! allocates when somebody first has to wait at it, which may be at any step.
+//! allocates at the first wait, which may be at any step.
 
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -22,9 +22,9 @@ use crate::world::{StepOutcome, World};
 pub enum AfterEnd {
     /// It stays as it is until it is reset.
     Stay,
-    /// Right after the tick that ended it, it begins the episode of its seed
-    /// plus this stride. The outcome of the tick is still reported; the
-    /// observation is the first of the new episode.
+    /// Right after the tick that ended it, it begins the episode of its seed plus this
+    /// stride. The report holds the outcome of the tick and the first observation of
+    /// the new episode.
     Restart {
         /// Added to the seed; the number of worlds keeps their seeds apart.
         stride: u64,
@@ -42,7 +42,7 @@ pub struct BatchConfig {
     pub after_end: AfterEnd,
 }
 
-/// One world of a batch, with room for what goes in and out.
+/// One world of a batch, with its input and output.
 struct Slot {
     world: World,
     action: Action,
@@ -51,27 +51,27 @@ struct Slot {
     error: Option<WorldError>,
 }
 
-/// What a shard is about to do.
+/// The state of a shard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    /// It rests, and its worlds may be read.
+    /// It waits, and its worlds may be read.
     Rest,
     /// Its thread steps its worlds.
     Step,
     /// Its thread ends.
     End,
-    /// Its thread has ended, if only by a panic.
+    /// Its thread has ended, perhaps by a panic.
     Dead,
 }
 
-/// Worlds that one thread runs.
+/// The worlds of one thread.
 struct Shard {
     slots: Vec<Slot>,
     after_end: AfterEnd,
     phase: Phase,
 }
 
-/// A shard, and the bell that rings when its phase has changed.
+/// A shard, with the condition variable that signals a change of its phase.
 struct Desk {
     shard: Mutex<Shard>,
     changed: Condvar,
@@ -80,7 +80,7 @@ struct Desk {
 /// Many worlds. See the module's documentation.
 pub struct Batch {
     desks: Vec<Arc<Desk>>,
-    /// One for each desk; none when the caller steps the only one.
+    /// The threads, one for each shard; none when the caller steps the only shard.
     threads: Vec<JoinHandle<()>>,
     worlds: usize,
 }
@@ -88,9 +88,9 @@ pub struct Batch {
 /// What one world reports after a tick.
 #[derive(Debug)]
 pub struct Report<'a> {
-    /// What the tick brought.
+    /// The result of the tick.
     pub outcome: StepOutcome,
-    /// What the ego perceives now.
+    /// The ego's present observation.
     pub observation: &'a Observation,
     /// The world itself; with [`AfterEnd::Restart`] already in its next episode.
     pub world: &'a World,
@@ -135,7 +135,7 @@ impl Batch {
         self.worlds
     }
 
-    /// Never: a batch has at least one world.
+    /// Always false: a batch has at least one world.
     pub fn is_empty(&self) -> bool {
         self.worlds == 0
     }
@@ -156,8 +156,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Steps all worlds by one tick, action k in world k; a world without an
-    /// action brakes. Allocates nothing, but for episodes that begin anew.
+    /// Steps all worlds by one tick, with action k in world k; a world without an
+    /// action brakes. It allocates only where an episode begins.
     ///
     /// # Errors
     /// [`WorldError`] if a next episode's seed has no map; that world stays at
@@ -175,7 +175,7 @@ impl Batch {
                 false => desk.ask(shard)?,
             }
         }
-        // All have stepped before the first error is told.
+        // All worlds have stepped before the first error is returned.
         let mut result = Ok(());
         for desk in &self.desks {
             let told = desk.answer().and_then(|mut shard| shard.take_error());
@@ -201,7 +201,7 @@ impl Batch {
     }
 }
 
-/// How many of the worlds the k-th of the threads gets.
+/// The number of worlds of the k-th thread.
 fn share(worlds: usize, threads: usize, k: usize) -> usize {
     worlds / threads + usize::from(k < worlds % threads)
 }
@@ -245,7 +245,7 @@ impl Shard {
         }
     }
 
-    /// The first world's error, if any has one; none has one after.
+    /// Takes the first world's error; the errors of later worlds are dropped.
     fn take_error(&mut self) -> Result<(), WorldError> {
         let mut errors = self.slots.iter_mut().filter_map(|slot| slot.error.take());
         let first = errors.next();
@@ -266,8 +266,8 @@ impl Desk {
         }
     }
 
-    /// A shard whose thread panicked still holds whole worlds: each slot is
-    /// written by one step at a time.
+    /// The worlds of a shard whose thread panicked can still be read: each step writes
+    /// one slot at a time.
     fn lock(&self) -> MutexGuard<'_, Shard> {
         self.shard.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -278,18 +278,18 @@ impl Desk {
             shard.phase = phase;
         }
         drop(shard);
-        // The caller and one thread: at most one of them waits.
+        // The caller and one thread use it, so at most one of them waits.
         self.changed.notify_one();
     }
 
-    /// Waits while the shard is in that phase.
+    /// Waits while the shard is in this phase.
     fn wait_out<'a>(&'a self, shard: MutexGuard<'a, Shard>, phase: Phase) -> MutexGuard<'a, Shard> {
         self.changed
             .wait_while(shard, |shard| shard.phase == phase)
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Wakes the thread; it steps the shard.
+    /// Wakes the thread, which then steps the shard.
     fn ask(&self, shard: MutexGuard<'_, Shard>) -> Result<(), WorldError> {
         let dead = shard.phase == Phase::Dead;
         self.enter(shard, Phase::Step);
@@ -300,7 +300,7 @@ impl Desk {
         }
     }
 
-    /// The shard once it has stepped.
+    /// Waits until the shard has stepped.
     fn answer(&self) -> Result<MutexGuard<'_, Shard>, WorldError> {
         let shard = self.wait_out(self.lock(), Phase::Step);
         match shard.phase {
@@ -309,7 +309,7 @@ impl Desk {
         }
     }
 
-    /// What the thread does until it is told to end.
+    /// The thread's loop, until the batch ends it.
     fn work(&self) {
         let _last = Last(self);
         loop {
@@ -323,7 +323,7 @@ impl Desk {
     }
 }
 
-/// Says that the thread has ended, however it does: a panic drops it, too.
+/// Marks the thread as ended when it is dropped, which a panic does too.
 struct Last<'a>(&'a Desk);
 
 impl Drop for Last<'_> {
@@ -343,7 +343,7 @@ impl Drop for Batch {
             desk.enter(desk.lock(), Phase::End);
         }
         for thread in self.threads.drain(..) {
-            // A panic has been told by its steps.
+            // Its steps have already reported a panic.
             let _ = thread.join();
         }
     }

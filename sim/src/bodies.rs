@@ -1,4 +1,4 @@
-//! Everything that has a place in an episode, and what happens to it in a tick.
+//! All bodies of an episode, and what happens to them in a tick.
 
 use vehicle::{Action, Footprint, Point, Vector};
 
@@ -17,8 +17,8 @@ const BARRIER: Footprint = Footprint {
 /// Radii of a cone and of a warning triangle, m.
 const CONE_M: f64 = 0.2;
 const WARNING_M: f64 = 0.5;
-/// A pair of bodies is watched for a tick when they could meet within it:
-/// nobody moves faster than its speed now plus this slack, m.
+/// A pair of bodies is checked in a tick if they could meet within it: no body moves
+/// faster than its present speed plus this slack, m.
 const SLACK_M: f64 = 0.5;
 
 /// A car that may move.
@@ -30,9 +30,9 @@ pub struct Mover {
     pub car: Car,
     /// Where it is.
     pub motion: Motion,
-    /// Whether it is part of the world; cars that leave the road are taken away.
+    /// Whether it is part of the world; cars that leave the road are removed.
     pub present: bool,
-    /// Whether it moves; a parked car sleeps until it is hit or drives off.
+    /// Whether it moves; a parked car stays at rest until it is hit or drives off.
     pub awake: bool,
     controls: Controls,
 }
@@ -50,18 +50,18 @@ impl Mover {
         }
     }
 
-    /// Its rectangle where contacts and beams meet it.
+    /// Its rectangle for contacts and beams.
     pub fn placed(&self) -> Placed {
         Placed::car(&self.car, &self.motion)
     }
 
-    /// What it does from the next sub-step on.
+    /// Sets its action from the next sub-step on.
     pub fn command(&mut self, action: Action) {
         self.awake = true;
         self.controls = self.car.controls(&self.motion, action);
     }
 
-    /// Whether the beams pass through its body, `floor_m` over the ground.
+    /// Whether the beams can hit its body, whose floor is `floor_m` above the ground.
     pub(crate) fn is_at_beam_height(&self, floor_m: f64) -> bool {
         (floor_m..=floor_m + self.car.model.height_m).contains(&BEAM_HEIGHT_M)
     }
@@ -69,12 +69,12 @@ impl Mover {
 
 /// Height of a car's floor after falling freely for some ticks, m.
 pub(crate) fn floor_after_drop_m(from_m: f64, ticks: u64) -> f64 {
-    // Longer falls end on the springs; 100 keeps the product finite.
+    // A longer fall ends on the springs; the limit of 100 keeps the product finite.
     let substeps = (ticks.min(100) * u64::from(SUBSTEPS)) as f64;
     from_m - GRAVITY_MPS2 * SUBSTEP_S * SUBSTEP_S * substeps * (substeps + 1.0) / 2.0
 }
 
-/// A thing that never moves, and that cars pass through.
+/// An object that never moves and that cars pass through.
 #[derive(Clone, Copy, Debug)]
 pub struct Fixture {
     /// What it is.
@@ -115,11 +115,11 @@ impl Fixture {
 pub struct Bodies {
     /// The cars.
     pub movers: Vec<Mover>,
-    /// The rest.
+    /// The fixtures.
     pub fixtures: Vec<Fixture>,
-    /// Pairs that may meet in this tick: a mover with a mover or a fixture.
-    /// Indices are short because room is held for every pair there is; 65,535
-    /// cars would need 600 km of lanes.
+    /// Pairs that may meet in this tick: a mover with a mover or a fixture. Indices are
+    /// short because memory is reserved for all pairs; 65,535 cars would need 600 km of
+    /// lanes.
     pairs: Vec<(u16, Other)>,
 }
 
@@ -139,8 +139,8 @@ pub struct Touch {
 }
 
 impl Bodies {
-    /// Makes room for all that a tick of these bodies can need, so that none
-    /// allocates: in the worst pile-up every car meets every other body.
+    /// Reserves memory for all pairs, so that no tick allocates: in the worst pile-up
+    /// every car meets every other body.
     pub fn reserve(&mut self) {
         let (movers, fixtures) = (self.movers.len(), self.fixtures.len());
         let most = movers * movers.saturating_sub(1) / 2 + movers * fixtures;
@@ -148,8 +148,8 @@ impl Bodies {
         self.pairs.reserve_exact(most);
     }
 
-    /// Moves everything by one sub-step, as commanded, and adds to `touch` what
-    /// the ego touched. The pairs of the tick must have been found.
+    /// Moves all bodies by one sub-step and adds to `touch` what the ego touched.
+    /// [`Bodies::find_pairs`] must have been called for the tick.
     pub fn substep(&mut self, touch: &mut Touch) {
         for mover in self.movers.iter_mut().filter(|mover| mover.awake) {
             mover.car.substep(&mut mover.motion, &mover.controls);
@@ -164,7 +164,7 @@ impl Bodies {
         }
     }
 
-    /// Lists who may meet whom within a tick that begins now.
+    /// Lists the pairs that may meet within a tick that begins now.
     pub fn find_pairs(&mut self) {
         self.pairs.clear();
         let Bodies {
@@ -222,7 +222,8 @@ impl Bodies {
     }
 }
 
-/// Centre of a car, and how far from it anything could touch it within a tick, m.
+/// Centre of a car, and the radius around it within which it can touch something in a
+/// tick, m.
 fn reach(mover: &Mover) -> (Point, f64) {
     let model = mover.car.model;
     let radius_m = model.length_m.hypot(model.width_m) / 2.0;

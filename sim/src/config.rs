@@ -1,4 +1,4 @@
-//! What episodes are like. The defaults are the paper's experiment.
+//! The configuration of a world's episodes. The defaults are the paper's experiment.
 
 use serde::{Deserialize, Serialize};
 use shm_config::message::BEAMS_MAX;
@@ -6,20 +6,20 @@ use shm_config::message::BEAMS_MAX;
 use crate::map::{BlockPlan, MapConfig, MapError};
 use crate::spawn::{ScenarioConfig, ScenarioError};
 
-/// Least and greatest reach of a beam, m; what a message can carry.
+/// Least and greatest range of a beam, m, that a message can carry.
 const LIDAR_RANGES_M: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
 /// Whether leaving the edges of the route's current road ends an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OutOfRoute {
-    /// It does, as in the experiment.
+    /// It ends the episode, as in the experiment.
     Ends,
-    /// Only sidewalks and the end of all lanes do.
+    /// It does not; only sidewalks and the end of all lanes do.
     Continues,
 }
 
-/// What a world's episodes are like.
+/// The configuration of a world's episodes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WorldConfig {
@@ -66,7 +66,7 @@ impl Default for WorldConfig {
     }
 }
 
-/// Why there is no world, or no episode of a seed.
+/// Why there is no world, or no episode for a seed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum WorldError {
     /// There is no scenario.
@@ -82,7 +82,7 @@ pub enum WorldError {
     #[error("horizon_steps = 0: an episode needs at least one tick")]
     Horizon,
     /// A thread of a batch has died.
-    #[error("a thread of the batch died: begin a new batch")]
+    #[error("a thread of the batch has panicked: make a new batch")]
     DeadThread,
 }
 
@@ -93,7 +93,7 @@ impl From<MapError> for WorldError {
 }
 
 impl WorldConfig {
-    /// What the generator of scenarios is to make.
+    /// The configuration of the scenario generator.
     ///
     /// # Errors
     /// [`WorldError`] if a block letter is unknown, or if beams or horizon are

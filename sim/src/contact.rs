@@ -1,25 +1,25 @@
-//! Bodies on the ground: their shapes, whether two of them overlap, and what a
-//! collision does to the cars.
+//! Bodies on the ground: their shapes, their overlaps, and the effect of a collision on
+//! the cars.
 //!
-//! Every body is a box or a disc seen from above; heights do not matter, since
-//! all of MetaDrive's bodies reach from the bumper up. Cars that overlap get
-//! the impulse that ends their approach (inelastic, with Coulomb friction as
-//! Bullet combines it) and are pushed apart over a few sub-steps, so that no
-//! car drives through another. Cones, warning triangles and barriers only
-//! notice that they are touched: in the simulator cars pass through them as if
-//! they were air, at full speed (measured in a dozen recorded drives).
+//! Every body is a rectangle or a disc seen from above. Heights do not matter, because
+//! all of MetaDrive's bodies reach from the bumper up. Cars that overlap get the
+//! impulse that ends their approach (inelastic, with Coulomb friction as Bullet
+//! combines it) and are pushed apart over a few sub-steps, so that no car drives
+//! through another. Cones, warning triangles and barriers only record that they are
+//! touched: in the simulator cars pass through them at full speed (measured in a dozen
+//! recorded drives).
 
 use nalgebra::Rotation2;
 use vehicle::{Footprint, Point, Pose, Vector};
 
 use crate::dynamics::{Car, Motion};
 
-/// Bullet's default friction of two bodies, multiplied.
+/// Friction of two bodies: the product of Bullet's defaults.
 const FRICTION: f64 = 0.25;
-/// Share of an overlap taken away in one sub-step (Bullet's `erp`).
+/// Share of an overlap that is removed in one sub-step (Bullet's `erp`).
 const PUSH_OUT: f64 = 0.2;
 
-/// What a body looks like from above.
+/// The shape of a body seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// A rectangle around the body's origin.
@@ -53,7 +53,7 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// The rectangle of a car where contacts and beams meet it.
+    /// The rectangle of a car for contacts and beams.
     pub fn car(car: &Car, motion: &Motion) -> Placed {
         Placed {
             shape: Shape::Box(Footprint {
@@ -113,8 +113,8 @@ impl Placed {
         }
     }
 
-    /// The point of the shape nearest to another point, inside the shape the
-    /// point itself.
+    /// The point of the shape nearest to another point; inside the shape, that point
+    /// itself.
     fn nearest(&self, point_world: Point) -> Point {
         let away = point_world - self.center_world;
         match self.shape {
@@ -135,9 +135,10 @@ impl Placed {
 /// How two bodies overlap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Overlap {
-    /// Unit vector from the second body to the first, along which they part soonest.
+    /// Unit vector from the second body to the first, along which the overlap is
+    /// shortest.
     pub normal_world: Vector,
-    /// How far they overlap along it, m.
+    /// Length of the overlap along it, m.
     pub depth_m: f64,
     /// A point inside both.
     pub at_world: Point,
@@ -187,8 +188,8 @@ fn axes(first: &Placed, second: &Placed) -> impl Iterator<Item = Vector> {
         .flatten()
 }
 
-/// A point in the middle of the overlap: each body's point nearest to the
-/// other's centre, refined once.
+/// A point in the middle of the overlap: the midpoint of each body's point nearest to
+/// the other's centre, refined once.
 fn middle(first: &Placed, second: &Placed) -> Point {
     let on_first = first.nearest(second.center_world);
     let on_second = second.nearest(on_first);
@@ -196,7 +197,7 @@ fn middle(first: &Placed, second: &Placed) -> Point {
     nalgebra::center(&on_first, &on_second)
 }
 
-/// A car in a collision.
+/// A car in a collision: the car and its motion.
 pub type Party<'a> = (&'a Car, &'a mut Motion);
 
 /// Ends the approach of two overlapping cars and begins to part them.

@@ -1,11 +1,11 @@
 //! MetaDrive's traffic driver: the intelligent driver model along the lane, a
 //! PID pair across it, and lane changes for the route or to overtake.
 //!
-//! Everything is as in `policy/idm_policy.py`, oddities included: the gains
-//! know no time step, the model reckons in km/h, and a car that enters a road
-//! from another lane count aims at the leftmost lane for one tick. One thing
-//! differs: how long a car waits after a lane change (0 to 24 steps) comes
-//! from a small generator of its own instead of numpy's.
+//! Everything is as in `policy/idm_policy.py`, quirks included: the gains have no time
+//! step, the model computes in km/h, and a car that enters a road from another lane
+//! count aims at the leftmost lane for one tick. One thing differs: the wait after a
+//! lane change (0 to 24 steps) comes from a small generator of its own instead of
+//! numpy's.
 
 use rand_xoshiro::SplitMix64;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
@@ -14,8 +14,7 @@ use vehicle::{Action, Point, Vector, wrap_rad};
 use crate::navigation::Navigator;
 use crate::road::{LaneId, Network, RoadId};
 
-/// Speeds, km/h: wanted, while waiting to change lanes, and assumed of an
-/// empty lane.
+/// Speeds, km/h: desired, while waiting to change lanes, and assumed of an empty lane.
 const NORMAL_KMH: f64 = 30.0;
 const CREEP_KMH: f64 = 5.0;
 const FREE_KMH: f64 = 100.0;
@@ -27,14 +26,14 @@ const FORCED_GAP_M: f64 = 5.0;
 /// Steps between lane changes, and the gain of speed that one must bring.
 const CHANGE_STEPS: u32 = 50;
 const CHANGE_GAIN_KMH: f64 = 10.0;
-/// Within this of the wanted speed nobody overtakes, km/h.
+/// Within this of the desired speed a driver does not overtake, km/h.
 const CONTENT_KMH: f64 = 3.0;
-/// Distance to a standing car, m; time gap in units of km/h and m; and the
-/// model's two accelerations multiplied.
+/// Distance to a standing car, m; time gap in units of km/h and m; and the product of
+/// the model's two accelerations.
 const STANDING_GAP_M: f64 = 10.0;
 const TIME_GAP: f64 = 1.5;
 const ACCELERATIONS: f64 = 5.0;
-/// Ends and starts of lanes nearer than this belong together, m.
+/// A lane that ends nearer than this to the start of another leads to it, m.
 const JOIN_M: f64 = 0.1;
 
 /// What a driver sees of a body on the road.
@@ -97,11 +96,11 @@ pub struct Idm {
 pub struct View<'a> {
     /// The roads.
     pub network: &'a Network,
-    /// The driver's own way.
+    /// The driver's route.
     pub navigator: &'a Navigator,
     /// All bodies on the road.
     pub bodies: &'a [Neighbour],
-    /// Which of them the driver is.
+    /// The index of the driver's own body.
     pub own: usize,
 }
 
@@ -226,7 +225,7 @@ impl Idm {
         stay
     }
 
-    /// The lanes, by index, that go on in the next road when it has fewer.
+    /// The lanes, by index, that continue in the next road when it has fewer.
     fn open_lanes(&self, view: &View, lanes: LanesOf) -> std::ops::Range<u16> {
         let Some(next) = view.navigator.next_road() else {
             return 0..lanes.count;
@@ -304,7 +303,7 @@ fn leads_to(network: &Network, lane: LaneId, next: LaneId) -> bool {
     gap.norm_squared() < JOIN_M * JOIN_M
 }
 
-/// Speed that a lane beside offers, km/h: that of its first car, or free
+/// Speed that a neighbouring lane offers, km/h: that of its first car, or the free
 /// speed when its gaps are wide enough.
 fn lane_kmh(view: &View, side: &Surroundings) -> Option<f64> {
     match side.front {

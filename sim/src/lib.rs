@@ -20,10 +20,10 @@
 //! | [`score`] | the account of one episode |
 //! | [`world`], [`config`] | episodes by seed, tick by tick |
 //! | [`render`] | the world as a picture, with the camera that took it |
-//! | `photographer` | pictures on demand beside the tick, and what holding an action would lead to |
+//! | `render_thread` | draws pictures on request outside the tick, and foresees the result of holding an action |
 //! | [`batch`] | many worlds at once |
 //!
-//! The feature `process` (default) adds the world process and its photographer.
+//! The feature `process` (default) adds the world process and its render thread.
 
 pub mod batch;
 mod block;
@@ -39,12 +39,12 @@ pub mod model;
 pub mod navigation;
 pub mod observe;
 #[cfg(feature = "process")]
-pub mod photographer;
-#[cfg(feature = "process")]
 pub mod ports;
 #[cfg(feature = "process")]
 mod process;
 pub mod render;
+#[cfg(feature = "process")]
+pub mod render_thread;
 pub mod reward;
 pub mod rng;
 pub mod road;

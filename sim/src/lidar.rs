@@ -10,8 +10,8 @@ use vehicle::{Footprint, Point, Vector};
 
 use crate::contact::{Placed, Shape};
 
-/// Height of the beams over the ground, m; what lies wholly above or below is
-/// not seen.
+/// Height of the beams above the ground, m; a body that lies completely above or below
+/// is not hit.
 pub const BEAM_HEIGHT_M: f64 = 1.2;
 
 /// The directions and reach of the beams.
@@ -56,8 +56,8 @@ impl Lidar {
         self.range_m
     }
 
-    /// Fills the first places of `ranges_m`, one for each beam, with the
-    /// distance to the nearest of the bodies, m; the reach where there is none.
+    /// Fills one entry of `ranges_m` for each beam with the distance to the nearest
+    /// body, m; the lidar's range where there is none.
     pub fn scan(
         &self,
         origin: &Origin,

@@ -1,6 +1,6 @@
-//! From a seed to a map: blocks are drawn one after another and attached to a
-//! free socket of the one before; a block that would run over an earlier one
-//! is sampled again, and after five tries the block before it is.
+//! From a seed to a map: blocks are drawn one after another and attached to a free
+//! socket of the previous block. A block that would overlap an earlier one is sampled
+//! again; after five tries the block before it is sampled again.
 //!
 //! The map of a seed equals MetaDrive's (commit c29cc37), because the same
 //! random streams are drawn from in the same order. Source:

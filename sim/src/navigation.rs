@@ -7,7 +7,7 @@ use vehicle::{Point, Vector};
 use crate::road::{LaneId, Network, RoadId};
 use crate::spawn::Route;
 
-/// A road counts as reached while its lane coordinate is below this, m
+/// A road counts as reached while the lane coordinate on it is below this, m
 /// (`CKPT_UPDATE_RANGE`).
 const REACHED_M: f64 = 5.0;
 /// How far outside a lane's convex shape a ray still hits it, m: Bullet's
@@ -15,7 +15,7 @@ const REACHED_M: f64 = 5.0;
 /// recorded ticks is localised differently; with 0.04 or 0.06 a dozen are.
 const SURFACE_MARGIN_M: f64 = 0.05;
 
-/// A car's way through its route.
+/// A car's progress along its route.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Navigator {
     roads: Vec<RoadId>,

@@ -1,4 +1,4 @@
-//! From the state of an episode to what the ego perceives of it.
+//! From the state of an episode to the ego's observation.
 //! Source: `obs/state_obs.py` and `_get_info_for_checkpoint`.
 
 use shm_config::message::{Bend, Checkpoint, Ego, Road};

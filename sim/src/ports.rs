@@ -10,19 +10,19 @@ use shm_config::services::{
 shm_config::ports! {
     /// What a tick of the world reads and publishes.
     pub struct Ports of World {
-        /// What the car shall do.
+        /// The command for the car.
         commands: read COMMAND: Command,
-        /// What the car perceives.
+        /// The observation.
         observations: write OBSERVATION: Observation,
-        /// How the episode goes.
+        /// The progress of the episode.
         progress: write PROGRESS: Progress,
-        /// How an episode ended.
+        /// The result of an episode.
         episodes: write EPISODE: Episode,
     }
 }
 
 shm_config::ports! {
-    /// Which pictures are wanted.
+    /// Requests for pictures.
     pub struct RequestPorts of World {
         /// Requests of the gate and of tools.
         requests: read FRAME_REQUEST: FrameRequest,
@@ -34,7 +34,7 @@ shm_config::ports! {
     pub struct AnswerPorts of World {
         /// Pictures.
         frames: write FRAME: Frame,
-        /// What holding either proposal would lead to.
+        /// What would follow if either proposal were held.
         foresights: write FORESIGHT: Foresight,
     }
 }

@@ -14,7 +14,7 @@ use crate::navigation::Navigator;
 use crate::road::Network;
 use crate::surface::Bounds;
 
-/// How far before and beyond the end of the route a car has arrived, m.
+/// How far before and beyond the end of the route a car counts as arrived, m.
 const ARRIVAL_M: f64 = 5.0;
 /// Gap between a lane's edge and the sidewalk, its width, and the distance of
 /// its corners along the lane, m.

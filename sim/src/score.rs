@@ -1,4 +1,5 @@
-//! The account of one episode: what was obeyed, touched, and how it ended.
+//! The account of one episode: the commands that were applied, contacts, and the
+//! outcome.
 
 use sha2::{Digest, Sha256};
 use shm_config::Instant;
@@ -15,14 +16,14 @@ pub struct Score {
     object_contacts: u64,
     crash_last_step: bool,
     braked: u64,
-    /// The car was braked for want of a command in the tick that runs.
+    /// The car was braked in the present tick because no command was there.
     is_braked: bool,
     oldest_obeyed_ns: u64,
     commands: Sha256,
 }
 
 impl Score {
-    /// Nothing has happened yet.
+    /// An account with zero counts.
     pub fn new(seed: u64) -> Self {
         Self {
             seed,
@@ -36,8 +37,8 @@ impl Score {
         }
     }
 
-    /// The action of a command, or the brake when there is none young enough;
-    /// its bits enter the digest either way.
+    /// The action of a command, or the brake when no command is young enough. The bits
+    /// of the action enter the digest in both cases.
     pub fn obey(&mut self, command: Option<&Command>, now: Instant) -> Action {
         let brake = Command {
             header: Header::default(),
@@ -58,18 +59,18 @@ impl Score {
         obeyed.action()
     }
 
-    /// Counts what a tick touched.
+    /// Counts the contacts of a tick.
     pub fn count(&mut self, step: &StepOutcome) {
         self.braked += u64::from(self.is_braked);
         self.is_braked = false;
         self.vehicle_contacts += u64::from(step.touch.vehicle);
         self.object_contacts += u64::from(step.touch.object);
-        // MetaDrive's flag counts a sidewalk, too: IDM's published crash share is
-        // that of the maps where it clips one.
+        // MetaDrive's flag counts sidewalks too: IDM's published crash share is the
+        // share of maps where it touches one.
         self.crash_last_step = step.touch.vehicle || step.touch.object || step.on_sidewalk;
     }
 
-    /// The finished episode, but for its header.
+    /// The finished episode, without its header.
     pub fn episode(&self, world: &World, outcome: Outcome) -> Episode {
         Episode {
             header: Header::default(),
@@ -87,7 +88,7 @@ impl Score {
         }
     }
 
-    /// How the episode goes, but for its header.
+    /// The progress of the episode, without its header.
     pub fn progress(&self, world: &World, outcome: Outcome) -> Progress {
         Progress {
             header: Header::default(),

@@ -1,4 +1,4 @@
-//! The `world` section of a run's configuration as this world's own.
+//! Converts the `world` section of a run's configuration.
 
 use shm_config::config;
 

@@ -1,4 +1,4 @@
-//! What stands on a map when an episode begins: the ego, obstacles, traffic.
+//! What is on a map when an episode begins: the ego, obstacles, traffic.
 //!
 //! Equal to MetaDrive seed by seed: each of its managers has a stream of its
 //! own, seeded with the map's seed, and the engine has one more that seeds
@@ -112,7 +112,7 @@ pub struct Spawn {
     pub place: Place,
     /// How strong it is.
     pub forces: Forces,
-    /// Where it goes.
+    /// Its route.
     pub route: Route,
 }
 

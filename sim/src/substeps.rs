@@ -17,8 +17,8 @@ impl Substeps {
         Substeps { hold, moved: 0 }
     }
 
-    /// Sub-steps to make at that instant, counted from the first; each is due once.
-    /// Those of whole ticks that were slept through are lost, so that at most one tick
+    /// Sub-steps to make at this instant, counted from the first; each is due once.
+    /// Sub-steps of whole ticks that were missed are dropped, so that at most one tick
     /// is made up for.
     pub fn take(&mut self, index: u64) -> u64 {
         let tick = u64::from(SUBSTEPS);

@@ -1,6 +1,6 @@
-//! The other cars: parked until the ego comes near, then driven by the
-//! intelligent driver model, and taken away when they leave the road.
-//! Source: `manager/traffic_manager.py`, trigger mode.
+//! The other cars: parked until the ego comes near, then driven by the intelligent
+//! driver model, and removed when they leave the road. Source:
+//! `manager/traffic_manager.py`, trigger mode.
 
 use vehicle::pose;
 
@@ -21,12 +21,12 @@ const KINDS: [VehicleKind; 5] = [
     VehicleKind::ExtraLarge,
 ];
 
-/// Who drives a car of the traffic.
+/// What drives a car of the traffic.
 #[derive(Clone, Debug)]
 enum Mind {
-    /// Nobody: it has broken down on this lane.
+    /// Nothing: it has broken down on this lane.
     Broken(LaneId),
-    /// A driver, who waits for his group's trigger or drives.
+    /// A driver, which waits for its group's trigger or drives.
     Driver {
         group: usize,
         navigator: Navigator,
@@ -34,7 +34,7 @@ enum Mind {
     },
 }
 
-/// The minds of all movers but the ego, in the movers' order.
+/// What drives each mover except the ego, in the movers' order.
 #[derive(Clone, Debug)]
 pub struct Traffic {
     minds: Vec<Mind>,
@@ -42,7 +42,7 @@ pub struct Traffic {
     triggers: Vec<RoadId>,
     started: usize,
     neighbours: Vec<Neighbour>,
-    /// The place of each mover among the neighbours.
+    /// The index of each mover among the neighbours.
     places: Vec<usize>,
     /// Each kind of car at rest on its springs.
     settled: [Motion; 5],
@@ -74,8 +74,8 @@ impl Traffic {
         }
     }
 
-    /// Puts the scenario's cars behind the ego, which is the first mover; the
-    /// fixtures are there already.
+    /// Adds the scenario's cars after the ego, which is the first mover; the fixtures
+    /// are already there.
     pub fn place(&mut self, scenario: &Scenario, bodies: &mut Bodies) {
         self.minds.clear();
         self.triggers.clear();
@@ -115,8 +115,8 @@ impl Traffic {
         self.reserve(bodies);
     }
 
-    /// Makes room for what [`Traffic::look`] lists, every body once, so that
-    /// no tick allocates when the first group starts.
+    /// Reserves memory for the bodies that [`Traffic::look`] lists, so that no tick
+    /// allocates when the first group starts.
     fn reserve(&mut self, bodies: &Bodies) {
         let movers = bodies.movers.len();
         self.neighbours.clear();
@@ -126,7 +126,7 @@ impl Traffic {
         self.places.reserve_exact(movers);
     }
 
-    /// Nobody drives it, so its engine does not matter; it rolls when it is hit.
+    /// It has no driver, so its engine does not matter; it rolls when it is hit.
     fn broken_down(&self, kind: VehicleKind, obstacle: &Obstacle) -> Mover {
         let position = obstacle.position_world;
         let at = pose(position.x, position.y, obstacle.heading_rad);
@@ -195,7 +195,7 @@ impl Traffic {
         neighbours
     }
 
-    /// All drivers whose group has started decide.
+    /// Lets all drivers decide whose group has started.
     pub fn drive(&mut self, network: &Network, bodies: &mut Bodies, ego_lane: LaneId) {
         if !(1..bodies.movers.len()).any(|k| bodies.movers[k].present && self.is_driving(k)) {
             return;
@@ -228,7 +228,8 @@ impl Traffic {
         }
     }
 
-    /// Finds the driven cars again after they moved; who left the road goes.
+    /// Localises the driven cars after they moved, and removes those that left the
+    /// road.
     pub fn follow(&mut self, network: &Network, bodies: &mut Bodies) {
         let started = self.started;
         for (mind, mover) in self.minds.iter_mut().zip(&mut bodies.movers[1..]) {

@@ -17,7 +17,7 @@ use crate::rules::{Edges, Sidewalks, has_arrived};
 use crate::spawn::{ObstacleKind, Scenario, ScenarioConfig};
 use crate::traffic::Traffic;
 
-/// What a tick brought.
+/// The result of a tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StepOutcome {
     /// Whether and how the episode has ended.
@@ -53,7 +53,7 @@ pub enum BodyKind {
     Obstacle(ObstacleKind),
 }
 
-/// A body other than the ego, as it truly is.
+/// A body other than the ego, with its true pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Body {
     /// What it is.
@@ -177,11 +177,11 @@ impl World {
         }
     }
 
-    /// Drives for one sub-step of 0.02 s; says what the tick brought with the
-    /// last sub-step of one. Five with one action are [`World::step`], bit for
-    /// bit: another action than before is obeyed at once, the same one goes on as
-    /// the pedals and the wheel were set for it. The traffic decides and the
-    /// rules judge once in a tick.
+    /// Drives for one sub-step of 0.02 s; returns the tick's outcome with the last
+    /// sub-step of a tick. Five calls with one action equal [`World::step`] bit by bit.
+    /// A new action is applied immediately; an equal one continues with the pedals and
+    /// the wheel as they were set for it. Traffic decisions and rules run once in a
+    /// tick.
     pub fn substep(&mut self, action: Action) -> Option<StepOutcome> {
         if self.step.has_ended() {
             return Some(self.step);
@@ -246,14 +246,14 @@ impl World {
         }
     }
 
-    /// Fills what the ego perceives now; leaves the header and the instants alone.
+    /// Fills the present observation; header and instants are not changed.
     pub fn observe(&self, observation: &mut Observation) {
         self.observe_between(0.0, observation);
     }
 
-    /// The same when a share of the next sub-step, [0, 1), has passed. As in
-    /// MetaDrive the pose that is read is interpolated and the bodies that the
-    /// beams meet are not; the lane the car is on is the last tick's.
+    /// The observation when a share of the next sub-step, [0, 1), has passed. As in
+    /// MetaDrive, the observed pose is interpolated, the bodies that the beams hit are
+    /// not, and the lane is that of the last tick.
     pub fn observe_between(&self, passed: f64, observation: &mut Observation) {
         let network = &self.map.network;
         let motion = &self.bodies.movers[0].motion.between(passed);
@@ -284,8 +284,8 @@ impl World {
         }
     }
 
-    /// All cars are dropped from half their height when an episode begins: a
-    /// truck is above the beams for the first two ticks.
+    /// All cars are dropped from half their height when an episode begins: a truck is
+    /// above the beams for the first two ticks.
     fn is_at_beam_height(&self, mover: &Mover) -> bool {
         let floor_m = floor_after_drop_m(mover.car.model.height_m / 2.0, self.ticks);
         mover.is_at_beam_height(floor_m.max(mover.motion.floor_m()))
@@ -303,7 +303,7 @@ impl World {
         })
     }
 
-    /// Bodies other than the ego, as they truly are.
+    /// Bodies other than the ego, with their true poses.
     pub fn bodies(&self) -> impl Iterator<Item = Body> {
         let movers = self.bodies.movers.iter().enumerate().skip(1);
         let cars = movers
@@ -391,7 +391,7 @@ impl World {
         self.map.seed
     }
 
-    /// What the last tick brought.
+    /// The result of the last tick.
     pub fn last_step(&self) -> StepOutcome {
         self.step
     }
@@ -406,12 +406,12 @@ impl World {
         &self.sidewalks
     }
 
-    /// The ego's way through its route.
+    /// The ego's progress along its route.
     pub fn navigator(&self) -> &Navigator {
         &self.navigator
     }
 
-    /// What the episodes of this world are like.
+    /// The configuration of the episodes.
     pub fn config(&self) -> &WorldConfig {
         &self.config
     }

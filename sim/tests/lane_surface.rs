@@ -1,4 +1,4 @@
-//! A lane's coordinates and surface against what they stand for.
+//! Compares a lane's coordinates and surface with their definitions.
 
 use std::f64::consts::{PI, TAU};
 
@@ -48,8 +48,8 @@ fn sampled_hull(lane: &Lane) -> Vec<ParryVector> {
     let last = lane.length_m.ceil() as u32;
     let is_arc = lane.bend_radius().is_some();
     for k in 0..=last {
-        // On a straight edge the samples between the ends are no corners,
-        // and rounding makes some of them look like one.
+        // The samples between the ends of a straight edge are not corners, although
+        // rounding makes some of them look like corners.
         if !is_arc && k != 0 && k != last {
             continue;
         }

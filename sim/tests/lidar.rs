@@ -1,4 +1,4 @@
-//! Beams against an oracle that knows only line segments and points on a circle.
+//! Compares beams with an oracle that knows only line segments and points on a circle.
 
 use proptest::prelude::*;
 use sim::contact::{Placed, Shape, overlap};
@@ -87,8 +87,8 @@ proptest! {
         for (k, &range_m) in ranges_m.iter().enumerate() {
             let angle_rad = turn_rad + k as f64 * 1.5_f64.to_radians();
             let along = Vector::new(angle_rad.cos(), angle_rad.sin());
-            // A beam that only grazes a body may see it or not: the oracle's
-            // answers for beams a hair to either side bound the right one.
+            // A beam that only grazes a body may hit it or not: the oracle's answers
+            // for beams slightly to either side bound the correct one.
             let near_far = [-1e-4, 0.0, 1e-4].map(|hair_rad: f64| {
                 let along = nalgebra::Rotation2::new(hair_rad) * along;
                 outlines

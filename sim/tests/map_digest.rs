@@ -1,5 +1,5 @@
-//! The recorded scenarios once more, as sums that fit into the repository: a
-//! clone without the full record still notices a changed map.
+//! The recorded scenarios as sums that fit into the repository, so that a clone without
+//! the full record still notices a changed map.
 
 use sim::map::{BlockPlan, Map, MapConfig};
 use sim::road::Network;
@@ -21,7 +21,7 @@ fn scenarios_have_the_recorded_sums() {
         assert_eq!(recorded[1], letters, "seed {seed}");
         for (column, ours) in sums(&scenario).into_iter().enumerate() {
             let theirs: f64 = recorded[column + 2].parse().expect("a number");
-            // The record has micrometres, its sums two decimals.
+            // The record has micrometres, and its sums have two decimals.
             let near = (theirs - ours).abs() < 0.02;
             assert!(
                 near,

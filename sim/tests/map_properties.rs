@@ -1,5 +1,4 @@
-//! What holds for every map, over seeds and configurations that nobody
-//! recorded.
+//! Properties of every map, for seeds and configurations that were not recorded.
 
 use parry2d_f64::math::{Pose, Vector as ParryVector};
 use parry2d_f64::query::intersection_test;

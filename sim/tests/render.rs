@@ -1,4 +1,4 @@
-//! Pictures show what is there, where the camera says.
+//! Pictures show the bodies and the road where the camera projects them.
 
 use shm_config::message::{Camera, View};
 use shm_config::palette::{self, Rgb};
@@ -10,12 +10,13 @@ use sim::{World, WorldConfig};
 use vehicle::{Point, Vector};
 
 const SEEDS: [u64; 4] = [3, 1000, 1007, 1021];
-/// A picture after so many ticks each.
+/// Number of ticks between pictures.
 const TICKS: [u64; 4] = [0, 60, 120, 180];
-/// How near to a border nothing is said of a point, m: lines are painted there.
+/// Points nearer than this to a border are not compared, m, because lines are painted
+/// there.
 const BORDER_M: f64 = 0.5;
 
-/// Calls `look` with worlds under way, in dense traffic.
+/// Calls `look` with worlds during episodes in dense traffic.
 fn look_at_scenes(mut look: impl FnMut(&World, &mut Renderer)) {
     let config = WorldConfig {
         traffic_density: 0.4,
@@ -54,7 +55,7 @@ fn pixel(picture: &Picture, [u, v]: [f64; 2]) -> Option<Rgb> {
     picture.rgb[at..at + 3].try_into().ok()
 }
 
-/// A point of the ground ahead or beside, as (world, pixel's colour).
+/// A point on the ground: its position in the world and the pixel's colour.
 fn seen(world: &World, picture: &Picture, [x_m, y_m, z_m]: [f64; 3]) -> Option<(Point, Rgb)> {
     let [u, v] = picture.camera.project([x_m, y_m, z_m])?;
     let point = world.world_from_ego() * Point::new(x_m, y_m);

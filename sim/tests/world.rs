@@ -1,4 +1,4 @@
-//! What must hold of every episode, whoever drives.
+//! Properties of every episode, with any driver.
 
 mod drivers;
 
@@ -14,7 +14,7 @@ fn world() -> World {
     World::new(WorldConfig::default()).expect("the default world")
 }
 
-/// All bits of an observation that a world fills.
+/// The bits of all observation fields that a world fills.
 fn bits(world: &World) -> Vec<u64> {
     let mut observation = Observation::default();
     world.observe(&mut observation);
@@ -40,7 +40,7 @@ fn bits(world: &World) -> Vec<u64> {
 }
 
 #[test]
-fn random_driving_never_leaves_the_numbers() {
+fn random_driving_keeps_every_number_finite_and_in_range() {
     let mut world = world();
     let mut observation = Observation::default();
     let mut features = [0.0; FEATURES];
@@ -48,7 +48,7 @@ fn random_driving_never_leaves_the_numbers() {
     let (mut ticks, mut touched, mut ended) = (0, 0, 0);
     for seed in 0..60 {
         world.reset(seed).expect("a map");
-        // A push forward first, so that noise does not just stand still.
+        // The noise begins with a push forward, so that the car does not stand still.
         for tick in 0..300 {
             let mut action = noise.action();
             if tick % 50 < 30 {
@@ -172,7 +172,7 @@ fn the_horizon_ends_an_episode() {
 }
 
 #[test]
-fn an_action_that_is_no_number_brakes() {
+fn a_non_finite_action_brakes() {
     for action in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY].map(|bad| Action {
         steer: 0.0,
         pedal: bad,
@@ -197,7 +197,7 @@ fn an_action_that_is_no_number_brakes() {
 }
 
 #[test]
-fn a_configuration_that_cannot_be_is_refused() {
+fn an_invalid_configuration_is_refused() {
     let config = |change: fn(&mut WorldConfig)| {
         let mut config = WorldConfig::default();
         change(&mut config);
@@ -270,7 +270,7 @@ fn five_substeps_with_one_command_are_one_tick_bit_for_bit() {
 }
 
 #[test]
-fn a_new_command_is_obeyed_within_a_tick() {
+fn a_new_command_takes_effect_within_a_tick() {
     let drive = Action {
         steer: 0.0,
         pedal: 1.0,

@@ -94,7 +94,7 @@ fn bench(arguments: &BenchJudge, clock: Clock) -> anyhow::Result<()> {
     let conditions = Conditions {
         scenes: arguments.scenes,
         first_seed: arguments.first_seed,
-        horizon_s: sim::photographer::HORIZON_S,
+        horizon_s: sim::render_thread::HORIZON_S,
         width_px: config.vlm.width_px,
         height_px: config.vlm.height_px,
         machine,

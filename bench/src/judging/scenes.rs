@@ -9,8 +9,8 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::config::Config;
 use shm_config::message::{Camera, Observation, Outcome, Proposal, View};
 use sim::observe::TICK_S;
-use sim::photographer::{HORIZON_S, outlook};
 use sim::render::{Renderer, Shot};
+use sim::render_thread::{HORIZON_S, outlook};
 use sim::{World, WorldConfig};
 use vehicle::{Action, Vehicle};
 

@@ -1,4 +1,4 @@
-//! A block while its roads are laid.
+//! A block while its roads are built.
 
 use std::f64::consts::PI;
 
@@ -32,20 +32,20 @@ impl RoadName {
 pub(crate) struct DraftRoad {
     pub name: RoadName,
     pub lanes: Vec<Lane>,
-    /// The upright box that decides whether another road comes near.
+    /// The axis-aligned box that decides whether another road comes near.
     pub contour: Bounds,
 }
 
-/// A pair of roads that a next block can be attached to.
+/// A pair of roads to which the next block can be attached.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DraftSocket {
     /// Its number in the block; a T-intersection leaves a gap.
     pub number: u8,
-    /// Out of the block.
+    /// The road that leads out of the block.
     pub positive: RoadName,
 }
 
-/// What a block is attached to.
+/// The road to which a block is attached.
 #[derive(Clone, Debug)]
 pub(crate) struct Entry {
     pub positive: RoadName,
@@ -63,7 +63,7 @@ pub(crate) struct Draft {
     pub ring: Vec<RoadName>,
 }
 
-/// A bend, seen from the lane that it continues.
+/// A bend, relative to the lane that it continues.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bend {
     pub radius_m: f64,
@@ -71,7 +71,7 @@ pub(crate) struct Bend {
     pub turn: Turn,
 }
 
-/// To which side of the given lane the other lanes of its road lie.
+/// The side of the given lane on which the other lanes of its road lie.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Toward {
     Left,
@@ -108,7 +108,7 @@ impl Lines {
     };
 }
 
-/// Lays the roads of one block, checking each against the earlier blocks.
+/// Builds the roads of one block, and checks each against the earlier blocks.
 pub(crate) struct Builder<'a> {
     pub index: u16,
     pub kind: BlockKind,
@@ -198,8 +198,8 @@ impl<'a> Builder<'a> {
         self.out.sockets.push(DraftSocket { number, positive });
     }
 
-    /// Lays a road whose rightmost lane is given, and checks that no earlier
-    /// road is where its sidewalk will be.
+    /// Builds a road with this rightmost lane, and checks that its sidewalk overlaps no
+    /// earlier road.
     pub fn place(&mut self, lane: Lane, count: usize, name: RoadName, lines: Lines) -> Built {
         self.lay(lane, count, (name, Toward::Left), lines)?;
         // Just outside the sidewalk: half a lane, 0.6 m to the line, 2 m.
@@ -207,7 +207,7 @@ impl<'a> Builder<'a> {
         self.check(&lane, outside)
     }
 
-    /// Lays the road in the opposite direction of one of this block.
+    /// Builds the road opposite to one of this block.
     pub fn place_opposite(&mut self, name: RoadName, lines: Lines) -> Built {
         let count = self.lanes(name).len();
         let lane = opposite_rightmost(&self.rightmost(name), count)?;
@@ -218,7 +218,7 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    /// Lays a road from one lane towards a side, unchecked.
+    /// Builds a road from one lane towards a side, without a check.
     pub fn lay(
         &mut self,
         lane: Lane,
@@ -251,18 +251,18 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
-    /// Refuses a lane that would run over an earlier block. `offset` is in
-    /// half widths, positive to the right.
+    /// Refuses a lane that would overlap an earlier block. `offset` is in half widths,
+    /// positive to the right.
     pub fn check(&self, lane: &Lane, offset: f64) -> Built {
         super::overlap::check(self.around, lane, offset)
     }
 }
 
-/// The outcome of laying roads.
+/// The result of building roads.
 pub(crate) type Built = Result<(), Overlap>;
 
-/// The rightmost of some lanes. Roads are never empty; a lane of no length
-/// stands for one that is, and nothing can be attached to it.
+/// The rightmost of these lanes. Roads are never empty; for an empty one the result is
+/// a lane of length zero, to which nothing can be attached.
 pub(crate) fn rightmost(lanes: &[Lane]) -> Lane {
     lanes.last().copied().unwrap_or(Lane::straight(
         Point::origin(),
@@ -311,7 +311,7 @@ pub(crate) fn bend_and_straight(lane: &Lane, bend: Bend, straight_m: f64) -> (La
     (arc, straight)
 }
 
-/// A lane's neighbour on one side.
+/// The neighbour of a lane on one side.
 fn shifted(lane: &Lane, toward: Toward) -> Result<Lane, Overlap> {
     let to_right_m = match toward {
         Toward::Left => -lane.width_m,
@@ -359,8 +359,8 @@ fn opposite_rightmost(lane: &Lane, count: usize) -> Result<Lane, Overlap> {
     Ok(opposite)
 }
 
-/// A lane wider than its circle has no inside: such a road cannot be built
-/// and counts as an overlap.
+/// A lane wider than its circle has no inner edge: it cannot be built and counts as an
+/// overlap.
 fn arc_lane(shape: ArcShape, width_m: f64) -> Result<Lane, Overlap> {
     if shape.radius_m <= width_m / 2.0 {
         return Err(Overlap);

@@ -26,7 +26,7 @@ const NODE: NodeName = NodeName {
     number: 0,
 };
 
-/// Builds it, from the origin along world x; the rightmost lane is at y = 0.
+/// Builds it from the origin along world x; the rightmost lane is at y = 0.
 pub(super) fn build(lane_count: usize, lane_width_m: f64, exit_length_m: f64) -> Draft {
     let spawn_lane = Lane::straight(Point::origin(), Point::new(ENTRANCE_M, 0.0), lane_width_m);
     let mut builder = Builder::new((0, BlockKind::First), &NOWHERE, &[]);
@@ -45,7 +45,7 @@ pub(super) fn build(lane_count: usize, lane_width_m: f64, exit_length_m: f64) ->
         to: nodes[2],
     };
     for (lane, road) in [(spawn_lane, spawn_road), (ahead, socket_road)] {
-        // With nothing around there is nothing to overlap.
+        // Without other blocks there is no overlap.
         let _ = builder.place(lane, lane_count, road, Lines::ROAD);
         let _ = builder.place_opposite(road, Lines::ROAD);
     }

@@ -1,8 +1,7 @@
 //! Crossings of four arms and of three.
 //!
-//! The arms are 0 right, 1 ahead, 2 left, and the one that the block is
-//! attached to. A crossing of three arms is one of four from which an arm is
-//! taken away again.
+//! The arms are 0 right, 1 ahead, 2 left, and the one to which the block is attached. A
+//! crossing of three arms is one of four without one arm.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -23,8 +22,8 @@ pub(super) fn build(out: &mut Builder<'_>) -> Built {
     let count = out.lane_count();
     let mut entry = out.entry.positive;
     let mut lanes = out.entry.lanes.clone();
-    // Where right, ahead and left lead to, and the arm one comes from; it
-    // turns with the arm that is being built.
+    // The nodes to the right, ahead and left, and the arm from which the car comes;
+    // they rotate with the arm that is being built.
     let mut exits = [
         out.node(0, 0),
         out.node(1, 0),
@@ -51,8 +50,8 @@ pub(super) fn build(out: &mut Builder<'_>) -> Built {
     Ok(())
 }
 
-/// The three ways from one arm through the crossing; returns the rightmost
-/// lane of the arm to the right.
+/// The three paths from one arm through the crossing; returns the rightmost lane of the
+/// arm to the right.
 fn build_part(
     out: &mut Builder<'_>,
     lanes: &[Lane],
@@ -104,7 +103,7 @@ pub(super) fn build_t(out: &mut Builder<'_>, missing: u8) -> Built {
     build(out)?;
     let name = |socket: &DraftSocket| socket.positive;
     let mut arms: Vec<RoadName> = out.out.sockets.iter().map(name).collect();
-    // Seen from the crossing, the arm it is attached to leads back.
+    // Seen from the crossing, the arm to which it is attached leads back.
     arms.push(out.entry.positive.opposite());
     let gone = arms[usize::from(missing)];
     let next = arms[(usize::from(missing) + 1) % 4];

@@ -1,6 +1,6 @@
-//! The building blocks of a map, each in its own file, and what they share:
-//! how roads are laid from one lane, how they get an opposite direction, and
-//! how overlaps with earlier blocks are found.
+//! The building blocks of a map, each in its own file, and what they share: building
+//! roads from one lane, adding an opposite direction, and finding overlaps with earlier
+//! blocks.
 //!
 //! Source: `component/pgblock/*.py` of MetaDrive, commit c29cc37.
 
@@ -67,7 +67,7 @@ impl BlockKind {
         }
     }
 
-    /// The kind of that letter, among those that a map may be made of.
+    /// The kind with this letter, among those that a map may contain.
     pub fn from_letter(letter: char) -> Option<BlockKind> {
         BlockKind::WEIGHTS
             .iter()
@@ -79,14 +79,14 @@ impl BlockKind {
 /// The sampled measures of a block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Parameters {
-    /// Nothing to sample: the first block and the four-way intersection.
+    /// No parameters: the first block and the four-way intersection.
     Fixed,
-    /// Of a straight road.
+    /// A straight road.
     Straight {
         /// Length, m.
         length_m: f64,
     },
-    /// Of a bend.
+    /// A bend.
     Curve {
         /// Length of the straight road after the bend, m.
         length_m: f64,
@@ -94,22 +94,22 @@ pub enum Parameters {
         radius_m: f64,
         /// Angle of the bend, degrees (as sampled, single precision).
         angle_deg: f64,
-        /// Which way it bends.
+        /// The side to which it bends.
         turn: Turn,
     },
-    /// Of a ramp, in or out.
+    /// A ramp, in or out.
     Ramp {
         /// Length of the acceleration or deceleration lane, m.
         length_m: f64,
         /// Length over which that lane opens or closes, m.
         extension_m: f64,
     },
-    /// Of a crossing of three arms.
+    /// A crossing of three arms.
     TIntersection {
         /// Which arm is missing: 0 right, 1 ahead, 2 left.
         missing: u8,
     },
-    /// Of a roundabout.
+    /// A roundabout.
     Roundabout {
         /// Radius of the bends into and out of the ring, m.
         exit_radius_m: f64,

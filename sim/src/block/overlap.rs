@@ -1,6 +1,6 @@
-//! Finding out whether a new lane would run over an earlier block, by the
-//! simulator's own test, quirks included, because it decides which samples
-//! are refused. Source: `utils/pg/utils.py` of MetaDrive.
+//! Tests whether a new lane would overlap an earlier block, with the simulator's own
+//! test and its quirks, because the test decides which samples are refused. Source:
+//! `utils/pg/utils.py` of MetaDrive.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -10,18 +10,18 @@ use super::builder::Draft;
 use crate::lane::{Arc, Curve, Lane, Turn};
 use crate::surface::Bounds;
 
-/// The block cannot be built with these parameters: it would run over an
-/// earlier one.
+/// The block cannot be built with these parameters, because it would overlap an earlier
+/// one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Overlap;
 
-/// Room kept beside a road for its sidewalk, m.
+/// Width kept free beside a road for its sidewalk, m.
 const BESIDE_M: f64 = 3.0;
 /// How far inside its ends the contour of a road is measured, m.
 const INSET_M: f64 = 0.1;
 
-/// Refuses a lane of which a point, sampled every metre at `offset` half
-/// widths to the right of the centre line, lies on an earlier lane.
+/// Refuses a lane if one of its points lies on an earlier lane. The points are sampled
+/// every metre, `offset` half widths to the right of the centre line.
 pub(super) fn check(around: &[&Draft], lane: &Lane, offset: f64) -> Result<(), Overlap> {
     let own = contour(std::slice::from_ref(lane));
     let near = around
@@ -36,7 +36,8 @@ pub(super) fn check(around: &[&Draft], lane: &Lane, offset: f64) -> Result<(), O
             samples.extend((1..count).map(|i| lane.position(f64::from(i), lateral_m)));
         }
         for other in &road.lanes {
-            // A box test first: arcs cost an arc tangent a point.
+            // The box is tested first, because an arc costs an arc tangent for each
+            // point.
             let bounds = other.surface_bounds();
             let hit = |&point: &Point| bounds.contains(point, 1e-6) && is_on(other, point);
             if samples.iter().any(hit) {
@@ -54,7 +55,7 @@ fn is_on(lane: &Lane, point_world: Point) -> bool {
         && longitudinal_m <= lane.length_m
 }
 
-/// The upright box around a road and its sidewalks.
+/// The axis-aligned box around a road and its sidewalks.
 pub(super) fn contour(lanes: &[Lane]) -> Bounds {
     let mut bounds = Bounds::EMPTY;
     let (Some(first), Some(last)) = (lanes.first(), lanes.last()) else {
@@ -64,7 +65,7 @@ pub(super) fn contour(lanes: &[Lane]) -> Bounds {
         let lateral_m = side * (lane.width_m / 2.0 + BESIDE_M);
         bounds.include(lane.position(INSET_M, lateral_m));
         bounds.include(lane.position(lane.length_m - INSET_M, lateral_m));
-        // Which of the two shapes a road has is decided by its first lane.
+        // The first lane decides which of the two shapes a road has.
         if let (Curve::Arc(_), Curve::Arc(arc)) = (&first.curve, &lane.curve) {
             include_extremes(&mut bounds, arc, lateral_m);
         }
@@ -72,8 +73,8 @@ pub(super) fn contour(lanes: &[Lane]) -> Bounds {
     bounds
 }
 
-/// The points of an arc furthest along the axes. The simulator takes them on
-/// the other side of the lane than the end points; so must we.
+/// The points of an arc furthest along the axes. The simulator takes them on the other
+/// side of the lane than the end points, and so does this code.
 fn include_extremes(bounds: &mut Bounds, arc: &Arc, lateral_m: f64) {
     let sign = arc.turn.sign();
     let quarter = (arc.start_phase_rad / FRAC_PI_2).floor() * FRAC_PI_2;

@@ -25,9 +25,9 @@ const CHECK: f64 = 0.95;
 /// The sampled lengths.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lengths {
-    /// Of the acceleration or deceleration lane.
+    /// Length of the acceleration or deceleration lane, m.
     pub length_m: f64,
-    /// Over which that lane opens or closes.
+    /// Length over which that lane opens or closes, m.
     pub extension_m: f64,
 }
 

@@ -15,9 +15,9 @@ const ARM_M: f64 = 35.0;
 /// The sampled radii.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Radii {
-    /// Of the bends into and out of the ring.
+    /// Radius of the bends into and out of the ring, m.
     pub exit_m: f64,
-    /// Of the ring's inner edge.
+    /// Radius of the ring's inner edge, m.
     pub inner_m: f64,
 }
 
@@ -124,7 +124,7 @@ fn pass_exit(after_ring: &Lane, across_m: f64, exit_radius_m: f64) -> Lane {
     bend_and_straight(&run_up(after_ring, 6.0), bend, 5.0).0
 }
 
-/// A short lane that ends where another begins: something to bend from.
+/// A short lane that ends where another begins; a bend can continue it.
 fn run_up(lane: &Lane, length_m: f64) -> Lane {
     Lane::straight(
         lane.position(-length_m, 0.0),

@@ -17,7 +17,7 @@ pub struct Motion {
     pub(super) velocity: Vector3<f64>,
     /// rad/s.
     pub(super) spin: Vector3<f64>,
-    /// Position, m, and direction of the pose that is seen.
+    /// Position, m, and direction of the pose that observations show.
     pub(super) seen_world: (Vector, Vector),
 }
 

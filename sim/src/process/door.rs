@@ -1,18 +1,18 @@
-//! The doors for commands.
+//! The checks of commands.
 
 use std::cmp::Ordering;
 
 use shm_config::Instant;
 use shm_config::message::{Command, Message, Refusal};
 
-/// In real time: content, age, and of the episode that is driven.
+/// In real time: the content, the age, and that the command belongs to this episode.
 pub fn admit(command: &Command, now: Instant, limit_ns: u64, episode: u32) -> Result<(), Refusal> {
     command.admit(now, limit_ns)?;
     check_episode(command, episode)
 }
 
-/// In lockstep, where time is counted in ticks: only the answer to the tick that was
-/// asked about is in time.
+/// In lockstep, where time advances with the ticks: only the answer to the last
+/// published tick is accepted.
 pub fn admit_answer(
     command: &Command,
     asked: u64,

@@ -11,8 +11,8 @@ use shm_config::message::{Command, Header, HealthState, Message, Observation, Ou
 use shm_config::services::COMMAND;
 use shm_config::{Instant, RunGrid};
 
-use crate::photographer::{Move, Photographer, Recorder, Seen};
 use crate::ports::Ports;
+use crate::render_thread::{LogWriter, Move, RenderThread, Seen};
 use crate::score::Score;
 use crate::substeps::Substeps;
 use crate::{World, WorldConfig};
@@ -37,22 +37,23 @@ pub fn run(member: Member, ports: Ports, begin: Begin) -> Result<(), SetUpError>
     TickLoop::start(member)?.run(&mut process)
 }
 
-/// What an instant of the world's grid is.
+/// The kind of an instant of the world's grid.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Moment {
-    /// The first of a tick of the run: the others are woken and answer.
+    /// The first instant of a tick of the run: the other processes are woken and
+    /// answer.
     Tick,
-    /// One between two ticks.
+    /// An instant between two ticks.
     Between,
 }
 
-/// The world between its ports.
+/// The world with its ports.
 pub struct WorldProcess {
     ports: Ports,
     config: Config,
     world: World,
-    recorder: Recorder,
-    _photographer: Photographer,
+    writer: LogWriter,
+    _render_thread: RenderThread,
     lockstep: bool,
     schedule: TickSchedule,
     substeps: Substeps,
@@ -64,7 +65,7 @@ pub struct WorldProcess {
     episode_skipped: u64,
     /// The run's newest tick that was published.
     published: Option<u64>,
-    /// What worlds before this one have driven.
+    /// The counts of earlier worlds of this run.
     driven_ns: u64,
     /// Instants missed just before this one: it was late by more than a period.
     missed: u64,
@@ -74,7 +75,7 @@ impl WorldProcess {
     /// Allocates everything and builds the first map.
     ///
     /// # Errors
-    /// When the configuration is out of range, or the photographer cannot start.
+    /// When the configuration is out of range, or the render thread cannot start.
     pub fn new(config: &Config, ports: Ports, begin: Begin) -> Result<Self, SetUpError> {
         let own = |error: &dyn std::fmt::Display| SetUpError::Own(error.to_string());
         let mut world =
@@ -82,13 +83,13 @@ impl WorldProcess {
         let episode = begin.first_episode;
         let seed = config.run.episode_seed(episode);
         world.reset(seed).map_err(|error| own(&error))?;
-        let (photographer, mut recorder) = Photographer::start(config)?;
-        recorder.begin(episode, seed);
+        let (render_thread, mut writer) = RenderThread::start(config)?;
+        writer.begin(episode, seed);
         Ok(Self {
             ports,
             world,
-            recorder,
-            _photographer: photographer,
+            writer,
+            _render_thread: render_thread,
             lockstep: config.run.is_lockstep(),
             schedule: schedule(config, Instant(0)),
             substeps: Substeps::new((config.world_rate_hz() / DECISION_HZ).round() as u64),
@@ -105,8 +106,8 @@ impl WorldProcess {
         })
     }
 
-    /// The newest instant of a grid, and those missed before it, had no tick until one
-    /// was begun then.
+    /// Records that the newest instant, and those missed before it, had no tick until
+    /// the one begun at `begun`.
     fn record_missed(&self, run: &mut TickLoop, newest: Instant, count: u64, begun: Instant) {
         let skipped = runtime::Skipped {
             newest,
@@ -116,7 +117,7 @@ impl WorldProcess {
         run.telemetry.record_skipped(skipped, begun);
     }
 
-    /// The instant of now is done, or skipped.
+    /// Notes whether the present instant was done in time.
     fn note_deadline(&self, run: &mut TickLoop, done: Instant) {
         run.telemetry.note_deadline(Deadline {
             tick: self.schedule.tick(),
@@ -127,14 +128,14 @@ impl WorldProcess {
         });
     }
 
-    /// Ends the instant of now: counts it, and as a tick where the run has one.
+    /// Ends the present instant: counts it, and counts a tick where the run has one.
     fn account(&mut self, run: &mut TickLoop, released: Instant) {
         let done = run.now();
         run.telemetry.end(Part::Send, done);
         let due = self.schedule.now();
         run.telemetry.record_tick(Tick {
             due: if self.lockstep { released } else { due },
-            // In lockstep a command releases it, not the timer.
+            // In lockstep a command releases the instant, not the timer.
             released: (!self.lockstep).then_some(due),
             begun: released,
             done,
@@ -145,8 +146,8 @@ impl WorldProcess {
         self.report(run);
     }
 
-    /// Ticks and skipped ones are those of the run's grid; late is every instant
-    /// of the world's own that was missed.
+    /// Reports ticks and skipped ticks of the run's grid; `late` counts all instants of
+    /// the world's own grid that were missed.
     fn report(&self, run: &mut TickLoop) {
         let health = &mut run.telemetry.health;
         self.schedule.report(health);
@@ -154,9 +155,10 @@ impl WorldProcess {
         health.late = self.schedule.missed();
     }
 
-    /// Obeys the newest command for the sub-steps that are due.
+    /// Applies the newest command in the sub-steps that are due.
     fn advance(&mut self, run: &TickLoop, begun: Instant) -> Result<Flow, SetUpError> {
-        // Read after the command came, which else would be from the future.
+        // The clock is read after the command; otherwise the command would seem to come
+        // from the future.
         let clock = || match self.lockstep {
             true => begun,
             false => run.now(),
@@ -176,7 +178,7 @@ impl WorldProcess {
             .command
             .filter(|command| !is_contested && !is_late && command.admit(now, limit_ns).is_ok());
         let action = self.score.obey(young.as_ref(), now);
-        self.recorder.moved(Move { action, substeps });
+        self.writer.moved(Move { action, substeps });
         for _ in 0..substeps {
             let Some(step) = self.world.substep(action) else {
                 continue;
@@ -189,7 +191,7 @@ impl WorldProcess {
         Ok(self.end(run, now))
     }
 
-    /// After the end of an episode: the next one, if there is one.
+    /// Begins the next episode after the end of one, if there is one.
     fn begin_next(
         &mut self,
         run: &TickLoop,
@@ -245,7 +247,7 @@ impl WorldProcess {
         self.world
             .reset(seed)
             .map_err(|error| SetUpError::Own(format!("seed {seed}: {error}")))?;
-        self.recorder.begin(self.episode, seed);
+        self.writer.begin(self.episode, seed);
         self.score = Score::new(seed);
         self.episode_skipped = self.schedule.skipped();
         self.command = None;
@@ -272,7 +274,7 @@ impl WorldProcess {
             false => self.schedule.scheduled().0,
         };
         self.observation.released_ns = released.0;
-        self.recorder.saw(Seen {
+        self.writer.saw(Seen {
             tick: self.schedule.tick(),
             taken_ns: now.0,
             passed,
@@ -298,10 +300,10 @@ impl WorldProcess {
         self.ports.progress.send(&mut progress);
     }
 
-    /// In lockstep the next tick begins when the command for the last one is there. No
-    /// wait is endless: then the car brakes.
+    /// In lockstep the next tick begins when the command for the last one has arrived.
+    /// The wait has a limit; after it the car brakes.
     fn await_command(&mut self, run: &mut TickLoop) {
-        // Only a tick of the run that was just published is answered.
+        // Only a tick that was just published gets an answer.
         let asked = match self.published {
             Some(tick) if self.schedule.index() == tick * self.config.world_instants() + 1 => tick,
             _ => return,
@@ -323,13 +325,13 @@ impl WorldProcess {
     }
 }
 
-/// The world's grid with its first instant there.
+/// The world's grid with this first instant.
 fn schedule(config: &Config, first: Instant) -> TickSchedule {
     TickSchedule::on_timer(config.run.period_ns(), config.world_instants(), first)
 }
 
 impl FixedRate for WorldProcess {
-    /// When it was released.
+    /// The instant at which the tick was released.
     type Due = Instant;
 
     fn ready(&mut self, run: &mut TickLoop) {
@@ -345,13 +347,13 @@ impl FixedRate for WorldProcess {
         self.ports.update_connections();
     }
 
-    /// Its next tick closes the episode.
+    /// The next tick then closes the episode.
     fn stop(&mut self, _run: &mut TickLoop, _now: Instant) -> Flow {
         Flow::Continue
     }
 
-    /// Sleeps until the next instant is due. Those that passed meanwhile are missed,
-    /// and counted.
+    /// Sleeps until the next instant is due. Instants that passed before the wake-up
+    /// count as missed.
     fn await_tick(&mut self, run: &mut TickLoop) -> Option<Instant> {
         if self.lockstep {
             self.await_command(run);

@@ -1,10 +1,10 @@
-//! Polygons on pixels.
+//! Draws polygons on pixels.
 
 use shm_config::palette::Rgb;
 use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Stroke, Transform};
 
-/// How far beside the picture a polygon is still followed, pixels: its cut must
-/// not be seen, nor the rim drawn along it.
+/// How far outside the picture polygons are kept, pixels, so that neither their cut
+/// edge nor a rim along it is visible.
 const MARGIN_PX: f64 = 16.0;
 
 /// A polygon, in pixels.
@@ -14,7 +14,7 @@ pub type Outline = Vec<[f64; 2]>;
 pub struct Canvas {
     pixmap: Pixmap,
     rgb: Vec<u8>,
-    /// Room for one polygon while it is cut.
+    /// Buffer for a polygon while it is clipped.
     cut: [Outline; 2],
 }
 
@@ -33,13 +33,13 @@ impl Canvas {
         [self.pixmap.width(), self.pixmap.height()]
     }
 
-    /// Paints everything over.
+    /// Fills the whole picture.
     pub fn clear(&mut self, [red, green, blue]: Rgb) {
         self.pixmap.fill(Color::from_rgba8(red, green, blue, 255));
     }
 
-    /// Fills what lies in at least one of the polygons, which must all run the same
-    /// way round: between neighbours no seam is left. Opacity in (0, 1].
+    /// Fills the union of these polygons, which must all have the same orientation, so
+    /// that no seam is left between neighbours. Opacity in (0, 1].
     pub fn fill<'a>(
         &mut self,
         outlines: impl IntoIterator<Item = &'a Outline>,
@@ -73,8 +73,8 @@ impl Canvas {
         }
     }
 
-    /// Adds what is near the picture: the rasteriser's numbers are small ones, and
-    /// near the camera a road is as wide as a thousand pictures.
+    /// Adds the part of a polygon near the picture: the rasteriser works with small
+    /// numbers, and near the camera a road is as wide as a thousand pictures.
     fn add(&mut self, outline: &Outline, builder: &mut PathBuilder) {
         let [width, height] = self.size_px().map(f64::from);
         let [from, to] = &mut self.cut;
@@ -108,7 +108,7 @@ impl Canvas {
     /// The pixels, row by row from the top, three bytes each.
     pub fn rgb(&mut self) -> &[u8] {
         self.rgb.clear();
-        // Every pixel was painted over, so none is transparent.
+        // Every pixel was painted, so none is transparent.
         let pixels = self.pixmap.data().chunks_exact(4);
         self.rgb
             .extend(pixels.flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]));
@@ -156,7 +156,7 @@ mod tests {
     fn polygons_larger_than_the_picture_are_filled_where_they_are() {
         let mut canvas = Canvas::new([100, 80]).expect("a picture");
         canvas.clear([0, 0, 0]);
-        // Everything left of u = 50, as far as numbers go.
+        // The area left of u = 50, with very large coordinates.
         let far = 1e12;
         let half = vec![[-far, -far], [50.0, -far], [50.0, far], [-far, far]];
         canvas.fill([&half], INK, 1.0);
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beside_the_picture_is_nothing() {
+    fn a_polygon_outside_the_picture_changes_nothing() {
         let mut canvas = Canvas::new([64, 64]).expect("a picture");
         canvas.clear([1, 2, 3]);
         let beside = vec![[100.0, 0.0], [200.0, 0.0], [200.0, 64.0]];

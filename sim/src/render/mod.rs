@@ -1,9 +1,9 @@
-//! Pictures of the world, drawn in software: from above, and from over the
-//! driver's seat.
+//! Pictures of the world, drawn in software: from above, or from above the driver's
+//! seat.
 //!
-//! The ground is polygons by colour, the bodies a few convex solids each, from
-//! the farthest to the nearest. The body frame is that of the observation: the
-//! ego where it is read, all others where beams and contacts meet them.
+//! The ground is drawn as polygons by colour, the bodies as a few convex solids each,
+//! from the farthest to the nearest. The body frame is that of the observation: the ego
+//! at the pose that is observed, all other bodies at the pose of beams and contacts.
 
 mod canvas;
 mod solids;
@@ -19,21 +19,21 @@ use canvas::{Canvas, Outline};
 use solids::{Face, Model, Rim, Solid};
 use survey::{Layer, survey};
 
-/// What is farther is not drawn, m: a car is two pixels wide there.
+/// Bodies further away are not drawn, m: a car is two pixels wide there.
 const REACH_M: f64 = 300.0;
 /// How much darker the ground is under a body.
 const SHADOW: f64 = 0.4;
 /// Widest rim of a face, pixels, and its width on the body, m.
 const RIM_MAX_PX: f64 = 1.2;
 const RIM_M: f64 = 0.05;
-/// From above nothing is drawn thinner than this, pixels: a cone of 0.4 m would be
-/// three wide, a barrier two.
+/// Smallest drawn size from above, pixels: a cone of 0.4 m would be three wide, a
+/// barrier two.
 const LEAST_PX: f64 = 5.0;
 
-/// What is to be taken.
+/// The requested picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shot {
-    /// From where.
+    /// The view.
     pub view: View,
     /// Width and height, pixels.
     pub size_px: [u32; 2],
@@ -42,7 +42,7 @@ pub struct Shot {
     pub passed: f64,
 }
 
-/// A picture that was taken.
+/// A picture with its camera.
 pub struct Picture<'a> {
     /// The camera that took it.
     pub camera: Camera,
@@ -57,11 +57,11 @@ pub struct Picture<'a> {
 pub struct Renderer {
     layers: Vec<Layer>,
     canvas: Option<Canvas>,
-    /// Room for the polygons of a layer.
+    /// Buffers for the polygons of a layer.
     outlines: Vec<Outline>,
 }
 
-/// From the world to a picture.
+/// The projection from the world to a picture.
 struct Eye {
     camera: Camera,
     origin_world: Point,
@@ -95,7 +95,8 @@ impl Eye {
         self.body(model.center_world + ahead * x_m + left * y_m, z_m)
     }
 
-    /// Squared distance to a point of the ego's frame, m2; from above all are as far.
+    /// Squared distance to a point in the ego's frame, m2; from above all points are
+    /// equally far.
     fn away_m2(&self, point_body: [f64; 3]) -> f64 {
         match self.camera.orthographic {
             0 => {
@@ -106,7 +107,7 @@ impl Eye {
         }
     }
 
-    /// Whether a polygon shows the side that it is seen counter-clockwise from.
+    /// Whether the camera sees the side on which the corners run counter-clockwise.
     fn sees(&self, corners_body: &[[f64; 3]]) -> bool {
         let [a, b, c] = [0, 1, 2].map(|k| corners_body[k * (corners_body.len() - 1) / 2]);
         let minus = |p: [f64; 3], q: [f64; 3]| [0, 1, 2].map(|k| p[k] - q[k]);
@@ -123,7 +124,7 @@ impl Eye {
         (0..3).map(|k| normal[k] * towards[k]).sum::<f64>() > 1e-9
     }
 
-    /// Pixels of a metre at a point of the ego's frame.
+    /// Pixels per metre at a point in the ego's frame.
     fn px_per_m(&self, point_body: [f64; 3]) -> f64 {
         let row = &self.camera.pixel_from_body[..3];
         let focal = row.iter().map(|value| value * value).sum::<f64>().sqrt();
@@ -132,7 +133,7 @@ impl Eye {
 }
 
 impl Renderer {
-    /// Looks at the map of an episode that begins.
+    /// Prepares the map of an episode that begins.
     pub fn begin(&mut self, world: &World) {
         self.layers = survey(world);
     }
@@ -181,12 +182,12 @@ fn draw_ground(canvas: &mut Canvas, eye: &Eye, layers: &[Layer], outlines: &mut 
     }
 }
 
-/// Everything over the horizon; from above there is none.
+/// Fills the area above the horizon; from above there is none.
 fn draw_sky(canvas: &mut Canvas, eye: &Eye) {
     if eye.camera.orthographic != 0 {
         return;
     }
-    // Where parallels meet straight ahead, and the ground ends: it is level.
+    // The horizon is where parallels meet straight ahead, because the ground is level.
     let matrix = &eye.camera.pixel_from_body;
     let horizon_px = matrix[4] / matrix[8];
     let [width_px, _] = canvas.size_px().map(f64::from);
@@ -239,7 +240,7 @@ fn draw_bodies(canvas: &mut Canvas, eye: &Eye, world: &World) {
     }
 }
 
-/// From above, what is too thin to be seen is drawn thicker.
+/// From above, bodies that are too thin to be seen are drawn thicker.
 fn thicken(eye: &Eye, model: &mut Model) {
     if eye.camera.orthographic == 0 {
         return;

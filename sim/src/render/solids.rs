@@ -1,5 +1,5 @@
-//! Bodies as a few convex solids. What they cover of the ground is what contacts
-//! meet; heights are those of the simulator's models.
+//! Bodies as a few convex solids. Their ground area is that of contacts; their heights
+//! are those of the simulator's models.
 
 use shm_config::palette::{self, Rgb};
 use vehicle::{Footprint, Point, Vector};
@@ -9,15 +9,15 @@ use crate::model::VehicleKind;
 use crate::spawn::ObstacleKind;
 use crate::world::{Body, BodyKind};
 
-/// Heights of what stands in the way, m.
+/// Heights of obstacles, m.
 const CONE_M: f64 = 0.9;
 const WARNING_M: f64 = 1.1;
 const BARRIER_M: f64 = 1.1;
-/// Thickness of what lies flat on the ground, m.
+/// Thickness of flat objects on the ground, m.
 const PLATE_M: f64 = 0.08;
 /// Clearance under a car, m.
 const FLOOR_M: f64 = 0.25;
-/// Light on the sides of a solid; its top has all of it.
+/// Brightness of the sides of a solid; its top has full brightness.
 const SIDE_LIGHT: f64 = 0.88;
 const END_LIGHT: f64 = 0.8;
 
@@ -54,9 +54,9 @@ pub struct Model {
     pub center_world: Point,
     /// Its x axis.
     pub forward_world: Vector,
-    /// What it covers, m, for its shadow: corners in its own frame.
+    /// Corners of its ground area in its own frame, m, for the shadow.
     pub footprint: Vec<[f64; 3]>,
-    /// What it is made of.
+    /// Its solids.
     pub solids: Vec<Solid>,
 }
 
@@ -160,7 +160,8 @@ fn disc(radius_m: f64) -> Vec<[f64; 2]> {
     (0..CORNERS).map(corner).collect()
 }
 
-/// What lies between two rings of as many corners, the lower and the upper one.
+/// The solid between two polygons with equally many corners, the lower and the upper
+/// one.
 fn solid(level: u32, rings: [&[[f64; 2]]; 2], [low_m, high_m]: [f64; 2], coat: Coat) -> Solid {
     let [low, high] = rings;
     let count = low.len().min(high.len());
@@ -168,7 +169,7 @@ fn solid(level: u32, rings: [&[[f64; 2]]; 2], [low_m, high_m]: [f64; 2], coat: C
     for k in 0..count {
         let next = (k + 1) % count;
         let at = |ring: &[[f64; 2]], k: usize, z_m: f64| [ring[k][0], ring[k][1], z_m];
-        // A side that runs across the body looks to its front or back.
+        // A side that runs across the body faces its front or back.
         let [along, across] = [0, 1].map(|axis| (low[next][axis] - low[k][axis]).abs());
         let light = if across > along {
             END_LIGHT

@@ -1,4 +1,4 @@
-//! What does not move: sidewalks, lanes and painted lines, as polygons.
+//! The parts that do not move: sidewalks, lanes and painted lines, as polygons.
 
 use shm_config::palette::{self, Rgb};
 use vehicle::{Point, Vector};
@@ -13,20 +13,20 @@ const ARC_STEP_M: f64 = 1.0;
 /// Dash and gap of a broken line, m.
 const DASH_M: f64 = 2.0;
 const GAP_M: f64 = 4.0;
-/// Widths of painted lines and of a road's edge, m: a third wider than paint is,
-/// so that they are not lost where a metre is eight pixels.
+/// Widths of painted lines and of a road's edge, m: a third wider than in reality, so
+/// that they are visible where a metre is eight pixels.
 const LINE_M: f64 = 0.2;
 const EDGE_M: f64 = 0.3;
 
-/// How far a lane's surface reaches over its rim on each side, m: the chords of two
-/// lanes of a bend do not meet, and ground would shine through between them.
+/// How far a lane's surface extends past its edge on each side, m: the chords of two
+/// lanes of a bend do not meet, and the ground would be visible between them.
 const OVERLAP_M: f64 = 0.04;
 
 /// A polygon of the world, counter-clockwise.
 pub struct Area {
     /// Its corners.
     pub corners_world: Vec<Point>,
-    /// A point that all of them are near to, and how near, m.
+    /// A point in the middle, and the largest distance of a corner from it, m.
     pub middle_world: Point,
     /// See `middle_world`.
     pub radius_m: f64,
@@ -52,7 +52,7 @@ impl Area {
 pub struct Layer {
     /// Their colour.
     pub color: Rgb,
-    /// They run the same way round.
+    /// The polygons; all have the same orientation.
     pub areas: Vec<Area>,
 }
 

@@ -4,7 +4,7 @@
 use shm_config::message::Observation;
 use vehicle::Action;
 
-/// Keeps to its lane at about 8 m/s; knows nothing of other bodies.
+/// Follows its lane at about 8 m/s and ignores other bodies.
 pub fn keep_lane(observation: &Observation) -> Action {
     let road = &observation.road;
     Action {
@@ -14,7 +14,7 @@ pub fn keep_lane(observation: &Observation) -> Action {
     .clamped()
 }
 
-/// Numbers in [-1, 1] that look random (SplitMix64).
+/// Random-looking numbers in [-1, 1] (SplitMix64).
 pub struct Noise(pub u64);
 
 impl Noise {

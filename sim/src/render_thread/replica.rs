@@ -1,26 +1,26 @@
-//! A second world that is driven as the first one was, up to any instant on the
-//! film; and what would come of an action there.
+//! A second world that follows the first one to any instant of the action log, and what
+//! would follow there if an action were held.
 
 use shm_config::message::{Header, Outcome, Outlook};
 use vehicle::Action;
 
-use super::film::{Move, Reel, Seen};
+use super::action_log::{EpisodeLog, Move, Seen};
 use crate::dynamics::SUBSTEP_S;
 use crate::{World, WorldConfig, WorldError};
 
-/// How long an action is held to see what comes of it, s: what the record of a
-/// judge looks at.
+/// How long an action is held to see what follows, s: as long as a judge's record looks
+/// ahead.
 pub const HORIZON_S: f64 = 3.0;
 
-/// A world that repeats.
+/// A world that repeats the episodes of another.
 pub struct Replica {
     world: World,
-    /// The episode it is in, and how many of its moves are made.
+    /// The present episode, and the number of its moves made so far.
     made: Option<(u32, usize)>,
 }
 
 impl Replica {
-    /// A world of the same configuration; in no episode of the run yet.
+    /// A world of the same configuration, in no episode of the run yet.
     ///
     /// # Errors
     /// [`WorldError`] if the configuration is out of range.
@@ -31,31 +31,34 @@ impl Replica {
         })
     }
 
-    /// Drives to an observed instant on a reel, from where it is or, when that is later or
-    /// in another episode, from the episode's beginning. `begun` is called when the
-    /// map has changed. `None` when the instant is not on the reel.
+    /// Drives to an observed instant of an episode's log: from the present instant or,
+    /// when that is later or in another episode, from the beginning of the episode.
+    /// `begun` is called when the map has changed. `None` when the instant is not in
+    /// the log.
     ///
     /// # Errors
     /// [`WorldError`] if the seed has no map.
     pub fn reach(
         &mut self,
-        reel: &Reel,
+        episode_log: &EpisodeLog,
         asked: &Header,
         begun: impl FnOnce(&World),
     ) -> Result<Option<(&World, Seen)>, WorldError> {
-        let Some((seen, moves)) = reel.at(asked) else {
+        let Some((seen, moves)) = episode_log.at(asked) else {
             return Ok(None);
         };
-        let known = self.made.filter(|(episode, _)| *episode == reel.episode);
+        let known = self
+            .made
+            .filter(|(episode, _)| *episode == episode_log.episode);
         let done = known
             .map(|(_, done)| done)
             .filter(|done| *done <= moves.len());
         let done = match done {
             Some(done) => done,
             None => {
-                // Until it has begun anew it is in no episode.
+                // Until its first move it is in no episode.
                 self.made = None;
-                self.world.reset(reel.seed)?;
+                self.world.reset(episode_log.seed)?;
                 if known.is_none() {
                     begun(&self.world);
                 }
@@ -67,13 +70,13 @@ impl Replica {
                 self.world.substep(*action);
             }
         }
-        self.made = Some((reel.episode, moves.len()));
+        self.made = Some((episode_log.episode, moves.len()));
         Ok(Some((&self.world, seen)))
     }
 }
 
-/// What comes of holding an action from here on, until the horizon or the
-/// episode's end. The world itself stays as it is.
+/// What follows when an action is held from here to the horizon or the end of the
+/// episode. The world itself is not changed.
 pub fn outlook(world: &World, action: Action) -> Outlook {
     let mut world = world.clone();
     let began = world.completion();

@@ -1,5 +1,5 @@
-//! Pictures on demand: of the very tick, beside the ticks, and the truth about
-//! what holding an action leads to.
+//! Pictures on request show the requested tick, drawn outside the ticks, and the
+//! foresight equals what the world then does.
 
 mod drivers;
 
@@ -14,8 +14,10 @@ use shm_config::message::{
 use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST, Process};
 use shm_config::wire::{Publisher, Subscriber, Wire};
-use sim::photographer::{HORIZON_S, Move, Photographer, Recorder, Replica, Seen, film, outlook};
 use sim::render::{Renderer, Shot};
+use sim::render_thread::{
+    HORIZON_S, LogWriter, Move, RenderThread, Replica, Seen, action_log, outlook,
+};
 use sim::{World, WorldConfig};
 use vehicle::Action;
 
@@ -25,19 +27,19 @@ fn observed(world: &World, passed: f64) -> Box<Observation> {
     observation
 }
 
-/// The instants of an episode at a rate of its own: moves of one to five sub-steps
-/// between two instants, as a world with random stalls makes them.
+/// The instants of an episode at its own rate: moves of one to five sub-steps between
+/// two instants, as a world with random stalls makes them.
 fn drive(
     world: &mut World,
-    (recorder, noise): (&mut Recorder, &mut Noise),
+    (writer, noise): (&mut LogWriter, &mut Noise),
     (episode, seed): (u32, u64),
     ticks: std::ops::Range<u64>,
 ) -> Vec<(u64, World)> {
     world.reset(seed).expect("a map");
-    recorder.begin(episode, seed);
+    writer.begin(episode, seed);
     let mut known = Vec::new();
     for tick in ticks {
-        recorder.saw(Seen {
+        writer.saw(Seen {
             tick,
             taken_ns: tick * 1000,
             passed: 0.0,
@@ -48,7 +50,7 @@ fn drive(
             _ => drivers::keep_lane(&observed(world, 0.0)),
         };
         let substeps = 1 + tick % 5;
-        recorder.moved(Move { action, substeps });
+        writer.moved(Move { action, substeps });
         for _ in 0..substeps {
             world.substep(action);
         }
@@ -67,25 +69,25 @@ fn asked(tick: u64) -> Header {
 fn a_replica_is_the_world_at_every_tick_in_any_order() {
     let mut world = World::new(WorldConfig::default()).expect("a world");
     let mut replica = Replica::new(WorldConfig::default()).expect("a world");
-    let (mut recorder, mut film) = film();
+    let (mut writer, mut log) = action_log();
     let mut noise = Noise(5);
-    let mut known = drive(&mut world, (&mut recorder, &mut noise), (0, 1000), 0..150);
-    film.develop();
+    let mut known = drive(&mut world, (&mut writer, &mut noise), (0, 1000), 0..150);
+    log.drain();
     known.extend(drive(
         &mut world,
-        (&mut recorder, &mut noise),
+        (&mut writer, &mut noise),
         (1, 1004),
         150..300,
     ));
-    film.develop();
+    log.drain();
     let mut maps = 0;
     let order = [0, 3, 149, 20, 21, 150, 299, 40, 298, 160];
     for tick in order {
         let (_, world) = &known[tick];
         let episode = u32::from(tick >= 150);
-        let reel = film.reel(episode).expect("the episode");
+        let episode_log = log.episode(episode).expect("the episode");
         let reached = replica
-            .reach(reel, &asked(tick as u64), |_| maps += 1)
+            .reach(episode_log, &asked(tick as u64), |_| maps += 1)
             .expect("a map");
         let (twin, seen) = reached.expect("the tick");
         assert_eq!(
@@ -103,10 +105,10 @@ fn a_replica_is_the_world_at_every_tick_in_any_order() {
         assert_eq!(twin.seed(), world.seed());
     }
     assert_eq!(maps, 4, "a map is looked at when the episode is another");
-    let reel = film.reel(1).expect("the episode");
+    let episode_log = log.episode(1).expect("the episode");
     assert!(
         replica
-            .reach(reel, &asked(300), |_| ())
+            .reach(episode_log, &asked(300), |_| ())
             .expect("a map")
             .is_none()
     );
@@ -172,7 +174,7 @@ fn foresight_is_what_the_world_then_does() {
     );
 }
 
-/// A run of this test alone; its folder goes with it.
+/// A run of this test; its folder is removed with it.
 struct TestRun(RunName);
 
 impl Drop for TestRun {
@@ -189,11 +191,11 @@ struct Gate {
     frames: Subscriber<Frame>,
     foresights: Subscriber<Foresight>,
     _wire: Wire,
-    // Last, when everybody has left.
+    // Dropped last, when no process is a member.
     run: TestRun,
 }
 
-/// A frame out of shared memory.
+/// A frame copied from shared memory.
 struct Print {
     header: Header,
     camera: shm_config::message::Camera,
@@ -221,7 +223,7 @@ impl Gate {
         assert!(self.requests.send(&mut request.clone()));
     }
 
-    /// The next frame; `None` when none comes within `looks` of 2 ms.
+    /// The next frame; `None` when none arrives within `looks` polls of 2 ms.
     fn frame(&mut self, looks: u32) -> Option<Print> {
         for _ in 0..looks {
             self.frames.update_connections();
@@ -255,7 +257,7 @@ impl Gate {
     }
 }
 
-/// Looks of 2 ms that a test waits for what must come, and for what must not.
+/// Polls of 2 ms for what must arrive, and for what must not.
 const LOOKS: u32 = 10_000;
 const NO_LOOKS: u32 = 100;
 
@@ -280,10 +282,10 @@ fn a_gate_gets_the_picture_of_the_tick_it_asks_for() {
     let mut gate = Gate::new();
     let mut config = Config::default();
     config.run.name = gate.run.0.to_string();
-    let (photographer, mut recorder) = Photographer::start(&config).expect("a thread");
+    let (render_thread, mut writer) = RenderThread::start(&config).expect("a thread");
     let mut world = World::new(WorldConfig::from(&config.world)).expect("a world");
     let mut noise = Noise(3);
-    let known = drive(&mut world, (&mut recorder, &mut noise), (4, 1007), 70..220);
+    let known = drive(&mut world, (&mut writer, &mut noise), (4, 1007), 70..220);
     let mut renderer = Renderer::default();
     for (tick, view) in [(219, View::Ego), (100, View::TopDown), (101, View::Ego)] {
         let asked = request(4, tick, view);
@@ -315,18 +317,18 @@ fn a_gate_gets_the_picture_of_the_tick_it_asks_for() {
             actions.map(|action| outlook(world, action))
         );
     }
-    // Nothing comes for what is not known, or is no request.
+    // An unknown tick or an invalid request gets no answer.
     let mut bad = request(4, 100, View::Ego);
     bad.width = 5000;
     for nothing in [request(4, 220, View::Ego), request(5, 100, View::Ego), bad] {
         gate.ask(nothing);
         assert!(gate.frame(NO_LOOKS).is_none());
     }
-    // Without proposals only the picture comes.
+    // Without proposals only the picture is sent.
     let mut plain = request(4, 100, View::TopDown);
     plain.proposals[1] = Proposal::default();
     gate.ask(plain);
     assert_eq!(gate.frame(LOOKS).map(|print| print.header.tick), Some(100));
-    drop(photographer);
+    drop(render_thread);
     assert_eq!(gate.foresights.newest(Message::check), None);
 }

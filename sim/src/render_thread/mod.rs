@@ -1,13 +1,13 @@
-//! Pictures on demand, off the tick's thread.
+//! Draws pictures on request, outside the tick's thread.
 //!
-//! The tick's thread only tells what it did, through a queue that never blocks
-//! ([`film`]). A thread without its privileges, with ports of its own, looks for
-//! requests, drives a [`Replica`] to the tick that is asked for, which is the same
-//! world bit by bit, draws it and tells what would come of both proposals there. As
-//! long as nothing is asked it only empties the queue. A picture that cannot be drawn is
-//! not sent: the wait for it ends by itself.
+//! The tick's thread only writes an action log, through a queue that never blocks
+//! ([`action_log`]). The render thread has no privileges and its own ports. It reads
+//! requests, drives a [`Replica`] of the world to the requested tick, bit by bit, draws
+//! it, and computes what would follow if either proposal were held. Without requests it
+//! only empties the queue. A picture that cannot be drawn is not sent; the requester's
+//! wait ends by its own limit.
 
-mod film;
+mod action_log;
 mod replica;
 
 use std::sync::Arc;
@@ -26,48 +26,48 @@ use shm_config::wire::{Wire, WireError};
 use crate::WorldConfig;
 use crate::ports::{AnswerPorts, RequestPorts};
 use crate::render::{Renderer, Shot};
-pub use film::{Film, Move, Recorder, Reel, Seen, film};
+pub use action_log::{ActionLog, EpisodeLog, LogWriter, Move, Seen, action_log};
 pub use replica::{HORIZON_S, Replica, outlook};
 
-/// From look to look at requests. One waits half of it on average, little beside
-/// the seconds that a model takes to answer.
+/// Interval at which requests are polled. A request waits half of it on average, little
+/// compared with the seconds that a model takes to answer.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// The thread, as the process that started it sees it.
-pub struct Photographer {
+/// The handle of the render thread.
+pub struct RenderThread {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Photographer {
-    /// Starts the thread, and gives the end of the film to tell it by. Before the
-    /// process applies its real-time privileges: the thread must not inherit them.
+impl RenderThread {
+    /// Starts the thread and returns the writing end of its log. Call it before the
+    /// process applies its real-time privileges, which the thread must not inherit.
     ///
     /// # Errors
-    /// When the system gives no thread, or its ports cannot be opened.
-    pub fn start(config: &Config) -> Result<(Photographer, Recorder), SetUpError> {
-        let (recorder, film) = film();
+    /// When the system refuses a thread, or its ports cannot be opened.
+    pub fn start(config: &Config) -> Result<(RenderThread, LogWriter), SetUpError> {
+        let (writer, log) = action_log();
         let stop = Arc::new(AtomicBool::new(false));
         let (begin, begun) = channel();
         let (ending, config) = (stop.clone(), config.clone());
-        let own = |what: String| SetUpError::Own(format!("the photographer: {what}"));
+        let own = |what: String| SetUpError::Own(format!("the render thread: {what}"));
         let thread = thread::Builder::new()
-            .name("photographer".into())
-            .spawn(move || work(config, film, &ending, &begin))
+            .name("render_thread".into())
+            .spawn(move || work(config, log, &ending, &begin))
             .map_err(|error| own(error.to_string()))?;
-        let photographer = Photographer {
+        let render_thread = RenderThread {
             stop,
             thread: Some(thread),
         };
         match begun.recv() {
-            Ok(Ok(())) => Ok((photographer, recorder)),
+            Ok(Ok(())) => Ok((render_thread, writer)),
             Ok(Err(error)) => Err(error),
-            Err(_) => Err(own("its thread died".into())),
+            Err(_) => Err(own("it panicked".into())),
         }
     }
 }
 
-impl Drop for Photographer {
+impl Drop for RenderThread {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -77,23 +77,23 @@ impl Drop for Photographer {
     }
 }
 
-fn work(config: Config, film: Film, stop: &AtomicBool, begin: &Sender<Result<(), SetUpError>>) {
-    let mut studio = match Studio::open(config, film) {
-        Ok(studio) => studio,
+fn work(config: Config, log: ActionLog, stop: &AtomicBool, begin: &Sender<Result<(), SetUpError>>) {
+    let mut worker = match Worker::open(config, log) {
+        Ok(worker) => worker,
         Err(error) => return drop(begin.send(Err(error))),
     };
     let _ = begin.send(Ok(()));
     while !stop.load(Ordering::Relaxed) {
-        studio.requests.update_connections();
-        if let Some(request) = studio.requests.requests.newest(Message::check) {
-            studio.answer(&request);
+        worker.requests.update_connections();
+        if let Some(request) = worker.requests.requests.newest(Message::check) {
+            worker.answer(&request);
         }
-        studio.film.develop();
+        worker.log.drain();
         thread::park_timeout(LOOK);
     }
-    let Studio {
+    let Worker {
         taken, declined, ..
-    } = studio;
+    } = worker;
     if taken + declined > 0 {
         tracing::info!(taken, declined, "pictures");
     }
@@ -102,9 +102,9 @@ fn work(config: Config, film: Film, stop: &AtomicBool, begin: &Sender<Result<(),
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]
 enum Declined {
-    #[error("the request is none: {0}")]
+    #[error("the request is invalid: {0}")]
     Request(#[from] shm_config::message::Refusal),
-    #[error("that tick is not, or no longer, on the film")]
+    #[error("the action log does not hold that tick, or no longer")]
     Gone,
     #[error(transparent)]
     World(#[from] crate::WorldError),
@@ -114,12 +114,12 @@ enum Declined {
     Wire(#[from] WireError),
 }
 
-/// What the thread works with.
-struct Studio {
+/// The state of the thread.
+struct Worker {
     config: Config,
-    film: Film,
+    log: ActionLog,
     requests: RequestPorts,
-    /// Opened with the first picture: their shared memory is large.
+    /// Opened for the first picture, because their shared memory is large.
     answers: Option<AnswerPorts>,
     /// Made for the first picture.
     replica: Option<Replica>,
@@ -129,13 +129,13 @@ struct Studio {
     wire: Wire,
 }
 
-impl Studio {
-    fn open(config: Config, film: Film) -> Result<Studio, SetUpError> {
+impl Worker {
+    fn open(config: Config, log: ActionLog) -> Result<Worker, SetUpError> {
         let wire = Wire::join(&config.run.name.parse()?, Process::World)?;
-        Ok(Studio {
+        Ok(Worker {
             requests: RequestPorts::open(&wire)?,
             config,
-            film,
+            log,
             answers: None,
             replica: None,
             renderer: Renderer::default(),
@@ -166,16 +166,16 @@ impl Studio {
 
     fn take(&mut self, request: &FrameRequest) -> Result<(), Declined> {
         request.check()?;
-        // Whatever can be asked for is in the queue by now.
-        self.film.develop();
-        let reel = self.film.reel(request.header.episode);
-        let reel = reel.ok_or(Declined::Gone)?;
+        // All ticks that can be requested are in the queue by now.
+        self.log.drain();
+        let episode_log = self.log.episode(request.header.episode);
+        let episode_log = episode_log.ok_or(Declined::Gone)?;
         let replica = match &mut self.replica {
             Some(replica) => replica,
             none => none.insert(Replica::new(WorldConfig::from(&self.config.world))?),
         };
         let renderer = &mut self.renderer;
-        let reached = replica.reach(reel, &request.header, |world| renderer.begin(world))?;
+        let reached = replica.reach(episode_log, &request.header, |world| renderer.begin(world))?;
         let (world, seen) = reached.ok_or(Declined::Gone)?;
         let shot = Shot {
             view: request.view(),
@@ -190,7 +190,7 @@ impl Studio {
         let header = Header {
             tick: seen.tick,
             taken_ns: seen.taken_ns,
-            episode: reel.episode,
+            episode: episode_log.episode,
             ..Header::default()
         };
         answers.update_connections();
