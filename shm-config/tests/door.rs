@@ -94,7 +94,7 @@ fn observations() {
 }
 
 #[test]
-fn plans_commands_advice_and_takeovers() {
+fn plans() {
     let mut plan = Plan {
         waypoint_count: 2,
         ..Plan::default()
@@ -140,7 +140,10 @@ fn plans_commands_advice_and_takeovers() {
         refused(plan, |p| p.cost_m = -1.0),
         Refusal::OutOfRange { .. }
     ));
+}
 
+#[test]
+fn commands_and_advice() {
     let command = Step::default().command;
     assert!(matches!(
         refused(command, |c| c.steer = 1.0 + 1e-9),
@@ -167,7 +170,10 @@ fn plans_commands_advice_and_takeovers() {
         refused(Advice::default(), |a| a.judge = 77),
         Refusal::UnknownCode { .. }
     ));
+}
 
+#[test]
+fn takeovers() {
     for active in [0, 1] {
         let takeover = Takeover {
             active,

@@ -35,6 +35,14 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
     let set = Set::new("accounts");
     let json = drive(&set, &["--rate", "100"]);
     let processes = &json["processes"];
+    assert_memory_and_threads(processes);
+    assert_durations(processes);
+    let first_s = number(&json, "first_command_s");
+    assert!(first_s > 0.0 && first_s < 60.0, "{first_s}");
+    assert_raw_counts(&raw_counts(&set), processes);
+}
+
+fn assert_memory_and_threads(processes: &Value) {
     for (process, bar_mb) in BARS_MB {
         let row = &processes[process];
         let resident_mb = number(row, "resident_mb");
@@ -58,6 +66,9 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
             assert_eq!(helper["priority_got"], 0, "{helper}");
         }
     }
+}
+
+fn assert_durations(processes: &Value) {
     let controller = &processes["controller"];
     for measure in [
         "release_lateness",
@@ -75,7 +86,7 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
             "{measure}: {quantiles}"
         );
     }
-    // What woke it came after the instant it was due at.
+    // A process is woken after the instant at which it was due.
     for process in ["planner", "controller"] {
         let row = &processes[process];
         let [wake_up, lateness] =
@@ -83,24 +94,23 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
         assert!(wake_up < lateness, "{process}: {row}");
     }
     assert!(processes["world"]["response_us"].is_null());
-    let first_s = number(&json, "first_command_s");
-    assert!(first_s > 0.0 && first_s < 60.0, "{first_s}");
+}
 
-    let counts = raw_counts(&set);
+fn assert_raw_counts(counts: &RawCounts, processes: &Value) {
     let count = |process: &str, measure: &str| {
         let key = (process.to_string(), measure.to_string());
         counts.get(&key).copied().unwrap_or(0) as f64
     };
     assert_eq!(
         count("controller", "execution"),
-        number(controller, "ticks")
+        number(&processes["controller"], "ticks")
     );
     assert_eq!(
         count("planner", "observation_age"),
         number(&processes["planner"], "ticks")
     );
     assert!(count("controller", "response") > 0.0);
-    // Skipped ticks are late, too.
+    // Skipped ticks count as late.
     for process in ["world", "planner", "controller"] {
         let row = &processes[process];
         let instants = number(row, "ticks") + number(row, "skipped");
@@ -110,8 +120,11 @@ fn a_set_accounts_for_its_time_memory_and_threads() {
     }
 }
 
+/// Counts of durations, by process and measure.
+type RawCounts = BTreeMap<(String, String), u64>;
+
 /// The durations counted in `timing.csv`, by process and measure.
-fn raw_counts(set: &Set) -> BTreeMap<(String, String), u64> {
+fn raw_counts(set: &Set) -> RawCounts {
     let folder = set.folder().join("runs").join(set.name().to_string());
     let text = fs::read_to_string(folder.join("timing.csv")).expect("timing.csv");
     let mut lines = text.lines();

@@ -215,7 +215,13 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
         );
     }
 
-    let output = experiment.run(&words);
+    assert_other_options_are_refused(&experiment, &words);
+    assert_a_longer_training_continues(&experiment);
+}
+
+/// A second start, and a resumed one with other options, are refused with the reason.
+fn assert_other_options_are_refused(experiment: &Experiment, words: &[&str]) {
+    let output = experiment.run(words);
     assert!(!output.status.success());
     assert!(
         text(&output.stderr).contains("--resume goes on"),
@@ -240,9 +246,11 @@ fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
         text(&output.stderr).contains(r#"learner.algorithm = "hg-dagger", not "pvp""#),
         "{output:?}"
     );
+}
 
-    // Longer is the same experiment, whatever file the folder has now; the figures of
-    // the last policy are then gone.
+/// More steps belong to the same experiment, with any configuration file in the folder.
+/// The figures of the last policy are then no longer valid and are removed.
+fn assert_a_longer_training_continues(experiment: &Experiment) {
     let other = experiment.folder.join("vlaps.toml");
     fs::write(other, "[mpc]\nspeed_mps = 3.0\n").expect("a file");
     let log = experiment.seed(0).join("drive.log");
