@@ -1,4 +1,4 @@
-//! The built binary, as a user meets it.
+//! Tests of the built program through its command line.
 
 mod common;
 
@@ -12,7 +12,7 @@ use shm_config::judged::{Judged, SUMMARY};
 use shm_config::run::{RunName, RunPaths};
 use tempfile::TempDir;
 
-/// A folder to work in, script children, and a run name of this test alone.
+/// A working folder, script children, and a run name of one test.
 struct Bench {
     dir: TempDir,
     binaries: TempDir,
@@ -42,7 +42,7 @@ impl Bench {
     }
 
     fn up(&self) -> Child {
-        // A start before this one left its own.
+        // An earlier start may have left its file.
         let _ = fs::remove_file(self.binaries.path().join("vlaps-planner.arguments"));
         let mut command = self.command(&["up", "--run", &self.run]);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -71,7 +71,7 @@ impl Drop for Bench {
     }
 }
 
-/// One line on stderr with all these parts, and this exit code.
+/// Asserts one line on stderr with all these parts, and this exit code.
 fn assert_error(output: &Output, code: i32, parts: &[&str]) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{text}");
@@ -148,7 +148,7 @@ fn a_bad_configuration_ends_in_one_line_that_names_it() {
 }
 
 #[test]
-fn an_option_may_mend_what_the_file_leaves_out_of_range() {
+fn an_option_may_correct_a_value_that_is_out_of_range_in_the_file() {
     let bench = Bench::new("mend", "refuse");
     let text = "[run]\nrate_hz = 20.0\n[limits]\nplan_age_ms = 60.0\n";
     fs::write(bench.dir.path().join("vlaps.toml"), text).expect("written");
@@ -165,7 +165,7 @@ fn an_option_may_mend_what_the_file_leaves_out_of_range() {
         "--gate=expert",
         "--lockstep",
     ]);
-    // Past the configuration, to the child that refuses.
+    // The configuration is valid, so the child is started and refuses.
     assert_error(&output, 1, &["planner: no such lane"]);
     let resolved = bench
         .dir
@@ -203,7 +203,7 @@ fn a_second_set_of_the_same_name_is_refused_and_the_first_drives_on() {
     let output = bench.vlaps(&["clean", "--run", &bench.run]);
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(
-        text.contains(&format!("run '{}': alive, left alone", bench.run)),
+        text.contains(&format!("run '{}': alive, unchanged", bench.run)),
         "{text}"
     );
     let output = bench.vlaps(&["down", "--run", &bench.run]);
@@ -256,7 +256,7 @@ fn a_supervisors_file_that_was_written_over_hides_no_run() {
 }
 
 #[test]
-fn a_set_that_loses_what_others_join_it_by_says_so() {
+fn a_set_whose_files_were_removed_reports_it() {
     for (label, lost) in [
         ("nodes", "nodes"),
         ("serv", "services"),
@@ -292,7 +292,7 @@ fn every_stop_signal_ends_in_order_and_leaves_nothing() {
         let output = up.wait_with_output().expect("it ends");
         assert_eq!(output.status.code(), Some(0), "{label}: {output:?}");
         bench.assert_nothing_left();
-        // Its children drive no tick: a stop that comes so early is told all the same.
+        // Its children drive no tick; a stop as early as this is reported too.
         let text = String::from_utf8_lossy(&output.stdout);
         let ended = format!("run {}: stopped; it drove no tick", bench.run);
         for part in [&ended[..], "logs and summary in "] {
@@ -375,7 +375,7 @@ fn a_missing_binary_is_named() {
 }
 
 #[test]
-fn status_of_nothing_says_so_and_makes_nothing() {
+fn status_without_a_run_fails_and_creates_nothing() {
     let bench = Bench::new("nothing", "idle");
     let output = bench.vlaps(&["status", "--run", &bench.run]);
     assert_error(&output, 1, &["is not running", "./vlaps up --run"]);
@@ -383,7 +383,7 @@ fn status_of_nothing_says_so_and_makes_nothing() {
 }
 
 #[test]
-fn status_of_a_silent_set_says_so_and_does_not_disturb_it() {
+fn status_of_a_silent_set_reports_it_and_does_not_disturb_it() {
     let bench = Bench::new("status", "idle");
     let up = bench.up();
     let output = bench.vlaps(&["status", "--run", &bench.run, "--json", "s.json"]);
@@ -401,7 +401,7 @@ fn status_of_a_silent_set_says_so_and_does_not_disturb_it() {
 }
 
 #[test]
-fn a_judge_that_is_not_asked_any_more_is_warned_of_once() {
+fn a_judge_that_gets_no_more_questions_causes_one_warning() {
     let bench = Bench::new("judge", "idle");
     let up = bench.up();
     let folder = bench.dir.path().join("runs").join(&bench.run);
@@ -451,7 +451,7 @@ fn check(bench: &Bench, text: &str, code: i32) {
 }
 
 #[test]
-fn the_doctor_looks_at_everything_and_names_what_it_found() {
+fn the_doctor_prints_a_finding_for_each_check() {
     let bench = Bench::new("doctor", "idle");
     let output = bench.vlaps(&["doctor"]);
     let text = String::from_utf8_lossy(&output.stdout);

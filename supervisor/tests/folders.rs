@@ -1,4 +1,4 @@
-//! The folders of the sources import in one direction.
+//! Tests that the source folders import in one direction.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Logs and the live table.
+//! Tests of logs and of the live table.
 
 mod common;
 
@@ -42,7 +42,7 @@ fn no_link_or_pipe_leads_a_log_elsewhere() {
     for name in ["gate.log.1", "gate.log.1.new"] {
         symlink(&victim, logs.join(name)).expect("a link");
     }
-    // The name of the log itself leads elsewhere by now, and to what never ends.
+    // The name of the log itself is now a link to a device that never ends.
     fs::remove_file(log.path()).expect("removed");
     symlink(&victim, log.path()).expect("a link");
     writeln!(writer, "more than ten bytes").expect("written");
@@ -76,8 +76,12 @@ fn the_last_line_is_the_newest_processs_own() {
         "no control codes"
     );
     let _second = log.begin().expect("a handle");
-    assert_eq!(log.last_line(), None, "the second has said nothing");
-    // The next run sets all of it aside.
+    assert_eq!(
+        log.last_line(),
+        None,
+        "the second process has written nothing"
+    );
+    // The next run renames the logs of this one.
     let next = LogFile::create(dir.path(), "gate", 1000).expect("a log");
     assert_eq!(fs::read_to_string(next.path()).expect("read"), "");
     assert!(next.older().exists());

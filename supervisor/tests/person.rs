@@ -1,4 +1,4 @@
-//! From bytes and files to keys, and from keys to what the car shall do.
+//! Tests that bytes and files become keys, and keys become the car's action.
 
 use shm_config::Instant;
 use shm_config::message::{Message, Takeover};
@@ -14,7 +14,7 @@ fn at(ms: u64) -> Instant {
     BEGIN.after_ns(ms * MS)
 }
 
-/// A person who has taken over at the begin.
+/// A human driver who took over at the start.
 fn driving() -> HumanDriver {
     let mut person = HumanDriver::default();
     person.press(Key::Switch, BEGIN);
@@ -41,7 +41,7 @@ fn assert_near(value: f64, expected: f64) {
 }
 
 #[test]
-fn only_who_has_taken_over_drives() {
+fn keys_have_no_effect_before_a_takeover() {
     let mut person = HumanDriver::default();
     for key in [Key::Left, Key::Gas, Key::GiveBack, Key::Brake] {
         person.press(key, BEGIN);
@@ -55,7 +55,7 @@ fn only_who_has_taken_over_drives() {
         assert!(steer(&mut person, 200) > 0.0);
         person.press(give_back, at(200));
         assert_eq!(person.takeover(), Takeover::default());
-        // What was held is not held any more.
+        // A key held before the takeover no longer counts as held.
         person.press(Key::Switch, at(210));
         assert_eq!(steer(&mut person, 300), 0.0);
     }
@@ -72,7 +72,8 @@ fn a_key_steers_while_it_is_held_and_the_wheel_springs_back() {
     assert_near(steer(&mut person, 5_000), 0.0);
     person.press(Key::Right, at(5_000));
     assert_near(steer(&mut person, 5_250), -0.1);
-    // The other side at once, then outwards: 40 ms back, 60 ms out.
+    // The opposite key first brings the wheel back, then turns it outwards: 40 ms and
+    // 60 ms.
     person.press(Key::Left, at(5_250));
     assert_near(steer(&mut person, 5_350), 0.4 * 0.06);
 }
@@ -82,7 +83,7 @@ fn repetitions_hold_a_key_without_a_dip_up_to_the_lock() {
     let mut person = driving();
     person.press(Key::Right, BEGIN);
     let mut last = 0.0;
-    // A terminal's own wait, then its repetitions.
+    // The terminal's repeat delay, then its repetitions.
     for ms in (490..3_000).step_by(40) {
         person.press(Key::Right, at(ms));
         let now = person.takeover().steer;
@@ -101,7 +102,7 @@ fn the_brake_comes_faster_than_the_gas() {
     person.press(Key::Gas, BEGIN);
     assert_near(pedal(&mut person, 400), 0.4);
     person.press(Key::Brake, at(400));
-    // 80 ms to let go of the gas, then 5 a second.
+    // 80 ms to release the gas, then 5 a second.
     assert_near(pedal(&mut person, 500), -0.1);
     assert_near(pedal(&mut person, 700), -1.0);
     assert_near(pedal(&mut person, 900), -1.0);
@@ -109,10 +110,10 @@ fn the_brake_comes_faster_than_the_gas() {
     assert_near(pedal(&mut person, 1_100), 0.0);
 }
 
-/// However often the supervisor looks, the same keys at the same times steer the
-/// same, and what they amount to passes the controller's door.
+/// The same keys at the same times give the same action, however often the supervisor
+/// reads them, and the action passes the controller's checks.
 #[test]
-fn what_keys_amount_to_does_not_depend_on_how_often_they_are_looked_at() {
+fn the_action_does_not_depend_on_how_often_the_keys_are_read() {
     let keys = [Key::Left, Key::Gas, Key::Right, Key::Brake, Key::Left];
     let drive = |look_ms: u64| {
         let mut person = driving();
@@ -165,7 +166,7 @@ fn bytes_of_a_terminal_are_keys() {
         "Delete and others"
     );
     let all: Vec<u8> = (0..=255).chain(0..=255).collect();
-    // Every byte has an answer; the second round is not stuck in a sequence.
+    // Every byte is decoded; in the second round no escape sequence is left open.
     assert!(keys(&[&all, b"", b" "]).ends_with(&[Key::Switch]));
 }
 

@@ -1,4 +1,5 @@
-//! What is refused before anything starts, in words that help.
+//! Tests that wrong arguments are refused before anything starts, with a helpful
+//! message.
 
 use std::fs;
 use std::process::{Command, Output};
@@ -13,7 +14,7 @@ fn vlaps(folder: &TempDir, words: &[&str]) -> Output {
         .expect("it runs")
 }
 
-/// Exit code 2, and these words on stderr.
+/// Asserts exit code 2 and these words on stderr.
 fn assert_refused(folder: &TempDir, words: &[&str], parts: &[&str]) {
     let output = vlaps(folder, words);
     let text = String::from_utf8_lossy(&output.stderr);
@@ -41,7 +42,7 @@ fn pipe(folder: &TempDir, name: &str) {
 }
 
 #[test]
-fn what_is_no_file_is_refused_and_not_waited_for() {
+fn a_pipe_or_device_in_place_of_a_file_is_refused_at_once() {
     let folder = TempDir::new().expect("a folder");
     pipe(&folder, "pipe");
     let parts = ["is no regular file"];

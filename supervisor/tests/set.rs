@@ -1,4 +1,4 @@
-//! Start, watch, restart and stop, on children that are shell scripts.
+//! Tests of starts, deaths, restarts and stops, with children that are shell scripts.
 
 mod common;
 
@@ -26,7 +26,10 @@ fn each_starts_when_the_one_before_is_ready() {
             Decision::Continue
         );
         let still = rig.set.members().iter().filter(|m| m.lives()).count();
-        assert_eq!(started, still, "nobody starts before {process} is ready");
+        assert_eq!(
+            started, still,
+            "no process starts before {process} is ready"
+        );
         let pid = rig.pid(process).unwrap();
         rig.set.hear(process, pid, HealthState::Starting);
         rig.set.hear(process, pid + 1, HealthState::Ready);
@@ -115,7 +118,7 @@ fn a_refused_set_up_is_shown_and_never_tried_again() {
 fn a_set_up_that_was_good_before_is_tried_again() {
     let mut rig = Rig::new("idle", |_| ());
     rig.start_all();
-    // No room on a disk, say: what was good is refused for a while.
+    // A full disk, for example, refuses for a while what was valid before.
     common::replace(rig.dir.path(), "vlaps-planner", "refuse");
     rig.set.signal(Process::Planner, Signal::KILL);
     for restart in 1..=3 {
@@ -152,7 +155,7 @@ fn a_stopped_process_is_silent_and_is_killed() {
             break;
         }
     }
-    // 20 looks a second and a limit of one second.
+    // 20 checks a second and a limit of one second.
     assert_eq!(killed, Some(21));
     rig.await_end(Process::Planner);
     assert!(rig.set.reap(rig.now));
@@ -162,7 +165,7 @@ fn a_stopped_process_is_silent_and_is_killed() {
 }
 
 #[test]
-fn a_pause_of_the_supervisor_is_nobodys_silence() {
+fn a_pause_of_the_supervisor_does_not_count_as_silence() {
     let mut rig = Rig::new("idle", |_| ());
     rig.start_all();
     rig.set.decide(rig.now);
@@ -213,21 +216,21 @@ fn the_world_goes_on_with_the_episode_it_died_in() {
 }
 
 #[test]
-fn the_worlds_good_end_is_the_runs_but_nobody_elses_is() {
+fn only_the_worlds_exit_0_ends_the_run() {
     let mut rig = Rig::new("idle", |_| ());
     common::replace(rig.dir.path(), "vlaps-planner", "done");
     common::replace(rig.dir.path(), "vlaps-world", "done");
     rig.start_all();
     rig.await_end(Process::Planner);
     rig.set.reap(rig.now);
-    // The first look may have found both.
+    // The first call may have found both.
     rig.await_end_if_alive(Process::World);
     rig.set.reap(rig.now);
     assert_eq!(rig.set.decide(rig.now), Decision::Finished);
     assert_eq!(
         rig.restarts(Process::Planner),
         1,
-        "somebody ended it: it comes back"
+        "another process ended it, so it is restarted"
     );
 }
 
@@ -250,7 +253,7 @@ fn a_stop_brakes_the_car_first() {
 }
 
 #[test]
-fn a_stop_ends_in_time_whatever_the_processes_do() {
+fn a_stop_ends_in_time_although_processes_do_not_react() {
     let mut rig = Rig::new("idle", |config| config.supervisor.stop_s = 4.0);
     rig.start_all();
     for process in [Process::Controller, Process::Planner] {

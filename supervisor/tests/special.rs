@@ -1,4 +1,4 @@
-//! Pipes and devices where a file is named: nothing hangs, nothing is read for ever.
+//! Tests that pipes and devices in place of files block nothing.
 
 mod common;
 
@@ -13,7 +13,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use shm_config::run::RunPaths;
 use tempfile::TempDir;
 
-/// A folder to work in, children that do nothing, and a run name of one test.
+/// A working folder, children that do nothing, and a run name of one test.
 struct Bench {
     dir: TempDir,
     binaries: TempDir,
@@ -29,7 +29,8 @@ impl Bench {
         }
     }
 
-    /// Ended when it hangs: then it has no exit code of its own.
+    /// Runs under `timeout`, which ends a program that hangs, so that it has no exit
+    /// code.
     fn command(&self, words: &[&str]) -> Command {
         let mut command = Command::new("timeout");
         command
@@ -61,7 +62,7 @@ impl Bench {
         path
     }
 
-    /// Starts a set and waits until its children do.
+    /// Starts a set and waits until its children run.
     fn up(&self, words: &[&str]) -> Child {
         let up = Command::new(env!("CARGO_BIN_EXE_vlaps-supervisor"))
             .args(["up", "--run", &self.run])
@@ -170,7 +171,7 @@ fn a_signal_ends_what_still_writes_when_the_set_is_down() {
     for (stop, code) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
         let bench = Bench::new("late");
         let pipe = bench.pipe("pipe");
-        // It has a reader that never reads, and is full.
+        // The pipe has a reader that never reads, and is full.
         let _reader = reader(&pipe);
         let up = bench.up(&["--json", "pipe"]);
         let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
@@ -180,7 +181,8 @@ fn a_signal_ends_what_still_writes_when_the_set_is_down() {
             .is_ok()
         {}
         signal(&up, stop);
-        // The set is down when its place is free; then it hangs in the write.
+        // When the set has ended its files are gone; then the supervisor blocks in the
+        // write.
         let state = format!("/proc/{}/wchan", up.id());
         while bench.paths().dir().exists()
             || !fs::read_to_string(&state).is_ok_and(|state| state.contains("pipe"))

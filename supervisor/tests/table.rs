@@ -1,4 +1,4 @@
-//! The process table, its documentation, and the arithmetic of restarts.
+//! Tests of the process table, its documentation, and the arithmetic of restarts.
 
 use std::collections::BTreeSet;
 
@@ -31,7 +31,10 @@ fn every_row_is_one_of_a_kind_and_starts_after_an_earlier_one() {
         assert_eq!(row.binary, format!("vlaps-{}", row.process));
         if let Core::FromLast(back) = row.core {
             assert!(cores.insert(back), "two processes on one core");
-            assert!(back < CORES_MIN - 1, "one core stays for everybody else");
+            assert!(
+                back < CORES_MIN - 1,
+                "one core is left for all other programs"
+            );
         }
     }
     assert_eq!(TABLE.last().map(|row| row.process), Some(Process::World));
@@ -48,7 +51,7 @@ fn the_order_of_start_is_the_order_of_the_rows() {
 }
 
 #[test]
-fn who_brakes_when_the_others_fail_comes_first_and_the_gate_last() {
+fn the_world_has_the_highest_priority_and_the_gate_the_lowest() {
     let of = |process| row(process).priority;
     assert!(of(Process::World) > of(Process::Controller));
     assert!(of(Process::Controller) > of(Process::Planner));
@@ -89,7 +92,7 @@ fn the_documented_table_is_the_table() {
 }
 
 #[test]
-fn few_cores_are_shared_and_one_is_everybodys() {
+fn few_cores_are_shared_and_a_single_core_is_not_assigned() {
     let one = Privileges::RealTime(vec![5]);
     let few = Privileges::RealTime(vec![1, 0]);
     let enough = Privileges::RealTime(vec![2, 3, 8, 9]);
@@ -102,7 +105,7 @@ fn few_cores_are_shared_and_one_is_everybodys() {
         assert_eq!(more.core(row(process)), Some(CORES_MIN - 2));
     }
     assert_eq!(few.core(row(Process::Learner)), None);
-    const { assert!(CORES_SHARED > 1, "somebody else has to run, too") };
+    const { assert!(CORES_SHARED > 1, "other programs need a core too") };
     assert_eq!(enough.core(controller), Some(9));
     assert_eq!(enough.core(row(Process::Planner)), Some(8));
     assert_eq!(enough.core(row(Process::World)), Some(3));

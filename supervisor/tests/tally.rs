@@ -1,4 +1,4 @@
-//! Adding up: steps, episodes, restarts, histograms, digest and JSON.
+//! Tests of sums: steps, episodes, restarts, histograms, digest and JSON.
 
 mod common;
 
@@ -116,7 +116,7 @@ fn what_a_controller_does_after_the_worlds_last_tick_counts_for_nothing() {
         step.header.taken_ns = taken_ns;
         step
     };
-    // The last one may be read after the world has said its last word.
+    // The last step may be read after the world's last message.
     tally.count_step(&taken(1, world.next_scheduled_ns - 1));
     tally.count_step(&taken(2, world.next_scheduled_ns));
     assert_eq!((tally.steps.received, tally.steps.lost()), (1, 0));
@@ -147,7 +147,7 @@ fn what_each_version_of_the_weights_did_is_kept() {
     );
     let text = summary.to_string();
     assert!(text.contains("8 drove 1 of 1, 7 drove 1 of 2"), "{text}");
-    // A run that swaps for ever does not grow.
+    // A run that swaps without limit does not grow.
     for version in 9..5_000 {
         let mut step = step(1, version, Driver::Policy, Reason::Advised);
         step.weights_version = version;
@@ -157,15 +157,15 @@ fn what_each_version_of_the_weights_did_is_kept() {
 }
 
 #[test]
-fn ticks_on_which_nobody_was_there_are_counted() {
+fn ticks_without_a_living_process_are_counted_as_absent() {
     let mut tally = Tally::default();
     tally.count_health(Process::Controller, &health(1, 50, 2));
     let mut successor = health(2, 10, 0);
-    // Three seconds after its predecessor's last one.
+    // Three seconds after its predecessor's last tick.
     successor.first_scheduled_ns = health(1, 50, 2).next_scheduled_ns + 3_000_000_000;
     successor.next_scheduled_ns = successor.first_scheduled_ns + 1_000_000_000;
     tally.count_health(Process::Controller, &successor);
-    // One that never came to a grid says nothing of when it was there.
+    // A process without a tick has no absence.
     let mut dead = health(3, 0, 0);
     (dead.first_scheduled_ns, dead.next_scheduled_ns) = (0, 0);
     tally.count_health(Process::Controller, &dead);
@@ -207,8 +207,8 @@ fn a_health_of_unknown_state_is_no_sign_of_life() {
 
 #[test]
 fn the_quantiles_of_many_restarts_are_those_of_one_histogram() {
-    // More producers than are kept apart, and each one's earlier word is
-    // replaced by its later one.
+    // There are more producers than are kept apart, and the last message of each
+    // replaces its earlier ones.
     let mut tally = Tally::default();
     let mut all = Vec::new();
     for producer in 1..=9u32 {
@@ -311,7 +311,7 @@ fn the_json_has_the_keys_that_scripts_rely_on() {
             "{key}: {lateness}"
         );
     }
-    // What a process does not measure is no 0.
+    // A measure that a process does not have is left out, not 0.
     let world = json["processes"]["world"].as_object().expect("a row");
     assert!(world.contains_key("release_lateness_us"));
     for key in ["response_us", "wake_up_us"] {

@@ -1,4 +1,4 @@
-//! Where results are written: a link is followed, a device is never replaced.
+//! Tests of output files: a link is followed, a device is never replaced.
 
 use std::fs;
 use std::io::Read;

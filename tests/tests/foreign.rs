@@ -135,7 +135,7 @@ fn foreign_commands(label: &str, ahead: u32) {
         port.send(&mut forged);
     });
     assert!(
-        shown.contains("the world brakes: it may obey no command") && shown.contains("foreign "),
+        shown.contains("the world brakes: it has no valid command") && shown.contains("foreign "),
         "{shown}"
     );
     let named = format!("process {} (", std::process::id());

@@ -106,7 +106,7 @@ fn a_refusal_names_the_option_and_what_it_may_be() {
     );
     assert_refused(
         &["train", "--out", "nope/x"],
-        &["--out nope/x", "nope is no folder"],
+        &["--out nope/x", "nope is not a folder"],
     );
     for words in [["--run", &long], ["--set", &long]] {
         let folder = tempfile::tempdir().expect("a folder");

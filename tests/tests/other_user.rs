@@ -237,7 +237,7 @@ fn a_process_id_that_another_program_has_now_gets_no_signal() {
     let lives = said.lines().filter(|line| *line == "alive").count();
     let refused = said.lines().filter(|line| *line == "code 1").count();
     assert_eq!((lives, refused), (2, 2), "{said}");
-    assert!(said.contains("is no supervisor of it (it runs "), "{said}");
+    assert!(said.contains("is not its supervisor (it runs "), "{said}");
     assert!(said.contains("was started after the supervisor"), "{said}");
 }
 

@@ -55,7 +55,7 @@ impl Output {
             Err(Errno::NXIO) if metadata.file_type().is_fifo() => {
                 return Err(refuse("nothing reads the pipe; start its reader first"));
             }
-            Err(Errno::NXIO) => return Err(refuse("it can be no file's place; name a file")),
+            Err(Errno::NXIO) => return Err(refuse("it is not a file; name a file")),
             opened => opened?,
         };
         // Writing blocks, since a reader may be slow.
@@ -84,8 +84,8 @@ pub fn write_whole(path: &Path, text: &str) -> io::Result<()> {
     Output::open(path)?.write(text)
 }
 
-/// In a folder such as `/tmp` another user's link would select_run which of this user's
-/// files is written over.
+/// In a folder such as `/tmp`, the link of another user would choose which of this
+/// user's files is overwritten.
 fn check_link(path: &Path) -> io::Result<()> {
     let Ok(metadata) = fs::symlink_metadata(path) else {
         return Ok(());
@@ -151,11 +151,11 @@ pub fn check_folder(option: &str, path: &Path) -> Result<(), Failure> {
 
 fn check_existing_folder((option, path): (&str, &Path), folder: &Path) -> Result<(), Failure> {
     if !folder.is_dir() {
-        let why = format!("{} is no folder", folder.display());
+        let why = format!("{} is not a folder", folder.display());
         return Err(refused(option, path, &why));
     }
     check_writable(folder).map_err(|error| {
-        let why = format!("no file can be made in {}: {error}", folder.display());
+        let why = format!("no file can be created in {}: {error}", folder.display());
         refused(option, path, &why)
     })
 }

@@ -36,7 +36,7 @@ pub fn clean(arguments: &Clean) -> Result<(), Failure> {
     for (name, paths) in runs()?.into_iter().filter(|(name, _)| asked(name)) {
         print_strangers(&paths)?;
         match clean_run(&paths)? {
-            Cleaned::Alive => say(format_args!("run '{name}': alive, left alone")),
+            Cleaned::Alive => say(format_args!("run '{name}': alive, unchanged")),
             Cleaned::Removed(leftovers) => {
                 removed += 1;
                 say(format_args!(

@@ -13,7 +13,7 @@ use crate::cli::print::say;
 /// Print the configuration with its defaults, or check a file.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-        ./vlaps config > vlaps.toml       a file to change\n  \
+        ./vlaps config > vlaps.toml       a file to edit\n  \
         ./vlaps config --check vlaps.toml")]
 pub struct ConfigArguments {
     /// Check this file instead; exit code 2 when it is wrong.
@@ -21,8 +21,8 @@ pub struct ConfigArguments {
     pub check: Option<PathBuf>,
 }
 
-/// Where the configuration's structs are written down. What a key means is
-/// written there once, as its doc comment, and read from there.
+/// The source files of the configuration. The doc comment of each key, written there
+/// once, is read from them.
 const SOURCES: &[&str] = &[
     include_str!("../../../shm-config/src/config/mod.rs"),
     include_str!("../../../shm-config/src/config/run.rs"),
@@ -58,7 +58,7 @@ pub fn config(arguments: &ConfigArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The default configuration as TOML, each key below what it means.
+/// The default configuration as TOML, each key below its description.
 ///
 /// # Errors
 /// When the defaults cannot be written as TOML.
@@ -71,7 +71,7 @@ pub fn documented_defaults() -> Result<String, Failure> {
     let mut text =
         String::from("# Every key with its default. A file need name only what it changes.\n\n");
     let mut section_type = String::new();
-    // Sections and keys stand one to a line.
+    // Each section and each key has a line of its own.
     for line in defaults.lines() {
         let key = line.split(" = ").next().unwrap_or(line);
         let about = match line.strip_prefix('[') {
@@ -97,8 +97,8 @@ fn doc_of(docs: &Docs, type_name: &str, field: &str) -> (String, String) {
         .unwrap_or_default()
 }
 
-/// The doc comments of all fields. The sources are formatted by rustfmt, so one
-/// field stands on one line.
+/// The doc comments of all fields. The sources are formatted by rustfmt, so each field
+/// has a line of its own.
 fn docs() -> Docs {
     let mut docs = Docs::new();
     for source in SOURCES {

@@ -30,7 +30,8 @@ pub const BENCH: &str = "vlaps-bench";
 /// The program of `judge`, with an HTTP client and a server.
 pub const JUDGE: &str = "vlaps-judge";
 
-/// Becomes another program of the build; only returns when it cannot.
+/// Executes another program of the build in place of this one; returns only on an
+/// error.
 ///
 /// # Errors
 /// When that program is not beside this one.
@@ -39,7 +40,7 @@ pub fn delegate(name: &str, command: &[&str], rest: &Delegated) -> Result<(), Fa
         .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
     let program = folder.join(name);
     let mut become_it = Command::new(&program);
-    // It may ask a judge itself, or start a supervisor whose gate does.
+    // That program may ask a judge itself, or start a supervisor whose gate does.
     secret::hand_on(&mut become_it);
     let error = become_it.args(command).args(&rest.words).exec();
     Err(Failure::GivenUp(format!(

@@ -21,7 +21,7 @@ use crate::run::target::Target;
         training or evaluation drives. A set of another folder is never stopped unless it is \
         named.\n\n\
         Exit code 0: it is stopped, or the named run was not running, or nothing runs \
-        (status and swap exit 1 then). 1: it does not end, or what holds the run's place is no supervisor of it. 2: no run is named, \
+        (status and swap exit 1 then). 1: it does not end, or the process that holds the run is not its supervisor. 2: no run is named, \
         and none of this folder runs though others do, or several do.\n\n\
         Examples:\n  \
         ./vlaps down\n  \
@@ -35,8 +35,8 @@ pub struct Down {
 
 /// Time between two checks.
 const LOOK: Duration = Duration::from_millis(50);
-/// Checks before the wait is given up: 20 s, twice the default `supervisor.stop_s`
-/// and more.
+/// Checks before the wait is given up: 20 s, more than twice the default
+/// `supervisor.stop_s`.
 const LOOKS_MAX: u32 = 400;
 
 /// Stops a run.

@@ -48,12 +48,12 @@ struct RunStatus {
     supervisor: u32,
     /// The judge's record; `None` without a judge.
     judge: Option<Judged>,
-    /// Why it was never asked; left out where it was.
+    /// Why the judge was never asked; left out if it was asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     judge_unasked: Option<&'static str>,
-    /// The ticks that were latest, the latest first.
+    /// The latest ticks, the latest first.
     late_ticks: Vec<LateRow>,
-    /// Processes that the run did not start and that sent in the place of its own.
+    /// Processes that the run did not start and that sent in place of its own.
     warnings: Vec<String>,
     #[serde(flatten)]
     view: View,
@@ -78,7 +78,7 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
             print_strangers(&paths)?;
             let seen = match listen(&paths, pid, clock) {
                 Ok(seen) => seen,
-                // One broken run must not hide the others.
+                // One run that cannot be observed must not hide the others.
                 Err(error) => {
                     let name = paths.name();
                     say(format_args!(

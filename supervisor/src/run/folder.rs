@@ -12,7 +12,7 @@ use shm_config::run::Origin;
 use crate::cli::failure::Failure;
 use crate::run::place::Place;
 
-/// Writes a file in the run's folder, as a whole or not at all.
+/// Writes a file in the run's folder: the whole file or nothing.
 ///
 /// # Errors
 /// When its text cannot be produced, or the folder refuses it.

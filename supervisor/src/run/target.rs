@@ -43,7 +43,7 @@ impl Target {
             // It may have ended since.
             Err(_) if paths.holder()?.is_none() => Ok(None),
             Err(why) => Err(Failure::GivenUp(format!(
-                "run '{name}': process {pid} is no supervisor of it ({why}); it gets no signal; \
+                "run '{name}': process {pid} is not its supervisor ({why}); it gets no signal; \
                  `fuser {file}` shows the process that holds the run",
                 name = paths.name(),
                 pid = holder.pid,
@@ -56,7 +56,7 @@ impl Target {
     fn verify(holder: &Holder) -> Result<Self, String> {
         let pid = holder.pid;
         let id = i32::try_from(pid).ok().and_then(Pid::from_raw);
-        let id = id.ok_or("it is no process id")?;
+        let id = id.ok_or("it is not a process id")?;
         let handle = pidfd_open(id, PidfdFlags::empty()).map_err(|error| error.to_string())?;
         let proc = format!("/proc/{pid}");
         let owner = fs::metadata(&proc).map_err(|error| error.to_string())?;

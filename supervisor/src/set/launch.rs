@@ -143,7 +143,8 @@ impl Running {
     pub fn reap(&mut self) -> Option<Exit> {
         match self.child.try_wait() {
             Ok(status) => status.map(Exit::from),
-            // Only when it is no child of this process any more: then it is gone.
+            // The wait fails only for a process that is not a child any more, so it has
+            // ended.
             Err(error) => Some(Exit::Crashed(error.to_string())),
         }
     }

@@ -7,8 +7,8 @@
 //! few milliseconds of one process every `supervisor.log_mb`.
 //!
 //! The file is opened once, all operations use that descriptor, and the copy is a new
-//! file that is renamed to its final name: no other file is read, written or truncated,
-//! whatever other names the folder holds.
+//! file that is renamed to its final name. So no other file in the folder is read,
+//! written or truncated.
 
 use std::fs::File;
 use std::io::{self, Write};

@@ -45,7 +45,7 @@ pub(crate) enum Origin {
     Marked(Mark),
     /// It carries no mark of this supervisor.
     Foreign,
-    /// Unknown as yet: it is executing another program at this moment.
+    /// Not known yet, because it is executing another program at this moment.
     Unknown,
 }
 
@@ -87,7 +87,7 @@ mod tests {
         assert_ne!(mark, Mark::next(Process::World), "each start has its own");
         let text = format!("PATH=/bin\0{MARK}={}\0B=1", mark.text());
         assert_eq!(mark_in(text.as_bytes()), Some(mark));
-        // A supervisor that a process of this set has started has marks of its own.
+        // A supervisor that a process of this set has started has other marks.
         let other = format!("{MARK}=1{}0.world\0", Mark::of_ours());
         assert_eq!(mark_in(other.as_bytes()), None);
         assert_eq!(mark_in(b"PATH=/bin\0X=VLAPS_CHILD_OF=1\0"), None);

@@ -37,7 +37,7 @@ pub enum Phase {
         /// When it was started.
         since: Instant,
     },
-    /// Reaped; the supervisor has not decided yet.
+    /// Reaped; the next decision follows.
     Dead {
         /// How it ended.
         exit: Exit,
@@ -144,7 +144,7 @@ impl Member {
         }
     }
 
-    /// Takes in its health. A message that a dead predecessor left in a queue carries
+    /// Takes its health message. A message that a dead predecessor left in a queue has
     /// another process id and is ignored.
     pub(crate) fn hear(&mut self, pid: u32, state: HealthState, events: &mut Vec<Event>) {
         if self.pid() != Some(pid) {

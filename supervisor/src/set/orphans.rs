@@ -1,9 +1,9 @@
-//! The children of dead processes. They would keep the sockets, the cores and the run's
-//! locks of their parent.
+//! The children of dead processes. They would keep their parent's sockets, cores and
+//! the run's locks.
 //!
-//! The supervisor is a child subreaper: a process that loses its parent becomes its child,
-//! in whatever session or process group it is. The mark in its environment
-//! ([`crate::set::mark`]) tells from which process of the set it descends.
+//! The supervisor is a child subreaper: a process that loses its parent becomes its
+//! child, in any session and process group. The mark in its environment
+//! ([`crate::set::mark`]) identifies the process of the set from which it descends.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -33,7 +33,8 @@ pub struct Orphans {
 impl Orphans {
     /// Makes this process the parent of all processes of the run that lose their parent.
     pub fn adopt() -> Self {
-        // Refused only by kernels older than 3.4: then no orphan becomes our child.
+        // Only kernels older than 3.4 refuse it; then orphans do not become children of
+        // this process.
         let _ = set_child_subreaper(Some(getpid()));
         Self::default()
     }
@@ -61,7 +62,7 @@ impl Orphans {
         self.since.is_some()
     }
 
-    /// Examines all children once; whether more of them may have to be ended.
+    /// Examines all children once; returns whether more of them may have to be ended.
     fn look(&mut self, set: &ProcessSet) -> bool {
         let members: Vec<u32> = set.members().iter().filter_map(|m| m.pid()).collect();
         let mut is_left = false;

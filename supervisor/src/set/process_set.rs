@@ -84,8 +84,8 @@ impl ProcessSet {
         std::mem::take(&mut self.events)
     }
 
-    /// Takes in the health of a process. A message that a dead predecessor left in a queue
-    /// carries another process id and is ignored.
+    /// Takes the health message of a process. A message that a dead predecessor left in
+    /// a queue has another process id and is ignored.
     pub fn hear(&mut self, process: Process, pid: u32, state: HealthState) {
         let Some(member) = self
             .members

@@ -7,8 +7,8 @@ use shm_config::services::Process;
 
 use crate::set::process_set::ProcessSet;
 
-/// How long processes may take to end when there is no car left to brake, ns.
-/// They only publish their last telemetry, which takes about 10 ms.
+/// How long processes may take to end when no car is left to brake, ns. They only
+/// publish their last telemetry, which takes about 10 ms.
 const NO_CAR_NS: u64 = 1_000_000_000;
 
 /// How long a learner may take when only it still lives, ns: it finishes its block of

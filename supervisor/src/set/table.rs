@@ -54,8 +54,8 @@ pub const TABLE: &[ProcessSpec] = &[
         process: Process::Planner,
         binary: "vlaps-planner",
         core: Core::FromLast(1),
-        // Below controller and world, which wait for it: a late plan costs one tick's
-        // plan, a late command or tick costs the tick.
+        // Lower than controller and world, which wait for it: a late plan delays one
+        // plan, a late command or tick delays the tick.
         priority: 45,
         restart: Restart::Again,
         after: None,
@@ -85,7 +85,7 @@ pub const TABLE: &[ProcessSpec] = &[
         process: Process::Learner,
         binary: "vlaps-learner",
         core: Core::Any,
-        // It uses only the time that the others leave.
+        // It uses only the processor time that the others leave.
         priority: 0,
         restart: Restart::Again,
         after: Some(Process::Gate),
@@ -95,8 +95,9 @@ pub const TABLE: &[ProcessSpec] = &[
         process: Process::World,
         binary: "vlaps-world",
         core: Core::FromLast(2),
-        // Highest: it brakes when commands are too old, so a controller that spins must
-        // not keep it from a core they share. The kernel's own interrupt threads have 50.
+        // Highest: the world brakes when commands are too old, so a controller in an
+        // endless loop must not keep it from a core that they share. The kernel's own
+        // interrupt threads have 50.
         priority: 50,
         restart: Restart::AtEpisode,
         after: Some(Process::Learner),

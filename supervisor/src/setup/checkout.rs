@@ -8,25 +8,25 @@ use sha2::{Digest, Sha256};
 
 use crate::cli::failure::Failure;
 
-/// The package, in the repository and among the installed ones.
+/// The folder of the package, in the repository and among the installed packages.
 const PACKAGE: &str = "metadrive";
-/// What the experiment runs; a folder without it is not MetaDrive.
+/// The environment of the experiment; a folder without this file is not MetaDrive.
 const LANDMARK: &str = "metadrive/envs/safe_metadrive_env.py";
-/// Left behind: models that nothing looks at without a screen (`prepare.py`
-/// writes a stub), and what Python makes by itself.
+/// Not copied: models that are not used without a screen (`prepare.py` writes a stub),
+/// and files that Python creates itself.
 const LEFT_OUT: [&str; 2] = ["assets", "__pycache__"];
 
-/// A checkout, as it is now.
+/// A checkout in its present state.
 #[derive(Debug)]
 pub struct Checkout {
     folder: PathBuf,
-    /// What is copied, relative to the folder, in order.
+    /// The files to copy, relative to the folder, in order.
     files: Vec<PathBuf>,
     identity: String,
 }
 
 impl Checkout {
-    /// Looks at a checkout.
+    /// Reads a checkout.
     ///
     /// # Errors
     /// When it is not MetaDrive's, or cannot be read.
@@ -59,13 +59,13 @@ impl Checkout {
         })
     }
 
-    /// Its commit, if git knows it, and a digest of all that is copied.
+    /// Its commit, if git knows it, and a digest of all files to copy.
     pub fn identity(&self) -> &str {
         &self.identity
     }
 
-    /// Puts it among the installed packages; the folder of an earlier one must
-    /// be gone.
+    /// Copies it to the installed packages; the folder of an earlier one must have been
+    /// removed.
     ///
     /// # Errors
     /// When a file cannot be copied.
@@ -80,7 +80,7 @@ impl Checkout {
     }
 }
 
-/// Where the installed package is.
+/// The folder of the installed package.
 pub fn installed(packages: &Path) -> PathBuf {
     packages.join(PACKAGE)
 }
@@ -108,7 +108,7 @@ fn read<T>(result: std::io::Result<T>, path: &Path) -> Result<T, Failure> {
 
 /// The commit that is checked out; `None` for an unpacked archive.
 fn commit(folder: &Path) -> Option<String> {
-    // Without it, git would name the commit of a repository around the folder.
+    // Without this option git would use the commit of a repository around the folder.
     if !folder.join(".git").exists() {
         return None;
     }
@@ -142,7 +142,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let error = Checkout::open(folder.path()).expect_err("empty");
         assert!(error.to_string().contains("not a checkout of MetaDrive"));
-        // A level too deep.
+        // The folder of the package itself, one level too deep.
         checkout(folder.path());
         Checkout::open(&folder.path().join("metadrive")).expect_err("the package itself");
     }

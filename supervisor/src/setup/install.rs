@@ -10,10 +10,10 @@ use crate::setup::checkout::{Checkout, installed};
 use crate::setup::metadrive::{DONE, home, python, sources};
 use crate::setup::pip::{last_line, output_of};
 
-/// The only Python that MetaDrive's graphics engine has packages for among those
-/// that read TOML.
+/// The only Python version that has packages of MetaDrive's graphics engine and can
+/// read TOML.
 const PYTHON_VERSION: &str = "3.11";
-/// MetaDrive among the requirements.
+/// The line of MetaDrive in the requirements.
 const RELEASE: &str = "metadrive-simulator";
 
 /// Installs MetaDrive into its Python environment, as far as it is missing, and checks it:
@@ -40,7 +40,7 @@ pub fn install_metadrive(wanted: Option<&Path>, checkout: Option<&Path>) -> Resu
     if interpreter.is_file() && fs::read_to_string(&done).ok().as_ref() == Some(&record) {
         say(format_args!("{}: installed already", home.display()));
     } else {
-        // Until the end, it counts as not set up.
+        // Until the last step has succeeded, MetaDrive counts as not set up.
         let _ = fs::remove_file(&done);
         make_environment(wanted, &home, &interpreter)?;
         install(&home, &required_text, checkout.as_ref())?;
@@ -88,8 +88,8 @@ fn make_environment(wanted: Option<&Path>, home: &Path, interpreter: &Path) -> R
     }
 }
 
-/// Installs what is required; MetaDrive itself from the checkout, if there is
-/// one. Whatever MetaDrive was there goes first: pip does not know of a copy.
+/// Installs the requirements, with MetaDrive from the checkout if there is one. An
+/// earlier MetaDrive is removed first, because pip does not know of a copied one.
 fn install(home: &Path, required: &str, checkout: Option<&Checkout>) -> Result<(), Failure> {
     let interpreter = python(home);
     let packages = home.join(format!("lib/python{PYTHON_VERSION}/site-packages"));
@@ -133,7 +133,7 @@ fn install(home: &Path, required: &str, checkout: Option<&Checkout>) -> Result<(
     }
 }
 
-/// A Python of the right version.
+/// Finds a Python of the right version.
 fn find_python(wanted: Option<&Path>) -> Result<PathBuf, Failure> {
     let exact = format!("python{PYTHON_VERSION}");
     let candidates = match wanted {
@@ -159,7 +159,7 @@ fn find_python(wanted: Option<&Path>) -> Result<PathBuf, Failure> {
     )))
 }
 
-/// Such as `3.11`; `None` when it does not run.
+/// The version, such as `3.11`; `None` when the program does not run.
 fn version_of(python: &Path) -> Option<String> {
     let ask = "import sys; print('%d.%d' % sys.version_info[:2])";
     let output = Command::new(python).args(["-c", ask]).output().ok()?;

@@ -7,13 +7,13 @@ use crate::cli::failure::Failure;
 use crate::machine::programs::own_folder;
 use crate::set::launch::Script;
 
-/// Folder of the Python environment, in place of the one beside the build.
+/// The variable that names another folder of the Python environment.
 pub const HOME_VARIABLE: &str = "VLAPS_METADRIVE";
-/// Folder of the repository, as `./vlaps` says it.
+/// The variable with the folder of the repository, which `./vlaps` sets.
 const ROOT_VARIABLE: &str = "VLAPS_ROOT";
 
-/// In the environment's folder: what was installed, as required then, and from
-/// which checkout. Written when everything has been checked.
+/// The file in the environment's folder that lists the installed requirements and the
+/// checkout. It is written after all checks.
 pub const DONE: &str = "installed.txt";
 
 /// Where the world's Python files are in the repository.
@@ -22,7 +22,7 @@ const SOURCES: &str = "sim/metadrive";
 /// The folder of the world's Python files.
 ///
 /// # Errors
-/// When it is not where this binary was built, nor where `./vlaps` is.
+/// When they are neither where this binary was built nor where `./vlaps` is.
 pub fn sources() -> Result<PathBuf, Failure> {
     let root = match env::var_os(ROOT_VARIABLE) {
         Some(root) => PathBuf::from(root),
@@ -38,11 +38,11 @@ pub fn sources() -> Result<PathBuf, Failure> {
     }
 }
 
-/// The folder of the Python environment, there or not: beside the build's own
-/// folder, so that removing all that was built removes it, too.
+/// The folder of the Python environment, whether it exists or not: beside the build's
+/// own folder, so that removing the build removes it too.
 ///
 /// # Errors
-/// When the system does not tell where this binary is.
+/// When the system does not report where this binary is.
 pub fn home() -> Result<PathBuf, Failure> {
     if let Some(home) = env::var_os(HOME_VARIABLE) {
         return Ok(home.into());
@@ -57,14 +57,14 @@ pub fn python(home: &Path) -> PathBuf {
     home.join("bin").join("python")
 }
 
-/// How the world is started.
+/// The command that starts the world.
 ///
 /// # Errors
 /// When it is not set up.
 pub fn world() -> Result<Script, Failure> {
     let home = home()?;
     let interpreter = python(&home);
-    // Written last, so a set-up that was interrupted does not count.
+    // Written last, so an interrupted set-up does not count.
     if !interpreter.is_file() || !home.join(DONE).is_file() {
         return Err(Failure::Usage(format!(
             "{}: MetaDrive is not set up there; run ./vlaps setup metadrive",

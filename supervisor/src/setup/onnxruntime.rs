@@ -1,5 +1,5 @@
-//! `setup onnxruntime`: the library that runs policies which are no chain of
-//! layers, out of its Python package.
+//! `setup onnxruntime`: installs the library that runs policies which are not a chain
+//! of layers, from its Python package.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,12 +9,12 @@ use crate::cli::print::say;
 use crate::machine::programs::own_folder;
 use crate::setup::pip::{last_line, output_of};
 
-/// The package, at the version whose interface the controller is built for.
+/// The package in the version for which the controller is built.
 const PACKAGE: &str = "onnxruntime==1.31.1";
-/// Where the library lies in it.
+/// The path of the library in it.
 const LIBRARY: &str = "onnxruntime/capi";
 
-/// Its folder, beside the build's own, where the controller looks for it.
+/// Its folder, beside the build's own, where the controller expects it.
 fn home() -> Result<PathBuf, Failure> {
     let release = own_folder()
         .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;

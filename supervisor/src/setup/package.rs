@@ -117,7 +117,7 @@ fn files_of(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
         .collect()
 }
 
-/// What a command printed.
+/// Runs a step and returns its output.
 fn step(command: &mut Command, what: &str, advice: &str) -> Result<String, Failure> {
     let output = output_of(command)?;
     match output.status.success() {

@@ -12,7 +12,7 @@ pub(crate) fn output_of(command: &mut Command) -> Result<Output, Failure> {
         .map_err(|error| Failure::GivenUp(format!("cannot start {}: {error}", program.display())))
 }
 
-/// The last line of the errors, which is what Python and pip put the reason into.
+/// The last line of the error output, in which Python and pip give the reason.
 pub(crate) fn last_line(output: &Output) -> String {
     let errors = String::from_utf8_lossy(&output.stderr);
     let lines = || {

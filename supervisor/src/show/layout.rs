@@ -4,10 +4,10 @@ use std::io::{self, IsTerminal};
 
 use crate::cli::print::say;
 
-/// Columns of the bar on a wide terminal, and what stands around it.
+/// Columns of the bar on a wide terminal, and the text around it.
 const BAR_COLUMNS: usize = 40;
 const AROUND_COLUMNS: usize = "  [] ".len();
-/// A narrower terminal is written to as if it had these.
+/// A narrower terminal is treated as if it had this many columns.
 const COLUMNS_MIN: usize = 20;
 
 /// Prints text; on a terminal, lines that are too long are wrapped.

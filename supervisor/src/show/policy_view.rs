@@ -3,7 +3,7 @@
 use serde::Serialize;
 use shm_config::message::PolicyStatus;
 
-/// What is said of weights in use that the controller could not write to the disk.
+/// The note on weights in use that the controller could not write to the disk.
 pub const UNKEPT: &str =
     "not written to the disk, so a restart does not begin with them (controller.log says why)";
 
@@ -14,9 +14,9 @@ pub struct PolicyView {
     pub version: u64,
     /// First 8 bytes of its SHA-256, hex.
     pub hash: String,
-    /// Version last offered.
+    /// The version last offered.
     pub offered_version: u64,
-    /// Its state.
+    /// The state of that offer.
     pub state: &'static str,
     /// Why it was refused or rolled back; else empty.
     pub reason: String,

@@ -37,9 +37,9 @@ pub struct ProcessRow {
     pub late: u64,
     /// Ticks in which a part took longer than its budget, by part.
     pub overruns: BTreeMap<&'static str, u64>,
-    /// Messages refused at its door.
+    /// Messages that it refused.
     pub refused: u64,
-    /// The same by reason.
+    /// Messages that it refused, by reason.
     pub refusals: BTreeMap<&'static str, u64>,
     /// From the scheduled instant to the begin of the tick.
     #[serde(skip_serializing_if = "Option::is_none")]

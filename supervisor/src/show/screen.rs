@@ -120,7 +120,7 @@ fn draw(inbox: &Receiver<Note>) {
     bar.finish_and_clear();
 }
 
-/// Whether standard output is a pipe whose reader has ended.
+/// Whether standard output is a pipe whose reading end is closed.
 fn reader_has_gone() -> bool {
     let stdout = io::stdout();
     let mut look = [PollFd::new(&stdout, PollFlags::empty())];

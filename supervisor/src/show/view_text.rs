@@ -123,16 +123,16 @@ impl View {
     }
 }
 
-/// Why the world brakes, as far as its refusals show.
+/// Why the world brakes, as its refusals show.
 pub fn why_braked(refusals: &BTreeMap<&'static str, u64>) -> String {
     let listed: Vec<_> = refusals
         .iter()
         .map(|(reason, count)| format!("{reason} {count}"))
         .collect();
     match listed.is_empty() {
-        true => "no command came that it may obey".into(),
+        true => "no command has arrived".into(),
         false => format!(
-            "it may obey no command; refused so far: {}",
+            "it has no valid command; refused so far: {}",
             listed.join(", ")
         ),
     }

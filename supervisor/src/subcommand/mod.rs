@@ -1,5 +1,5 @@
-//! A command of `./vlaps` that a program of its own carries out, such as `eval` or
-//! `bench latency`: it holds its options, names its outputs, and runs.
+//! A command of `./vlaps` with a program of its own, such as `eval` or `bench latency`:
+//! it has options, declares its outputs, and runs.
 //!
 //! [`crate::subcommands!`] makes the table of a program's commands: one line each.
 
@@ -21,28 +21,28 @@ use crate::Clock;
 use crate::cli::failure::{EXIT_FAILED, Failure};
 use crate::cli::output::{check_file, check_folder};
 
-/// A command with its options read.
+/// A command with its parsed options.
 pub trait Subcommand: fmt::Debug {
-    /// What it writes, of which each is checked before it runs: a command that takes
-    /// an hour does not end with a file that cannot be written.
+    /// Its outputs. They are checked before it runs, so that a command that takes an
+    /// hour does not end with a file that cannot be written.
     fn outputs(&self) -> Vec<Output>;
 
-    /// Carries it out. Exit code 1: it ran, and the answer is no.
+    /// Runs the command. Exit code 1: it ran, and the answer is no.
     ///
     /// # Errors
     /// When it cannot run to its end.
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode>;
 }
 
-/// Where an option's output goes; none when the option is not given.
+/// The output of an option; none when the option is not given.
 #[derive(Clone, Debug)]
 pub enum Output {
     /// A file.
     File(&'static str, Option<PathBuf>),
-    /// A folder, which is made with its parents.
+    /// A folder, which is created with its parents.
     Folder(&'static str, Option<PathBuf>),
-    /// A folder whose parent exists: long work fills it, so that a slip in its path is
-    /// an error at once.
+    /// A folder whose parent exists: long work fills it, so a typing error in its path
+    /// is reported at once.
     FolderOfParent(&'static str, Option<PathBuf>),
 }
 
@@ -73,7 +73,7 @@ fn check_parent(option: &str, path: &Path) -> Result<(), Failure> {
     match parent.is_dir() {
         true => Ok(()),
         false => Err(Failure::Usage(format!(
-            "{option} {}: cannot write there: {} is no folder; name a place in an existing folder",
+            "{option} {}: cannot write there: {} is not a folder; name a place in an existing folder",
             path.display(),
             parent.display()
         ))),

@@ -1,4 +1,4 @@
-//! The configuration, exactly as `./vlaps up` resolves it.
+//! The configuration as `./vlaps up` resolves it.
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -11,10 +11,10 @@ use crate::arguments::{Arguments, Command};
 use crate::cli::failure::Failure;
 use crate::commands::up::settings::resolve;
 
-/// Decisions in a second: a tick of the built-in world.
+/// Decisions per second; a tick of the built-in world.
 const DECISION_HZ: f64 = 10.0;
 
-/// The configuration of `./vlaps up` with these words.
+/// The configuration of `./vlaps up` with these arguments.
 fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
     let words = [OsString::from("vlaps"), "up".into()]
         .into_iter()
@@ -24,8 +24,9 @@ fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
     match &arguments.command {
         Command::Up(up) => {
             let config = resolve(up)?;
-            // Once there are threads, such as of a progress bar, it stays where it is,
-            // and is taken by the supervisor that this program starts.
+            // When other threads run, such as that of a progress bar, the key stays in
+            // the environment; the supervisor that this program starts removes it
+            // there.
             let _ = secret::take_named(&config.vlm.key_env);
             Ok(config)
         }
@@ -33,8 +34,8 @@ fn of_up(words: impl IntoIterator<Item = OsString>) -> Result<Config, Failure> {
     }
 }
 
-/// The configuration of a set that is started with these words in a folder of its own,
-/// where no `vlaps.toml` is.
+/// The configuration of a set that is started with these arguments in its own folder,
+/// which has no `vlaps.toml`.
 ///
 /// # Errors
 /// When an option or an override is wrong, or the system gives no file.
@@ -43,21 +44,21 @@ pub fn of_set(words: impl IntoIterator<Item = impl Into<OsString>>) -> anyhow::R
     let none = [OsString::from("--config"), empty.path().into()];
     let config = of_up(words.into_iter().map(Into::into).chain(none));
     Ok(config.map_err(|failure| match failure {
-        // The file is none of the user's.
+        // The temporary file is not the user's.
         Failure::Config(ConfigError::OutOfRange { error, .. }) => Failure::Usage(error.to_string()),
         other => other,
     })?)
 }
 
-/// Refuses to override what a command sets itself: its keys, each with the option that
-/// says it, or nothing.
+/// Refuses overrides of keys that a command sets itself. Each key comes with its
+/// option, or with an empty text if it has none.
 ///
 /// # Errors
-/// The first that is, and what to do.
+/// The first such key, and what to do.
 pub fn refuse_own(overrides: &[String], own: &[(&str, &str)]) -> Result<(), Failure> {
     for text in overrides {
         let key = text.split('=').next().unwrap_or_default().trim();
-        // A whole section as one value has its keys in it.
+        // A whole section given as one value contains its keys.
         let is_meant = |(own, _): &&(&str, &str)| {
             *own == key
                 || own
@@ -77,9 +78,9 @@ pub fn refuse_own(overrides: &[String], own: &[(&str, &str)]) -> Result<(), Fail
     Ok(())
 }
 
-/// The configuration of `./vlaps up --config FILE --set KEY=VALUE ...`. It is
-/// asked for through that command's own arguments, so that file, defaults and
-/// overrides mean the same here.
+/// The configuration of `./vlaps up --config FILE --set KEY=VALUE ...`. It uses the
+/// arguments of that command, so that file, defaults and overrides have the same
+/// meaning.
 ///
 /// # Errors
 /// When the file or an override is wrong; the error names the one that is.
@@ -92,7 +93,7 @@ pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failu
         words.extend(["--set".into(), text.into()]);
     }
     let mut config = of_up(words)?;
-    // Nothing here may depend on how fast this machine is now.
+    // The result must not depend on the speed of this machine.
     config.run.clock = Clock::Lockstep;
     let rates = [
         ("run.rate_hz", config.run.rate_hz),
@@ -137,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_command_sets_itself_is_no_override() {
+    fn keys_that_a_command_sets_itself_cannot_be_overridden() {
         let own = [("run.rate_hz", "--rate"), ("run.name", "")];
         let told = |text: &str| refuse_own(&[text.into()], &own).map_err(|error| error.to_string());
         let refused = |text: &str| told(text).expect_err(text);

@@ -1,12 +1,13 @@
-//! Steering and pedal as keys move them.
+//! Steering and pedal, moved by keys.
 
 use shm_config::Instant;
 
-/// How long a key counts as held after it went down, ns: the repeat delay of most
-/// terminals. With less, the wheel would spring back once during each long press.
+/// How long a key counts as held after it was pressed, ns: the repeat delay of most
+/// terminals. With less, the wheel would return to the centre once during each long
+/// press.
 const PRESSED_NS: u64 = 500_000_000;
-/// How long a key counts as held after a repetition, ns: repetitions come every
-/// 30 to 40 ms, are read every 50, and one of them may be late.
+/// How long a key counts as held after a repetition, ns: repetitions come every 30 to
+/// 40 ms, are read every 50, and one of them may be late.
 const REPEATED_NS: u64 = 150_000_000;
 const _: () = assert!(REPEATED_NS < PRESSED_NS);
 
@@ -17,8 +18,8 @@ pub(super) struct Rates {
     back: f64,
 }
 
-// The rates are those of MetaDrive's keyboard (manual_controller.py), whose increments are
-// per step of 0.1 s: demonstrations there were driven with them.
+// The rates of MetaDrive's keyboard (manual_controller.py), whose increments are per
+// step of 0.1 s: its demonstrations were driven with them.
 
 /// Full lock after 2.5 s: a short press turns the car by some degrees.
 pub(super) const STEERING: Rates = Rates {
@@ -36,7 +37,7 @@ pub(super) const BRAKE: Rates = Rates {
     back: 5.0,
 };
 
-/// The side of an axis that a key pulls to.
+/// The direction in which a key moves an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Side {
     Positive,

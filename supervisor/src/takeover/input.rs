@@ -49,7 +49,7 @@ shm_config::ports! {
     }
 }
 
-/// The keys, the human driver that they make, and where its wishes are published.
+/// The input of a run: the key source, the driver's action, and the port.
 pub struct TakeoverInput {
     keys: KeySource,
     person: HumanDriver,

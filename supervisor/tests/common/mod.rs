@@ -1,4 +1,4 @@
-//! Children that are shell scripts, where no ports are needed.
+//! Process sets whose children are shell scripts, for tests without ports.
 
 #![allow(dead_code)] // not every test file needs all of it
 
@@ -19,9 +19,8 @@ use tempfile::TempDir;
 
 pub const SECOND: u64 = 1_000_000_000;
 
-/// A folder of binaries, all of them the script of this name. They are links to
-/// checked-in files: a freshly written file may be busy for a moment, when
-/// another test starts a process just then.
+/// A folder of binaries, all of them links to the checked-in script of this name. A
+/// freshly written file could be busy for a moment while another test starts a process.
 pub fn binaries(script: &str) -> TempDir {
     let dir = tempfile::tempdir().expect("a temporary folder");
     for row in TABLE {
@@ -30,7 +29,7 @@ pub fn binaries(script: &str) -> TempDir {
     dir
 }
 
-/// Makes one binary another script.
+/// Replaces one binary by another script.
 pub fn replace(dir: &Path, binary: &str, script: &str) {
     let target = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/children")
@@ -83,7 +82,7 @@ impl Rig {
         self.set.hear(process, pid, HealthState::Ready);
     }
 
-    /// Starts everybody, one after the other.
+    /// Starts all processes, one after the other.
     pub fn start_all(&mut self) {
         for process in [Process::Planner, Process::Controller, Process::World] {
             self.set.start_due(self.now, Resume::default());
@@ -96,14 +95,14 @@ impl Rig {
         await_state(self.pid(process).expect("it lives"), WaitIdOptions::EXITED);
     }
 
-    /// The same, unless it has been collected already.
+    /// As [`Rig::await_end`]; does nothing if the child was collected already.
     pub fn await_end_if_alive(&self, process: Process) {
         if self.pid(process).is_some() {
             self.await_end(process);
         }
     }
 
-    /// What a binary was started with, one line for each start.
+    /// The arguments of each start of a binary, one line each.
     pub fn arguments(&self, binary: &str) -> Vec<String> {
         arguments(self.dir.path(), binary)
     }

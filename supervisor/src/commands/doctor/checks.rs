@@ -63,7 +63,7 @@ pub(super) fn isolated() -> Finding {
         true => "none; everything else on the machine runs beside the ticks".into(),
         false => cores.clone(),
     };
-    // With too few cores no process gets one of its own, so none need be isolated.
+    // With too few cores no process gets its own core, so no core needs to be isolated.
     let is_ok = !cores.is_empty() || own_cores().len() < CORES_MIN;
     let remedy = [
         "boot with `isolcpus=domain,managed_irq,CORES nohz_full=CORES rcu_nocbs=CORES`,",
@@ -83,9 +83,9 @@ pub(super) fn kernel() -> Finding {
         .split_whitespace()
         .find(|word| word.starts_with("PREEMPT"))
         .unwrap_or("no preemption");
-    // The words after it come from a file that only root may read.
+    // The words after it come from a file that only root can read.
     let chosen = read("/sys/kernel/debug/sched/preempt").unwrap_or_default();
-    // There, and 1, in kernels with PREEMPT_RT alone.
+    // The file exists, and holds 1, only in kernels with PREEMPT_RT.
     let is_rt = read("/sys/kernel/realtime").is_some_and(|text| text == "1");
     let fully = if is_rt {
         "; every part can be preempted"
@@ -162,7 +162,7 @@ pub(super) fn clock_source() -> Finding {
     let current = read(&format!("{folder}/current_clocksource"));
     let available = read(&format!("{folder}/available_clocksource")).unwrap_or_default();
     let name = current.unwrap_or_else(|| "unknown".into());
-    // These are read over a bus on every look at the clock: microseconds.
+    // These clocks are read over a bus, which takes microseconds each time.
     let is_ok = !["hpet", "acpi_pm", "jiffies"].contains(&name.as_str());
     let remedy = [
         "boot with `tsc=reliable` if the processor's counter is constant",

@@ -5,24 +5,24 @@ use std::fmt;
 /// What a finding means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Grade {
-    /// As it should be.
+    /// As required.
     Ok,
-    /// It runs without, less punctually.
+    /// A set runs without it, but less punctually.
     Missing,
-    /// It does not run without.
+    /// A set does not run without it.
     Fatal,
 }
 
-/// One thing looked at.
+/// One property of the machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// What.
+    /// Its name.
     pub what: &'static str,
-    /// How it is.
+    /// Its grade.
     pub grade: Grade,
     /// What was found.
     pub found: String,
-    /// Commands and lines that change it, when it is not as it should be.
+    /// Commands and lines that repair it, unless it is as required.
     pub remedy: Vec<String>,
 }
 

@@ -11,7 +11,7 @@ pub const CAPABILITIES: &str = include_str!("../../../grants/capabilities.sh");
 /// The set as a systemd service.
 pub const SERVICE: &str = include_str!("../../../grants/vlaps.service");
 
-/// Who may bound how deeply processors sleep, for udev.
+/// Which user may bound the sleep of processors, for udev.
 pub const CPU_LATENCY: &str = include_str!("../../../grants/cpu-latency.rules");
 
 /// The ways to grant priority and locked memory; any one is enough.
@@ -51,13 +51,13 @@ pub fn lines() -> Vec<String> {
     ]
 }
 
-/// Capabilities, by their numbers in `linux/capability.h`.
+/// The capability for locked memory, by its number in `linux/capability.h`.
 pub const IPC_LOCK: u32 = 14;
-/// The other one.
+/// The capability for real-time priority.
 pub const SYS_NICE: u32 = 23;
 
-/// Whether the files of all programs with a priority hold a capability, and begin
-/// with it.
+/// Whether the files of all programs with a priority hold a capability and make it
+/// effective.
 pub fn programs_can(capability: u32) -> bool {
     let Ok(folder) = own_folder() else {
         return false;
@@ -71,11 +71,11 @@ pub fn programs_can(capability: u32) -> bool {
     })
 }
 
-/// The longest a file's capabilities are, bytes.
+/// Longest extended attribute of a file's capabilities, bytes.
 const CAPABILITIES_MAX: usize = 64;
 
-/// A file's capabilities are 32-bit words, the lowest byte first: the format with
-/// bit 0 for *effective*, then those that are permitted.
+/// A file's capabilities are 32-bit words, the lowest byte first: the version, whose
+/// bit 0 means *effective*, then the permitted capabilities.
 fn holds(bytes: &[u8], capability: u32) -> bool {
     let word = |k: usize| {
         let bytes = bytes.get(4 * k..4 * k + 4)?;
@@ -102,7 +102,7 @@ pub fn cpu_latency_lines() -> Vec<String> {
     ]
 }
 
-/// The lines of a file that are no comment.
+/// The lines of a file without comments.
 fn rules(text: &str) -> impl Iterator<Item = &str> {
     text.lines()
         .filter(|line| !line.trim_start().starts_with('#') && !line.trim().is_empty())

@@ -17,7 +17,7 @@ use finding::Grade;
 use privileges::{locked_memory, priority};
 use runs::tell_of_sets;
 
-/// Looks at everything and prints it.
+/// Makes all checks and prints their findings.
 ///
 /// # Errors
 /// When something is missing that a run cannot do without.
@@ -34,7 +34,7 @@ pub fn doctor(clock: Clock) -> Result<(), Failure> {
         sleep(),
         clock_source(),
     ];
-    // The same commands for both are printed once.
+    // Commands that repair both findings are printed once.
     if findings[0].remedy == findings[1].remedy && findings[1].grade == Grade::Missing {
         findings[1].remedy = vec!["the same commands grant it".into()];
     }

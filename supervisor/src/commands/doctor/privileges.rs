@@ -20,7 +20,8 @@ fn highest_priority() -> u8 {
 
 pub(super) fn priority() -> Finding {
     let asked = highest_priority();
-    // On a thread that ends at once, so that the doctor itself stays ordinary.
+    // Tried on a thread that ends at once, so that the doctor itself keeps ordinary
+    // scheduling.
     let tried = thread::spawn(move || {
         let priority = ThreadPriorityValue::try_from(asked).map_err(|error| error.to_string())?;
         let priority = ThreadPriority::Crossplatform(priority);
@@ -51,7 +52,7 @@ pub(super) fn priority() -> Finding {
 pub(super) fn locked_memory() -> Finding {
     let tried = rustix::mm::mlockall(MlockAllFlags::CURRENT);
     if tried.is_ok() {
-        // The doctor needs none of it.
+        // The doctor needs no locked memory.
         let _ = rustix::mm::munlockall();
     }
     let Rlimit { current, .. } = getrlimit(Resource::Memlock);

@@ -73,7 +73,8 @@ pub fn swap(arguments: &Swap, clock: Clock) -> Result<(), Failure> {
         }));
     };
     let offered = offer(paths, arguments, &bytes, clock);
-    // If the run has ended meanwhile, this process has kept its files from removal.
+    // If the run has ended in the meantime, this process has kept its files from
+    // removal.
     if paths.supervisor_pid().is_none() {
         clean_run(paths)?;
     }
@@ -122,7 +123,7 @@ fn offer(paths: &RunPaths, arguments: &Swap, bytes: &[u8], clock: Clock) -> Resu
     )))
 }
 
-/// The file, if an offer can carry it.
+/// Reads the file, if an offer can carry it.
 fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     let failed = |error: std::io::Error| {
         Failure::Usage(format!(

@@ -18,14 +18,14 @@ use crate::show::policy_view::UNKEPT;
 const LOOK: Duration = Duration::from_millis(2);
 /// How long the first status of the controller may take, ns.
 const GREET_NS: u64 = 2_000_000_000;
-/// How long an answer may take, ns: a restart of the controller fits in.
+/// How long an answer may take, ns: long enough for a restart of the controller.
 pub(super) const ANSWER_NS: u64 = 30_000_000_000;
-/// How long a probation may take without the controller saying anything, ns.
+/// How long the canary period may last without a message of the controller, ns.
 const READY_NS: u64 = 600_000_000_000;
 /// The result of an offer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// Taken up at this tick.
+    /// Adopted at this tick.
     Adopted {
         /// The tick.
         tick: u64,
@@ -61,9 +61,9 @@ impl Offers {
         })
     }
 
-    /// The version that the next offer has to have: one more than the last that
-    /// was offered. If another publisher offers it first, this one is refused as
-    /// overtaken, and the next is asked for again.
+    /// The version of the next offer: one more than the last that was offered. If
+    /// another publisher offers this version first, this offer is refused as overtaken,
+    /// and the next version is read again.
     pub fn next_version(&mut self, clock: Clock) -> u64 {
         let begun = clock();
         while self.look().is_none() && clock().since_ns(begun) < GREET_NS {
@@ -94,7 +94,7 @@ impl Offers {
         let hash = short_hash(bytes);
         let begun: Instant = clock();
         loop {
-            // A controller that is restarted meanwhile gets the offer again.
+            // A controller that restarted in the meantime gets the offer again.
             self.weights.update_connections();
             let status = self.look();
             if let Some(answer) = status.and_then(|status| outcome_of(&status, version, hash)) {
@@ -156,7 +156,7 @@ impl Offers {
         }
     }
 
-    /// The newest status; `None` when the controller has said nothing.
+    /// The newest status; `None` before the controller's first.
     fn look(&mut self) -> Option<PolicyStatus> {
         self.statuses.update_connections();
         if let Some(status) = self.statuses.newest(Message::check) {
@@ -166,7 +166,8 @@ impl Offers {
     }
 }
 
-/// What a status says about an offer; `None` when it does not know it yet.
+/// The answer to an offer in a status; `None` when the status does not know the offer
+/// yet.
 fn outcome_of(status: &PolicyStatus, version: u64, hash: u64) -> Option<Answer> {
     if (status.version, status.hash) == (version, hash) {
         let tick = status.header.tick;
@@ -195,7 +196,7 @@ fn outcome_of(status: &PolicyStatus, version: u64, hash: u64) -> Option<Answer> 
     }
 }
 
-/// As statuses carry it.
+/// The beginning of the SHA-256, as statuses carry it.
 fn short_hash(bytes: &[u8]) -> u64 {
     let hash = Sha256::digest(bytes);
     let first = hash.iter().take(8);

@@ -51,7 +51,8 @@ pub(super) fn drive(
     };
     let launch = Launch {
         binaries,
-        // Not the copy in the run's folder, which a user may edit meanwhile.
+        // The processes read this copy and not the one in the run's folder, which a
+        // user may edit in the meantime.
         config: place.paths().config_file(),
         privileges: privileges(config),
         world: match config.world.simulator {

@@ -10,7 +10,7 @@ use toml::{Table, Value};
 use crate::cli::failure::Failure;
 use crate::commands::up::arguments::{GateChoice, Up};
 
-/// Read from the current folder when it is there and no other file is named.
+/// Read from the current folder if it exists and no other file is named.
 pub const DEFAULT_FILE: &str = "vlaps.toml";
 
 /// One key with its new value, and the option it came by.
@@ -30,8 +30,8 @@ pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
         None => (Table::new(), "the command line".into()),
     };
     let text_at = |table: &Table, key: &str| Some(lookup(table, key)?.as_str()?.to_string());
-    // A file that `./vlaps config` printed names both; then the folder follows
-    // the name all the same, or two runs would share one.
+    // A file printed by `./vlaps config` names both; the folder must still follow the
+    // name, or two runs would share one.
     let own_folder = text_at(&table, "run.name").unwrap_or(Config::default().run.name);
     let own_folder = format!("runs/{own_folder}");
     let folder_given = text_at(&table, "run.folder").is_some_and(|folder| folder != own_folder);
@@ -54,7 +54,7 @@ pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
         false => format!("{origin}, with the options given"),
     };
     from_toml(&table.to_string(), &named).map_err(|error| match error {
-        // The option that gave the value, where one did.
+        // The option that gave the value, if one did.
         ConfigError::OutOfRange { origin, error } => {
             let mut given = overrides.iter().rev();
             let option = given.find(|change| change.key == error.key);
@@ -70,13 +70,13 @@ fn file_of(arguments: &Up) -> Option<PathBuf> {
     arguments
         .config
         .clone()
-        // Whatever it is: what cannot be read is told, not passed over.
+        // Any kind of file: one that cannot be read is an error.
         .or_else(|| default.symlink_metadata().is_ok().then(|| default.into()))
 }
 
-/// The file's own table. Its keys, types and syntax are checked here, where
-/// line numbers are still the file's; ranges are checked after the overrides,
-/// which may bring a value back into a range that depends on another.
+/// The file's own table. Its keys, types and syntax are checked here, where line
+/// numbers are those of the file. Ranges are checked after the overrides, which may
+/// move a value back into a range that depends on another key.
 fn read(path: &Path) -> Result<Table, Failure> {
     match load(path) {
         Ok(_) | Err(ConfigError::OutOfRange { .. }) => {}
@@ -87,8 +87,8 @@ fn read(path: &Path) -> Result<Table, Failure> {
         .map_err(|error| Failure::Usage(format!("{}: {error}", path.display())))
 }
 
-/// An override as an error names it. An address may hold a key: of it the value is
-/// not shown.
+/// An override as errors show it. The value of an address is not shown, because it may
+/// hold a key.
 fn shown<'a>(key: &'a str, text: &'a str) -> &'a str {
     match key {
         "vlm.server" => key,
@@ -106,7 +106,7 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
         }));
     };
     let integer = |number: i64| Value::Integer(number);
-    // The option's parser admits no seed over the largest TOML integer.
+    // The option's parser admits no seed above the largest TOML integer.
     let seed = arguments.seed.map(|seed| integer(seed as i64));
     push("--seed", "run.seed", seed);
     let episodes = arguments.episodes.map(|count| integer(i64::from(count)));
@@ -156,7 +156,8 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     Ok(overrides)
 }
 
-/// The whole path: the processes of a run need not share the folder.
+/// The absolute path, because the processes of a run may have different working
+/// folders.
 fn policy_file(path: &Path) -> Result<String, Failure> {
     let failed = |why: String| Failure::Usage(format!("--policy {}: {why}", path.display()));
     let whole = path
@@ -167,7 +168,7 @@ fn policy_file(path: &Path) -> Result<String, Failure> {
     text.ok_or_else(|| failed("its name is no UTF-8".into()))
 }
 
-/// A TOML value; what is none, such as a bare word, is a string.
+/// A TOML value; text that is not one, such as a bare word, is a string.
 fn value_of(text: &str) -> Value {
     format!("value = {text}")
         .parse::<Table>()
@@ -177,8 +178,8 @@ fn value_of(text: &str) -> Value {
         .unwrap_or_else(|| text.into())
 }
 
-/// Unknown key and wrong type, so that the error names the option. Its range may
-/// depend on other keys and is checked with all of them.
+/// Refuses an unknown key or a wrong type, so that the error names the option. Ranges
+/// may depend on other keys and are checked with all of them.
 fn check_alone(change: &Override) -> Result<(), Failure> {
     let mut alone = Table::new();
     insert(&mut alone, &change.key, change.value.clone());
@@ -210,7 +211,7 @@ fn insert(table: &mut Table, key: &str, value: Value) {
                 .or_insert_with(|| Value::Table(Table::new()));
             match entry.as_table_mut() {
                 Some(inner) => insert(inner, rest, value),
-                // The key leads through something that is no section.
+                // The key leads through a value that is not a section.
                 None => *entry = value,
             }
         }
