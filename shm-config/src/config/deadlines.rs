@@ -4,22 +4,23 @@ use super::{Config, Late, OutOfRange, in_range};
 use crate::message::{PARTS, Part};
 use crate::services::Process;
 
-/// Deadlines and budgets: what is slow is counted by name, and what is late does
-/// not have to be obeyed. None in lockstep.
+/// Deadlines and budgets: slow parts of a tick are counted by name, and late answers
+/// may be withheld. None apply in lockstep.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Deadlines {
-    /// An instant of the world that begins when the next one is due: count; skip,
-    /// nothing is published; brake, nothing is obeyed.
+    /// For an instant of the world that begins when the next one is due: count; skip,
+    /// nothing is published; brake, the car is braked.
     pub world: Late,
-    /// A plan that is done a period after its observation was due: count; skip, it
-    /// is not published; brake, it says that the way is blocked.
+    /// For a plan that is done a period after its observation was due: count; skip, it
+    /// is not published; brake, it is published as blocked.
     pub planner: Late,
-    /// A command that is decided a period after its tick was due: count; skip, it
+    /// For a command that is decided a period after its tick was due: count; skip, it
     /// is not sent; brake, it brakes.
     pub controller: Late,
-    /// The budgets of the parts of a tick, as a multiple of the built-in ones (of the
-    /// planner's period, its search has 0.4). What takes longer is an overrun.
+    /// The budgets of the parts of a tick, as a multiple of the built-in ones (the
+    /// planner's search has 0.4 of its period). A part that takes longer is counted as
+    /// an overrun.
     pub budget_scale: f64,
 }
 
@@ -43,8 +44,8 @@ const BUDGETS: [(Process, Part, f64); 10] = {
         (World, Part::Send, 0.1),
         (Planner, Part::Admit, 0.05),
         (Planner, Part::Grid, 0.2),
-        // A plan that takes longer comes after `limits.plan_wait`: its tick
-        // follows the one before.
+        // A plan that takes longer arrives after `limits.plan_wait`: its tick uses the
+        // previous plan.
         (Planner, Part::Search, 0.4),
         (Planner, Part::Send, 0.1),
         (Controller, Part::Wait, 0.5),
@@ -60,7 +61,7 @@ impl Deadlines {
 }
 
 impl Config {
-    /// The budgets of a process's parts, ns, by [`Part`]; no end for parts that it
+    /// The budgets of a process's parts, ns, by [`Part`]; unlimited for parts that it
     /// does not have, and in lockstep.
     pub fn budgets_ns(&self, process: Process) -> [u64; PARTS] {
         let mut budgets = [u64::MAX; PARTS];

@@ -8,8 +8,8 @@ use super::{GateMode, OutOfRange, Run, in_range};
 pub enum When {
     /// Every `period_s` only, as in Sec. 4.2.
     Period,
-    /// Every `period_s`, and when it matters: the proposals differ, or one of
-    /// them comes near something.
+    /// Every `period_s`, and when it matters: the proposals differ, or one of them
+    /// comes near something.
     Matters,
 }
 
@@ -21,28 +21,28 @@ pub struct Gate {
     pub mode: GateMode,
     /// When the judge is asked: `period`, or also when it `matters`.
     pub when: When,
-    /// Time from question to question, s: `T_vlm` of Sec. 4.2.
+    /// Period of questions, s: `T_vlm` of Sec. 4.2.
     pub period_s: f64,
-    /// Least time between two questions, s, however much it matters.
+    /// Least time between two questions, s, also when a step matters.
     pub spacing_s: f64,
-    /// Proposals that differ by more than this in steering or pedal matter.
+    /// A step matters when its proposals differ by more than this in steering or pedal.
     pub differ: f64,
-    /// A proposal that comes nearer than this to something matters, m.
+    /// A step matters when a proposal comes nearer than this to something, m.
     pub clearance_m: f64,
-    /// How long advice holds, s, from the observation it is about. A little over
-    /// one period, so that an answer in time leaves no gap.
+    /// How long advice is valid, s, from the observation it is about. A little over one
+    /// period, so that timely answers leave no gap.
     pub hold_s: f64,
-    /// How long an answer is the label of what is learnt, s, from its question,
-    /// if no later question's answer covers it; 0 for `period_s`.
+    /// How long an answer labels the recorded steps, s, from its question on, if no
+    /// later question's answer covers them; 0 for `period_s`.
     pub label_s: f64,
-    /// The policy gets the wheel back at the earliest this long after it lost
-    /// it, s. The expert gets it at once.
+    /// After the expert takes over from the policy, the policy drives again after this
+    /// time at the earliest, s. The expert takes over at once.
     pub dwell_s: f64,
-    /// And only after this many answers in a row that prefer it.
+    /// The policy also needs this many consecutive answers that prefer it.
     pub confirmations: u32,
-    /// Questions that may be on their way to a slow judge at once.
+    /// The most questions that may be in flight to a slow judge.
     pub in_flight: u32,
-    /// For `replay`: the folder of a recorded run's questions.
+    /// For `replay`: the folder with the questions of a recorded run.
     pub recording: String,
     /// Keep every question in `runs/NAME/judge`, for `./vlaps judge audit`.
     pub record: bool,
@@ -54,14 +54,14 @@ impl Default for Gate {
             mode: GateMode::Rules,
             when: When::Matters,
             period_s: 10.0,
-            // Asked twice, that is vlm.per_minute_max.
+            // With each question asked twice, this is vlm.per_minute_max.
             spacing_s: 2.0,
-            // Half of what a lane change takes, a tenth of the pedal's way.
+            // Half of what a lane change takes, and a tenth of the pedal's range.
             differ: 0.2,
             clearance_m: 0.5,
             hold_s: 12.0,
             label_s: 0.0,
-            // A hand-over takes about half a second to be eased.
+            // The change of the command at a hand-over takes about half a second.
             dwell_s: 2.0,
             confirmations: 1,
             in_flight: 2,
@@ -115,12 +115,12 @@ impl Gate {
         }
     }
 
-    /// The mode has a process that gives advice.
+    /// Whether the mode has a process that publishes advice.
     pub fn has_process(&self) -> bool {
         self.mode.is_advised()
     }
 
-    /// The mode asks a model, which takes its time.
+    /// Whether the mode asks a model, which takes time.
     pub fn asks_model(&self) -> bool {
         match self.mode {
             GateMode::Vlm | GateMode::Paper => true,
@@ -129,7 +129,7 @@ impl Gate {
         }
     }
 
-    /// How long an answer is the label of what is learnt, ns.
+    /// How long an answer labels the recorded steps, ns.
     pub fn label_ns(&self) -> u64 {
         let label_s = match self.label_s > 0.0 {
             true => self.label_s,
@@ -140,7 +140,7 @@ impl Gate {
 }
 
 /// Faults injected into the judge, to measure how much of them driving and learning
-/// tolerate. Experiments alone set them; by default the judge runs without them.
+/// tolerate. Only experiments set them.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FaultyJudge {
@@ -161,7 +161,7 @@ impl FaultyJudge {
         in_range("faulty_judge.delay_s", self.delay_s, 0.0..=600.0)
     }
 
-    /// Some fault is configured.
+    /// Whether a fault is configured.
     pub fn is_active(&self) -> bool {
         self.noise > 0.0 || self.abstention > 0.0 || self.delay_s > 0.0
     }

@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
-/// How the learner learns.
+/// The learning algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Algorithm {
@@ -10,16 +10,16 @@ pub enum Algorithm {
     Pvp,
     /// Preferences at predicted states.
     Ppl,
-    /// Imitation of the expert's own driving.
+    /// Imitation of the steps that the expert drove.
     Bc,
-    /// Imitation where the expert was preferred.
+    /// Imitation of the steps at which the expert was preferred.
     HgDagger,
-    /// Imitation everywhere: the expert is a program.
+    /// Imitation of all steps: the expert is a program.
     Dagger,
 }
 
 impl Algorithm {
-    /// As in the configuration.
+    /// The algorithm's name in the configuration.
     pub fn word(self) -> &'static str {
         match self {
             Self::Pvp => "pvp",
@@ -35,39 +35,40 @@ impl Algorithm {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Learner {
-    /// A learner is part of the run.
+    /// Whether a learner is part of the run.
     pub enabled: bool,
-    /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
+    /// The algorithm: pvp, ppl, bc, hg-dagger or dagger.
     pub algorithm: Algorithm,
-    /// Seed of the networks and of what is drawn from the replay.
+    /// Seed of the networks and of samples from the replay.
     pub seed: u64,
-    /// Steps from one block of updates to the next (Sec. 5). In lockstep the
-    /// controller waits at the end of each until the learner has considered all
-    /// its steps, and until what it published is adopted or refused.
+    /// Steps in a block, after which updates follow (Sec. 5). In lockstep the
+    /// controller waits at the end of each block until the learner has taken all its
+    /// steps, and its policy is adopted or refused.
     pub block_steps: u32,
-    /// Updates of a block. PVP4Real has one for each step; half as many again
-    /// learn what else is in the replay.
+    /// Updates after each block. PVP4Real makes one for each step; half as many again
+    /// learn more from the replay.
     pub updates: u32,
-    /// Transitions of an update. PVP4Real has 1024, PVP 128.
+    /// Transitions in an update. PVP4Real has 1024, PVP 128.
     pub batch: u32,
     /// Neurons of each of the two hidden layers; PVP4Real.
     pub hidden: u32,
-    /// Length of Adam's steps; 0 for the algorithm's own: 1e-4 (PVP4Real) for
-    /// pvp, 1e-3 for the others.
+    /// Learning rate; 0 for the algorithm's own: 1e-4 (PVP4Real) for pvp, 1e-3 for the
+    /// others.
     pub rate: f64,
-    /// Weight of the imitation beside the value: lambda_BC of Eq. 2; PVP4Real.
+    /// Weight of the imitation loss relative to the value loss: lambda_BC of Eq. 2;
+    /// PVP4Real.
     pub imitation_weight: f64,
-    /// Standard deviation of the noise on the actions that pvp's targets are
-    /// computed with; TD3 and PVP4Real.
+    /// Standard deviation of the noise on the actions of pvp's targets; TD3 and
+    /// PVP4Real.
     pub target_noise: f64,
-    /// Transitions that each ring of the replay holds; PVP4Real.
+    /// Capacity of each replay buffer, transitions; PVP4Real.
     pub capacity: u32,
-    /// States that a rejected action is followed for, of ppl: 0.2 s apart.
+    /// For ppl: predicted states of a rejected action, 0.2 s apart.
     pub predicted_states: u32,
-    /// Scenes beside each one seen that the expert is asked about, of dagger and
-    /// ppl.
+    /// For dagger and ppl: imagined scenes for each observed one, at which the expert
+    /// is asked.
     pub imagined_scenes: u32,
-    /// How long a step waits for the answer to its question, s; then it has no
+    /// How long a step waits for the answer to its question, s; after that it has no
     /// label.
     #[serde(skip)]
     pub label_wait_s: f64,

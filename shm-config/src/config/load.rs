@@ -13,12 +13,12 @@ use crate::text::printable;
 /// Largest configuration file, bytes: a hundred times the printed defaults.
 const BYTES_MAX: u64 = 1 << 20;
 
-/// Most characters of an error's part that are shown: several times the longest that
-/// makes sense.
+/// Most characters of a part of an error that are shown: several times the longest
+/// valid one.
 const SHOWN_MAX: usize = 1000;
 
-/// Longest key that another is looked for in place of, bytes: the time it takes grows
-/// with the square of the length, and no key has 40.
+/// Longest key for which a similar one is suggested, bytes: the search takes time that
+/// grows with the square of the length, and no key has 40.
 const MISTAKEN_MAX: usize = 100;
 
 /// Why a configuration could not be used: what, where, and what to do.
@@ -39,15 +39,15 @@ pub enum ConfigError {
         origin: String,
         /// The key with its section.
         key: String,
-        /// The valid key that looks most like it.
+        /// The valid key most similar to it.
         nearest: Option<String>,
     },
-    /// Not TOML, or a value of the wrong type.
+    /// The text is not TOML, or a value has the wrong type.
     #[error("{}: {}", shown(.origin), shown(.message))]
     Syntax {
-        /// The file, with the line where known.
+        /// The file, with the line if known.
         origin: String,
-        /// What is wrong.
+        /// The fault.
         message: String,
     },
     /// A value out of its range.
@@ -55,13 +55,13 @@ pub enum ConfigError {
     OutOfRange {
         /// The file.
         origin: String,
-        /// The key, its value, and what it may be.
+        /// The key, its value, and the valid values.
         error: OutOfRange,
     },
 }
 
-/// A part of an error as it may be shown: what comes from a file may hold anything,
-/// and be as long as the file.
+/// A part of an error made fit to be shown: text from a file may hold any character and
+/// be as long as the file.
 fn shown(part: &dyn std::fmt::Display) -> String {
     let text = part.to_string();
     let mut chars = text.chars();
@@ -92,7 +92,7 @@ pub fn load(path: &Path) -> Result<Config, ConfigError> {
 /// The text of a configuration file.
 ///
 /// # Errors
-/// When it is no file of a configuration's size, or cannot be read.
+/// When it is not a file, is too large, or cannot be read.
 pub fn text_of(path: &Path) -> Result<String, ConfigError> {
     let read = |source| ConfigError::Read {
         path: path.into(),
@@ -190,7 +190,7 @@ fn all_keys(known: &toml::Table, section: &str, out: &mut Vec<String>) {
     }
 }
 
-/// The key most like the wrong one, by its whole path or its last part.
+/// The key most similar to the wrong one, by its whole path or its last part.
 fn nearest(key: &str, keys: &[String]) -> Option<String> {
     let last = |path: &str| path.rsplit('.').next().unwrap_or(path).to_string();
     let likeness = |candidate: &String| {

@@ -1,8 +1,8 @@
 //! The configuration: one TOML file, read by every process of a run.
 //!
-//! Each section is a struct whose defaults are the paper's numbers. A file need
-//! name only what it changes; an unknown key is an error that names the nearest
-//! valid one.
+//! Each section is a struct whose defaults are the paper's numbers. A file names only
+//! what it changes; an unknown key is an error that suggests the most similar valid
+//! one.
 
 mod deadlines;
 mod gate;
@@ -39,7 +39,7 @@ pub use run::{Clock, Limits, Run, Supervisor};
 pub use vlm::{PictureFormat, PromptPreset, Rollout, STAND_IN, View, Vlm};
 pub use world::{Simulator, World};
 
-/// Everything a run is configured by.
+/// The whole configuration of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
@@ -47,10 +47,10 @@ pub struct Config {
     pub run: Run,
     /// Age limits and waiting times.
     pub limits: Limits,
-    /// What is late, and what is slow.
+    /// What follows when ticks are late or slow.
     pub deadlines: Deadlines,
-    /// The car that planner and judge compute with. The worlds drive a car of their own
-    /// and do not obey it yet: other values than these are refused.
+    /// The car with which planner and safety check compute. The worlds have their own
+    /// car and do not use these values yet, so other values are refused.
     pub vehicle: Vehicle,
     /// The world.
     pub world: World,
@@ -64,7 +64,7 @@ pub struct Config {
     pub mpc: Mpc,
     /// PD tracking.
     pub controller: Controller,
-    /// The judge in the tick.
+    /// The safety check in the tick.
     pub judge: JudgeLimits,
     /// The gate process.
     pub gate: Gate,
@@ -72,7 +72,8 @@ pub struct Config {
     pub vlm: Vlm,
     /// Faults injected into the judge, for experiments.
     pub faulty_judge: FaultyJudge,
-    /// The policy: which weights, who runs them, and when they are given up.
+    /// The policy: its weights, the runtime of its net, and when weights are rolled
+    /// back.
     pub policy: Policy,
     /// The learner process.
     pub learner: Learner,
@@ -111,8 +112,8 @@ impl Config {
         Ok(self)
     }
 
-    /// In lockstep: how long the controller waits for the planner, and for a gate
-    /// whose judge takes its time, ns on the machine's clock.
+    /// In lockstep: how long the controller waits for the planner, and for a gate with
+    /// a slow judge, ns on the machine's clock.
     pub fn peer_wait_ns(&self) -> u64 {
         let model_s = match self.gate.asks_model() {
             true => self.vlm.deadline_s + Self::PICTURE_S,
@@ -121,12 +122,12 @@ impl Config {
         ((self.limits.lockstep_wait_s + model_s) * 1e9) as u64
     }
 
-    /// What a question takes beside its deadline, s: the frame, two pictures.
+    /// Time that a question takes beside its deadline, s: the frame and two pictures.
     const PICTURE_S: f64 = 3.0;
 
-    /// In lockstep: how long the world waits for a command before the car
-    /// brakes, ns on the machine's clock. Where the controller may be waiting
-    /// for the learner, that comes on top.
+    /// In lockstep: how long the world waits for a command before the car brakes, ns on
+    /// the machine's clock. Includes the time for which the controller may wait for the
+    /// learner.
     pub fn world_wait_ns(&self) -> u64 {
         let learner_s = match self.learner.enabled {
             true => Learner::LOCKSTEP_WAIT_S,

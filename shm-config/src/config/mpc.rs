@@ -3,35 +3,35 @@ use serde::{Deserialize, Serialize};
 use super::{OutOfRange, in_range};
 use crate::message::PLANNED_MAX;
 
-/// Model-predictive control on the bicycle: `planner.method = "mpc"`. The paper
-/// gives no numbers for it; each field says where its own is from.
+/// Model-predictive control on the bicycle model: `planner.method = "mpc"`. The paper
+/// gives no numbers for it; each field names the source of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Mpc {
-    /// Steps that are planned. 16 of 0.1 s: path and speed are chosen for 36 m
-    /// and 4 s, so the horizon has only to follow them; 25 steps drive as well
-    /// and take half as long again.
+    /// Steps of the horizon. 16 of 0.1 s: path and speed are chosen before for 36 m and
+    /// 4 s, so the horizon only follows them; 25 steps drive as well and take half as
+    /// long again.
     pub steps: u32,
     /// Length of a step, s; the period of the commands of the experiment.
     #[serde(skip)]
     pub step_s: f64,
-    /// Speed wanted on a free straight road, m/s. The other traffic drives 8.3;
-    /// over 200 maps 8.0 arrives untouched in 0.970, 6.0 in 0.985.
+    /// Desired speed on a free straight road, m/s. The other traffic drives 8.3; over
+    /// 200 maps, 8.0 arrives without contact in 0.970 of them, 6.0 in 0.985.
     pub speed_mps: f64,
-    /// Sideways acceleration that a bend is taken with, m/s². A quarter of where
-    /// the tyres let go (11 m/s²).
+    /// Lateral acceleration in bends, m/s². A quarter of the limit of the tyres (11
+    /// m/s²).
     #[serde(skip)]
     pub sideways_mps2: f64,
-    /// Deceleration that is planned with, m/s²; the brake gives four times as much.
+    /// Deceleration used in plans, m/s²; the brake gives four times as much.
     #[serde(skip)]
     pub brake_mps2: f64,
-    /// Distance kept from obstacles and the road's edges where there is room, m.
+    /// Distance from obstacles and road edges where there is room, m.
     pub clearance_m: f64,
-    /// Distance below which a way counts as blocked, m.
+    /// Distance below which a path counts as blocked, m.
     #[serde(skip)]
     pub contact_m: f64,
-    /// How far before a blocked place the car stops, m, from its centre; near
-    /// enough to see past, far enough to steer past.
+    /// Distance from the car's centre to a blocked place at which the car stops, m:
+    /// near enough to see past it, far enough to steer past it.
     #[serde(skip)]
     pub standoff_m: f64,
     /// Cost of one metre off the path, squared.
@@ -55,14 +55,15 @@ pub struct Mpc {
     /// Cost of 1 m/s² of change of acceleration from step to step, squared.
     #[serde(skip)]
     pub weight_accel_change: f64,
-    /// Cost of one metre inside an obstacle's or edge's clearance; also of its square.
+    /// Cost of one metre inside the clearance of an obstacle or edge; also the cost of
+    /// its square.
     #[serde(skip)]
     pub weight_slack: f64,
     /// The solver stops after this many iterations; it needs 8 to 20.
     #[serde(skip)]
     pub iterations: u32,
-    /// The solver stops after this time, ms, and the last plan is followed on.
-    /// In lockstep there is no such limit, so that runs repeat.
+    /// The solver stops after this time, ms, and the car follows the last plan. There
+    /// is no such limit in lockstep, so that runs repeat.
     pub time_limit_ms: f64,
 }
 

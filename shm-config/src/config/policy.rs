@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
-/// Who runs the policy's net.
+/// The runtime of the policy's net.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Backend {
@@ -10,44 +10,44 @@ pub enum Backend {
     Auto,
     /// The native runtime; other nets are refused.
     Native,
-    /// ONNX Runtime, whatever the net is.
+    /// ONNX Runtime, for any net.
     Ort,
 }
 
-/// The policy: which weights, who runs them, and when they are given up.
+/// The policy: its weights, the runtime of its net, and when weights are rolled back.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Policy {
     /// Policy file to begin with; empty for none.
     pub file: String,
-    /// Who runs the net: auto, native or ort.
+    /// The runtime of the net: auto, native or ort.
     pub backend: Backend,
-    /// The library libonnxruntime.so or its folder; empty for ORT_DYLIB_PATH,
-    /// else the folder of ./vlaps setup onnxruntime.
+    /// The library libonnxruntime.so or its folder; empty for the variable
+    /// ORT_DYLIB_PATH, else the folder of ./vlaps setup onnxruntime.
     pub onnxruntime: String,
-    /// In real time: begin with the weights that were good when the run of this
-    /// name went down, if no file is named. Never in lockstep, where the same
-    /// seed gives the same commands.
+    /// In real time, if no file is named: begin with the weights that were in use when
+    /// the last run of this name ended. Never in lockstep, where the same seed gives
+    /// the same commands.
     pub resume: bool,
-    /// Ticks that new weights only propose in shadow, before they may drive; 0
-    /// for none.
+    /// Canary period of new weights, ticks: they propose in shadow mode and do not
+    /// drive; 0 for none.
     pub probation_ticks: u32,
-    /// Ticks after that in which they may still be rolled back to those before.
+    /// Ticks after the canary period in which the weights may still be rolled back.
     pub watch_ticks: u32,
-    /// Share of these ticks with the judge's veto on their proposals over which
-    /// they are rolled back.
+    /// The weights are rolled back when the safety check vetoes a larger share than
+    /// this of their proposals in these ticks.
     pub veto_rate_max: f64,
-    /// Mean change of the normalised action from tick to tick over which they
-    /// are rolled back, of steering or pedal, whichever changes more.
+    /// The weights are rolled back when the mean change of the normalised action from
+    /// tick to tick exceeds this, of steering or pedal.
     pub jump_max: f64,
-    /// How far the answer to a probe may be from the one in the file.
+    /// Largest difference between the answer to a probe and the one in the file.
     #[serde(skip)]
     pub tolerance: f64,
-    /// Nets that take longer to answer are refused, us; half of the answers in
-    /// the warm-up must be quicker. Not looked at in lockstep.
+    /// A net is refused when half of its answers in the warm-up take longer than this,
+    /// us. Not checked in lockstep.
     pub inference_max_us: f64,
-    /// How long a tick waits for ONNX Runtime's answer, us; without one, the
-    /// policy has no proposal in it.
+    /// How long a tick waits for ONNX Runtime's answer, us; without an answer the
+    /// policy has no proposal in this tick.
     #[serde(skip)]
     pub ort_wait_us: f64,
 }
@@ -63,12 +63,12 @@ impl Default for Policy {
             probation_ticks: 20,
             watch_ticks: 100,
             veto_rate_max: 0.5,
-            // Actions drawn evenly from their whole range change by 0.93 a tick,
-            // the expert's by less than 0.1; a net that jumps by more than half
-            // of what it may is nearer to dice than to driving.
+            // Actions drawn uniformly from their range change by 0.93 a tick, those of
+            // the expert by less than 0.1; a net that changes by more than half the
+            // range behaves more like noise than like a driver.
             jump_max: 0.5,
             tolerance: 1e-4,
-            // A hundredth of the paper's period, a hundred times what the native
+            // A hundredth of the paper's period, and a hundred times what the native
             // runtime needs for 259-256-256-2.
             inference_max_us: 1000.0,
             ort_wait_us: 2000.0,

@@ -1,13 +1,13 @@
 use super::{Config, GateMode, PromptPreset, Rollout, When};
 
 impl Config {
-    /// The configuration with everything that its mode implies written out. This is the
-    /// only place that resolves a mode, and loading a configuration applies it: the
-    /// configuration that is saved is the one that every process runs.
+    /// The configuration with everything that its mode implies written out. Loading a
+    /// configuration applies it, and no other code resolves a mode, so the saved
+    /// configuration is the one that every process uses.
     ///
-    /// `gate.mode = "paper"` asks every `T_vlm` and once, names expert and policy, shows
-    /// one step of 1.5 s, obeys an answer at once (Sec. 4.2 and 8.5), and hands over
-    /// without easing the command.
+    /// `gate.mode = "paper"` asks each question once, every `T_vlm`, names expert and
+    /// policy, shows one step of 1.5 s, applies an answer at once (Sec. 4.2 and 8.5),
+    /// and hands over without limiting the change of the command.
     pub(super) fn with_preset(mut self) -> Self {
         if self.gate.mode != GateMode::Paper {
             return self;

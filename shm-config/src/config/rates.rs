@@ -1,15 +1,15 @@
-//! The rates of world, controller and planner, one against the other.
+//! The relations between the rates of world, controller and planner.
 
 use super::{Config, OutOfRange, Simulator, in_range};
 use crate::services::Process;
 
-/// Ticks of the decisions of traffic and rules in a second; both worlds mirror a
-/// simulator that steps at this rate, and MetaDrive itself knows no other.
+/// Decisions of traffic and rules per second. Both worlds use the rate of MetaDrive,
+/// which has no other.
 pub const DECISION_HZ: f64 = 10.0;
 /// A plan is followed for this many periods of the planner.
 const PLAN_PERIODS: f64 = 2.5;
-/// ... but never for less than this, ms: two lost plans at the paper's 10 Hz are
-/// bridged, the third brakes.
+/// Least age up to which a plan is followed, ms: at the paper's 10 Hz, two lost plans
+/// are bridged, the third brakes.
 const PLAN_AGE_MS: f64 = 250.0;
 
 impl Config {
@@ -23,7 +23,7 @@ impl Config {
         or_the_runs(self.planner.rate_hz, self)
     }
 
-    /// The rate of a process; `None` of one at a pace of its own.
+    /// The rate of a process; `None` for a process without a fixed rate.
     pub fn rate_hz(&self, process: Process) -> Option<f64> {
         match process {
             Process::World => Some(self.world_rate_hz()),
@@ -33,9 +33,9 @@ impl Config {
         }
     }
 
-    /// Time from tick to tick of a process, ns; `None` of one without a grid. The
-    /// world counts the run's ticks. A planner at a lower rate begins its grid anew
-    /// with each episode.
+    /// Time from tick to tick of a process, ns; `None` for a process without a grid.
+    /// The world counts the run's ticks. A planner at a lower rate starts a new grid at
+    /// each episode.
     pub fn tick_ns(&self, process: Process) -> Option<u64> {
         match process {
             Process::World | Process::Controller => Some(self.run.period_ns()),
@@ -114,7 +114,7 @@ fn or_the_runs(rate_hz: f64, config: &Config) -> f64 {
     }
 }
 
-/// The quotient of two rates is a whole number, 1 or more.
+/// Refuses two rates whose quotient is not a whole number of at least 1.
 fn whole(
     key: &str,
     value: f64,

@@ -8,9 +8,9 @@ use super::{Config, OutOfRange, in_range};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Clock {
-    /// A tick on every instant of an absolute monotonic grid.
+    /// In real time: a tick at each instant of a fixed monotonic grid.
     RealTime,
-    /// As fast as the stack answers; the same seed gives the same commands.
+    /// As fast as the processes answer; the same seed gives the same commands.
     Lockstep,
 }
 
@@ -18,7 +18,7 @@ pub enum Clock {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Run {
-    /// Isolates the run from every other on the machine.
+    /// Name of the run; it isolates the run from all others on the machine.
     pub name: String,
     /// What drives the clock.
     pub clock: Clock,
@@ -28,9 +28,9 @@ pub struct Run {
     pub rate_hz: f64,
     /// Seed of the first episode; each further episode adds one.
     pub seed: u64,
-    /// Different seeds to drive, from the first one on; 0 for no end.
+    /// Number of different seeds, from run.seed on; 0 for no limit.
     pub seeds: u32,
-    /// In which order those are drawn, again and again; 0 for one after the other.
+    /// Seed of the random order of those seeds, which repeats; 0 for ascending order.
     pub shuffle: u64,
     /// Episodes to drive; 0 for no end.
     pub episodes: u32,
@@ -38,8 +38,8 @@ pub struct Run {
     pub duration_s: f64,
     /// Folder of the run's configuration and logs.
     pub folder: String,
-    /// Each process obeys orders to hang, panic and run out of memory: for
-    /// `bench faults` alone, never on a vehicle.
+    /// Whether processes obey orders to hang, panic and run out of memory: for `bench
+    /// faults` alone, never on a vehicle.
     pub faults: bool,
 }
 
@@ -72,19 +72,20 @@ impl Run {
         let ahead = match (self.seeds, self.shuffle) {
             (0, _) => episode,
             (seeds, 0) => episode % u64::from(seeds),
-            // The world in Python draws the same (`world.py`).
+            // The world in Python draws the same seeds (`world.py`).
             (seeds, shuffle) => mixed(shuffle.wrapping_add(episode)) % u64::from(seeds),
         };
         self.seed.wrapping_add(ahead)
     }
 
-    /// The clock is the simulated one.
+    /// Whether the clock is simulated.
     pub fn is_lockstep(&self) -> bool {
         self.clock == Clock::Lockstep
     }
 
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        // A name must be short enough for the sockets of a run, which only the wire opens.
+        // The name must be short enough for the run's sockets, which only the wire
+        // opens.
         #[cfg(feature = "wire")]
         self.name
             .parse::<crate::run::RunName>()
@@ -101,50 +102,51 @@ impl Run {
     }
 }
 
-/// The number at that place, from 1, of the SplitMix64 stream with seed 0: neighbouring
-/// places have unrelated numbers.
+/// The number at this position, from 1, of the SplitMix64 stream with seed 0:
+/// neighbouring positions have unrelated numbers.
 fn mixed(place: u64) -> u64 {
-    // SplitMix64 adds this to its state for each number, so any place can be read.
+    // SplitMix64 adds this to its state for each number, so any position can be
+    // computed.
     const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
     SplitMix64::seed_from_u64(place.wrapping_sub(1).wrapping_mul(STEP)).next_u64()
 }
 
-/// Age limits and waiting times: silence means stop.
+/// Age limits and waiting times: a process that falls silent stops the car.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
-    /// Older observations are not driven on: the controller brakes, ms.
+    /// Age limit of observations, ms; with an older one the controller brakes.
     pub observation_age_ms: f64,
-    /// Older plans are not followed: the controller brakes, ms; 0 for two and a
-    /// half periods of the planner, but no less than 250.
+    /// Age limit of plans, ms; with an older one the controller brakes. 0 for two and a
+    /// half periods of the planner, but at least 250.
     pub plan_age_ms: f64,
-    /// Older commands are not obeyed: the world brakes, ms.
+    /// Age limit of commands, ms; with an older one the world brakes.
     pub command_age_ms: f64,
-    /// With an older word of the person who took over, nobody has taken over, ms.
+    /// Age limit of takeover messages, ms; after it the takeover ends.
     pub takeover_age_ms: f64,
-    /// How long the controller waits for the plan of its observation, where the
-    /// planner makes one, before it follows the one before, as a share of the
-    /// controller's period.
+    /// How long the controller waits for the plan of its observation, if the planner
+    /// makes one, before it uses the previous plan, as a share of the controller's
+    /// period.
     #[serde(skip)]
     pub plan_wait: f64,
-    /// How long after the grid's instant the controller ticks without a new
+    /// How long after the instant of the grid the controller ticks without a new
     /// observation, as a share of the controller's period.
     #[serde(skip)]
     pub observation_wait: f64,
-    /// In lockstep: how long a process waits for another before it goes on
-    /// without, s on the machine's clock.
+    /// In lockstep: how long a process waits for another before it continues without
+    /// it, s on the machine's clock.
     pub lockstep_wait_s: f64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            // Two lost ticks at 10 Hz are bridged, the third brakes: at the
-            // paper's 5 m/s the car has rolled 1.25 m by then.
+            // Two lost ticks at 10 Hz are bridged, the third brakes: at the paper's 5
+            // m/s the car has moved 1.25 m by then.
             observation_age_ms: 250.0,
             plan_age_ms: 0.0,
             command_age_ms: 250.0,
-            // The keys are read at 20 Hz: five words may be late in a row.
+            // The keys are read at 20 Hz: five messages in a row may be late.
             takeover_age_ms: 300.0,
             plan_wait: 0.5,
             observation_wait: 0.5,
@@ -155,9 +157,9 @@ impl Default for Limits {
 
 impl Limits {
     pub(super) fn check(&self, config: &Config) -> Result<(), OutOfRange> {
-        // A limit under one period and a half would brake on every jitter. An
-        // observation is looked at once in a period of the controller, however
-        // often the world makes one.
+        // A limit of less than one and a half periods would brake at every jitter. The
+        // controller reads observations once in its own period, however many the world
+        // publishes.
         let least_ms = 1.5e3 / config.run.rate_hz;
         let ages = [
             ("limits.observation_age_ms", self.observation_age_ms),
@@ -166,8 +168,8 @@ impl Limits {
         for (key, value) in ages {
             in_range(key, value, least_ms..=10_000.0)?;
         }
-        // Two of the supervisor's periods: under that, one late look would take the
-        // wheel out of the person's hands.
+        // Two of the supervisor's periods: with less, one late message would end a
+        // takeover.
         in_range(
             "limits.takeover_age_ms",
             self.takeover_age_ms,
@@ -182,17 +184,17 @@ impl Limits {
         in_range("limits.lockstep_wait_s", self.lockstep_wait_s, 0.01..=600.0)
     }
 
-    /// As nanoseconds.
+    /// The limit in ns.
     pub fn observation_age_ns(&self) -> u64 {
         (self.observation_age_ms * 1e6) as u64
     }
 
-    /// As nanoseconds.
+    /// The limit in ns.
     pub fn command_age_ns(&self) -> u64 {
         (self.command_age_ms * 1e6) as u64
     }
 
-    /// As nanoseconds.
+    /// The limit in ns.
     pub fn takeover_age_ns(&self) -> u64 {
         (self.takeover_age_ms * 1e6) as u64
     }
@@ -204,19 +206,21 @@ impl Limits {
 pub struct Supervisor {
     /// Restarts of one process before the run is given up.
     pub restarts_max: u32,
-    /// Pause before the first restart, ms; doubles with each one in a row.
+    /// Pause before the first restart, ms; it doubles with each further one in a row.
     pub backoff_ms: f64,
     /// Longest pause before a restart, ms.
     pub backoff_max_ms: f64,
-    /// A process that has run this long is healthy again: its pause starts over, s.
+    /// A process that has run this long counts as healthy, and its pause starts over,
+    /// s.
     pub healthy_s: f64,
-    /// A process that says nothing for this long is killed and restarted, s.
+    /// A process without a health message for this long is killed and restarted, s.
     pub silence_s: f64,
     /// Ask for real-time priority, own cores and locked memory.
     pub realtime: bool,
-    /// How long a sleeping processor may need to wake up while the set drives, us: 0
-    /// keeps all of them from sleeping, which costs power; a negative number leaves
-    /// it to the machine. For the supervisor to ask where it asks for real time.
+    /// Bound on the time that a sleeping processor needs to wake up while the set
+    /// drives, us: 0 keeps all processors from sleeping, which costs power; a negative
+    /// number asks for no bound. The supervisor asks for it if the run asks for
+    /// real-time privileges.
     pub cpu_latency_us: i32,
     /// How long an orderly stop may take, s.
     pub stop_s: f64,
@@ -265,7 +269,7 @@ impl Supervisor {
 mod tests {
     use super::*;
 
-    /// The numbers are those of the published algorithm, which `world.py` computes too.
+    /// The numbers of the published algorithm, which `world.py` computes too.
     #[test]
     fn shuffled_seeds_follow_the_published_numbers() {
         assert_eq!(mixed(0), 0);

@@ -1,11 +1,11 @@
-//! What the service table says in words, in the numbers of a run.
+//! Age limits and rates of the service table in the numbers of a configuration.
 
 use super::Config;
 use crate::services::{AgeLimit, Rate};
 
 impl Config {
-    /// Age beyond which a reader refuses a message as stale, ns; the greatest number
-    /// where no key limits it.
+    /// Age beyond which a reader refuses a message as stale, ns; the largest number
+    /// when no key limits it.
     pub fn age_limit_ns(&self, limit: AgeLimit) -> u64 {
         match limit {
             AgeLimit::Observation => self.limits.observation_age_ns(),
@@ -16,7 +16,7 @@ impl Config {
         }
     }
 
-    /// Messages per second; `None` of those that are published when something happens.
+    /// Messages per second; `None` for messages that are published on an event.
     pub fn message_rate_hz(&self, rate: Rate) -> Option<f64> {
         match rate {
             Rate::Tick(process) => self.rate_hz(process),

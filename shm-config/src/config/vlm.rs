@@ -2,18 +2,18 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
-/// What the model is told.
+/// The prompt of the model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PromptPreset {
     /// Two paths, A and B, in random places and colours.
     Blind,
-    /// The paper's question, colours as in its figures (Sec. 4.2).
+    /// The paper's prompt, with the colours of its figures (Sec. 4.2).
     Paper,
 }
 
 impl PromptPreset {
-    /// As in the configuration.
+    /// The preset's name in the configuration.
     pub fn word(self) -> &'static str {
         match self {
             Self::Blind => "blind",
@@ -22,7 +22,7 @@ impl PromptPreset {
     }
 }
 
-/// Where the picture is seen from.
+/// The view of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum View {
@@ -41,13 +41,13 @@ impl From<View> for crate::message::View {
     }
 }
 
-/// How the picture is packed.
+/// The file format of the picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PictureFormat {
-    /// Exact.
+    /// PNG: lossless.
     Png,
-    /// Smaller.
+    /// JPEG: smaller.
     Jpeg,
 }
 
@@ -61,46 +61,46 @@ pub enum Rollout {
     Paper,
 }
 
-/// A vision-language model as judge: whom to ask, what, and for how much.
+/// A vision-language model as judge: the server, the prompt and the limits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vlm {
-    /// Where the server's OpenAI-compatible interface begins.
+    /// Base URL of the server's OpenAI-compatible interface.
     pub server: String,
-    /// Model name; empty for gpt-4o-mini. vlaps-stand-in for ./vlaps judge serve, which is no
-    /// model and costs nothing.
+    /// Model name; empty for gpt-4o-mini. vlaps-stand-in for ./vlaps judge serve, which
+    /// is not a model and costs nothing.
     pub model: String,
-    /// Environment variable that holds the key; empty for none. For
-    /// api.openai.com OPENAI_API_KEY is looked at, too.
+    /// Environment variable that holds the key; empty for none. For api.openai.com,
+    /// OPENAI_API_KEY is read too.
     pub key_env: String,
-    /// File that holds the key, in place of a variable: a path with a / in it,
-    /// such as ./key.txt. Only its owner may have rights to it (chmod 600).
+    /// File that holds the key, in place of a variable: a path that contains a /, such
+    /// as ./key.txt. Only its owner may have rights to it (chmod 600).
     pub key_file: String,
-    /// File with certificates (PEM) of authorities that are trusted for https
-    /// beside the system's own, such as a firm's; empty for none.
+    /// File with certificates (PEM) of authorities that are trusted for https beside
+    /// those of the system; empty for none.
     pub ca_file: String,
-    /// Let the key travel unencrypted to another machine, over http.
+    /// Whether the key may be sent unencrypted, over http, to another machine.
     pub key_over_http: bool,
-    /// What the model is told: blind or paper.
+    /// The prompt: blind or paper.
     pub prompt: PromptPreset,
-    /// Ask each question a second time with the paths swapped; replies that
-    /// disagree are no preference. Small models prefer the first of two in 72 %
-    /// of pairs.
+    /// Ask each question a second time with the paths swapped; replies that disagree
+    /// are no preference. Small models prefer the first path in 72 % of pairs.
     pub ask_twice: bool,
-    /// Where the picture is seen from: ego or top_down.
+    /// View of the picture: ego or top_down.
     pub view: View,
     /// Width of the picture, pixels.
     pub width_px: u32,
     /// Height of the picture, pixels.
     pub height_px: u32,
-    /// How it is packed: png or jpeg.
+    /// File format of the picture: png or jpeg.
     pub format: PictureFormat,
-    /// How far the paths reach, s.
+    /// Length of the paths, s.
     pub horizon_s: f64,
-    /// How they are computed: accurate (steps of 0.1 s) or paper (one of 1.5 s).
+    /// How the paths are computed: accurate (steps of 0.1 s) or paper (one step of 1.5
+    /// s).
     pub rollout: Rollout,
-    /// Randomness of the answer; negative to leave it to the server, which
-    /// reasoning models of OpenAI insist on.
+    /// Sampling temperature; negative to leave it to the server, which reasoning models
+    /// of OpenAI require.
     pub temperature: f64,
     /// Longest answer, tokens.
     pub tokens_max: u32,
@@ -110,19 +110,19 @@ pub struct Vlm {
     pub attempt_s: f64,
     /// Attempts for one question.
     pub attempts_max: u32,
-    /// Longest wait before the second attempt, s; it doubles from attempt to
-    /// attempt, and a random part of it is waited.
+    /// Longest wait before the second attempt, s; it doubles from attempt to attempt,
+    /// and the wait is a random part of it.
     #[serde(skip)]
     pub backoff_s: f64,
     /// Longest wait before any attempt, s, unless the server asks for more.
     #[serde(skip)]
     pub backoff_max_s: f64,
-    /// Requests at once, of which a question that is asked twice makes two; one
-    /// more fails at once.
+    /// Most requests in flight; a question that is asked twice makes two. Further
+    /// requests fail at once.
     pub in_flight_max: u32,
     /// Requests in any 60 s, attempts counted.
     pub per_minute_max: u32,
-    /// What a run may cost, US dollars; then no more is asked.
+    /// Budget of a run, US dollars; when it is spent, no more questions are asked.
     pub budget_usd: f64,
     /// Price of a million tokens in, US dollars; negative for gpt-4o-mini's 0.15. Set it to 0
     /// for a server of your own.
@@ -130,20 +130,20 @@ pub struct Vlm {
     /// Price of a million tokens out, US dollars; negative for gpt-4o-mini's 0.60. Set it to
     /// 0 for a server of your own.
     pub price_out_usd: f64,
-    /// Questions in a row at which the server broke down in every attempt; then
-    /// it is left alone. One that is asked twice counts twice.
+    /// Questions in a row that fail in every attempt because of the server; after that
+    /// it gets no request for a while. A question that is asked twice counts twice.
     pub breaker_failures: u32,
-    /// For how long, s; then one question tries it again.
+    /// Duration of that pause, s; then one question tries the server again.
     #[serde(skip)]
     pub breaker_open_s: f64,
-    /// Most that a run keeps of questions and pictures, bytes.
+    /// Most bytes of questions and pictures that a run keeps.
     pub record_bytes_max: u64,
 }
 
 impl Default for Vlm {
     fn default() -> Self {
         Self {
-            // Where llama-server and ./vlaps judge serve listen.
+            // The default address of llama-server and of ./vlaps judge serve.
             server: "http://127.0.0.1:8080/v1".into(),
             model: String::new(),
             key_env: "VLAPS_VLM_KEY".into(),
@@ -153,21 +153,22 @@ impl Default for Vlm {
             prompt: PromptPreset::Blind,
             ask_twice: true,
             view: View::Ego,
-            // One of OpenAI's tiles: a pixel more in either direction costs two.
+            // One of OpenAI's tiles; one more pixel in either direction costs two
+            // tiles.
             width_px: 512,
             height_px: 512,
             format: PictureFormat::Png,
-            // Twice the paper's 1.5 s: at 10 m/s that is the sight of a junction.
+            // Twice the paper's 1.5 s: at 10 m/s the visible distance at a junction.
             horizon_s: 3.0,
             rollout: Rollout::Accurate,
             temperature: 0.0,
             // A sentence of reason needs 60.
             tokens_max: 200,
-            // Advice is of use while its question is fresh: the paper's period.
+            // Advice is useful while its question is recent: the paper's period.
             deadline_s: 10.0,
             attempt_s: 8.0,
             attempts_max: 3,
-            // As OpenAI's own clients.
+            // As in OpenAI's own clients.
             backoff_s: 0.5,
             backoff_max_s: 8.0,
             // Two questions (gate.in_flight), each asked twice.
@@ -184,14 +185,14 @@ impl Default for Vlm {
     }
 }
 
-/// What `./vlaps judge serve` calls itself where a model would say its name.
+/// The model name of `./vlaps judge serve`.
 pub const STAND_IN: &str = "vlaps-stand-in";
 
-/// In the place of a value that may be a key.
+/// Shown in place of a value that may be a key.
 const HIDDEN: &str = "(not shown)";
 
 impl Vlm {
-    /// The model's name as the server is told it.
+    /// The model's name as it is sent to the server.
     pub fn model_name(&self) -> &str {
         match self.model.as_str() {
             "" => "gpt-4o-mini",
@@ -242,7 +243,8 @@ impl Vlm {
         )
     }
 
-    /// Of what may hold a key by mistake, nothing is told but which setting it is.
+    /// A value that may be a key by mistake is not shown; the error names only the
+    /// setting.
     fn check_names(&self) -> Result<(), OutOfRange> {
         let refuse = |key: &str, value: &str, expected: &str| {
             Err(OutOfRange {
@@ -276,7 +278,7 @@ impl Vlm {
                 "the name of an environment variable, not the key itself",
             );
         }
-        // Paths are written down and told; keys hardly ever have a slash.
+        // Paths are logged and shown; a key hardly ever contains a slash.
         if !self.key_file.is_empty() && !self.key_file.contains('/') {
             return refuse(
                 "vlm.key_file",

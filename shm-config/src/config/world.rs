@@ -4,7 +4,7 @@ use vehicle::Vehicle;
 use super::{OutOfRange, in_range};
 use crate::message::BEAMS_MAX;
 
-/// Who computes the world.
+/// The simulator of the world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Simulator {
     /// The built-in world.
@@ -19,16 +19,16 @@ pub enum Simulator {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct World {
-    /// Who computes it: sim, the built-in world; or metadrive, the real one.
+    /// The simulator: sim, the built-in world; or metadrive, the real one.
     pub simulator: Simulator,
-    /// How often the world moves and publishes per second, a multiple of
-    /// run.rate_hz up to 1000; 0 for the same. Traffic and rules decide at 10 Hz
-    /// and the car's physics has sub-steps of 0.02 s at any rate; above 50 Hz
-    /// poses between two sub-steps are interpolated.
+    /// Instants of the world per second, at each of which it moves and publishes: a
+    /// multiple of run.rate_hz up to 1000; 0 for the same rate. At any rate, traffic
+    /// and rules decide at 10 Hz and the car's physics has sub-steps of 0.02 s; above
+    /// 50 Hz, poses between two sub-steps are interpolated.
     pub rate_hz: f64,
     /// Random blocks after the first straight.
     pub blocks: u32,
-    /// A block sequence such as "SCrRXTO" in place of random ones; empty for none.
+    /// Block sequence such as "SCrRXTO" in place of random blocks; empty for none.
     pub sequence: String,
     /// Lanes in each direction.
     pub lanes: u32,
@@ -65,8 +65,8 @@ impl Default for World {
 }
 
 impl World {
-    /// Planner and judge compute with `[vehicle]`. A world that drives a car of its own
-    /// would silently be planned for and judged as another one.
+    /// Refuses another car than the world's own. Planner and safety check compute with
+    /// `[vehicle]`, and would otherwise plan for another car than the one that drives.
     fn check_obeys(&self, vehicle: &Vehicle) -> Result<(), OutOfRange> {
         let world = match self.simulator {
             Simulator::BuiltIn => "the built-in world drives its own car",

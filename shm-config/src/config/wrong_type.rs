@@ -1,13 +1,13 @@
-//! Values that are no number of their key's kind, such as -4 for a count: told
-//! with what the key may be.
+//! Errors for values that are not a number of the key's kind, such as -4 for a count;
+//! they name the valid range.
 
 use toml::{Table, Value};
 
 use super::{Config, OutOfRange};
 use crate::shortened;
 
-/// The first key whose value cannot be read as the number it has to be; `None` when
-/// the trouble is another one.
+/// The first key whose value is not a number of its kind; `None` when the error is
+/// another one.
 pub(super) fn wrong_number(given: &Table, known: &Table) -> Option<OutOfRange> {
     first_wrong(given, known, &mut Vec::new())
 }
@@ -30,7 +30,7 @@ fn first_wrong(given: &Table, known: &Table, path: &mut Vec<String>) -> Option<O
 
 fn wrong(path: &[String], value: &Value) -> Option<OutOfRange> {
     let error = config_with(path, value.clone()).err()?;
-    // Of a whole number the library says which kind, such as u32.
+    // The library names the kind of whole number, such as u32.
     let kind = error.message().rsplit("expected ").next()?.trim();
     let is_whole = ["u8", "u16", "u32", "u64", "usize", "i32", "i64"].contains(&kind);
     let is_number = is_whole || ["f32", "f64"].contains(&kind);
@@ -41,8 +41,8 @@ fn wrong(path: &[String], value: &Value) -> Option<OutOfRange> {
     })
 }
 
-/// What the key may be: that is what it says itself to the least and the greatest
-/// numbers there are.
+/// The valid range: the text with which the key refuses the least and the greatest
+/// number.
 fn expected(path: &[String], is_whole: bool) -> String {
     let extremes = match is_whole {
         true => [i64::MAX, i64::from(u32::MAX), i64::from(i32::MIN), 0].map(Value::Integer),
@@ -89,7 +89,7 @@ mod tests {
             told("[run]\nseed = -1\n"),
             "a.toml:2: run.seed = -1: must be a whole number from 0"
         );
-        // A list is no number; what the library says of it stays.
+        // A list is not a number; the library's own error stays.
         assert!(told("[run]\nclock = 3\n").contains("a.toml:2"));
     }
 }

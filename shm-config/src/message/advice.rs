@@ -1,7 +1,7 @@
 use super::{Header, Message, Refusal, header_accessors, known};
 
 crate::word_list! {
-    /// Whom a judge prefers.
+    /// What a judge prefers.
     pub enum Preference {
         /// No preference: no question yet, the judges disagreed, or they failed.
         /// It is never read as a preference for the policy, and makes no label.
@@ -16,8 +16,8 @@ crate::word_list! {
 crate::word_list! {
     /// What kind of judge answered.
     pub enum Judge {
-        /// None yet.
-        Nobody = 0 "nobody",
+        /// No judge has answered yet.
+        None = 0 "none",
         /// Exact geometry.
         Rules = 1 "rules",
         /// A vision-language model.
@@ -30,32 +30,32 @@ crate::word_list! {
 }
 
 crate::message! {
-    /// Who should drive, until when. Published for every step the gate has
-    /// seen, so that lockstep can wait for it; the answer itself changes rarely.
+    /// Which driver should drive, and until when. Published for every step that the gate
+    /// has read, so that lockstep can wait for it; the answer itself changes rarely.
     #[derive(Default)]
     pub struct Advice: 104 bytes, nested [Header] {
-        /// The tick of the last step the gate has considered.
+        /// The tick of the last step that the gate has read.
         pub header: Header,
         /// The tick the judge was asked about.
         pub question_tick: u64,
         /// When the observation of the question was taken, ns.
         pub question_taken_ns: u64,
-        /// When the answer came, ns on the run's clock.
+        /// When the answer arrived, ns on the run's clock.
         pub answered_ns: u64,
         /// The first instant at which the advice no longer holds, ns.
         pub holds_until_ns: u64,
         /// Questions answered so far, failures and abstentions included.
         pub answers: u64,
-        /// A [`Preference`]: who should drive, after dwell and confirmations.
+        /// A [`Preference`]: the driver to choose, after dwell time and confirmations.
         pub preference: u32,
         /// A [`Judge`].
         pub judge: u32,
-        /// What is learnt from the newest answer begins here: when the
-        /// observation of its question was taken, ns.
+        /// The steps that the newest answer labels begin here: when the observation of
+        /// its question was taken, ns.
         pub label_from_ns: u64,
-        /// And ends before here, ns.
+        /// They end before this instant, ns.
         pub label_until_ns: u64,
-        /// A [`Preference`]: the newest answer as it came.
+        /// A [`Preference`]: the newest answer.
         pub label: u32,
         /// Not used.
         pub reserved: u32,
@@ -73,7 +73,7 @@ impl Message for Advice {
 }
 
 impl Advice {
-    /// Whom the judge prefers; an unknown code abstains.
+    /// The judge's preference; an unknown code is an abstention.
     pub fn preference(&self) -> Preference {
         Preference::from_code(self.preference).unwrap_or(Preference::Abstain)
     }

@@ -15,9 +15,9 @@ use crate::message::{
     Plan, PolicyStatus, Progress, Roster, Step, Takeover, Timing, Weights,
 };
 
-/// Steps a slow reader may fall behind: over six minutes at 10 Hz, 18 MB.
+/// Steps that a slow reader may fall behind: over six minutes at 10 Hz, 18 MB.
 pub const STEP_QUEUE: usize = 4096;
-/// Episodes a slow reader may fall behind.
+/// Episodes that a slow reader may fall behind.
 pub const EPISODE_QUEUE: usize = 256;
 /// Orders to fail that a slow reader may fall behind.
 pub const FAULT_QUEUE: usize = 16;
@@ -92,39 +92,39 @@ use Process::{Controller, Gate, Learner, Planner, Supervisor, World};
 use Rate::{Event, Hz, Tick};
 
 service_table! {
-    /// What the car perceives, at every instant of the world.
+    /// The car's observation, at every instant of the world.
     #[comment = "The instants between two ticks wake no process."]
     OBSERVATION: Observation = "observation", Latest, from Producer,
         &[World], => &[Planner, Controller], wakes &[Planner, Controller],
         Tick(World), age Observation, recorded InStep, leaves No;
 
-    /// The answer to one observation.
+    /// The planner's answer to one observation.
     PLAN: Plan = "plan", Latest, from Producer,
         &[Planner], => &[Controller], wakes &[Controller],
         Tick(Planner), age Plan, recorded InStep, leaves No;
 
-    /// What the car shall do.
+    /// The action for the car.
     COMMAND: Command = "command", Latest, from Producer,
         &[Controller], => &[World], wakes &[World],
         Tick(Controller), age Command, recorded InStep, leaves No;
 
-    /// The record of one tick: everything it knew and decided.
+    /// The record of one tick: everything known and decided in it.
     STEP: Step = "step", Queue(STEP_QUEUE), from Producer,
         &[Controller], => &[Gate, Learner, Supervisor], wakes &[Gate, Learner],
         Tick(Controller), age None, recorded Yes, leaves Every;
 
-    /// Who should drive, until when.
+    /// Which driver should drive, and until when.
     ADVICE: Advice = "advice", Latest, from Producer,
         &[Gate], => &[Controller], wakes &[Controller],
         Tick(Controller), age OwnExpiry, recorded InStep, leaves Newest;
 
-    /// What a person at the keys wants.
-    #[comment = "It wakes no process: a tick takes the newest."]
+    /// The action of a human driver at the keys.
+    #[comment = "It wakes no process: a tick takes the newest message."]
     TAKEOVER: Takeover = "takeover", Latest, from Producer,
         &[Supervisor], => &[Controller], wakes &[],
         Hz(20.0), age Takeover, recorded InStep, leaves No;
 
-    /// Which picture is wanted.
+    /// A request for a picture.
     #[comment = "It wakes no process: a thread beside the world's tick polls it."]
     FRAME_REQUEST: FrameRequest = "frame_request", Latest, from Anyone,
         &[Gate], => &[World], wakes &[],
@@ -135,7 +135,7 @@ service_table! {
         &[World], => &[Gate], wakes &[Gate],
         Event("each request"), age None, recorded Yes, leaves Newest;
 
-    /// What holding either proposal would lead to; a simulator's, for the record alone.
+    /// What would follow if either proposal were held; from a simulator, for the record alone.
     FORESIGHT: Foresight = "foresight", Latest, from Producer,
         &[World], => &[Gate], wakes &[Gate],
         Event("each request"), age None, recorded Yes, leaves Newest;
@@ -146,55 +146,55 @@ service_table! {
         &[Learner], tools &["swap"], => &[Controller], wakes &[],
         Event("each block of updates, each swap"), age None, recorded Yes, leaves Newest;
 
-    /// How far the learner is.
+    /// The progress of the learner.
     LEARNING: Learning = "learning", Latest, from Producer,
         &[Learner], => &[Controller], wakes &[Controller],
         Tick(Controller), age None, recorded Yes, leaves Newest;
 
-    /// What became of an offered policy.
+    /// The status of an offered policy.
     POLICY_STATUS: PolicyStatus = "policy_status", Latest, from Producer,
         &[Controller], => &[Learner, Supervisor], wakes &[Learner],
         Event("each change"), age None, recorded Yes, leaves Newest;
 
-    /// How the episode goes.
+    /// The progress of the episode.
     PROGRESS: Progress = "progress", Latest, from Producer,
         &[World], => &[Supervisor], wakes &[],
         Tick(Controller), age None, recorded Yes, leaves Newest;
 
-    /// How an episode ended.
+    /// The result of an episode.
     EPISODE: Episode = "episode", Queue(EPISODE_QUEUE), from Producer,
         &[World], => &[Supervisor], wakes &[],
         Event("each end of an episode"), age None, recorded Yes, leaves Every;
 
-    /// How a process does.
+    /// The health of a process.
     HEALTH: Health = "health/*" of each_process!("health"), Latest, from Producer,
         STARTED, => &[Supervisor], wakes &[],
         Hz(20.0), age None, recorded Yes, leaves Newest;
 
-    /// How punctual a process is.
+    /// The histograms of a process's durations.
     TIMING: Timing = "timing/*" of each_process!("timing"), Latest, from Producer,
         STARTED, => &[Supervisor], wakes &[],
         Hz(2.0), age None, recorded Yes, leaves Newest;
 
-    /// Which process ids the run has started; a reader takes state from no other.
+    /// The process ids that the run has started; a reader takes state from no other process.
     #[comment = "It wakes no process: a reader reads it when a message comes from an unknown process."]
     ROSTER: Roster = "roster", Latest, from Producer,
         &[Supervisor], => STARTED, wakes &[],
         Hz(20.0), age None, recorded Yes, leaves No;
 
-    /// An order to fail, obeyed with `run.faults` alone.
-    #[comment = "It is a queue, so that a restarted process gets no old order; it wakes no process, each polls it between two ticks."]
+    /// An order to fail; processes obey it only with `run.faults`.
+    #[comment = "It is a queue, so that a restarted process gets no old order. It wakes no process: each polls it between two ticks."]
     FAULT: Fault = "fault", Queue(FAULT_QUEUE), from Anyone,
         &[], tools &["bench faults"], => STARTED, wakes &[],
         Event("each order"), age None, recorded Yes, leaves No;
 }
 
-/// How a process does.
+/// The health of a process.
 pub const fn health(process: Process) -> Service<Health> {
     HEALTH.of_process(process)
 }
 
-/// How punctual a process is.
+/// The histograms of a process's durations.
 pub const fn timing(process: Process) -> Service<Timing> {
     TIMING.of_process(process)
 }

@@ -37,7 +37,7 @@ const ROW_PX: usize = 30;
 pub fn markdown() -> String {
     let mut page = String::from(
         "The service table: every flow of data between two processes is one row.\n\n\
-         This page is printed from the table in `shm-config/src/services/mod.rs`. The names of \
+         This page is generated from the table in `shm-config/src/services/mod.rs`. The names of \
          consumers that a message wakes are bold; commands such as `status` may read every \
          service. \"In the step\" means that a recording has the message within `step`.\n\n\
          | service | message | bytes | from | to | delivery | published | refused when older than \
@@ -74,7 +74,7 @@ pub fn markdown() -> String {
             },
         );
     }
-    page.push_str("\nWhat each row says:\n\n");
+    page.push_str("\nContent of each service:\n\n");
     for row in SERVICES {
         let _ = writeln!(page, "- `{}`: {}", row.name, row.about.trim());
     }
@@ -148,7 +148,7 @@ pub fn picture() -> String {
         svg,
         "<text x=\"{NAME_X}\" y=\"{legend_y}\" fill=\"#5a6875\" font-size=\"12\">blue: always \
          answers by the deadline; sand: at its own pace, no tick waits for it. Dot: publishes; \
-         filled arrow: is woken; open arrow: reads when it looks; dashed: a queue.</text>\n</svg>"
+         filled arrow: is woken; open arrow: polls; dashed: a queue.</text>\n</svg>"
     );
     svg
 }

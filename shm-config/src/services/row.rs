@@ -1,4 +1,4 @@
-//! What one row of the service table says.
+//! The contents of one row of the service table.
 
 use core::marker::PhantomData;
 
@@ -23,13 +23,13 @@ word_list! {
     }
 }
 
-/// What a reader finds when it looks.
+/// What a reader receives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Delivery {
-    /// The newest message; older ones are gone. Late joiners get it too.
+    /// The newest message; older ones are dropped. Late joiners get it too.
     Latest,
-    /// Every message, up to this many behind; then the oldest are lost and the
-    /// gap in the sequence tells how many.
+    /// Every message, up to this many behind. Then the oldest are lost, and the gap in
+    /// the sequence numbers shows how many.
     Queue(usize),
 }
 
@@ -44,28 +44,28 @@ impl Delivery {
     }
 }
 
-/// From which processes a reader takes the messages of a service.
+/// The processes from which a reader takes messages of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TakenFrom {
     /// From the process that the run has started as the row's producer.
     Producer,
-    /// From every process of the user: offers and requests, which decide nothing by
-    /// themselves and are checked for what they are.
+    /// Every process of the user: offers and requests, which change nothing until their
+    /// content is checked.
     Anyone,
 }
 
 /// How often a message is published.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rate {
-    /// At each tick of this process; the configuration has its rate.
+    /// At each tick of this process; the configuration sets its rate.
     Tick(Process),
-    /// This often, Hz.
+    /// At this rate, Hz.
     Hz(f64),
-    /// When this happens.
+    /// On this event.
     Event(&'static str),
 }
 
-/// The limit of the configuration beyond which a message is refused as stale.
+/// The configuration key beyond which a message is refused as stale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AgeLimit {
     /// `limits.observation_age_ms`.
@@ -76,9 +76,9 @@ pub enum AgeLimit {
     Command,
     /// `limits.takeover_age_ms`.
     Takeover,
-    /// None: the message carries its own expiry.
+    /// No limit: the message carries its own expiry.
     OwnExpiry,
-    /// None: its content does not age, or its reader shows how old it is.
+    /// No limit: its content does not age, or its reader shows its age.
     None,
 }
 
@@ -95,14 +95,14 @@ impl AgeLimit {
     }
 }
 
-/// Whether a recording holds the messages of a service.
+/// Whether a recording contains the messages of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Recorded {
     /// Every message.
     Yes,
-    /// None.
+    /// No message.
     No,
-    /// None: each step holds the one that its tick used.
+    /// No message: each step contains the one that its tick used.
     InStep,
 }
 
@@ -113,7 +113,7 @@ pub enum Leaves {
     No,
     /// The newest; older ones are dropped on the way.
     Newest,
-    /// Every one, in order.
+    /// Every message, in order.
     Every,
 }
 
@@ -122,7 +122,7 @@ pub enum Leaves {
 pub struct MessageType {
     /// The type's name, the same in every language.
     pub name: &'static str,
-    /// The layout's hash, by which two binaries refuse each other.
+    /// The layout's hash; two programs with different layouts refuse each other.
     pub fingerprint: u64,
     /// Bytes of one message.
     pub bytes: usize,
@@ -146,7 +146,7 @@ pub struct Row {
     pub name: &'static str,
     /// The names on the wire: one, or one for each process in the order of their codes.
     pub instances: &'static [&'static str],
-    /// What the messages say.
+    /// The content of the messages.
     pub about: &'static str,
     /// Their type.
     pub message: MessageType,
@@ -159,32 +159,32 @@ pub struct Row {
     pub consumers: &'static [Process],
     /// The consumers that a message wakes.
     pub wakes: &'static [Process],
-    /// What a reader finds.
+    /// What a reader receives.
     pub delivery: Delivery,
-    /// From which processes a reader takes it.
+    /// The processes from which a reader takes it.
     pub taken_from: TakenFrom,
-    /// How often it is published.
+    /// When it is published.
     pub rate: Rate,
-    /// When a reader refuses it as stale.
+    /// The age beyond which a reader refuses it.
     pub age_limit: AgeLimit,
-    /// Whether a recording holds it.
+    /// Whether a recording contains it.
     pub recorded: Recorded,
     /// Which messages may leave the machine.
     pub leaves: Leaves,
 }
 
 impl Row {
-    /// The process publishes it.
+    /// Whether the process publishes it.
     pub const fn is_produced_by(&self, process: Process) -> bool {
         holds(self.producers, process)
     }
 
-    /// The process reads it.
+    /// Whether the process reads it.
     pub const fn is_consumed_by(&self, process: Process) -> bool {
         holds(self.consumers, process)
     }
 
-    /// The processes that a message wakes are among those that read it.
+    /// Whether the processes that a message wakes are among those that read it.
     pub(super) const fn wakes_readers_only(&self) -> bool {
         let mut k = 0;
         while k < self.wakes.len() {
@@ -245,7 +245,7 @@ impl<M: Layout> Service<M> {
         }
     }
 
-    /// A service outside the table, such as a test needs.
+    /// A service outside the table, for tests.
     pub const fn custom(
         name: &'static str,
         from: Process,

@@ -8,11 +8,11 @@ pub enum GateMode {
     Rules,
     /// The gate process asks a vision-language model (section `vlm`).
     Vlm,
-    /// The same as the paper did it: a question every `period_s`, expert and
-    /// policy named, and the world waits for the answer. Lockstep only. It sets
-    /// further keys of `gate`, `vlm` and `controller` (`Config::with_preset`).
+    /// As in the paper: a question every `period_s`, which names expert and policy, and
+    /// the world waits for the answer. Lockstep only. It sets further keys of `gate`,
+    /// `vlm` and `controller` (`Config::with_preset`).
     Paper,
-    /// The answers of a run that was recorded.
+    /// The answers of a recorded run.
     Replay,
     /// Always the expert; no gate process.
     Expert,
@@ -23,7 +23,7 @@ pub enum GateMode {
 }
 
 impl GateMode {
-    /// The mode has a process that gives advice.
+    /// Whether the mode has a process that publishes advice.
     pub fn is_advised(self) -> bool {
         match self {
             Self::Rules | Self::Vlm | Self::Paper | Self::Replay => true,
@@ -32,15 +32,15 @@ impl GateMode {
     }
 }
 
-/// What follows when a tick is done after its deadline, one period after it was
-/// due.
+/// What follows when a tick is done after its deadline, which is one period after it
+/// was due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Late {
-    /// It is counted; its answer goes out all the same.
+    /// The tick is counted; its answer is published.
     Count,
-    /// Its answer is held back: its readers go on with the one before, up to
-    /// its age limit.
+    /// Its answer is not published: its readers use the previous one, up to its age
+    /// limit.
     Skip,
     /// The car brakes.
     Brake,

@@ -2,25 +2,25 @@ use serde::{Deserialize, Serialize};
 
 use super::{OutOfRange, in_range};
 
-/// The PD tracking of Sec. 4.1.2; every default is the paper's.
+/// The PD controller of Sec. 4.1.2; every default is the paper's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Controller {
     /// Steering gain on the heading error.
     pub steer_kp: f64,
-    /// Steering gain on its rate.
+    /// Steering gain on the rate of the heading error.
     pub steer_kd: f64,
     /// Pedal gain on the speed error.
     pub pedal_kp: f64,
-    /// Pedal gain on its rate.
+    /// Pedal gain on the rate of the speed error.
     pub pedal_kd: f64,
-    /// Distance to the waypoint steered at, m: `d_LA` of Sec. 4.1.1.
+    /// Distance to the waypoint that is steered at, m: `d_LA` of Sec. 4.1.1.
     pub lookahead_m: f64,
-    /// When the wheel changes hands, steering moves at most this fast from what
-    /// was commanded to what the new driver wants, 1/s; 0 for no limit. A veto,
-    /// a person's grip and the brake act at once.
+    /// Limit of the steering's rate of change during a hand-over, from the last command
+    /// to the new driver's, 1/s; 0 for no limit. A veto, a takeover and the brake act
+    /// at once.
     pub handover_steer_per_s: f64,
-    /// The same for the pedal, 1/s.
+    /// The same limit for the pedal, 1/s.
     pub handover_pedal_per_s: f64,
 }
 
@@ -60,21 +60,23 @@ impl Controller {
     }
 }
 
-/// The judge in the tick: bicycle rollouts against lidar returns and road.
+/// The safety check in the tick: rollouts of the bicycle model against lidar returns
+/// and road.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JudgeLimits {
-    /// How far the rollouts look, s: the paper's picture shows 1.5 s.
+    /// Horizon of the rollouts, s: the paper's picture shows 1.5 s.
     pub horizon_s: f64,
     /// Integration step, s.
     #[serde(skip)]
     pub step_s: f64,
     /// Lidar returns nearer to the footprint than this count as contact, m.
     pub margin_m: f64,
-    /// A centre this far beyond the road's edge has left it, m.
+    /// The car has left the road when its centre is this far beyond the edge, m.
     #[serde(skip)]
     pub edge_margin_m: f64,
-    /// A contact or exit sooner than the time to stop plus this vetoes, s.
+    /// Margin of the veto, s: a contact or exit is vetoed when it is due sooner than
+    /// the time to stop plus this.
     pub reaction_s: f64,
 }
 
@@ -86,7 +88,7 @@ impl Default for JudgeLimits {
             // Three grid cells: the returns are exact, the rollout is not.
             margin_m: 0.15,
             edge_margin_m: 0.0,
-            // Two periods: this tick's command acts over the next one.
+            // Two periods: this tick's command is in force during the next tick too.
             reaction_s: 0.2,
         }
     }

@@ -3,16 +3,16 @@ use serde::{Deserialize, Serialize};
 use super::planner::DISC_CELLS_MAX;
 use super::{OutOfRange, in_range};
 
-/// Informed RRT* with a memory, `planner.method = "informed"`. All else is as
-/// `planner` says.
+/// Informed RRT* with a memory, `planner.method = "informed"`. All other settings are
+/// those of `planner`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Informed {
-    /// In place of `planner.inflation_m`, m. 1.2: half the car's width (0.926 m),
-    /// the judge's margin of 0.15 m, and 12 cm for the tracking.
+    /// Replaces `planner.inflation_m`, m. 1.2: half the car's width (0.926 m), the
+    /// safety check's margin of 0.15 m, and 12 cm for the tracking error.
     pub inflation_m: f64,
-    /// A plan older than this is forgotten, s. 0.5: five ticks of the paper's
-    /// 0.1 s, in which the car moves by a step of the tree.
+    /// A plan older than this is not used again, s. 0.5: five ticks of the paper's 0.1
+    /// s, in which the car moves by one step of the tree.
     #[serde(skip)]
     pub memory_s: f64,
 }

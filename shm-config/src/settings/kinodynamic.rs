@@ -8,48 +8,48 @@ use super::{OutOfRange, in_range};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Kinodynamic {
-    /// How far the body's front and middle stay away from what the lidar saw, m.
-    /// 0.25: the judge's 0.15, and 10 cm for the tracking.
+    /// Distance of the body's front and middle from lidar returns, m. 0.25: the safety
+    /// check's 0.15, and 10 cm for the tracking error.
     pub clearance_m: f64,
-    /// Taken off the road on either side for the body's middle line, m, in place
-    /// of `planner.lane_margin_m`. 1.5: of the body's half width (0.926 m) it leaves
-    /// 0.57 m for cutting corners; with 1.0, 3 % of the episodes end on a sidewalk.
+    /// Margin to either edge of the road for the middle line of the body, m; replaces
+    /// `planner.lane_margin_m`. 1.5: 0.57 m more than the body's half width (0.926 m),
+    /// for cut corners; with 1.0, 3 % of the episodes end on a sidewalk.
     pub lane_margin_m: f64,
-    /// Sideways acceleration that no curve asks for more than, m/s²: at the speed
-    /// v the radius is at least v²/a, and at least the car's own. 4.0 at 5 m/s is
-    /// a radius of 6.25 m; tyres slide above 11.
+    /// Highest lateral acceleration of a curve, m/s²: at the speed v the radius is at
+    /// least v²/a, and at least the car's own. 4.0 at 5 m/s is a radius of 6.25 m;
+    /// tyres slide above 11.
     #[serde(skip)]
     pub lateral_mps2: f64,
-    /// When no path is found at `planner.speed_mps`, one is looked for at this
-    /// speed, m/s, with the tighter curves that it allows. 2.5: 3.1 m with the
-    /// default car, whose own radius is 2.94 m.
+    /// When no path is found at `planner.speed_mps`, the planner searches at this
+    /// speed, m/s, which allows tighter curves. 2.5: a radius of 3.1 m with the default
+    /// car, whose own radius is 2.94 m.
     #[serde(skip)]
     pub slow_mps: f64,
     /// Deceleration towards the end of a path that does not reach its goal, m/s².
     /// 2.0: a fifth of what the brake can do.
     #[serde(skip)]
     pub brake_mps2: f64,
-    /// How far along the road the goal lies at most, m. 20.0: four seconds.
+    /// Largest distance of the goal along the road, m. 20.0: four seconds.
     #[serde(skip)]
     pub goal_distance_m: f64,
-    /// How far a bend may leave the straight line to the goal while the road's
-    /// middle is free, m. 0.25: as in `planner.goal_sag_m`.
+    /// How far a bend may deviate from the straight line to the goal while the middle
+    /// of the road is free, m. 0.25: as in `planner.goal_sag_m`.
     #[serde(skip)]
     pub goal_sag_m: f64,
-    /// A node this much off the road's direction is still in the goal ball, rad.
+    /// Largest heading error of a node in the goal ball relative to the road, rad.
     #[serde(skip)]
     pub goal_heading_rad: f64,
-    /// Samples head this much off the road's direction at most, rad. 0.8: past an
-    /// obstacle, a car that turns at 6.25 m radius needs 0.7 for a lane of 3.5 m.
+    /// Largest heading of a sample relative to the road, rad. 0.8: to pass an obstacle,
+    /// a car with a turning radius of 6.25 m needs 0.7 for a lane of 3.5 m.
     #[serde(skip)]
     pub spread_rad: f64,
-    /// Parents are chosen and edges rewired within this distance, m; a sample
-    /// farther than this from every node is approached that far. 10.0: half the
-    /// way to the goal, because an edge can lead round an obstacle by itself.
+    /// Parents are chosen and edges rewired within this distance, m; towards a sample
+    /// further away from every node, an edge of this length is made. 10.0: half the
+    /// distance to the goal, because a single edge can lead round an obstacle.
     #[serde(skip)]
     pub reach_m: f64,
-    /// Share of the samples spread evenly over all headings and the whole road;
-    /// the others follow the road. 0.1: rare, but it keeps every place reachable.
+    /// Share of the samples that are spread evenly over all headings and the whole
+    /// road; the others follow the road. 0.1: few, but every pose stays reachable.
     #[serde(skip)]
     pub uniform_share: f64,
 }

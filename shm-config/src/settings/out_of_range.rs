@@ -1,20 +1,20 @@
 use core::fmt::{Debug, Display};
 use core::ops::RangeInclusive;
 
-/// A value that its key cannot take.
+/// A value that is not valid for its key.
 #[cfg(feature = "std")]
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key} = {value}: must be {expected}")]
 pub struct OutOfRange {
     /// The key with its section, such as `planner.cell_m`.
     pub key: String,
-    /// What it was.
+    /// Its value.
     pub value: String,
-    /// What it may be.
+    /// The valid values.
     pub expected: String,
 }
 
-/// A value that its key cannot take. Without the standard library it names the key
+/// A value that is not valid for its key. Without the standard library it names the key
 /// alone: texts need an allocator.
 #[cfg(not(feature = "std"))]
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -24,7 +24,7 @@ pub struct OutOfRange {
     pub key: &'static str,
 }
 
-/// A number that a key may be.
+/// The type of a value with a range.
 pub(crate) trait Number: PartialOrd + Display + Debug {
     /// What the range is called, between its two ends: `within 0.5 and 2`.
     #[cfg(feature = "std")]
@@ -56,7 +56,7 @@ pub(crate) fn in_range<T: Number>(
 
 #[cfg(feature = "std")]
 fn refused<T: Number>(key: &str, value: T, range: RangeInclusive<T>) -> OutOfRange {
-    // As it may have been written: not all 301 digits of 1e300.
+    // In a short form: not all 301 digits of 1e300.
     let mut echo = value.to_string();
     if echo.len() > ECHO_DIGITS {
         echo = format!("{value:?}");

@@ -1,4 +1,4 @@
-//! RRT*, and how much room its grid and tree have.
+//! RRT*, and the sizes of its grid and tree.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use super::{OutOfRange, in_range};
 
 /// Most cells along x or along y: 100 m of road at 5 cm.
 pub const CELLS_MAX: usize = 2048;
-/// Largest inflation, cells; a run of its disc then spans at most three words.
+/// Largest inflation, cells; a row of the disc then spans at most three words.
 pub const DISC_CELLS_MAX: usize = 60;
 /// Most nodes of a tree. The time of a search grows with their square.
 pub const NODES_MAX: usize = 4096;
@@ -19,25 +19,25 @@ const _: () = assert!(NODES_MAX < u16::MAX as usize, "a node's index is a u16");
 pub enum Method {
     /// The paper's: RRT* on the occupancy grid of one observation.
     RrtStar,
-    /// RRT* that begins with the last path, and samples only where a shorter
-    /// one can be.
+    /// RRT* that starts from the last path, and samples only where a shorter path is
+    /// possible.
     Informed,
-    /// RRT* whose edges a car with this turning circle can drive.
+    /// RRT* with edges that a car with its turning radius can drive.
     Kinodynamic,
     /// Model-predictive control on the bicycle.
     Mpc,
 }
 
-/// What the planner can be told. The defaults are the numbers of Sec. 4.1.1
-/// where the paper gives one; the other fields say where theirs is from.
+/// The settings of the planner. The defaults are the numbers of Sec. 4.1.1 where the
+/// paper gives one; the other fields name their source.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Planner {
-    /// How plans are made. The rest of this section is about the RRT* methods.
+    /// The planning method. The rest of this section is about the RRT* methods.
     pub method: Method,
-    /// Plans per second: run.rate_hz divided by a whole number, at least 1; 0
-    /// for one at every tick. In between, the last plan is moved into the car's
-    /// frame of now.
+    /// Plans per second: run.rate_hz divided by a whole number, at least 1; 0 for a
+    /// plan at every tick. Between plans, the last one is transformed to the car's
+    /// present frame.
     pub rate_hz: f64,
     /// Side of a cell, m: the paper's `Δx = Δy`.
     pub cell_m: f64,
@@ -47,36 +47,36 @@ pub struct Planner {
     pub y_max_m: f64,
     /// Radius around a lidar return that counts as occupied, m.
     pub inflation_m: f64,
-    /// Taken off the lane corridor on either side, m: `m_lane`. The paper gives
-    /// no number. 1.0: half the car's width (0.926 m), so that the body and not
-    /// only its centre stays inside, and 7 cm for the tracking.
+    /// Margin to either edge of the lane corridor, m: `m_lane`. The paper gives no
+    /// number. 1.0: half the car's width (0.926 m), so that the whole body stays
+    /// inside, and 7 cm for the tracking error.
     pub lane_margin_m: f64,
-    /// Samples drawn for each plan; the whole budget is always spent.
+    /// Samples for each plan; all of them are always drawn.
     pub iterations: u32,
-    /// The most a node is away from the node it was extended from, m.
+    /// Largest distance of a node from its parent when it is added, m.
     pub step_m: f64,
     /// Radius in which parents are chosen and edges rewired, m: `r*`.
     pub rewire_radius_m: f64,
     /// Radius of the goal ball, m: `r_goal`.
     pub goal_radius_m: f64,
-    /// Speed written on each waypoint, m/s: `v_ref`.
+    /// Speed at each waypoint, m/s: `v_ref`.
     pub speed_mps: f64,
     /// Share of the samples that are the goal itself. The paper has none: 0.
     #[serde(skip)]
     pub goal_bias: f64,
-    /// How far along the road the goal lies at most, m. See the planner's `choose_goal`.
+    /// Largest distance of the goal along the road, m. See the planner's `choose_goal`.
     pub goal_distance_m: f64,
-    /// How far a bend of the road may leave the straight line to the goal, m.
-    /// See the planner's `choose_goal`.
+    /// Largest deviation of a bend from the straight line to the goal, m. See the
+    /// planner's `choose_goal`.
     #[serde(skip)]
     pub goal_sag_m: f64,
-    /// A path that does not reach the goal and ends nearer than this to the car
-    /// is no path, m. 4.0: the front bumper is 2.26 m ahead of the centre, a car
-    /// at 5 m/s stops within 1.1 m, and one tick is 0.5 m more.
+    /// A path that does not reach the goal and ends nearer than this to the car counts
+    /// as none, m. 4.0: the front bumper is 2.26 m ahead of the centre, a car at 5 m/s
+    /// stops within 1.1 m, and one tick adds 0.5 m.
     #[serde(skip)]
     pub partial_min_m: f64,
-    /// The stream of samples of a plan depends on this, on the episode and on
-    /// the tick, and on nothing else.
+    /// Seed of the samples. The samples of a plan depend only on it, the episode and
+    /// the tick.
     pub seed: u64,
 }
 
@@ -110,7 +110,7 @@ impl Planner {
     /// # Errors
     /// The first number that is not finite or outside its limits.
     pub fn check(&self) -> Result<(), OutOfRange> {
-        // Every later row is relative to the cell, so the cell comes first.
+        // All later limits are relative to the cell, so the cell is checked first.
         in_range("planner.cell_m", self.cell_m, 0.01..=1.0)?;
         let cells_m = self.cell_m * CELLS_MAX as f64;
         let disc_m = self.cell_m * DISC_CELLS_MAX as f64;
