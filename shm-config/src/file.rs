@@ -1,11 +1,10 @@
 //! Files and folders: opened once, checked, then used by their descriptor.
 //!
-//! There are two kinds. A file that a command line or a configuration names may be
-//! a link and may belong to another user: it is read when it is a regular file of
-//! a bounded size. What a run keeps for itself is a file or folder *of ours*: it
-//! belongs to the calling user, only this user may write to it, and no link is
-//! followed to it, because a user who may make a name in that place could have put a
-//! link or a pipe there.
+//! There are two kinds. A file that a command line or a configuration names may be a
+//! link and may belong to another user; it is read if it is a regular file of a bounded
+//! size. A file or folder *of ours* is one that a run keeps for itself: it belongs to
+//! the calling user, only this user may write to it, and no link to it is followed,
+//! because another user could have put a link or a pipe in its place.
 
 mod folder;
 
@@ -20,8 +19,8 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{AtFlags, CWD, FileType, Mode, OFlags, Stat};
 use rustix::io::Errno;
 
-/// Names that are tried for a new file that takes another one's place. A name is
-/// taken only by a process of this id that was killed meanwhile.
+/// Names that are tried for a new file that replaces another one. A name is taken only
+/// if an earlier process with this id was killed.
 const NEW_NAMES: u32 = 16;
 
 /// Permission bits by which other users may change a file or folder.
@@ -29,13 +28,13 @@ const OTHERS_WRITE: u32 = 0o022;
 /// Permission bits by which other users may do anything with it.
 const OTHERS_ANY: u32 = 0o077;
 
-/// Flags of every open here: a pipe does not wait for its other end, a terminal
-/// does not become ours, no child inherits it.
+/// Flags of every open here: a pipe does not wait for its other end, a terminal does
+/// not become the controlling one, no child inherits the descriptor.
 const CAREFUL: OFlags = OFlags::CLOEXEC
     .union(OFlags::NONBLOCK)
     .union(OFlags::NOCTTY);
 
-/// A file or folder that is not the calling user's alone.
+/// The file or folder is not the calling user's alone.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NotOurs {
     /// It belongs to another user.
@@ -46,7 +45,7 @@ pub enum NotOurs {
         /// Its permission bits.
         mode: u32,
     },
-    /// Its permissions let other users in.
+    /// Its permissions admit other users.
     #[error(
         "is open to other users (owner {owner}, mode {mode:o}); `chmod go-{letters}` closes it",
         letters = if mode & OTHERS_WRITE != 0 { "w" } else { "rwx" }
@@ -79,34 +78,34 @@ impl NotOurs {
     }
 }
 
-/// What a file of ours is opened for.
+/// The access with which a file of ours is opened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
     /// To read it.
     Read,
-    /// To read it and to write at its end; it is made if it is missing.
+    /// To read it and to append; it is created if it is missing.
     Append,
-    /// To read it and to write anywhere; it is made if it is missing.
+    /// To read it and to write anywhere; it is created if it is missing.
     Change,
-    /// To read it and to write at its end; there must be none of that name.
+    /// To read it and to append; no file of that name may exist.
     New,
 }
 
 /// Whether a written file survives a power cut.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Durable {
-    /// It is on the disk before its name leads to it.
+    /// The content is on the disk before the file has its name.
     Yes,
-    /// The kernel writes it when it likes.
+    /// The kernel writes it later.
     No,
 }
 
-/// Whom a folder of ours admits, and with it the files that are made there.
+/// Which users a folder of ours admits, and the files created in it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Entry {
     /// The calling user alone.
     Private,
-    /// Others may look into it, and change nothing.
+    /// Other users may read it and change nothing.
     Readable,
 }
 
@@ -115,20 +114,20 @@ pub fn user() -> u32 {
     rustix::process::getuid().as_raw()
 }
 
-/// What the system says of a file that is about to be read. Asked before it is
-/// opened: a pipe would wait for ever, a device has no end.
+/// The metadata of a file that is about to be read. Read before it is opened: opening a
+/// pipe would wait, and a device has no end.
 ///
 /// # Errors
-/// When there is nothing at the path, or what is there is no regular file.
+/// When there is nothing at the path, or no regular file.
 pub fn regular(path: &Path) -> io::Result<Metadata> {
     check_regular(path.metadata()?)
 }
 
-/// Reads a regular file of at most `bytes_max` bytes, of any owner; links
-/// are followed. A pipe is refused and not waited for.
+/// Reads a regular file of at most `bytes_max` bytes, of any owner; links are followed.
+/// A pipe is refused at once.
 ///
 /// # Errors
-/// When there is no such file, it is no regular file, or it is longer.
+/// When there is no such file, it is not a regular file, or it is longer.
 pub fn read(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
     let flags = OFlags::RDONLY | CAREFUL;
     let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
@@ -136,10 +135,10 @@ pub fn read(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
     read_bounded(&file, bytes_max)
 }
 
-/// The same of a text.
+/// As [`read`], for a text.
 ///
 /// # Errors
-/// As [`read`], and when it is no UTF-8.
+/// As [`read`], and when it is not UTF-8.
 pub fn read_text(path: &Path, bytes_max: u64) -> io::Result<String> {
     text(read(path, bytes_max)?)
 }
@@ -160,9 +159,9 @@ pub fn read_ours(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
     read_bounded(&open_ours(path, Access::Read)?, bytes_max)
 }
 
-/// Writes a file so that its name leads to the old content or to the whole new
-/// one. The new file is made under a name that was free; what stood at `path`, a
-/// link too, is replaced and not followed.
+/// Writes a file so that its name refers to either the old or the whole new content.
+/// The new file is created under a free name; whatever was at `path`, also a link, is
+/// replaced and not followed.
 ///
 /// # Errors
 /// When the folder is missing or refuses; the old content stays.

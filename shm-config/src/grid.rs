@@ -7,9 +7,9 @@ use crate::message::{FUTURE_TOLERANCE_NS, Message, Observation, Refusal};
 use crate::time::Instant;
 
 /// The grid that all processes of a run share: whole periods after a phase that follows
-/// from the run's name. Worlds of a run, the restarted ones too, keep it, so that
-/// `elapsed / period` stays a whole number over restarts; runs side by side have
-/// different phases and do not tick at once.
+/// from the run's name. All worlds of a run keep it, also restarted ones, so `elapsed /
+/// period` stays a whole number over restarts. Runs side by side have different phases
+/// and do not tick at the same time.
 ///
 /// In lockstep the run's clock is the world's, and only contents are checked.
 #[derive(Debug, Clone, Copy)]
@@ -21,7 +21,7 @@ pub struct RunGrid {
 }
 
 impl RunGrid {
-    /// Of a configuration.
+    /// The grid of a configuration.
     pub fn of(config: &Config) -> Self {
         let period_ns = config.run.period_ns();
         Self {
@@ -32,26 +32,27 @@ impl RunGrid {
         }
     }
 
-    /// The first instant that lies at least one period ahead, so that every process
-    /// can be there.
+    /// The first instant that lies at least one period ahead, so that every process is
+    /// ready.
     pub fn first_instant(&self, now: Instant) -> Instant {
         let least_ns = now.0 + self.period_ns;
         Instant(least_ns + (self.period_ns - self.off_ns(least_ns)) % self.period_ns)
     }
 
-    /// Nanoseconds since the instant of the grid at or before this one.
+    /// Nanoseconds since the latest instant of the grid.
     fn off_ns(&self, instant_ns: u64) -> u64 {
         let (period, phase) = (self.period_ns, self.phase_ns);
         (instant_ns % period + period - phase) % period
     }
 
-    /// The door for observations: content, age, and an instant of the grid that is as
-    /// young. It comes before an observation is given a tick's number.
+    /// The check of observations: content, age, and a scheduled instant on the grid
+    /// within the same age limit. It comes before an observation is given a tick's
+    /// number.
     ///
     /// # Errors
-    /// As [`Message::admit`]; and when the scheduled instant is none of the grid, is in
-    /// the future, or is older than the age limit and one period: the observations of a
-    /// tick may be made until the next one is due.
+    /// As [`Message::admit`]; also when the scheduled instant is off the grid, in the
+    /// future, or older than the age limit and one period. The extra period admits all
+    /// observations of a tick until the next tick is due.
     pub fn admit(&self, observation: &Observation, now: Instant) -> Result<(), Refusal> {
         if self.lockstep {
             return observation.check();

@@ -38,9 +38,9 @@ impl Histogram {
         self.max_ns = self.max_ns.max(ns);
     }
 
-    /// Counts the durations `first_ns`, `first_ns + step_ns` and so on, `count` of
-    /// them: the latenesses of instants of a grid that one late moment answers.
-    /// Exact, and however many they are, no more work than there are buckets.
+    /// Counts `count` durations: `first_ns`, `first_ns + step_ns` and so on. These are
+    /// the latenesses of consecutive instants that one late tick ends. The counts are
+    /// exact, and the work is bounded by the number of buckets.
     pub fn record_series(&mut self, first_ns: u64, step_ns: u64, count: u64) {
         let (mut ns, mut left) = (first_ns, count);
         while left > 0 {
@@ -68,9 +68,8 @@ impl Histogram {
         self.max_ns = self.max_ns.max(other.max_ns);
     }
 
-    /// The buckets that hold something: from (in it), below (not in it), ns, and
-    /// the count. The last bucket holds all that is longer, so it ends with the
-    /// maximum.
+    /// The non-empty buckets: lower bound (included), upper bound (excluded), ns, and
+    /// count. The last bucket holds all longer durations, so it ends with the maximum.
     pub fn filled(&self) -> impl Iterator<Item = (u64, u64, u32)> + '_ {
         let filled = self.buckets.iter().enumerate();
         filled
@@ -97,8 +96,8 @@ impl Histogram {
         hdr
     }
 
-    /// The duration below which a share `quantile` in [0, 1] of all lie, ns, to
-    /// two digits and never above the exact maximum; 0 when nothing was counted.
+    /// The quantile in [0, 1] of the durations, ns, to two digits and never above the
+    /// exact maximum; 0 when nothing was counted.
     #[cfg(feature = "std")]
     pub fn quantile_ns(&self, quantile: f64) -> u64 {
         self.to_hdr().value_at_quantile(quantile).min(self.max_ns)
@@ -158,7 +157,7 @@ mod tests {
             (0..count).for_each(|k| singly.record(first_ns + k * step_ns));
             assert_eq!(series, singly, "{count} from {first_ns} by {step_ns}");
         }
-        // Nobody can count these one by one.
+        // These are too many to be counted one by one.
         let mut endless = Histogram::default();
         endless.record_series(1, u64::MAX / 2, u64::MAX / 4);
         assert_eq!((endless.max_ns, endless.count), (u64::MAX, u64::MAX / 4));

@@ -1,5 +1,5 @@
-//! What a run's judge was asked and said: the gate process writes it down, the
-//! supervisor shows it. Both meet in files, so that neither waits on the other.
+//! The record of a run's judge: the gate process writes it, the supervisor shows it. It
+//! is a file, so that neither process waits for the other.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,41 +8,42 @@ use serde::{Deserialize, Serialize};
 
 use crate::counted;
 
-/// The file of it in the run's folder, JSON.
+/// The record's file in the run's folder, JSON.
 pub const SUMMARY: &str = "judged.json";
 
 /// Questions and answers of a run, so far.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Judged {
-    /// Which run it is of: the process id of its supervisor.
+    /// The run: the process id of its supervisor.
     pub supervisor: u32,
-    /// Who was asked.
+    /// The judge that was asked.
     pub judge: String,
-    /// Questions that are filed: those of the last seconds may be missing.
+    /// Questions that are filed; those of the last seconds may be missing.
     pub questions: u64,
     /// Answered for the expert.
     pub expert: u64,
     /// Answered for the policy, "similar" among them.
     pub policy: u64,
-    /// Of those: neither is clearly safer. Of a replay nobody knows.
+    /// Answers for the policy that said neither path is clearly safer; unknown in a
+    /// replay.
     pub similar: u64,
-    /// Without an answer that counts: the replies disagree.
+    /// Answers without effect, because the replies disagree.
     pub abstained: u64,
     /// Without an answer.
     pub failed: u64,
-    /// Why, in one word each.
+    /// The faults of the questions without an answer, in one word each.
     pub faults: BTreeMap<String, u64>,
-    /// US dollars.
+    /// Cost, US dollars.
     pub cost_usd: f64,
-    /// Records or pictures that could not be kept.
+    /// Records or pictures that could not be stored.
     pub lost: u64,
-    /// Why the server was not asked any more, for good or for a while, and what to
-    /// do; empty where it always was.
+    /// Why the server got no more questions, for good or for a while, and what to do;
+    /// empty if it always got them.
     #[serde(default)]
     pub trouble: String,
 }
 
-/// What is added to the answers for the policy, where there were such.
+/// The text appended to the answers for the policy, if some of them said "similar".
 pub fn of_these_similar(similar: u64) -> String {
     match similar {
         0 => String::new(),

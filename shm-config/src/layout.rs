@@ -1,9 +1,9 @@
-//! Message layouts that name themselves.
+//! Message layouts that describe themselves.
 //!
-//! [`message!`](macro@crate::message) writes down each field's name, type and offset
-//! beside the struct. From that table come the layout's fingerprint, by which a
-//! producer and a consumer built from different sources refuse each other, and
-//! the layout in other languages, which therefore cannot drift.
+//! [`message!`](macro@crate::message) records each field's name, type and offset beside the
+//! struct. From this table come the layout's fingerprint, by which a producer and a
+//! consumer built from different sources refuse each other, and the layout in other
+//! languages, which therefore cannot differ.
 
 /// One field of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,8 +44,8 @@ pub trait Layout {
     fn as_bytes(&self) -> &[u8];
 }
 
-/// FNV-1a, the only hash simple enough to run in a `const`; it tells layouts
-/// apart, it does not protect anything.
+/// FNV-1a, a hash simple enough for a `const`. It distinguishes layouts and protects
+/// nothing.
 pub const fn fnv1a(mut hash: u64, bytes: &[u8]) -> u64 {
     let mut k = 0;
     while k < bytes.len() {
@@ -72,8 +72,8 @@ pub const fn fingerprint(name: &str, fields: &[Field]) -> u64 {
     hash
 }
 
-/// True when the fields fill `size` bytes without a gap: no byte of a message
-/// is ever undefined, so messages can be hashed, recorded and compared bit by bit.
+/// Whether the fields fill `size` bytes without a gap. Then no byte of a message is
+/// undefined, and messages can be hashed, recorded and compared bit by bit.
 pub const fn is_packed(fields: &[Field], size: usize) -> bool {
     let mut end = 0;
     let mut k = 0;
@@ -163,7 +163,7 @@ macro_rules! message {
     };
 }
 
-/// Lets a message travel through shared memory, where the wire is built.
+/// Makes a message fit for shared memory, where the wire is built.
 #[cfg(feature = "wire")]
 #[doc(hidden)]
 #[macro_export]
@@ -184,7 +184,7 @@ macro_rules! travels {
     };
 }
 
-/// Without the wire nothing travels.
+/// Without the wire no message is sent.
 #[cfg(not(feature = "wire"))]
 #[doc(hidden)]
 #[macro_export]
@@ -196,13 +196,13 @@ macro_rules! travels {
 #[allow(clippy::disallowed_types)]
 pub use iceoryx2::prelude::ZeroCopySend as Travels;
 
-/// What may travel through shared memory; checked where the wire is built.
+/// The types that may be sent through shared memory; checked where the wire is built.
 #[cfg(not(feature = "wire"))]
 pub trait Travels {}
 #[cfg(not(feature = "wire"))]
 impl<T> Travels for T {}
 
-/// Declares a closed list that travels as a `u32`, with the word users read.
+/// Declares a closed list that is sent as a `u32`, with the word that users read.
 #[macro_export]
 macro_rules! word_list {
     (

@@ -1,7 +1,7 @@
 //! The wire: messages, service table, age limits, time, configuration.
 //!
-//! The only crate that names iceoryx2. Everything that two processes must agree
-//! on stands here and nowhere else.
+//! The only crate that names iceoryx2. It holds everything on which two processes must
+//! agree.
 //!
 //! The feature `wire` (default) adds what needs iceoryx2 or Linux: ports, runs, files,
 //! secrets and the machine's clock. The feature `std`, which it includes, adds what

@@ -1,5 +1,5 @@
-//! The colours of rendered pictures. Every world draws with these, so that who
-//! reads a picture by its colours reads those of all worlds alike.
+//! The colours of rendered pictures. Every world draws with these colours, so that a
+//! reader of pictures can rely on them.
 
 /// Red, green and blue, a byte each.
 pub type Rgb = [u8; 3];
@@ -8,7 +8,7 @@ pub type Rgb = [u8; 3];
 pub const GROUND: Rgb = [104, 122, 92];
 /// Sidewalks, which end an episode.
 pub const SIDEWALK: Rgb = [152, 158, 166];
-/// What may be driven on.
+/// The area that may be driven on.
 pub const ROAD: Rgb = [60, 62, 68];
 /// A line that must not be crossed, or the edge of the road.
 pub const LINE_SOLID: Rgb = [222, 224, 226];
@@ -30,7 +30,7 @@ pub const RIM: Rgb = [26, 28, 32];
 /// Above the horizon.
 pub const SKY: Rgb = [150, 182, 214];
 
-/// All of them by name.
+/// All colours by name.
 pub const ALL: [(&str, Rgb); 12] = [
     ("GROUND", GROUND),
     ("SIDEWALK", SIDEWALK),
@@ -46,7 +46,7 @@ pub const ALL: [(&str, Rgb); 12] = [
     ("SKY", SKY),
 ];
 
-/// Hues that no world draws with: they are for what is drawn over a picture.
+/// Hues that no world uses; they are for lines drawn over a picture.
 pub const RESERVED: [Rgb; 6] = [
     [230, 25, 25],
     [30, 60, 255],
@@ -56,21 +56,21 @@ pub const RESERVED: [Rgb; 6] = [
     [0, 200, 220],
 ];
 
-/// Least distance between two colours of the palette, and from one of them to a
-/// reserved hue, in the cube of bytes: readers by colour need a tolerance, for
-/// edges are blended and JPEG shifts what it stores.
+/// Least distance between two colours of the palette, and from any of them to a
+/// reserved hue, in the cube of bytes. A reader by colour needs this tolerance, because
+/// edges are blended and JPEG changes colours.
 pub const APART: f64 = 36.0;
 /// See [`APART`].
 pub const APART_FROM_RESERVED: f64 = 110.0;
 
-/// How different two colours are: their distance in the cube of bytes.
+/// The distance of two colours in the cube of bytes.
 pub fn distance(a: Rgb, b: Rgb) -> f64 {
     let square = |k: usize| (f64::from(a[k]) - f64::from(b[k])).powi(2);
     (square(0) + square(1) + square(2)).sqrt()
 }
 
-/// The colour of a side that is lit less, [0, 1]: those that stand upright are, by a
-/// fifth at most.
+/// The colour of a side with less light, in [0, 1]: upright sides have at most a fifth
+/// less.
 pub fn shaded(color: Rgb, light: f64) -> Rgb {
     color.map(|value| (f64::from(value) * light.clamp(0.0, 1.0)).round() as u8)
 }

@@ -1,5 +1,5 @@
-//! The wire as a Python module: a process in Python reads the same tables that
-//! this crate compiles, so neither side writes a layout or a limit twice.
+//! The wire as a Python module: a process in Python uses the tables of this crate, so
+//! no layout or limit is written twice.
 //!
 //! `cargo run -p shm-config --example python_wire` prints the module; a test
 //! compares it with the one checked in beside the process that reads it.
@@ -28,7 +28,7 @@ Generated from the crate `shm-config`; do not edit. Renew it with
 """
 "#;
 
-/// The text of the module, with everything that a world process needs.
+/// The text of the module, with all that a world process needs.
 pub fn module() -> String {
     let mut out = String::from(TITLE);
     out.push_str("\nimport ctypes\nfrom collections import namedtuple\n");

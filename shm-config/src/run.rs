@@ -1,10 +1,10 @@
 //! The run: its name isolates it from every other on the machine.
 //!
-//! A run keeps all its files under one folder that only its user can enter, and
-//! its shared memory under one prefix. Every process of the run holds a shared
-//! lock on the folder's `alive` file for as long as it lives, however it ends;
-//! the kernel drops the lock. So a run is provably dead exactly when a process
-//! can take that lock exclusively, and only then are its leftovers removed.
+//! A run keeps all its files in one folder that only its user can enter, and its shared
+//! memory under one prefix. Every process of the run holds a shared lock on the
+//! folder's `alive` file for its whole life; the kernel releases the lock however the
+//! process ends. So a run is dead exactly when a process can take that lock
+//! exclusively, and only then are its leftovers removed.
 
 mod holder;
 mod shared;
@@ -27,8 +27,8 @@ use crate::file::{Access, Durable, Entry, Folder, NotOurs};
 
 /// Longest path of a socket, bytes: the kernel's 108 less the closing zero.
 const SOCKET_PATH_MAX: usize = 107;
-/// What the library puts behind the prefix of a doorbell's socket: a number of 31 digits
-/// (for the first 126 ports of a process), and ".event".
+/// The suffix that the library appends to the prefix of a doorbell's socket: a number
+/// of 31 digits (for the first 126 ports of a process), and ".event".
 const SOCKET_NAME_MAX: usize = 31 + 6;
 
 /// Tries to make a folder that others may be removing.
@@ -37,12 +37,12 @@ const CREATE_TRIES: u32 = 100;
 /// Where shared memory appears as files.
 pub const SHARED_MEMORY_DIR: &str = "/dev/shm";
 
-/// The folder of a user's runs, by user id. In memory as the messages are: the library
-/// synchronises some 130 small files of a start with the disk, if they are on one.
+/// The folder of a user's runs, by user id. It is in memory, like the messages: on a
+/// disk, the library would synchronise some 130 small files at each start.
 pub const USER_DIR: &str = "/dev/shm/vlaps-{user}";
 
-/// What the shared-memory files of a run begin with. The closing '.' is in no
-/// run name, so no prefix begins another.
+/// The prefix of the run's shared-memory files. No run name contains the closing '.',
+/// so no prefix is the beginning of another.
 pub const PREFIX: &str = "vlaps-{user}-{run}.";
 
 /// The file within a run's folder whose shared lock every member holds.
@@ -53,11 +53,11 @@ const CONFIG_FILE: &str = "config.toml";
 const SUPERVISOR_FILE: &str = "supervisor";
 /// A link to the folder of the run's logs and summary.
 const FOLDER_LINK: &str = "folder";
-/// The process that the run ends with, when another program drives it.
+/// The program with which the run ends, if a program started it.
 const PARENT_FILE: &str = "parent";
 /// Longest file of a number that is read back, bytes.
 const NUMBER_BYTES_MAX: u64 = 64;
-/// Where the library keeps which processes are there, and what they share.
+/// Where the library lists the processes and what they share.
 const NODES_DIR: &str = "nodes";
 const SERVICES_DIR: &str = "services";
 
@@ -215,8 +215,8 @@ impl RunPaths {
     /// # Errors
     /// When it belongs to another user or cannot be made.
     pub fn create(&self) -> Result<(), RunError> {
-        // Another run that ends may take the user's empty folder away between
-        // the two steps; it cannot do so for ever.
+        // Another run that ends may remove the user's empty folder between the two
+        // steps, but not every time.
         for _ in 0..CREATE_TRIES {
             match self.try_create() {
                 Err(RunError::Io { source, .. }) if source.kind() == io::ErrorKind::NotFound => {}
@@ -257,7 +257,7 @@ impl RunPaths {
             .map_err(|error| RunError::of(&self.dir().join(name), error))
     }
 
-    /// Says that the calling process is part of the run, until it ends.
+    /// Marks the calling process as part of the run until it ends.
     ///
     /// # Errors
     /// When the file cannot be made or locked.
@@ -273,8 +273,8 @@ impl RunPaths {
         }
     }
 
-    /// Takes the supervisor's place in the run; `None` when another supervisor
-    /// of the same run lives. Its process id and start are left in the file.
+    /// Takes the lock of the run's supervisor, and writes the process id and start to
+    /// its file; `None` when another supervisor of the run lives.
     ///
     /// # Errors
     /// When the folder or the file cannot be used.
@@ -285,8 +285,8 @@ impl RunPaths {
             return Ok(None);
         }
         let io_error = |source| RunError::of(&path, source);
-        // A run that was just ending may have removed the file in between; a lock
-        // on a file that no other process finds would hold nothing.
+        // A run that was just ending may have removed the file in between; a lock on a
+        // removed file would be invisible to other processes.
         let locked = file.metadata().map_err(io_error)?.ino();
         match fs::symlink_metadata(&path) {
             Ok(metadata) if metadata.ino() == locked => {}
@@ -296,11 +296,11 @@ impl RunPaths {
         Ok(Some(RunLock { file }))
     }
 
-    /// The file of a supervisor's lock is still where it was taken, and what a
-    /// process needs to join the run is beside it: the run's files were not removed.
+    /// Whether the file of a supervisor's lock is still in its place, together with the
+    /// files that a process needs to join the run.
     ///
     /// # Errors
-    /// When it cannot be known: the system refuses to look.
+    /// When the system refuses to examine them.
     pub fn is_held(&self, lock: &RunLock) -> Result<bool, RunError> {
         let path = self.supervisor_file();
         let failed = |source| RunError::of(&path, source);
@@ -322,13 +322,13 @@ impl RunPaths {
         Ok(true)
     }
 
-    /// The process id of the run's living supervisor; `None` when there is none, or
-    /// the run's folder is not ours.
+    /// The process id of the run's living supervisor; `None` when there is none, or the
+    /// run's folder is not the user's.
     pub fn supervisor_pid(&self) -> Option<u32> {
         self.holder().ok().flatten().map(|holder| holder.pid)
     }
 
-    /// The process that holds the supervisor's place; `None` when it is free.
+    /// The process that holds the supervisor's lock; `None` when it is free.
     ///
     /// # Errors
     /// When the run's folder or the file is not ours, or cannot be used.
@@ -349,15 +349,15 @@ impl RunPaths {
         }
     }
 
-    /// Leaves beside the run's files where its logs are, and which process drives
-    /// it, if one does: by them a command knows which run is meant.
+    /// Writes beside the run's files where its logs are, and which program started it,
+    /// if one did. Commands select a run by this.
     ///
     /// # Errors
     /// When the run's folder cannot be used.
     pub fn keep_origin(&self, origin: &Origin) -> Result<(), RunError> {
         let ours = self.folder()?;
         let failed = |error| RunError::of(&self.dir(), error);
-        // Left by a killed supervisor of this name.
+        // A killed supervisor of this name may have left it.
         let _ = ours.remove(FOLDER_LINK);
         let _ = ours.remove(PARENT_FILE);
         ours.link(FOLDER_LINK, &origin.folder).map_err(failed)?;
@@ -369,7 +369,7 @@ impl RunPaths {
         }
     }
 
-    /// Where a run belongs; `None` when its supervisor has not said so (yet).
+    /// Where the run was started; `None` when its supervisor has not written it.
     pub fn origin(&self) -> Option<Origin> {
         let ours = self.folder().ok()?;
         let folder = rustix::fs::readlinkat(&ours, FOLDER_LINK, Vec::new()).ok()?;
@@ -414,24 +414,23 @@ impl RunPaths {
 
     /// Removes the run's folder after an orderly stop.
     pub fn remove_dir(&self) {
-        // The folder above it is ours alone and lies where no other user can rename
-        // it: from here on its path leads to it.
+        // Only this user can rename the folder above it, so its path still leads to the
+        // same folder.
         if self.user_folder().is_err() {
             return;
         }
-        // Best effort: what stays is an empty folder that the next start reuses.
+        // On an error an empty folder stays, which the next start reuses.
         let _ = fs::remove_dir_all(self.dir());
         let _ = fs::remove_dir(&self.user_dir);
     }
 }
 
-/// Where a run belongs.
+/// Where a run was started.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
     /// The folder of its logs and summary, without links.
     pub folder: PathBuf,
-    /// The process that started it for itself, such as a training; `None` when a
-    /// user did.
+    /// The program that started it, such as a training; `None` when a user did.
     pub parent: Option<u32>,
 }
 

@@ -1,13 +1,13 @@
-//! Secrets stay where they are used.
+//! API keys, kept out of all processes that do not need them.
 //!
-//! A key comes in an environment variable. The kernel shows the environment as
-//! `/proc/PID/environ`, hands it to every child and writes it into core files. So
-//! each program takes its keys out at the start of `main`: the values go into a
-//! sealed file in memory that has no name and is mapped nowhere, and the bytes in
-//! the environment are overwritten. The supervisor lends that file to the gate
-//! alone, as its standard input; nothing else can inherit it.
+//! A key arrives in an environment variable. The kernel shows the environment in
+//! `/proc/PID/environ`, passes it to every child and writes it to core files. So each
+//! program removes its keys at the start of `main`: the values go into a sealed file in
+//! memory that has no name and is not mapped, and the bytes in the environment are
+//! overwritten. The supervisor passes that file to the gate alone, as its standard
+//! input; no other process inherits it.
 //!
-//! What this does not hide a key from is a debugger of the same user, or root.
+//! This does not hide a key from a debugger of the same user, or from root.
 
 use std::ffi::{CString, OsStr};
 use std::fs::File;
@@ -25,28 +25,29 @@ use zeroize::{Zeroize as _, Zeroizing};
 /// The variables that hold keys unless the configuration names another.
 pub const VARIABLES: [&str; 2] = ["VLAPS_VLM_KEY", "OPENAI_API_KEY"];
 
-/// Most bytes of a value that are kept: a key has 200, and one byte more than this
-/// is no key either.
+/// Most bytes of a value that are kept. A key has about 200, and a longer value than
+/// this is not a key.
 const VALUE_BYTES_MAX: usize = 64 << 10;
 
-/// Most bytes of the file: the variables above, one of the configuration's, and as
-/// much again.
+/// Largest file, bytes: the variables above, one from the configuration, and as much
+/// again.
 const FILE_BYTES_MAX: usize = 8 * VALUE_BYTES_MAX;
 
-/// Begins the file, so that nothing else on standard input is taken for it.
+/// The first bytes of the file, so that other data on standard input is not mistaken
+/// for it.
 const HEADER: &[u8] = b"vlaps secrets 1\0";
 
-/// What is taken: `NAME=value`, each closed by a zero byte, after the header. Sealed
-/// against every change, so that its readers need not trust each other.
+/// The removed variables, `NAME=value`, each closed by a zero byte, after the header.
+/// The file is sealed against every change, so its readers need not trust each other.
 static TAKEN: Mutex<Option<File>> = Mutex::new(None);
 
 fn taken() -> MutexGuard<'static, Option<File>> {
-    // A panic leaves a file, or none; both are whole.
+    // After a panic the file is there or not; both are valid.
     TAKEN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Takes the keys out of the environment and from standard input. To be called at
-/// the start of `main`, before there is a second thread.
+/// Removes the keys from the environment and from standard input. Call it at the start
+/// of `main`, before there is a second thread.
 ///
 /// # Errors
 /// When a key is in the environment and cannot be taken out of it.
@@ -60,11 +61,11 @@ pub fn take() -> io::Result<()> {
     Ok(())
 }
 
-/// Takes one more variable out of the environment, such as the one that
-/// `vlm.key_env` names.
+/// Removes one more variable from the environment, such as the one that `vlm.key_env`
+/// names.
 ///
 /// # Errors
-/// When it is set and cannot be taken out; so it is in a process of several threads.
+/// When it is set and cannot be removed, as in a process with several threads.
 pub fn take_named(name: &str) -> io::Result<()> {
     match name.is_empty() {
         true => Ok(()),
@@ -109,8 +110,8 @@ fn all_seals() -> SealFlags {
     SealFlags::SEAL | SealFlags::SHRINK | SealFlags::GROW | SealFlags::WRITE
 }
 
-/// Hands the value of one entry of the environment to `keep` and overwrites the
-/// entry, name and all; `false` when there is none. The value is copied nowhere else.
+/// Passes the value of one entry of the environment to `keep` and overwrites the entry
+/// with its name; `false` when there is none. The value is copied nowhere else.
 #[allow(unsafe_code)]
 fn take_entry(name: &CString, keep: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<bool> {
     // SAFETY: `name` is a string of C. A caller that changes the environment in Rust has
@@ -137,11 +138,11 @@ fn take_entry(name: &CString, keep: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> 
     kept.map(|()| true)
 }
 
-/// What our parent lends us as standard input, if it is what [`lend`] lends.
+/// The file that the parent passed as standard input, if it is one of [`lend`].
 fn lent_to_us() -> Option<File> {
     let input = io::stdin();
-    // Of anything but a sealed file in memory, such as a terminal or a pipe, nothing
-    // is read: it would be missing from the process that it is for.
+    // Other inputs, such as a terminal or a pipe, are not read: the data would be
+    // missing from the process for which it is meant.
     let seals = fcntl_get_seals(input.as_fd()).ok()?;
     if !seals.contains(all_seals()) {
         return None;
@@ -150,7 +151,8 @@ fn lent_to_us() -> Option<File> {
     content(&file).ok()?.starts_with(HEADER).then_some(file)
 }
 
-/// Reads at an offset: all processes that were lent the file share one position in it.
+/// Reads at an offset, because all processes that received the file share one position
+/// in it.
 fn content(file: &File) -> io::Result<Zeroizing<Vec<u8>>> {
     let length = usize::try_from(file.metadata()?.len()).unwrap_or(usize::MAX);
     if length > FILE_BYTES_MAX {
@@ -169,16 +171,16 @@ fn entries(content: &[u8]) -> impl Iterator<Item = (&[u8], &[u8])> {
     })
 }
 
-/// The value of a variable that was taken; `None` when it was not set, or is no
-/// text. The caller overwrites it after use.
+/// The value of a removed variable; `None` when it was not set or is not text. The
+/// caller overwrites it after use.
 pub fn value(name: &str) -> Option<String> {
     let content = content(taken().as_ref()?).ok()?;
     let found = entries(&content).find(|(known, _)| *known == name.as_bytes());
     found.and_then(|(_, value)| Some(str::from_utf8(value).ok()?.to_owned()))
 }
 
-/// What was taken, as the standard input of a child that may use it: the gate, or a
-/// supervisor. Without any, an empty input.
+/// The removed variables as the standard input of a child that may use them: the gate,
+/// or a supervisor. Without any, an empty input.
 ///
 /// # Errors
 /// When the process has no file descriptor left.
@@ -189,15 +191,16 @@ pub fn lend() -> io::Result<Stdio> {
     })
 }
 
-/// Keeps the known variables from a child, whether they were taken or not.
+/// Removes the known variables from a child's environment.
 pub fn withhold(command: &mut Command) {
     for name in VARIABLES {
         command.env_remove(name);
     }
 }
 
-/// Puts what was taken into the environment of a program that this process is about
-/// to become, whose standard input stays the user's. It takes it out again.
+/// Puts the removed variables into the environment of a program that is executed in
+/// place of this one and keeps the user's standard input. That program removes them
+/// again.
 pub fn hand_on(command: &mut Command) {
     let content = taken().as_ref().and_then(|file| content(file).ok());
     let content = content.unwrap_or_default();
@@ -206,8 +209,8 @@ pub fn hand_on(command: &mut Command) {
     }
 }
 
-/// Keeps this process's memory out of core files and from other processes of the
-/// user, for one that holds a key in its memory. Children do not inherit all of it.
+/// Protects this process's memory from core files and from other processes of the user,
+/// because it holds a key. Children do not inherit all of this.
 ///
 /// # Errors
 /// When the kernel refuses.

@@ -1,4 +1,4 @@
-//! What the user wrote, in an error: long enough to be recognised.
+//! The user's text in an error: long enough to be recognised.
 
 /// Longest echo of a value, characters.
 const ECHO_MAX: usize = 60;

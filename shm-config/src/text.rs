@@ -1,16 +1,16 @@
 //! Text from outside, made fit to be shown.
 //!
 //! Servers, models, paths, keys of a configuration, the environment and the logs of
-//! other programs may hold characters that a terminal or a browser obeys and does
-//! not draw: an escape sequence rewrites the screen, a bidirectional override turns
-//! a line round, a zero-width character makes two names look alike. They are shown
-//! as `\u{1b}`, so that each is seen and none acts.
+//! other programs may hold characters on which a terminal or a browser acts without
+//! drawing them: an escape sequence rewrites the screen, a bidirectional override
+//! reverses a line, a zero-width character makes two names look alike. They are shown
+//! as `\u{1b}`, so that they are visible and have no effect.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::io;
 
-/// A character that acts on what is around it, or cannot be seen.
+/// A character that changes the text around it, or is invisible.
 fn is_hidden(c: char) -> bool {
     c.is_control()
         || matches!(c,
@@ -26,7 +26,7 @@ fn is_hidden(c: char) -> bool {
             | '\u{e0000}'..='\u{e007f}')
 }
 
-/// Replaces what `is_meant` does not let pass by what `write` makes of it.
+/// Replaces the characters that `is_meant` rejects by the output of `write`.
 fn replaced<'a>(
     text: &'a str,
     is_meant: impl Fn(char) -> bool,
@@ -61,8 +61,8 @@ pub fn printable_lines(text: &str) -> Cow<'_, str> {
     replaced(text, |c| matches!(c, '\n' | '\t'), escape)
 }
 
-/// JSON with the same characters escaped as JSON escapes them: it means what it
-/// meant, and can be looked at. Line ends and tabs between its parts stay.
+/// JSON with the same characters escaped in the way of JSON: its meaning is the same,
+/// and it can be shown. Line ends and tabs between its parts stay.
 pub fn printable_json(json: &str) -> Cow<'_, str> {
     replaced(
         json,
@@ -75,14 +75,13 @@ pub fn printable_json(json: &str) -> Cow<'_, str> {
     )
 }
 
-/// The words of the command line, each as it may be shown: what an error that repeats
-/// one of them is made from.
+/// The words of the command line, each fit to be shown, for errors that repeat them.
 pub fn printable_arguments() -> impl Iterator<Item = String> {
     std::env::args_os().map(|word| printable(&word.to_string_lossy()).into_owned())
 }
 
-/// A writer for text of several lines, such as a log. Each write must be whole
-/// characters; what is no UTF-8 is replaced.
+/// A writer for text of several lines, such as a log. Each write must hold whole
+/// characters; invalid UTF-8 is replaced.
 #[derive(Debug)]
 pub struct Printable<W>(pub W);
 
@@ -98,8 +97,8 @@ impl<W: io::Write> io::Write for Printable<W> {
     }
 }
 
-/// An error with its causes in one line. Some errors tell their cause themselves: a
-/// cause that ends the line already is not told twice.
+/// An error with its causes in one line. Some errors already contain their cause: a
+/// cause that ends the line is not repeated.
 pub fn causes(error: &dyn std::error::Error) -> String {
     let mut line = error.to_string();
     let mut next = error.source();

@@ -1,4 +1,4 @@
-//! Time as the messages carry it.
+//! Instants and clocks.
 //!
 //! Libraries get `now` as an argument. Only process entry points call
 //! [`monotonic`]; clippy refuses it elsewhere.

@@ -1,13 +1,13 @@
-//! Whose turn it is when the planner is slower than the controller.
+//! The ticks at which the planner plans when it is slower than the controller.
 
 use crate::message::Header;
 
-/// The ticks on which the planner plans: one in every so many, and the first of
-/// an episode, whose car has no plan yet.
+/// The ticks at which the planner plans: one of every `ticks`, and the first of an
+/// episode, when the car has no plan yet.
 ///
-/// Planner and controller ask it alike, each for itself, so that the controller
-/// waits for a plan exactly where one is made. A tick that was missed is made up
-/// for at the next one seen.
+/// Planner and controller each keep one of these and get the same answers, so the
+/// controller waits for a plan exactly where one is made. A missed tick is made up for
+/// at the next observed one.
 #[derive(Debug, Clone)]
 pub struct PlanTurns {
     ticks: u64,
@@ -15,7 +15,7 @@ pub struct PlanTurns {
 }
 
 impl PlanTurns {
-    /// A turn in every `ticks` ticks of the run.
+    /// One planning tick in every `ticks` ticks of the run.
     pub fn every(ticks: u64) -> Self {
         Self {
             ticks: ticks.max(1),
@@ -23,8 +23,8 @@ impl PlanTurns {
         }
     }
 
-    /// Whether the planner's turn is at the tick of this observation; each turn
-    /// is taken once.
+    /// Whether the planner plans at the tick of this observation; each planning tick is
+    /// returned once.
     pub fn take(&mut self, header: &Header) -> bool {
         let turn = Some((header.episode, header.tick / self.ticks));
         let is_new = turn != self.last;

@@ -1,4 +1,4 @@
-//! The stack as one: a harness that drives real process sets.
+//! Tests of the whole stack: a harness that drives real process sets.
 //!
 //! Every set has a run name and a folder of its own, so tests run in parallel.
 
@@ -15,8 +15,8 @@ use std::{env, fs, thread};
 use rustix::process::{Pid, Signal, kill_process};
 use shm_config::run::{RunName, RunPaths};
 
-/// The folder of the built programs: those of the profile under test. Built
-/// once, in case only this package was asked for.
+/// The folder of the built programs of the profile under test. They are built once
+/// here, in case cargo was asked for this package alone.
 pub fn programs() -> &'static Path {
     static PROGRAMS: OnceLock<PathBuf> = OnceLock::new();
     PROGRAMS.get_or_init(|| {
@@ -24,14 +24,14 @@ pub fn programs() -> &'static Path {
         let folder = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or("cargo".into()));
         cargo
-            // A test target among them: cargo then resolves the features of
-            // dependencies as `cargo test --workspace` has, and builds no crate twice.
+            // With a test target among them, cargo resolves the features of
+            // dependencies as in `cargo test --workspace`, and builds no crate twice.
             .args(["build", "--quiet", "--workspace", "--bins"])
             .args(["--test", "boundaries", "--target-dir"])
             .arg(folder.parent().expect("target/PROFILE"))
             .current_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(".."));
-        // What `cargo test` tells a test of its own package: `ring`'s build script
-        // reads these names, so all that depends on it would be built again.
+        // Removes the variables that `cargo test` sets for a test's package: `ring`'s
+        // build script reads these names, so its dependents would be built again.
         for (name, _) in env::vars_os() {
             let of_this_package = ["CARGO_PKG_", "CARGO_MANIFEST_"]
                 .iter()
@@ -115,7 +115,7 @@ impl Set {
         self.supervisor = Some(child);
     }
 
-    /// Starts the set by a command line of its own, [`Set::up_command`] with more.
+    /// Starts the set with a given command line, based on [`Set::up_command`].
     pub fn start_as(&mut self, command: &mut Command) {
         self.supervisor = Some(command.spawn().expect("the supervisor starts"));
     }
@@ -126,7 +126,7 @@ impl Set {
         output.expect("the supervisor starts")
     }
 
-    /// What `--json` said.
+    /// The JSON that the set has written.
     pub fn json(&self) -> serde_json::Value {
         let path = self.folder.join("up.json");
         let text = fs::read_to_string(&path).unwrap_or_else(|error| {
@@ -135,7 +135,7 @@ impl Set {
         serde_json::from_str(&text).expect("JSON")
     }
 
-    /// What `status` says of the set now: its text, and the run of its JSON.
+    /// The output of `status` for the set: its text, and the run of its JSON.
     pub fn status(&self) -> (String, serde_json::Value) {
         let mut command = Command::new(programs().join("vlaps-supervisor"));
         let name = self.name.to_string();
@@ -147,7 +147,7 @@ impl Set {
         (text, json["runs"][0].clone())
     }
 
-    /// A process of the set, as the JSON of `status` has it now; null before it is there.
+    /// A process of the set in the JSON of `status`; null before its first message.
     pub fn status_of(&self, process: &str) -> serde_json::Value {
         let (_, json) = self.status();
         let rows = json["processes"].as_array().into_iter().flatten();
@@ -205,7 +205,7 @@ impl Drop for Set {
                 self.pids("").is_empty()
             });
         }
-        // A process is out of the list before its last thread has let go.
+        // A process leaves the list before its last thread has released its locks.
         until("the run is dead", || {
             !matches!(self.paths().clean_if_dead(), Ok(None))
         });
@@ -214,8 +214,8 @@ impl Drop for Set {
     }
 }
 
-/// Process ids of a program, such as `vlaps-planner`, that works in a folder or
-/// was told of it.
+/// Process ids of a program, such as `vlaps-planner`, that runs in a folder or has it
+/// among its arguments.
 pub fn pids_within(folder: &Path, program: &str) -> Vec<i32> {
     let mark = format!("{}/", folder.display());
     let entries = fs::read_dir("/proc").expect("/proc");
@@ -247,7 +247,8 @@ pub fn pids_within(folder: &Path, program: &str) -> Vec<i32> {
 /// Polls until `condition` holds.
 ///
 /// # Panics
-/// After a minute without it: not a speed limit, but the end of a test's patience.
+/// After a minute without it. This is not a speed limit, but ends a test that waits in
+/// vain.
 pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
     const POLL: Duration = Duration::from_millis(5);
     for _ in 0..12_000 {
@@ -268,7 +269,7 @@ pub fn skip_unless(probe: &[&str], why: &str) -> bool {
         .status()
         .is_ok_and(|status| status.success());
     if !works {
-        // Past the capture of test output: a skipped test must not look passed.
+        // Written to the terminal, because a skipped test must not look passed.
         let _ = writeln!(std::io::stderr(), "skipped: {why}");
     }
     !works

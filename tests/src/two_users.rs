@@ -1,7 +1,7 @@
 //! Two users of one machine, for tests of what one can do to the other.
 //!
-//! The stage is a mount namespace with shared memory of its own, which needs root.
-//! Its users need no account: a process is one of theirs by its user id alone.
+//! The tests run in a mount namespace with its own shared memory, which needs root. The
+//! users need no account: a process belongs to one of them by its user id alone.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ const LIMIT: [&str; 3] = ["timeout", "--signal=KILL", "60"];
 /// The exit code of a command that was ended for that.
 const LATE: i32 = 137;
 
-/// Everything a stage needs, tried once.
+/// The requirements of a stage, tried once.
 const PROBE: &str = "mount -t tmpfs tmpfs /dev/shm && \
     setpriv --reuid=4242 --regid=4242 --clear-groups true";
 
@@ -32,8 +32,8 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Sets the stage; `None` where it cannot be, which is said with what is not
-    /// tested.
+    /// Creates the stage; `None` where this is impossible, which is printed with the
+    /// name of the skipped test.
     pub fn set(what: &str) -> Option<Self> {
         let why = format!("{what}: needs root, unshare and setpriv for a second user");
         if skip_unless(&["unshare", "-m", "sh", "-c", PROBE], &why) {
@@ -150,14 +150,14 @@ impl Drop for Driving {
 
 impl Drop for Stage {
     fn drop(&mut self) {
-        // The mounts go with the last process of the namespace.
+        // The mounts are removed with the last process of the namespace.
         let _ = self.holder.kill();
         let _ = self.holder.wait();
         let _ = fs::remove_dir_all(&self.folder);
     }
 }
 
-/// All that a command said.
+/// The whole output of a command.
 pub fn text(output: &Output) -> String {
     format!(
         "{}{}",

@@ -1,5 +1,5 @@
-//! A batch of worlds allocates nothing while their episodes go on, on one
-//! thread and on two: what a tick can need is reserved when an episode begins.
+//! A batch of worlds allocates nothing within episodes, on one thread and on two: the
+//! memory of all ticks is reserved when an episode begins.
 
 use std::alloc::System;
 use std::num::NonZeroUsize;
@@ -15,11 +15,12 @@ static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 const WORLDS: usize = 16;
 const FIRST_SEED: u64 = 100;
-/// Ticks in which threads and locks, the test harness's too, may still come to life.
+/// Ticks in which threads and locks, also those of the test harness, may still be
+/// initialised.
 const WARM_UP: u64 = 20;
 const TICKS: u64 = 200;
 
-/// What the ticks did, so that the count of zero means something.
+/// What the ticks did; it shows that the count of zero is meaningful.
 #[derive(Debug, Default)]
 struct Done {
     metres: f64,
@@ -55,7 +56,7 @@ fn drive(threads: usize) -> Done {
     done
 }
 
-/// One test: the counter counts the whole program.
+/// A single test, because the counter counts the whole program.
 #[test]
 fn two_hundred_steps_of_sixteen_worlds_allocate_nothing() {
     let control = Region::new(ALLOCATOR);

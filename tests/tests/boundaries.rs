@@ -1,10 +1,11 @@
-//! The arrows between crates, the homes of `unsafe` and of iceoryx2, the size of files.
+//! Tests of the dependencies between crates, the homes of `unsafe` and of iceoryx2, and
+//! the size of files.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Who may use whom of this workspace, in the shipped code.
+/// Which crates of this workspace each crate may use in shipped code.
 const ARROWS: &[(&str, &[&str])] = &[
     ("vehicle", &[]),
     ("shm-config", &["vehicle"]),
@@ -164,8 +165,8 @@ fn unsafe_homes() -> BTreeSet<String> {
         .collect()
 }
 
-/// The word stands in this line as a word of the language, not in a comment, a
-/// string or a longer name.
+/// Whether the line contains `unsafe` as a keyword, and not within a comment, a string
+/// or a longer name.
 fn is_unsafe(line: &str) -> bool {
     let code = line.split("//").next().unwrap_or_default();
     let is_name = |c: char| c.is_alphanumeric() || c == '_';

@@ -1,5 +1,6 @@
-//! What the Markdown files and the help texts name exists: paths, links with their
-//! anchors, commands, options, configuration keys, identifiers, packages.
+//! Tests that everything the Markdown files and the help texts name exists: paths,
+//! links with their anchors, commands, options, configuration keys, identifiers,
+//! packages.
 
 #[path = "docs/commands.rs"]
 mod commands;

@@ -1,4 +1,4 @@
-//! The evaluation's expert is the process set's, bit for bit.
+//! The evaluation's expert gives the same commands as the process set, bit for bit.
 
 use shm_config::Instant;
 use shm_config::config::Config;
@@ -12,11 +12,11 @@ use vlaps_tests::Set;
 fn an_evaluated_episode_gives_the_commands_of_the_processes() {
     let config = Config::default();
     let mut world = World::new(WorldConfig::from(&config.world)).expect("the default world");
-    // Planning times are not part of a command.
+    // Planning times have no effect on a command.
     let clock = || Instant(0);
     let mut driver =
         EpisodeDriver::new(DriverKind::Expert, &config, clock).expect("the default planner");
-    // The second episode of a driver is as good as its first.
+    // A driver's second episode must equal that of a new driver.
     for seed in [1000_u64, 1007] {
         let task = (seed, config.run.period_ns());
         let episode = drive(&mut world, &mut driver, task, |_| {}).expect("a map");

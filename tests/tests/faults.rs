@@ -1,4 +1,4 @@
-//! Processes of a driving set are killed and stopped; the car is always safe.
+//! Processes of a driving set are killed and stopped; the car always stays safe.
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -11,7 +11,7 @@ use vlaps_tests::{Set, until};
 /// The default age limit of commands.
 const COMMAND_AGE_MS: f64 = 250.0;
 
-/// Watches the steps of a set from outside.
+/// Reads the steps of a set from outside.
 struct Watch {
     steps: Subscriber<Step>,
     _wire: Wire,
@@ -27,7 +27,7 @@ impl Watch {
         }
     }
 
-    /// Reads steps until one is as wished; every one of them is well formed.
+    /// Reads steps until one fulfils the condition; each of them must be valid.
     fn until(&mut self, what: &str, wish: impl Fn(&Step) -> bool) -> Step {
         let mut found = None;
         until(what, || {
@@ -44,7 +44,7 @@ impl Watch {
         found.expect("found")
     }
 
-    /// Reads on until the expert has driven for some steps.
+    /// Reads steps until the expert has driven for some of them.
     fn until_driving(&mut self) -> u64 {
         let from = self
             .until("the expert drives", drives_on_fresh_plans)
@@ -100,7 +100,7 @@ fn planner_gate_and_controller_are_killed_in_turn_and_the_episode_goes_on() {
 #[test]
 fn a_dead_planner_means_the_brake_until_it_is_back() {
     let mut set = Set::new("brake");
-    // A pause before the restart that is longer than plans may be followed.
+    // The pause before the restart is longer than the age limit of plans.
     set.start(&["--seed", "3", "--set", "supervisor.backoff_ms=1500"]);
     let mut watch = Watch::new(&set);
     watch.until_driving();
@@ -129,7 +129,7 @@ fn a_dead_controller_means_that_the_world_brakes() {
     assert_eq!(set.wait(), Some(0));
     let json = set.json();
     assert_safe(&json);
-    // 1.5 s of silence less the age limit: at least ten ticks at 10 Hz.
+    // 1.5 s without commands minus the age limit: at least ten ticks at 10 Hz.
     assert!(json["braked"].as_u64() >= Some(10), "{json}");
 }
 
@@ -234,9 +234,8 @@ fn two_sets_drive_side_by_side() {
     assert_eq!(other.wait(), Some(0));
 }
 
-/// Orders a set's planner to panic.
-/// Orders a set's planner to panic, once. What is returned holds the order until it
-/// is read.
+/// Orders a set's planner to panic, once. The returned port holds the order until it is
+/// read.
 fn order_a_panic(set: &Set) -> (Publisher<Fault>, Wire) {
     let wire = Wire::join(set.name(), Process::Learner).expect("shared memory");
     let mut orders = wire.publisher(FAULT).expect("orders");
@@ -286,7 +285,7 @@ fn when_the_files_of_a_run_are_removed_it_brakes_and_says_so() {
     for path in set.paths().shared_memory().expect("/dev/shm") {
         std::fs::remove_file(path).expect("removed");
     }
-    // Who drives has it all in memory, and is told to stop.
+    // The processes have all they need in memory, and are asked to stop.
     watch.until("the brake", |step| step.reason() == Some(Reason::Stopping));
     drop(watch);
     assert_eq!(set.wait(), Some(1), "{}", set.logs());

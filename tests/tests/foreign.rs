@@ -1,5 +1,6 @@
-//! A process of the same user that the run did not start sends in the place of those
-//! that it did: it is refused, counted, named, and never driven on.
+//! A process of the same user that the run did not start sends in place of processes
+//! that it did start: its messages are refused, counted and reported by name, and never
+//! used.
 
 use bench::faults::strangers::{command, trace_in};
 use rustix::process::Signal;
@@ -13,7 +14,7 @@ use shm_config::time::monotonic;
 use shm_config::wire::{Publisher, Subscriber, Wire};
 use vlaps_tests::{Set, until};
 
-/// The stranger: it reads the steps of a set, and sends.
+/// The foreign process: it reads the steps of a set, and sends messages.
 struct Stranger {
     steps: Subscriber<Step>,
     newest: Step,
@@ -34,8 +35,8 @@ impl Stranger {
         stranger
     }
 
-    /// Does something between looks until a step is as wished. No step may have been
-    /// decided on what the stranger sent.
+    /// Repeats an action until a step fulfils the condition. No step may have used a
+    /// message of the foreign process.
     fn until(&mut self, what: &str, mut act: impl FnMut(), wish: impl Fn(&Step) -> bool) {
         let own = std::process::id();
         let (steps, newest) = (&mut self.steps, &mut self.newest);
@@ -59,7 +60,7 @@ impl Stranger {
     }
 }
 
-/// What `status` prints while something is done again and again.
+/// The output of `status` while an action is repeated.
 fn status_beside(set: &Set, mut act: impl FnMut()) -> String {
     let program = vlaps_tests::programs().join("vlaps-supervisor");
     let name = set.name().to_string();
@@ -82,7 +83,7 @@ fn monotonic_ns() -> u64 {
     monotonic().0
 }
 
-/// Ends the set in order; what its summary says.
+/// Ends the set in order; returns its summary.
 fn end(mut set: Set) -> (Value, String) {
     set.signal(Signal::INT);
     assert_eq!(set.wait(), Some(0), "{}", set.logs());
@@ -98,7 +99,8 @@ fn assert_accounted(json: &Value) {
         let counted = number("ticks") + number("skipped");
         assert_eq!(instants, counted, "{process}: {row}");
     }
-    // All on one grid, from about the same instant to about the same.
+    // All processes are on one grid, from about the same instant to about the same
+    // instant.
     let ticks = |process: &str| json["processes"][process]["ticks"].as_f64().expect("ticks");
     let apart = (ticks("controller") - ticks("world")).abs();
     assert!(
@@ -142,7 +144,7 @@ fn foreign_commands(label: &str, ahead: u32) {
     assert!(shown.contains(&named), "{shown}");
     assert!(!shown.contains("namespace"), "a member of the run: {shown}");
     let now = stranger.newest.header.tick;
-    // The steps of the time that it took are checked, too.
+    // The steps during this time are checked too.
     stranger.until(
         "it drives on when the stranger is silent",
         || {},
@@ -190,7 +192,7 @@ fn observations_of_a_stranger_consume_no_tick() {
         let mut forged: Observation = last;
         forged.header.taken_ns = monotonic_ns();
         forged.header.tick += sent;
-        // On the grid, off it, long ago, in the future, and broken.
+        // Observations on the grid, off it, too old, in the future, and invalid.
         forged.scheduled_ns = match sent % 4 {
             0 => last.scheduled_ns + 50_000_000 * sent,
             1 => 1,

@@ -1,5 +1,5 @@
-//! Pictures on request from a set that drives: of the tick that was asked for,
-//! at no cost to the drive.
+//! Pictures on request from a driving set: they show the requested tick and do not
+//! affect the drive.
 
 use std::time::Duration;
 
@@ -12,11 +12,11 @@ use shm_config::wire::Wire;
 use vehicle::Action;
 use vlaps_tests::{Set, until};
 
-/// Pictures that are asked for, one after the other.
+/// Number of pictures, requested one after the other.
 const PICTURES: u64 = 8;
-/// Every second one is of an observation that is so many older.
+/// Every second request is for an observation that is this many older.
 const BEHIND: usize = 15;
-/// Looks of 2 ms that an answer is waited for before the next question.
+/// Polls of 2 ms for an answer before the next request.
 const LOOKS: u32 = 2_000;
 
 fn request(seen: &Header, view: View) -> FrameRequest {
@@ -31,7 +31,7 @@ fn request(seen: &Header, view: View) -> FrameRequest {
     }
 }
 
-/// Asks a running set like a gate; what was foreseen at each picture.
+/// Requests pictures of a running set like a gate; returns what was foreseen at each.
 fn ask(set: &Set) -> Vec<[Outlook; 2]> {
     until("the set drives", || set.paths().supervisor_pid().is_some());
     let wire = Wire::join(set.name(), Process::Gate).expect("the run");

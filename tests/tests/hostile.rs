@@ -1,4 +1,4 @@
-//! Machines that refuse: a full shared memory, no real-time right.
+//! Machines that refuse: shared memory that is full, and no real-time privileges.
 
 use std::process::Output;
 
@@ -50,7 +50,7 @@ fn without_the_real_time_right_it_warns_once_and_drives() {
         return;
     }
     let set = Set::new("norights");
-    // In a namespace of its own, root has no right to real-time priority outside.
+    // In its own user namespace, root has no right to real-time priority outside.
     let output = set
         .up_command(&["unshare", "-r"], &["--seed", "3", "--duration", "2"])
         .output()

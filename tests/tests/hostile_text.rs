@@ -1,5 +1,5 @@
-//! What a terminal, a log or a page gets to see of what a server, a path or a file
-//! says.
+//! Text of a server, a path or a file is shown in terminals, logs and pages without
+//! effect.
 
 mod server;
 
@@ -11,7 +11,7 @@ use serde_json::json;
 use server::{Answer, HOSTILE, KEY, Server, files_below, is_raw, policy, refuses, said};
 use vlaps_tests::{Set, programs};
 
-/// Answers with words that are no answer, from a model of such a name.
+/// An answer whose text is invalid, from a model with a hostile name.
 fn babbles(_: &str) -> (&'static str, String) {
     let body = json!({
         "model": HOSTILE,
@@ -21,8 +21,8 @@ fn babbles(_: &str) -> (&'static str, String) {
     ("200 OK", body.to_string())
 }
 
-/// Drives a set that is judged by a server with hostile words, and gives all that is
-/// to be read afterwards, by name.
+/// Drives a set whose judge is a server with hostile text; returns all texts that a
+/// user may read afterwards, by name.
 fn readings(label: &str, answer: Answer) -> Vec<(String, String)> {
     let server = Server::start(answer);
     let set = Set::new(label);
@@ -79,7 +79,7 @@ fn readings(label: &str, answer: Answer) -> Vec<(String, String)> {
 }
 
 #[test]
-fn what_a_server_says_is_shown_and_acts_on_nothing() {
+fn text_of_a_server_is_shown_without_effect() {
     for (label, answer, shown_in) in [
         (
             "refuses",
@@ -96,7 +96,7 @@ fn what_a_server_says_is_shown_and_acts_on_nothing() {
         for expected in shown_in {
             let found = readings.iter().find(|(name, _)| name == expected);
             let (_, text) = found.unwrap_or_else(|| panic!("{label}: no {expected}"));
-            // The log's own library writes escape sequences in another way.
+            // The logging library writes escape sequences in another form.
             let shown = "rlo\\u{202e} lri\\u{2066} zero\\u{200b}\\u{feff}";
             assert!(text.contains(shown), "{label}, {expected}: {text}");
         }
@@ -115,7 +115,7 @@ fn what_a_server_says_is_shown_and_acts_on_nothing() {
 }
 
 #[test]
-fn what_a_path_or_a_key_holds_is_shown_and_acts_on_nothing() {
+fn text_of_a_path_or_a_key_is_shown_without_effect() {
     let folder = tempfile::tempdir().expect("a folder");
     let unknown = format!("[vlm]\n{} = 1\n", json!(HOSTILE));
     fs::write(folder.path().join("unknown.toml"), unknown).expect("written");

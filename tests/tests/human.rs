@@ -1,4 +1,4 @@
-//! A scripted person takes the wheel of a real process set and gives it back.
+//! A scripted person takes over in a real process set and gives back.
 
 #[path = "../../policy/tests/bad/mod.rs"]
 #[allow(dead_code)]
@@ -13,14 +13,14 @@ use shm_config::services::{Process, STEP};
 use shm_config::wire::Wire;
 use vlaps_tests::{Set, skip_unless, until};
 
-/// The default age limit of the person's word, ns.
+/// The default age limit of takeover messages, ns.
 const TAKEOVER_AGE_NS: u64 = 300_000_000;
 const MS: u64 = 1_000_000;
 
 /// Takes over at 2 s, steers left, brakes, gives back at 4 s.
 const KEYS: &str = "2.0 space\n2.2 left\n2.6 left\n2.6 up\n3.2 down\n3.3 down\n4.0 space\n";
 
-/// Any net passes this probation, and none is rolled back.
+/// Any net passes this canary period, and none is rolled back.
 const LENIENT: [&str; 4] = [
     "--set",
     "policy.veto_rate_max=1.0",
@@ -41,7 +41,7 @@ fn a_scripted_person_takes_over_and_gives_back_and_every_step_says_so() {
     let files = ["--keys", "keys.txt", "--policy", "policy.onnx"];
     set.start(&[&words[..], &files[..], &LENIENT[..], &["--no-realtime"]].concat());
     until("the run is up", || set.pids("vlaps-world").len() == 1);
-    assert_eq!(set.pids("vlaps-gate").len(), 0, "nobody to ask");
+    assert_eq!(set.pids("vlaps-gate").len(), 0, "no judge is needed");
     let wire = Wire::join(set.name(), Process::Learner).expect("shared memory");
     let mut port = wire.subscriber(STEP).expect("steps");
     let mut steps: Vec<Step> = Vec::new();
@@ -70,8 +70,9 @@ fn a_scripted_person_takes_over_and_gives_back_and_every_step_says_so() {
             assert_eq!(step.expert.action(), Some(step.command.action()));
         }
     }
-    // As the file says, from the run's first step on: a tick may be taken late
-    // within its period, and the last word before giving back holds for its age.
+    // Takeovers follow the file from the run's first step on. A tick may be taken late
+    // within its period, and the last message before giving back is valid up to its age
+    // limit.
     let header = &steps[0].header;
     let begun_ns = header.taken_ns - header.tick.min(20) * 100 * MS;
     let passed_ns = |index: usize| steps[index].header.taken_ns - begun_ns;
@@ -89,7 +90,7 @@ fn a_scripted_person_takes_over_and_gives_back_and_every_step_says_so() {
 }
 
 #[test]
-fn nobody_takes_over_in_lockstep_without_a_terminal_or_without_being_asked() {
+fn takeovers_are_refused_in_lockstep_without_a_terminal_and_in_other_modes() {
     let set = Set::new("nohuman");
     fs::write(set.folder().join("keys.txt"), KEYS).expect("a file");
     fs::write(set.folder().join("bad.txt"), "1 jump\n").expect("a file");
@@ -125,8 +126,8 @@ fn nobody_takes_over_in_lockstep_without_a_terminal_or_without_being_asked() {
     }
 }
 
-/// Under `script`, whose terminal is the supervisor's: what `stty` says of it is
-/// the same before and after, and different meanwhile.
+/// Runs under `script`, whose terminal is the supervisor's: `stty` reports the same
+/// mode before and after the run, and another one during it.
 #[test]
 fn the_terminal_is_as_it_was_however_the_run_ends() {
     if skip_unless(&["script", "--version"], "script(1) is missing") {

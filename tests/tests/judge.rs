@@ -1,5 +1,5 @@
-//! A vision-language model as judge of real process sets. The model is the
-//! stand-in: the same protocol over HTTP, and pixels alone to go by.
+//! A vision-language model as judge of real process sets. The model is the stand-in: it
+//! speaks the same protocol over HTTP, and decides by pixels alone.
 
 use shm_config::message::Preference;
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ use serde_json::Value;
 use shm_config::config::{GateMode, When, load};
 use vlaps_tests::{Set, until};
 
-/// A policy that was trained for 9,800 steps: something to judge.
+/// A policy trained for 9,800 steps, whose proposals the judge compares.
 fn policy() -> String {
     let file = "../results/learning/ppl-10000.onnx";
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(file);
@@ -41,7 +41,7 @@ fn drive(set: &Set, server: &str, more: &[&str]) -> Value {
         &policy,
         "--set",
         &server,
-        // In lockstep half a minute passes in a second.
+        // In lockstep half a minute passes in about a second.
         "--set",
         "vlm.per_minute_max=10000",
     ];

@@ -1,5 +1,5 @@
 //! `bench latency` and `bench ipc` on real processes, with nothing installed and no
-//! rights: what they count adds up, is kept, and leaves nothing behind.
+//! privileges: their counts add up, are stored, and leave nothing behind.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -12,13 +12,13 @@ use serde_json::Value;
 use shm_config::run::{RunPaths, USER_DIR};
 use vlaps_tests::{programs, until};
 
-/// In a process group of its own, as a terminal starts it.
+/// Starts it in its own process group, as a terminal does.
 fn bench(words: &[&str], out: &Path) -> Child {
     Command::new(programs().join("vlaps-bench"))
         .arg("bench")
         .args(words)
         .current_dir(out)
-        // What a killed one leaves goes with the test.
+        // Files that a killed benchmark leaves are removed with the test.
         .env("TMPDIR", out)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
@@ -28,7 +28,7 @@ fn bench(words: &[&str], out: &Path) -> Child {
         .expect("vlaps-bench")
 }
 
-/// Ctrl-C in the terminal: a signal to everybody in the group.
+/// Ctrl-C in the terminal: a signal to every process of the group.
 fn interrupt(child: &Child) {
     let group = Pid::from_child(child);
     kill_process_group(group, Signal::INT).expect("a signal");
@@ -72,7 +72,7 @@ const ROWS: &[&str] = &[
     "own",
     "--floor",
     "own",
-    // No policy is refused because a test's machine is busy.
+    // No policy is refused because the test machine is busy.
     "--set",
     "policy.inference_max_us=20000",
     "--out",
@@ -102,7 +102,7 @@ fn rows_account_for_every_tick_and_are_kept() {
         assert!(row["floor"]["ticks"].as_u64() > Some(50), "{row}");
         assert_eq!(row["controller"]["priority"], "not asked");
     }
-    // What is drawn is what was counted.
+    // The picture shows the counts.
     let csv = fs::read_to_string(out.join("rows/100-hz-cpu-ordinary.csv")).expect("raw data");
     let lateness = csv
         .lines()
@@ -126,12 +126,12 @@ fn rows_account_for_every_tick_and_are_kept() {
     }
     assert_eq!(left_behind(pid), [""; 0]);
 
-    // The same once more drives nothing.
+    // A second call with the same options drives nothing.
     let again = output(bench(ROWS, folder.path()));
     assert!(again.status.success(), "{again:?}");
     assert_eq!(json(&out.join("latency.json"))["rows"], measured["rows"]);
 
-    // Rows of other settings are nobody's to overwrite unasked.
+    // Rows of other settings are not overwritten.
     let mut longer = ROWS.to_vec();
     longer[6] = "3";
     let refused = output(bench(&longer, folder.path()));
@@ -142,7 +142,7 @@ fn rows_account_for_every_tick_and_are_kept() {
 }
 
 #[test]
-fn who_stops_keeps_the_rows_that_are_done() {
+fn a_stopped_benchmark_keeps_its_finished_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut words = ROWS.to_vec();
     words[6] = "4";
@@ -191,25 +191,25 @@ fn a_killed_benchmark_takes_its_load_and_its_floor_with_it() {
     }
     let mut child = bench(&words, folder.path());
     let pid = child.id();
-    // The floor comes last.
+    // The floor is started last.
     until("all that runs beside the set", || has_thread(pid, "floor"));
     let children = children(pid);
     assert!(!children.is_empty(), "the set at least");
     child.kill().expect("a signal");
     child.wait().expect("its end");
     let ended = |pid: &&u32| !Path::new(&format!("/proc/{pid}/exe")).exists();
-    until("the end of everybody it started", || {
+    until("the end of every process that it started", || {
         children.iter().filter(ended).count() == children.len()
     });
     let files = fs::read_dir(folder.path().join("out")).expect("--out");
     assert_eq!(files.count(), 1, "rows, and nothing of the load");
-    // Nobody is left to do it.
+    // No process is left that could remove them.
     let run = format!("latency-0-{pid}").parse().expect("a run's name");
     bench::driven::remove(&RunPaths::new(run));
     assert_eq!(left_behind(pid), [""; 0]);
 }
 
-/// Processes that the main thread of a process has started and that live.
+/// The living processes that the main thread of a process has started.
 fn children(pid: u32) -> Vec<u32> {
     let list = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
     let list = list.unwrap_or_default();
@@ -294,7 +294,7 @@ fn a_message_goes_back_and_forth_over_every_side() {
     assert!(done.status.success(), "{done:?}");
     let measured = json(&folder.path().join("ipc.json"));
     let rows = measured["rows"].as_array().expect("rows");
-    // Flat out on a grid is no row.
+    // A row at full speed on a grid is invalid.
     assert_eq!(rows.len(), 2 * 3);
     for row in rows {
         let sides = row["sides"].as_array().expect("sides");

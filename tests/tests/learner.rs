@@ -1,5 +1,5 @@
-//! A learner in a real process set: it repeats, and its death costs the run
-//! nothing.
+//! A learner in a real process set: its results repeat, and its death does not disturb
+//! the run.
 
 use std::fs;
 use std::path::PathBuf;
@@ -12,9 +12,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rustix::process::Signal;
 use vlaps_tests::{Set, until};
 
-/// The journal's magic number.
+/// The journal's first bytes.
 const MAGIC_BYTES: u64 = 8;
-/// About a record of the journal.
+/// Approximate size of a record in the journal, bytes.
 const RECORD_BYTES: u64 = 2200;
 
 fn folder(set: &Set) -> PathBuf {
@@ -22,7 +22,7 @@ fn folder(set: &Set) -> PathBuf {
     run.join("learner")
 }
 
-/// `--set` for each of these.
+/// The options `--set` for these settings.
 fn overrides<'a>(settings: &[&'a str]) -> Vec<&'a str> {
     settings
         .iter()
@@ -34,7 +34,7 @@ fn journal_bytes(set: &Set) -> u64 {
     fs::metadata(folder(set).join("replay.bin")).map_or(0, |file| file.len())
 }
 
-/// The journal after the run, and how far its last record says the steps came.
+/// The journal after the run, and the counts in its last record.
 fn recovered(set: &Set) -> (Recovered, Mark) {
     let path = folder(set).join("replay.bin");
     let found = Journal::open(&path, 50_000, 0).expect("a journal");
@@ -42,7 +42,7 @@ fn recovered(set: &Set) -> (Recovered, Mark) {
     (found, mark)
 }
 
-/// What the policies are called and hold.
+/// Names and contents of the policies.
 fn policies(set: &Set) -> Vec<(String, Vec<u8>)> {
     let entries = fs::read_dir(folder(set).join("policies")).expect("policies");
     let mut policies: Vec<(String, Vec<u8>)> = entries
@@ -56,7 +56,7 @@ fn policies(set: &Set) -> Vec<(String, Vec<u8>)> {
     policies
 }
 
-/// Everything that was published was considered or is counted as lost.
+/// Every published step was read or is counted as lost.
 fn assert_accounts(
     Mark {
         counts, sequence, ..
@@ -77,7 +77,7 @@ fn in_lockstep_the_same_seed_teaches_the_same_policies() {
             "learner.batch=32",
             "learner.hidden=32",
             "learner.imagined_scenes=1",
-            // Any weights pass: what is tested is not how they drive.
+            // Any weights pass, because the test does not depend on how they drive.
             "policy.veto_rate_max=1.0",
             "policy.probation_ticks=3",
         ]);
@@ -97,7 +97,7 @@ fn in_lockstep_the_same_seed_teaches_the_same_policies() {
         assert_eq!(mark.counts.lost, 0, "seed 3: {}", set.logs());
         (set.json(), policies(&set), mark.counts)
     };
-    // At once: nothing may depend on the machine's load.
+    // Both run at the same time: the result must not depend on the machine's load.
     let runs = ["learna", "learnb"].map(|label| std::thread::spawn(move || drive(label)));
     let [a, b] = runs.map(|run| run.join().expect("a run"));
     assert_eq!(a.0["command_digest"], b.0["command_digest"], "seed 3");
@@ -126,7 +126,7 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
         "learner.hidden=32",
         "supervisor.restarts_max=1000",
         "supervisor.backoff_max_ms=20",
-        // A busy machine may hold any process up for a while.
+        // A busy machine may delay any process.
         "limits.command_age_ms=2000",
     ]);
     let words = [
@@ -146,7 +146,7 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
             let pids = set.pids("vlaps-learner");
             pids.len() == 1 && !killed.contains(&pids[0])
         });
-        // From the first instant of its life to a block or so later.
+        // Killed at a random instant between its start and about one block later.
         let more = random.random_range(0..60) * RECORD_BYTES;
         let from = journal_bytes(&set);
         let grown = || journal_bytes(&set) >= from + more;
@@ -166,7 +166,7 @@ fn a_learner_that_is_killed_again_and_again_costs_the_run_nothing() {
 
     let json = set.json();
     assert_eq!(json["processes"]["learner"]["restarts"], KILLS, "{json}");
-    assert_eq!(json["restarts"], KILLS, "nobody else died: {json}");
+    assert_eq!(json["restarts"], KILLS, "no other process died: {json}");
     assert_eq!(json["braked"], 0, "there always was a command: {json}");
     let number = |key: &str| json[key].as_f64().expect(key);
     let instants = (number("elapsed_s") / number("period_s")).round();
@@ -197,7 +197,7 @@ fn in_lockstep_a_run_outlives_the_learner_it_waits_for() {
         "learner.enabled=true",
         "learner.algorithm=hg-dagger",
         "learner.block_steps=50",
-        // Seconds: the controller waits that long at the end of each block.
+        // The controller waits this many seconds at the end of each block.
         "learner.updates=600",
         "learner.batch=256",
         "supervisor.restarts_max=10",
@@ -212,7 +212,7 @@ fn in_lockstep_a_run_outlives_the_learner_it_waits_for() {
         "expert",
     ];
     set.start(&[&words[..], &settings].concat());
-    // All of the block is on disk but the step whose successor is waited for.
+    // The whole block is on disk, except the step whose successor is missing.
     until("the block is full", || {
         journal_bytes(&set) > MAGIC_BYTES + (BLOCK - 3) * RECORD_BYTES
     });
@@ -243,7 +243,7 @@ fn a_run_that_goes_on_waits_for_the_updates_that_its_learner_was_killed_in() {
         "learner.enabled=true",
         "learner.algorithm=dagger",
         "learner.block_steps=50",
-        // Seconds: the whole run would be driven meanwhile.
+        // In this many seconds the whole run would be driven.
         "learner.updates=600",
         "learner.batch=256",
         "learner.imagined_scenes=1",
@@ -270,7 +270,7 @@ fn a_run_that_goes_on_waits_for_the_updates_that_its_learner_was_killed_in() {
         before.contains("unloaded"),
         "a block has no policy yet: {before}"
     );
-    // As if it had been killed before its first networks were written down.
+    // As if the learner had been killed before it first saved its networks.
     fs::remove_file(folder(&set).join("learner.bin")).expect("networks");
     let after = drive().to_string();
     assert!(

@@ -16,7 +16,8 @@ fn drive(label: &str, seed: u64, episodes: u32) -> Value {
     set.json()
 }
 
-/// Ticks of a process that were done or skipped; every one of its grid is.
+/// Ticks of a process that were done or skipped; together they are all ticks of its
+/// grid.
 fn accounted(json: &Value, process: &str) -> u64 {
     let row = &json["processes"][process];
     let number = |key: &str| {
@@ -62,7 +63,7 @@ fn assert_accounts(json: &Value) {
 
 #[test]
 fn the_same_seed_gives_the_same_commands_and_another_differs() {
-    // At once, in parallel: a digest must not depend on the machine's load.
+    // All run at the same time: a digest must not depend on the machine's load.
     let runs = [("a", 3), ("b", 3), ("c", 4)]
         .map(|(label, seed)| std::thread::spawn(move || drive(label, seed, 2)));
     let [a, b, c] = runs.map(|run| run.join().expect("a run"));
@@ -164,7 +165,8 @@ fn unequal_rates_repeat_too() {
     for episode in a["episodes"].as_array().expect("episodes") {
         assert_eq!(episode["outcome"], "arrived", "{a}");
     }
-    // The account is that of the run's grid; an episode's ticks are the physics'.
+    // The account is that of the run's grid; an episode's ticks are those of the
+    // physics.
     assert_eq!(a["period_s"], 0.02);
     let ticks = a["ticks"].as_u64().expect("ticks");
     assert_eq!(
@@ -190,7 +192,7 @@ fn in_real_time_every_tick_of_each_process_is_accounted_for_over_a_restart() {
     let mut set = Set::new("absent");
     set.start(&["--seed", "3", "--no-realtime", "--duration", "12"]);
     let journal = set.paths().dir().join("restarts.json");
-    // Not before its first ticks: a life without any leaves no gap.
+    // Not before its first ticks: a process without ticks leaves no gap.
     let ticks = || set.status_of("controller")["ticks"].as_u64();
     until("the controller ticks", || ticks() > Some(5));
     assert!(set.signal_program("vlaps-controller", Signal::KILL) > 0);
@@ -203,7 +205,8 @@ fn in_real_time_every_tick_of_each_process_is_accounted_for_over_a_restart() {
         .as_u64()
         .expect("absent");
     assert!(absent > 0, "{json}");
-    // Each begins with the first observation it hears, and ends with the last.
+    // Each grid begins with the first observation that is received, and ends with the
+    // last.
     for (process, ticks) in [("planner", planner), ("controller", controller + absent)] {
         assert!(world.abs_diff(ticks) <= 3, "{process}: {ticks} of {world}");
     }

@@ -1,5 +1,5 @@
-//! The real MetaDrive as world. Without its Python environment, which
-//! `./vlaps setup metadrive` makes, these tests say so and pass.
+//! The real MetaDrive as world. Without its Python environment, which `./vlaps setup
+//! metadrive` creates, these tests print that and pass.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -8,16 +8,18 @@ use serde_json::Value;
 use shm_config::message::{BEAMS_MAX, Bend, FEATURES, Observation};
 use vlaps_tests::{Set, programs};
 
-/// Largest difference of a policy input to the simulator's own.
+/// Largest difference between a policy input and the simulator's own.
 const TOLERANCE: f64 = 1e-5;
-/// The same for the position of a checkpoint beyond 50 m. There the simulator
-/// shortens the vector before it turns it into the pitching body's frame, and
-/// `features()` after: the cosine of the pitch remains.
+/// The same for the position of a checkpoint beyond 50 m. The simulator shortens the
+/// vector before it is transformed to the pitching body's frame, `features()` after it:
+/// the cosine of the pitch remains.
 const TOLERANCE_FAR: f64 = 1e-4;
-/// From where on a checkpoint is far, m; just below 50 for the same reason.
+/// Distance from which a checkpoint counts as far, m; just below 50 for the same
+/// reason.
 const FAR_M: f64 = 49.99;
 
-/// The Python of the environment; `None`, and why on stderr, when there is none.
+/// The Python of the environment; `None`, with the reason on stderr, when there is
+/// none.
 fn python() -> Option<PathBuf> {
     let home = match std::env::var_os("VLAPS_METADRIVE") {
         Some(home) => home.into(),
@@ -43,7 +45,7 @@ fn numbers(value: &Value) -> Vec<f64> {
         .collect()
 }
 
-/// A message with what the world would have sent.
+/// A message with the values that the world would have sent.
 fn observation(line: &Value) -> Observation {
     let mut observation = Observation::default();
     let ego = numbers(&line["ego"]);
@@ -123,7 +125,7 @@ fn compare(python: &Path, seed: u64) {
             .count();
         ticks += 1;
     }
-    // Nothing was compared if the car never drove, or the lidar saw nothing.
+    // Nothing was compared if the car never drove, or the lidar hit nothing.
     assert!(
         ticks > 50 && seen > 100,
         "seed {seed}: {ticks} ticks, {seen} hits"

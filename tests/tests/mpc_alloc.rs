@@ -1,5 +1,5 @@
-//! How much memory a plan of the model-predictive expert takes. Its solver is a
-//! library that allocates for each solution; everything else of a plan must not.
+//! The memory of a plan of the model-predictive expert. Its solver is a library that
+//! allocates for each solution; nothing else in a plan may allocate.
 
 use allocation_counter::measure;
 use planner::Planner;
@@ -11,8 +11,8 @@ use vehicle::Action;
 
 const PLANS: u64 = 200;
 const WARM_UP: u64 = 5;
-/// What was counted when this was written; more means that a plan takes memory
-/// in a place of our own.
+/// The count of the solver alone; a larger count means that other code of a plan
+/// allocates.
 const ALLOCATIONS_MAX: u64 = 4;
 
 #[test]

@@ -1,4 +1,4 @@
-//! What a new user meets: refusals that say what to do, output that goes away, a
+//! Situations of a new user: refusals that say what to do, output whose reader ends, a
 //! small container, and figures that explain themselves.
 
 use std::fs;
@@ -11,7 +11,7 @@ use serde_json::Value;
 use vlaps_tests::{Set, programs, skip_unless, until};
 
 const NAMESPACES: &str = "this machine grants no user and mount namespaces (unshare -rm)";
-/// Mounts a file system of a size over the place of shared memory, then runs the rest.
+/// Mounts a file system of a size in place of shared memory, then runs the rest.
 const SMALL: [&str; 4] = ["unshare", "-rm", "sh", "-c"];
 
 fn program(name: &str, folder: &Path, words: &[&str]) -> Output {
@@ -35,7 +35,7 @@ fn said(output: &Output) -> String {
     text(&output.stdout) + &text(&output.stderr)
 }
 
-/// Refused with exit code 2 before anything is made, with these words.
+/// Asserts a refusal with exit code 2 and these words, before anything is created.
 fn assert_refused(words: &[&str], parts: &[&str]) {
     let folder = tempfile::tempdir().expect("a folder");
     let output = vlaps(folder.path(), words);
@@ -280,7 +280,7 @@ fn status_tells_restarts_and_the_latest_ticks() {
         set.status_of("planner")["restarts"] == 1
     });
     assert!(set.status().0.contains("restarts"));
-    // A controller that stands still for some ticks ends them late.
+    // A controller that is stopped for some ticks completes them late.
     let before = ticks("world");
     set.signal_program("vlaps-controller", Signal::STOP);
     until("the world goes on", || {

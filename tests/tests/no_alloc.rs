@@ -1,10 +1,10 @@
-//! No tick of planner or controller allocates: the shipped loops, waiting, accounting
-//! and the swap of weights included, on real ports of a private run, before a world in
-//! this test that the car really drives through.
+//! No tick of planner or controller allocates: the test runs the shipped loops, with
+//! waiting, accounting and swaps of weights, on real ports of a private run. A world in
+//! this test drives the car.
 //!
-//! What the loops do between ticks (connecting to peers, heartbeats) may allocate: each
-//! loop is the shipped one, and each process is wrapped so that its waits and ticks are
-//! counted, and nothing else.
+//! Between ticks (connecting to peers, heartbeats) the loops may allocate. Each loop is
+//! the shipped one, and each process is wrapped so that only its waits and ticks are
+//! counted.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -34,13 +34,13 @@ use sim::{World, WorldConfig};
 const TICKS: u64 = 10_000;
 /// Ticks in which ports may still connect to each other.
 const WARM_UP: u64 = 20;
-/// New weights come once in so many.
+/// New weights are offered once in this many ticks.
 const SWAP_TICKS: u64 = 500;
 const PERIOD_NS: u64 = 100_000_000;
 
-/// Keeps its lane by the features alone, heading and offset, at 5 m/s: a net of
-/// the experiment's size whose first three hidden numbers are those features. The last
-/// bias makes each version another file.
+/// Follows its lane by the features alone, heading and offset, at 5 m/s: a net of the
+/// experiment's size whose first three hidden numbers are those features. The last bias
+/// makes each version a different file.
 fn lane_keeper(version: u64) -> Vec<u8> {
     let layer = |inputs: usize, outputs: usize, activation| Layer {
         weights: vec![0.0; inputs * outputs],
@@ -65,14 +65,14 @@ fn lane_keeper(version: u64) -> Vec<u8> {
     policy::encode(&mlp, &Provenance::default(), &[vec![0.5; FEATURES]])
 }
 
-/// What was counted in one loop's waits and ticks.
+/// The allocations counted in one loop's waits and ticks.
 #[derive(Default)]
 struct Counts {
     allocations: AtomicU64,
     ticks: AtomicU64,
 }
 
-/// A shipped process whose waits and ticks are counted, connections apart.
+/// A shipped process whose waits and ticks are counted, but not its connections.
 struct Counted<'a, P> {
     process: P,
     counts: &'a Counts,
@@ -114,7 +114,7 @@ impl<P: FixedRate> FixedRate for Counted<'_, P> {
     }
 }
 
-/// Everything in the run that the two loops are not: world, gate, driver, learner.
+/// All other processes of the run: world, gate, driver, learner.
 struct Rest {
     bell: Doorbell,
     observations: Publisher<Observation>,
@@ -151,7 +151,7 @@ impl Rest {
         self.statuses.update_connections();
     }
 
-    /// Offers new weights and waits until the controller runs them in shadow.
+    /// Offers new weights and waits until the controller runs them in shadow mode.
     #[allow(clippy::disallowed_methods)] // a test without processes reads the clock
     fn swap(&mut self, version: u64) {
         let file = lane_keeper(version);
@@ -172,7 +172,7 @@ impl Rest {
         panic!("version {version} was not adopted");
     }
 
-    /// The command of that tick and its step.
+    /// The command of this tick and its step.
     #[allow(clippy::disallowed_methods)] // a test without processes reads the clock
     fn answer(&mut self, tick: u64) -> (Command, Step) {
         let until = monotonic().after_ns(30_000_000_000);
@@ -193,7 +193,7 @@ impl Rest {
     }
 }
 
-/// What the ticks did, so that the count of zero means something.
+/// What the ticks did; it shows that the count of zero is meaningful.
 #[derive(Debug, Default)]
 struct Done {
     planned: u64,
@@ -237,14 +237,14 @@ fn member(
     Member::embedded(process, config, wire, monotonic, stop.clone())
 }
 
-/// Drives for so many ticks, swaps weights meanwhile, and returns what was done.
+/// Drives this many ticks, swaps weights during them, and returns what was done.
 fn drive(rest: &mut Rest) -> Done {
     let mut world = World::new(WorldConfig::default()).expect("a world");
     let mut observation = Box::<Observation>::default();
     let (mut done, mut seed) = (Done::default(), 100);
     world.reset(seed).expect("a map");
     for tick in 0..TICKS + WARM_UP {
-        // A car that the judge holds before an obstacle proves nothing more.
+        // A car that the safety check holds before an obstacle proves nothing more.
         if world.last_step().has_ended() || world.ticks() >= 400 {
             done.metres += world.driven_m();
             seed += 1;

@@ -1,4 +1,4 @@
-//! What a process of a set has started ends with it, and nothing else does.
+//! The children of a set's processes end with their parent, and no other process does.
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
@@ -21,7 +21,7 @@ fn programs_with_world(set: &Set, script: &str) -> PathBuf {
     folder
 }
 
-/// Process ids of `sleep SECONDS`. Each test has a number of its own.
+/// Process ids of `sleep SECONDS`. Each test has its own number.
 fn sleeping(seconds: &str) -> Vec<i32> {
     let line = format!("sleep\0{seconds}\0");
     let entries = fs::read_dir("/proc").expect("/proc").flatten();
@@ -44,8 +44,8 @@ fn log(set: &Set) -> String {
 fn children_of_a_world_that_dies_end_and_the_run_can_be_driven_again() {
     let set = Set::new("dies");
     let (nap, foreign) = (seconds(1001), seconds(1002));
-    // They hold the run's lock, are in sessions of their own, and some have lost
-    // their parent before.
+    // They hold the run's lock, have their own sessions, and some have already lost
+    // their parent.
     let script = format!(
         "#!/bin/sh\n\
          exec 9< \"$(dirname \"$2\")/alive\"\n\
@@ -57,7 +57,7 @@ fn children_of_a_world_that_dies_end_and_the_run_can_be_driven_again() {
          exit 3\n"
     );
     let folder = programs_with_world(&set, &script);
-    // A shell may have started something before it became the supervisor.
+    // A shell may have started a process before it executed the supervisor.
     let before = format!("sleep {foreign} >/dev/null 2>&1 & exec \"$0\" \"$@\"");
     let output = set
         .up_command(
@@ -72,7 +72,11 @@ fn children_of_a_world_that_dies_end_and_the_run_can_be_driven_again() {
     for pid in lived.iter().filter_map(|pid| Pid::from_raw(*pid)) {
         let _ = kill_process(pid, Signal::KILL);
     }
-    assert_eq!(lived.len(), 1, "what is nothing of the run lives on");
+    assert_eq!(
+        lived.len(),
+        1,
+        "a process that does not belong to the run is not ended"
+    );
     assert_eq!(sleeping(&nap), Vec::<i32>::new(), "{}", log(&set));
     let told = log(&set);
     let lines = told
@@ -134,7 +138,7 @@ fn children_of_a_living_world_live_while_others_die_and_end_with_the_set() {
     );
 }
 
-/// Children of a process that have ended and were not collected.
+/// Children of a process that have ended and were not reaped.
 fn dead_children(parent: i32) -> Vec<PathBuf> {
     let entries = fs::read_dir("/proc").expect("/proc").flatten();
     let is_dead = |path: &Path| {

@@ -1,4 +1,4 @@
-//! What another user of the machine can do to a run: nothing.
+//! Another user of the machine can neither stop, change nor read a run.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use vlaps_tests::two_users::{OTHER, Stage, VICTIM, text};
 use vlaps_tests::{pids_within, programs, skip_unless, until};
 
-/// It ended with this exit code and said all of this.
+/// Asserts the exit code and all these parts of the output.
 fn assert_said(output: &Output, code: i32, parts: &[&str]) {
     let said = text(output);
     assert_eq!(output.status.code(), Some(code), "{said}");
@@ -18,7 +18,7 @@ fn assert_said(output: &Output, code: i32, parts: &[&str]) {
     }
 }
 
-/// Bits, such as 0o755.
+/// The mode bits, such as 0o755.
 fn mode(path: &Path) -> u32 {
     let found = fs::metadata(path).expect("it is there");
     found.permissions().mode() & 0o7777
@@ -39,7 +39,8 @@ fn a_folder_of_another_user_takes_no_run() {
         assert!(!folder.join("logs/gate.log").exists());
     };
     let trap = trap.display();
-    // The other user's folder, open to all, so that only its owner speaks against it.
+    // The other user's folder is open to all, so that only its owner is a reason to
+    // refuse it.
     stage.sh(
         OTHER,
         &format!("mkdir -p -m 777 {trap}/r/logs; chmod 777 {trap}/r {trap}"),
@@ -47,11 +48,11 @@ fn a_folder_of_another_user_takes_no_run() {
     let folder = format!("{trap}/r");
     let owner = format!("belongs to user {OTHER}");
     up(Path::new(&folder), &[&folder, &owner, "run.folder=DIR"]);
-    // The victim's own folder, which others may write to.
+    // The user's own folder, to which others may write.
     stage.sh(VICTIM, &format!("mkdir -m 777 {}/open", here.display()));
     let open = here.join("open");
     up(&open, &["open to other users", "chmod go-w"]);
-    // Its own folder in a place where others may put another one for it.
+    // The user's own folder in a place where others may replace it by another.
     stage.sh(VICTIM, &format!("mkdir -m 755 {trap}/own"));
     let own = format!("{trap}/own");
     up(

@@ -1,4 +1,4 @@
-//! Which set a bare `down` or `swap` means: the one of this folder, or none.
+//! The set that a bare `down` or `swap` selects: the one of this folder, or none.
 
 use std::fs;
 use std::process::{Command, Output};
@@ -16,7 +16,7 @@ const DRIVE: [&str; 7] = [
     "3",
 ];
 
-/// A command line of `vlaps` in the folder of a set.
+/// A command of `vlaps` in the folder of a set.
 fn vlaps(set: &Set, words: &[&str]) -> Output {
     let mut command = Command::new(programs().join("vlaps-supervisor"));
     command.args(words).current_dir(set.folder());
@@ -47,7 +47,7 @@ fn a_bare_command_takes_this_folders_set_alone() {
     let named = ["no set of this folder runs", &name, "--run NAME"];
     assert_refused(&vlaps(&elsewhere, &["down"]), &named);
     assert_refused(&vlaps(&elsewhere, &["swap", "a.onnx"]), &named);
-    // It was offered to this one, whose controller looked at it.
+    // The policy was offered to this set, whose controller read it.
     let swapped = text(&vlaps(&set, &["swap", "a.onnx"]));
     assert!(swapped.contains("a.onnx: refused: "), "{swapped}");
     let seen = text(&vlaps(&elsewhere, &["status"]));

@@ -1,9 +1,9 @@
-//! Every row of the service table is opened by the processes that it names.
+//! Tests that every row of the service table is opened by the processes that it names.
 
 use shm_config::services::{Process, SERVICES};
 use shm_config::wire::Use;
 
-/// A process, and the rows that one of its sets of ports uses.
+/// A process, and the rows that one of its port structs uses.
 type Opened = (Process, &'static [(&'static str, Use)]);
 
 macro_rules! opened {
@@ -55,7 +55,7 @@ fn every_flow_of_the_table_has_its_ports() {
     assert!(missing.is_empty(), "no ports for: {missing:?}");
 }
 
-/// The macro refuses other rows when it compiles; this says so of the whole list.
+/// The macro refuses other rows at compile time; this test covers the whole list.
 #[test]
 fn no_process_opens_a_row_that_does_not_name_it() {
     for (process, rows) in OPENED {

@@ -1,5 +1,5 @@
-//! The Python package. Without its environment, which `./vlaps setup python` makes,
-//! this test says so and passes.
+//! The tests of the Python package. Without its environment, which `./vlaps setup
+//! python` creates, this test prints that and passes.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,5 +1,5 @@
-//! Steps of real process sets, read from the wire, are computed again from the run's
-//! own configuration file.
+//! Steps of real process sets, read from the wire, are recomputed from the run's own
+//! configuration file.
 
 #[path = "../../policy/tests/bad/mod.rs"]
 #[allow(dead_code)]
@@ -22,7 +22,7 @@ const LENIENT: [&str; 4] = [
     "policy.probation_ticks=5",
 ];
 
-/// Runs a set to its end; gives the steps that were read meanwhile, recomputed.
+/// Runs a set to its end; returns the steps that were read and recomputed.
 fn recomputed(set: &mut Set, arguments: &[&str], ticks: u64) -> Vec<Step> {
     set.start(arguments);
     until("the run is up", || set.pids("vlaps-world").len() == 1);

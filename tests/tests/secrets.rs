@@ -1,4 +1,4 @@
-//! Who can read a key, in real process sets.
+//! Which processes and files can hold a key, in real process sets.
 
 mod server;
 
@@ -15,7 +15,7 @@ const OTHER_KEY: &str = "sk-other-9b02e3-never-to-be-seen";
 const OWN_KEY: &str = "sk-own-c55a10-never-to-be-seen";
 const KEYS: [&str; 3] = [KEY, OTHER_KEY, OWN_KEY];
 
-/// Stands in the environment as the keys do, and may be seen.
+/// A marker in the environment that may be visible, unlike the keys.
 const MARKER: &str = "anybody-may-see-77812";
 
 fn holds(bytes: &[u8], word: &str) -> bool {
@@ -26,7 +26,7 @@ fn holds(bytes: &[u8], word: &str) -> bool {
         .any(|(at, _)| bytes[at..].starts_with(word))
 }
 
-/// Process ids of all that work in a folder or below it.
+/// Process ids of all processes that run in a folder or below it.
 fn processes(folder: &Path) -> Vec<u32> {
     let entries = fs::read_dir("/proc").expect("/proc").flatten();
     let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
@@ -38,12 +38,12 @@ fn processes(folder: &Path) -> Vec<u32> {
         .collect()
 }
 
-/// No process that works in the folder shows a key; how many were looked at.
+/// Asserts that no process in the folder shows a key; returns how many were examined.
 fn look_at_processes(folder: &Path) -> usize {
     let pids = processes(folder);
     for pid in &pids {
         for file in ["environ", "cmdline"] {
-            // Of a gate that is not dumpable only root may read.
+            // Only root can read those of a gate, which is not dumpable.
             let bytes = fs::read(format!("/proc/{pid}/{file}")).unwrap_or_default();
             let name = fs::read_to_string(format!("/proc/{pid}/comm")).unwrap_or_default();
             for key in KEYS {
@@ -54,13 +54,13 @@ fn look_at_processes(folder: &Path) -> usize {
     pids.len()
 }
 
-/// No file of the run holds a key; how many were looked at.
+/// Asserts that no file of the run holds a key; returns how many were examined.
 fn look_at_files(set: &Set) -> usize {
     let mut files = files_below(set.folder());
     files.extend(files_below(&set.paths().dir()));
     files.extend(set.paths().shared_memory().expect("/dev/shm"));
     for file in &files {
-        // Sockets and what has gone meanwhile have no content.
+        // Sockets and files that were removed in the meantime have no content.
         let bytes = fs::read(file).unwrap_or_default();
         for key in KEYS {
             assert!(!holds(&bytes, key), "{}", file.display());
@@ -124,7 +124,7 @@ fn the_key_is_in_the_gate_alone_and_in_no_file() {
         text.contains("it says: red\\u{1b}[31m c1\\u{9b}2J rlo\\u{202e} lri\\u{2066}")
     });
 
-    // What dies leaves no memory of the key behind, and its successor gets it anew.
+    // A killed gate leaves no core file, and its successor gets the key again.
     let gate = one(&set, "vlaps-gate");
     let asked = server.was_sent(OWN_KEY);
     set.signal_program("vlaps-gate", Signal::ABORT);
@@ -140,7 +140,8 @@ fn the_key_is_in_the_gate_alone_and_in_no_file() {
     look_at_the_core_of_its_supervisor(&mut set);
 }
 
-/// Where a core file is written; that of the gate would have been, too.
+/// The core file of the supervisor shows where core files are written; that of the gate
+/// would be there too.
 fn look_at_the_core_of_its_supervisor(set: &mut Set) {
     let supervisor = one(set, "vlaps-supervisor");
     set.signal(Signal::ABORT);
@@ -162,7 +163,7 @@ fn look_at_the_core_of_its_supervisor(set: &mut Set) {
     }
 }
 
-/// A child that does not outlive a test that fails.
+/// A child that is killed when a test fails.
 struct Killed(Child);
 
 impl Drop for Killed {
@@ -221,7 +222,7 @@ fn a_key_that_is_too_long_is_refused_and_not_shown() {
     let said = said(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(
-        said.contains("VLAPS_VLM_KEY: no key: must be one word"),
+        said.contains("VLAPS_VLM_KEY: no key: a key must be one word"),
         "{said}"
     );
     assert!(!said.contains("kkkk"), "{said}");

@@ -1,5 +1,5 @@
-//! Weights are swapped while a real process set drives: whole, checked, or not
-//! at all; and they survive what the run survives.
+//! Weights are swapped while a real process set drives: whole and checked, or not at
+//! all. They survive restarts of the controller and of the run.
 
 #[path = "../../policy/tests/bad/mod.rs"]
 mod bad;
@@ -25,7 +25,7 @@ fn text(output: &Output) -> String {
     String::from_utf8_lossy(&both).into_owned()
 }
 
-/// The version in charge and its hash, as `status` sees them.
+/// The version in use and its hash, as `status` shows them.
 fn in_charge(set: &Set) -> (u64, String) {
     let output = supervisor(set, &["status", "--json", "status.json"]);
     assert!(output.status.success(), "{}", text(&output));
@@ -36,7 +36,8 @@ fn in_charge(set: &Set) -> (u64, String) {
     (policy["version"].as_u64().unwrap_or(0), hash.into())
 }
 
-/// Any net passes this probation: what is tested here is not how it drives.
+/// Any net passes this canary period, because the test does not depend on how it
+/// drives.
 const LENIENT: [&str; 4] = [
     "--set",
     "policy.veto_rate_max=1.0",
@@ -75,7 +76,7 @@ fn weights_are_adopted_or_refused_while_the_set_drives() {
         assert_eq!(in_charge(&set), (1, hash.clone()), "{kind} changed nothing");
         reasons.push(said);
     }
-    // A hole in the disk: nobody has to write a gigabyte.
+    // A sparse file: no gigabyte needs to be written.
     let large = File::create(set.folder().join("large.onnx")).expect("a file");
     large.set_len(1 << 30).expect("a gigabyte");
     let output = supervisor(&set, &["swap", "large.onnx"]);
@@ -95,7 +96,7 @@ fn weights_are_adopted_or_refused_while_the_set_drives() {
     let (version, second) = in_charge(&set);
     assert!(version > 1 && second != hash, "{version} {second}");
 
-    // The controller dies and comes back with what it had.
+    // The controller dies and returns with the weights it had.
     set.signal_program("vlaps-controller", Signal::KILL);
     until("the weights are back", || {
         in_charge(&set) == (version, second.clone())
@@ -105,14 +106,14 @@ fn weights_are_adopted_or_refused_while_the_set_drives() {
     let json = set.json();
     assert_eq!(json["policy"]["version"].as_u64(), Some(version), "{json}");
 
-    // And so does the run of the same name.
+    // A new run of the same name has them too.
     start(&mut set, &[]);
     until("the weights are back", || {
         in_charge(&set) == (version, second.clone())
     });
 }
 
-/// An offer whose hash is of something else; the reason.
+/// Makes an offer whose hash belongs to other bytes; returns the reason of the refusal.
 fn wrong_hash(set: &Set, bytes: &[u8]) -> String {
     use shm_config::services::{POLICY_STATUS, Process, WEIGHTS};
     let wire = shm_config::wire::Wire::join(set.name(), Process::Learner).expect("the run");
@@ -176,7 +177,10 @@ fn a_policy_drives_in_lockstep_the_same_each_time() {
     let (a, b) = (drive("policya"), drive("policyb"));
     assert_eq!(a["command_digest"], b["command_digest"]);
     assert_eq!(a["reasons"], b["reasons"]);
-    assert_eq!(a["reasons"]["expert"]["shadow"], 3, "its probation: {a}");
+    assert_eq!(
+        a["reasons"]["expert"]["shadow"], 3,
+        "its canary period: {a}"
+    );
     assert!(a["share"]["policy"].as_f64() > Some(0.01), "{a}");
     assert_eq!(a["policy"]["version"], 1, "{a}");
 }

@@ -1,5 +1,5 @@
-//! `./vlaps train` on real process sets: it can be stopped, killed and gone on
-//! with, and its steps are those that were asked for.
+//! `./vlaps train` on real process sets: it can be stopped, killed and resumed, and
+//! drives exactly the requested steps.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,12 +10,12 @@ use shm_config::config::from_toml;
 use shm_config::run::RunPaths;
 use vlaps_tests::{pids_within, programs, until};
 
-/// Steps of a block: as few as give the learner something to do.
+/// Steps of a block: the fewest that give the learner something to do.
 const BLOCK: u64 = 40;
-/// Blocks of a training that something happens to: seconds.
+/// Blocks of a training that is disturbed: some seconds.
 const BLOCKS: u64 = 40;
 
-/// An experiment of a test, in a folder of its own.
+/// An experiment of a test, in its own folder.
 struct Experiment {
     folder: PathBuf,
     name: String,
@@ -34,7 +34,8 @@ impl Experiment {
         }
     }
 
-    /// Small nets and the cheapest expert: what is tested is not how they drive.
+    /// Small nets and the cheapest expert, because the test does not depend on how they
+    /// drive.
     fn command(&self, words: &[&str]) -> Command {
         let mut command = Command::new(programs().join("vlaps-lab"));
         command
@@ -59,7 +60,7 @@ impl Experiment {
             "learner.hidden=32".into(),
             "supervisor.restarts_max=100".into(),
             "supervisor.backoff_max_ms=20".into(),
-            // Policies that know nothing stand still until their time is up.
+            // Untrained policies stand still until their time is up.
             "world.horizon_ticks=60".into(),
         ];
         for setting in settings {
@@ -73,7 +74,7 @@ impl Experiment {
         self.command(words).output().expect("it starts")
     }
 
-    /// Goes on with nothing but these words.
+    /// Resumes with these arguments alone.
     fn resume(&self, words: &[&str]) -> Output {
         let mut command = Command::new(programs().join("vlaps-lab"));
         command
@@ -122,7 +123,7 @@ impl Experiment {
             .collect()
     }
 
-    /// Process ids of a program of the set that trains.
+    /// Process ids of a program of the training's set.
     fn pids(&self, program: &str) -> Vec<i32> {
         pids_within(&self.folder, program)
     }
@@ -160,7 +161,7 @@ fn multiples(count: u64) -> Vec<u64> {
     (1..=count).map(|block| block * BLOCK).collect()
 }
 
-/// The set's summaries: how many ticks were driven in all.
+/// The sum of the ticks in the set's summaries.
 fn driven(seed: &Path) -> u64 {
     let entries = fs::read_dir(seed).expect("the seed's folder");
     let ticks = entries.filter_map(|entry| {
@@ -176,7 +177,7 @@ fn driven(seed: &Path) -> u64 {
 }
 
 #[test]
-fn a_training_tells_of_each_block_in_a_pipe_and_is_refused_a_second_time() {
+fn a_training_reports_each_block_in_a_pipe_and_is_refused_a_second_time() {
     let experiment = Experiment::new("lines");
     let steps = (3 * BLOCK).to_string();
     let words = ["--steps", &steps, "--final-episodes", "2"];

@@ -12,8 +12,8 @@ use super::{
     open_at, read_bounded, replace_at, text,
 };
 
-/// A folder of ours, held open: what is done in it is done in this folder,
-/// also when its path leads to another one meanwhile.
+/// A folder of ours, held open: all operations act on this folder, even when its path
+/// leads to another one in the meantime.
 #[derive(Debug)]
 pub struct Folder {
     fd: OwnedFd,
@@ -28,12 +28,13 @@ impl Folder {
     /// When it is missing, a link or no folder; [`NotOurs`](super::NotOurs) when it belongs to
     /// another user or lets others in.
     pub fn open(path: &Path, entry: Entry) -> io::Result<Self> {
-        // A slash or a dot at the end would have the link followed.
+        // A slash or a dot at the end would follow the link.
         let path: PathBuf = path.components().collect();
         Self::open_at(CWD, &path, path.clone(), entry)
     }
 
-    /// Opens a folder, which is made if it is missing; what is above it must exist.
+    /// Opens a folder, which is created if it is missing; the folder above it must
+    /// exist.
     ///
     /// # Errors
     /// As [`Folder::open`], and when it cannot be made.
@@ -114,7 +115,7 @@ impl Folder {
         })
     }
 
-    /// Renames what is in it; what has the new name is replaced.
+    /// Renames an entry; an entry with the new name is replaced.
     ///
     /// # Errors
     /// When there is nothing of that name, or the folder refuses.
@@ -122,7 +123,7 @@ impl Folder {
         Ok(rustix::fs::renameat(&self.fd, from, &self.fd, to)?)
     }
 
-    /// Removes a name that leads to no folder; a link goes, its target stays.
+    /// Removes an entry that is not a folder; a link is removed, its target stays.
     ///
     /// # Errors
     /// When the folder refuses.
@@ -130,7 +131,7 @@ impl Folder {
         Ok(rustix::fs::unlinkat(&self.fd, name, AtFlags::empty())?)
     }
 
-    /// What stands under a name, links not followed.
+    /// The metadata of an entry; links are not followed.
     ///
     /// # Errors
     /// When there is nothing of that name.
@@ -142,7 +143,7 @@ impl Folder {
         )?)
     }
 
-    /// Leaves a symbolic link in it.
+    /// Creates a symbolic link in it.
     ///
     /// # Errors
     /// When the name is taken, or the folder refuses.

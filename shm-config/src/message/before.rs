@@ -1,21 +1,21 @@
-//! What a tick begins with and what it is told, as a step records it.
+//! The state with which a tick begins, as a step records it.
 
 use super::{Driver, Refusal, known};
 
 crate::word_list! {
-    /// Whether the run goes on.
+    /// What the process asks of the tick.
     pub enum Intent {
         /// Drive.
         Drive = 0 "drive",
         /// Bring the car to rest.
         Stop = 1 "stop",
-        /// Brake: two processes send one state, so none of it can be trusted.
+        /// Brake: two processes send one state, so neither can be trusted.
         Contested = 2 "contested",
     }
 }
 
 crate::word_list! {
-    /// How far a policy is on its way to the wheel.
+    /// The state of the policy before it may drive.
     pub enum Stage {
         /// No policy is loaded.
         Unloaded = 0 "unloaded",
@@ -27,25 +27,25 @@ crate::word_list! {
 }
 
 crate::word_list! {
-    /// What the tick did with one input.
+    /// The result of the check of one input.
     pub enum Admission {
-        /// No message came since the last tick; the last admitted one holds.
+        /// No message arrived since the last tick; the last admitted one is used.
         Absent = 0 "absent",
-        /// A message came and was admitted.
+        /// A message arrived and was admitted.
         Admitted = 1 "admitted",
-        /// A message came and was refused; the last admitted one holds.
+        /// A message arrived and was refused; the last admitted one is used.
         Refused = 2 "refused",
     }
 }
 
 crate::word_list! {
-    /// What became of the command by the deadline.
+    /// The lateness of the command, and what followed.
     pub enum Lateness {
         /// Decided by the deadline.
         OnTime = 0 "on time",
         /// Decided late, and sent as decided.
         Counted = 1 "counted",
-        /// Decided late, and held back.
+        /// Decided late, and not sent.
         HeldBack = 2 "held back",
         /// Decided late, and replaced by the brake.
         Braked = 3 "braked",
@@ -53,13 +53,13 @@ crate::word_list! {
 }
 
 crate::message! {
-    /// One input at the door of a tick.
+    /// The check of one input of a tick.
     #[derive(Default)]
     pub struct Entry: 16 bytes {
-        /// The clock read at which the port admitted the message, ns on the run's
-        /// clock; 0 when none came.
+        /// The clock at which the port admitted the message, ns on the run's clock; 0
+        /// when none arrived.
         pub port_ns: u64,
-        /// An [`Admission`]: the tick's own, at the instant in the step's header.
+        /// An [`Admission`]: the tick's own check, at the instant in the step's header.
         pub admission: u32,
         /// Not used.
         pub reserved: u32,
@@ -67,18 +67,18 @@ crate::message! {
 }
 
 crate::message! {
-    /// The errors that the PD tracking differentiates against.
+    /// The errors from which the PD controller computes its differences.
     #[derive(Default)]
     pub struct PdState: 48 bytes {
         /// Heading to the lookahead waypoint, rad.
         pub heading_rad: f64,
-        /// Wanted speed less the car's, m/s.
+        /// Desired speed minus the car's, m/s.
         pub speed_mps: f64,
-        /// The goal tracked, m in the world frame.
+        /// The goal that is tracked, world frame, x, m.
         pub goal_x_world_m: f64,
-        /// Likewise.
+        /// The goal that is tracked, world frame, y, m.
         pub goal_y_world_m: f64,
-        /// When their observation was taken, ns.
+        /// When the observation of the errors was taken, ns.
         pub taken_ns: u64,
         /// Its episode.
         pub episode: u32,
@@ -88,7 +88,7 @@ crate::message! {
 }
 
 crate::message! {
-    /// The command that the bumpless transfer starts from.
+    /// The command from which a hand-over starts.
     #[derive(Default)]
     pub struct TransferState: 32 bytes {
         /// Steering, normalised.
@@ -97,7 +97,7 @@ crate::message! {
         pub pedal: f64,
         /// A [`Driver`].
         pub driver: u32,
-        /// The episode it was given in.
+        /// The episode of that command.
         pub episode: u32,
         /// 1 when there is a command, else 0.
         pub present: u32,
@@ -110,17 +110,17 @@ crate::message! {
     /// The state of the controller before a tick, beside the messages that it holds.
     #[derive(Default)]
     pub struct Before: 104 bytes, nested [PdState, TransferState] {
-        /// Of the tracking.
+        /// The state of the PD controller.
         pub pd: PdState,
-        /// Of the transfer.
+        /// The state of the hand-over.
         pub transfer: TransferState,
         /// Messages refused since the controller started.
         pub refused: u64,
         /// 1 when an observation was admitted since then, else 0.
         pub has_observation: u32,
-        /// 1 when a plan was, else 0.
+        /// 1 when a plan was admitted since then, else 0.
         pub has_plan: u32,
-        /// 1 when advice was, else 0.
+        /// 1 when advice was admitted since then, else 0.
         pub has_advice: u32,
         /// Not used.
         pub reserved: u32,
@@ -128,7 +128,7 @@ crate::message! {
 }
 
 impl Entry {
-    /// What the tick did with the input; an unknown code reads as a refusal.
+    /// The result of the check; an unknown code is read as a refusal.
     pub fn admission(&self) -> Admission {
         Admission::from_code(self.admission).unwrap_or(Admission::Refused)
     }

@@ -3,7 +3,7 @@ use super::{Refusal, known, within};
 use vehicle::Float as _;
 
 crate::word_list! {
-    /// From where a frame is seen.
+    /// The view of a frame.
     pub enum View {
         /// Ahead, from over the driver's seat; the car itself is not in the way.
         Ego = 0 "ego",
@@ -12,28 +12,29 @@ crate::word_list! {
     }
 }
 
-/// What a top-down picture shows from its left rim to its right one, m: the lidar's
-/// reach to both sides, and little more.
+/// Width of the area in a top-down picture, m: slightly more than the lidar's range to
+/// both sides.
 pub const TOP_DOWN_ACROSS_M: f64 = 60.0;
 /// Share of a top-down picture's height that lies ahead of the car.
 pub const TOP_DOWN_AHEAD: f64 = 0.75;
-/// Height that a top-down camera is said to have, m. It would see the same from
-/// any other; this is above everything.
+/// Height of a top-down camera, m. The view does not depend on it; it is above
+/// everything.
 pub const TOP_DOWN_HEIGHT_M: f64 = 50.0;
 
-/// Where the camera over the driver's seat is, m: behind the seat and over the
-/// roof, so that the ground is seen from just before the car's middle on, where the
+/// Position of the camera above the driver's seat, m: behind the seat and above the
+/// roof, so that the ground is visible from just before the car's middle, where the
 /// paths of a question begin.
 const EGO_POSITION_BODY_M: [f64; 3] = [-2.0, 0.0, 2.4];
-/// How far it looks down, rad: the horizon then lies at a third of the height.
+/// Downward angle of the camera, rad: the horizon then lies at a third of the height.
 const EGO_PITCH_RAD: f64 = 12.0 * core::f64::consts::PI / 180.0;
-/// Angle from the left rim of the picture to the right one, rad.
+/// Angle between the left and right edges of the picture, rad.
 const EGO_FIELD_RAD: f64 = 66.0 * core::f64::consts::PI / 180.0;
-/// What is nearer is not seen, m.
+/// Nearer points are not visible, m.
 const EGO_NEAR_M: f64 = 0.5;
 
 crate::message! {
-    /// A pinhole or orthographic camera: where a point of the body frame is seen.
+    /// A pinhole or orthographic camera: it projects points of the body frame to
+    /// pixels.
     ///
     /// Pixels are counted from the left upper corner of the picture; the middle
     /// of the first one is at (0.5, 0.5).
@@ -137,7 +138,7 @@ impl Camera {
         row[0] * x_m + row[1] * y_m + row[2] * z_m + row[3]
     }
 
-    /// Everything that a frame says of its camera is a number in range.
+    /// Checks that all numbers of a camera are in range.
     ///
     /// # Errors
     /// The first field that is not finite, out of range or of unknown code.
@@ -159,8 +160,8 @@ impl Camera {
 /// Outlines, which grow as they are cut.
 #[cfg(feature = "std")]
 impl Camera {
-    /// A line through points of the body frame as it is seen, in pixels: what is
-    /// nearer than `near_m` is cut off, so that one line may become several.
+    /// The projection of a line through points of the body frame, pixels. Parts nearer
+    /// than `near_m` are cut off, so one line may become several.
     pub fn project_line(&self, points_body: &[[f64; 3]]) -> Vec<Vec<[f64; 2]>> {
         let mut parts: Vec<Vec<[f64; 2]>> = Vec::new();
         let mut is_open = false;
@@ -183,8 +184,8 @@ impl Camera {
         parts
     }
 
-    /// A polygon of the body frame as it is seen, in pixels and without what is
-    /// nearer than `near_m`; empty when nothing is left. `out` is cleared.
+    /// The projection of a polygon of the body frame, pixels, without the part nearer
+    /// than `near_m`; empty when nothing is left. `out` is cleared.
     pub fn project_area(&self, corners_body: &[[f64; 3]], out: &mut Vec<[f64; 2]>) {
         out.clear();
         for (index, &corner) in corners_body.iter().enumerate() {
@@ -205,7 +206,7 @@ impl Camera {
         let at = |share: f64| {
             [0, 1, 2].map(|axis| from_body[axis] + (to_body[axis] - from_body[axis]) * share)
         };
-        // A hair further than the limit: the cut must not be lost to rounding.
+        // The cut lies slightly beyond the limit, so that rounding does not lose it.
         let limit = self.near_m.max(f64::MIN_POSITIVE) * (1.0 + 1e-9);
         let [from, to] = [from_body, to_body].map(|point| self.depth(point));
         let cut = || at((limit - from) / (to - from));

@@ -3,13 +3,13 @@ use vehicle::Action;
 use super::{Header, Message, Refusal, header_accessors, known, within};
 
 crate::word_list! {
-    /// Who drove.
+    /// Which driver drove.
     pub enum Driver {
         /// The hand-made expert.
         Expert = 0 "expert",
         /// The learned policy.
         Policy = 1 "policy",
-        /// Nobody: the brake.
+        /// The brake, when neither may drive.
         Brake = 2 "brake",
     }
 }
@@ -17,7 +17,7 @@ crate::word_list! {
 crate::word_list! {
     /// Why this driver drove: one word from a closed list.
     pub enum Reason {
-        /// The configured gate always gives this driver the wheel.
+        /// The configured gate always selects this driver.
         Configured = 0 "configured",
         /// Valid advice prefers this driver.
         Advised = 1 "advised",
@@ -29,9 +29,9 @@ crate::word_list! {
         Unloaded = 4 "unloaded",
         /// The policy's answer was late or not finite: the expert drives.
         Faulty = 5 "faulty",
-        /// The judge in the tick vetoed the driver whose turn it was.
+        /// The safety check vetoed the driver in charge.
         Vetoed = 6 "vetoed",
-        /// The judge in the tick vetoed everyone: the brake.
+        /// The safety check vetoed all proposals: the brake.
         Unsafe = 7 "unsafe",
         /// The plan found no free step: the brake.
         Blocked = 8 "blocked",
@@ -41,21 +41,21 @@ crate::word_list! {
         Blind = 10 "blind",
         /// The run is being stopped: the brake.
         Stopping = 11 "stopping",
-        /// A person has taken over, in the expert's place.
+        /// A person has taken over from the expert.
         Takeover = 12 "takeover",
-        /// The only policy there is proposes in shadow yet: the expert drives.
+        /// The only policy still proposes in shadow mode: the expert drives.
         Shadow = 13 "shadow",
-        /// The tick was done after its deadline (`deadlines.controller`): the brake,
-        /// or the driver whose command was held back.
+        /// The tick was done after its deadline (`deadlines.controller`): the brake, or
+        /// the driver whose command was not sent.
         Late = 14 "late",
-        /// A process that the run did not start sends in the place of one that it did:
-        /// the brake.
+        /// A process that the run did not start sends in place of one that it did
+        /// start: the brake.
         Contested = 15 "contested",
     }
 }
 
 crate::message! {
-    /// What the car shall do until the next command or its age limit.
+    /// The action of the car until the next command or the age limit.
     pub struct Command: 56 bytes, nested [Header] {
         /// The observation's tick; taken when the command was given.
         pub header: Header,
@@ -90,12 +90,12 @@ impl Command {
         }
     }
 
-    /// Who drove; an unknown code reads as the brake.
+    /// Which driver drove; an unknown code is read as the brake.
     pub fn driver(&self) -> Driver {
         Driver::from_code(self.driver).unwrap_or(Driver::Brake)
     }
 
-    /// Why; `None` for an unknown code.
+    /// The reason; `None` for an unknown code.
     pub fn reason(&self) -> Option<Reason> {
         Reason::from_code(self.reason)
     }

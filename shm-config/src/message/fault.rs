@@ -2,7 +2,7 @@ use super::{Header, Message, Refusal, header_accessors, known};
 use crate::services::Process;
 
 crate::word_list! {
-    /// What goes wrong inside a process that is told to fail.
+    /// The failure of a process that gets an order to fail.
     pub enum FaultKind {
         /// Its loop waits for ever; the process lives.
         Hang = 0 "hang",
@@ -10,21 +10,22 @@ crate::word_list! {
         Slow = 1 "slow",
         /// It panics.
         Panic = 2 "panic",
-        /// An allocation fails.
+        /// The allocator returns no memory.
         Allocation = 3 "allocation",
-        /// Its loop spins for ever and leaves its core to no thread of lower priority.
+        /// Its loop runs without end, and processes of lower priority do not get its
+        /// core.
         Spin = 4 "spin",
     }
 }
 
 crate::message! {
-    /// An order to fail, for fault campaigns. A process reads it only with
-    /// `run.faults` in the configuration.
+    /// An order to fail, for fault campaigns. Processes read it only if the
+    /// configuration has `run.faults`.
     #[derive(Default)]
     pub struct Fault: 48 bytes, nested [Header] {
         /// When it was ordered.
         pub header: Header,
-        /// How long it lasts, ns; of a slow loop only.
+        /// Duration, ns; for a slow loop only.
         pub duration_ns: u64,
         /// The [`Process`] that shall fail.
         pub target: u32,

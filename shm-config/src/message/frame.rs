@@ -6,8 +6,8 @@ use super::{
 
 /// Bytes of the largest frame: 960 x 720 pixels of three bytes.
 pub const FRAME_BYTES_MAX: usize = 960 * 720 * 3;
-/// Least and greatest width and height of a frame that can be asked for, pixels:
-/// a car is a dot in smaller ones, and narrower ones are no pictures of a road.
+/// Least and greatest width and height of a requested frame, pixels: in smaller frames
+/// a car is a dot.
 pub const FRAME_SIDES_PX: core::ops::RangeInclusive<u32> = 64..=2048;
 
 crate::word_list! {
@@ -43,15 +43,15 @@ crate::message! {
 const _: () = assert!(FRAME_BYTES_MAX == 2_073_600, "as the message declares");
 
 crate::message! {
-    /// The wish for a picture. Who can still show that tick does; where it is
-    /// gone no answer comes, and the gate waits until its own deadline.
+    /// A request for a picture. A world that still knows the tick answers it; without
+    /// an answer the requester's own time limit ends its wait.
     #[derive(Default)]
     pub struct FrameRequest: 96 bytes, nested [Header, Proposal] {
-        /// Tick, episode and instant of the observation that the picture shall be of.
-        /// Where a tick has several instants, a request of 0 ns is for the first.
+        /// Tick, episode and instant of the observation to be shown. Where a tick has
+        /// several instants, 0 ns requests the first.
         pub header: Header,
-        /// The proposals that the question is about, the expert's first, for
-        /// [`Foresight`]; where one is absent, only the picture is wanted.
+        /// The proposals of the question, the expert's first, for [`Foresight`]; if one
+        /// is absent, only the picture is requested.
         pub proposals: [Proposal; 2],
         /// A [`View`].
         pub view: u32,
@@ -65,7 +65,7 @@ crate::message! {
 }
 
 crate::message! {
-    /// What comes of holding one action, until the horizon or the episode's end.
+    /// The result of holding one action until the horizon or the end of the episode.
     #[derive(Default)]
     pub struct Outlook: 24 bytes {
         /// Time until the end of the first tick in which a vehicle or an object is
@@ -80,16 +80,16 @@ crate::message! {
 }
 
 crate::message! {
-    /// What would happen if the car held each of two proposals, by a simulator that
-    /// tries both out. Ground truth for the record of a judge, and for nothing else:
-    /// no robot has it, so nothing that decides may read it.
+    /// What would happen if the car held each of two proposals, computed by a simulator
+    /// that tries both. Ground truth for the record of a judge alone: no robot has it,
+    /// so no decision may read it.
     #[derive(Default)]
     pub struct Foresight: 88 bytes, nested [Header, Outlook] {
         /// Tick and episode of the question.
         pub header: Header,
-        /// How long each is held, s.
+        /// How long each proposal is held, s.
         pub horizon_s: f64,
-        /// What comes of them, the expert's first.
+        /// The results, the expert's first.
         pub outlooks: [Outlook; 2],
     }
 }
@@ -117,7 +117,7 @@ impl Frame {
 }
 
 impl FrameRequest {
-    /// From where; an unknown code reads as from above.
+    /// The view; an unknown code is read as the view from above.
     pub fn view(&self) -> View {
         View::from_code(self.view).unwrap_or(View::TopDown)
     }

@@ -2,7 +2,7 @@ use super::{Header, Message, Refusal, Refusals, header_accessors, known};
 use crate::services::Process;
 
 crate::word_list! {
-    /// How far a process is.
+    /// The state of a process.
     pub enum HealthState {
         /// Setting up.
         Starting = 0 "starting",
@@ -12,13 +12,13 @@ crate::word_list! {
         Running = 2 "running",
         /// Asked to stop, bringing the car to rest.
         Stopping = 3 "stopping",
-        /// All its work is done.
+        /// Its work is done.
         Finished = 4 "finished",
     }
 }
 
 crate::word_list! {
-    /// What became of a request for a real-time right.
+    /// The result of a request for a real-time privilege.
     pub enum Grant {
         /// Not asked for.
         Unasked = 0 "not asked",
@@ -34,13 +34,13 @@ crate::word_list! {
     pub enum Scheduling {
         /// The kernel's fair share.
         Ordinary = 0 "ordinary",
-        /// `SCHED_FIFO`: before everything of a lower priority.
+        /// `SCHED_FIFO`: before all threads of lower priority.
         Fifo = 1 "fifo",
     }
 }
 
 crate::word_list! {
-    /// The parts of a tick, each with a budget of its own (`deadlines.*`).
+    /// The parts of a tick, each with its own budget (`deadlines.*`).
     pub enum Part {
         /// The controller waits for the plan of its observation.
         Wait = 0 "wait",
@@ -52,11 +52,11 @@ crate::word_list! {
         Search = 3 "search",
         /// The controller decides: expert, policy, verdict, choice.
         Decide = 4 "decide",
-        /// Messages go out.
+        /// Messages are published.
         Send = 5 "send",
-        /// The world obeys a command and moves.
+        /// The world applies a command and moves.
         Move = 6 "move",
-        /// The world senses.
+        /// The world computes its observation.
         Observe = 7 "observe",
     }
 }
@@ -67,10 +67,10 @@ pub const PARTS: usize = Part::ALL.len();
 const _: () = assert!(PARTS == 8, "as the message declares");
 
 crate::message! {
-    /// How a process does, from the process itself. Its absence is a sign too.
+    /// The health of a process, as it reports it. A missing message is a sign too.
     #[derive(Default)]
     pub struct Health: 256 bytes, nested [Header] {
-        /// The last tick, and when this was said.
+        /// The last tick, and when the message was made.
         pub header: Header,
         /// Ticks done since the process started.
         pub ticks: u64,
@@ -110,7 +110,8 @@ crate::message! {
         pub scheduling_asked: u32,
         /// A [`Scheduling`]: the one in force.
         pub scheduling_got: u32,
-        /// The process that last sent what the run did not start it for; 0 for none.
+        /// The last process that sent messages of a service without being started for
+        /// it; 0 for none.
         pub foreign_pid: u32,
         /// The [`Process`] in whose place it sent.
         pub foreign_as: u32,
@@ -118,7 +119,7 @@ crate::message! {
 }
 
 impl Health {
-    /// Messages refused at the door.
+    /// Messages refused by a check, by reason.
     pub fn refusals(&self) -> Refusals {
         Refusals {
             counts: self.refused,

@@ -1,5 +1,5 @@
-//! The messages: `repr(C)`, without padding, of pinned size, checked once at
-//! the door by `admit`.
+//! The messages: `repr(C)`, without padding, of pinned size, checked once on arrival by
+//! `admit`.
 
 mod advice;
 mod before;
@@ -46,7 +46,7 @@ use crate::layout::Layout;
 use crate::time::Instant;
 
 crate::message! {
-    /// What every message begins with.
+    /// The first part of every message.
     #[derive(Default)]
     pub struct Header: 32 bytes {
         /// The tick of the run this belongs to; the grid index in real time.
@@ -69,12 +69,12 @@ impl Header {
     }
 }
 
-/// How far a producer's clock may be ahead of the reader's. Both read the same
-/// clock, so only the time between the reader's look at the clock and its look
-/// at the message counts.
+/// How far a producer's clock may be ahead of the reader's. Both read the same clock,
+/// so this is only the time between the reader's reading of the clock and of the
+/// message.
 pub const FUTURE_TOLERANCE_NS: u64 = 1_000_000;
 
-/// A message that can travel.
+/// A message that can be sent.
 pub trait Message: Layout + crate::layout::Travels + Copy + core::fmt::Debug + 'static {
     /// The header.
     fn header(&self) -> &Header;
@@ -82,14 +82,15 @@ pub trait Message: Layout + crate::layout::Travels + Copy + core::fmt::Debug + '
     /// The header, for the port that numbers messages.
     fn header_mut(&mut self) -> &mut Header;
 
-    /// Everything about the content that does not depend on time.
+    /// Checks everything about the content that does not depend on time.
     ///
     /// # Errors
     /// The first field that is not finite, out of range, over its capacity or
     /// of unknown code.
     fn check(&self) -> Result<(), Refusal>;
 
-    /// The door: content, then age. Inside, the message is trusted.
+    /// The check of a received message: content, then age. After it the message is
+    /// trusted.
     ///
     /// # Errors
     /// As [`Message::check`]; and when the message is older than `limit_ns` or
@@ -127,7 +128,7 @@ pub(crate) fn within(
     value: f64,
     range: core::ops::RangeInclusive<f64>,
 ) -> Result<(), Refusal> {
-    // Bounds are finite: what is not is in no range.
+    // The bounds are finite, so a non-finite value is in no range.
     if range.contains(&value) {
         return Ok(());
     }

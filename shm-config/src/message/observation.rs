@@ -10,9 +10,9 @@ pub const BEAMS_MAX: usize = 512;
 pub const CHECKPOINTS: usize = 2;
 /// Length of the policy's input for 240 beams.
 pub const FEATURES: usize = 259;
-/// What [`Observation::features`] means, as a number. To be raised whenever a
-/// feature changes its meaning, scale or place: weights trained for another
-/// number are refused. A test pins the features of one observation.
+/// The version of the meaning of [`Observation::features`]. Raise it whenever a feature
+/// changes its meaning, scale or position: weights trained for another version are
+/// refused. A test pins the features of one observation.
 pub const FEATURES_VERSION: u32 = 1;
 /// The observation layout that weights are trained for: count and meaning of
 /// the policy's input in one number.
@@ -21,11 +21,11 @@ pub const OBSERVATION_LAYOUT: u64 = fnv1a(
     &FEATURES_VERSION.to_le_bytes(),
 );
 
-/// No position of a run is further from its origin than this, m.
+/// Largest distance of a position from the run's origin, m.
 const POSITION_LIMIT_M: f64 = 1e6;
-/// No car of this repository is faster, m/s.
+/// Largest speed of a car, m/s.
 pub(super) const SPEED_LIMIT_MPS: f64 = 150.0;
-/// No road is wider, m.
+/// Largest width of a road, m.
 const LATERAL_LIMIT_M: f64 = 1e3;
 
 crate::message! {
@@ -42,9 +42,9 @@ crate::message! {
         pub speed_mps: f64,
         /// Turning rate, rad/s, counter-clockwise; over the last period.
         pub yaw_rate_radps: f64,
-        /// The steering last obeyed, normalised.
+        /// The steering last applied, normalised.
         pub steer: f64,
-        /// The pedal last obeyed, normalised.
+        /// The pedal last applied, normalised.
         pub pedal: f64,
     }
 }
@@ -65,9 +65,9 @@ crate::message! {
 }
 
 crate::word_list! {
-    /// Which way the road to a checkpoint bends.
+    /// The direction in which the road to a checkpoint bends.
     pub enum Bend {
-        /// It does not.
+        /// It is straight.
         Straight = 0 "straight",
         /// Counter-clockwise.
         Left = 1 "left",
@@ -96,13 +96,14 @@ crate::message! {
 }
 
 crate::message! {
-    /// What the car perceives at one tick, in physical quantities.
+    /// The car's observation at one tick, in physical quantities.
     pub struct Observation: 2280 bytes, nested [Header, Ego, Road, Checkpoint] {
         /// Which tick, and when.
         pub header: Header,
-        /// The instant of the run's grid this tick was due, ns on the machine's
-        /// clock. A world with a higher rate than the run publishes more than one
-        /// observation of a tick; this and the tick are then the same in all.
+        /// The instant of the run's grid at which this tick was due, ns on the
+        /// machine's clock. A world with a higher rate than the run publishes several
+        /// observations of a tick; this instant and the tick are the same in all of
+        /// them.
         pub scheduled_ns: u64,
         /// When the world's tick began, ns on the machine's clock.
         pub released_ns: u64,
@@ -192,8 +193,9 @@ impl Message for Observation {
         }
         within("lidar_max_m", f64::from(self.lidar_max_m), 0.1..=1e3)?;
         fits("beam_count", u64::from(self.beam_count), BEAMS_MAX)?;
-        // Bits of floats are in order as their values are; those of a sign and of NaN
-        // are above all. One pass without an early exit keeps this loop vectorised.
+        // The bits of non-negative floats are ordered like their values; negative
+        // values and NaN are above all. A single pass without an early exit keeps this
+        // loop vectorised.
         let max_m = self.lidar_max_m;
         let bits_max = max_m.to_bits();
         let good = self
@@ -210,13 +212,13 @@ impl Message for Observation {
 }
 
 impl Observation {
-    /// The valid ranges, m; at most the capacity, whatever the count says.
+    /// The valid ranges, m; at most the capacity, even if the count is larger.
     pub fn ranges(&self) -> &[f32] {
         &self.ranges_m[..(self.beam_count as usize).min(BEAMS_MAX)]
     }
 
-    /// When it woke its readers, on the machine's clock: never before it was due,
-    /// whatever its producer says.
+    /// When the observation woke its readers, on the machine's clock; never before it
+    /// was due, even if its producer claims so.
     pub fn published(&self) -> Instant {
         Instant(self.published_ns.max(self.scheduled_ns))
     }
@@ -226,8 +228,8 @@ impl Observation {
         19 + self.ranges().len()
     }
 
-    /// The policy's input, each in [0, 1]: MetaDrive's 19 numbers and one for
-    /// each beam. The same function trains and drives.
+    /// The policy's input, each number in [0, 1]: MetaDrive's 19 numbers and one for
+    /// each beam. Training and driving use this same function.
     ///
     /// Fills the first [`Observation::feature_count`] places and returns them;
     /// `None` when `out` is shorter.
@@ -240,7 +242,8 @@ impl Observation {
         out[1] = unit(road.right_m / 18.0);
         out[2] = unit(0.5 - 0.5 * road.heading_rad.sin());
         out[3] = unit((ego.speed_mps * 3.6 + 1.0) / 81.0);
-        // The simulator divides the action by 60 degrees once more; kept.
+        // The simulator divides the action by 60 degrees once more, and so does this
+        // code.
         out[4] = unit((ego.steer / 60.0 + 1.0) / 2.0);
         out[5] = unit((ego.steer + 1.0) / 2.0);
         out[6] = unit((ego.pedal + 1.0) / 2.0);
@@ -257,7 +260,7 @@ impl Observation {
 }
 
 impl Checkpoint {
-    /// Which way the road bends; an unknown code reads as straight.
+    /// The direction of the bend; an unknown code is read as straight.
     pub fn bend(&self) -> Bend {
         Bend::from_code(self.bend).unwrap_or(Bend::Straight)
     }

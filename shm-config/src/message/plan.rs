@@ -3,19 +3,19 @@ use vehicle::{Action, Point, Pose, pose};
 use super::observation::SPEED_LIMIT_MPS;
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
 
-/// No plan leads further from the car, m.
+/// Largest distance of a plan from the car, m.
 const FAR_M: f64 = 1e4;
 /// Most waypoints of a plan: 30 m at the 2 m step needs 15, rewired trees fewer.
 pub const WAYPOINTS_MAX: usize = 64;
 
 crate::word_list! {
-    /// What the planner found within its budget.
+    /// The result of a search within its budget.
     pub enum PlanOutcome {
         /// A path into the goal ball.
         Reached = 0 "reached",
         /// No path to the goal; the waypoints lead to the node nearest to it.
         Partial = 1 "partial",
-        /// No free step, or a dead end too near to be worth a step; no waypoints.
+        /// No free step, or a dead end too near to be of use; no waypoints.
         Blocked = 2 "blocked",
     }
 }
@@ -28,7 +28,7 @@ crate::message! {
         pub x_body_m: f64,
         /// m, left, in the body frame at the plan's observation.
         pub y_body_m: f64,
-        /// Speed wanted here, m/s.
+        /// Desired speed at this point, m/s.
         pub speed_mps: f64,
     }
 }
@@ -37,7 +37,7 @@ crate::message! {
 pub const PLANNED_MAX: usize = 32;
 
 crate::message! {
-    /// One action of a plan that says what to do and not only where to go.
+    /// One action of a plan that contains actions and not only a path.
     #[derive(Default)]
     pub struct PlannedAction: 16 bytes {
         /// Normalised, in [-1, 1], positive left.
@@ -78,11 +78,11 @@ crate::message! {
         pub waypoints: [Waypoint; 64],
         /// How long each action holds, s.
         pub action_step_s: f64,
-        /// How many actions are valid; 0 of a plan that is only a path.
+        /// The number of valid actions; 0 for a plan that is only a path.
         pub action_count: u32,
         /// Not used.
         pub reserved: u32,
-        /// What to do from the plan's observation on, one after the other.
+        /// The actions from the plan's observation on, in order.
         pub actions: [PlannedAction; 32],
     }
 }
@@ -137,7 +137,8 @@ impl Message for Plan {
             u64::from(self.waypoint_count),
             WAYPOINTS_MAX,
         )?;
-        // One pass without an early exit; which one it was is asked when one was bad.
+        // A single pass without an early exit; the faulty element is searched only
+        // after a failure.
         let good = self.waypoints().iter().fold(true, |good, waypoint| {
             good & (waypoint.x_body_m.abs() <= FAR_M)
                 & (waypoint.y_body_m.abs() <= FAR_M)
@@ -167,17 +168,17 @@ impl Message for Plan {
 }
 
 impl Plan {
-    /// What was found; an unknown code reads as blocked.
+    /// The result; an unknown code is read as blocked.
     pub fn outcome(&self) -> PlanOutcome {
         PlanOutcome::from_code(self.outcome).unwrap_or(PlanOutcome::Blocked)
     }
 
-    /// The valid waypoints; at most the capacity, whatever the count says.
+    /// The valid waypoints; at most the capacity, even if the count is larger.
     pub fn waypoints(&self) -> &[Waypoint] {
         &self.waypoints[..(self.waypoint_count as usize).min(WAYPOINTS_MAX)]
     }
 
-    /// The valid actions; at most the capacity, whatever the count says.
+    /// The valid actions; at most the capacity, even if the count is larger.
     pub fn actions(&self) -> &[PlannedAction] {
         &self.actions[..(self.action_count as usize).min(PLANNED_MAX)]
     }
@@ -193,12 +194,12 @@ impl Plan {
         })
     }
 
-    /// The waypoint to steer for (Sec. 4.1.1): of those at least `distance_m` away
-    /// the nearest, else the last, with its speed, m/s; `None` when there is none.
+    /// The waypoint to steer for (Sec. 4.1.1), with its speed, m/s: the nearest of
+    /// those at least `distance_m` away, else the last; `None` when there is none.
     ///
-    /// Distances are those from the body of now, which may have moved since the
-    /// plan was made; waypoints that it has left behind do not count. Only
-    /// waypoints count, no point between two of them.
+    /// Distances are measured from the car's present position, which may have moved
+    /// since the plan was made; waypoints that it has passed do not count. Only
+    /// waypoints count, not the points between them.
     pub fn lookahead(&self, body_from_plan: &Pose, distance_m: f64) -> Option<(Point, f64)> {
         let points = || {
             let waypoints = self.waypoints().iter();
@@ -211,8 +212,8 @@ impl Plan {
             .or_else(|| points().next_back())
     }
 
-    /// How many waypoints the body has left behind: those before the end of the
-    /// piece of the path that is nearest to it. None on a path of one point.
+    /// The number of waypoints that the car has passed: those before the end of the
+    /// segment nearest to it. None on a path of one point.
     fn passed(&self, body_from_plan: &Pose) -> usize {
         let away_m = |pair: &[Waypoint]| {
             let [from, to] = [&pair[0], &pair[1]].map(|waypoint| body_from_plan * waypoint.point());

@@ -8,7 +8,7 @@ crate::message! {
     pub struct Weights: 8388696 bytes, nested [Header] {
         /// When it was offered.
         pub header: Header,
-        /// Grows with every offer of a run.
+        /// The version; it grows with every offer of a run.
         pub version: u64,
         /// How many bytes are valid.
         pub byte_count: u64,
@@ -24,27 +24,27 @@ crate::message! {
 const _: () = assert!(WEIGHTS_BYTES_MAX == 8_388_608, "as the message declares");
 
 crate::word_list! {
-    /// What became of the weights last offered.
+    /// The status of the weights last offered.
     pub enum PolicyState {
-        /// None were ever offered, or the last ones are not decided about yet.
+        /// None were ever offered, or the last ones are not decided yet.
         Empty = 0 "empty",
-        /// Adopted, proposes in shadow, may not drive yet.
+        /// Adopted, in shadow mode; may not drive yet.
         Shadow = 1 "shadow",
         /// Adopted and allowed to drive.
         Ready = 2 "ready",
-        /// Refused; those in charge stay.
+        /// Refused; the weights in use stay.
         Refused = 3 "refused",
-        /// Adopted, then given up for those before.
+        /// Adopted, then rolled back to the previous ones.
         RolledBack = 4 "rolled_back",
     }
 }
 
 crate::message! {
-    /// What the controller says of the weights it has and was offered.
+    /// The controller's status of the weights that it uses and was offered.
     pub struct PolicyStatus: 336 bytes, nested [Header] {
         /// Its tick is that at which `state` began.
         pub header: Header,
-        /// Version in charge: that which may drive; 0 for none.
+        /// Version in use, which may drive; 0 for none.
         pub version: u64,
         /// First 8 bytes of its SHA-256; 0 for none.
         pub hash: u64,
@@ -52,13 +52,13 @@ crate::message! {
         pub offered_version: u64,
         /// First 8 bytes of its SHA-256; 0 for none.
         pub offered_hash: u64,
-        /// The tick at which the weights last adopted were taken up: from it on
-        /// they propose, in shadow first.
+        /// The tick at which the weights last adopted began to propose, in shadow mode
+        /// first.
         pub adopted_tick: u64,
-        /// 1 when the version in charge could not be written to the run's folder, so that
-        /// a restart does not begin with it; 0 else.
+        /// 1 when the version in use could not be written to the run's folder, so that
+        /// a restart does not begin with it; else 0.
         pub unkept: u64,
-        /// A [`PolicyState`]: what became of the weights last offered.
+        /// A [`PolicyState`]: that of the weights last offered.
         pub state: u32,
         /// Valid bytes of `refusal`.
         pub refusal_bytes: u32,
@@ -80,7 +80,7 @@ impl PolicyStatus {
         String::from_utf8_lossy(&self.refusal[..count])
     }
 
-    /// Writes the reason down, cut to what fits.
+    /// Stores the reason, cut to the available bytes.
     pub fn set_refusal(&mut self, reason: &str) {
         let mut count = reason.len().min(self.refusal.len());
         while !reason.is_char_boundary(count) {
@@ -110,7 +110,7 @@ impl Default for PolicyStatus {
 }
 
 impl Weights {
-    /// The file, as far as it is said to reach and fits.
+    /// The bytes of the file, at most the capacity.
     pub fn file(&self) -> &[u8] {
         &self.bytes[..(self.byte_count as usize).min(WEIGHTS_BYTES_MAX)]
     }

@@ -3,13 +3,13 @@ use super::{Header, Message, Refusal, header_accessors, known, within};
 crate::word_list! {
     /// How an episode ended.
     pub enum Outcome {
-        /// It has not.
+        /// It has not ended.
         Driving = 0 "driving",
         /// The goal was reached.
         Arrived = 1 "arrived",
         /// The car left the road, its route, or touched a sidewalk.
         OutOfRoad = 2 "out_of_road",
-        /// The horizon was used up.
+        /// The time limit was reached.
         MaxStep = 3 "max_step",
         /// The run was stopped.
         Stopped = 4 "stopped",
@@ -17,8 +17,8 @@ crate::word_list! {
 }
 
 crate::message! {
-    /// How the episode goes, as only the world knows it. The robot side never
-    /// reads this; it is for the screen and for judging judges.
+    /// The progress of the episode, which only the world knows. The robot side never
+    /// reads it; it is for the screen and for measuring judges.
     #[derive(Default)]
     pub struct Progress: 120 bytes, nested [Header] {
         /// The world's tick.
@@ -37,9 +37,9 @@ crate::message! {
         pub vehicle_contacts: u64,
         /// Ticks of this episode in contact with an object.
         pub object_contacts: u64,
-        /// Ticks of this run on which the world braked for want of a young command.
+        /// Ticks of this run on which the world braked without a recent command.
         pub braked: u64,
-        /// Greatest age of a command the car obeyed, ns.
+        /// Maximum age of an applied command, ns.
         pub oldest_obeyed_ns: u64,
         /// Ticks of the grid the world skipped.
         pub skipped: u64,
@@ -68,13 +68,13 @@ crate::message! {
         pub vehicle_contacts: u64,
         /// Ticks in contact with an object.
         pub object_contacts: u64,
-        /// Ticks on which the world braked for want of a young command.
+        /// Ticks on which the world braked without a recent command.
         pub braked: u64,
         /// An [`Outcome`].
         pub outcome: u32,
         /// 1 when the last tick was in contact: the paper's crash.
         pub crash_last_step: u32,
-        /// SHA-256 over the bits of every command obeyed.
+        /// SHA-256 over the bits of all applied commands.
         pub command_digest: [u8; 32],
         /// Ticks of the grid skipped in this episode.
         pub skipped: u64,

@@ -1,4 +1,4 @@
-/// Why a message was refused at the door.
+/// Why a message was refused.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// A number is NaN or infinite.
@@ -33,7 +33,7 @@ pub enum Refusal {
         /// What it was.
         code: u32,
     },
-    /// Older than the service's age limit.
+    /// The message is older than the service's age limit.
     #[error("{age_ns} ns old, over the limit of {limit_ns} ns")]
     Stale {
         /// Its age.
@@ -47,21 +47,21 @@ pub enum Refusal {
         /// How far ahead.
         ahead_ns: u64,
     },
-    /// Of an episode that is not driven now.
+    /// The message belongs to an episode that is not driven now.
     #[error("is of episode {episode}, not of {expected}")]
     Episode {
-        /// Its episode.
+        /// The message's episode.
         episode: u32,
-        /// The one that is driven.
+        /// The present episode.
         expected: u32,
     },
-    /// Its instant is none of the run's grid.
+    /// Its scheduled instant is off the run's grid.
     #[error("scheduled {off_ns} ns after an instant of the run's grid")]
     Grid {
         /// Nanoseconds since the instant before.
         off_ns: u64,
     },
-    /// Sent by a process that the run did not start for it.
+    /// The sender was not started by the run for this service.
     #[error("from process {pid}, which the run did not start for it")]
     Foreign {
         /// The process that sent it.
@@ -70,9 +70,9 @@ pub enum Refusal {
 }
 
 crate::word_list! {
-    /// Why messages are refused, as they are counted.
+    /// The kinds of refusals that are counted.
     pub enum RefusalKind {
-        /// A number, a count or a code makes no sense.
+        /// A number, a count or a code is invalid.
         Content = 0 "content",
         /// Older than the age limit.
         Stale = 1 "stale",
@@ -82,7 +82,7 @@ crate::word_list! {
         Episode = 3 "episode",
         /// Off the run's grid.
         Grid = 4 "grid",
-        /// From a process that the run did not start for it.
+        /// From a process that the run did not start for the service.
         Foreign = 5 "foreign",
     }
 }
@@ -93,7 +93,7 @@ pub const REFUSALS: usize = RefusalKind::ALL.len();
 const _: () = assert!(REFUSALS == 6, "as the health message declares");
 
 impl Refusal {
-    /// How it is counted.
+    /// The kind under which it is counted.
     pub fn kind(&self) -> RefusalKind {
         match self {
             Self::NotFinite { .. }

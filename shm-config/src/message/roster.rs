@@ -7,7 +7,7 @@ pub const PROCESSES: usize = Process::ALL.len();
 const _: () = assert!(PROCESSES == 6, "as the message declares");
 
 crate::message! {
-    /// Which processes the run has started: whose messages are taken.
+    /// The process ids that the run has started; only their messages are taken.
     #[derive(Default)]
     pub struct Roster: 56 bytes, nested [Header] {
         /// When it was last changed.
@@ -31,7 +31,7 @@ impl Roster {
         Some(self.pids[process.code() as usize]).filter(|pid| *pid > 0)
     }
 
-    /// Notes a process id; `None` for none.
+    /// Sets or clears a process id.
     pub fn set(&mut self, process: Process, pid: Option<u32>) {
         self.pids[process.code() as usize] = pid.unwrap_or(0);
     }

@@ -6,9 +6,9 @@ use super::{
 };
 
 crate::word_list! {
-    /// What the judge in the tick says of one proposal.
+    /// The safety check's verdict on one proposal.
     pub enum Verdict {
-        /// There was no proposal to judge.
+        /// There was no proposal to check.
         Absent = 0 "absent",
         /// Its rollout touches nothing and stays on the road.
         Clear = 1 "clear",
@@ -20,7 +20,7 @@ crate::word_list! {
 }
 
 crate::message! {
-    /// One driver's answer.
+    /// One driver's proposal.
     #[derive(Default)]
     pub struct Proposal: 24 bytes {
         /// Steering, normalised.
@@ -35,7 +35,7 @@ crate::message! {
 }
 
 crate::message! {
-    /// What the judge in the tick measured of one proposal's rollout.
+    /// The safety check's measurements of one proposal's rollout.
     #[derive(Default)]
     pub struct Assessment: 40 bytes {
         /// Least distance between footprint and any lidar return, m; negative
@@ -51,34 +51,33 @@ crate::message! {
         pub progress_m: f64,
         /// A [`Verdict`].
         pub verdict: u32,
-        /// 1 when the judge vetoes this proposal, else 0.
+        /// 1 when the safety check vetoes this proposal, else 0.
         pub veto: u32,
     }
 }
 
 crate::message! {
-    /// When things happened in a tick, ns on the machine's clock, whatever the
-    /// run's clock is.
+    /// The instants of a tick, ns on the machine's clock, also in lockstep.
     #[derive(Default)]
     pub struct Timings: 48 bytes {
-        /// The instant of the grid this tick was due.
+        /// The instant of the grid at which this tick was due.
         pub scheduled_ns: u64,
         /// When the world's tick began; 0 when there was no observation.
         pub released_ns: u64,
         /// When the controller began the tick.
         pub started_ns: u64,
-        /// When the plan had come, or waiting for it ended.
+        /// When the plan had arrived, or the wait for it ended.
         pub planned_ns: u64,
-        /// When proposals and verdict stood.
+        /// When proposals and verdicts were complete.
         pub decided_ns: u64,
-        /// When the command was handed over.
+        /// When the command was sent.
         pub commanded_ns: u64,
     }
 }
 
 crate::message! {
-    /// What the weights in shadow mode proposed on the tick's observation, after its
-    /// command was out.
+    /// The proposal of the weights in shadow mode for the tick's observation, computed
+    /// after its command was sent.
     #[derive(Default)]
     pub struct ShadowProposal: 80 bytes, nested [Proposal, Assessment] {
         /// Their proposal.
@@ -93,8 +92,8 @@ crate::message! {
 }
 
 crate::message! {
-    /// The record of one tick of the controller: everything it knew and decided.
-    /// From it and the run's configuration the tick can be recomputed bit by bit
+    /// The record of one tick of the controller: everything known and decided. From it
+    /// and the run's configuration the tick can be recomputed bit by bit
     /// (`controller::Recomputer`).
     pub struct Step: 5200 bytes,
         nested [
@@ -104,37 +103,37 @@ crate::message! {
     {
         /// The controller's tick; taken when it admitted its inputs.
         pub header: Header,
-        /// The state that it began with.
+        /// The state with which it began.
         pub before: Before,
-        /// The observation at the door.
+        /// The check of the observation.
         pub observation_entry: Entry,
-        /// The plan at the door.
+        /// The check of the plan.
         pub plan_entry: Entry,
-        /// The advice at the door.
+        /// The check of the advice.
         pub advice_entry: Entry,
-        /// The takeover at the door.
+        /// The check of the takeover.
         pub takeover_entry: Entry,
-        /// What the car perceived; the last admitted one when none came.
+        /// The observation; the last admitted one when none arrived.
         pub observation: Observation,
-        /// The plan followed; the last admitted one when none came.
+        /// The plan; the last admitted one when none arrived.
         pub plan: Plan,
         /// The advice in force.
         pub advice: Advice,
-        /// The driver's newest takeover message.
+        /// The newest takeover message.
         pub takeover: Takeover,
-        /// What the expert proposed, or the driver's action after a takeover.
+        /// The expert's proposal, or the person's action after a takeover.
         pub expert: Proposal,
-        /// What the active policy proposed.
+        /// The proposal of the active policy.
         pub policy: Proposal,
-        /// The judge on the expert's proposal.
+        /// The safety check of the expert's proposal.
         pub expert_assessment: Assessment,
-        /// The judge on the policy's proposal.
+        /// The safety check of the policy's proposal.
         pub policy_assessment: Assessment,
-        /// What the policy in shadow mode proposed.
+        /// The proposal of the policy in shadow mode.
         pub shadow: ShadowProposal,
-        /// What was commanded, by whom and why.
+        /// The command, its driver and its reason.
         pub command: Command,
-        /// When.
+        /// The instants of the tick.
         pub timings: Timings,
         /// Age of the observation, ns; `u64::MAX` when there is none.
         pub observation_age_ns: u64,
@@ -156,7 +155,7 @@ crate::message! {
         pub intent: u32,
         /// A [`Stage`]: of the policy.
         pub stage: u32,
-        /// 1 when the driver's action stands in for the expert's, else 0.
+        /// 1 when a person's action replaces the expert's, else 0.
         pub takeover_used: u32,
         /// A [`Lateness`]: of the command.
         pub lateness: u32,
@@ -177,7 +176,7 @@ impl Proposal {
         }
     }
 
-    /// The action; `None` when there was no proposal.
+    /// The action; `None` without a proposal.
     pub fn action(&self) -> Option<Action> {
         (self.present == 1).then_some(Action {
             steer: self.steer,
@@ -192,12 +191,12 @@ impl Proposal {
 }
 
 impl Assessment {
-    /// What the judge says; an unknown code reads as a hit.
+    /// The verdict; an unknown code is read as a hit.
     pub fn verdict(&self) -> Verdict {
         Verdict::from_code(self.verdict).unwrap_or(Verdict::Hits)
     }
 
-    /// The judge vetoes the proposal.
+    /// Whether the safety check vetoes the proposal.
     pub fn is_vetoed(&self) -> bool {
         self.veto != 0
     }
@@ -212,22 +211,22 @@ impl Assessment {
 }
 
 impl Step {
-    /// Who drove.
+    /// Which driver drove.
     pub fn driver(&self) -> Driver {
         self.command.driver()
     }
 
-    /// Why.
+    /// The reason.
     pub fn reason(&self) -> Option<Reason> {
         self.command.reason()
     }
 
-    /// What the process asked of the tick; an unknown code reads as a stop.
+    /// What the process asked of the tick; an unknown code is read as a stop.
     pub fn intent(&self) -> Intent {
         Intent::from_code(self.intent).unwrap_or(Intent::Stop)
     }
 
-    /// How far the policy was; an unknown code reads as none.
+    /// The stage of the policy; an unknown code is read as none.
     pub fn stage(&self) -> Stage {
         Stage::from_code(self.stage).unwrap_or(Stage::Unloaded)
     }

@@ -3,11 +3,11 @@ use vehicle::Action;
 use super::{Header, Message, Refusal, header_accessors, known, within};
 
 crate::message! {
-    /// What a person at the keys wants; said again and again, since an old word
-    /// counts as none.
+    /// The action of a human driver at the keys. It is published repeatedly, and an old
+    /// message counts as none.
     #[derive(Default)]
     pub struct Takeover: 56 bytes, nested [Header] {
-        /// The newest tick the supervisor heard of; taken when the keys were read.
+        /// The newest tick that the supervisor has read; taken when the keys were read.
         pub header: Header,
         /// Steering, normalised, [-1, 1], positive left.
         pub steer: f64,
@@ -31,7 +31,7 @@ impl Message for Takeover {
 }
 
 impl Takeover {
-    /// What the person does with the car; `None` without a takeover.
+    /// The person's action; `None` when no person has taken over.
     pub fn action(&self) -> Option<Action> {
         (self.active == 1).then_some(Action {
             steer: self.steer,

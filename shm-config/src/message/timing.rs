@@ -33,7 +33,7 @@ crate::message! {
     }
 }
 
-/// Late ticks that are kept apart: what a person reads on one screen.
+/// Late ticks that are kept one by one: as many as fit on a screen.
 pub const LATE_TICKS: usize = 20;
 
 const _: () = assert!(LATE_TICKS == 20, "as the message declares");
@@ -42,7 +42,7 @@ crate::message! {
     /// A tick that was late.
     #[derive(Default)]
     pub struct LateTick: 40 bytes {
-        /// Which tick of the run.
+        /// The number of the tick in the run.
         pub tick: u64,
         /// From its deadline to its completion, ns; of a tick that ends skipped ones,
         /// from the deadline of the first of them.
@@ -59,7 +59,7 @@ crate::message! {
 }
 
 crate::message! {
-    /// How punctual a process is: full-range histograms since it started.
+    /// The durations of a process: full-range histograms since it started.
     #[derive(Default)]
     pub struct Timing: 79800 bytes, nested [Header, Histogram, LateTick] {
         /// When.
@@ -67,22 +67,22 @@ crate::message! {
         /// From the scheduled instant to the begin of the tick; of a skipped one, to
         /// the begin of the tick after it.
         pub release_lateness: Histogram,
-        /// From the event that released the tick to its begin: from the timer's
-        /// instant (world), from the publishing of the observation, or from the end
-        /// of the wait for one (planner, controller). A skipped tick, of whose
-        /// release the process never knew, counts from its scheduled instant, so
-        /// that nothing is told too short. Empty in a process that does not know
-        /// what releases it, and in a world in lockstep.
+        /// From the event that released the tick to its begin: the timer's instant
+        /// (world), the publishing of the observation, or the end of the wait for one
+        /// (planner, controller). A skipped tick, whose release the process did not
+        /// see, counts from its scheduled instant, so that no duration is too short.
+        /// Empty in a process that does not know what releases it, and in a world in
+        /// lockstep.
         pub wake_up: Histogram,
         /// From begin to end of the tick.
         pub execution: Histogram,
         /// From the world's release of an observation to the command that answers
         /// it, by its tick (controller), else empty.
         pub response: Histogram,
-        /// Age of the observation when it was decided or planned on (planner,
-        /// controller): since the instant it is of.
+        /// Age of the observation when it was used (planner, controller), from the
+        /// instant it was taken.
         pub observation_age: Histogram,
-        /// Age of the plan's observation when it was decided on (controller).
+        /// Age of the plan's observation when it was used (controller).
         pub plan_age: Histogram,
         /// Age of the observation that the advice answers (controller).
         pub advice_age: Histogram,

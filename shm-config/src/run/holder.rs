@@ -1,9 +1,9 @@
-//! Which process holds a run's supervisor file.
+//! The process that holds a run's supervisor file.
 //!
 //! The kernel's list of locks names the process that took a lock, even when that
-//! process has ended and another one has inherited its descriptor: the process id
-//! may be another program's by now. So what is found here is shown to the user;
-//! before anything is sent to it, it must prove to be the run's supervisor.
+//! process has ended and another one has inherited its descriptor, and the id may
+//! belong to another program by now. So the result is only shown to the user; before it
+//! gets a signal, the process must prove to be the run's supervisor.
 
 use std::fs::{self, File};
 use std::io;
@@ -12,28 +12,28 @@ use std::os::unix::fs::{FileExt, MetadataExt};
 /// The longest record that is read back, bytes: two numbers of twenty digits.
 const RECORD_BYTES_MAX: usize = 64;
 
-/// The process that is said to hold a run's supervisor file.
+/// The process that holds a run's supervisor file, as kernel and file report it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Holder {
     /// Its process id.
     pub pid: u32,
-    /// When the supervisor that left this process id in the file was started, in
-    /// clock ticks since the machine was; `None` when the file says nothing of it.
+    /// When the supervisor that wrote this process id was started, in clock ticks since
+    /// the machine started; `None` when the file does not contain it.
     pub started: Option<u64>,
     /// Device and inode of the file, by which an open descriptor is recognised.
     pub file: (u64, u64),
 }
 
 impl Holder {
-    /// Of a file that is locked by another process; `None` when neither the kernel
-    /// nor the file names one.
+    /// The holder of a file that is locked by another process; `None` when neither the
+    /// kernel nor the file names one.
     pub(super) fn of(file: &File) -> Option<Self> {
         let metadata = file.metadata().ok()?;
         let mut bytes = [0; RECORD_BYTES_MAX];
         let length = file.read_at(&mut bytes, 0).ok()?;
         let recorded = recorded(bytes.get(..length)?);
-        // The file may have been written over. Where the kernel names no process
-        // (it is of another container), the file does.
+        // The file may have been overwritten, so the kernel comes first. Where the
+        // kernel names no process, because it is of another container, the file does.
         let locks = fs::read_to_string("/proc/locks").unwrap_or_default();
         let pid = holder(&locks, &metadata).or(recorded.map(|(pid, _)| pid))?;
         Some(Self {
@@ -46,7 +46,7 @@ impl Holder {
     }
 }
 
-/// Leaves the calling process's id and start in a file that it has locked.
+/// Writes the calling process's id and start to a file that it has locked.
 pub(super) fn record(file: &File) -> io::Result<()> {
     let pid = std::process::id();
     let text = match started(pid) {
@@ -57,11 +57,11 @@ pub(super) fn record(file: &File) -> io::Result<()> {
     file.write_all_at(text.as_bytes(), 0)
 }
 
-/// When a process was started, in clock ticks since the machine was; `None` when
-/// there is none of this id.
+/// When a process was started, in clock ticks since the machine started; `None` if no
+/// process has this id.
 pub fn started(pid: u32) -> Option<u64> {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The program's name stands in parentheses and may hold any of them.
+    // The program's name is in parentheses and may contain any character.
     let (_, fields) = stat.rsplit_once(')')?;
     fields.split_whitespace().nth(19)?.parse().ok()
 }

@@ -1,8 +1,8 @@
-//! The files by which a run's shared memory appears.
+//! The files of a run's shared memory.
 //!
-//! Every user may make files in that folder, and under any name. What belongs to
-//! another user, or is no file at all, is no part of a run under any name:
-//! it is neither changed nor removed nor in the way.
+//! Every user may create files in that folder, under any name. A file of another user,
+//! or something that is not a file, is never part of a run: it is neither changed nor
+//! removed, and it blocks nothing.
 
 use std::fmt;
 use std::io;
@@ -18,7 +18,7 @@ use crate::file::user;
 /// Permission bits of other users.
 const OTHERS: u32 = 0o077;
 
-/// A name like those of a run's shared memory that is none of it.
+/// A name like those of a run's shared memory that does not belong to it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stranger {
     /// Where it is.
@@ -38,16 +38,16 @@ impl fmt::Display for Stranger {
     }
 }
 
-/// The folder of shared memory with what a run has in it.
+/// The run's entries in the folder of shared memory.
 pub(super) struct Shared {
     folder: OwnedFd,
-    /// Names and what they lead to: files and sockets of the calling user.
+    /// The names and files or sockets of the calling user.
     ours: Vec<(String, Stat)>,
     strangers: Vec<Stranger>,
 }
 
 impl Shared {
-    /// Looks at every name that begins with the prefix.
+    /// Reads every name that begins with the prefix.
     pub(super) fn look(prefix: &str) -> Result<Self, RunError> {
         let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
         let opened = rustix::fs::openat(CWD, SHARED_MEMORY_DIR, flags, Mode::empty());
@@ -66,7 +66,7 @@ impl Shared {
             }
             let stat =
                 rustix::fs::statat(&shared.folder, entry.file_name(), AtFlags::SYMLINK_NOFOLLOW);
-            // It may have gone since.
+            // It may have been removed in between.
             let Ok(stat) = stat else { continue };
             let kind = FileType::from_raw_mode(stat.st_mode);
             let is_file = matches!(kind, FileType::RegularFile | FileType::Socket);
@@ -85,7 +85,7 @@ impl Shared {
         Path::new(SHARED_MEMORY_DIR).join(name)
     }
 
-    /// Removes what is ours; bytes and number of files.
+    /// Removes the user's own files; returns bytes and number of files.
     pub(super) fn remove(&self) -> Result<(u64, usize), RunError> {
         let (mut bytes, mut files) = (0, 0);
         for (name, stat) in &self.ours {
@@ -100,7 +100,7 @@ impl Shared {
         Ok((bytes, files))
     }
 
-    /// Closes what is ours to other users.
+    /// Removes the rights of other users to the user's own files.
     fn close_to_others(&self) -> Result<(), RunError> {
         for (name, stat) in &self.ours {
             let is_file = FileType::from_raw_mode(stat.st_mode) == FileType::RegularFile;
@@ -114,8 +114,8 @@ impl Shared {
         Ok(())
     }
 
-    /// By a descriptor, and what that leads to is asked again: the name may lead
-    /// elsewhere by now.
+    /// Opens the file and examines it again, because the name may lead to another file
+    /// by now.
     fn close_file(&self, name: &str) -> Result<(), Errno> {
         let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
         let open = |access| rustix::fs::openat(&self.folder, name, access | flags, Mode::empty());
@@ -127,7 +127,8 @@ impl Shared {
         let stat = rustix::fs::fstat(&file)?;
         let is_file = FileType::from_raw_mode(stat.st_mode) == FileType::RegularFile;
         match is_file && stat.st_uid == user() {
-            // Its owner's bits stay: the library knows by them how far a file is.
+            // The owner's bits are kept, because the library encodes the file's state
+            // in them.
             true => rustix::fs::fchmod(&file, Mode::from_raw_mode(stat.st_mode & 0o700)),
             false => Ok(()),
         }
@@ -145,7 +146,7 @@ impl RunPaths {
         Ok(names.map(|(name, _)| Shared::path(name)).collect())
     }
 
-    /// What is named as the run's shared memory and is none of it.
+    /// Entries that are named like the run's shared memory but do not belong to it.
     ///
     /// # Errors
     /// When the folder of shared memory cannot be read.

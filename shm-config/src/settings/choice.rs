@@ -10,7 +10,7 @@ pub enum GateMode {
     Vlm,
     /// As in the paper: a question every `period_s`, which names expert and policy, and
     /// the world waits for the answer. Lockstep only. It sets further keys of `gate`,
-    /// `vlm` and `controller` (`Config::with_preset`).
+    /// `vlm` and `controller` (`shm-config/src/config/preset.rs`).
     Paper,
     /// The answers of a recorded run.
     Replay,

@@ -1,5 +1,5 @@
-//! Why shared memory refuses a port: the library's word says what it could not do, the
-//! machine says why.
+//! Why shared memory refuses a port: the library reports what it could not do, and the
+//! state of the machine shows why.
 
 use std::fs;
 
@@ -7,11 +7,11 @@ use rustix::process::{Resource, getrlimit};
 
 use crate::run::SHARED_MEMORY_DIR;
 
-/// Open files short of the limit at which a port cannot be opened any more: a port
-/// opens a few, and gives them back when it fails.
+/// Distance to the limit of open files at which a port cannot be opened any more: a
+/// port opens a few files, and closes them when it fails.
 const SPARE_FILES: u64 = 8;
-/// Free shared memory under which a port may not fit, bytes: the largest that is
-/// touched when it is opened.
+/// Free shared memory below which a port may not fit, bytes: the largest part that is
+/// written when a port is opened.
 const SPARE_BYTES: u64 = 1 << 20;
 
 /// The cause in words, with what to do.
@@ -46,7 +46,7 @@ pub(super) fn of(what: &str) -> String {
         .into()
 }
 
-/// `None` when there is none left to count them with.
+/// `None` when no descriptor is left to count them with.
 fn open_files() -> Option<u64> {
     let entries = fs::read_dir("/proc/self/fd").ok()?;
     Some(entries.count() as u64)

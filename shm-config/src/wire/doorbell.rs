@@ -1,4 +1,4 @@
-//! What wakes a process.
+//! The doorbell of a process, which wakes it.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ pub struct Doorbell {
 }
 
 impl Doorbell {
-    /// Over an open listener.
+    /// A doorbell on an open listener.
     pub(super) fn new(listener: Listener<Ipc>) -> Self {
         Self { listener }
     }

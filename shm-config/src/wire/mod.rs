@@ -35,24 +35,25 @@ type OpenPort<M> = (
     Topic<Ipc, M, ()>,
 );
 
-/// Publishers of one service at a time: the living one, and dead ones that have
-/// not been swept yet.
+/// Publishers of one service at a time: the living one, and dead ones that are not
+/// swept yet.
 pub const PUBLISHERS_MAX: usize = 4;
 /// Readers of one service at a time: processes, command-line tools, recorders.
 pub const SUBSCRIBERS_MAX: usize = 16;
-/// Publishers that have gone and left something unread, of one service and reader. Each
-/// look passes over a place for every one: the library's own 128 cost 0.1 us a look.
+/// Publishers of one service that have ended and left unread messages, for each reader.
+/// Each read examines a place for every one: the library's default of 128 costs 0.1 us
+/// a read.
 const GONE_MAX: usize = 2 * PUBLISHERS_MAX;
-/// Processes that may look at one service.
+/// Processes that may open one service.
 pub const NODES_MAX: usize = 32;
 
-/// From look to look at a roster that is waited for. A supervisor publishes it every
+/// Time between two reads of a roster that is awaited. A supervisor publishes it every
 /// 5 ms while processes start, and every 50 ms while they drive.
 const NAMED_LOOK: Timespec = Timespec {
     tv_sec: 0,
     tv_nsec: 500_000,
 };
-/// Looks until a roster is not waited for any longer: 5 s.
+/// Reads until the wait for a roster is given up: 5 s.
 const NAMED_LOOKS: u32 = 10_000;
 
 /// The service attribute that carries the layout's fingerprint.
@@ -64,7 +65,7 @@ pub enum WireError {
     /// The run's folder.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// Two binaries disagree on a message.
+    /// Two programs have different layouts of a message.
     #[error(
         "service '{service}': the running side uses message layout {theirs}, this binary {ours}; \
          stop the run (./vlaps down) and rebuild both sides from one source"
@@ -83,7 +84,7 @@ pub enum WireError {
          `./vlaps up` starts all processes of a run"
     )]
     Unnamed {
-        /// As what it would join.
+        /// The process as which it would join.
         process: Process,
         /// Its process id.
         pid: u32,
@@ -93,15 +94,15 @@ pub enum WireError {
     Port {
         /// The service.
         service: &'static str,
-        /// What iceoryx2 said.
+        /// The error of iceoryx2.
         what: String,
-        /// Why, and what to do.
+        /// The cause, and what to do.
         cause: String,
     },
 }
 
 impl WireError {
-    /// Shared memory refused that service, for what the library says.
+    /// The error of shared memory for this service, with the library's text.
     pub fn port(service: &'static str, what: impl std::fmt::Display) -> Self {
         let what = what.to_string();
         let cause = cause::of(&what);
@@ -137,14 +138,14 @@ fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
 }
 
 impl Wire {
-    /// Joins a run, making it if it does not exist. Dead members are swept.
+    /// Joins a run, and creates it if it does not exist. Dead members are swept.
     ///
     /// # Errors
     /// When the run's folder or shared memory cannot be used.
     pub fn join(name: &RunName, process: Process) -> Result<Self, WireError> {
         let paths = RunPaths::new(name.clone());
         let alive = paths.hold_alive()?;
-        // Its messages go to stderr from inside ports; errors come as values.
+        // The library's own messages go to stderr; errors are returned as values.
         set_log_level(LogLevel::Fatal);
         let config = iceoryx_config(&paths)?;
         let node_name = NodeName::new(process.word())
@@ -166,14 +167,14 @@ impl Wire {
         })
     }
 
-    /// From now on takes state only from the processes that this roster names: for the
-    /// one that starts the others and publishes it.
+    /// From now on takes state only from the processes on this roster; for the
+    /// supervisor, which publishes it.
     pub fn trust(&self, roster: &Roster) {
         self.producers.set(roster);
     }
 
-    /// From now on takes state only from the processes that the process `author`
-    /// names in its rosters. Messages that come before its first roster are refused.
+    /// From now on takes state only from the processes on the rosters of the process
+    /// `author`. Messages that arrive before its first roster are refused.
     ///
     /// # Errors
     /// As [`Wire::publisher`].
@@ -183,8 +184,8 @@ impl Wire {
         Ok(())
     }
 
-    /// Waits until the roster that is followed names that process id. Ports that are
-    /// opened after it miss nothing that was said before.
+    /// Waits until the roster names this process id. Ports that are opened afterwards
+    /// miss no message sent after it.
     ///
     /// # Errors
     /// When it does not within five seconds.
@@ -193,13 +194,14 @@ impl Wire {
             if self.named(process) == Some(pid) {
                 return Ok(());
             }
-            // Cut short by a signal, it looks again a little earlier.
+            // A signal may end the sleep early; then it reads a little earlier.
             let _ = poll(&mut [], Some(&NAMED_LOOK));
         }
         Err(WireError::Unnamed { process, pid })
     }
 
-    /// Which process the roster names, `None` when it names none or is not there yet.
+    /// The process id on the roster; `None` when the roster names none or has not
+    /// arrived.
     pub fn named(&self, process: Process) -> Option<u32> {
         self.producers.pid(process)
     }
@@ -214,19 +216,19 @@ impl Wire {
         self.producers.refused()
     }
 
-    /// How many messages were refused of living processes that sent in the place of one
-    /// that the run has started. While it grows there are two producers of one state.
+    /// The number of messages refused because a living process sent them in place of
+    /// one that the run has started. While it grows, one state has two producers.
     pub fn contests(&self) -> u64 {
         self.producers.contests()
     }
 
-    /// The last process that did so; `None` when none has.
+    /// The last process that sent such a message; `None` when there was none.
     pub fn foreigner(&self) -> Option<Foreigner> {
         self.producers.foreigner()
     }
 
-    /// Frees what dead processes held, so that their successors can start. Slow;
-    /// never from a tick.
+    /// Frees what dead processes held, so that their successors can start. It is slow;
+    /// never call it within a tick.
     pub fn sweep(&self) {
         self.node
             .blocking_cleanup_dead_nodes(Duration::from_millis(200));

@@ -87,7 +87,7 @@ macro_rules! ports {
         $(#[$meta])*
         pub struct $name {
             $(
-                /// What wakes the process.
+                /// The doorbell of the process.
                 pub $bell: $crate::wire::Doorbell,
             )?
             $( $(#[$field_meta])* pub $field: $crate::ports!(@port $kind $message), )+
@@ -113,7 +113,7 @@ macro_rules! ports {
                 })
             }
 
-            /// Connects to peers that came or came back. To be called between ticks.
+            /// Connects to new or restarted peers. Call it between ticks.
             pub fn update_connections(&mut self) {
                 $( self.$field.update_connections(); )+
             }

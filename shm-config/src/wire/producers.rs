@@ -1,8 +1,8 @@
-//! From which processes messages are taken.
+//! The processes from which messages are taken.
 //!
 //! The library writes into each message's envelope which process sent it; the header
 //! inside is the sender's own claim. A process of a run takes state only from the
-//! processes that the run's supervisor names in its roster.
+//! processes on the roster of the run's supervisor.
 
 use std::cell::{Cell, RefCell};
 
@@ -16,29 +16,29 @@ use crate::services::{Process, TakenFrom};
 
 type Port = iceoryx2::port::subscriber::Subscriber<Ipc, Roster, ()>;
 
-/// Rosters looked at in one go: one of each publisher there can be.
+/// Rosters that are read in one call: one for each possible publisher.
 const ROSTERS_MAX: usize = super::PUBLISHERS_MAX;
 
-/// A process that sends in the place of one that the run has started.
+/// A process that sends in place of one that the run has started.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Foreigner {
     /// Its process id.
     pub pid: u32,
-    /// In whose place it sends.
+    /// The process in whose place it sends.
     pub place: Process,
 }
 
-/// Whose roster counts.
+/// The source of the roster.
 enum Author {
-    /// Every process is taken for what it claims: no roster is followed.
+    /// No roster: messages of every process are taken.
     Unset,
-    /// The own one.
+    /// The roster of this membership.
     Own,
-    /// That of this process, read from this port.
+    /// The roster of this process, read from this port.
     Other(u32, Port),
 }
 
-/// What a membership knows of the run's processes.
+/// What a membership knows about the run's processes.
 pub(super) struct Producers {
     author: RefCell<Author>,
     roster: RefCell<Roster>,
@@ -47,21 +47,21 @@ pub(super) struct Producers {
     refused: Cell<Refusals>,
 }
 
-/// The process that sent a message, as the library says.
+/// The process that sent a message, as the library reports it.
 fn sender(envelope: &Envelope) -> u32 {
     let pid = envelope.node_id().pid::<Ipc>();
-    // No process has the id 0: it is on no roster.
+    // No process has the id 0, so it is on no roster.
     pid.map_or(0, |pid| pid.value().unsigned_abs())
 }
 
-/// The process exists, of any user.
+/// Whether the process exists, of any user.
 fn lives(pid: u32) -> bool {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
     pid.is_some_and(|pid| test_kill_process(pid) != Err(rustix::io::Errno::SRCH))
 }
 
 impl Producers {
-    /// Takes from every process.
+    /// Takes messages of every process.
     pub(super) fn open() -> Self {
         Self {
             author: RefCell::new(Author::Unset),
@@ -72,13 +72,13 @@ impl Producers {
         }
     }
 
-    /// From now on takes from those that this roster names alone.
+    /// From now on takes messages only of processes on this roster.
     pub(super) fn set(&self, roster: &Roster) {
         *self.author.borrow_mut() = Author::Own;
         *self.roster.borrow_mut() = *roster;
     }
 
-    /// From now on takes from those alone that the rosters of this process name.
+    /// From now on takes messages only of processes on the rosters of this process.
     pub(super) fn follow(&self, author: u32, port: Port) {
         *self.author.borrow_mut() = Author::Other(author, port);
         *self.roster.borrow_mut() = Roster::default();
@@ -91,7 +91,7 @@ impl Producers {
         self.roster.borrow().pid(process)
     }
 
-    /// Takes in the newest roster. Never allocates or waits.
+    /// Reads the newest roster. Never allocates or waits.
     fn look(&self) {
         let author = self.author.borrow();
         let Author::Other(author, port) = &*author else {
@@ -112,8 +112,8 @@ impl Producers {
         }
     }
 
-    /// Whether a message in this envelope, of a service of that producer, is taken.
-    /// One that is not is counted, and its sender noted.
+    /// Whether a message in this envelope is taken, for a service of this producer. A
+    /// refused message is counted, and its sender noted.
     pub(super) fn admits(
         &self,
         envelope: &Envelope,
@@ -127,13 +127,13 @@ impl Producers {
         if is_known() {
             return true;
         }
-        // It may have been started since the last look.
+        // The sender may have been started since the last read of the roster.
         self.look();
         if is_known() {
             return true;
         }
-        // What a dead predecessor left unread is refused like all else, but two that
-        // live and send in one place are a contest.
+        // Unread messages of a dead predecessor are refused like others; two living
+        // processes that send in one place are a contest.
         if lives(pid) {
             self.contests.set(self.contests.get() + 1);
             self.foreigner.set(Some(Foreigner { pid, place }));
@@ -141,10 +141,10 @@ impl Producers {
         false
     }
 
-    /// Two memberships with one process id are a contest as well: a process of another
-    /// pid namespace may have the id of one of the run. A process publishes a service
-    /// from one membership for as long as it lives, so a change without a new roster is
-    /// two of them.
+    /// Two memberships with one process id are a contest too: a process of another pid
+    /// namespace may have the id of one of the run. A process publishes a service from
+    /// one membership for its whole life, so a change without a new roster shows two of
+    /// them.
     pub(super) fn compare(
         &self,
         envelope: &Envelope,
@@ -162,13 +162,13 @@ impl Producers {
         }
     }
 
-    /// Messages of living processes that were refused because the run did not start
-    /// them for it.
+    /// Messages refused because the run did not start their living sender for the
+    /// service.
     pub(super) fn contests(&self) -> u64 {
         self.contests.get()
     }
 
-    /// The last process that sent one.
+    /// The last process that sent such a message.
     pub(super) fn foreigner(&self) -> Option<Foreigner> {
         self.foreigner.get()
     }

@@ -26,7 +26,7 @@ pub struct Publisher<M: Message> {
 }
 
 impl<M: Message> Publisher<M> {
-    /// Over an open port, with the bells of its readers.
+    /// A publisher on an open port, with the doorbells of its readers.
     pub(super) fn new(port: Port<M>, bells: Vec<Rc<Notifier<Ipc>>>) -> Self {
         Self {
             loaned: port.loan_uninit().ok(),
@@ -37,19 +37,19 @@ impl<M: Message> Publisher<M> {
         }
     }
 
-    /// Numbers the message, publishes it and wakes its readers. Never blocks,
-    /// never waits for a reader. Returns whether it went out: only exhausted
-    /// shared memory can prevent that, and the next message tries again.
+    /// Numbers the message, publishes it and wakes its readers. It never blocks and
+    /// never waits for a reader. Returns whether the message was sent; only exhausted
+    /// shared memory prevents that, and the next message tries again.
     pub fn send(&mut self, message: &mut M) -> bool {
         let sent = self.send_quietly(message);
         for bell in &self.bells {
-            // A full bell is already ringing; a dead one is swept by another process.
+            // A full bell is already ringing; another process sweeps a dead one.
             let _ = bell.notify();
         }
         sent
     }
 
-    /// The same without waking a reader: one that is awake finds the newest.
+    /// As [`Publisher::send`], without waking a reader.
     pub fn send_quietly(&mut self, message: &mut M) -> bool {
         self.sequence += 1;
         let (sequence, producer) = (self.sequence, self.producer);
@@ -64,7 +64,7 @@ impl<M: Message> Publisher<M> {
     /// history, and loans the sample of the next message. To be called between
     /// ticks, so that no tick pays for it.
     pub fn update_connections(&mut self) {
-        // A failure here shows again at the next send.
+        // A failure here appears again at the next send.
         let _ = self.port.update_connections();
         if self.loaned.is_none() {
             self.loaned = self.port.loan_uninit().ok();
@@ -73,8 +73,8 @@ impl<M: Message> Publisher<M> {
 }
 
 impl<M: Message> Publisher<M> {
-    /// Publishes a message that is written where it will be read, over zeros:
-    /// megabytes do not belong on a stack. Returns whether it went out.
+    /// Publishes a message that is written in place, over zeros: megabytes do not
+    /// belong on a stack. Returns whether it was sent.
     fn send_written(&mut self, write: impl FnOnce(&mut M)) -> bool
     where
         M: Numbers,
@@ -106,7 +106,7 @@ impl<M: Message> Publisher<M> {
     }
 }
 
-/// Messages of megabytes. They are made of numbers and arrays of them alone.
+/// Messages of several megabytes. They consist of numbers and arrays of numbers alone.
 trait Numbers {}
 impl Numbers for Weights {}
 impl Numbers for Frame {}

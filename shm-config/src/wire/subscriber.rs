@@ -14,8 +14,8 @@ use crate::services::{Process, Service, TakenFrom};
 
 type Port<M> = iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>;
 
-/// Messages of foreign processes that one read passes over: a flood on a queue must
-/// not hold the reader.
+/// Messages of foreign processes that one read skips, so that a flood on a queue cannot
+/// block the reader.
 const FOREIGN_MAX: usize = 64;
 
 /// Reads one service.
@@ -27,9 +27,9 @@ pub struct Subscriber<M: Message> {
     topic: Topic<Ipc, M, ()>,
     producers: Rc<Producers>,
     from: (Process, TakenFrom),
-    /// The process and the membership that sent the last message that was taken.
+    /// The process and the membership that sent the last message taken.
     membership: Option<(u32, u128)>,
-    /// At the last update of the connections at most one message could wait.
+    /// At the last update of the connections, at most one message could be waiting.
     holds_one: bool,
     depth: usize,
     producer: u32,
@@ -38,7 +38,7 @@ pub struct Subscriber<M: Message> {
 }
 
 impl<M: Message> Subscriber<M> {
-    /// Over an open port of that topic, with a queue of that length.
+    /// A subscriber on an open port of this topic, with a queue of this length.
     pub(super) fn new(
         port: Port<M>,
         topic: Topic<Ipc, M, ()>,
@@ -79,7 +79,7 @@ impl<M: Message> Subscriber<M> {
         self.next().map(|sample| *sample.payload())
     }
 
-    /// Notes what was overwritten between the last message and this one.
+    /// Counts the messages that were overwritten between the last message and this one.
     fn count(&mut self, header: &Header) {
         let (producer, sequence) = (header.producer, header.sequence);
         if producer == self.producer {
@@ -94,11 +94,11 @@ impl<M: Message> Subscriber<M> {
         self.next().map(|sample| look(sample.payload()))
     }
 
-    /// The newest admissible message since the last read; `None` when none came.
+    /// The newest admissible message since the last read; `None` when none arrived.
     ///
-    /// `admit` is the caller's door: content, age, episode, place on the grid. It is
-    /// asked before the newest is chosen, so a message that it refuses never hides one
-    /// that it admits. Refusals are counted by reason ([`Wire::refused`]).
+    /// `admit` is the caller's check: content, age, episode, instant on the grid. It
+    /// runs before the newest message is chosen, so a refused message never masks an
+    /// admissible one. Refusals are counted by reason ([`Wire::refused`]).
     ///
     /// Two publishers exist while a dead one is replaced, so this drains the queue.
     /// With one publisher connected at the last
@@ -112,15 +112,17 @@ impl<M: Message> Subscriber<M> {
         newest
     }
 
-    /// The same over what is kept, which stays when no admissible message came; returns
-    /// whether one did. Copied once, to where it is used: a step has 5.2 kB.
+    /// As [`Subscriber::newest`], into `kept`, which stays unchanged when no admissible
+    /// message arrived; returns whether one did. The message is copied once, because a
+    /// step has 5.2 kB.
     pub fn newest_into(
         &mut self,
         kept: &mut Option<M>,
         mut admit: impl FnMut(&M) -> Result<(), Refusal>,
     ) -> bool {
         let mut came = false;
-        // Bounded: a hostile publisher cannot hold a tick.
+        // The number of reads is limited, so that a hostile publisher cannot block a
+        // tick.
         for _ in 0..PUBLISHERS_MAX {
             let last = self.producer;
             let Some(sample) = self.next() else {
@@ -150,7 +152,7 @@ impl<M: Message> Subscriber<M> {
     /// Connects to publishers that came since the last call, and counts them. To be
     /// called between ticks, so that no tick pays for it.
     pub fn update_connections(&mut self) {
-        // A failure here shows again at the next receive.
+        // A failure here appears again at the next receive.
         let _ = self.port.update_connections();
         let publishers = self.topic.dynamic_config().number_of_publishers();
         self.holds_one = self.depth * publishers <= 1;

@@ -1,5 +1,5 @@
-//! Writes the seeds of the fuzz targets into `fuzz/corpus`: what real worlds,
-//! planners, controllers and files give, and a spoilt copy of most.
+//! Writes the seeds of the fuzz targets into `fuzz/corpus`: real inputs of worlds,
+//! planners, controllers and files, and a damaged copy of most of them.
 //!
 //! ```text
 //! cargo run --release -p doors --example seeds

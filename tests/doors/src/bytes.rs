@@ -6,9 +6,10 @@ use shm_config::Message;
 pub fn read<M: Message>(bytes: &[u8]) -> Box<M> {
     let mut room = Box::<M>::new_zeroed();
     let count = bytes.len().min(size_of::<M>());
-    // SAFETY: the room has `size_of::<M>()` bytes, `count` is no more, and both do
-    // not overlap. Messages are `repr(C)` and made of numbers and arrays of them, so
-    // that any bytes are one: shared memory asks the same of them.
+    // SAFETY: the box has `size_of::<M>()` bytes, `count` is at most that, and source
+    // and target do not overlap. Messages are `repr(C)` and consist of numbers and
+    // arrays of them, so any bytes are a valid message; shared memory requires the
+    // same.
     #[allow(unsafe_code)]
     unsafe {
         let to = room.as_mut_ptr().cast::<u8>();

@@ -9,7 +9,8 @@ use sim::WorldConfig;
 
 use crate::Said;
 
-/// A configuration: an error in one line, or all that is built from it can be.
+/// A configuration: it gives an error in one line, or everything configured by it can
+/// be built.
 pub fn config(bytes: &[u8]) -> Said {
     let Ok(text) = str::from_utf8(bytes) else {
         return Said::Refused;
@@ -22,7 +23,7 @@ pub fn config(bytes: &[u8]) -> Said {
             return Said::Refused;
         }
     };
-    // The limits of the configuration are those of what is built from it.
+    // A valid configuration is within the limits of everything built from it.
     Planner::new(&config).expect("a valid configuration has a planner");
     let _ = WorldConfig::from(&config.world);
     assert!(config.run.period_ns() > 0 && config.plan_ticks() > 0);
@@ -30,7 +31,7 @@ pub fn config(bytes: &[u8]) -> Said {
     Said::Admitted
 }
 
-/// A policy file: refused, or a net that answers with numbers.
+/// A policy file: it is refused, or its net answers with numbers.
 pub fn policy(bytes: &[u8]) -> Said {
     let Ok(file) = policy::decode(bytes) else {
         return Said::Refused;
@@ -38,7 +39,8 @@ pub fn policy(bytes: &[u8]) -> Said {
     if let Net::Mlp { mut mlp, .. } = file.net {
         for value in [0.0, 0.25, 1.0] {
             let answer = mlp.infer(&[value; FEATURES]);
-            // What overflows is for the tick, which asks again; it is not a panic.
+            // An overflow is detected in the tick, which checks each answer; it must
+            // not panic.
             assert!(answer.iter().all(|number| !number.is_nan()) || value == 0.25);
         }
     }

@@ -1,4 +1,4 @@
-//! What is written while a set drives, and read when it drives again.
+//! Files that are written while a set drives and read when it drives again.
 
 use std::path::Path;
 
@@ -10,13 +10,13 @@ use learner::journal::{Journal, last_mark};
 
 use crate::Said;
 
-/// Transitions in a ring of the target's replay.
+/// Capacity of a replay buffer in this target, transitions.
 const CAPACITY: usize = 64;
 /// Bytes of a journal's first line, and of a checkpoint's.
 const MAGIC_BYTES: usize = 8;
 
-/// The lines of a judge's records: a broken line has its number, and the others
-/// can be shown and replayed.
+/// The lines of a judge's records: an error names the number of a broken line, and the
+/// other records can be shown and replayed.
 pub fn records(bytes: &[u8]) -> Said {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(store::QUESTIONS);
@@ -27,7 +27,7 @@ pub fn records(bytes: &[u8]) -> Said {
     Recorded::new(&records.questions);
     let page = audit::page(&records, 4, Path::new(".")).html;
     assert!(page.starts_with("<!DOCTYPE html>"));
-    // Who goes on writing does so after a whole line.
+    // Further records are appended after a complete line.
     let mut open = store::Store::open(folder.path(), 1 << 20).expect("a store");
     let next = open.begin(records.questions[0].clone(), &[]);
     open.complete(next);
@@ -35,8 +35,8 @@ pub fn records(bytes: &[u8]) -> Said {
     Said::Admitted
 }
 
-/// A learner's journal, torn or not. With the first byte odd, records get the
-/// checksum that a writer would give them.
+/// A learner's journal, complete or not. With an odd first byte, the records get a
+/// valid checksum.
 pub fn journal(bytes: &[u8]) -> Said {
     let Some((choice, rest)) = bytes.split_first() else {
         return Said::Refused;
@@ -60,15 +60,15 @@ pub fn journal(bytes: &[u8]) -> Said {
         return Said::Refused;
     };
     drop(recovered.journal);
-    // What is torn is cut off: opened again, it is whole.
+    // An incomplete record is cut off, so the reopened journal is complete.
     let again = Journal::open(&path, CAPACITY, 0).expect("as it was left");
     assert_eq!(again.torn_bytes, 0);
     assert_eq!(again.mark, recovered.mark);
     Said::of(recovered.mark.is_some())
 }
 
-/// A learner's networks; the checksum is that of the bytes, so that what is behind
-/// it is reached.
+/// A learner's networks. The checksum is made valid, so that the code behind its check
+/// is reached.
 pub fn checkpoint(bytes: &[u8]) -> Said {
     let mut file = b"VLLRNR02".to_vec();
     file.extend_from_slice(&crc32fast::hash(bytes).to_le_bytes());

@@ -1,5 +1,5 @@
-//! What stands at each door of the stack: bytes in; a refusal, or something that
-//! those behind the door can use without a panic.
+//! The entry points of the stack: they take bytes and refuse them, or return a value
+//! that later code can use without a panic.
 //!
 //! Each function is the body of a fuzz target in `fuzz/` and is replayed over the
 //! checked-in corpora by `tests/corpora.rs`, on a stable compiler.
@@ -16,12 +16,12 @@ pub use learning::{checkpoint, journal, records};
 pub use messages::{KINDS, messages};
 pub use processes::{controller, planner, steps, world};
 
-/// What a door said. A corpus that holds only one of them tests nothing.
+/// The result of an entry point. A corpus with only one of them tests nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Said {
-    /// Something was let in, and was used.
+    /// A value was admitted and used.
     Admitted,
-    /// All of it was refused.
+    /// Everything was refused.
     Refused,
 }
 

@@ -1,4 +1,4 @@
-//! Every message, at the door that all readers share.
+//! Every message, at the check that all readers share.
 
 use shm_config::message::{
     Advice, BEAMS_MAX, Command, Episode, Foresight, Frame, FrameRequest, Health, Learning,
@@ -9,15 +9,15 @@ use vehicle::pose;
 
 use crate::{Said, read};
 
-/// The run's clock at the door, ns.
+/// The run's clock at the check, ns.
 const NOW: Instant = Instant(10_000_000_000);
-/// How old a message may be, ns.
+/// The age limit of messages, ns.
 const LIMIT_NS: u64 = 1_000_000_000;
 
-/// How many kinds of messages there are: the first byte chooses one.
+/// Number of message types; the first byte chooses one.
 pub const KINDS: u8 = 16;
 
-/// One message of any kind: the first byte says which, the rest is its memory.
+/// One message: the first byte chooses its type, the rest is its memory.
 pub fn messages(bytes: &[u8]) -> Said {
     let Some((kind, rest)) = bytes.split_first() else {
         return Said::Refused;

@@ -1,4 +1,4 @@
-//! The processes behind their doors: what is admitted must not stop a tick.
+//! The processes behind their checks: an admitted message must not stop a tick.
 
 use std::cell::RefCell;
 
@@ -17,9 +17,9 @@ use vehicle::Action;
 
 use crate::{Said, read};
 
-/// From tick to tick, ns.
+/// Time from tick to tick, ns.
 const PERIOD_NS: u64 = 100_000_000;
-/// Messages of one input, at most: a run of the target stays short.
+/// Most messages of one input, so that a run of the target stays short.
 const MESSAGES_MAX: usize = 24;
 
 const METHODS: [Method; 4] = [
@@ -30,7 +30,7 @@ const METHODS: [Method; 4] = [
 ];
 
 thread_local! {
-    /// Built once: they allocate much, and forget between two inputs.
+    /// Built once, because they allocate much; they are reset between two inputs.
     static PLANNERS: RefCell<Vec<Planner>> = RefCell::new(planners());
     static WORLD: RefCell<World> = RefCell::new(
         World::new(WorldConfig::from(&Config::default().world)).expect("the defaults"),
@@ -41,15 +41,15 @@ fn planners() -> Vec<Planner> {
     let of = |method| {
         let mut config = Config::default();
         config.planner.method = method;
-        // No limit of the solver's time: an input is repeated as it was.
+        // Without a time limit of the solver, because an input must repeat exactly.
         config.run.clock = Clock::Lockstep;
         Planner::new(&config).expect("the defaults")
     };
     METHODS.map(of).into()
 }
 
-/// The first byte chooses how to plan; then observations, one after the other. A
-/// plan of each that is admitted must itself pass the door.
+/// The first byte chooses the method; observations follow. A plan of each admitted
+/// observation must itself pass the check.
 pub fn planner(bytes: &[u8]) -> Said {
     let Some((method, rest)) = bytes.split_first() else {
         return Said::Refused;
@@ -72,7 +72,7 @@ pub fn planner(bytes: &[u8]) -> Said {
     })
 }
 
-/// Proposes what the features say, numbers or not.
+/// Proposes the action in the features, valid or not.
 struct Echo;
 
 impl Policy for Echo {
@@ -97,9 +97,9 @@ const MODES: [GateMode; 4] = [
     GateMode::Policy,
 ];
 
-/// The first byte chooses who decides; then messages, each a byte for its kind and
-/// its memory; two bits of the kind end the tick, or make the message's time that
-/// of the tick. Every tick's command and step must pass the door.
+/// The first byte chooses the gate's mode. Messages follow, each with a byte for its
+/// type and its memory; two bits of that byte end the tick, or set the message's time
+/// to that of the tick. The command and step of each tick must pass their checks.
 pub fn controller(bytes: &[u8]) -> Said {
     let Some((mode, mut rest)) = bytes.split_first() else {
         return Said::Refused;
@@ -132,7 +132,7 @@ pub fn controller(bytes: &[u8]) -> Said {
     Said::of(is_admitted)
 }
 
-/// One tick; whether the car was seen in it.
+/// Runs one tick; returns whether it had an observation.
 fn drive(controller: &mut Controller, inputs: &Inputs, tick: u64) -> bool {
     let step = controller.tick(inputs, tick, Instant(tick * PERIOD_NS), Intent::Drive);
     assert_eq!(step.command.check(), Ok(()), "a command that others refuse");
@@ -140,7 +140,7 @@ fn drive(controller: &mut Controller, inputs: &Inputs, tick: u64) -> bool {
     step.observation_age_ns < PERIOD_NS
 }
 
-/// One message off the bytes; what is left of them.
+/// Reads one message from the bytes; returns the rest.
 fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Option<M>) -> &'a [u8] {
     let (own, rest) = bytes.split_at(bytes.len().min(size_of::<M>()));
     let mut message = *read::<M>(own);
@@ -151,7 +151,7 @@ fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Opti
     rest
 }
 
-/// Steps, one after the other, as the gate and the learner read them.
+/// Steps, in order, as the gate and the learner read them.
 pub fn steps(bytes: &[u8]) -> Said {
     let config = Config::default();
     let judge = Immediate::new(Rules::new(config.vehicle, config.judge));
@@ -177,8 +177,8 @@ pub fn steps(bytes: &[u8]) -> Said {
     Said::of(is_admitted)
 }
 
-/// The first byte is the world's seed; then commands, each obeyed for a tick. What
-/// the world observes must pass the door whatever it was told to do.
+/// The first byte is the world's seed; commands follow, each applied for a tick. The
+/// world's observations must pass their check after any command.
 pub fn world(bytes: &[u8]) -> Said {
     let Some((seed, rest)) = bytes.split_first() else {
         return Said::Refused;

@@ -1,5 +1,5 @@
-//! The checked-in corpora of the fuzz targets, on a stable compiler: each input
-//! again, and each with seeded damage.
+//! The checked-in corpora of the fuzz targets, on a stable compiler: each input as it
+//! is, and with seeded damage.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -33,8 +33,9 @@ fn corpus(target: &str) -> Vec<(String, Vec<u8>)> {
     inputs
 }
 
-/// Each input as it is. Both answers have to occur: a corpus that is refused whole
-/// never comes behind the door, one that is admitted whole never tests it.
+/// Replays each input. Both results must occur: a corpus that is refused completely
+/// never reaches the code behind the check, one that is admitted completely never tests
+/// the check.
 fn replay((name, body): Target) {
     let said: Vec<Said> = corpus(name)
         .iter()
@@ -57,7 +58,7 @@ fn every_input_is_refused_or_of_use() {
     }
 }
 
-/// SplitMix64: a copy is named by its seed.
+/// SplitMix64; a damaged copy is identified by its seed.
 struct Dice(u64);
 
 impl Dice {
@@ -70,7 +71,7 @@ impl Dice {
     }
 }
 
-/// Numbers that doors get wrong: ends of ranges, and what is no number.
+/// Critical numbers: ends of ranges, and values that are not numbers.
 const WORDS: [u64; 8] = [
     0,
     u64::MAX,
@@ -93,7 +94,7 @@ fn damage(bytes: &mut Vec<u8>, dice: &mut Dice) {
             1 => bytes[dice.below(length)] = dice.below(256) as u8,
             2 => bytes.truncate(dice.below(length)),
             3 => {
-                // Aligned behind the byte that many inputs begin with.
+                // Aligned behind the first byte, with which many inputs begin.
                 let at = 1 + 8 * dice.below(length / 8);
                 let word = WORDS[dice.below(WORDS.len())].to_le_bytes();
                 for (to, from) in bytes.iter_mut().skip(at).zip(word) {

@@ -1,5 +1,5 @@
-//! A server that refuses for good, with words that act on a terminal, and remembers
-//! which keys it was sent.
+//! A server that always refuses, with text that acts on a terminal, and records the
+//! keys that it receives.
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -13,7 +13,8 @@ use serde_json::json;
 
 pub const KEY: &str = "sk-test-4f1d77-never-to-be-seen";
 
-/// An escape sequence, C1's, an override and an isolate of direction, zero width.
+/// An escape sequence, one of C1, an override and an isolate of direction, zero-width
+/// characters.
 pub const HOSTILE: &str =
     "red\u{1b}[31m c1\u{9b}2J rlo\u{202e} lri\u{2066} zero\u{200b}\u{feff}width";
 pub const RAW: [char; 6] = [
@@ -24,7 +25,7 @@ pub fn is_raw(text: &str) -> bool {
     text.contains(RAW)
 }
 
-/// A policy that was trained for 9,800 steps: something to judge.
+/// A policy trained for 9,800 steps, whose proposals the judge compares.
 pub fn policy() -> String {
     let file = "../results/learning/ppl-10000.onnx";
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(file);
@@ -34,9 +35,9 @@ pub fn policy() -> String {
 /// How a server answers a request with this `Authorization`.
 pub type Answer = fn(&str) -> (&'static str, String);
 
-/// A server that remembers which keys it was sent.
+/// A server that records the keys that it receives.
 pub struct Server {
-    /// What `vlm.server` must be.
+    /// The value of `vlm.server`.
     pub url: String,
     sent: Arc<Mutex<Vec<String>>>,
 }
@@ -50,7 +51,7 @@ impl Server {
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let keep = keep.clone();
-                // One that goes away in the middle of a request is none.
+                // A connection that closes within a request is ignored.
                 thread::spawn(move || serve(stream, answer, &keep));
             }
         });
@@ -101,7 +102,7 @@ fn serve(stream: TcpStream, answer: Answer, keep: &Mutex<Vec<String>>) -> Option
     stream.write_all(text.as_bytes()).ok()
 }
 
-/// Refuses for good, and repeats the key among words that act on a terminal.
+/// Always refuses, and repeats the key within text that acts on a terminal.
 pub fn refuses(authorization: &str) -> (&'static str, String) {
     let message = format!("{HOSTILE}: incorrect key: {authorization}");
     let body = json!({"error": {"message": message, "code": "invalid_api_key"}});
