@@ -16,10 +16,6 @@ use shm_config::services::Process;
 use supervisor::machine::cores::own_cores;
 use supervisor::set::privileges::Privileges;
 use supervisor::set::table::{ProcessSpec, TABLE};
-use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
-};
 
 use crate::driven::{Punctuality, Quantiles};
 use stack::Clock;
@@ -98,17 +94,14 @@ pub fn stay_on(core: usize) {
 pub fn claim(priority: Priority) -> &'static str {
     match priority {
         Priority::Ordinary => "not asked",
-        Priority::Asked if claim_fifo(controller().map_or(0, |row| row.priority)) => "granted",
-        Priority::Asked => "refused",
+        Priority::Asked => {
+            let wanted = controller().map_or(0, |row| row.priority);
+            match runtime::set_fifo(wanted.into()) {
+                Ok(()) => "granted",
+                Err(_) => "refused",
+            }
+        }
     }
-}
-
-/// Asks for a real-time priority for the calling thread; whether it was granted.
-pub fn claim_fifo(priority: u8) -> bool {
-    ThreadPriority::try_from(priority).is_ok_and(|wanted| {
-        let fifo = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-        set_thread_priority_and_policy(thread_native_id(), wanted, fifo).is_ok()
-    })
 }
 
 /// Wakes up on a grid from that instant on, until told to stop; hands over each

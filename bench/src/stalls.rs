@@ -14,7 +14,7 @@ use rustix::thread::{CpuSet, sched_getaffinity};
 use shm_config::Instant;
 use supervisor::set::table::TABLE;
 
-use crate::floor::{Priority, claim_fifo, stay_on, wake};
+use crate::floor::{Priority, stay_on, wake};
 use stack::Clock;
 
 /// Width of a moment for which the largest lateness is kept, ns.
@@ -157,7 +157,8 @@ fn note(
     stay_on(core);
     if priority == Priority::Asked {
         let of_set = TABLE.iter().map(|row| row.priority).max();
-        claim_fifo(of_set.unwrap_or(0) + 1);
+        // Refused, stalls of the set's own threads are in what it notes.
+        let _ = runtime::set_fifo(u32::from(of_set.unwrap_or(0)) + 1);
     }
     let mut stalls = Stalls::from(begun);
     wake(begun, PERIOD_NS, clock, stop, |due, late_ns| {

@@ -1,5 +1,5 @@
-//! A server of one's own behind HTTPS: its authority is trusted when
-//! `vlm.ca_file` says so, and not otherwise.
+//! A server behind HTTPS with a private authority: the authority is trusted when
+//! `vlm.ca_file` names it, and not otherwise.
 
 #[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
@@ -15,43 +15,29 @@ use std::thread;
 use gate::model::{Asker, Fault};
 use gate::presentation::Reply;
 use judge::standin::{Options, Server};
-use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use rustls::ServerConfig;
-use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use shared::{PATIENCE_S, ask, prompt, red_ahead, runtime, vlm};
 use shm_config::config::{PromptPreset, Vlm};
 use tempfile::tempdir;
 use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::TlsAcceptor;
 
-/// A firm's authority, and a server's certificate that it has signed.
-struct Firm {
-    authority_pem: String,
-    certificate: CertificateDer<'static>,
-    key: PrivateKeyDer<'static>,
-}
-
-fn firm() -> Result<Firm, rcgen::Error> {
-    let mut authority = CertificateParams::new(Vec::new())?;
-    authority.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    let authority_key = KeyPair::generate()?;
-    let authority_pem = authority.self_signed(&authority_key)?.pem();
-    let issuer = Issuer::new(authority, authority_key);
-    let key = KeyPair::generate()?;
-    let leaf = CertificateParams::new(vec!["127.0.0.1".into()])?.signed_by(&key, &issuer)?;
-    Ok(Firm {
-        authority_pem,
-        certificate: leaf.der().clone(),
-        key: PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(key.serialize_der())),
-    })
-}
+/// A private authority, and a certificate for 127.0.0.1 that it has signed, with
+/// its key; `https/make.sh` makes them.
+const AUTHORITY: &str = include_str!("https/authority.pem");
+const CERTIFICATE: &str = include_str!("https/server.pem");
+const KEY: &str = include_str!("https/server-key.pem");
 
 /// Puts HTTPS before a server, until the test ends.
-fn encrypt(server: SocketAddr, firm: &Firm) -> SocketAddr {
+fn encrypt(server: SocketAddr) -> SocketAddr {
     let _ = rustls::crypto::ring::default_provider().install_default();
+    let certificate = CertificateDer::from_pem_slice(CERTIFICATE.as_bytes());
+    let key = PrivateKeyDer::from_pem_slice(KEY.as_bytes());
     let config = ServerConfig::builder()
         .with_no_client_auth()
-        .with_single_cert(vec![firm.certificate.clone()], firm.key.clone_key())
+        .with_single_cert(vec![certificate.expect("PEM")], key.expect("PEM"))
         .expect("a certificate with its key");
     let acceptor = TlsAcceptor::from(Arc::new(config));
     let (address, bound) = mpsc::channel();
@@ -61,7 +47,7 @@ fn encrypt(server: SocketAddr, firm: &Firm) -> SocketAddr {
             let _ = address.send(listener.local_addr()?);
             loop {
                 let (outside, _) = listener.accept().await?;
-                // Who does not trust the certificate hangs up here.
+                // A client that does not trust the certificate closes the connection here.
                 if let Ok(mut outside) = acceptor.accept(outside).await {
                     let mut inside = TcpStream::connect(server).await?;
                     let _ = tokio::io::copy_bidirectional(&mut outside, &mut inside).await;
@@ -82,13 +68,12 @@ fn with_authorities(address: SocketAddr, ca_file: &Path) -> Vlm {
 }
 
 #[test]
-fn an_authority_of_ones_own_is_trusted_when_it_is_named() {
+fn a_private_authority_is_trusted_when_it_is_named() {
     let folder = tempdir().expect("a folder");
     let server = Server::start(Options::default()).expect("started");
-    let firm = firm().expect("certificates");
-    let address = encrypt(server.address(), &firm);
-    let ca_file = folder.path().join("firm.pem");
-    fs::write(&ca_file, &firm.authority_pem).expect("written");
+    let address = encrypt(server.address());
+    let ca_file = folder.path().join("authority.pem");
+    fs::write(&ca_file, AUTHORITY).expect("written");
 
     let named = with_authorities(address, &ca_file);
     let asker = Asker::with_environment(&named, |_| None).expect("usable");
@@ -99,10 +84,13 @@ fn an_authority_of_ones_own_is_trusted_when_it_is_named() {
         PATIENCE_S,
     );
     assert_eq!(asked.reply.map(|(reply, _)| reply), Ok(Reply::First));
-    assert_eq!(asked.served, "vlaps-stand-in", "who answered is told");
+    assert_eq!(
+        asked.served, "vlaps-stand-in",
+        "the served model is reported"
+    );
 
     let unnamed = vlm(format!("https://{address}/v1"));
-    // Where the system itself trusts nobody, no client can be made at all.
+    // Without any authority of the system, no client can be made.
     if let Ok(asker) = Asker::with_environment(&unnamed, |_| None) {
         let asked = ask(
             &asker,
@@ -110,13 +98,13 @@ fn an_authority_of_ones_own_is_trusted_when_it_is_named() {
             &red_ahead(),
             PATIENCE_S,
         );
-        assert_eq!(asked.reply, Err(Fault::Tls), "nobody vouches for it");
+        assert_eq!(asked.reply, Err(Fault::Tls), "its authority is unknown");
     }
     assert_eq!(server.requests(), 1);
 }
 
 #[test]
-fn authorities_that_cannot_be_read_are_told_before_anything_is_asked() {
+fn unreadable_authorities_are_reported_before_a_request() {
     let folder = tempdir().expect("a folder");
     let address = "127.0.0.1:1".parse().expect("an address");
     let refused = |path: &Path| {

@@ -1,13 +1,13 @@
 //! What an evaluation says: the paper's metric and the strict one, side by side.
 
-use comfy_table::{ContentArrangement, Table};
+use comfy_table::Table;
 use serde::Serialize;
 use shm_config::message::{Episode, Outcome};
 use sim::observe::TICK_S;
 
 use crate::episodes::{Cause, Drives, Task};
 use crate::metric::Metric;
-use crate::report::table;
+use crate::report::{fitted, table};
 use crate::statistics::Estimate;
 
 /// The figures of an evaluation; the JSON object of `--json`.
@@ -145,10 +145,7 @@ impl Evaluation {
         if self.failures.is_empty() {
             return None;
         }
-        let mut table = Table::new();
-        table
-            .load_style(comfy_table::presets::NOTHING)
-            .set_content_arrangement(ContentArrangement::Dynamic);
+        let mut table = fitted(comfy_table::presets::NOTHING);
         for cause in Cause::ALL {
             let failed = self.failures.iter();
             let seeds: Vec<String> = failed

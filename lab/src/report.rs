@@ -1,6 +1,7 @@
 //! Rows, on the screen and as JSON.
 
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
+use rustix::termios::tcgetwinsize;
 use serde::Serialize;
 
 /// A line below the header and one below the table; rows stand close.
@@ -8,14 +9,26 @@ const STYLE: TableStyle = TableStyle::new()
     .header_separator(LineStyle::new('─', '─', '─', '─'))
     .bottom_border(LineStyle::new('─', '─', '─', '─'));
 
+/// An empty table in the given style, as wide as the terminal at most; without a
+/// terminal, as wide as its rows.
+pub fn fitted(style: TableStyle) -> Table {
+    let mut table = Table::new();
+    table
+        .load_style(style)
+        .set_content_arrangement(ContentArrangement::Dynamic);
+    if let Ok(size) = tcgetwinsize(std::io::stdout())
+        && size.ws_col > 0
+    {
+        table.set_width(size.ws_col);
+    }
+    table
+}
+
 /// An empty table in the style of this program; columns from the second on are
 /// right-aligned.
 pub fn table(header: &[&str]) -> Table {
-    let mut table = Table::new();
-    table
-        .load_style(STYLE)
-        .set_content_arrangement(ContentArrangement::Dynamic)
-        .set_header(header);
+    let mut table = fitted(STYLE);
+    table.set_header(header);
     for column in table.column_iter_mut().skip(1) {
         column.set_cell_alignment(CellAlignment::Right);
     }

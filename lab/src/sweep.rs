@@ -22,7 +22,8 @@ use crate::train::train;
 use stack::Clock;
 use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json};
-use view::chart::{FACE, know_font};
+use view::chart::FACE;
+use view::sheet::{Area, save_svg};
 
 /// Train under a judge with one flaw at a time: label noise, abstention, delay.
 #[derive(Debug, Args)]
@@ -384,9 +385,10 @@ const CURVES: [Curve; 3] = [
 
 /// A curve through the means of the rows, and a small dot for each training.
 fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
-    know_font()?;
-    let root = SVGBackend::new(path, SIZE).into_drawing_area();
-    root.fill(&WHITE)?;
+    save_svg(path, SIZE, |root| picture(swept, root))
+}
+
+fn picture(swept: &Swept, root: &Area<'_>) -> anyhow::Result<()> {
     let title = format!(
         "{}, {}: what a flawed judge costs (means; a dot for each training)",
         swept.algorithm,
@@ -434,7 +436,6 @@ fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
             .label_font((FACE, 13))
             .draw()?;
     }
-    root.present()?;
     Ok(())
 }
 

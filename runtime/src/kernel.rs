@@ -1,5 +1,7 @@
 //! System calls that no library wraps: the unsafe part of this crate.
 
+use std::io;
+
 use shm_config::message::Scheduling;
 
 /// What the kernel has counted for one thread since the thread began.
@@ -47,15 +49,21 @@ impl Usage {
     }
 }
 
-/// Sets `SCHED_FIFO` for the calling thread. Threads started later do not inherit it.
+/// `SCHED_FIFO` for the calling thread. Threads started later do not inherit it.
+///
+/// # Errors
+/// When the kernel refuses it: no privilege, or a priority outside 1 to 99.
 #[allow(unsafe_code)]
-pub fn set_fifo(priority: u32) -> bool {
+pub fn set_fifo(priority: u32) -> io::Result<()> {
     let parameters = libc::sched_param {
         sched_priority: priority as libc::c_int,
     };
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // SAFETY: pid 0 is the calling thread and the parameters live through the call.
-    unsafe { libc::sched_setscheduler(0, policy, &parameters) == 0 }
+    match unsafe { libc::sched_setscheduler(0, policy, &parameters) } {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
+    }
 }
 
 /// Sets ordinary scheduling for the calling thread.

@@ -23,7 +23,7 @@ mod telemetry;
 mod tick_loop;
 
 pub use contest::Contest;
-pub use kernel::Usage;
+pub use kernel::{Usage, set_fifo};
 pub use member::{Arguments, Member, SET_UP_FAILED, SetUpError, exit_code, join_as};
 pub use privileges::{Ask, Privileges};
 pub use schedule::{DueTick, Release, TickSchedule};

@@ -74,7 +74,8 @@ impl Privileges {
         if self.ask.priority == 0 {
             return;
         }
-        set_fifo(self.ask.priority);
+        // What the kernel grants is read back.
+        let _ = set_fifo(self.ask.priority);
         (self.scheduling, self.priority_got) = own_scheduling();
         self.priority = grant(self.scheduling == Scheduling::Fifo);
         if let Some(core) = self.ask.core {

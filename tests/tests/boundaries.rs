@@ -24,7 +24,7 @@ const ARROWS: &[(&str, &[&str])] = &[
         "learner",
         &["vehicle", "shm-config", "runtime", "policy", "stack"],
     ),
-    ("supervisor", &["vehicle", "shm-config"]),
+    ("supervisor", &["vehicle", "shm-config", "runtime"]),
     ("python", &["vehicle", "shm-config", "safety", "sim"]),
     (
         "stack",

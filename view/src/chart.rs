@@ -3,10 +3,11 @@
 use std::sync::OnceLock;
 
 use anyhow::anyhow;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use crate::sheet::Area;
 
 /// The face that everything is written in; the pictures need no font of the
 /// machine.
@@ -20,11 +21,11 @@ pub const GRID: RGBColor = RGBColor(228, 231, 235);
 /// Length of a legend's line, pixels.
 pub const SWATCH: i32 = 26;
 
-/// Makes the face known; to be called before anything is drawn.
+/// Makes the face known.
 ///
 /// # Errors
 /// When it cannot be read.
-pub fn know_font() -> anyhow::Result<()> {
+pub(crate) fn know_font() -> anyhow::Result<()> {
     static FONT: OnceLock<bool> = OnceLock::new();
     let known = FONT.get_or_init(|| {
         register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok()
@@ -39,16 +40,12 @@ pub fn know_font() -> anyhow::Result<()> {
 ///
 /// # Errors
 /// When the picture cannot be drawn on.
-pub fn write<B>(
-    area: &DrawingArea<B, Shift>,
+pub fn write(
+    area: &Area<'_>,
     words: &str,
     at: (i32, i32),
     (size, colour): (u32, RGBColor),
-) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> anyhow::Result<()> {
     let style = TextStyle::from((FACE, size).into_font())
         .color(&colour)
         .pos(Pos::new(HPos::Left, VPos::Top));
@@ -60,16 +57,12 @@ where
 ///
 /// # Errors
 /// When the picture cannot be drawn on.
-pub fn legend_entry<B>(
-    area: &DrawingArea<B, Shift>,
+pub fn legend_entry(
+    area: &Area<'_>,
     name: &str,
     style: impl Into<ShapeStyle>,
     (x, y): (i32, i32),
-) -> anyhow::Result<i32>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> anyhow::Result<i32> {
     let style: ShapeStyle = style.into();
     area.draw(&PathElement::new([(x, y), (x + SWATCH, y)], style))?;
     write(area, name, (x + SWATCH + 8, y - 6), (16, INK))?;

@@ -5,8 +5,8 @@
 //! |---|---|
 //! | [`draw`] | the commands `draw map`, `episode`, `frame`, `plan` |
 //! | [`chart`] | font, colours, words and legends of charts |
-//! | [`bitmap`] | charts in pixels |
+//! | [`sheet`] | a chart as SVG and as PNG |
 
-pub mod bitmap;
 pub mod chart;
 pub mod draw;
+pub mod sheet;

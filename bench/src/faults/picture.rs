@@ -3,13 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::Context;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::rows::Row;
-use view::bitmap::Bitmap;
-use view::chart::{FACE, FAINT, INK, know_font};
+use view::chart::{FACE, FAINT, INK};
+use view::sheet::{Area, save};
 
 /// Width, and height of one kind's row, pixels.
 const WIDTH: u32 = 1000;
@@ -31,15 +29,9 @@ type Bars = [[u32; 2]; BARS];
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(rows: &[Row], folder: &Path) -> anyhow::Result<()> {
-    know_font()?;
     let kinds = bars(rows);
     let size = (WIDTH, HEAD + ROW * kinds.len().max(1) as u32);
-    let svg = folder.join("faults.svg");
-    let root = SVGBackend::new(&svg, size).into_drawing_area();
-    picture(&kinds, &root).with_context(|| svg.display().to_string())?;
-    let png = folder.join("faults.png");
-    let root = Bitmap(BitMapBackend::new(&png, size)).into_drawing_area();
-    picture(&kinds, &root).with_context(|| png.display().to_string())
+    save(folder, "faults", size, |root| picture(&kinds, root))
 }
 
 /// Times in periods: those of sets at different rates are comparable. What takes
@@ -58,12 +50,7 @@ fn bars(rows: &[Row]) -> BTreeMap<&str, Bars> {
     kinds
 }
 
-fn picture<B>(kinds: &BTreeMap<&str, Bars>, root: &DrawingArea<B, Shift>) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
+fn picture(kinds: &BTreeMap<&str, Bars>, root: &Area<'_>) -> anyhow::Result<()> {
     let (head, body) = root.split_vertically(HEAD);
     let text = |size: i32, colour: RGBColor| (FACE, size).into_font().color(&colour);
     let title = "From the fault to safety, periods";
@@ -104,7 +91,6 @@ where
         }
         area.draw_text(kind, &text(16, INK), (WIDTH as i32 - 160, 8))?;
     }
-    root.present()?;
     Ok(())
 }
 

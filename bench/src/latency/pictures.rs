@@ -3,14 +3,12 @@
 
 use std::path::Path;
 
-use anyhow::Context;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::buckets::Series;
 use super::row::Row;
-use view::bitmap::Bitmap;
-use view::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
+use view::chart::{FACE, FAINT, GRID, INK, legend_entry, write};
+use view::sheet::{Area, save};
 
 /// Size of a panel, pixels.
 const PANEL: (u32, u32) = (460, 240);
@@ -47,7 +45,6 @@ struct Picture {
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(rows: &[Row], series: &[Vec<Series>], out: &Path) -> anyhow::Result<()> {
-    know_font()?;
     for priority in ["real-time", "ordinary"] {
         let of: Vec<(&Row, &[Series])> = rows
             .iter()
@@ -60,12 +57,7 @@ pub fn draw(rows: &[Row], series: &[Vec<Series>], out: &Path) -> anyhow::Result<
         }
         for picture in pictures(priority) {
             let size = size(&of);
-            let path = out.join(format!("{}.svg", picture.file));
-            let root = SVGBackend::new(&path, size).into_drawing_area();
-            paint(&root, &picture, &of).with_context(|| path.display().to_string())?;
-            let path = out.join(format!("{}.png", picture.file));
-            let root = Bitmap(BitMapBackend::new(&path, size)).into_drawing_area();
-            paint(&root, &picture, &of).with_context(|| path.display().to_string())?;
+            save(out, &picture.file, size, |root| paint(root, &picture, &of))?;
         }
     }
     Ok(())
@@ -125,16 +117,7 @@ fn size(of: &[(&Row, &[Series])]) -> (u32, u32) {
     (PANEL.0 * columns, HEAD + PANEL.1 * loads.len() as u32)
 }
 
-fn paint<B>(
-    root: &DrawingArea<B, Shift>,
-    picture: &Picture,
-    of: &[(&Row, &[Series])],
-) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
+fn paint(root: &Area<'_>, picture: &Picture, of: &[(&Row, &[Series])]) -> anyhow::Result<()> {
     let (head, body) = root.split_vertically(HEAD);
     write(&head, &picture.title, (20, 14), (24, INK))?;
     let (columns, _) = root.dim_in_pixel();
@@ -167,7 +150,6 @@ where
             )?;
         }
     }
-    root.present()?;
     Ok(())
 }
 
@@ -220,16 +202,12 @@ fn steps(series: &Series, (low, high): (f64, f64)) -> Vec<(f64, f64)> {
 /// Where an empty bin is drawn: below one.
 const NONE: f64 = 0.5;
 
-fn panel<B>(
-    area: &DrawingArea<B, Shift>,
+fn panel(
+    area: &Area<'_>,
     title: &str,
     (picture, all): (&Picture, &[Series]),
     span: (f64, f64),
-) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> anyhow::Result<()> {
     let (head, body) = area.split_vertically(26);
     write(&head, title, (66, 6), (16, INK))?;
     let lines: Vec<(Vec<(f64, f64)>, RGBColor)> = picture

@@ -2,15 +2,13 @@
 
 use std::path::Path;
 
-use anyhow::Context;
-use plotters::coord::Shift;
 use plotters::prelude::*;
 use shm_config::counted;
 
 use super::Soaked;
 use super::sample::Sample;
-use view::bitmap::Bitmap;
-use view::chart::{FACE, know_font};
+use view::chart::FACE;
+use view::sheet::{Area, save};
 
 const PANEL: (u32, u32) = (480, 260);
 const COLUMNS: usize = 3;
@@ -21,34 +19,12 @@ const LINE: RGBColor = RGBColor(31, 105, 178);
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(samples: &[Sample], soaked: &Soaked, out: &Path) -> anyhow::Result<()> {
-    know_font()?;
     let lines = soaked.rows.len().div_ceil(COLUMNS).max(1);
     let size = (PANEL.0 * COLUMNS as u32, 40 + PANEL.1 * lines as u32);
-    let svg = out.join("memory.svg");
-    panels(
-        samples,
-        soaked,
-        &SVGBackend::new(&svg, size).into_drawing_area(),
-    )
-    .with_context(|| svg.display().to_string())?;
-    let png = out.join("memory.png");
-    panels(
-        samples,
-        soaked,
-        &Bitmap(BitMapBackend::new(&png, size)).into_drawing_area(),
-    )
-    .with_context(|| png.display().to_string())
+    save(out, "memory", size, |root| panels(samples, soaked, root))
 }
 
-fn panels<B: DrawingBackend>(
-    samples: &[Sample],
-    soaked: &Soaked,
-    root: &DrawingArea<B, Shift>,
-) -> anyhow::Result<()>
-where
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
+fn panels(samples: &[Sample], soaked: &Soaked, root: &Area<'_>) -> anyhow::Result<()> {
     let title = format!(
         "{} in lockstep{}: {}",
         counted(soaked.ticks, "tick"),
@@ -86,6 +62,5 @@ where
             .draw()?;
         chart.draw_series(LineSeries::new(points, LINE.stroke_width(2)))?;
     }
-    root.present()?;
     Ok(())
 }

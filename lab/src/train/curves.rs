@@ -2,16 +2,14 @@
 
 use std::path::Path;
 
-use anyhow::Context;
-use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use shm_config::counted;
 
 use super::results::{Results, Seed};
 use crate::metric::Metric;
-use view::bitmap::Bitmap;
-use view::chart::{FACE, FAINT, GRID, INK, know_font, legend_entry, write};
+use view::chart::{FACE, FAINT, GRID, INK, legend_entry, write};
+use view::sheet::{Area, Sheet, save};
 
 /// Size of the picture, pixels.
 const SIZE: (u32, u32) = (1360, 960);
@@ -55,13 +53,7 @@ struct Panel {
 /// # Errors
 /// When a file cannot be written.
 pub fn draw(results: &Results, out: &Path) -> anyhow::Result<()> {
-    know_font()?;
-    let svg = out.join("curves.svg");
-    let root = SVGBackend::new(&svg, SIZE).into_drawing_area();
-    picture(results, &root).with_context(|| svg.display().to_string())?;
-    let png = out.join("curves.png");
-    let root = Bitmap(BitMapBackend::new(&png, SIZE)).into_drawing_area();
-    picture(results, &root).with_context(|| png.display().to_string())
+    save(out, "curves", SIZE, |root| picture(results, root))
 }
 
 fn panels(results: &Results) -> [Panel; 4] {
@@ -125,12 +117,7 @@ fn panels(results: &Results) -> [Panel; 4] {
     ]
 }
 
-fn picture<B>(results: &Results, root: &DrawingArea<B, Shift>) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
-    root.fill(&WHITE)?;
+fn picture(results: &Results, root: &Area<'_>) -> anyhow::Result<()> {
     let (head, body) = root.split_vertically(HEAD);
     let count = results.seeds.len();
     let title = format!("{}, {}", results.algorithm(), counted(count, "seed"));
@@ -151,15 +138,10 @@ where
     for (area, panel) in body.split_evenly((2, 2)).iter().zip(panels(results)) {
         draw_panel(&area.margin(GAP / 2, GAP / 2, GAP, GAP), &panel)?;
     }
-    root.present()?;
     Ok(())
 }
 
-fn draw_panel<B>(area: &DrawingArea<B, Shift>, panel: &Panel) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+fn draw_panel(area: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
     let (head, body) = area.split_vertically(PANEL_HEAD);
     write(&head, panel.title, (SCALE as i32, 10), (20, INK))?;
     legend(&head, panel)?;
@@ -207,15 +189,11 @@ where
 
 /// Each seed's number behind the end of its curves: one below the other where curves
 /// end in the same place.
-fn number_seeds<B>(
-    body: &DrawingArea<B, Shift>,
-    axes: &DrawingArea<B, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
+fn number_seeds(
+    body: &Area<'_>,
+    axes: &DrawingArea<Sheet<'_>, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
     curves: &[Curve],
-) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> anyhow::Result<()> {
     let (left, top) = body.get_base_pixel();
     let mut numbers = Vec::new();
     for curve in curves {
@@ -247,14 +225,10 @@ where
     Ok(())
 }
 
-fn draw_curve<B>(
-    chart: &mut ChartContext<B, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
+fn draw_curve(
+    chart: &mut ChartContext<Sheet<'_>, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
     curve: &Curve,
-) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+) -> anyhow::Result<()> {
     if curve.seeds.len() > 1 {
         for (_, seed) in &curve.seeds {
             let faint = curve.colour.mix(0.35).stroke_width(1);
@@ -271,11 +245,7 @@ where
 }
 
 /// Names of the curves above the axes, where they cover none.
-fn legend<B>(head: &DrawingArea<B, Shift>, panel: &Panel) -> anyhow::Result<()>
-where
-    B: DrawingBackend,
-    B::ErrorType: 'static,
-{
+fn legend(head: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
     let (mut x, y) = (SCALE as i32, 50);
     let mut entries: Vec<(String, ShapeStyle)> = panel
         .curves

@@ -4,10 +4,6 @@ use std::thread;
 
 use rustix::mm::MlockAllFlags;
 use rustix::process::{Resource, Rlimit, getrlimit};
-use thread_priority::{
-    Error, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
-    set_thread_priority_and_policy, thread_native_id,
-};
 
 use super::finding::Finding;
 use super::grants;
@@ -20,21 +16,10 @@ fn highest_priority() -> u8 {
 
 pub(super) fn priority() -> Finding {
     let asked = highest_priority();
-    // Tried on a thread that ends at once, so that the doctor itself keeps ordinary
-    // scheduling.
-    let tried = thread::spawn(move || {
-        let priority = ThreadPriorityValue::try_from(asked).map_err(|error| error.to_string())?;
-        let priority = ThreadPriority::Crossplatform(priority);
-        let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
-        set_thread_priority_and_policy(thread_native_id(), priority, policy).map_err(|error| {
-            match error {
-                Error::OS(code) => std::io::Error::from_raw_os_error(code).to_string(),
-                other => format!("{other:?}"),
-            }
-        })
-    })
-    .join()
-    .unwrap_or_else(|_| Err("the attempt ended in a panic".into()));
+    // On a thread that ends at once, so that the doctor itself stays ordinary.
+    let tried = thread::spawn(move || runtime::set_fifo(asked.into()))
+        .join()
+        .unwrap_or_else(|_| Err(std::io::Error::other("the attempt ended in a panic")));
     let limit = match getrlimit(Resource::Rtprio).current {
         Some(limit) => limit.to_string(),
         None => "unlimited".into(),
