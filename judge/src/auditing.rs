@@ -222,44 +222,7 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
             .join(format!("replay-{}", file_word(vlm.model_name()))),
     };
     let mut replay = Replay::new(&vlm, Asker::new(&vlm)?, &out)?;
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()?;
-    let bar = ProgressBar::new(records.questions.len() as u64);
-    let style = "{elapsed_precise} {wide_bar} {pos}/{len} questions, {eta} left, {msg}";
-    bar.set_style(ProgressStyle::with_template(style)?);
-    let (mut gone, mut before) = (0, 0);
-    for record in &records.questions {
-        match runtime.block_on(replay.ask(&records, record)) {
-            Step::Asked => {}
-            Step::Before => before += 1,
-            Step::Gone => gone += 1,
-            Step::Closed(fault) => {
-                bar.finish_and_clear();
-                bail!(
-                    "{}: {}; what was said so far is in {}, and the same command goes on",
-                    fault.word(),
-                    fault.advice(),
-                    out.display()
-                );
-            }
-        }
-        bar.set_message(format!("{:.4} USD", replay.spent_usd()));
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    if before > 0 {
-        say(format_args!(
-            "{before} were answered before and not asked again: {}",
-            out.display()
-        ));
-    }
-    if gone > 0 {
-        let questions = counted(gone, "question");
-        say(format_args!(
-            "not asked, since there is no picture of them: {questions}"
-        ));
-    }
+    ask_all(&mut replay, &records, &out)?;
     let lost = replay.lost();
     if lost.lines + lost.pictures > 0 {
         let (lines, pictures) = (lost.lines, lost.pictures);
@@ -282,6 +245,49 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
         true => bail!("nothing was answered; the same command asks again"),
         false => Ok(()),
     }
+}
+
+/// Asks every question that has a picture and no answer yet.
+fn ask_all(replay: &mut Replay, records: &Records, out: &Path) -> anyhow::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()?;
+    let bar = ProgressBar::new(records.questions.len() as u64);
+    let style = "{elapsed_precise} {wide_bar} {pos}/{len} questions, {eta} left, {msg}";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    let (mut gone, mut before) = (0, 0);
+    for record in &records.questions {
+        match runtime.block_on(replay.ask(records, record)) {
+            Step::Asked => {}
+            Step::Before => before += 1,
+            Step::Gone => gone += 1,
+            Step::Closed(fault) => {
+                bar.finish_and_clear();
+                bail!(
+                    "{}: {}; the answers so far are in {}; the same command continues",
+                    fault.word(),
+                    fault.advice(),
+                    out.display()
+                );
+            }
+        }
+        bar.set_message(format!("{:.4} USD", replay.spent_usd()));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if before > 0 {
+        say(format_args!(
+            "answered before and not asked again: {before}, in {}",
+            out.display()
+        ));
+    }
+    if gone > 0 {
+        let questions = counted(gone, "question");
+        say(format_args!(
+            "not asked, since there is no picture of them: {questions}"
+        ));
+    }
+    Ok(())
 }
 
 /// What failed before and was asked again stands twice: the last one counts.

@@ -1,9 +1,11 @@
-//! A fault strikes a set: how, and what came of it.
+//! How a fault is injected into a set, and what came of it.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use anyhow::Context;
+use rand_xoshiro::Xoshiro256PlusPlus;
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use shm_config::Instant;
 use shm_config::message::{Fault, FaultKind};
@@ -60,121 +62,54 @@ pub struct Came {
     pub recovered_ns: Option<u64>,
 }
 
-/// Strikes, once the set drives.
+/// Injects a fault, once the set drives.
 ///
 /// # Errors
 /// When the set cannot be watched, or the fault not be made.
 pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow::Result<Blow> {
     let period_ns = stage.scene().period_ns();
     stage.watch_for((trouble.phase * period_ns as f64) as u64);
-    let lasting_ns = (trouble.periods * period_ns as f64) as u64;
-    let lack_ns = LACK_NS + (trouble.periods / 20.0 * LACK_MORE_NS) as u64;
-    let target = trouble.target.unwrap_or(Process::Controller);
-    let mut detail = String::new();
     let controller = stage.pid(Process::Controller);
-    match trouble.kind {
-        Kind::Kill => {
-            begin(stage, clock);
-            stage.signal(target, Signal::KILL);
+    let target = trouble.target.unwrap_or(Process::Controller);
+    let mut injection = Injection {
+        lasting_ns: (trouble.periods * period_ns as f64) as u64,
+        lack_ns: LACK_NS + (trouble.periods / 20.0 * LACK_MORE_NS) as u64,
+        stage,
+        target,
+        clock,
+    };
+    let detail = match trouble.kind {
+        Kind::Kill => injection.kill(),
+        Kind::All => injection.kill_all(),
+        Kind::Stop => injection.stop(),
+        Kind::Hang => injection.order(FaultKind::Hang, 0),
+        Kind::Spin => injection.order(FaultKind::Spin, 0),
+        Kind::Panic => injection.order(FaultKind::Panic, 0),
+        Kind::Allocation => injection.order(FaultKind::Allocation, 0),
+        Kind::Slow => injection.slow(),
+        Kind::Memory => match injection.pid() {
+            Some(pid) => injection.lack_of_memory(pid)?,
+            None => return Ok(Blow::Skipped(format!("{target} said no process id"))),
+        },
+        Kind::Disk => {
+            let folder = injection.stage.scene().folder.clone();
+            injection.lack_of_room(&folder, trouble.kills)?
         }
-        Kind::All => {
-            let pids = CHILDREN.map(|process| stage.pid(process));
-            begin(stage, clock);
-            for pid in pids.into_iter().flatten().filter_map(Pid::from_raw) {
-                // It may have died of another's death.
-                let _ = rustix::process::kill_process(pid, Signal::KILL);
-            }
-        }
-        Kind::Stop => {
-            detail = format!("{:.0} ms", lasting_ns as f64 / 1e6);
-            begin(stage, clock);
-            stage.signal(target, Signal::STOP);
-            stage.watch_for(lasting_ns);
-            stage.signal(target, Signal::CONT);
-        }
-        Kind::Hang => order(stage, target, (FaultKind::Hang, 0), clock),
-        Kind::Spin => order(stage, target, (FaultKind::Spin, 0), clock),
-        Kind::Panic => order(stage, target, (FaultKind::Panic, 0), clock),
-        Kind::Allocation => order(stage, target, (FaultKind::Allocation, 0), clock),
-        Kind::Slow => {
-            detail = format!("{:.0} ms", lasting_ns as f64 / 1e6);
-            order(stage, target, (FaultKind::Slow, lasting_ns), clock);
-            stage.watch_for(lasting_ns);
-        }
-        Kind::Memory => {
-            let Some(pid) = stage.pid(target).and_then(Pid::from_raw) else {
-                return Ok(Blow::Skipped(format!("{target} said no process id")));
-            };
-            detail = format!("{:.0} ms", lack_ns as f64 / 1e6);
-            begin(stage, clock);
-            let before = starve(pid)?;
-            stage.watch_for(lack_ns);
-            // It may have died of it; its successor has the supervisor's limits.
-            let _ = prlimit(Some(pid), Resource::As, before);
-        }
-        Kind::Disk | Kind::Shm => {
-            let folder = match trouble.kind {
-                Kind::Disk => stage.scene().folder.clone(),
-                _ => shared_memory().into(),
-            };
-            detail = match trouble.kills {
-                true => format!("{:.0} ms, killed meanwhile", lack_ns as f64 / 1e6),
-                false => format!("{:.0} ms", lack_ns as f64 / 1e6),
-            };
-            begin(stage, clock);
-            let filler = Filler::fill(&folder)?;
-            if trouble.kills {
-                stage.signal(target, Signal::KILL);
-            }
-            stage.watch_for(lack_ns);
-            drop(filler);
-        }
-        Kind::Clock => {
-            begin(stage, clock);
-            step_clock("+1 hour")?;
-            stage.watch_for(lack_ns);
-            step_clock("-1 hour")?;
-        }
-        Kind::Hostile => {
-            let told = Told::draw(&mut trouble.dice);
-            detail = told.to_string();
-            begin(stage, clock);
-            let now = clock();
-            let watch = stage.watch();
-            let step = *watch.ledger.newest().context("a step")?;
-            let was_told = told.tell(&watch.wire, (&step, now), &mut trouble.dice)?;
-            if !was_told {
-                detail.push_str(", refused");
-            }
-        }
-        Kind::ForeignCommand => forge(stage, Forgery::Command, lasting_ns, clock)?,
-        Kind::OtherEpisode => forge(stage, Forgery::OtherEpisode, lasting_ns, clock)?,
-        Kind::ForeignObservation => forge(stage, Forgery::Observation, lasting_ns, clock)?,
-        Kind::ForeignPlan => forge(stage, Forgery::PlanAndAdvice, lasting_ns, clock)?,
-        Kind::ForgedHealth => forge(stage, Forgery::Health, lasting_ns, clock)?,
-        Kind::Slots => {
-            detail = format!("{:.0} ms", lack_ns as f64 / 1e6);
-            begin(stage, clock);
-            let held = HeldPlaces::take(&stage.watch().wire);
-            stage.signal(target, Signal::KILL);
-            stage.watch_for(lack_ns);
-            drop(held);
-        }
-        Kind::Loans => {
-            begin(stage, clock);
-            hold_loans(&stage.watch().wire, Duration::from_nanos(lasting_ns))?;
-        }
+        Kind::Shm => injection.lack_of_room(shared_memory(), trouble.kills)?,
+        Kind::Clock => injection.clock_steps()?,
+        Kind::Hostile => injection.hostile(&mut trouble.dice)?,
+        Kind::ForeignCommand => injection.forge(Forgery::Command)?,
+        Kind::OtherEpisode => injection.forge(Forgery::OtherEpisode)?,
+        Kind::ForeignObservation => injection.forge(Forgery::Observation)?,
+        Kind::ForeignPlan => injection.forge(Forgery::PlanAndAdvice)?,
+        Kind::ForgedHealth => injection.forge(Forgery::Health)?,
+        Kind::Slots => injection.lack_of_places(),
+        Kind::Loans => injection.lack_of_loans()?,
         Kind::Files => {
-            begin(stage, clock);
-            for path in stage.paths().shared_memory()? {
-                // Another process may have removed its own meanwhile.
-                let _ = std::fs::remove_file(path);
-            }
-            let _ = std::fs::remove_dir_all(stage.paths().dir());
-            stage.signal(target, Signal::KILL);
+            injection.lose_files()?;
             return Ok(Blow::Resigns);
         }
-    }
+    };
     if trouble.kind == Kind::Kill && target == Process::Supervisor {
         return Ok(Blow::Ended);
     }
@@ -188,6 +123,161 @@ pub fn strike(stage: &mut Stage, trouble: &mut Trouble, clock: Clock) -> anyhow:
     let struck = watch.trial().map_or(now, |trial| trial.struck);
     watch.over(if lasts { now } else { struck });
     Ok(Blow::Goes { detail })
+}
+
+/// A fault in the making. Each kind returns more about it, in words.
+struct Injection<'a> {
+    stage: &'a mut Stage,
+    target: Process,
+    /// How long a stop, a slow process or a stranger lasts, ns.
+    lasting_ns: u64,
+    /// How long something is lacking, ns.
+    lack_ns: u64,
+    clock: Clock,
+}
+
+impl Injection<'_> {
+    fn begin(&mut self) {
+        self.stage.watch().begin((self.clock)());
+    }
+
+    fn pid(&mut self) -> Option<Pid> {
+        self.stage.pid(self.target).and_then(Pid::from_raw)
+    }
+
+    fn kill(&mut self) -> String {
+        self.begin();
+        self.stage.signal(self.target, Signal::KILL);
+        String::new()
+    }
+
+    fn kill_all(&mut self) -> String {
+        let pids = CHILDREN.map(|process| self.stage.pid(process));
+        self.begin();
+        for pid in pids.into_iter().flatten().filter_map(Pid::from_raw) {
+            // The death of another process may have ended it.
+            let _ = rustix::process::kill_process(pid, Signal::KILL);
+        }
+        String::new()
+    }
+
+    fn stop(&mut self) -> String {
+        self.begin();
+        self.stage.signal(self.target, Signal::STOP);
+        self.stage.watch_for(self.lasting_ns);
+        self.stage.signal(self.target, Signal::CONT);
+        milliseconds(self.lasting_ns)
+    }
+
+    fn order(&mut self, kind: FaultKind, duration_ns: u64) -> String {
+        let mut fault = Fault {
+            duration_ns,
+            target: self.target.code(),
+            kind: kind.code(),
+            ..Fault::default()
+        };
+        self.begin();
+        fault.header.taken_ns = (self.clock)().0;
+        self.stage.watch().orders.send(&mut fault);
+        String::new()
+    }
+
+    fn slow(&mut self) -> String {
+        self.order(FaultKind::Slow, self.lasting_ns);
+        self.stage.watch_for(self.lasting_ns);
+        milliseconds(self.lasting_ns)
+    }
+
+    fn lack_of_memory(&mut self, pid: Pid) -> anyhow::Result<String> {
+        self.begin();
+        let before = starve(pid)?;
+        self.stage.watch_for(self.lack_ns);
+        // A process that died of it has a successor with the supervisor's limits.
+        let _ = prlimit(Some(pid), Resource::As, before);
+        Ok(milliseconds(self.lack_ns))
+    }
+
+    /// Of a file system; the target may be killed meanwhile.
+    fn lack_of_room(&mut self, folder: &Path, kills: bool) -> anyhow::Result<String> {
+        self.begin();
+        let filler = Filler::fill(folder)?;
+        if kills {
+            self.stage.signal(self.target, Signal::KILL);
+        }
+        self.stage.watch_for(self.lack_ns);
+        drop(filler);
+        let meanwhile = if kills { ", killed meanwhile" } else { "" };
+        Ok(milliseconds(self.lack_ns) + meanwhile)
+    }
+
+    fn clock_steps(&mut self) -> anyhow::Result<String> {
+        self.begin();
+        step_clock("+1 hour")?;
+        self.stage.watch_for(self.lack_ns);
+        step_clock("-1 hour")?;
+        Ok(String::new())
+    }
+
+    fn hostile(&mut self, dice: &mut Xoshiro256PlusPlus) -> anyhow::Result<String> {
+        let told = Told::draw(dice);
+        self.begin();
+        let now = (self.clock)();
+        let watch = self.stage.watch();
+        let step = *watch.ledger.newest().context("a step")?;
+        let refused = match told.tell(&watch.wire, (&step, now), dice)? {
+            true => "",
+            false => ", refused",
+        };
+        Ok(format!("{told}{refused}"))
+    }
+
+    /// A stranger sends what is well formed for a while.
+    fn forge(&mut self, forgery: Forgery) -> anyhow::Result<String> {
+        let period_ns = self.stage.scene().period_ns();
+        let mut stranger = Stranger::open(&self.stage.watch().wire, forgery)?;
+        self.begin();
+        let until = (self.clock)().after_ns(self.lasting_ns);
+        while (self.clock)() < until {
+            let step = *self.stage.watch().ledger.newest().context("a step")?;
+            stranger.send(&step, (self.clock)(), period_ns);
+            self.stage.watch_for(FORGERY_NS);
+        }
+        Ok(String::new())
+    }
+
+    /// Of places at the services, while the target restarts.
+    fn lack_of_places(&mut self) -> String {
+        self.begin();
+        let held = HeldPlaces::take(&self.stage.watch().wire);
+        self.stage.signal(self.target, Signal::KILL);
+        self.stage.watch_for(self.lack_ns);
+        drop(held);
+        milliseconds(self.lack_ns)
+    }
+
+    fn lack_of_loans(&mut self) -> anyhow::Result<String> {
+        self.begin();
+        hold_loans(
+            &self.stage.watch().wire,
+            Duration::from_nanos(self.lasting_ns),
+        )?;
+        Ok(String::new())
+    }
+
+    fn lose_files(&mut self) -> anyhow::Result<()> {
+        self.begin();
+        for path in self.stage.paths().shared_memory()? {
+            // Another process may have removed its own meanwhile.
+            let _ = std::fs::remove_file(path);
+        }
+        let _ = std::fs::remove_dir_all(self.stage.paths().dir());
+        self.stage.signal(self.target, Signal::KILL);
+        Ok(())
+    }
+}
+
+fn milliseconds(ns: u64) -> String {
+    format!("{:.0} ms", ns as f64 / 1e6)
 }
 
 /// Waits until the set drives again, or a stop is asked for; what came of the fault
@@ -239,38 +329,6 @@ pub fn came(trial: &Trial, limits: &super::ledger::Limits, recovered: Option<Ins
         command_ns: trial.command.map(|(handed, _)| since(handed)),
         recovered_ns: recovered.map(since),
     }
-}
-
-/// A stranger sends what is well formed for a while.
-fn forge(stage: &mut Stage, forgery: Forgery, lasting_ns: u64, clock: Clock) -> anyhow::Result<()> {
-    let period_ns = stage.scene().period_ns();
-    let mut stranger = Stranger::open(&stage.watch().wire, forgery)?;
-    begin(stage, clock);
-    let until = clock().after_ns(lasting_ns);
-    while clock() < until {
-        let step = *stage.watch().ledger.newest().context("a step")?;
-        stranger.send(&step, clock(), period_ns);
-        stage.watch_for(FORGERY_NS);
-    }
-    Ok(())
-}
-
-fn begin(stage: &mut Stage, clock: Clock) {
-    let watch = stage.watch();
-    watch.begin(clock());
-}
-
-fn order(stage: &mut Stage, target: Process, (kind, duration_ns): (FaultKind, u64), clock: Clock) {
-    let mut fault = Fault {
-        duration_ns,
-        target: target.code(),
-        kind: kind.code(),
-        ..Fault::default()
-    };
-    begin(stage, clock);
-    let now = clock();
-    fault.header.taken_ns = now.0;
-    stage.watch().orders.send(&mut fault);
 }
 
 /// The process may have no more address space than it has; its limit before.

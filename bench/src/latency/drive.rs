@@ -10,6 +10,7 @@ use super::Bench;
 use super::arguments::Case;
 use super::buckets::{self, Series};
 use super::cyclictest::Cyclictest;
+use super::judges::RowJudge;
 use super::row::{Row, planner};
 use super::stress::Stress;
 use super::watch::{Watch, is_up};
@@ -37,58 +38,17 @@ pub fn drive(
     let mut up = judge.arguments();
     up.extend(arguments(bench, case));
     let mut driven = Driven::start(&format!("latency-{k}"), up)?;
-    let name = driven.name().parse()?;
-    let clock = bench.clock;
-    let until = clock().after_ns(START_NS);
-    while !is_up(&name) {
-        // Nothing drives yet. A signal to the whole group may also have met the set
-        // on its way into a group of its own.
-        if bench.stop.is_asked() {
-            return Ok(None);
-        }
-        if driven.has_ended()? || clock() > until {
-            driven.summary()?;
-            bail!("the set does not start");
-        }
-        supervisor::machine::signals::pause(LOOK);
-    }
-    let mut watch = Watch::begin(&name)?;
+    let Some(mut watch) = await_start(bench, &mut driven)? else {
+        return Ok(None);
+    };
     let seconds = bench.settings.seconds;
     let places = (bench.scratch, bench.disk);
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), places)?;
-    let noting = StallWatch::start(case.priority, clock)?;
-    let mut floors = None;
-    let mut counted = None;
-    let (mut until, mut stopping) = (None, false);
-    while !driven.has_ended()? {
-        watch.look();
-        let now = clock();
-        if watch.has_begun() && until.is_none() {
-            until = Some(now.after_ns((seconds * 1e9) as u64));
-            floors = Some(Floors::start(bench, case)?);
-        }
-        if until.is_some_and(|until| until.since_ns(now) < (seconds * 0.5e9) as u64) {
-            judge.half_way();
-        }
-        // Not while processes end: the row has none of that, either.
-        if until.is_some_and(|until| now > until)
-            && let Some(floors) = floors.take()
-        {
-            counted = Some(floors.finish(bench)?);
-        }
-        if bench.stop.is_asked() && !stopping {
-            // Once: a second time would kill it.
-            driven.stop();
-            stopping = true;
-        }
-        supervisor::machine::signals::pause(LOOK);
-    }
+    let noting = StallWatch::start(case.priority, bench.clock)?;
+    let counted = follow(bench, case, (&mut driven, &mut watch, &mut judge))?;
     // A row that was cut short is none, whatever else has ended meanwhile.
     if bench.stop.is_asked() {
         return Ok(None);
-    }
-    if let Some(floors) = floors.take() {
-        counted = Some(floors.finish(bench)?);
     }
     stress.check()?;
     drop(stress);
@@ -126,6 +86,64 @@ pub fn drive(
     };
     row.check_accounts()?;
     Ok(Some((row, series)))
+}
+
+/// Waits until the set's processes are up; `None` when a stop is requested first.
+fn await_start(bench: &Bench<'_>, driven: &mut Driven) -> anyhow::Result<Option<Watch>> {
+    let name = driven.name().parse()?;
+    let until = (bench.clock)().after_ns(START_NS);
+    while !is_up(&name) {
+        // Nothing drives yet. A signal to the whole group may also have met the set
+        // on its way into a group of its own.
+        if bench.stop.is_asked() {
+            return Ok(None);
+        }
+        if driven.has_ended()? || (bench.clock)() > until {
+            driven.summary()?;
+            bail!("the set does not start");
+        }
+        supervisor::machine::signals::pause(LOOK);
+    }
+    Watch::begin(&name).map(Some)
+}
+
+/// Watches the set to its end, and measures the floor in the seconds in which it
+/// drives; `None` when it never drives.
+fn follow(
+    bench: &Bench<'_>,
+    case: &Case,
+    (driven, watch, judge): (&mut Driven, &mut Watch, &mut RowJudge),
+) -> anyhow::Result<Option<Counted>> {
+    let seconds = bench.settings.seconds;
+    let (mut floors, mut counted) = (None, None);
+    let (mut until, mut stopping) = (None, false);
+    while !driven.has_ended()? {
+        watch.look();
+        let now = (bench.clock)();
+        if watch.has_begun() && until.is_none() {
+            until = Some(now.after_ns((seconds * 1e9) as u64));
+            floors = Some(Floors::start(bench, case)?);
+        }
+        if until.is_some_and(|until| until.since_ns(now) < (seconds * 0.5e9) as u64) {
+            judge.half_way();
+        }
+        // Not while processes end: the row has none of that, either.
+        if until.is_some_and(|until| now > until)
+            && let Some(floors) = floors.take()
+        {
+            counted = Some(floors.finish(bench)?);
+        }
+        if bench.stop.is_asked() && !stopping {
+            // Once: a second time would kill it.
+            driven.stop();
+            stopping = true;
+        }
+        supervisor::machine::signals::pause(LOOK);
+    }
+    if let Some(floors) = floors.take().filter(|_| !bench.stop.is_asked()) {
+        counted = Some(floors.finish(bench)?);
+    }
+    Ok(counted)
 }
 
 /// The floor of one row, by whom it can be measured.

@@ -66,7 +66,7 @@ impl Conduct {
     ///
     /// # Errors
     /// When no port can be had.
-    pub fn begin(self) -> anyhow::Result<EpisodeDriver> {
+    pub fn begin(self) -> anyhow::Result<RowJudge> {
         let options = match self {
             Self::Absent => None,
             Self::Answers { after_s } => Some(Options {
@@ -85,7 +85,7 @@ impl Conduct {
             (None, Self::Refuses) => Some(unused_address()?),
             (None, _) => None,
         };
-        Ok(EpisodeDriver {
+        Ok(RowJudge {
             conduct: self,
             server,
             url,
@@ -130,14 +130,14 @@ fn unused_address() -> anyhow::Result<String> {
 }
 
 /// A judge beside a run.
-pub struct EpisodeDriver {
+pub struct RowJudge {
     conduct: Conduct,
     server: Option<Server>,
     url: Option<String>,
     questions: u64,
 }
 
-impl EpisodeDriver {
+impl RowJudge {
     /// What the run is started with.
     pub fn arguments(&self) -> Vec<String> {
         words(self.url.as_deref())

@@ -158,7 +158,7 @@ fn of_messages() {
     assert_eq!(camera.check(), Ok(()));
 }
 
-fn of_files() {
+fn of_configurations() {
     let defaults = toml::to_string(&Config::default()).expect("TOML");
     seed("config", "defaults", &[defaults.as_bytes()]);
     let cases = [
@@ -179,6 +179,9 @@ fn of_files() {
     for (name, text) in cases {
         seed("config", name, &[text.as_bytes()]);
     }
+}
+
+fn of_policies() {
     let layer = |inputs: usize, outputs: usize, activation| Layer {
         weights: (0..inputs * outputs)
             .map(|k| ((k * 37 % 101) as f32 - 50.0) / 500.0)
@@ -197,6 +200,9 @@ fn of_files() {
     seed("policy", "good", &[&file]);
     seed("policy", "cut", &[&file[..file.len() / 2]]);
     seed("policy", "head", &[&file[..64]]);
+}
+
+fn of_answers() {
     let said = [
         (
             "first",
@@ -318,6 +324,8 @@ fn checkpoints(folder: &Path) {
 fn main() {
     of_messages();
     of_processes();
-    of_files();
+    of_configurations();
+    of_policies();
+    of_answers();
     of_recordings();
 }
