@@ -18,7 +18,7 @@ use shm_config::message::FEATURES;
 
 use lab::report::{Machine, table};
 use stack::Clock;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Measure how long the policy's net takes to answer, by back end.
 #[derive(Debug, Args)]
@@ -52,7 +52,33 @@ impl Subcommand for BenchPolicy {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, Gauges::new(clock))?;
+        let gauges = Gauges::new(clock);
+        let conditions = Machine::here()?;
+        let mlp = net(HIDDEN, 1);
+        let features: Vec<f32> = (0..FEATURES)
+            .map(|k| (k as f32 * 0.1).sin().abs())
+            .collect();
+        let bytes = encode(
+            &mlp,
+            &Provenance::default(),
+            std::slice::from_ref(&features),
+        );
+        let meter = Meter {
+            gauges,
+            runs: self.runs,
+            features,
+        };
+        let mut rows = vec![bare(&mlp, &meter), native(&mlp, &meter)];
+        rows.extend(onnx_runtime(self, &bytes, &mlp, &meter)?);
+        rows.push(pytorch(self, &meter));
+        let inferred = Inferred {
+            rows,
+            net: "259-256-256-2, ReLU, tanh at the end",
+            runs: self.runs,
+            conditions,
+        };
+        print(&inferred);
+        write_json_option(&self.json, &inferred)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -123,42 +149,6 @@ pub fn net(hidden: usize, seed: u64) -> Mlp {
         layer(hidden, policy::ACTIONS, Activation::Tanh),
     ];
     Mlp::new(layers).expect("layers that follow on each other")
-}
-
-/// `./vlaps bench policy`.
-///
-/// # Errors
-/// When the back ends disagree, or a file cannot be written.
-fn bench(arguments: &BenchPolicy, gauges: Gauges) -> anyhow::Result<()> {
-    let conditions = Machine::here()?;
-    let mlp = net(HIDDEN, 1);
-    let features: Vec<f32> = (0..FEATURES)
-        .map(|k| (k as f32 * 0.1).sin().abs())
-        .collect();
-    let bytes = encode(
-        &mlp,
-        &Provenance::default(),
-        std::slice::from_ref(&features),
-    );
-    let meter = Meter {
-        gauges,
-        runs: arguments.runs,
-        features,
-    };
-    let mut rows = vec![bare(&mlp, &meter), native(&mlp, &meter)];
-    rows.extend(onnx_runtime(arguments, &bytes, &mlp, &meter)?);
-    rows.push(pytorch(arguments, &meter));
-    let inferred = Inferred {
-        rows,
-        net: "259-256-256-2, ReLU, tanh at the end",
-        runs: arguments.runs,
-        conditions,
-    };
-    print(&inferred);
-    match &arguments.json {
-        Some(path) => write_json(path, &inferred),
-        None => Ok(()),
-    }
 }
 
 struct Meter {

@@ -18,7 +18,7 @@ use shm_config::message::{FEATURES, Preference};
 use crate::products::{Pass, Room};
 use lab::report::{Machine, table};
 use stack::Clock;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Measure gradient steps per second, beside PyTorch.
 #[derive(Debug, Args)]
@@ -49,7 +49,38 @@ impl Subcommand for BenchLearner {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, clock)?;
+        let conditions = Machine::here()?;
+        let replay = replay(HELD);
+        let mut torch = Torch::start(self);
+        let mut rows = Vec::new();
+        for kind in [Kind::Pvp, Kind::Regression] {
+            for batch in BATCHES {
+                for threads in THREADS {
+                    let case = Case {
+                        kind,
+                        batch,
+                        threads,
+                    };
+                    let theirs = torch.as_mut().ok();
+                    rows.push(row(case, &replay, theirs, (self.seconds, clock))?);
+                }
+            }
+        }
+        let torch = match &torch {
+            Ok(torch) => torch.version.clone(),
+            Err(note) => note.clone(),
+        };
+        let judged = |row: &&Row| row.case.kind == Kind::Pvp && row.case.batch == BATCHES[0];
+        let ratios: Option<Vec<f64>> = rows.iter().filter(judged).map(|row| row.ratio).collect();
+        let learnt = Learnt {
+            is_met: ratios.map(|ratios| ratios.iter().all(|&ratio| ratio >= BAR)),
+            rows,
+            torch,
+            seconds: self.seconds,
+            conditions,
+        };
+        print(&learnt);
+        write_json_option(&self.json, &learnt)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -176,48 +207,6 @@ struct Learnt {
     /// The bar at the first batch size; none without PyTorch.
     is_met: Option<bool>,
     conditions: Machine,
-}
-
-/// `./vlaps bench learner`.
-///
-/// # Errors
-/// When PyTorch's script breaks off, or a file cannot be written.
-fn bench(arguments: &BenchLearner, clock: Clock) -> anyhow::Result<()> {
-    let conditions = Machine::here()?;
-    let replay = replay(HELD);
-    let mut torch = Torch::start(arguments);
-    let mut rows = Vec::new();
-    for kind in [Kind::Pvp, Kind::Regression] {
-        for batch in BATCHES {
-            for threads in THREADS {
-                let case = Case {
-                    kind,
-                    batch,
-                    threads,
-                };
-                let theirs = torch.as_mut().ok();
-                rows.push(row(case, &replay, theirs, (arguments.seconds, clock))?);
-            }
-        }
-    }
-    let torch = match &torch {
-        Ok(torch) => torch.version.clone(),
-        Err(note) => note.clone(),
-    };
-    let judged = |row: &&Row| row.case.kind == Kind::Pvp && row.case.batch == BATCHES[0];
-    let ratios: Option<Vec<f64>> = rows.iter().filter(judged).map(|row| row.ratio).collect();
-    let learnt = Learnt {
-        is_met: ratios.map(|ratios| ratios.iter().all(|&ratio| ratio >= BAR)),
-        rows,
-        torch,
-        seconds: arguments.seconds,
-        conditions,
-    };
-    print(&learnt);
-    match &arguments.json {
-        Some(path) => write_json(path, &learnt),
-        None => Ok(()),
-    }
 }
 
 /// Full rings of transitions that mean nothing.

@@ -19,9 +19,9 @@ use supervisor::cli::parsers::whole;
 use supervisor::subcommand::{Configuration, Output, Subcommand};
 use vehicle::{Action, Point, Pose, pose};
 
-use lab::report::table;
+use lab::report::{Machine, table};
 use stack::driver::planning_histogram;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Drive the model-predictive expert for long, disturbed: does it answer in time?
 #[derive(Debug, Args)]
@@ -56,7 +56,61 @@ impl Subcommand for BenchMpc {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, Gauges::new(clock))?;
+        let gauges = Gauges::new(clock);
+        let config = self.configuration.resolve()?;
+        let period_ns = config.run.period_ns();
+        let mut world = World::new(WorldConfig::from(&config.world))?;
+        let mut drive = Soaking {
+            planner: Mpc::new(&config),
+            plan: Plan::default(),
+            dice: Xoshiro256PlusPlus::seed_from_u64(self.first_seed),
+            wall_world: None,
+            tallies: Spell::ALL.map(|_| Tally::new()),
+            gauges,
+            period_ns,
+        };
+        let bar = ProgressBar::new(self.ticks);
+        bar.set_style(ProgressStyle::with_template(
+            "{elapsed_precise} {wide_bar} {pos}/{len} ticks, {eta} left",
+        )?);
+        let mut observation = Box::<Observation>::default();
+        let (mut spell, mut seed) = (Spell::Free, self.first_seed);
+        world.reset(seed)?;
+        let mut episode_tick = 0;
+        for tick in 0..self.ticks {
+            if world.last_step().has_ended() {
+                seed = seed.wrapping_add(1);
+                world.reset(seed)?;
+                episode_tick = 0;
+                drive.planner.forget();
+            }
+            world.observe(&mut observation);
+            observation.header = Header {
+                tick: episode_tick,
+                taken_ns: episode_tick * period_ns,
+                ..Header::default()
+            };
+            if tick % SPELL_TICKS == 0 {
+                spell = Spell::ALL[drive.below(Spell::ALL.len() as u64) as usize];
+                drive.begin(spell, world.world_from_ego());
+            }
+            let action = drive.tick(spell, tick % SPELL_TICKS, &world, &mut observation);
+            world.step(action);
+            episode_tick += 1;
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        let soaked = Soaked {
+            rows: drive.rows(),
+            conditions: Conditions {
+                first_seed: self.first_seed,
+                episodes: seed.wrapping_sub(self.first_seed) + 1,
+                steps: config.mpc.steps,
+                load: Machine::here()?.load,
+            },
+        };
+        print(&soaked);
+        write_json_option(&self.json, &soaked)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -148,70 +202,6 @@ struct Tally {
     iterations_max: u32,
     infeasible: u64,
     missed: u64,
-}
-
-/// `./vlaps bench mpc`.
-///
-/// # Errors
-/// When the configuration is out of range, or a seed has no map.
-fn bench(arguments: &BenchMpc, gauges: Gauges) -> anyhow::Result<()> {
-    let config = arguments.configuration.resolve()?;
-    let period_ns = config.run.period_ns();
-    let mut world = World::new(WorldConfig::from(&config.world))?;
-    let mut drive = Soaking {
-        planner: Mpc::new(&config),
-        plan: Plan::default(),
-        dice: Xoshiro256PlusPlus::seed_from_u64(arguments.first_seed),
-        wall_world: None,
-        tallies: Spell::ALL.map(|_| Tally::new()),
-        gauges,
-        period_ns,
-    };
-    let bar = ProgressBar::new(arguments.ticks);
-    bar.set_style(ProgressStyle::with_template(
-        "{elapsed_precise} {wide_bar} {pos}/{len} ticks, {eta} left",
-    )?);
-    let mut observation = Box::<Observation>::default();
-    let (mut spell, mut seed) = (Spell::Free, arguments.first_seed);
-    world.reset(seed)?;
-    let mut episode_tick = 0;
-    for tick in 0..arguments.ticks {
-        if world.last_step().has_ended() {
-            seed = seed.wrapping_add(1);
-            world.reset(seed)?;
-            episode_tick = 0;
-            drive.planner.forget();
-        }
-        world.observe(&mut observation);
-        observation.header = Header {
-            tick: episode_tick,
-            taken_ns: episode_tick * period_ns,
-            ..Header::default()
-        };
-        if tick % SPELL_TICKS == 0 {
-            spell = Spell::ALL[drive.below(Spell::ALL.len() as u64) as usize];
-            drive.begin(spell, world.world_from_ego());
-        }
-        let action = drive.tick(spell, tick % SPELL_TICKS, &world, &mut observation);
-        world.step(action);
-        episode_tick += 1;
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    let soaked = Soaked {
-        rows: drive.rows(),
-        conditions: Conditions {
-            first_seed: arguments.first_seed,
-            episodes: seed.wrapping_sub(arguments.first_seed) + 1,
-            steps: config.mpc.steps,
-            load: crate::speed::load(),
-        },
-    };
-    print(&soaked);
-    match &arguments.json {
-        Some(path) => write_json(path, &soaked),
-        None => Ok(()),
-    }
 }
 
 struct Soaking {

@@ -18,9 +18,9 @@ use vehicle::Action;
 
 use crate::metadrive::{Attempt, Measured, measure};
 use crate::photography;
-use lab::report::table;
+use lab::report::{Machine, table};
 use stack::lane_keeper::keep_lane;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Measure how fast the built-in world is, beside MetaDrive.
 #[derive(Debug, Args)]
@@ -54,7 +54,43 @@ impl Subcommand for Sim {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, Gauges::new(clock))?;
+        let gauges = Gauges::new(clock);
+        let config = Config::default();
+        let world = WorldConfig::from(&config.world);
+        let machine = Machine::here()?;
+        let cores = std::thread::available_parallelism()?;
+        let conditions = Conditions {
+            seconds: self.seconds,
+            beams: config.world.beams,
+            machine,
+        };
+        let first_seed = self.first_seed;
+        let bytes_per_world = bytes_per_world(&world, first_seed, gauges)?;
+        let ours = one_core(&world, (first_seed, self.seconds), gauges)?;
+        let one_per_s = ours.ego_steps_per_s;
+        let mut rows = vec![ours];
+        let task = (first_seed, self.seconds);
+        let attempt = measure(self.metadrive.as_deref(), &config, task)?;
+        let mut times_metadrive = None;
+        if let Attempt::Measured(measured) = &attempt {
+            let row = metadrive_row(measured);
+            times_metadrive = Some(one_per_s / row.ego_steps_per_s);
+            rows.push(row);
+        }
+        rows.push(all_cores(&world, task, cores, gauges)?);
+        rows.push(batch(&world, task, cores, gauges)?);
+        let speed = Speed {
+            rows,
+            frames: photography::measure(&world, first_seed, gauges)?,
+            bytes_per_world,
+            times_metadrive,
+            conditions,
+        };
+        print(&speed);
+        if let Attempt::Absent(reason) = attempt {
+            say(format_args!("MetaDrive left out: {reason}"));
+        }
+        write_json_option(&self.json, &speed)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -117,13 +153,11 @@ pub struct BytesPerWorld {
 pub struct Conditions {
     /// Seconds for each row.
     pub seconds: f64,
-    /// Cores of this machine.
-    pub cores: usize,
     /// Lidar beams.
     pub beams: u32,
-    /// Runnable threads of the whole machine, averaged over the last minute,
-    /// before the run: over 0, the rows compete with other work.
-    pub load: Option<f64>,
+    /// Where.
+    #[serde(flatten)]
+    pub machine: Machine,
 }
 
 /// What one thread did.
@@ -136,63 +170,14 @@ struct Work {
     reset_worst_s: f64,
 }
 
-/// `./vlaps bench sim`.
-///
-/// # Errors
-/// When a world cannot be made, or MetaDrive is there but does not run.
-fn bench(arguments: &Sim, gauges: Gauges) -> anyhow::Result<()> {
-    let config = Config::default();
-    let world = WorldConfig::from(&config.world);
-    let cores = std::thread::available_parallelism()?;
-    let conditions = Conditions {
-        seconds: arguments.seconds,
-        cores: cores.get(),
-        beams: config.world.beams,
-        load: load(),
-    };
-    let first_seed = arguments.first_seed;
-    let bytes_per_world = bytes_per_world(&world, first_seed, gauges)?;
-    let ours = one_core(&world, (first_seed, arguments.seconds), gauges)?;
-    let one_per_s = ours.ego_steps_per_s;
-    let mut rows = vec![ours];
-    let task = (first_seed, arguments.seconds);
-    let attempt = measure(arguments.metadrive.as_deref(), &config, task)?;
-    let mut times_metadrive = None;
-    if let Attempt::Measured(measured) = &attempt {
-        let row = metadrive_row(measured);
-        times_metadrive = Some(one_per_s / row.ego_steps_per_s);
-        rows.push(row);
-    }
-    rows.push(all_cores(&world, task, cores, gauges)?);
-    rows.push(batch(&world, task, cores, gauges)?);
-    let speed = Speed {
-        rows,
-        frames: photography::measure(&world, first_seed, gauges)?,
-        bytes_per_world,
-        times_metadrive,
-        conditions,
-    };
-    print(&speed);
-    if let Attempt::Absent(reason) = attempt {
-        say(format_args!("MetaDrive left out: {reason}"));
-    }
-    match &arguments.json {
-        Some(path) => write_json(path, &speed),
-        None => Ok(()),
-    }
-}
-
 fn print(speed: &Speed) {
     let Conditions {
         seconds,
-        cores,
         beams,
-        load,
-    } = speed.conditions;
-    let load = load.map_or("unknown".into(), |load| format!("{load:.1}"));
+        machine,
+    } = &speed.conditions;
     say(format_args!(
-        "{beams} beams, traffic, obstacles, resets, lane keeper; {seconds} s a row, \
-         {cores} cores, load before the run {load}"
+        "{beams} beams, traffic, obstacles, resets, lane keeper; {seconds} s a row, {machine}"
     ));
     let mut table = table(&[
         "",
@@ -235,12 +220,6 @@ fn print(speed: &Speed) {
         worst.div_ceil(1024)
     ));
     say(photography::printed(&speed.frames));
-}
-
-/// The one-minute load, where the system tells.
-pub(crate) fn load() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
-    text.split(' ').next()?.parse().ok()
 }
 
 /// Drives episodes on this thread until the time is up.

@@ -21,7 +21,7 @@ use crate::floor::{Floor, Priority};
 use crate::inference::net;
 use lab::report::{Machine, table};
 use stack::Clock;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Measure whether a running set notices that its weights are swapped.
 #[derive(Debug, Args)]
@@ -61,7 +61,33 @@ impl Subcommand for BenchSwap {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, clock)?;
+        if offers(self.seconds) == 0 {
+            return Err(Failure::Usage(format!(
+                "--seconds {}: too short for a swap; at least {}",
+                self.seconds,
+                2.0 * MARGIN_S + EVERY_S
+            ))
+            .into());
+        }
+        let conditions = Machine::here()?;
+        let mut rows = Vec::new();
+        for &rate_hz in &self.rate {
+            for every_s in [None, Some(EVERY_S)] {
+                let row = Row {
+                    rate_hz,
+                    every_s,
+                    ..Row::default()
+                };
+                rows.push(drive(self, row, clock)?);
+            }
+        }
+        let swapped = Swapped {
+            rows,
+            seconds: self.seconds,
+            conditions,
+        };
+        print(&swapped);
+        write_json_option(&self.json, &swapped)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -116,43 +142,6 @@ pub struct Swapped {
     pub seconds: f64,
     /// Where.
     pub conditions: Machine,
-}
-
-/// `./vlaps bench swap`.
-///
-/// # Errors
-/// When a set does not start, or does not answer.
-fn bench(arguments: &BenchSwap, clock: Clock) -> anyhow::Result<()> {
-    if offers(arguments.seconds) == 0 {
-        return Err(Failure::Usage(format!(
-            "--seconds {}: too short for a swap; at least {}",
-            arguments.seconds,
-            2.0 * MARGIN_S + EVERY_S
-        ))
-        .into());
-    }
-    let conditions = Machine::here()?;
-    let mut rows = Vec::new();
-    for &rate_hz in &arguments.rate {
-        for every_s in [None, Some(EVERY_S)] {
-            let row = Row {
-                rate_hz,
-                every_s,
-                ..Row::default()
-            };
-            rows.push(drive(arguments, row, clock)?);
-        }
-    }
-    let swapped = Swapped {
-        rows,
-        seconds: arguments.seconds,
-        conditions,
-    };
-    print(&swapped);
-    match &arguments.json {
-        Some(path) => write_json(path, &swapped),
-        None => Ok(()),
-    }
 }
 
 /// How many offers fit into a row of so many seconds.

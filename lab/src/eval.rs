@@ -75,65 +75,61 @@ impl Subcommand for Eval {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        eval(self, clock)?;
+        let config = self.configuration.resolve()?;
+        let cores = std::thread::available_parallelism()?;
+        // More would wait for a core or for an episode.
+        let of_use = cores.min(NonZeroUsize::try_from(self.episodes as usize)?);
+        let asked = self.threads.unwrap_or(of_use);
+        let task = Task {
+            driver: self.driver,
+            world: self.world,
+            first_seed: self.first_seed,
+            episodes: self.episodes,
+            threads: asked.min(of_use),
+        };
+        let bar = ProgressBar::new(task.episodes);
+        let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {left}";
+        bar.set_style(ProgressStyle::with_template(style)?.with_key("left", left(0)));
+        let begun = clock();
+        let drives = evaluate(&task, &config, clock, |_| bar.inc(1))?;
+        let elapsed_s = clock().since_ns(begun) as f64 * 1e-9;
+        bar.finish_and_clear();
+        let evaluation = Evaluation::new(&task, &drives);
+        let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
+        say(format_args!(
+            "{} in {}, seeds {} to {last_seed}: {} on {} in {elapsed_s:.1} s",
+            task.driver.word(),
+            task.world.name(),
+            task.first_seed,
+            counted(task.episodes, "episode"),
+            counted(task.threads.get() as u64, "thread")
+        ));
+        if asked > of_use {
+            say(format_args!(
+                "--threads {asked}: with {} and {} no more than {of_use} are of use",
+                counted(cores.get() as u64, "core"),
+                counted(task.episodes, "episode")
+            ));
+        }
+        say(evaluation.table());
+        say(FOOTNOTE);
+        if let Some(failures) = evaluation.failure_table() {
+            say("failures by the strict metric, with their seeds:");
+            say(failures);
+        }
+        if let Some(folder) = &self.draw {
+            let seeds: Vec<u64> = evaluation
+                .failures
+                .iter()
+                .map(|failure| failure.seed)
+                .collect();
+            let drawn = (&seeds[..], task.driver);
+            failures((folder, DRAWN_MAX), drawn, &config, clock)?;
+        }
+        write_json_option(&self.json, &evaluation)?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
 /// Most failures of an evaluation that are drawn.
 const DRAWN_MAX: usize = 50;
-
-fn eval(arguments: &Eval, clock: Clock) -> anyhow::Result<()> {
-    let config = arguments.configuration.resolve()?;
-    let cores = std::thread::available_parallelism()?;
-    // More would wait for a core or for an episode.
-    let of_use = cores.min(NonZeroUsize::try_from(arguments.episodes as usize)?);
-    let asked = arguments.threads.unwrap_or(of_use);
-    let task = Task {
-        driver: arguments.driver,
-        world: arguments.world,
-        first_seed: arguments.first_seed,
-        episodes: arguments.episodes,
-        threads: asked.min(of_use),
-    };
-    let bar = ProgressBar::new(task.episodes);
-    let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {left}";
-    bar.set_style(ProgressStyle::with_template(style)?.with_key("left", left(0)));
-    let begun = clock();
-    let drives = evaluate(&task, &config, clock, |_| bar.inc(1))?;
-    let elapsed_s = clock().since_ns(begun) as f64 * 1e-9;
-    bar.finish_and_clear();
-    let evaluation = Evaluation::new(&task, &drives);
-    let last_seed = task.first_seed.wrapping_add(task.episodes - 1);
-    say(format_args!(
-        "{} in {}, seeds {} to {last_seed}: {} on {} in {elapsed_s:.1} s",
-        task.driver.word(),
-        task.world.name(),
-        task.first_seed,
-        counted(task.episodes, "episode"),
-        counted(task.threads.get() as u64, "thread")
-    ));
-    if asked > of_use {
-        say(format_args!(
-            "--threads {asked}: with {} and {} no more than {of_use} are of use",
-            counted(cores.get() as u64, "core"),
-            counted(task.episodes, "episode")
-        ));
-    }
-    say(evaluation.table());
-    say(FOOTNOTE);
-    if let Some(failures) = evaluation.failure_table() {
-        say("failures by the strict metric, with their seeds:");
-        say(failures);
-    }
-    if let Some(folder) = &arguments.draw {
-        let seeds: Vec<u64> = evaluation
-            .failures
-            .iter()
-            .map(|failure| failure.seed)
-            .collect();
-        let drawn = (&seeds[..], task.driver);
-        failures((folder, DRAWN_MAX), drawn, &config, clock)?;
-    }
-    write_json_option(&arguments.json, &evaluation)
-}

@@ -21,7 +21,7 @@ use crate::train::table::{INTERVALS, cell, over_seeds};
 use crate::train::train;
 use stack::Clock;
 use supervisor::commands::up::arguments::WorldChoice;
-use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json};
+use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
 use view::chart::FACE;
 use view::sheet::{Area, save_svg};
 
@@ -73,7 +73,49 @@ impl Subcommand for Sweep {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        sweep(self, clock)?;
+        let conditions = Machine::here()?;
+        let flawed = SWEPT
+            .iter()
+            .flat_map(|&(flaw, values)| values.iter().map(move |&value| Some((flaw, value))));
+        let mut rows = Vec::new();
+        let mut common = None;
+        for flawed in std::iter::once(None).chain(flawed) {
+            let out = self.out.join(name(flawed));
+            if !self.report {
+                drive(self, flawed, &out, clock)?;
+            }
+            let Some(experiment) = Experiment::read(&out)? else {
+                continue;
+            };
+            let row = read(&out, flawed)?;
+            if !row.trainings.is_empty() {
+                rows.push(row);
+                common.get_or_insert(experiment);
+            }
+        }
+        let experiment = common.with_context(|| {
+            let out = self.out.display();
+            format!("{out}: holds no finished training of a sweep; look at --out")
+        })?;
+        let swept = Swept {
+            rows,
+            algorithm: experiment.algorithm.word().into(),
+            steps: experiment.steps,
+            episodes: experiment.final_episodes,
+            conditions,
+        };
+        let plot = self.out.join("sweep.svg");
+        draw(&swept, &plot).with_context(|| plot.display().to_string())?;
+        print(&swept.rows);
+        say(format_args!(
+            "{}, {}, {} each; {}; plot: {}\n{INTERVALS}",
+            swept.algorithm,
+            counted(swept.steps, "step"),
+            counted(swept.episodes, "episode"),
+            swept.conditions,
+            plot.display()
+        ));
+        write_json_option(&self.json, &swept)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -155,60 +197,6 @@ struct Swept {
     steps: u64,
     episodes: u64,
     conditions: Machine,
-}
-
-/// `./vlaps sweep`.
-///
-/// # Errors
-/// When a training fails or is stopped; with `--report`, when the folder holds
-/// no finished training.
-fn sweep(arguments: &Sweep, clock: Clock) -> anyhow::Result<()> {
-    let conditions = Machine::here()?;
-    let flawed = SWEPT
-        .iter()
-        .flat_map(|&(flaw, values)| values.iter().map(move |&value| Some((flaw, value))));
-    let mut rows = Vec::new();
-    let mut common = None;
-    for flawed in std::iter::once(None).chain(flawed) {
-        let out = arguments.out.join(name(flawed));
-        if !arguments.report {
-            drive(arguments, flawed, &out, clock)?;
-        }
-        let Some(experiment) = Experiment::read(&out)? else {
-            continue;
-        };
-        let row = read(&out, flawed)?;
-        if !row.trainings.is_empty() {
-            rows.push(row);
-            common.get_or_insert(experiment);
-        }
-    }
-    let experiment = common.with_context(|| {
-        let out = arguments.out.display();
-        format!("{out}: holds no finished training of a sweep; look at --out")
-    })?;
-    let swept = Swept {
-        rows,
-        algorithm: experiment.algorithm.word().into(),
-        steps: experiment.steps,
-        episodes: experiment.final_episodes,
-        conditions,
-    };
-    let plot = arguments.out.join("sweep.svg");
-    draw(&swept, &plot).with_context(|| plot.display().to_string())?;
-    print(&swept.rows);
-    say(format_args!(
-        "{}, {}, {} each; {}; plot: {}\n{INTERVALS}",
-        swept.algorithm,
-        counted(swept.steps, "step"),
-        counted(swept.episodes, "episode"),
-        swept.conditions,
-        plot.display()
-    ));
-    match &arguments.json {
-        Some(path) => write_json(path, &swept),
-        None => Ok(()),
-    }
 }
 
 /// A row's folder.

@@ -34,7 +34,7 @@ use room::Room;
 use rows::{Bars, Line, Row};
 use stack::Clock;
 use supervisor::subcommand::settings;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 use trouble::Kind;
 
 /// Strike a running set with faults and measure how it takes them
@@ -184,9 +184,7 @@ fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
     if let Some(folder) = &arguments.out {
         picture::draw(&rows, folder)?;
     }
-    if let Some(path) = &arguments.json {
-        write_json(path, &figures)?;
-    }
+    write_json_option(&arguments.json, &figures)?;
     match (campaign.left(&rows).len(), figures.bars.hold()) {
         (0, true) => Ok(ExitCode::SUCCESS),
         (0, false) => Ok(ExitCode::FAILURE),

@@ -28,7 +28,7 @@ use others::{Other, Program};
 use peer::{Echo, Ends, Side, claim_for};
 use port::{Door, End, Measured};
 use stack::Clock;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Blocks of each side, by turns.
 const BLOCKS: u64 = 10;
@@ -134,55 +134,37 @@ impl Subcommand for BenchIpc {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, clock)?;
-        Ok(ExitCode::SUCCESS)
-    }
-}
-
-/// `./vlaps bench ipc`.
-///
-/// # Errors
-/// When the other process cannot be started, a message is lost or refused, or a stop is
-/// requested; the rows until then are printed all the same.
-fn bench(arguments: &BenchIpc, clock: Clock) -> anyhow::Result<()> {
-    let conditions = Machine::here()?;
-    let cores = match own_cores()[..] {
-        [.., echo, ping] => vec![ping, echo],
-        _ => Vec::new(),
-    };
-    let programs = others::build(arguments)?;
-    let run: RunName = format!("ipc-{}", std::process::id()).parse()?;
-    let paths = RunPaths::new(run.clone());
-    if let Some(&core) = cores.first() {
-        stay_on(core);
-    }
-    let stop = Stop::listen()?;
-    let mut rows = Vec::new();
-    let done = measure(
-        arguments,
-        (&run, &cores),
-        &programs,
-        (clock, &stop),
-        &mut rows,
-    );
-    // The two are its only members, and both have left it.
-    let _ = clean_run(&paths);
-    let measurement = Measurement {
-        rows,
-        cores,
-        others: programs.into_iter().map(|program| program.other).collect(),
-        conditions,
-    };
-    if !measurement.rows.is_empty() {
-        print(&measurement);
-    }
-    done?;
-    if let Some(path) = &arguments.json {
-        write_json(path, &measurement)?;
-    }
-    match total(arguments) - measurement.rows.len() {
-        0 => Ok(()),
-        left => anyhow::bail!("stopped, {left} rows are left"),
+        let conditions = Machine::here()?;
+        let cores = match own_cores()[..] {
+            [.., echo, ping] => vec![ping, echo],
+            _ => Vec::new(),
+        };
+        let programs = others::build(self)?;
+        let run: RunName = format!("ipc-{}", std::process::id()).parse()?;
+        let paths = RunPaths::new(run.clone());
+        if let Some(&core) = cores.first() {
+            stay_on(core);
+        }
+        let stop = Stop::listen()?;
+        let mut rows = Vec::new();
+        let done = measure(self, (&run, &cores), &programs, (clock, &stop), &mut rows);
+        // The two are its only members, and both have left it.
+        let _ = clean_run(&paths);
+        let measurement = Measurement {
+            rows,
+            cores,
+            others: programs.into_iter().map(|program| program.other).collect(),
+            conditions,
+        };
+        if !measurement.rows.is_empty() {
+            print(&measurement);
+        }
+        done?;
+        write_json_option(&self.json, &measurement)?;
+        match total(self) - measurement.rows.len() {
+            0 => Ok(ExitCode::SUCCESS),
+            left => anyhow::bail!("stopped, {left} rows are left"),
+        }
     }
 }
 

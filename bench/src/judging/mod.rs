@@ -54,58 +54,49 @@ impl Subcommand for BenchJudge {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, clock)?;
+        let chosen = &self.configuration;
+        // Checked like any other address.
+        let server = self.server.iter();
+        let server = server.map(|url| format!("vlm.server={url}"));
+        let overrides: Vec<_> = chosen.overrides.iter().cloned().chain(server).collect();
+        let config = settings::config(chosen.config.as_deref(), &overrides)?;
+        let machine = Machine::here()?;
+        let bar = ProgressBar::new(u64::from(self.scenes));
+        let style = "{elapsed_precise} {wide_bar} {pos}/{len} scenes, {eta} left";
+        bar.set_style(ProgressStyle::with_template(style)?);
+        let rows = measure(self, &config, clock, || bar.inc(1))?;
+        bar.finish_and_clear();
+        if rows.iter().all(Row::is_unanswered) {
+            bail!(
+                "no answer to any of {}{}",
+                counted(u64::from(self.scenes), "scene"),
+                reasons(&rows)
+            );
+        }
+        print(&rows);
+        if self.server.is_none() {
+            say("The stand-in is no model: it judges from coloured pixels.");
+        }
+        let Some(path) = &self.json else {
+            return Ok(ExitCode::SUCCESS);
+        };
+        let conditions = Conditions {
+            scenes: self.scenes,
+            first_seed: self.first_seed,
+            horizon_s: sim::render_thread::HORIZON_S,
+            width_px: config.vlm.width_px,
+            height_px: config.vlm.height_px,
+            machine,
+        };
+        write_json(
+            path,
+            &Rows {
+                rows: &rows,
+                conditions,
+            },
+        )?;
         Ok(ExitCode::SUCCESS)
     }
-}
-
-/// Asks about every scene, once and twice, and prints how often that was right.
-///
-/// # Errors
-/// When the configuration is wrong, no server can be had, hardly any scene is
-/// found, or nothing is answered.
-fn bench(arguments: &BenchJudge, clock: Clock) -> anyhow::Result<()> {
-    let chosen = &arguments.configuration;
-    // Checked like any other address.
-    let server = arguments.server.iter();
-    let server = server.map(|url| format!("vlm.server={url}"));
-    let overrides: Vec<_> = chosen.overrides.iter().cloned().chain(server).collect();
-    let config = settings::config(chosen.config.as_deref(), &overrides)?;
-    let machine = Machine::here()?;
-    let bar = ProgressBar::new(u64::from(arguments.scenes));
-    let style = "{elapsed_precise} {wide_bar} {pos}/{len} scenes, {eta} left";
-    bar.set_style(ProgressStyle::with_template(style)?);
-    let rows = measure(arguments, &config, clock, || bar.inc(1))?;
-    bar.finish_and_clear();
-    if rows.iter().all(Row::is_unanswered) {
-        bail!(
-            "no answer to any of {}{}",
-            counted(u64::from(arguments.scenes), "scene"),
-            reasons(&rows)
-        );
-    }
-    print(&rows);
-    if arguments.server.is_none() {
-        say("The stand-in is no model: it judges from coloured pixels.");
-    }
-    let Some(path) = &arguments.json else {
-        return Ok(());
-    };
-    let conditions = Conditions {
-        scenes: arguments.scenes,
-        first_seed: arguments.first_seed,
-        horizon_s: sim::render_thread::HORIZON_S,
-        width_px: config.vlm.width_px,
-        height_px: config.vlm.height_px,
-        machine,
-    };
-    write_json(
-        path,
-        &Rows {
-            rows: &rows,
-            conditions,
-        },
-    )
 }
 
 /// The rows of the table: for each view and server, asked once and twice.

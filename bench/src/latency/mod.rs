@@ -34,7 +34,7 @@ use shelf::Shelf;
 use stack::Clock;
 use stress::Maker;
 use supervisor::subcommand::settings;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json, write_json_option};
 
 /// All rows.
 #[derive(Clone, Debug, Serialize)]
@@ -72,81 +72,71 @@ impl Subcommand for BenchLatency {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, clock)?;
-        Ok(ExitCode::SUCCESS)
-    }
-}
-
-/// `./vlaps bench latency`.
-///
-/// # Errors
-/// When a set does not start, fails, or does not account for its ticks, or a file
-/// cannot be written; what was measured until then is printed all the same.
-fn bench(arguments: &BenchLatency, clock: Clock) -> anyhow::Result<()> {
-    settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
-    let conditions = Machine::here()?;
-    let folder = tempfile::tempdir()?;
-    // There is nothing to judge without a policy; what it proposes is all one.
-    let policy = folder.path().join("policy.onnx");
-    let bytes = encode(&net(256, 0), &Provenance::default(), &[vec![0.5; 259]]);
-    std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
-    let maker = Maker::of(arguments.stress)?;
-    let cyclictest = is_by_cyclictest(arguments.floor)?;
-    let floor = if cyclictest {
-        "cyclictest"
-    } else {
-        "own thread"
-    };
-    let bench = Bench {
-        settings: Settings {
-            seconds: arguments.seconds,
-            method: METHOD,
-            overrides: arguments.overrides.clone(),
-            stress: maker.word().into(),
-            floor: floor.into(),
-        },
-        maker,
-        cyclictest,
-        insist: arguments.floor == FloorChoice::Cyclictest,
-        policy: &policy,
-        scratch: folder.path(),
-        disk: arguments.out.as_deref().unwrap_or(folder.path()),
-        stop: Stop::listen()?,
-        clock,
-    };
-    let cases = arguments.cases();
-    // All of them before the first: an impossible row is an error at once.
-    for case in &cases {
-        drive::configuration(&bench, case).with_context(|| case.words())?;
-    }
-    let shelf = Shelf::open(arguments.out.as_deref())?;
-    stress::remove_stale(bench.disk);
-    if arguments.fresh {
-        cases.iter().for_each(|case| shelf.forget(case));
-    }
-    let mut rows = Vec::new();
-    let done = measure(&bench, &cases, &shelf, &mut rows);
-    let measured = Measured {
-        left: cases.len() - rows.len(),
-        rows,
-        conditions,
-    };
-    tables::print(&measured, arguments.seconds);
-    done?;
-    write(
-        arguments,
-        &measured,
-        &shelf.series(&cases[..measured.rows.len()])?,
-    )?;
-    match measured.left {
-        0 => Ok(()),
-        left if arguments.fresh => {
-            anyhow::bail!("stopped, {left} rows are left; the same without --fresh goes on")
+        settings::refuse_own(&self.overrides, &OWN_KEYS)?;
+        let conditions = Machine::here()?;
+        let folder = tempfile::tempdir()?;
+        // There is nothing to judge without a policy; what it proposes is all one.
+        let policy = folder.path().join("policy.onnx");
+        let bytes = encode(&net(256, 0), &Provenance::default(), &[vec![0.5; 259]]);
+        std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
+        let maker = Maker::of(self.stress)?;
+        let cyclictest = is_by_cyclictest(self.floor)?;
+        let floor = if cyclictest {
+            "cyclictest"
+        } else {
+            "own thread"
+        };
+        let bench = Bench {
+            settings: Settings {
+                seconds: self.seconds,
+                method: METHOD,
+                overrides: self.overrides.clone(),
+                stress: maker.word().into(),
+                floor: floor.into(),
+            },
+            maker,
+            cyclictest,
+            insist: self.floor == FloorChoice::Cyclictest,
+            policy: &policy,
+            scratch: folder.path(),
+            disk: self.out.as_deref().unwrap_or(folder.path()),
+            stop: Stop::listen()?,
+            clock,
+        };
+        let cases = self.cases();
+        // All of them before the first: an impossible row is an error at once.
+        for case in &cases {
+            drive::configuration(&bench, case).with_context(|| case.words())?;
         }
-        left if arguments.out.is_some() => {
-            anyhow::bail!("stopped, {left} rows are left; the same command goes on")
+        let shelf = Shelf::open(self.out.as_deref())?;
+        stress::remove_stale(bench.disk);
+        if self.fresh {
+            cases.iter().for_each(|case| shelf.forget(case));
         }
-        left => anyhow::bail!("stopped, {left} rows are left; with --out rows are kept"),
+        let mut rows = Vec::new();
+        let done = measure(&bench, &cases, &shelf, &mut rows);
+        let measured = Measured {
+            left: cases.len() - rows.len(),
+            rows,
+            conditions,
+        };
+        tables::print(&measured, self.seconds);
+        done?;
+        write(
+            self,
+            &measured,
+            &shelf.series(&cases[..measured.rows.len()])?,
+        )?;
+        match measured.left {
+            0 => Ok(ExitCode::SUCCESS),
+            left if self.fresh => {
+                anyhow::bail!("stopped, {left} rows are left; the same without --fresh goes on")
+            }
+            left if self.out.is_some() => {
+                anyhow::bail!("stopped, {left} rows are left; the same command goes on")
+            }
+            left => anyhow::bail!("stopped, {left} rows are left; with --out rows are kept"),
+        }
     }
 }
 
@@ -212,10 +202,7 @@ fn write(
             out.display()
         ));
     }
-    match &arguments.json {
-        Some(path) => write_json(path, measured),
-        None => Ok(()),
-    }
+    write_json_option(&arguments.json, measured)
 }
 
 /// A program beside a set. The kernel ends it when this one has ended, however it did,

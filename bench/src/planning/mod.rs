@@ -21,7 +21,7 @@ use shm_config::counted;
 use lab::report::Machine;
 use stack::Clock;
 use stack::scene::{self, Recording, Scene};
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 pub use compare::{Comparison, Point, Side};
 pub use timing::{Row, Times};
@@ -85,7 +85,53 @@ impl Subcommand for BenchPlanner {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        bench(self, Gauges::new(clock))?;
+        let gauges = Gauges::new(clock);
+        let config = self.configuration.resolve()?;
+        if let Some(path) = &self.record {
+            let recording = Recording {
+                first_seed: self.first_seed,
+                episodes: self.episodes,
+                scenes: self.keep as usize,
+            };
+            let bar = progress(2 * self.episodes, "drives")?;
+            let scenes = scene::record(recording, &config, gauges.clock(), || bar.inc(1))?;
+            bar.finish_and_clear();
+            scene::write(path, &scenes)?;
+            say(format_args!("{}: {} scenes", path.display(), scenes.len()));
+            return Ok(ExitCode::SUCCESS);
+        }
+        let (scene_file, scenes) = match &self.scenes {
+            Some(path) => (path.display().to_string(), scene::read(path)?),
+            None => (scene::CHECKED_IN_NAME.into(), scene::checked_in()?),
+        };
+        // Before anything is measured: what is missing is said at once.
+        let ompl = self.ompl.then(ompl::build).transpose()?;
+        let conditions = Conditions {
+            scene_file,
+            scenes: scenes.len(),
+            rounds: self.rounds,
+            machine: Machine::here()?,
+            core: stay_on_one_core()?,
+        };
+        say(format_args!(
+            "{} of {}, {}, on core {}; {}",
+            counted(conditions.scenes as u64, "scene"),
+            conditions.scene_file,
+            counted(conditions.rounds, "round"),
+            conditions.core,
+            conditions.machine
+        ));
+        let rows = time_all(&scenes, &config, self.rounds, gauges)?;
+        let ompl = match &ompl {
+            Some(program) => Some(compare_with(program, &scenes, self.rounds, gauges)?),
+            None => None,
+        };
+        let planning = Planning {
+            rows,
+            ompl,
+            conditions,
+        };
+        write_json_option(&self.json, &planning)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -118,63 +164,6 @@ pub struct Conditions {
     /// The machine.
     #[serde(flatten)]
     pub machine: Machine,
-}
-
-/// `./vlaps bench planner`.
-///
-/// # Errors
-/// When the configuration or the scenes are wrong, a file cannot be written, or
-/// OMPL is asked for and missing.
-fn bench(arguments: &BenchPlanner, gauges: Gauges) -> anyhow::Result<()> {
-    let config = arguments.configuration.resolve()?;
-    if let Some(path) = &arguments.record {
-        let recording = Recording {
-            first_seed: arguments.first_seed,
-            episodes: arguments.episodes,
-            scenes: arguments.keep as usize,
-        };
-        let bar = progress(2 * arguments.episodes, "drives")?;
-        let scenes = scene::record(recording, &config, gauges.clock(), || bar.inc(1))?;
-        bar.finish_and_clear();
-        scene::write(path, &scenes)?;
-        say(format_args!("{}: {} scenes", path.display(), scenes.len()));
-        return Ok(());
-    }
-    let (scene_file, scenes) = match &arguments.scenes {
-        Some(path) => (path.display().to_string(), scene::read(path)?),
-        None => (scene::CHECKED_IN_NAME.into(), scene::checked_in()?),
-    };
-    // Before anything is measured: what is missing is said at once.
-    let ompl = arguments.ompl.then(ompl::build).transpose()?;
-    let conditions = Conditions {
-        scene_file,
-        scenes: scenes.len(),
-        rounds: arguments.rounds,
-        machine: Machine::here()?,
-        core: stay_on_one_core()?,
-    };
-    say(format_args!(
-        "{} of {}, {}, on core {}; {}",
-        counted(conditions.scenes as u64, "scene"),
-        conditions.scene_file,
-        counted(conditions.rounds, "round"),
-        conditions.core,
-        conditions.machine
-    ));
-    let rows = time_all(&scenes, &config, arguments.rounds, gauges)?;
-    let ompl = match &ompl {
-        Some(program) => Some(compare_with(program, &scenes, arguments.rounds, gauges)?),
-        None => None,
-    };
-    let planning = Planning {
-        rows,
-        ompl,
-        conditions,
-    };
-    match &arguments.json {
-        Some(path) => write_json(path, &planning),
-        None => Ok(()),
-    }
 }
 
 fn time_all(

@@ -28,7 +28,7 @@ use lab::stop::Stop;
 use sample::Sample;
 use stack::Clock;
 use supervisor::subcommand::settings;
-use supervisor::subcommand::write_json;
+use supervisor::subcommand::write_json_option;
 use verdict::{Flatness, Rule};
 
 /// Drive a set in lockstep for millions of ticks: does any process grow?
@@ -168,9 +168,7 @@ fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
     };
     figure::draw(&samples, &soaked, &arguments.out)?;
     verdict::print(&soaked);
-    if let Some(path) = &arguments.json {
-        write_json(path, &soaked)?;
-    }
+    write_json_option(&arguments.json, &soaked)?;
     let word = if soaked.is_flat { "flat" } else { "not flat" };
     let path = arguments.out.join(SAMPLES);
     match (soaked.is_flat, soaked.was_stopped) {

@@ -25,7 +25,7 @@ use sim::{World, WorldConfig};
 use crate::report::table;
 use crate::statistics::quantile;
 use record::{Golden, Rollout};
-use supervisor::subcommand::{Output, Subcommand, say, write_json};
+use supervisor::subcommand::{Output, Subcommand, say, write_json_option};
 
 /// After how many ticks to look at a drive, and how far from the record the
 /// median one may be by then, m.
@@ -292,9 +292,7 @@ fn bench(arguments: &Parity) -> anyhow::Result<ExitCode> {
         counted(drives, "recorded drive")
     ));
     say(comparison.table());
-    if let Some(path) = &arguments.json {
-        write_json(path, &comparison)?;
-    }
+    write_json_option(&arguments.json, &comparison)?;
     Ok(match comparison.is_met() {
         true => ExitCode::SUCCESS,
         false => ExitCode::FAILURE,

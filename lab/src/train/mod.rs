@@ -40,7 +40,7 @@ use protocol::Protocol;
 use results::Results;
 use stack::Clock;
 use student::End;
-use supervisor::subcommand::{say, write_json};
+use supervisor::subcommand::{say, write_json_option};
 
 /// Trains with every seed asked for, and reports.
 ///
@@ -98,9 +98,7 @@ fn tell(arguments: &Train, out: &Path) -> anyhow::Result<()> {
     for note in table::notes(&results) {
         say(note);
     }
-    if let Some(path) = &arguments.json {
-        write_json(path, &results.summary())?;
-    }
+    write_json_option(&arguments.json, &results.summary())?;
     say(format_args!(
         "{}: curves.svg, curves.png, table.md, policy.onnx (the best), seed-*/",
         out.display()

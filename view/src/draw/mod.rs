@@ -64,7 +64,11 @@ impl Subcommand for DrawMap {
     }
 
     fn run(&self, _clock: Clock) -> anyhow::Result<ExitCode> {
-        map(self)?;
+        let config = self.configuration.resolve()?;
+        let mut world = World::new(WorldConfig::from(&config.world))?;
+        world.reset(self.seed)?;
+        let file = format!("map-{}.svg", self.seed);
+        write(self.out.clone(), &file, &map_svg(&world))?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -94,7 +98,10 @@ impl Subcommand for DrawEpisode {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        episode(self, clock)?;
+        let config = self.configuration.resolve()?;
+        let file = episode_file(self.seed, self.driver);
+        let picture = driven(self.seed, self.driver, &config, clock)?;
+        write(self.out.clone(), &file, &picture)?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -109,30 +116,6 @@ fn ending_in(ending: &'static str) -> impl TypedValueParser<Value = PathBuf> {
             false => Err(format!("this picture's file must end in {ending}")),
         }
     })
-}
-
-/// Draws the map of a seed with all that stands on it.
-///
-/// # Errors
-/// When the configuration is wrong, the seed has no map, or the file cannot be
-/// written.
-fn map(arguments: &DrawMap) -> anyhow::Result<()> {
-    let config = arguments.configuration.resolve()?;
-    let mut world = World::new(WorldConfig::from(&config.world))?;
-    world.reset(arguments.seed)?;
-    let file = format!("map-{}.svg", arguments.seed);
-    write(arguments.out.clone(), &file, &map_svg(&world))
-}
-
-/// Draws the episode of a seed.
-///
-/// # Errors
-/// As [`map`].
-fn episode(arguments: &DrawEpisode, clock: Clock) -> anyhow::Result<()> {
-    let config = arguments.configuration.resolve()?;
-    let file = episode_file(arguments.seed, arguments.driver);
-    let picture = driven(arguments.seed, arguments.driver, &config, clock)?;
-    write(arguments.out.clone(), &file, &picture)
 }
 
 /// Draws the failures of an evaluation into a folder, at most this many.

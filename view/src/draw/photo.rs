@@ -76,45 +76,35 @@ impl Subcommand for DrawFrame {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        frame(self, clock)?;
+        let DrawFrame {
+            seed,
+            tick,
+            view,
+            width,
+            height,
+            ..
+        } = *self;
+        if width * height * 3 > FRAME_BYTES_MAX as u32 {
+            return Err(anyhow!(
+                "--width {width} --height {height}: a frame holds {} pixels, as 960 x 720 has",
+                FRAME_BYTES_MAX / 3
+            ));
+        }
+        let world = world_at(self, clock)?;
+        let mut renderer = Renderer::default();
+        renderer.begin(&world);
+        let shot = Shot {
+            view,
+            size_px: [width, height],
+            passed: 0.0,
+        };
+        let picture = renderer.draw(&world, &shot).context("no memory")?;
+        let default = || format!("frame-{seed}-{tick}-{view}.png").into();
+        let path = self.out.clone().unwrap_or_else(default);
+        write_png(&path, &picture).with_context(|| path.display().to_string())?;
+        say(path.display());
         Ok(ExitCode::SUCCESS)
     }
-}
-
-/// Drives an episode up to a tick and writes the picture of its observation.
-///
-/// # Errors
-/// When the configuration is wrong, the seed has no map, the episode ends before
-/// the tick, the size is none, or the file cannot be written.
-fn frame(arguments: &DrawFrame, clock: Clock) -> anyhow::Result<()> {
-    let DrawFrame {
-        seed,
-        tick,
-        view,
-        width,
-        height,
-        ..
-    } = *arguments;
-    if width * height * 3 > FRAME_BYTES_MAX as u32 {
-        return Err(anyhow!(
-            "--width {width} --height {height}: a frame holds {} pixels, as 960 x 720 has",
-            FRAME_BYTES_MAX / 3
-        ));
-    }
-    let world = world_at(arguments, clock)?;
-    let mut renderer = Renderer::default();
-    renderer.begin(&world);
-    let shot = Shot {
-        view,
-        size_px: [width, height],
-        passed: 0.0,
-    };
-    let picture = renderer.draw(&world, &shot).context("no memory")?;
-    let default = || format!("frame-{seed}-{tick}-{view}.png").into();
-    let path = arguments.out.clone().unwrap_or_else(default);
-    write_png(&path, &picture).with_context(|| path.display().to_string())?;
-    say(path.display());
-    Ok(())
 }
 
 /// The world as it is observed at the tick.

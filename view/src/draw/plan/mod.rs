@@ -71,7 +71,9 @@ impl Subcommand for DrawPlan {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        plan(self, clock)?;
+        let planned = source::planned(self, clock)?;
+        let file = format!("plan-{}.svg", planned.name);
+        write(self.out.clone(), &file, &figure::svg(&planned))?;
         Ok(ExitCode::SUCCESS)
     }
 }
@@ -88,18 +90,6 @@ pub struct Planned {
     planner: Planner,
     observation: Box<Observation>,
     plan: Box<Plan>,
-}
-
-/// Draws a plan.
-///
-/// # Errors
-/// When the configuration is wrong, the seed has no map or its episode ends
-/// before the tick, the scene is not there, the run is not alive, or the file
-/// cannot be written.
-fn plan(arguments: &DrawPlan, clock: Clock) -> anyhow::Result<()> {
-    let planned = source::planned(arguments, clock)?;
-    let file = format!("plan-{}.svg", planned.name);
-    write(arguments.out.clone(), &file, &figure::svg(&planned))
 }
 
 #[cfg(test)]
