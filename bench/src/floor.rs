@@ -1,8 +1,8 @@
 //! The machine's own floor: a thread that does nothing but wake up.
 //!
 //! What `cyclictest` measures, in the same minutes as the row beside it: absolute
-//! sleeps of the row's period at the controller's priority. What it suffers, no
-//! program on this machine could have avoided.
+//! sleeps of the row's period at the controller's priority. No
+//! program on this machine can avoid the lateness that it has.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -104,7 +104,7 @@ pub fn claim(priority: Priority) -> &'static str {
     }
 }
 
-/// Wakes up on a grid from that instant on, until told to stop; hands over each
+/// Wakes up on a grid from that instant on, until `stop` is set; passes each
 /// instant it slept to, and how late it woke, ns. Instants that pass meanwhile are
 /// skipped. Returns the last instant of the grid that is past.
 pub fn wake(

@@ -23,9 +23,9 @@ use supervisor::subcommand::{say, write_json_option};
 /// Measure gradient steps per second, beside PyTorch.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "The update of pvp (twin critics, the actor every second time, Adam, targets \
-        that follow) and that of the imitations, 2 x 256 neurons, on one thread and two; \
-        PyTorch makes the same updates by turns where the Python has it.\n\n\
+    after_help = "The update of pvp (twin critics, the actor every second time, Adam, target \
+        networks) and that of the imitations, 2 x 256 neurons, on one thread and two; \
+        PyTorch makes the same updates, alternating, where the Python has it.\n\n\
         Examples:\n  \
         ./vlaps bench learner\n  \
         ./vlaps bench learner --python torch/bin/python --json learner.json"
@@ -93,13 +93,13 @@ const BATCHES: [usize; 2] = [256, 1024];
 const THREADS: [usize; 2] = [1, 2];
 /// Transitions in each ring that batches are drawn from.
 const HELD: usize = 20_000;
-/// Ours and PyTorch's take turns this often, so that both meet the same load.
+/// Ours and PyTorch's alternate this often, so that both meet the same load.
 const TURNS: u32 = 6;
 /// At least this many updates a turn, those before the first one not counted.
 const STEPS_MIN: u32 = 5;
 /// How many times as fast as PyTorch PVP has to be at the first batch size.
 const BAR: f64 = 1.5;
-/// Length of Adam's steps; it does not matter here.
+/// Learning rate; it does not matter here.
 const RATE: f32 = 1e-4;
 
 /// The same update in PyTorch.
@@ -109,7 +109,7 @@ const SCRIPT: &str = include_str!("../torch/td3_update.py");
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Kind {
-    /// Twin critics, an actor every second time, targets that follow.
+    /// Twin critics, an actor every second time, target networks.
     Pvp,
     /// The actor alone.
     Regression,
@@ -222,7 +222,7 @@ fn replay(held: usize) -> Replay {
             next: std::array::from_fn(|_| unit()),
             applied,
             policy,
-            // Who drives is obeyed, but for hand-overs.
+            // The driver's action is applied, except during hand-overs.
             expert: [applied, other][k % 2],
             label: [Preference::Expert, Preference::Policy][k % 2],
             then: [Then::On, Then::End][usize::from(k % 500 < 2)],
@@ -362,7 +362,7 @@ impl Torch {
         self.paces
             .read_line(&mut line)
             .context("PyTorch's script")?;
-        anyhow::ensure!(line.ends_with('\n'), "PyTorch's script broke off");
+        anyhow::ensure!(line.ends_with('\n'), "PyTorch's script ended early");
         Ok(line.trim_end().to_string())
     }
 
@@ -432,7 +432,7 @@ fn print(learnt: &Learnt) {
         None => {}
     }
     say(format_args!(
-        "2 x {HIDDEN} neurons, {} s each by turns after a warm-up, no real-time priority, {}, {}; products alone: the matrix products of such an update and nothing else, which no program on this library can pass",
+        "2 x {HIDDEN} neurons, {} s each, alternating after a warm-up, no real-time priority, {}, {}; products alone: the matrix products of such an update and nothing else, which no program on this library can pass",
         learnt.seconds, learnt.torch, learnt.conditions
     ));
 }

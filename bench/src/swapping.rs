@@ -124,7 +124,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// By what was asked for, whatever came of it.
+    /// By what was asked for, not by what was measured.
     fn name(&self) -> String {
         match self.every_s {
             None => format!("{} Hz, no swaps", self.rate_hz),
@@ -158,7 +158,7 @@ fn drive(arguments: &BenchSwap, mut row: Row, clock: Clock) -> anyhow::Result<Ro
     up.extend([rate_hz.to_string(), "--duration".into()]);
     up.push(arguments.seconds.to_string());
     let stay = [
-        // Whatever the nets propose, they are charged at once and stay.
+        // The nets are active at once and stay, whichever actions they propose.
         "policy.probation_ticks=0",
         "policy.veto_rate_max=1.0",
         "policy.jump_max=2.0",

@@ -115,7 +115,10 @@ fn a_fault_that_ctrl_c_cuts_short_is_made_anew() {
     let stopped = child.wait_with_output().expect("its end");
     let told = String::from_utf8_lossy(&stopped.stderr);
     assert_eq!(stopped.status.code(), Some(1), "{told}");
-    assert!(told.contains("faults are left; --resume goes on"), "{told}");
+    assert!(
+        told.contains("faults are left; --resume continues"),
+        "{told}"
+    );
     for row in rows().lines().skip(1) {
         assert!(row.ends_with(",ok"), "{row}");
     }

@@ -52,10 +52,10 @@ pub struct ServeArguments {
     /// Share of its answers that are turned round
     #[arg(long, value_name = "P", default_value = "0", value_parser = share)]
     pub noise: f64,
-    /// Share of its answers that are "the first", whatever the picture shows
+    /// Share of its answers that are "the first" regardless of the picture
     #[arg(long, value_name = "P", default_value = "0", value_parser = share)]
     pub first_bias: f64,
-    /// Share of its answers that are "similar", whatever the picture shows
+    /// Share of its answers that are "similar" regardless of the picture
     #[arg(long, value_name = "P", default_value = "0", value_parser = share)]
     pub abstain: f64,
     /// Questions it takes in any minute; beyond that it says 429 with Retry-After

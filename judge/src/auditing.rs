@@ -53,7 +53,7 @@ pub struct AuditArguments {
 #[command(
     after_help = "Section [vlm] of the configuration names the model. What is said goes into a folder of \
         its own, to be audited like a run; what is there already is not asked again, so that an \
-        interrupted replay goes on.\n\n\
+        interrupted replay continues.\n\n\
         Example:\n  \
         ./vlaps judge replay runs/default --set vlm.model=qwen2.5vl:7b \
         --set vlm.server=http://127.0.0.1:11434/v1"
@@ -290,7 +290,7 @@ fn ask_all(replay: &mut Replay, records: &Records, out: &Path) -> anyhow::Result
     Ok(())
 }
 
-/// What failed before and was asked again stands twice: the last one counts.
+/// A question that failed and was asked again has two records: the last one counts.
 fn keep_last(records: &mut Vec<Record>) {
     let mut seen = HashSet::new();
     records.reverse();

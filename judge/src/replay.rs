@@ -46,7 +46,7 @@ pub enum Step {
 }
 
 impl Replay {
-    /// Asks as `vlm` says through `asker`; goes on where a replay into this folder
+    /// Asks as `vlm` says through `asker`; continues where a replay into this folder
     /// ended.
     ///
     /// # Errors
@@ -191,7 +191,7 @@ impl Comparison {
     pub fn of(one: &Records, other: &Records) -> Self {
         let mut counts = [[0; 4]; 4];
         for record in &one.questions {
-            // What failed before and was asked again stands twice: the last counts.
+            // A question that failed and was asked again has two records: the last counts.
             let mut same = other.questions.iter().rev();
             if let Some(again) = same.find(|again| key(again) == key(record)) {
                 counts[place(record.preference)][place(again.preference)] += 1;

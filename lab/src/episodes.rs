@@ -17,10 +17,10 @@ use stack::driver::{DriverKind, EpisodeDriver, planning_histogram};
 use stack::episode::drive;
 use supervisor::commands::up::arguments::WorldChoice;
 
-/// Which episodes, and who drives them.
+/// Which episodes, and their driver.
 #[derive(Clone, Debug)]
 pub struct Task {
-    /// Who drives.
+    /// The driver.
     pub driver: DriverKind,
     /// In which world.
     pub world: WorldChoice,
@@ -40,7 +40,7 @@ pub struct Drives {
     pub planning_us: Histogram<u64>,
 }
 
-/// Drives all episodes in the task's world; `done` is told of each one as it ends, in any order.
+/// Drives all episodes in the task's world; `done` is called with each one as it ends, in any order.
 ///
 /// # Errors
 /// When the configuration is out of range, a seed has no map, or
@@ -57,7 +57,7 @@ pub fn evaluate(
     }
 }
 
-/// The same in the built-in world, whatever the task says. When it is asked to
+/// The same in the built-in world, regardless of the task's. When it is asked to
 /// stop, no other episode is begun: then fewer come back than there are.
 ///
 /// # Errors
@@ -100,7 +100,7 @@ pub fn evaluate_inside(
     })
 }
 
-/// Drives whatever episode is next, until there is none.
+/// Drives the next episode until there is none.
 fn work(
     (task, config): (&Task, &Config),
     (clock, stop): (Clock, &Stop),

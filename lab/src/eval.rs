@@ -34,9 +34,9 @@ use crate::progress::left;
         ./vlaps eval --driver expert --world metadrive --episodes 50"
 )]
 pub struct Eval {
-    /// Who drives: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or
+    /// The driver: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or
     /// the policy of a file, FILE.onnx, alone.
-    #[arg(long, value_name = "WHO", default_value = "expert")]
+    #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
     /// How many episodes.
     #[arg(long, value_name = "N", default_value_t = 1000,

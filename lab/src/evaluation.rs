@@ -1,4 +1,4 @@
-//! What an evaluation says: the paper's metric and the strict one, side by side.
+//! The figures of an evaluation: the paper's metric and the strict one, side by side.
 
 use comfy_table::Table;
 use serde::Serialize;
@@ -13,7 +13,7 @@ use crate::statistics::Estimate;
 /// The figures of an evaluation; the JSON object of `--json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Evaluation {
-    /// Who drove.
+    /// The driver.
     pub driver: &'static str,
     /// In which world.
     pub world: &'static str,
@@ -21,7 +21,7 @@ pub struct Evaluation {
     pub episodes: usize,
     /// Seed of the first one.
     pub first_seed: u64,
-    /// Arrived, whatever was touched: the paper's metric.
+    /// Arrived, contacts or not: the paper's metric.
     pub success: Estimate,
     /// Arrived without having touched anything.
     pub strict_success: Estimate,

@@ -1,10 +1,10 @@
-//! The figures of an evaluation: one key and one name for each, wherever they
-//! stand.
+//! The figures of an evaluation: one key and one name for each in all tables,
+//! files and pictures.
 
 /// A figure of an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Metric {
-    /// Arrived, whatever was touched: the paper's.
+    /// Arrived, contacts or not: the paper's.
     Success,
     /// Arrived without having touched a vehicle or an object.
     StrictSuccess,

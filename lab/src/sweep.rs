@@ -29,7 +29,7 @@ use view::sheet::{Area, save_svg};
 #[derive(Debug, Args)]
 #[command(after_help = "Each row is a training of its own (./vlaps train) with \
         faulty_judge.noise, faulty_judge.abstention or faulty_judge.delay_s set; all rows share the first, without a flaw. What is \
-        done is kept in --out: a sweep that was stopped goes on. Sweeps of other seeds, made \
+        done is kept in --out: a stopped sweep continues. Sweeps of other seeds, made \
         elsewhere, are put together by moving their seed-N folders into one sweep's and \
         --report.\n\n\
         Examples:\n  \

@@ -288,5 +288,5 @@ fn an_empty_folder_is_told() {
     let output = report(out.path());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("nothing was learnt there yet"), "{said}");
+    assert!(said.contains("no block is trained there yet"), "{said}");
 }

@@ -225,7 +225,7 @@ fn assert_other_options_are_refused(experiment: &Experiment, words: &[&str]) {
     let output = experiment.run(words);
     assert!(!output.status.success());
     assert!(
-        text(&output.stderr).contains("--resume goes on"),
+        text(&output.stderr).contains("--resume continues"),
         "{output:?}"
     );
     for other in [&["--seed", "7"][..], &["--steps", "40"]] {
@@ -280,7 +280,7 @@ fn a_stopped_and_a_killed_training_go_on_to_the_steps_that_were_asked_for() {
     let output = experiment.end();
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     assert!(
-        text(&output.stderr).contains("--resume goes on"),
+        text(&output.stderr).contains("--resume continues"),
         "{output:?}"
     );
     let stopped = experiment.blocks(0);
@@ -354,7 +354,7 @@ fn the_last_evaluation_can_be_stopped_and_gone_on_with() {
     let output = experiment.end();
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     assert!(
-        text(&output.stderr).contains("--resume goes on"),
+        text(&output.stderr).contains("--resume continues"),
         "{output:?}"
     );
     assert!(!experiment.seed(0).join("final.json").exists());

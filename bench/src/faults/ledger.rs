@@ -190,7 +190,7 @@ impl Ledger {
 }
 
 /// The step was decided on inputs that came after an instant: the set drives,
-/// whatever it decided.
+/// regardless of what it decided.
 pub fn is_fresh(step: &Step, after: Instant) -> bool {
     let starved = matches!(
         step.reason(),

@@ -82,7 +82,7 @@ impl Told {
     }
 
     /// Tells it. What is not wrong in the message is that of the newest step.
-    /// Returns whether it could be told at all: another layout cannot.
+    /// Returns whether it was sent: a message of another layout cannot be.
     ///
     /// # Errors
     /// When shared memory refuses.

@@ -46,8 +46,8 @@ use trouble::Kind;
         no command older than one and a half periods. Disk and shared memory are filled in a mount \
         namespace of the campaign's own.\n\n\
         Exit code 1 when a command violates a limit, something is left behind, a tick is not \
-        accounted for, a set does not come back, or no fault could be made. Who stops with Ctrl-C \
-        goes on with --resume; the fault in progress is made anew.\n\n\
+        accounted for, a set does not come back, or no fault could be made. After Ctrl-C, \
+        --resume continues; the fault in progress is made anew.\n\n\
         Examples:\n  \
         ./vlaps bench faults --faults 30 --seed 1\n  \
         ./vlaps bench faults --faults 2000 --out campaign --json faults.json\n  \
@@ -122,7 +122,7 @@ struct Figures {
     conditions: Machine,
 }
 
-/// How far from a fault a stall of the machine is told beside it, ns: a moment of the
+/// How far from a fault a stall of the machine is reported beside it, ns: a moment of the
 /// watch before and after.
 const STALL_NEAR_NS: u64 = MOMENT_NS;
 
@@ -189,7 +189,7 @@ fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
         (0, true) => Ok(ExitCode::SUCCESS),
         (0, false) => Ok(ExitCode::FAILURE),
         (left, _) if arguments.out.is_some() => {
-            anyhow::bail!("stopped, {left} faults are left; --resume goes on")
+            anyhow::bail!("stopped, {left} faults are left; --resume continues")
         }
         (left, _) => anyhow::bail!("stopped, {left} faults are left; with --out rows are kept"),
     }

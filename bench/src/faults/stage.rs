@@ -293,7 +293,7 @@ impl Stage {
         Ok(end)
     }
 
-    /// Ends the set whatever has befallen it, and removes what it leaves: nothing is
+    /// Ends the set in any state, and removes what it leaves: nothing is
     /// said of a fault that was cut short.
     ///
     /// # Errors
@@ -403,7 +403,7 @@ impl Drop for Stage {
     }
 }
 
-/// Processes that work in a folder or were told of it, zombies left out.
+/// Processes that work in a folder or have it in their arguments, zombies left out.
 fn living(folder: &Path) -> Vec<String> {
     let mark = format!("{}/", folder.display());
     let mut living = Vec::new();

@@ -1,4 +1,4 @@
-//! A watcher outside the set: it reads what a vehicle would, and who is alive.
+//! A watcher outside the set: it reads what a vehicle would, and which processes are alive.
 
 use shm_config::Instant;
 use shm_config::message::{Command, Driver, Fault, Health, HealthState, Message, Progress, Step};

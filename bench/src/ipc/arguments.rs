@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
         processes, each round trip is measured by itself, and messages are those of the stack. The \
         first compared is our port: numbered, written, received as the newest, admitted at the door. \
         Beside it bare iceoryx2, which writes and copies out the same bytes and does nothing else, in \
-        blocks by turns, so that what else the machine does meets both; and bare iceoryx2 with 8 \
+        alternating blocks, so that other work of the machine meets both; and bare iceoryx2 with 8 \
         bytes, which is its own benchmark: no payload is touched there.\n\n\
         The receiver spins (as in that benchmark), sleeps until the doorbell rings (bell), or looks \
         on an absolute grid of 0.1 ms (grid). Messages go flat out (rate 0) or at a rate.\n\n\

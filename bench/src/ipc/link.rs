@@ -15,7 +15,7 @@ const GRID_NS: u64 = 100_000;
 pub const LOST_NS: u64 = 30_000_000_000;
 /// Looks without a message between two looks at the clock.
 const LOOKS: u32 = 1 << 14;
-/// Longest time that is told apart, ns.
+/// Longest time that the histogram resolves, ns.
 const LONGEST_NS: u64 = 10_000_000_000;
 
 /// One end of a connection in both directions.

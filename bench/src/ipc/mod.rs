@@ -30,7 +30,7 @@ use port::{Door, End, Measured};
 use stack::Clock;
 use supervisor::subcommand::{say, write_json_option};
 
-/// Blocks of each side, by turns.
+/// Alternating blocks of each side.
 const BLOCKS: u64 = 10;
 /// Round trips of a block flat out, before time is looked at: what is measured is
 /// known by then.
@@ -393,7 +393,7 @@ fn print(measurement: &Measurement) {
     let asked: Vec<&str> = measurement.rows.iter().map(|row| row.priority).collect();
     let sleepers = asked.iter().find(|word| **word != "not asked");
     say(format_args!(
-        "one way: half of each round trip; {cores}, blocks by turns, {}; real-time priority of \
+        "one way: half of each round trip; {cores}, alternating blocks, {}; real-time priority of \
          sleeping receivers: {}; bare iceoryx2: the library's own benchmark with the same bytes \
          written and copied out; with 8 bytes as it is; nothing is left out of a maximum{}",
         measurement.conditions,

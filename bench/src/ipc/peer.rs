@@ -1,4 +1,4 @@
-//! The two processes: who asks, who answers, and what they say to each other.
+//! The two processes: one asks, one answers; and the messages between them.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;

@@ -18,7 +18,7 @@ const NAP: Duration = Duration::from_millis(500);
 pub trait Measured: Message {
     /// Its name.
     const WORD: &'static str;
-    /// From who asks to who answers, and back.
+    /// From the asking process to the answering one, and back.
     const SERVICES: [&'static str; 2];
 
     /// As full as in a drive.
@@ -68,9 +68,9 @@ measured!(Advice, "advice", Advice::default());
 /// Which end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// Who asks.
+    /// The process that asks.
     Ping,
-    /// Who answers.
+    /// The process that answers.
     Echo,
 }
 
@@ -119,7 +119,7 @@ impl<M: Measured> Port<M> {
     /// When shared memory refuses.
     pub fn open(wire: &Wire, end: End, wake: Wake) -> anyhow::Result<Self> {
         let [ours, theirs] = end.places().map(|place| {
-            // Who reads what is published in this place is woken by it.
+            // The reader of this place is woken by what is published in it.
             let woken: &'static [Process] = match (wake, place) {
                 (Wake::Spin | Wake::Grid, _) => &[],
                 (Wake::Bell, 0) => &[Process::Controller],

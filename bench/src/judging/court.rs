@@ -32,7 +32,7 @@ const PACE: Duration = Duration::from_secs(1);
 pub struct Row {
     /// From where the scenes were seen.
     pub view: &'static str,
-    /// Who was asked.
+    /// The judge.
     pub who: String,
     /// Once, or twice with the paths swapped.
     pub asked: &'static str,
@@ -45,7 +45,7 @@ pub struct Row {
     /// Answers for the path that was in the first place (when it was asked first),
     /// of those that prefer one.
     pub first_place: Share,
-    /// Rows: who truly is safer (expert, policy); columns: what was said (expert,
+    /// Rows: which driver is safer by the simulator (expert, policy); columns: the answer (expert,
     /// policy, similar, abstained, failed).
     pub confusion: [[usize; Said::ALL.len()]; 2],
     /// Answered that neither is clearly safer.
@@ -59,7 +59,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Not one question got an answer, whatever was said.
+    /// No question got a usable answer.
     pub fn is_unanswered(&self) -> bool {
         self.failed == self.confusion.iter().flatten().sum::<usize>()
     }
@@ -114,7 +114,7 @@ pub fn showing(chance: &mut Xoshiro256PlusPlus) -> Showing {
 }
 
 impl Court {
-    /// A judge at the address of `vlm`, who is shown each scene's picture of that
+    /// A judge at the address of `vlm`, which is shown each scene's picture of that
     /// number, and whose record goes to a folder.
     ///
     /// # Errors

@@ -215,7 +215,7 @@ fn vlm(arguments: &BenchJudge, config: &Config, url: &str, view: View) -> Vlm {
 fn print(rows: &[Row]) {
     let header = [
         "view",
-        "who",
+        "judge",
         "asked",
         "right of preferences",
         "95 %",

@@ -21,8 +21,8 @@ use crate::floor::Priority;
         Beside each row, in the same seconds, the machine's own floor is measured by cyclictest at \
         the same priority and period (where it is not installed, by a thread that does the same), \
         and a thread on each core, which wakes up 1,000 times a second, notes when the machine stalled.\n\n\
-        With --out each row is kept as it is done: who stops with Ctrl-C and starts again with the \
-        same settings goes on; with others it is refused; --fresh measures all of them anew. All rows of the defaults take \
+        With --out each row is kept as it is done: after Ctrl-C, the same command with the same \
+        settings continues; other settings are refused; --fresh measures all rows anew. All rows of the defaults take \
         about 20 minutes.\n\n\
         Examples:\n  \
         ./vlaps bench latency --out latency\n  \
@@ -52,14 +52,14 @@ pub struct BenchLatency {
     )]
     pub rate: Vec<f64>,
     /// Rows with real-time priority asked for (granted), not asked for (refused),
-    /// or both. What the kernel said stands in each row.
+    /// or both. Each row holds what the kernel granted.
     #[arg(long, value_name = "WHICH", default_value = "both")]
     pub priority: PriorityChoice,
-    /// Who makes the load of cpu, memory and disk.
-    #[arg(long, value_name = "WHO", default_value = "auto")]
+    /// The program that makes the load of cpu, memory and disk.
+    #[arg(long, value_name = "PROGRAM", default_value = "auto")]
     pub stress: StressChoice,
-    /// Who measures the machine's floor.
-    #[arg(long, value_name = "WHO", default_value = "auto")]
+    /// The program that measures the machine's floor.
+    #[arg(long, value_name = "PROGRAM", default_value = "auto")]
     pub floor: FloorChoice,
     /// Override a key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -107,7 +107,7 @@ pub enum PriorityChoice {
     Both,
 }
 
-/// Who makes the load.
+/// The program that makes the load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum StressChoice {
     /// stress-ng where it is installed, else this program.
@@ -118,7 +118,7 @@ pub enum StressChoice {
     Own,
 }
 
-/// Who measures the floor.
+/// The program that measures the floor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FloorChoice {
     /// cyclictest where it is installed, else this program.
@@ -231,9 +231,9 @@ pub struct Settings {
     pub method: u32,
     /// Keys that were set.
     pub overrides: Vec<String>,
-    /// Who makes the load.
+    /// The program that makes the load.
     pub stress: String,
-    /// Who measures the floor.
+    /// The program that measures the floor.
     pub floor: String,
 }
 
@@ -355,7 +355,7 @@ mod tests {
         assert_eq!(slugs.len(), cases.len(), "{slugs:?}");
         assert_eq!(cases.len(), (7 + 10) * 3 * 2);
         assert!(slugs.contains("100-hz-judge-answers-in-0.1-s-real-time"));
-        // Who asks for a row twice gets it once.
+        // A row that is asked for twice is measured once.
         arguments.rate.push(100.0);
         arguments.load.push(Load::Cpu);
         assert_eq!(arguments.cases(), cases);

@@ -160,7 +160,7 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
     Ok((punctuality, series))
 }
 
-/// It goes on from the instant it woke at, and says nothing of those it slept
+/// It continues from the instant it woke at, and says nothing of those it slept
 /// through: those that fit into each lateness. They are as late as the set's skipped
 /// ticks, each from itself until that wake-up. Returns how many there were.
 fn add_missed(series: &mut Series, period_ns: u64) -> u64 {

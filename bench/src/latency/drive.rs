@@ -27,7 +27,7 @@ const LOOK: Duration = Duration::from_millis(20);
 const BLOCK_S: f64 = 2.0;
 
 /// Drives it; `None` when a stop is requested meanwhile.
-/// It is the k-th: each has a run of its own, whatever the one before left.
+/// It is the k-th: each has a run of its own, independent of what the one before left.
 pub fn drive(
     bench: &Bench<'_>,
     case: &Case,
@@ -46,7 +46,7 @@ pub fn drive(
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), places)?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
     let counted = follow(bench, case, (&mut driven, &mut watch, &mut judge))?;
-    // A row that was cut short is none, whatever else has ended meanwhile.
+    // A row that was cut short is discarded, even when the set has ended meanwhile.
     if bench.stop.is_asked() {
         return Ok(None);
     }
@@ -146,7 +146,7 @@ fn follow(
     Ok(counted)
 }
 
-/// The floor of one row, by whom it can be measured.
+/// The floor of one row, by the programs that can measure it.
 struct Floors {
     cyclictest: Option<Cyclictest>,
     own: Floor,
@@ -173,7 +173,7 @@ impl Floors {
 
     fn finish(self, bench: &Bench<'_>) -> anyhow::Result<Counted> {
         let counted = match self.cyclictest.map(Cyclictest::finish) {
-            // Where it may not run, the thread that does the same stands in.
+            // Where it may not run, the own thread replaces it.
             Some(Err(_)) if !bench.insist => None,
             counted => counted.transpose()?,
         };
@@ -239,7 +239,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
             "learner.algorithm=dagger".into(),
             format!("learner.block_steps={block}"),
             "learner.updates=50".into(),
-            // Whatever it proposes, what it publishes is adopted and stays.
+            // Its weights are adopted and stay, whichever actions they propose.
             "policy.probation_ticks=0".into(),
             "policy.veto_rate_max=1.0".into(),
             "policy.jump_max=2.0".into(),

@@ -54,7 +54,7 @@ impl Conduct {
         }
     }
 
-    /// What a run beside it is started with, whatever its address will be.
+    /// What a run beside it is started with; its address is not known yet.
     pub fn arguments(self) -> Vec<String> {
         match self {
             Self::Absent => words(None),
@@ -143,7 +143,7 @@ impl RowJudge {
         words(self.url.as_deref())
     }
 
-    /// Half of the run is over: who has to die dies.
+    /// Half of the run is over: a judge that dies ends now.
     pub fn half_way(&mut self) {
         if self.conduct == Conduct::Dies
             && let Some(server) = self.server.take()

@@ -1,4 +1,4 @@
-//! `bench latency`: is the set punctual, whatever happens beside its ticks?
+//! `bench latency`: is the set punctual under each load beside it?
 
 pub mod arguments;
 pub mod buckets;
@@ -75,7 +75,7 @@ impl Subcommand for BenchLatency {
         settings::refuse_own(&self.overrides, &OWN_KEYS)?;
         let conditions = Machine::here()?;
         let folder = tempfile::tempdir()?;
-        // There is nothing to judge without a policy; what it proposes is all one.
+        // Without a policy there is nothing to judge; its actions do not matter.
         let policy = folder.path().join("policy.onnx");
         let bytes = encode(&net(256, 0), &Provenance::default(), &[vec![0.5; 259]]);
         std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
@@ -130,10 +130,12 @@ impl Subcommand for BenchLatency {
         match measured.left {
             0 => Ok(ExitCode::SUCCESS),
             left if self.fresh => {
-                anyhow::bail!("stopped, {left} rows are left; the same without --fresh goes on")
+                anyhow::bail!(
+                    "stopped, {left} rows are left; the same command without --fresh continues"
+                )
             }
             left if self.out.is_some() => {
-                anyhow::bail!("stopped, {left} rows are left; the same command goes on")
+                anyhow::bail!("stopped, {left} rows are left; the same command continues")
             }
             left => anyhow::bail!("stopped, {left} rows are left; with --out rows are kept"),
         }

@@ -52,7 +52,7 @@ pub struct Row {
     pub response_us: Option<Quantiles>,
     /// Whether the processors were kept from sleeping, for the floor, too.
     pub cpu_latency: String,
-    /// Who measured the floor.
+    /// The program that measured the floor.
     pub floor_by: String,
     /// The machine's floor, in the same seconds.
     pub floor: Punctuality,
@@ -237,7 +237,7 @@ pub(crate) mod tests {
         assert!(row.verdict().contains("wake-up over"));
         row.beside = "all".into();
         assert!(row.verdict().contains("response holds"));
-        // Who answered nothing has kept no bar.
+        // A judge without an answer meets no bar.
         row.response_us = None;
         assert!(row.verdict().contains("response over"));
     }

@@ -1,4 +1,4 @@
-//! Rows that are done, in the folder of `--out`: who stops goes on.
+//! Rows that are done, in the folder of `--out`: a stopped measurement continues.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -61,9 +61,9 @@ impl Shelf {
         self.file(case, "csv")?.exists().then_some(row)
     }
 
-    /// Forgets a row, so that who stops after it goes on.
+    /// Removes a row, so that it is measured anew.
     pub fn forget(&self, case: &Case) {
-        // What cannot be removed is told as other settings, or when it is kept anew.
+        // What cannot be removed is reported as other settings, or when it is written anew.
         let _ = self.file(case, "json").map(fs::remove_file);
     }
 

@@ -28,7 +28,7 @@ pub const SPARE_S: f64 = 90.0;
 /// Folder of the files that load the disk, within the one of `--out`.
 const FILES: &str = ".load";
 
-/// Who makes the load.
+/// The program that makes the load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Maker {
     /// stress-ng.
@@ -176,7 +176,7 @@ impl Drop for Stress {
 
 /// Removes the files that a killed benchmark has left on the disk it loaded.
 pub fn remove_stale(disk: &Path) {
-    // What cannot be removed is told when the next row wants the place.
+    // The next row reports what cannot be removed.
     let _ = std::fs::remove_dir_all(disk.join(FILES));
 }
 

@@ -1,5 +1,5 @@
 //! The paper's planner beside OMPL's RRTstar: the same scenes, the same core,
-//! by turns in the same run.
+//! alternating in the same run.
 
 use anyhow::Context;
 use planner::{Grid, Planner, RrtStar};
@@ -174,7 +174,7 @@ impl<'a> Match<'a> {
         })
     }
 
-    /// Both plan for every scene once, by turns.
+    /// Both plan for every scene once, alternating.
     fn play(
         &mut self,
         iterations: u32,
@@ -345,7 +345,7 @@ impl Comparison {
             ..
         } = self;
         say(format_args!(
-            "\nOMPL {version} RRTstar, {iterations} iterations each, {plans} plans each, by turns \
+            "\nOMPL {version} RRTstar, {iterations} iterations each, {plans} plans each, alternating \
              on one core"
         ));
         let mut equal = table(&["", "p50, us", "p99, us", "reached", "cost median, m"]);

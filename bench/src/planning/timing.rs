@@ -22,7 +22,7 @@ const METHODS: [Method; 4] = [
     Method::Kinodynamic,
     Method::Mpc,
 ];
-/// Longest time that is told apart, ns: ten seconds.
+/// Longest time that the histogram resolves, ns: ten seconds.
 const LONGEST_NS: u64 = 10_000_000_000;
 
 /// One planner.

@@ -52,7 +52,7 @@ impl Sample {
             let Some(pid) = name.to_str().and_then(|name| name.parse::<u32>().ok()) else {
                 continue;
             };
-            // Who ends meanwhile is not there.
+            // A process that ends meanwhile is left out.
             if let Some(one) = process(&entry.path(), pid, supervisor) {
                 held.push(one);
             }

@@ -12,7 +12,7 @@ use supervisor::subcommand::say;
 /// Share of the ticks that does not count: buffers fill and pages are touched first.
 const WARM_UP: f64 = 0.2;
 /// It is no shorter than this, ticks: the world's memory follows the largest map so
-/// far, and comes to rest within some 100 episodes.
+/// far, and stops growing within some 100 episodes.
 pub const WARM_UP_TICKS_MIN: u64 = 60_000;
 /// Samples after the warm-up below which nothing can be said.
 const SAMPLES_MIN: usize = 10;
@@ -98,7 +98,7 @@ impl Rule {
     }
 }
 
-/// A row for everybody who was seen.
+/// A row for each process that was sampled.
 ///
 /// # Errors
 /// When there are too few samples to say anything.

@@ -96,7 +96,7 @@ struct End {
 }
 
 impl End {
-    /// Peers that know of each other's address and look for nobody else: nothing of
+    /// Peers that know of each other's address and look for no other: nothing of
     /// a measurement leaves the machine.
     fn open(words: &Words, is_ping: bool, (verb, endpoint): (&str, &str)) -> Result<End> {
         let mut config = Config::default();
@@ -213,7 +213,7 @@ fn ping(words: &Words, all: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// Until an answer comes; then whatever else is on its way.
+/// Until an answer comes; then all that is still on its way.
 fn greet(end: &mut End, child: &mut Answering) -> Result<()> {
     let until = Instant::now() + 2 * LOST;
     loop {

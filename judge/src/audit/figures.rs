@@ -12,7 +12,7 @@ use gate::record::{Asking, Record, Said};
 /// Bins of the calibration, of equal width over [0, 1].
 pub const BINS: usize = 10;
 
-/// Who is safer by the simulator, where it knows.
+/// Which driver is safer by the simulator, where it knows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Truth {
     /// Held, one proposal ends in an accident and the other, this party's, not.
@@ -21,7 +21,7 @@ pub enum Truth {
     BothSafe,
     /// Both end in an accident.
     NeitherSafe,
-    /// Nobody looked ahead.
+    /// There is no look-ahead.
     Unknown,
 }
 
@@ -45,7 +45,7 @@ impl Truth {
     }
 }
 
-/// What was said against the simulator. Rows: who truly is safer (expert, policy);
+/// Answers against the simulator. Rows: which driver is safer (expert, policy);
 /// columns: what was said, as in [`Said::ALL`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Agreement {
@@ -63,12 +63,12 @@ impl Agreement {
         self.counts[row][said as usize] += 1;
     }
 
-    /// How often this was said, whoever is safer.
+    /// How often this was the answer, whichever driver is safer.
     pub fn said(&self, said: Said) -> usize {
         self.counts.iter().map(|row| row[said as usize]).sum()
     }
 
-    /// Right ones, of the preferences. "Similar" prefers nobody: it must not count
+    /// Right ones, of the preferences. "Similar" prefers neither: it must not count
     /// as right where the policy happens to be safer.
     pub fn of_preferences(&self) -> Share {
         let [expert, policy] = self.counts;
@@ -122,7 +122,7 @@ pub struct Figures {
     pub expert: usize,
     /// Answered for the policy, "similar" among them.
     pub policy: usize,
-    /// Of those for the policy: they said "similar", which prefers nobody.
+    /// Of those for the policy: the answer is "similar", which prefers neither.
     pub similar: usize,
     /// Without an answer that counts: the askings disagree.
     pub abstained: usize,
@@ -145,7 +145,7 @@ pub struct Figures {
     /// Questions with exactly one accident ahead: answers against the simulator.
     pub agreement: Agreement,
     /// Questions whose paths both end well, both in an accident, and those of
-    /// which nobody knows.
+    /// which is unknown.
     pub undecided: [usize; 3],
     /// The same for each asking on its own.
     pub asking_agreement: Agreement,

@@ -32,13 +32,13 @@ pub struct Page {
 
 /// The page of a folder of records, self-contained but for pictures beyond the
 /// first `pictures_max`, which it links as `link` says: from the page's folder to
-/// that of the pictures. Whatever a model said is escaped, and the page forbids
+/// that of the pictures. All text of a model is escaped, and the page forbids
 /// scripts.
 pub fn page(records: &Records, pictures_max: usize, link: &Path) -> Page {
     let pictures = Pictures::of(records, pictures_max, link);
     let html = page::page(records, &Figures::of(&records.questions), &pictures).into_string();
     Page {
-        // Whatever part of it a model, a server or a path said.
+        // Any part of it may be from a model, a server or a path.
         html: printable_lines(&html).into_owned(),
         linked: pictures.linked,
     }

@@ -47,7 +47,7 @@ pub fn page(records: &Records, figures: &Figures, pictures: &Pictures) -> Markup
 }
 
 fn head(records: &Records, figures: &Figures) -> Markup {
-    // What the end of the run cut short was asked nobody in no words.
+    // A question that the end of the run cut short was not asked.
     let mut asked = records
         .questions
         .iter()
@@ -145,7 +145,7 @@ fn agreement(figures: &Figures) -> Markup {
                 "Questions where one proposal, held for the horizon, hits something or leaves \
                  the road and the other does not. Besides: both end well " (both_safe)
                 ", both in an accident " (neither_safe) ", unknown " (unknown) ". "
-                i { "Similar" } " is an answer that lets the policy drive; it prefers nobody, and \
+                i { "Similar" } " is an answer that lets the policy drive; it prefers neither driver, and \
                  is neither right nor wrong."
             }
             div class="two" {

@@ -189,7 +189,7 @@ impl Ground {
     }
 
     /// Counts what is under the car at a place; what it stands on now does not
-    /// count, since that is nobody's proposal.
+    /// count, since no driver proposed that.
     fn under(&self, camera: &Camera, place: &Place, own: &Place, room_m: f64) -> Under {
         let half_x_m = CAR.length_m / 2.0 + room_m;
         let half_y_m = CAR.width_m / 2.0 + room_m;

@@ -3,7 +3,7 @@
 //!
 //! This is no model. It knows the colours of rendered pictures
 //! ([`shm_config::palette`]), the cameras they are taken with, and the hues of
-//! the paths; nothing else is told to it: no proposal, no lidar, no simulator. It
+//! the paths; it has nothing else: no proposal, no lidar, no simulator. It
 //! follows each path's pixels from the car outward, moves a car's rectangle along
 //! them, and looks at what lies under it.
 //!
@@ -24,7 +24,7 @@ pub use ground::{Kind, Trouble};
 
 /// Room around the car that a path is judged with, m, the first one first: where
 /// only one of two paths is in trouble with it, that is the worse one. Negative
-/// rooms come first, since who runs deep into something is worse off than who
+/// rooms come first, since a path that runs deep into something is worse than one that
 /// brushes it, and a rollout is off by as much.
 const ROOMS_M: [f64; 7] = [-0.5, -0.25, 0.0, 0.3, 0.6, 1.0, 1.5];
 /// From this room on nothing is touched, and what is said is doubtful.

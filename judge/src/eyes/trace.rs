@@ -25,7 +25,7 @@ pub struct Line {
     /// Where it leads on the ground, from the car outward, in the body frame; empty
     /// when it is not to be found.
     pub points_body: Vec<Point>,
-    /// It ends at the left or right rim of the picture: nobody sees where it leads.
+    /// It ends at the left or right edge of the picture: it is not visible where it leads.
     pub leaves_view: bool,
 }
 

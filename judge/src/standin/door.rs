@@ -1,4 +1,4 @@
-//! Who is let in to the polite part, and who meets a mishap. That is decided for
+//! Which requests are answered, and which meet a mishap. That is decided for
 //! each connection before any HTTP library sees it.
 
 use std::io;

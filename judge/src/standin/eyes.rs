@@ -12,7 +12,7 @@ pub struct Sighting {
     pub confidence: f64,
 }
 
-/// Somebody who compares two coloured paths in a picture, by its pixels alone.
+/// Compares two coloured paths in a picture, by its pixels alone.
 pub trait Eyes: Send + Sync {
     /// Compares the paths of the two colours.
     fn look(&self, picture: &RgbImage, hues: [Hue; 2], view: View) -> Sighting;

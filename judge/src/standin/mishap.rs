@@ -102,7 +102,7 @@ mishaps! {
     Two => "two",
     /// One answer, then the other.
     BothAnswers => "both_answers",
-    /// A field nobody asked for.
+    /// An unexpected field.
     ExtraField => "extra_field",
     /// The key "response" twice.
     DuplicateKeys => "duplicate_keys",
@@ -122,9 +122,9 @@ mishaps! {
     ContentType => "content_type",
     /// Bytes that are no UTF-8.
     InvalidUtf8 => "invalid_utf8",
-    /// A body of 1 GB, its length not told.
+    /// A body of 1 GB, without its length.
     HugeBody => "huge_body",
-    /// A body of 10 MB, its length told.
+    /// A body of 10 MB, with its length.
     HugeLength => "huge_length",
     /// A good answer, one byte at a time.
     SlowDrip => "slow_drip",

@@ -43,9 +43,9 @@ pub struct Options {
     pub jitter: Duration,
     /// Share of its answers that are turned round.
     pub noise: f64,
-    /// Share of its answers that are "the first", whatever the picture shows.
+    /// Share of its answers that are "the first" regardless of the picture.
     pub first_bias: f64,
-    /// Share of its answers that are "similar", whatever the picture shows.
+    /// Share of its answers that are "similar" regardless of the picture.
     pub abstain: f64,
     /// Requests in any 60 s; beyond that, 429 with Retry-After.
     pub rate_per_minute: Option<u32>,
@@ -152,7 +152,7 @@ impl Server {
                     let _ = stopped.await;
                     serving.abort();
                 });
-                // A picture that is still looked at is nobody's any more.
+                // A picture that is still examined has no request waiting for it.
                 runtime.shutdown_background();
             })?;
         Ok(Self {
@@ -188,7 +188,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // It panicked: whoever asked it has noticed.
+            // It panicked: the connection of its client is closed.
             let _ = thread.join();
         }
     }

@@ -21,7 +21,7 @@ use gate::presentation::{LETTERS, SIMILAR};
 /// Longest request that is read.
 const REQUEST_BYTES_MAX: usize = 64 << 20;
 
-/// Said wherever somebody might take it for more.
+/// Printed where it may be taken for a model.
 const NOTE: &str = "a stand-in for tests: it judges coloured pixels, there is no model";
 
 pub fn router(shared: Arc<Shared>) -> Router {

@@ -34,7 +34,7 @@ struct Share {
     episodes: u64,
 }
 
-/// Drives all episodes in the real MetaDrive; `done` is told of each one as it
+/// Drives all episodes in the real MetaDrive; `done` is called with each one as it
 /// ends, in any order. A signal to stop ends all worlds.
 ///
 /// # Errors

@@ -1,5 +1,5 @@
 //! The car alone: step responses on a straight road, and windows of recorded
-//! drives, at whatever speed they went, each begun where the record was.
+//! drives, at any speed, each begun where the record was.
 
 use std::path::Path;
 

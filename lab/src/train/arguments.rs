@@ -21,7 +21,7 @@ use super::train;
     after_help = "The process set drives in lockstep on seeds 100 to 149; after every 200 steps \
         the learner updates the policy, which is adopted at the next tick and evaluated on seeds \
         1000 to 1049 without intervention (Sec. 5). The same seed gives the same policies. \
-        Ctrl-C stops (exit code 1), --resume goes on; what is not given then is as it was \
+        Ctrl-C stops (exit code 1), --resume continues; what is not given then is as it was \
         begun.\n\n\
         Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; docs/learning.md compares \
         them.\n\n\
@@ -57,7 +57,7 @@ pub struct Train {
           value_parser = whole::<u32>(1..=1000))]
     pub seeds: Option<u32>,
     /// The expert that is learnt from; without it mpc.
-    #[arg(long, value_name = "WHO")]
+    #[arg(long, value_name = "DRIVER")]
     pub expert: Option<ExpertChoice>,
     /// In which world is trained; without it sim.
     #[arg(long, value_name = "WORLD")]

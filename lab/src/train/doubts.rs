@@ -1,4 +1,4 @@
-//! Blocks that make one doubt a training: it goes on, but learns or shows less than
+//! Suspicious blocks of a training: it continues, but learns or shows less than
 //! it seems to.
 
 use shm_config::config::{Algorithm, Config, GateMode};
@@ -28,9 +28,9 @@ impl Doubt {
 }
 
 /// The doubts of blocks that follow one another, by the steps at their ends; those of
-/// the first one are not told: it has no policy that could drive or be preferred.
+/// the first one are not reported: it has no policy that could drive or be preferred.
 pub fn doubts(blocks: &[Block], config: &Config) -> Vec<(u64, Doubt)> {
-    // `dagger` imitates the expert at every step, whatever the judge prefers.
+    // `dagger` imitates the expert at every step, regardless of the judge.
     let needs_labels = config.learner.algorithm != Algorithm::Dagger;
     let may_drive = config.gate.mode != GateMode::Expert;
     let mut found = Vec::new();

@@ -39,7 +39,7 @@ const FINISH: u8 = 1;
 /// A thread that evaluates each policy that appears.
 pub struct Examiner {
     order: Arc<AtomicU8>,
-    /// Its own: training goes on to its orderly end when somebody asks to stop.
+    /// Its own: training continues to its orderly end when a stop is requested.
     stop: Stop,
     protocol: Protocol,
     news: Receiver<Exam>,
@@ -58,7 +58,7 @@ impl Examiner {
             let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
             std::thread::spawn(move || {
                 watch(&protocol, clock, (&order, &stop), |exam| {
-                    // Nobody may listen any more.
+                    // The receiver may be gone.
                     let _ = send.send(exam);
                 })
             })
@@ -83,7 +83,7 @@ impl Examiner {
         Ok(self.news.try_iter().last())
     }
 
-    /// Waits until every policy is evaluated, or somebody asks to stop.
+    /// Waits until every policy is evaluated, or a stop is requested.
     ///
     /// # Errors
     /// When the thread has failed.

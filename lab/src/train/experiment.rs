@@ -20,9 +20,9 @@ use supervisor::subcommand::settings::key;
 const FILE: &str = "experiment.toml";
 /// Largest such file, bytes: a hundred times one with every option.
 const BYTES_MAX: u64 = 1 << 20;
-/// The configuration file as it was, whatever becomes of the user's; empty of none.
+/// The configuration file as it was when the experiment began; empty without one.
 const CONFIG: &str = "config.toml";
-/// Locked by who trains in the folder; the kernel drops the lock.
+/// Locked by the process that trains in the folder; the kernel drops the lock.
 const LOCK: &str = ".lock";
 
 /// What all trainings of an experiment share. What the note of an older version
@@ -78,14 +78,14 @@ impl Experiment {
     /// get more seeds, anything else would be another one.
     ///
     /// # Errors
-    /// When the folder holds another experiment or somebody's files, or none where
+    /// When the folder holds another experiment or other files, or none where
     /// one is gone on with, or cannot be read.
     pub fn open(arguments: &Train) -> anyhow::Result<(Experiment, PathBuf)> {
         let out = folder(arguments);
         let begun = Experiment::read(&out)?;
         match (&begun, arguments.resume) {
             (Some(_), false) => bail!(
-                "{}: holds an experiment; --resume goes on with it, --out DIR begins another",
+                "{}: holds an experiment; --resume continues it, --out DIR begins another",
                 out.display()
             ),
             (None, true) => bail!(
@@ -152,7 +152,7 @@ impl Experiment {
         let mut set = self.set;
         set.retain(|held| !is_given(held));
         set.extend(given.iter().cloned());
-        // Whatever the current folder has, an experiment goes on with its own.
+        // An experiment continues with its own file, not with one of the current folder.
         let others = [out.join(CONFIG), DEFAULT_FILE.into()].into_iter();
         let other = || others.clone().find(|file| file.symlink_metadata().is_ok());
         Experiment {
@@ -202,10 +202,10 @@ pub fn folder(arguments: &Train) -> PathBuf {
 }
 
 /// Makes the folder if it is missing, and holds it until the file is dropped or the
-/// process ends, in whatever way: nobody else trains there meanwhile.
+/// process ends, in any way: no other process trains there meanwhile.
 ///
 /// # Errors
-/// When somebody does, or the folder cannot be made.
+/// When another process does, or the folder cannot be made.
 pub fn hold(out: &Path) -> anyhow::Result<File> {
     fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let path = out.join(LOCK);

@@ -3,7 +3,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`arguments`] | the command line |
-//! | [`experiment`] | with which options a folder was begun, and who trains in it |
+//! | [`experiment`] | with which options a folder was begun, and which process trains in it |
 //! | [`protocol`] | the experiment's numbers, as configuration |
 //! | [`student`] | one training: the process set in lockstep, watched |
 //! | [`examiner`] | 50 episodes without intervention after every block |
@@ -14,7 +14,7 @@
 //! | [`tensorboard`] | the same numbers as an event file |
 //!
 //! Everything is in the folder, and everything printed is computed from it: an
-//! interrupted experiment goes on with `--resume`, a finished one is only
+//! interrupted experiment continues with `--resume`, a finished one is only
 //! reported again.
 
 pub mod arguments;
@@ -46,7 +46,7 @@ use supervisor::subcommand::{say, write_json_option};
 ///
 /// # Errors
 /// When the configuration is wrong, a folder holds another experiment, the
-/// process set gives up, or somebody stops it.
+/// process set gives up, or a stop is requested.
 pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     if arguments.report {
         return tell(arguments, &experiment::folder(arguments));
@@ -66,7 +66,7 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
         if let End::Stopped { steps } = end {
             bail!(
                 "stopped after {steps} of {} steps of seed {}; the same command with --resume \
-                 goes on",
+                 continues",
                 experiment.steps,
                 protocol.seed
             );
@@ -80,7 +80,7 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
         End::Complete => Ok(()),
         End::Stopped { .. } => bail!(
             "stopped in the evaluation of a last policy; all is trained, the same command with \
-             --resume goes on"
+             --resume continues"
         ),
     }
 }
@@ -89,7 +89,7 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
 fn tell(arguments: &Train, out: &Path) -> anyhow::Result<()> {
     let results = report(out)?;
     if results.seeds.is_empty() {
-        bail!("{}: nothing was learnt there yet", out.display());
+        bail!("{}: no block is trained there yet", out.display());
     }
     say(table::blocks(&results));
     if let Some(finals) = table::finals(&results) {

@@ -136,7 +136,7 @@ fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<
     }
 }
 
-/// Keys that an experiment sets by itself, whatever they are set to, and what to do
+/// Keys that an experiment sets by itself, and what to do
 /// in place of that.
 const OWN: [(&str, &str); 6] = [
     ("run.clock", "a training drives in lockstep"),
@@ -161,7 +161,7 @@ fn check_own(overrides: &[String]) -> Result<(), Failure> {
 }
 
 /// The folder's name, as much of it as a run's name may hold, a sum of its whole path,
-/// and the seed: experiments run side by side, whatever their folders are called.
+/// and the seed: experiments run side by side, independent of the names of their folders.
 fn run_name(out: &Path, seed: u64) -> String {
     let out = whole(out);
     let folder = out.file_name().unwrap_or_default().to_string_lossy();
@@ -210,7 +210,7 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
         "gate.when=period".into(),
         "gate.dwell_s=0".into(),
         "gate.record=false".into(),
-        // Whoever waits for the controller waits for the learner with it.
+        // A process that waits for the controller waits for the learner with it.
         "limits.lockstep_wait_s=150.0".into(),
         // No tick waits on the wall: a learner that gets no processor on a busy
         // machine is late, not dead.

@@ -17,7 +17,7 @@ pub const CONFIG: &str = "train.toml";
 pub struct Exam {
     /// Steps trained for.
     pub steps: u64,
-    /// Arrived, whatever was touched.
+    /// Arrived, contacts or not.
     pub success: f64,
     /// Arrived without having touched anything.
     pub strict_success: f64,

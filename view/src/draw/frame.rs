@@ -77,7 +77,7 @@ pub fn map_keys(world: &World) -> Vec<Key> {
     keys
 }
 
-/// What an episode needs explained; `who` sat at the wheel.
+/// The legend of an episode; `who` is the driver.
 pub fn episode_keys(world: &World, ride: &Ride, who: &str) -> Vec<Key> {
     let mut keys: Vec<Key> = ride
         .drivers()

@@ -73,7 +73,7 @@ impl Subcommand for DrawMap {
     }
 }
 
-/// An episode: who drove where, traffic, contacts, the last scan.
+/// An episode: path by driver, traffic, contacts, the last scan.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  ./vlaps draw episode --seed 1007 --driver idm --out drive.svg")]
 pub struct DrawEpisode {
@@ -81,10 +81,10 @@ pub struct DrawEpisode {
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub seed: u64,
-    /// Who drives.
-    #[arg(long, value_name = "WHO", default_value = "expert")]
+    /// The driver.
+    #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
-    /// The file to write; without it, episode-N-WHO.svg.
+    /// The file to write; without it, episode-N-DRIVER.svg.
     #[arg(long, value_name = "FILE.svg", value_parser = ending_in(".svg"))]
     pub out: Option<PathBuf>,
     /// Configuration and overrides.

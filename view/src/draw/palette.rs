@@ -70,7 +70,7 @@ pub fn cost(share: f64) -> String {
     format!("#{:02x}{:02x}{:02x}", mixed(0), mixed(1), mixed(2))
 }
 
-/// Who drove.
+/// The driver.
 pub fn driver(driver: Driver) -> &'static str {
     match driver {
         Driver::Expert => "#37d67a",

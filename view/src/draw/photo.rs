@@ -46,8 +46,8 @@ pub struct DrawFrame {
     #[arg(long, value_name = "PX", default_value_t = 480, allow_negative_numbers = true,
           value_parser = side())]
     pub height: u32,
-    /// Who drives.
-    #[arg(long, value_name = "WHO", default_value = "expert")]
+    /// The driver.
+    #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
     /// The file to write; without it, frame-N-T-VIEW.png.
     #[arg(long, value_name = "FILE.png", value_parser = ending_in(".png"))]

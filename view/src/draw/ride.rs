@@ -1,4 +1,4 @@
-//! What moved: the ego's path by who drove, traffic, contacts, the last scan.
+//! What moved: the ego's path by driver, traffic, contacts, the last scan.
 
 use std::f64::consts::TAU;
 
@@ -56,7 +56,7 @@ pub enum With {
 pub struct Ride {
     /// The ego's places; one more than drivers.
     positions_world: Vec<Point>,
-    /// Who drove from each place to the next.
+    /// The driver from each place to the next.
     drivers: Vec<Driver>,
     /// Where contacts began.
     contacts: Vec<(Point, With)>,
@@ -98,7 +98,7 @@ impl Ride {
         self.tracks.follow(tick.world.bodies());
     }
 
-    /// Who drove at least once.
+    /// The drivers that drove at least once.
     pub fn drivers(&self) -> impl Iterator<Item = (Driver, usize)> {
         [Driver::Expert, Driver::Policy, Driver::Brake]
             .into_iter()

@@ -30,7 +30,7 @@ pub struct Other {
     pub version: String,
 }
 
-/// How a program is told the message.
+/// How the message is named to a program.
 #[derive(Clone, Copy, Debug)]
 enum Message {
     Name,

@@ -54,8 +54,8 @@ pub struct DrawPlan {
     /// Name of a run that is alive; its configuration counts.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["driver", "config", "overrides"])]
     pub run: Option<RunName>,
-    /// Who drives, and plans.
-    #[arg(long, value_name = "WHO", default_value = "expert")]
+    /// The driver, whose planner is drawn.
+    #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
     /// The file to write; without it, plan-SOURCE.svg.
     #[arg(long, value_name = "FILE.svg", value_parser = ending_in(".svg"))]

@@ -134,7 +134,7 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
     let observation = Box::new(step.observation);
     let title = format!("Run '{name}', tick {}", observation.header.tick);
     let mut begun = Begun::new(config)?;
-    // A planner with a memory goes on from the plan of the step before, which
+    // A planner with a memory continues from the plan of the step before, which
     // is not stored; this one begins with this observation.
     begun.planner.forget();
     Ok(begun.finish(observation, title, name.to_string()))
