@@ -4,9 +4,11 @@
 use std::num::NonZeroUsize;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use shm_config::config::Config;
 use sim::{World, WorldError};
 
 use crate::env::{Env, FIGURES, Pair, Reset, Row, STATE_FEATURES};
+use crate::expert::{Expert, Experts};
 use crate::options::Options;
 
 /// Arrays of a batch, or of a part of it: one row for each environment.
@@ -123,15 +125,18 @@ pub struct Batch {
     /// None: the caller's own thread steps them all.
     threads: Option<ThreadPool>,
     grain: usize,
+    experts: Experts,
 }
 
 impl Batch {
-    /// Environments of these options, each before its first episode.
+    /// Environments of these options, each before its first episode; the experts have a
+    /// configuration of their own.
     ///
     /// # Errors
     /// One line: an option out of range, or no thread to be had.
     pub fn new(
         options: Options,
+        experts: Config,
         worlds: NonZeroUsize,
         threads: NonZeroUsize,
     ) -> Result<Batch, String> {
@@ -148,6 +153,7 @@ impl Batch {
         };
         Ok(Batch {
             options,
+            experts: Experts::new(experts),
             threads: (count > 1).then(pool).transpose()?,
             // Several parts for each thread even out episodes of unequal cost.
             grain: match count {
@@ -179,6 +185,32 @@ impl Batch {
     pub fn env(&mut self, index: usize) -> Option<(&Options, &mut Env)> {
         let options = &self.options;
         self.envs.get_mut(index).map(|env| (options, env))
+    }
+
+    /// What an expert does now in the wanted environments; NaN in the others.
+    ///
+    /// # Errors
+    /// One line, when the planner's configuration is out of range.
+    pub fn advise(&mut self, expert: Expert, wanted: &[bool]) -> Result<Vec<Pair>, String> {
+        let method = match expert {
+            Expert::Planner(method) => method,
+            Expert::Idm => {
+                let asked = self.envs.iter_mut().zip(wanted);
+                let advise = |(env, &wanted): (&mut Env, &bool)| match wanted {
+                    true => env.advise(),
+                    false => [f32::NAN; 2],
+                };
+                return Ok(asked.map(advise).collect());
+            }
+        };
+        let (experts, work) = (&self.experts, (&self.envs[..], wanted));
+        match &self.threads {
+            None => experts.ask(method, work, 1),
+            Some(threads) => {
+                let workers = threads.current_num_threads();
+                threads.install(|| experts.ask(method, work, workers))
+            }
+        }
     }
 
     /// Drives each environment for one tick with its action.

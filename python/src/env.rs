@@ -5,7 +5,7 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use safety::{Scene, assess};
 use shm_config::config::JudgeLimits;
-use shm_config::message::{Assessment, FEATURES, Observation, Outcome};
+use shm_config::message::{Assessment, FEATURES, Header, Observation, Outcome};
 use sim::idm::Idm;
 use sim::render::{Renderer, Shot};
 use sim::{World, WorldError};
@@ -14,7 +14,13 @@ use vehicle::{Action, Vehicle};
 use crate::options::{Autoreset, Options};
 
 /// Figures of a tick beside reward and flags: first the real numbers.
-pub const REALS: [&str; 4] = ["cost", "step_reward", "route_completion", "velocity"];
+pub const REALS: [&str; 5] = [
+    "cost",
+    "step_reward",
+    "route_completion",
+    "velocity",
+    "driven_m",
+];
 /// Then those that are counts.
 pub const COUNTS: [&str; 4] = [
     "episode_length",
@@ -269,6 +275,7 @@ impl Env {
             reward.step_reward,
             world.completion(),
             world.speed_mps(),
+            world.driven_m(),
             world.ticks() as f64,
             self.vehicle_contacts as f64,
             self.object_contacts as f64,
@@ -350,6 +357,17 @@ impl Env {
         self.advised.push(self.world.ticks());
         let advice = self.world.advise(&mut self.idm).clamped();
         [advice.steer as f32, advice.pedal as f32]
+    }
+
+    /// What is perceived now, without noise, with the header that an expert's random
+    /// numbers depend on.
+    pub fn perceived(&self, out: &mut Observation) {
+        out.clone_from(&self.observation);
+        out.header = Header {
+            tick: self.world.ticks(),
+            episode: self.world.seed() as u32,
+            ..Header::default()
+        };
     }
 
     /// The assessment that the tick of the controller makes of a proposal, from the

@@ -5,6 +5,8 @@
 //! |---|---|
 //! | `options` | what environments are like, as Python passes it |
 //! | `env`, `batch` | one environment, many on several threads: plain Rust |
+//! | `expert`, `drive` | experts asked in environments; whole episodes by a driver |
+//! | `policy` | policy files |
 //! | `single`, `worlds`, `state` | the Python classes |
 //! | `calls` | what the classes share |
 //!
@@ -12,8 +14,11 @@
 
 mod batch;
 mod calls;
+mod drive;
 mod env;
+mod expert;
 mod options;
+mod policy;
 mod single;
 mod state;
 mod worlds;
@@ -26,6 +31,10 @@ fn _vlaps(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<single::World>()?;
     module.add_class::<worlds::Worlds>()?;
     module.add_class::<state::State>()?;
+    module.add_class::<policy::PolicyFile>()?;
+    module.add_function(wrap_pyfunction!(policy::encode_policy, module)?)?;
+    module.add_function(wrap_pyfunction!(drive::drive_seeds, module)?)?;
+    module.add_function(wrap_pyfunction!(drive::mean_interval, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())
 }

@@ -11,6 +11,7 @@ use pyo3::types::{PyDict, PyString};
 use crate::batch::Batch;
 use crate::calls::{ASSESSMENTS, assessment, check_action, check_begun, picture, take};
 use crate::env::{COUNTS, Env, FIGURES, FLAGS, Pair, REALS, Reset, Row};
+use crate::expert::{Expert, config};
 use crate::options::Options;
 use crate::state::{State, world_error};
 
@@ -93,10 +94,11 @@ impl World {
 #[pymethods]
 impl World {
     #[new]
-    fn new(py: Python, options: &str) -> PyResult<Self> {
+    fn new(py: Python, options: &str, experts: &str) -> PyResult<Self> {
         let parsed = Options::parse(options).map_err(PyValueError::new_err)?;
         let one = NonZeroUsize::MIN;
-        let batch = Batch::new(parsed, one, one).map_err(PyValueError::new_err)?;
+        let experts = config(experts).map_err(PyValueError::new_err)?;
+        let batch = Batch::new(parsed, experts, one, one).map_err(PyValueError::new_err)?;
         let names = REALS.iter().chain(&COUNTS).chain(&FLAGS);
         Ok(Self {
             names: names
@@ -181,11 +183,18 @@ impl World {
         Ok(PyArray1::from_slice(py, &inner.outcome.observation))
     }
 
-    /// The IDM driver's action.
-    fn advise(&self) -> PyResult<Pair> {
+    /// The action of an expert, clamped.
+    fn advise(&self, py: Python, expert: &str) -> PyResult<Pair> {
         let mut inner = take(&self.inner)?;
         check_begun(inner.begun)?;
-        Ok(inner.parts()?.1.advise())
+        let expert = Expert::parse(expert).map_err(PyValueError::new_err)?;
+        let batch = &mut inner.batch;
+        let advice = py.detach(|| batch.advise(expert, &[true]));
+        let advice = advice.map_err(PyValueError::new_err)?;
+        let first = advice.first();
+        first
+            .copied()
+            .ok_or_else(|| PyValueError::new_err("there is no environment"))
     }
 
     /// The tick's assessment of a proposal, in the order of `assessment_names`.

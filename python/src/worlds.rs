@@ -14,6 +14,7 @@ use pyo3::types::PyDict;
 use crate::batch::{Arrays, Batch};
 use crate::calls::{ASSESSMENTS, assessment, check_action, check_begun, picture, take};
 use crate::env::{COUNTS, Env, FIGURES, FLAGS, Pair, REALS, Reset};
+use crate::expert::{Expert, config};
 use crate::options::{Autoreset, Options};
 use crate::state::{State, world_error};
 
@@ -160,6 +161,7 @@ impl Worlds {
     fn new(
         py: Python,
         options: &str,
+        experts: &str,
         autoreset: &str,
         worlds: usize,
         threads: usize,
@@ -171,7 +173,8 @@ impl Worlds {
         let (worlds, threads) = (one("num_envs", worlds)?, one("threads", threads)?);
         let mut parsed = Options::parse(options).map_err(PyValueError::new_err)?;
         parsed.autoreset = Autoreset::parse(autoreset).map_err(PyValueError::new_err)?;
-        let batch = Batch::new(parsed, worlds, threads).map_err(PyValueError::new_err)?;
+        let experts = config(experts).map_err(PyValueError::new_err)?;
+        let batch = Batch::new(parsed, experts, worlds, threads).map_err(PyValueError::new_err)?;
         Ok(Self {
             buffers: Buffers::new(py, batch.len(), batch.features()),
             inner: Mutex::new(Inner {
@@ -278,16 +281,26 @@ impl Worlds {
         State::restore(state, &self.options, env, arrays.row(index, features))
     }
 
-    /// The IDM driver's action in every environment, `[worlds, 2]`.
-    fn advise<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    /// The action of an expert in each wanted environment, `[worlds, 2]`, clamped; NaN
+    /// in the others.
+    fn advise<'py>(
+        &self,
+        py: Python<'py>,
+        expert: &str,
+        wanted: Vec<bool>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let mut inner = self.take()?;
         check_begun(inner.begun)?;
+        let expert = Expert::parse(expert).map_err(PyValueError::new_err)?;
         let count = inner.batch.len();
-        let mut advice = Vec::with_capacity(2 * count);
-        for index in 0..count {
-            advice.extend(inner.env(index)?.1.advise());
+        if wanted.len() != count {
+            let text = format!("{} marks for {count} environments", wanted.len());
+            return Err(PyValueError::new_err(text));
         }
-        PyArray1::from_vec(py, advice).reshape([count, 2])
+        let batch = &mut inner.batch;
+        let advice = py.detach(|| batch.advise(expert, &wanted));
+        let advice = advice.map_err(PyValueError::new_err)?;
+        PyArray1::from_vec(py, advice.into_flattened()).reshape([count, 2])
     }
 
     /// The tick's assessment of one proposal in every environment, `[worlds, numbers]`

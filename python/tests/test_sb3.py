@@ -48,7 +48,7 @@ def test_ppo_trains():
     import vlaps
 
     check_env(vlaps.MetaDriveEnv(num_scenarios=3))
-    env = VlapsVecEnv(8, num_scenarios=100)
+    env = VlapsVecEnv(8, num_scenarios=100, horizon=40)
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=128, device="cpu", seed=1)
     model.learn(2048)
     assert len(model.ep_info_buffer) > 0

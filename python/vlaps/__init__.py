@@ -14,6 +14,7 @@ from ._vlaps import State, __version__
 from .config import DEFAULTS
 from .env import MetaDriveEnv
 from .registration import ENV_ID, register
+from .takeover import Takeover
 from .vector import MetaDriveVectorEnv
 from .window import write_video
 
@@ -25,6 +26,7 @@ __all__ = [
     "MetaDriveEnv",
     "MetaDriveVectorEnv",
     "State",
+    "Takeover",
     "__version__",
     "write_video",
 ]

@@ -140,3 +140,12 @@ def to_json(config: dict[str, Any]) -> str:
         },
     }
     return json.dumps(options)
+
+
+def expert_json(changes: dict[str, Any] | None) -> str:
+    """Changes of the experts' configuration as the compiled module reads them."""
+    if changes is None:
+        return "{}"
+    if not isinstance(changes, dict):
+        raise ValueError(f"expert_config must be a dictionary of sections, not {changes!r}")
+    return json.dumps(changes)

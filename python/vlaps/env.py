@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _vlaps
-from .config import merged, to_json
+from .config import expert_json, merged, to_json
+from .takeover import Takeover, driver_names
 from .window import Window, has_display
 
 ASSESSMENTS: list[str] = _vlaps.Worlds.assessment_names()
 #: Verdicts of an assessment by their codes.
 VERDICTS = ("absent", "clear", "leaves", "hits")
-EXPERTS = ("idm",)
+#: MetaDrive's traffic driver, and planner and controller of the stack by planning method.
+EXPERTS = ("idm", "rrt-star", "informed", "kinodynamic", "mpc")
 
 
 def action_space() -> gymnasium.spaces.Space[NDArray[np.float32]]:
@@ -62,6 +64,10 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     completion (a success has 0.98 to 0.99), contacts so far and the strict success
     (arrived, and nothing touched).
 
+    `expert_config` changes the configuration of the experts, section by section, as in
+    `{"mpc": {"speed_mps": 5.0}}`. `takeover` says when an expert drives in the place of
+    the proposal: see `vlaps.Takeover`.
+
     `render_view` is "top_down" or "ego" (over the driver's seat); `render_size` is width and height in pixels.
     """
 
@@ -75,6 +81,8 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: str | None = None,
         render_view: str = "top_down",
         render_size: tuple[int, int] = (640, 480),
+        takeover: Takeover | str | None = None,
+        expert_config: dict[str, Any] | None = None,
         **options: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array", "human"):
@@ -83,7 +91,10 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._window = Window(render_size) if render_mode == "human" else None
         self._view = (render_view, render_size)
         self.config = merged(options)
-        self._world: _vlaps.World | None = _vlaps.World(to_json(self.config))
+        self._takeover = Takeover.of(takeover)
+        self._world: _vlaps.World | None = _vlaps.World(
+            to_json(self.config), expert_json(expert_config)
+        )
         self.action_space = action_space()
         self.observation_space = observation_space(self._world.features)
 
@@ -102,13 +113,41 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return result
 
     def step(
-        self, action: ArrayLike
+        self, action: ArrayLike, takeover: bool | None = None
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Drives for 0.1 s."""
+        """Drives for 0.1 s.
+
+        `takeover` replaces the environment's rule for this step: whether the expert
+        drives. With a rule or with `takeover`, `info` also holds "proposal", "applied",
+        "expert" (NaN where it was not asked), "driver" and "takeover".
+        """
         steer, pedal = one_action(action)
-        result = (self._world or self._open()).step(steer, pedal)
+        world = self._world or self._open()
+        if takeover is None and self._takeover is None:
+            result = world.step(steer, pedal)
+        else:
+            result = self._step_with_expert(world, (steer, pedal), takeover)
         if self._window is not None:
             self._show()
+        return result
+
+    def _step_with_expert(
+        self, world: _vlaps.World, proposal: tuple[float, float], wanted: bool | None
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        marks = None if wanted is None else np.array([wanted], np.bool_)
+        rule = self._takeover or Takeover()
+        decided = rule.decide(
+            np.array([proposal], np.float32),
+            np.ones(1, np.bool_),
+            marks,
+            lambda method, _: np.array([world.advise(method)], np.float32),
+            lambda _: np.array([world.judge(*proposal)]),
+        )
+        result = world.step(*decided.applied[0].tolist())
+        info = result[4]
+        info["proposal"], info["applied"] = decided.proposal[0], decided.applied[0]
+        info["expert"], info["takeover"] = decided.expert[0], bool(decided.taken[0])
+        info["driver"] = str(driver_names(decided.taken)[0])
         return result
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -129,10 +168,13 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """The action of an expert in the present state.
 
         "idm" is MetaDrive's own traffic driver in the place of the car. It sees the true
-        state and has a memory, so ask it once in each step.
+        state and has a memory, so ask it once in each step. "rrt-star", "informed",
+        "kinodynamic" and "mpc" are planner and controller of the stack with that planning
+        method. They see the observation (without noise) and have no memory: the same
+        state has the same answer, however often it is asked.
         """
         check_expert(method)
-        return np.array(self._open().advise(), np.float32)
+        return np.array(self._open().advise(method), np.float32)
 
     def judge(self, action: ArrayLike) -> dict[str, Any]:
         """The assessment of an action, held for 1.5 s from the present state.

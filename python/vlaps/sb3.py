@@ -30,7 +30,8 @@ Indices = None | int | Iterable[int]
 class VlapsVecEnv(VecEnv):
     """A `VecEnv` of many worlds; the keywords are those of `MetaDriveVectorEnv`.
 
-    The info of a step holds "cost". The one that ends an episode holds all figures of
+    The info of a step holds "cost", and with a rule of takeover what `MetaDriveVectorEnv`
+    adds then. The one that ends an episode holds all figures of
     `MetaDriveVectorEnv`, and what Stable-Baselines3 reads: "terminal_observation",
     "TimeLimit.truncated", "is_success", and the "episode" of its `VecMonitor`.
     """
@@ -69,13 +70,22 @@ class VlapsVecEnv(VecEnv):
         infos: list[dict[str, Any]] = [
             {"cost": cost, "TimeLimit.truncated": False} for cost in info["cost"].tolist()
         ]
+        if "driver" in info:
+            for name in ("proposal", "applied", "expert", "driver", "takeover"):
+                for index, value in enumerate(info[name]):
+                    infos[index][name] = value
         for index in np.flatnonzero(done):
             infos[index] = self._end(int(index), info, bool(truncated[index]))
         return observation, reward, done, infos
 
     def _end(self, index: int, info: dict[str, Any], truncated: bool) -> dict[str, Any]:
         """The info of the step that ended an episode."""
-        ended = {name: values[index].item() for name, values in info["final_info"].items() if name[0] != "_"}
+        final = info["final_info"].items()
+        ended = {name: values[index] for name, values in final if name[0] != "_"}
+        ended = {
+            name: value if isinstance(value, np.ndarray) else value.item()
+            for name, value in ended.items()
+        }
         ended["terminal_observation"] = info["final_obs"][index]
         ended["TimeLimit.truncated"] = truncated
         ended["is_success"] = ended["arrive_dest"]

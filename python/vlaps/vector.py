@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from . import _vlaps
-from .config import merged, to_json
+from .config import expert_json, merged, to_json
 from .env import (
     ASSESSMENTS,
     VERDICTS,
@@ -23,6 +23,7 @@ from .env import (
     checked_seed,
     observation_space,
 )
+from .takeover import Decided, Takeover, driver_names
 
 _REALS, _COUNTS, _FLAGS = _vlaps.Worlds.figure_names()
 _NAMES = _REALS + _COUNTS + _FLAGS
@@ -51,6 +52,11 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
 
     `info` holds each figure as an array over the worlds, of the step that was driven: in
     the same-step mode those of the episode that ended, as in `info["final_info"]`.
+
+    `takeover` and `expert_config` are those of `MetaDriveEnv`. A step with a rule of
+    takeover adds "proposal" and "applied" `[num_envs, 2]`, "expert" (NaN where it was not
+    asked), "driver" and "takeover" to `info`. A step that only begins an episode, in the
+    next-step mode, has no driver: its mask "_driver" is false.
     """
 
     def __init__(
@@ -63,6 +69,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         render_mode: str | None = None,
         render_view: str = "top_down",
         render_size: tuple[int, int] = (640, 480),
+        takeover: Takeover | str | None = None,
+        expert_config: dict[str, Any] | None = None,
         **options: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -82,13 +90,18 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         self._view = (render_view, render_size)
         self.config = merged(options)
         self._worlds: _vlaps.Worlds | None = _vlaps.Worlds(
-            to_json(self.config), self.autoreset_mode.value, num_envs, threads or _cores()
+            to_json(self.config),
+            expert_json(expert_config),
+            self.autoreset_mode.value,
+            num_envs,
+            threads or _cores(),
         )
+        self._takeover = Takeover.of(takeover)
         self._arrays = self._worlds.arrays()
         self._copy = copy
         self._executor: ThreadPoolExecutor | None = None
-        self._sent: Future[None] | None = None
-        everything = np.ones(num_envs, np.bool_)
+        self._sent: Future[Decided | None] | None = None
+        self._all = everything = np.ones(num_envs, np.bool_)
         self._masks = {f"_{name}": everything for name in _NAMES}
         self.single_observation_space = observation_space(self._worlds.features)
         self.single_action_space = action_space()
@@ -129,34 +142,67 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         mask = (options or {}).get("reset_mask")
         if mask is not None:
             mask = np.asarray(mask)
-            if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
+            if mask.shape != (self.num_envs,):
                 raise ValueError(f"reset_mask must be a boolean array of the shape ({self.num_envs},)")
+            mask = self._marks("reset_mask", mask)
             seeds = [one if chosen else -2 for one, chosen in zip(seeds, mask)]
         worlds.reset(seeds)
         return self._out("observation"), self._info(None)
 
-    def step(self, actions: ArrayLike) -> Stepped:
-        """Drives all worlds for 0.1 s."""
-        self._open().step(np.ascontiguousarray(actions, np.float32))
-        return self._stepped()
+    def step(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> Stepped:
+        """Drives all worlds for 0.1 s.
 
-    def send(self, actions: ArrayLike) -> None:
+        `takeover` replaces the rule of takeover for this step: a mark for each world, or
+        one for all, whether the expert drives.
+        """
+        worlds = self._open()
+        driven = self._drive(worlds, np.ascontiguousarray(actions, np.float32), takeover)
+        return self._stepped(driven)
+
+    def send(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> None:
         """Begins a step on a thread beside the caller's, and returns at once."""
         worlds = self._open()
         if self._executor is None:
             self._executor = ThreadPoolExecutor(1, thread_name_prefix="vlaps-send")
         # The caller may write its array before the step has read it.
-        self._sent = self._executor.submit(worlds.step, np.array(actions, np.float32, order="C"))
+        copied = np.array(actions, np.float32, order="C")
+        self._sent = self._executor.submit(self._drive, worlds, copied, takeover)
 
     def recv(self) -> Stepped:
         """Waits for the step that was sent, and returns what it brought."""
         if self._sent is None:
             raise RuntimeError("no step was sent: call send first")
         sent, self._sent = self._sent, None
-        sent.result()
-        return self._stepped()
+        return self._stepped(sent.result())
 
-    def _stepped(self) -> Stepped:
+    def _drive(
+        self, worlds: _vlaps.Worlds, actions: NDArray[np.float32], takeover: ArrayLike | None
+    ) -> Decided | None:
+        if takeover is None and self._takeover is None:
+            worlds.step(actions)
+            return None
+        asked = None if takeover is None else self._marks("takeover", takeover)
+        if actions.shape != (self.num_envs, 2):
+            raise ValueError(
+                f"actions have the shape {actions.shape}: it must be ({self.num_envs}, 2), "
+                "steering and pedal"
+            )
+        ended = self._arrays["terminated"] | self._arrays["truncated"]
+        stands = self.autoreset_mode != AutoresetMode.SAME_STEP and ended.any()
+        driving = ~ended if stands else self._all
+        rule = self._takeover or Takeover()
+        decided = rule.decide(actions.copy(), driving, asked, worlds.advise, worlds.judge)
+        worlds.step(decided.applied)
+        return decided
+
+    def _marks(self, name: str, given: ArrayLike) -> NDArray[np.bool_]:
+        """A mark for each world."""
+        marks = np.asarray(given)
+        if marks.dtype != np.bool_ or marks.shape not in ((), (self.num_envs,)):
+            raise ValueError(f"{name} must be a boolean array of the shape ({self.num_envs},)")
+        return np.broadcast_to(marks, (self.num_envs,))
+
+    def _stepped(self, decided: Decided | None) -> Stepped:
         began = self._arrays["began"]
         ended = None
         if self.autoreset_mode == AutoresetMode.SAME_STEP and began.any():
@@ -166,10 +212,12 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             self._out("reward"),
             self._out("terminated"),
             self._out("truncated"),
-            self._info(ended),
+            self._info(ended, decided),
         )
 
-    def _info(self, ended: NDArray[np.bool_] | None) -> dict[str, Any]:
+    def _info(
+        self, ended: NDArray[np.bool_] | None, decided: Decided | None = None
+    ) -> dict[str, Any]:
         """Gymnasium's vector info: each figure as an array, and beside it its mask."""
         # Column by column in memory, so that each figure is contiguous.
         figures = self._arrays["figures"].T.copy()
@@ -178,6 +226,16 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         info.update(zip(_REALS, figures))
         info.update(zip(_COUNTS, figures[len(_REALS) : flags_from].astype(np.int64)))
         info.update(zip(_FLAGS, figures[flags_from:] != 0.0))
+        if decided is not None:
+            shown = {
+                "proposal": decided.proposal,
+                "applied": decided.applied,
+                "expert": decided.expert,
+                "takeover": decided.taken,
+                "driver": driver_names(decided.taken),
+            }
+            info.update(shown)
+            info.update((f"_{name}", decided.driving) for name in shown)
         if ended is None:
             return info
         observations = np.full(self.num_envs, None, dtype=object)
@@ -196,10 +254,12 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         worlds = self._open()
         return tuple(worlds.render(index, *self._view) for index in range(self.num_envs))
 
-    def expert(self, method: str = "idm") -> NDArray[np.float32]:
-        """The action of an expert in each world; see `MetaDriveEnv.expert`."""
+    def expert(self, method: str = "idm", mask: ArrayLike | None = None) -> NDArray[np.float32]:
+        """The action of an expert in each world where `mask` is true, `[num_envs, 2]`, and
+        NaN in the others; see `MetaDriveEnv.expert`."""
         check_expert(method)
-        return self._open().advise()
+        marks = self._all if mask is None else self._marks("mask", mask)
+        return self._open().advise(method, marks)
 
     def judge(self, actions: ArrayLike) -> dict[str, NDArray[Any]]:
         """The assessment of an action in each world; see `MetaDriveEnv.judge`."""

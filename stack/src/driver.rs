@@ -5,7 +5,6 @@ use controller::{Policy, Terms};
 use hdrhistogram::Histogram;
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, GateMode};
-use shm_config::file::regular;
 use shm_config::message::{BEAMS_MAX, Command, Driver, Observation, Plan, Reason};
 use sim::World;
 use sim::idm::Idm;
@@ -168,21 +167,14 @@ impl EpisodeDriver {
             DriverKind::Lane => Loaded::Lane,
             DriverKind::Idm => Loaded::Idm(Idm::new(0, 0)),
             DriverKind::Policy(file) => {
-                let read = || {
-                    regular(file.as_ref())?;
-                    std::fs::read(file)
-                };
-                let bytes = read().with_context(|| file.to_string())?;
+                let bytes = read(file).with_context(|| file.to_string())?;
                 let terms = Terms {
                     config: &config,
                     version: 1,
                     clock,
                 };
                 let policy = controller::build(&bytes, &terms).with_context(|| file.to_string())?;
-                Loaded::Policy(Box::new(PolicyAlone {
-                    policy,
-                    features: [0.0; 19 + BEAMS_MAX],
-                }))
+                return Ok(EpisodeDriver::of_policy(policy, clock));
             }
         };
         Ok(EpisodeDriver {
@@ -190,6 +182,18 @@ impl EpisodeDriver {
             planning_us: planning_histogram(),
             kind: driver,
         })
+    }
+
+    /// A policy alone as the driver, without expert, safety check or brake.
+    pub fn of_policy(policy: Box<dyn Policy>, clock: Clock) -> EpisodeDriver {
+        EpisodeDriver {
+            clock,
+            planning_us: planning_histogram(),
+            kind: Loaded::Policy(Box::new(PolicyAlone {
+                policy,
+                features: [0.0; 19 + BEAMS_MAX],
+            })),
+        }
     }
 
     /// Prepares for a new episode: no state of the episode before is left, so an
@@ -258,6 +262,13 @@ impl EpisodeDriver {
     pub fn planning_us(&self) -> &Histogram<u64> {
         &self.planning_us
     }
+}
+
+/// The bytes of a regular file.
+fn read(file: &str) -> std::io::Result<Vec<u8>> {
+    #[cfg(feature = "wire")]
+    shm_config::file::regular(file.as_ref())?;
+    std::fs::read(file)
 }
 
 /// A histogram of planning times, us.

@@ -9,7 +9,7 @@
 //! | [`driver`] | the drivers of an episode: the expert, a lane keeper, MetaDrive's IDM, a policy |
 //! | [`lane_keeper`] | the lane keeper |
 //! | [`episode`] | one episode in lockstep order |
-//! | [`scene`] | recorded observations, and their files |
+//! | `scene` | recorded observations, and their files (feature `wire`) |
 //!
 //! ```
 //! use shm_config::config::Config;
@@ -31,6 +31,7 @@ pub mod driver;
 pub mod episode;
 pub mod lane_keeper;
 pub mod oracle;
+#[cfg(feature = "wire")]
 pub mod scene;
 mod tick;
 

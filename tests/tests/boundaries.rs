@@ -25,7 +25,18 @@ const ARROWS: &[(&str, &[&str])] = &[
         &["vehicle", "shm-config", "runtime", "policy", "stack"],
     ),
     ("supervisor", &["vehicle", "shm-config", "runtime"]),
-    ("python", &["vehicle", "shm-config", "safety", "sim"]),
+    (
+        "python",
+        &[
+            "vehicle",
+            "shm-config",
+            "safety",
+            "policy",
+            "controller",
+            "sim",
+            "stack",
+        ],
+    ),
     (
         "stack",
         &["vehicle", "shm-config", "planner", "controller", "sim"],

@@ -1,0 +1,128 @@
+//! The experts: planner and controller of the stack, asked at what environments perceive.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::iter::{IntoParallelIterator, ParallelIterator};
+use shm_config::config::Config;
+use shm_config::config::planner::Method;
+use shm_config::message::Observation;
+use stack::driver::DriverKind;
+use stack::oracle::Oracle;
+
+use crate::env::{Env, Pair};
+
+/// An expert that can be asked in an environment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Expert {
+    /// MetaDrive's driver of the other cars, which knows the world's state.
+    Idm,
+    /// Planner and controller of the stack, with this planning method.
+    Planner(Method),
+}
+
+impl Expert {
+    /// The expert of a name, as in `./vlaps eval --driver`.
+    ///
+    /// # Errors
+    /// One line with the names.
+    pub fn parse(name: &str) -> Result<Expert, String> {
+        let refusal =
+            || format!("expert {name:?}: choose from idm, rrt-star, informed, kinodynamic, mpc");
+        let kind: DriverKind = name.parse().map_err(|_| refusal())?;
+        match kind {
+            DriverKind::Idm => Ok(Expert::Idm),
+            kind => kind.method().map(Expert::Planner).ok_or_else(refusal),
+        }
+    }
+}
+
+/// The configuration of a run with these changes, a JSON object of its sections.
+///
+/// # Errors
+/// One line that names the key.
+pub fn config(changes: &str) -> Result<Config, String> {
+    let config: Config = serde_json::from_str(changes).map_err(|error| error.to_string())?;
+    config.validated().map_err(|error| error.to_string())
+}
+
+/// Experts that answer from one observation alone: without a memory, the order and the
+/// number of questions change no answer, and neither does the number of threads.
+pub struct Experts {
+    config: Config,
+    /// Those that no thread asks now, each with its method.
+    idle: Mutex<Vec<(Method, Oracle)>>,
+}
+
+impl Experts {
+    /// Experts of this configuration.
+    pub fn new(config: Config) -> Experts {
+        Experts {
+            config,
+            idle: Mutex::default(),
+        }
+    }
+
+    /// The answers in the wanted environments; `NaN` in the others. The workers are
+    /// threads of the pool that calls, when one does.
+    ///
+    /// # Errors
+    /// One line, when the planner's configuration is out of range.
+    pub fn ask(
+        &self,
+        method: Method,
+        (envs, wanted): (&[Env], &[bool]),
+        workers: usize,
+    ) -> Result<Vec<Pair>, String> {
+        let next = AtomicUsize::new(0);
+        let work = |_| self.work(method, (envs, wanted), &next);
+        let answers: Result<Vec<_>, String> = (0..workers).into_par_iter().map(work).collect();
+        let mut actions = vec![[f32::NAN; 2]; envs.len()];
+        for (index, action) in answers?.into_iter().flatten() {
+            actions[index] = action;
+        }
+        Ok(actions)
+    }
+
+    /// Answers in the next wanted environment until there is none.
+    fn work(
+        &self,
+        method: Method,
+        (envs, wanted): (&[Env], &[bool]),
+        next: &AtomicUsize,
+    ) -> Result<Vec<(usize, Pair)>, String> {
+        let mut oracle = self.take(method)?;
+        let mut observation = Box::<Observation>::default();
+        let mut answers = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            let (Some(env), Some(&is_wanted)) = (envs.get(index), wanted.get(index)) else {
+                break;
+            };
+            if is_wanted {
+                env.perceived(&mut observation);
+                let action = oracle.ask(&mut observation);
+                answers.push((index, [action.steer as f32, action.pedal as f32]));
+            }
+        }
+        self.idle().push((method, oracle));
+        Ok(answers)
+    }
+
+    fn take(&self, method: Method) -> Result<Oracle, String> {
+        let mut idle = self.idle();
+        if let Some(place) = idle.iter().position(|(of, _)| *of == method) {
+            return Ok(idle.swap_remove(place).1);
+        }
+        drop(idle);
+        let config = DriverKind::of_method(method).configure(&self.config);
+        Oracle::new(&config).map_err(|error| error.to_string())
+    }
+
+    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<(Method, Oracle)>> {
+        // A list of whole experts is never left half changed.
+        self.idle
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,96 @@
+"""When an expert drives in the place of the learner."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_RULES = ("asked", "always", "vetoed", "differs")
+_DRIVERS = np.array(["policy", "expert"])
+#: Column of the veto in an assessment.
+_VETO = 5
+
+#: A mark for each world.
+Marks = NDArray[np.bool_]
+#: An action for each world, `[worlds, 2]`.
+Actions = NDArray[np.float32]
+
+
+def driver_names(taken: Marks) -> NDArray[np.str_]:
+    """ "expert" where it has taken over, else "policy"."""
+    return _DRIVERS[taken.astype(np.intp)]
+
+
+@dataclass
+class Decided:
+    """Who drives a step, with `[worlds, 2]` actions."""
+
+    proposal: Actions
+    applied: Actions
+    expert: Actions
+    taken: Marks
+    #: The worlds in which the step drove.
+    driving: Marks
+
+
+@dataclass(frozen=True)
+class Takeover:
+    """When the expert of a planning method drives in the place of the proposal.
+
+    | `rule` | the expert drives |
+    |---|---|
+    | "asked" | in steps with `takeover=True`, and in no other |
+    | "always" | in every step |
+    | "vetoed" | where the judge of the tick vetoes the proposal |
+    | "differs" | where proposal and expert differ by more than `differ` in steering or pedal |
+
+    `step(action, takeover=...)` replaces the rule for one step.
+    """
+
+    rule: str = "asked"
+    method: str = "mpc"
+    differ: float = 0.2
+
+    def __post_init__(self) -> None:
+        from .env import check_expert
+
+        check_expert(self.method)
+        if self.rule not in _RULES:
+            raise ValueError(f"takeover {self.rule!r}: choose from {', '.join(_RULES)}")
+        if not self.differ >= 0.0:
+            raise ValueError(f"differ = {self.differ}: it must be at least 0")
+
+    @staticmethod
+    def of(takeover: Takeover | str | None) -> Takeover | None:
+        """The rule of a name."""
+        return Takeover(takeover) if isinstance(takeover, str) else takeover
+
+    def decide(
+        self,
+        proposal: Actions,
+        driving: Marks,
+        asked: Marks | None,
+        advise: Callable[[str, Marks], Actions],
+        judge: Callable[[Actions], NDArray[np.float64]],
+    ) -> Decided:
+        """Decides in the worlds that are `driving`."""
+        finite = np.isfinite(proposal).all(axis=1)
+        if not finite.all():
+            index = int(np.argmin(finite))
+            raise ValueError(f"action {index} is {proposal[index]}: both numbers must be finite")
+        everywhere = asked is None and self.rule in ("always", "differs")
+        if asked is None and self.rule == "vetoed":
+            asked = judge(proposal)[:, _VETO] != 0.0
+        wanted = driving if everywhere else driving & (False if asked is None else asked)
+        expert = np.full_like(proposal, np.nan)
+        if wanted.any():
+            expert = advise(self.method, wanted)
+        taken = wanted
+        if everywhere and self.rule == "differs":
+            # Comparison with NaN is false: there the expert was not asked.
+            taken = (np.abs(expert - np.clip(proposal, -1.0, 1.0)) > self.differ).any(axis=1)
+        applied = np.where(taken[:, None], expert, proposal)
+        return Decided(proposal, applied, expert, taken, driving)
