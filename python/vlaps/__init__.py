@@ -13,6 +13,8 @@
 from ._vlaps import State, __version__
 from .config import DEFAULTS
 from .env import MetaDriveEnv
+from .evaluation import Episode, Evaluation, evaluate
+from .policy import Policy, export
 from .registration import ENV_ID, register
 from .takeover import Takeover
 from .vector import MetaDriveVectorEnv
@@ -23,10 +25,15 @@ register()
 __all__ = [
     "DEFAULTS",
     "ENV_ID",
+    "Episode",
+    "Evaluation",
     "MetaDriveEnv",
     "MetaDriveVectorEnv",
+    "Policy",
     "State",
     "Takeover",
     "__version__",
+    "evaluate",
+    "export",
     "write_video",
 ]

@@ -25,6 +25,7 @@ fn the_tests_of_the_python_package_pass() {
             "VLAPS_CHECKOUT",
             checkout.canonicalize().expect("the checkout"),
         )
+        .env("VLAPS_PROGRAMS", programs())
         .env("PYTHONDONTWRITEBYTECODE", "1")
         .output()
         .expect("pytest starts");
