@@ -245,6 +245,15 @@ impl Worlds {
         Ok(())
     }
 
+    /// The seed of the episode that runs in each environment.
+    fn seeds(&self) -> PyResult<Vec<u64>> {
+        let mut inner = self.take()?;
+        check_begun(inner.begun)?;
+        let count = inner.batch.len();
+        let seed = |index: usize| Ok(inner.env(index)?.1.history().seed);
+        (0..count).map(seed).collect()
+    }
+
     /// Drives every environment for one tick; `actions` is `[worlds, 2]`, steering and
     /// pedal in [-1, 1], as float32.
     fn step(&self, py: Python, actions: &Bound<'_, PyAny>) -> PyResult<()> {

@@ -12,6 +12,7 @@
 
 from ._vlaps import State, __version__
 from .config import DEFAULTS
+from .dataset import Dataset, Recorded, collect
 from .env import MetaDriveEnv
 from .evaluation import Episode, Evaluation, evaluate
 from .policy import Policy, export
@@ -24,15 +25,18 @@ register()
 
 __all__ = [
     "DEFAULTS",
+    "Dataset",
     "ENV_ID",
     "Episode",
     "Evaluation",
     "MetaDriveEnv",
     "MetaDriveVectorEnv",
     "Policy",
+    "Recorded",
     "State",
     "Takeover",
     "__version__",
+    "collect",
     "evaluate",
     "export",
     "write_video",

@@ -246,6 +246,11 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         info["final_info"], info["_final_info"] = final, ended
         return info
 
+    def seeds(self) -> NDArray[np.int64]:
+        """The seed of the episode that runs in each world; after a step in the same-step
+        mode, `info["seed"]` is that of the episode that was driven."""
+        return np.array(self._open().seeds(), np.int64)
+
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture of each world."""
         if self.render_mode is None:
