@@ -14,7 +14,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("safety", &["vehicle", "shm-config"]),
     ("gate", &["vehicle", "shm-config", "runtime", "safety"]),
     ("judge", &["vehicle", "shm-config", "gate"]),
-    ("policy", &["shm-config"]),
+    ("policy", &["vehicle", "shm-config"]),
     (
         "controller",
         &["vehicle", "shm-config", "runtime", "safety", "policy"],
