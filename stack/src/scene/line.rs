@@ -23,15 +23,17 @@ pub(super) struct Line {
 struct Seen {
     tick: u64,
     taken_ns: u64,
-    ego: SeenEgo,
-    road: SeenRoad,
+    #[serde(with = "SeenEgo")]
+    ego: Ego,
+    #[serde(with = "SeenRoad")]
+    road: Road,
     checkpoints: [SeenCheckpoint; 2],
     lidar_max_m: f32,
     ranges_m: Vec<f32>,
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Ego", deny_unknown_fields)]
 struct SeenEgo {
     x_world_m: f64,
     y_world_m: f64,
@@ -43,7 +45,7 @@ struct SeenEgo {
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Road", deny_unknown_fields)]
 struct SeenRoad {
     left_m: f64,
     right_m: f64,
@@ -124,25 +126,11 @@ fn field_before(text: &str) -> Option<&str> {
 
 impl Seen {
     fn new(observation: &Observation) -> Seen {
-        let Observation { ego, road, .. } = observation;
         Seen {
             tick: observation.header.tick,
             taken_ns: observation.header.taken_ns,
-            ego: SeenEgo {
-                x_world_m: ego.x_world_m,
-                y_world_m: ego.y_world_m,
-                heading_world_rad: ego.heading_world_rad,
-                speed_mps: ego.speed_mps,
-                yaw_rate_radps: ego.yaw_rate_radps,
-                steer: ego.steer,
-                pedal: ego.pedal,
-            },
-            road: SeenRoad {
-                left_m: road.left_m,
-                right_m: road.right_m,
-                heading_rad: road.heading_rad,
-                offset_m: road.offset_m,
-            },
+            ego: observation.ego,
+            road: observation.road,
             checkpoints: observation.checkpoints.map(|checkpoint| SeenCheckpoint {
                 x_body_m: checkpoint.x_body_m,
                 y_body_m: checkpoint.y_body_m,
@@ -157,7 +145,6 @@ impl Seen {
 
     /// The message, checked as at a process's door.
     fn observation(&self) -> Result<Box<Observation>, String> {
-        let Seen { ego, road, .. } = self;
         let count = self.ranges_m.len();
         if !(1..=BEAMS_MAX).contains(&count) {
             return Err(format!("ranges_m: {count} beams, must be 1 to {BEAMS_MAX}"));
@@ -168,21 +155,8 @@ impl Seen {
                 taken_ns: self.taken_ns,
                 ..Header::default()
             },
-            ego: Ego {
-                x_world_m: ego.x_world_m,
-                y_world_m: ego.y_world_m,
-                heading_world_rad: ego.heading_world_rad,
-                speed_mps: ego.speed_mps,
-                yaw_rate_radps: ego.yaw_rate_radps,
-                steer: ego.steer,
-                pedal: ego.pedal,
-            },
-            road: Road {
-                left_m: road.left_m,
-                right_m: road.right_m,
-                heading_rad: road.heading_rad,
-                offset_m: road.offset_m,
-            },
+            ego: self.ego,
+            road: self.road,
             lidar_max_m: self.lidar_max_m,
             beam_count: count as u32,
             ..Observation::default()
