@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -82,6 +81,11 @@ def _share(hits: list[bool]) -> Estimate:
     return Estimate(share, middle - half if count else 0.0, middle + half if count < n else 1.0)
 
 
+def _mean(values: list[float]) -> Estimate:
+    """A mean with the interval of a bootstrap."""
+    return Estimate(*_vlaps.mean_interval(values))
+
+
 class Evaluation:
     """The figures of a driver; `str()` of it is the table of `./vlaps eval`."""
 
@@ -91,7 +95,6 @@ class Evaluation:
         self.episodes = sorted(episodes, key=lambda episode: episode.seed)
         of = self.episodes
         contacts = [(one.vehicle_contacts > 0, one.object_contacts > 0) for one in of]
-        mean = lambda values: Estimate(*_vlaps.mean_interval(values))  # noqa: E731
         #: Each figure by its key in the JSON of `./vlaps eval`.
         self.figures: dict[str, Estimate] = {
             "success": _share([one.outcome == "arrived" for one in of]),
@@ -102,9 +105,9 @@ class Evaluation:
             "contact_object": _share([pair[1] for pair in contacts]),
             "out_of_road": _share([one.outcome == "out_of_road" for one in of]),
             "max_step": _share([one.outcome == "max_step" for one in of]),
-            "completion": mean([one.completion for one in of]),
-            "mean_length": mean([float(one.steps) for one in of]),
-            "mean_speed_mps": mean([one.driven_m / (max(one.steps, 1) * _STEP_S) for one in of]),
+            "completion": _mean([one.completion for one in of]),
+            "mean_length": _mean([float(one.steps) for one in of]),
+            "mean_speed_mps": _mean([one.driven_m / (max(one.steps, 1) * _STEP_S) for one in of]),
         }
         #: Below this lie 99 % of the planning times, us; None for drivers that do not plan.
         self.planning_p99_us = _quantile(planning, 0.99)
@@ -232,6 +235,8 @@ def evaluate(
     if ray:
         driven = _on_ray(task, chunks)
     elif processes > 1:
+        import multiprocessing
+
         with multiprocessing.get_context("spawn").Pool(min(processes, len(chunks))) as pool:
             driven = pool.starmap(_drive, [(task, chunk) for chunk in chunks], chunksize=1)
     else:

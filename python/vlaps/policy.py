@@ -210,7 +210,7 @@ def _sb3_modules(policy: Any) -> list[Any]:
     """The modules of a Stable-Baselines3 policy from observation to action."""
     if hasattr(policy, "mlp_extractor"):
         return [*_leaves(policy.mlp_extractor.policy_net), policy.action_net]
-    actor = getattr(policy, "actor", None)
+    actor: Any = getattr(policy, "actor", None)
     if hasattr(actor, "latent_pi"):
         return [*_leaves(actor.latent_pi), actor.mu, "Tanh"]
     if hasattr(actor, "mu"):

@@ -72,8 +72,8 @@ class VlapsVecEnv(VecEnv):
         ]
         if "driver" in info:
             for name in ("proposal", "applied", "expert", "driver", "takeover"):
-                for index, value in enumerate(info[name]):
-                    infos[index][name] = value
+                for one, value in zip(infos, info[name]):
+                    one[name] = value
         for index in np.flatnonzero(done):
             infos[index] = self._end(int(index), info, bool(truncated[index]))
         return observation, reward, done, infos

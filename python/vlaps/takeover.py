@@ -84,13 +84,16 @@ class Takeover:
         everywhere = asked is None and self.rule in ("always", "differs")
         if asked is None and self.rule == "vetoed":
             asked = judge(proposal)[:, _VETO] != 0.0
-        wanted = driving if everywhere else driving & (False if asked is None else asked)
+        if asked is None:
+            asked = np.full_like(driving, everywhere)
+        wanted = driving & asked
         expert = np.full_like(proposal, np.nan)
         if wanted.any():
             expert = advise(self.method, wanted)
         taken = wanted
         if everywhere and self.rule == "differs":
             # Comparison with NaN is false: there the expert was not asked.
-            taken = (np.abs(expert - np.clip(proposal, -1.0, 1.0)) > self.differ).any(axis=1)
+            apart = np.abs(expert - np.clip(proposal, -1.0, 1.0)) > self.differ
+            taken = np.logical_or(apart[:, 0], apart[:, 1])
         applied = np.where(taken[:, None], expert, proposal)
         return Decided(proposal, applied, expert, taken, driving)
