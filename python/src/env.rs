@@ -21,7 +21,7 @@ pub const REALS: [&str; 5] = [
     "velocity",
     "driven_m",
 ];
-/// Then those that are counts.
+/// Then those that are counts; the seed stands there with its bits.
 pub const COUNTS: [&str; 4] = [
     "episode_length",
     "vehicle_contacts",
@@ -279,7 +279,8 @@ impl Env {
             world.ticks() as f64,
             self.vehicle_contacts as f64,
             self.object_contacts as f64,
-            world.seed() as f64,
+            // Its bits: a number of this type has no room for every seed.
+            f64::from_bits(world.seed()),
             flag(arrived),
             flag(step.outcome == Outcome::OutOfRoad),
             flag(step.outcome == Outcome::MaxStep),
@@ -306,19 +307,26 @@ impl Env {
     /// Repeats a history, and writes the row of its last call.
     ///
     /// # Errors
-    /// [`WorldError`] when the seed has no map.
+    /// One line, when the seed has no map or the history goes on after the episode.
     pub fn replay(
         &mut self,
         options: &Options,
         history: &History,
         mut row: Row,
-    ) -> Result<(), WorldError> {
-        self.begin(options, history.seed)?;
+    ) -> Result<(), String> {
+        self.begin(options, history.seed)
+            .map_err(|error| error.to_string())?;
         (self.place, self.is_fresh) = (history.place, history.is_fresh);
         let mut advised = history.advised.iter().copied().peekable();
         // Each observation draws its noise, so each is made again.
         self.perceive(options, row.observation);
-        for &pair in history.actions {
+        for (index, &pair) in history.actions.iter().enumerate() {
+            if self.ends(options) != (false, false) {
+                let count = history.actions.len();
+                return Err(format!(
+                    "the state has {count} actions, and its episode ends after {index}"
+                ));
+            }
             while advised.next_if_eq(&self.world.ticks()).is_some() {
                 self.advise();
             }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use sim::{RewardConfig, WorldConfig};
 
 /// Seeds are below this: Python passes them as signed numbers.
-const SEEDS_END: u64 = 1 << 63;
+pub const SEEDS_END: u64 = 1 << 63;
 
 /// What follows the end of an episode (Gymnasium's `AutoresetMode`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

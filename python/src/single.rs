@@ -81,8 +81,16 @@ impl World {
         for (&real, name) in reals.iter().zip(names.by_ref()) {
             info.set_item(name, real)?;
         }
-        for (&count, name) in counts.iter().zip(names.by_ref()) {
-            info.set_item(name, count as u64)?;
+        for ((&count, of), name) in counts.iter().zip(COUNTS).zip(names.by_ref()) {
+            let is_seed = of == "seed";
+            info.set_item(
+                name,
+                if is_seed {
+                    count.to_bits()
+                } else {
+                    count as u64
+                },
+            )?;
         }
         for (&flag, name) in flags.iter().zip(names) {
             info.set_item(name, flag != 0.0)?;

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use sim::WorldError;
 
 use crate::env::{Env, History, Pair, Row};
-use crate::options::Options;
+use crate::options::{Options, SEEDS_END};
 
 /// Raised whenever what a stored state holds changes its meaning.
 const STATE_VERSION: u32 = 1;
@@ -98,7 +98,8 @@ impl State {
             actions: &stored.actions,
             advised: &stored.advised,
         };
-        env.replay(options, &history, row).map_err(world_error)
+        env.replay(options, &history, row)
+            .map_err(PyValueError::new_err)
     }
 }
 
@@ -127,10 +128,16 @@ fn read(bytes: &[u8]) -> PyResult<Stored> {
     }
     let stored: Stored = serde_json::from_value(value).map_err(refused)?;
     let mut numbers = stored.actions.iter().flatten();
-    match numbers.all(|number| number.is_finite()) {
-        true => Ok(stored),
-        false => Err(PyValueError::new_err(
-            "the state holds an action that is no finite number",
-        )),
-    }
+    let wrong = if stored.seed >= SEEDS_END {
+        "a seed that is not below 2**63"
+    } else if !numbers.all(|number| number.is_finite()) {
+        "an action that is no finite number"
+    } else if !stored.advised.is_sorted()
+        || stored.advised.last() > Some(&(stored.actions.len() as u64))
+    {
+        "questions to the expert after its last action, or in no order"
+    } else {
+        return Ok(stored);
+    };
+    Err(PyValueError::new_err(format!("the state holds {wrong}")))
 }

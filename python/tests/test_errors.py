@@ -1,5 +1,7 @@
 """Exceptions that say what to do; after each the environment still works."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -54,13 +56,34 @@ def test_environments_that_are_closed():
     env.reset()
     env.close()
     env.close()
-    for call in (env.reset, env.get_state, lambda: env.step([0, 0])):
+    calls = (
+        env.reset,
+        env.get_state,
+        env.expert,
+        lambda: env.set_state(b""),
+        lambda: env.judge([0, 0]),
+        lambda: env.step([0, 0]),
+        lambda: env.step([0, 0], takeover=True),
+    )
+    for call in calls:
         with pytest.raises(RuntimeError, match="closed"):
             call()
     vector = vlaps.MetaDriveVectorEnv(2)
     vector.close()
-    with pytest.raises(RuntimeError, match="closed"):
-        vector.reset()
+    still = np.zeros((2, 2), np.float32)
+    calls = (
+        vector.reset,
+        vector.seeds,
+        vector.expert,
+        lambda: vector.get_state(0),
+        lambda: vector.set_state(0, b""),
+        lambda: vector.judge(still),
+        lambda: vector.step(still),
+        lambda: vector.send(still),
+    )
+    for call in calls:
+        with pytest.raises(RuntimeError, match="closed"):
+            call()
 
 
 def test_a_step_before_the_first_reset():
@@ -78,6 +101,8 @@ def test_a_step_before_the_first_reset():
         ({"vehicle_config": 3}, "dictionary"),
         ({"num_scenarios": 0}, "num_scenarios"),
         ({"start_seed": -1}, "seed"),
+        ({"seeds": []}, "seeds"),
+        ({"seeds": [2**63]}, "seeds"),
         ({"horizon": 0}, "horizon"),
         ({"map": "SZ"}, "Z"),
         ({"map_config": {"lane_num": 99}}, "lane"),
@@ -118,5 +143,43 @@ def test_sizes_that_are_wrong(vector):
         vlaps.MetaDriveVectorEnv(2, threads=0)
     with pytest.raises(ValueError):
         vlaps.MetaDriveVectorEnv(2, autoreset_mode="sometimes")
-    with pytest.raises(IndexError, match="there are 3"):
-        vector.get_state(3)
+    for index in (3, -1):
+        with pytest.raises(IndexError, match="there are 3"):
+            vector.get_state(index)
+        with pytest.raises(IndexError, match="there are 3"):
+            vector.set_state(index, b"")
+
+
+def test_a_takeover_that_is_no_mark(env):
+    with pytest.raises(ValueError, match="True, False or None"):
+        env.step([0, 0], takeover="yes")
+
+
+def test_the_greatest_seed_is_reported_exactly():
+    for seed in (2**53 + 1, 2**63 - 1):
+        assert vlaps.MetaDriveEnv(seeds=[seed]).reset()[1]["seed"] == seed
+        assert vlaps.MetaDriveEnv().reset(seed=seed)[1]["seed"] == seed
+        vector = vlaps.MetaDriveVectorEnv(2, seeds=[seed, 7])
+        assert vector.reset()[1]["seed"].tolist() == [seed, 7]
+        assert vector.seeds().tolist() == [seed, 7]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"actions": [[0.0, 0.5]] * 5000}, "ends after"),
+        ({"actions": [[0.0, None]]}, "no state"),
+        ({"actions": [[0.0, 1e39]]}, "finite|no state"),
+        ({"advised": [3]}, "questions"),
+        ({"advised": [1, 0]}, "questions"),
+        ({"seed": 2**63}, "seed"),
+        ({"seed": -1}, "no state"),
+    ],
+)
+def test_stored_states_that_were_changed(env, change, message):
+    env.step([0.0, 0.5])
+    env.step([0.0, 0.5])
+    stored = {**json.loads(bytes(env.get_state())), **change}
+    with pytest.raises(ValueError, match=message):
+        env.set_state(json.dumps(stored).encode())
+    env.reset()

@@ -87,7 +87,10 @@ def _checked(key: str, value: Any, default: Any) -> Any:
     if key == "map" and isinstance(value, str):
         return value
     if key == "seeds":
-        return None if value is None else [_count(key, seed) for seed in value]
+        seeds = None if value is None else [_count(key, seed) for seed in value]
+        if seeds == []:
+            raise ValueError("option 'seeds' is empty: it must hold at least one seed")
+        return seeds
     if isinstance(default, bool):
         if value in (True, False):
             return bool(value)

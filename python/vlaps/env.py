@@ -134,6 +134,8 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _step_with_expert(
         self, world: _vlaps.World, proposal: tuple[float, float], wanted: bool | None
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        if not isinstance(wanted, (bool, np.bool_, type(None))):
+            raise ValueError(f"takeover must be True, False or None, not {wanted!r}")
         marks = None if wanted is None else np.array([wanted], np.bool_)
         rule = self._takeover or Takeover()
         decided = rule.decide(

@@ -217,6 +217,8 @@ def evaluate(
     importable by name. No figure but the planning time depends on threads, processes or
     nodes. `options` are those of the environment.
     """
+    if not isinstance(seeds, Iterable):
+        raise TypeError(f"seeds = {seeds!r}: pass a sequence, such as range(1000, 1200)")
     wanted = [checked_seed(seed) for seed in seeds]
     if not wanted:
         raise ValueError("no seeds: pass for example range(1000, 1200)")

@@ -159,6 +159,8 @@ def _normalised(layers: _Layers, mean: NDArray[np.float64], std: NDArray[np.floa
 def _layers_of(policy: Any) -> tuple[_Layers, Callable[[Any], Any] | None]:
     """The layers of a policy, and its answers to observations where it can be asked."""
     if isinstance(policy, Sequence):
+        if any(not isinstance(layer, Sequence) or len(layer) != 3 for layer in policy):
+            raise TypeError("a layer is (weights, bias, activation)")
         return [_layer(*layer) for layer in policy], None
     if hasattr(policy, "policy") and hasattr(policy, "predict"):
         policy = policy.policy

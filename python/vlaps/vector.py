@@ -224,7 +224,10 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         flags_from = len(_REALS) + len(_COUNTS)
         info: dict[str, Any] = dict(self._masks)
         info.update(zip(_REALS, figures))
-        info.update(zip(_COUNTS, figures[len(_REALS) : flags_from].astype(np.int64)))
+        # The seed stands there with its bits.
+        seed = figures[flags_from - 1].view(np.int64)
+        info.update(zip(_COUNTS, figures[len(_REALS) : flags_from - 1].astype(np.int64)))
+        info["seed"] = seed
         info.update(zip(_FLAGS, figures[flags_from:] != 0.0))
         if decided is not None:
             shown = {
@@ -278,12 +281,17 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
 
     def get_state(self, index: int) -> _vlaps.State:
         """The state of one world; `bytes()` of it can be stored."""
-        return self._open().get_state(index)
+        return self._open().get_state(self._place(index))
+
+    def _place(self, index: int) -> int:
+        if not 0 <= index < self.num_envs:
+            raise IndexError(f"environment {index}: there are {self.num_envs}, counted from 0")
+        return index
 
     def set_state(self, index: int, state: _vlaps.State | bytes) -> NDArray[np.float32]:
         """Puts one world into a state of a world with the same options, bit by bit; returns
         its observation."""
-        self._open().set_state(index, state)
+        self._open().set_state(self._place(index), state)
         observation: NDArray[np.float32] = self._arrays["observation"][index].copy()
         return observation
 
