@@ -125,15 +125,15 @@ impl Offers {
                 && status.is_some_and(|status| outcome_of(&status, version, hash).is_none())
             {
                 return Err(Failure::GivenUp(
-                    "the controller was restarted before the probation was over, and goes on \
-                     with the weights before; swap again"
+                    "the controller was restarted before the canary period ended, and continues \
+                     with the previous weights; swap again"
                         .into(),
                 ));
             }
             match status.and_then(|status| outcome_of(&status, version, hash)) {
                 Some(Answer::Ready { tick }) => {
                     say(format_args!(
-                        "probation passed: may drive from tick {tick} on"
+                        "canary period passed: may drive from tick {tick} on"
                     ));
                     self.warn_of_unkept();
                     return Ok(());
@@ -141,13 +141,13 @@ impl Offers {
                 Some(Answer::Refused(reason)) => return Err(Failure::GivenUp(reason)),
                 Some(Answer::Overtaken(later)) => {
                     return Err(Failure::GivenUp(format!(
-                        "version {later} was offered before the probation was over"
+                        "version {later} was offered before the canary period ended"
                     )));
                 }
                 Some(Answer::Adopted { .. }) | None => pause(LOOK),
             }
         }
-        Err(Failure::GivenUp("the probation does not end".into()))
+        Err(Failure::GivenUp("the canary period does not end".into()))
     }
 
     pub(super) fn warn_of_unkept(&self) {
