@@ -1,4 +1,4 @@
-"""The door for commands: content, age, episode. The mirror of `admit` and
+"""The check of commands: content, age, episode. The mirror of `admit` and
 `admit_answer` in `sim/src/main.rs`.
 
 Both return the RefusalKind of a command that is refused, None for one that is admitted.
@@ -26,8 +26,8 @@ def admit(command, now_ns, limit_ns, episode):
 
 
 def admit_answer(command, asked, episode):
-    """In lockstep time is counted in ticks: only the answer to the tick that was
-    asked about is in time."""
+    """In lockstep time advances with the ticks: only the answer to the last published
+    tick is accepted."""
     refusal = _admit_timeless(command, episode)
     if refusal is not None or command.header.tick == asked:
         return refusal

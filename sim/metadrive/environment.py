@@ -15,11 +15,11 @@ from metadrive.envs.safe_metadrive_env import SafeMetaDriveEnv
 
 import wire_layout as layout
 
-# Scenarios the simulator is told of: every seed below this is one.
+# Number of scenarios of the simulator: each seed below this is one.
 SCENARIOS = 100_000
 # Length of a tick of its physics as one step: five of 0.02 s.
 TICK_S = 0.1
-# Nothing but failures: what is worth a line is in the world's own log.
+# Failures only: other events are in the world's own log.
 LOG_LEVEL = 50
 
 Step = namedtuple("Step", "outcome touched_vehicle touched_object on_sidewalk")
@@ -102,7 +102,7 @@ class World:
         return float(self.vehicle.speed)
 
     def step(self, action):
-        """One tick of the physics, and what it brought."""
+        """Runs one tick of the physics; returns its result."""
         before = self.vehicle.position
         self.features, _, _, _, _ = self.env.step(action)
         self.ticks += 1
@@ -122,7 +122,7 @@ class World:
         return layout.Outcome.DRIVING
 
     def observe(self, observation):
-        """Fills what the ego perceives now; leaves the header and instants alone."""
+        """Fills the present observation; header and instants are not changed."""
         vehicle = self.vehicle
         _fill_ego(observation.ego, vehicle)
         _fill_road(observation.road, vehicle)

@@ -28,7 +28,7 @@ LINE_M = 0.2
 LEAST_PX = 5.0
 # A picture is begun only with this many times its greatest cost as slack.
 SLACK_FACTOR = 2
-# What the first picture is taken to cost, ns.
+# The assumed cost of the first picture, ns.
 FIRST_COST_NS = 20_000_000
 # Share of the greatest cost that is remembered when a tick had no slack for it:
 # one slow picture must not be the last one.
@@ -45,7 +45,7 @@ class _Shape:
         self.radius = float(np.hypot(*(self.points - self.centre).T).max())
 
 
-class Photographer:
+class FrameServer:
     """Takes a picture when one is asked for and no tick is delayed by it."""
 
     def __init__(self, world, ports, period_ns):

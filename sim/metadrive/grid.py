@@ -50,7 +50,7 @@ class Grid:
             self.skip_passed()
 
     def skip_passed(self):
-        """Skips and counts the instants that have passed meanwhile."""
+        """Skips and counts the instants that have passed."""
         if self.lockstep:
             return
         late_ns = max(monotonic_ns() - self.instant_ns(self.tick), 0)

@@ -1,5 +1,5 @@
-"""What every process of a run does at its start and end, and how it says how it
-does: the mirror of the crate `runtime`."""
+"""What every process of a run does at its start and end, and its telemetry: the
+mirror of the crate `runtime`."""
 
 import argparse
 import ctypes
@@ -18,18 +18,19 @@ from wire import Wire, WireError
 
 # The exit code of a process that could not be set up; it is not restarted.
 SET_UP_FAILED = 2
-# How often a process says how it does, and publishes its histograms, ns.
+# How often a process publishes its health and its histograms, ns.
 HEALTH_NS = 50_000_000
 TIMING_NS = 500_000_000
 # Log lines that may wait for a slow disk before further ones are dropped.
 LOG_LINES = 1000
-# How long the supervisor may take to name a process that it has started, ns: it
-# publishes its roster every 5 ms while processes start; and from look to look, s.
+# How long the supervisor may take to put a process that it has started on its
+# roster, ns (it publishes the roster every 5 ms while processes start), and the
+# time between two reads of the roster, s.
 NAMED_NS = 5_000_000_000
 NAMED_LOOK_S = 0.0005
 # How long the car is braked after the last message of a process that sends in the
-# place of one that the run has started, ns: at 10 Hz several messages of any sender
-# that matters come in that time, so that the brake holds between them.
+# place of one that the run has started, ns: even a slow sender sends several
+# messages in that time, so the brake holds between them.
 CONTEST_NS = 1_000_000_000
 
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -57,7 +58,7 @@ def sleep_until(instant_ns):
 
 
 def die_with_parent():
-    """Ends with the supervisor, however it ends: no process of a run outlives it."""
+    """Asks the kernel to end this process when the supervisor ends, in any way."""
     parent = os.getppid()
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     # The parent may have died before the line above.
@@ -94,8 +95,8 @@ def load_config(path):
 
 
 class Log:
-    """Lines for stderr, written by a thread of its own; dropped when the disk
-    cannot follow, so that no disk ever holds up a tick."""
+    """Lines for stderr, written by a separate thread. They are dropped when the disk
+    is too slow, so that no disk delays a tick."""
 
     def __init__(self):
         self._lines = queue.Queue(LOG_LINES)
@@ -124,16 +125,16 @@ class Log:
         self._thread.join(timeout=1.0)
 
 
-class Rights:
-    """What the main thread asks the kernel for, and what it got."""
+class Privileges:
+    """The real-time privileges that the main thread asks for, and those it got."""
 
     def __init__(self, priority, core):
         self._priority_asked = priority
         self._core_asked = core
         self._priority = self._core = self._memory = layout.Grant.NOT_ASKED
 
-    def claim(self):
-        """To be called when everything is allocated; what is refused is told."""
+    def apply(self):
+        """Call it when everything is allocated; a refusal is logged."""
         if self._core_asked is not None:
             self._core = _granted(lambda: os.sched_setaffinity(0, {self._core_asked}))
         if self._priority_asked == 0:
@@ -147,7 +148,7 @@ class Rights:
         # Absolute sleeps of real-time threads have no slack; of others, 50 us.
         _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
-    def tell(self, health):
+    def report(self, health):
         health.priority = self._priority
         health.core = self._core
         health.memory = self._memory
@@ -199,15 +200,15 @@ def record_series(histogram, first_ns, step_ns, count):
     apart = min(count, LONGEST_NS // step_ns + 1)
     for k in range(apart):
         record(histogram, first_ns + k * step_ns)
-    # The rest is longer than the histogram tells apart.
+    # The rest is beyond the range of the histogram.
     if count > apart:
         record(histogram, first_ns + (count - 1) * step_ns)
         histogram.buckets[layout.HISTOGRAM_BUCKETS - 1] += count - apart - 1
         histogram.count += count - apart - 1
 
 
-class Pulse:
-    """A process's own account of how it does, published now and then."""
+class Telemetry:
+    """What a process reports about itself: health and histograms."""
 
     def __init__(self, wire):
         self.health = layout.Health()
@@ -216,19 +217,19 @@ class Pulse:
         self._timing_port = wire.publisher(layout.TIMING_WORLD)
         self._health_due = 0
         self._timing_due = 0
-        # A tick that is no later than this is none of the latest.
+        # Ticks no later than this are not among the latest.
         self._late_bar_ns = 0
         self._usage_before = resource.getrusage(resource.RUSAGE_THREAD)
 
     def enter(self, state, now_ns):
-        """Says a new state at once."""
+        """Publishes a new state immediately."""
         if state == layout.HealthState.READY:
             self._usage_before = resource.getrusage(resource.RUSAGE_THREAD)
         self.health.state = state
         self._health_due = self._timing_due = now_ns
-        self.beat(now_ns)
+        self.heartbeat(now_ns)
 
-    def beat(self, now_ns):
+    def heartbeat(self, now_ns):
         """Publishes what is due, between ticks."""
         if now_ns >= self._health_due:
             usage, before = resource.getrusage(resource.RUSAGE_THREAD), self._usage_before
@@ -237,12 +238,12 @@ class Pulse:
             self.health.involuntary_switches = usage.ru_nivcsw - before.ru_nivcsw
             self.health.header.taken_ns = now_ns
             self._health_port.send(self.health)
-            self._health_port.tend()
+            self._health_port.update_connections()
             self._health_due = now_ns + HEALTH_NS
         if now_ns >= self._timing_due:
             self.timing.header.taken_ns = now_ns
             self._timing_port.send(self.timing)
-            self._timing_port.tend()
+            self._timing_port.update_connections()
             self._timing_due = now_ns + TIMING_NS
 
     def count_tick(self, lateness_ns, execution_ns, wake_up_ns):
@@ -272,23 +273,23 @@ class Pulse:
             self._late_bar_ns = min(late.late_ns for late in timing.late)
 
     def record_skipped(self, newest_ns, period_ns, count):
-        """Skipped instants are as late as they really were: each from itself until
-        the next tick began, the newest of them `newest_ns`."""
+        """Records each skipped instant with its full lateness: from the instant until
+        the next tick began. `newest_ns` is the newest of them."""
         for lateness in (self.timing.release_lateness, self.timing.wake_up):
             record_series(lateness, newest_ns, period_ns, count)
 
 
 class Contest:
-    """Whether two living processes send one state: then nothing that is received can
-    be trusted to be the run's own, and the car is braked."""
+    """Detects that two living processes send the same state. Then no received message
+    can be trusted to be the run's own, and the car is braked."""
 
     def __init__(self):
         self._seen = 0
         self._until_ns = None
 
     def look(self, contests, now_ns):
-        """Takes in how many messages were refused for it, after the ports were read;
-        whether the car is to be braked."""
+        """Reads the number of refused messages, after the ports were read; returns
+        whether the car must brake."""
         if contests != self._seen:
             self._seen = contests
             self._until_ns = now_ns + CONTEST_NS
@@ -296,9 +297,9 @@ class Contest:
 
 
 def join_as(run_name, process):
-    """Joins a run as the process that the supervisor has started: takes state only
-    from those that its roster names, and waits until that names this one, too."""
-    # The one that started it: the roster of any other may name anyone.
+    """Joins a run as the process that the supervisor has started. It takes state only
+    from processes on the supervisor's roster, and waits until the roster names it."""
+    # Only the parent's roster counts: any other process could publish one.
     wire = Wire(run_name, process, os.getppid())
     until_ns = monotonic_ns() + NAMED_NS
     while wire.producers.pid(process) != os.getpid():
@@ -330,9 +331,9 @@ class Member:
             ) from None
         except WireError as error:
             raise SetUpError(str(error)) from None
-        # In lockstep every process runs flat out: with real-time priority they
-        # would starve the machine.
-        self.rights = Rights(0 if self.lockstep else arguments.priority, arguments.core)
+        # In lockstep every process runs without a pause; real-time priority would
+        # starve the machine.
+        self.privileges = Privileges(0 if self.lockstep else arguments.priority, arguments.core)
 
     def _ask_to_stop(self, _number, _frame):
         self._stop = True
@@ -341,9 +342,9 @@ class Member:
     def is_stopping(self):
         return self._stop
 
-    def claim_rights(self):
-        self.rights.claim()
-        self.log.say("real-time rights", **self.rights.words())
+    def apply_privileges(self):
+        self.privileges.apply()
+        self.log.say("real-time privileges", **self.privileges.words())
 
 
 def monotonic_ns():

@@ -10,14 +10,14 @@ import os
 
 import wire_layout as layout
 
-# Rosters looked at in one go: one of each publisher there can be.
+# Rosters that are read in one call: one for each possible publisher.
 ROSTERS_MAX = layout.PUBLISHERS_MAX
 
 _CODES = {word: code for code, word in layout.Process.WORDS.items()}
 
 
 def _lives(pid):
-    """The process exists, whatever user it belongs to."""
+    """Whether the process exists, of any user."""
     # The kernel takes other numbers for groups of processes.
     if pid <= 0:
         return False
@@ -31,7 +31,7 @@ def _lives(pid):
 
 
 class Producers:
-    """What a membership knows of the run's processes, and what its ports refused."""
+    """What a membership knows about the run's processes, and its refusals."""
 
     def __init__(self, author, receive):
         """Follows the rosters of the process `author`. `receive` gives the next
@@ -68,12 +68,12 @@ class Producers:
         place = _CODES[service.from_]
         # A sender without an id is on no roster: 0 stands for "not started".
         if sender > 0:
-            # It may have been started since the last look.
+            # It may have been started since the last read of the roster.
             if self._pids[place] == sender or self.pid(service.from_) == sender:
                 return True
         self.count(layout.RefusalKind.FOREIGN)
-        # What a dead predecessor left unread is refused like all else, but two that
-        # live and send in one place are a contest.
+        # Unread messages of a dead predecessor are refused like others; two living
+        # processes that send in one place are a contest.
         if _lives(sender):
             self.contests += 1
             self._foreigner = (sender, place)
@@ -95,9 +95,9 @@ class Producers:
         """Counts a message that a port refused."""
         self._refused[kind] += 1
 
-    def tell(self, health):
-        """Writes what was refused into the health message. To be called once a tick,
-        after the ports were read."""
+    def report(self, health):
+        """Writes the refusals to the health message. Call it once a tick, after the
+        ports were read."""
         health.refused[:] = self._refused
         if self._foreigner is not None:
             health.foreign_pid, health.foreign_as = self._foreigner

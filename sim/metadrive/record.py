@@ -39,7 +39,7 @@ def line(world, observation):
 
 
 def episode(world, seed, ticks, say):
-    """Drives an episode, or its first ticks, and says each."""
+    """Drives an episode, or its first ticks, and prints each tick."""
     world.reset(seed)
     wobble = random.Random(seed)
     observation = layout.Observation()

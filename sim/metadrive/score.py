@@ -1,4 +1,4 @@
-"""The account of one episode: what was obeyed, touched, and how it ended.
+"""The account of one episode: applied commands, contacts, and the outcome.
 
 The mirror of `sim/src/score.rs`: the same bits enter the digest.
 """
@@ -8,7 +8,7 @@ import struct
 
 import wire_layout as layout
 
-# What is obeyed when no command is young enough: no steering, full brake.
+# Applied when no command is young enough: no steering, full brake.
 BRAKE = (0.0, -1.0)
 
 
@@ -47,7 +47,7 @@ class Score:
         self.crash_last_step = step.touched_vehicle or step.touched_object or step.on_sidewalk
 
     def episode(self, world, outcome):
-        """The finished episode, but for its header and the skipped ticks."""
+        """The finished episode, without its header and the skipped ticks."""
         digest = (layout.ctypes.c_uint8 * 32).from_buffer_copy(self._commands.digest())
         return layout.Episode(
             seed=self.seed,
@@ -63,7 +63,7 @@ class Score:
         )
 
     def progress(self, world, outcome):
-        """How the episode goes, but for its header and the skipped ticks."""
+        """The progress of the episode, without its header and the skipped ticks."""
         return layout.Progress(
             seed=self.seed,
             completion=world.completion,

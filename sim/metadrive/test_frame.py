@@ -7,7 +7,7 @@ import unittest
 from types import SimpleNamespace
 
 import wire_layout as layout
-from frame import FIRST_COST_NS, SLACK_FACTOR, Photographer
+from frame import FIRST_COST_NS, SLACK_FACTOR, FrameServer
 from wire_layout import Palette, RefusalKind
 
 PERIOD_NS = 100_000_000
@@ -59,7 +59,7 @@ def scene():
 class Taking(unittest.TestCase):
     def setUp(self):
         self.requests, self.frames = Port(), Port()
-        self.photographer = Photographer(scene(), (self.requests, self.frames), PERIOD_NS)
+        self.frame_server = FrameServer(scene(), (self.requests, self.frames), PERIOD_NS)
 
     def ask(self, tick, **changes):
         values = {"view": layout.View.TOP_DOWN, "width": 240, "height": 320, **changes}
@@ -67,10 +67,10 @@ class Taking(unittest.TestCase):
         self.requests.message.header.tick = tick
 
     def tick(self, tick, slack_ns=None):
-        self.photographer.take_if_asked(layout.Header(tick=tick, taken_ns=tick), slack_ns)
+        self.frame_server.take_if_asked(layout.Header(tick=tick, taken_ns=tick), slack_ns)
         return self.frames.newest(lambda _: None)
 
-    def test_nothing_is_drawn_before_somebody_asks(self):
+    def test_nothing_is_drawn_without_a_request(self):
         self.assertIsNone(self.tick(0))
         self.ask(1)
         frame = self.tick(1)
@@ -86,7 +86,7 @@ class Taking(unittest.TestCase):
         self.ask(20, width=10)
         self.assertIsNone(self.tick(20), "too narrow")
         self.assertEqual(self.requests.refused, [RefusalKind.STALE, RefusalKind.CONTENT])
-        self.assertEqual((self.photographer.taken, self.photographer.declined), (1, 0))
+        self.assertEqual((self.frame_server.taken, self.frame_server.declined), (1, 0))
 
     def test_a_bad_request_does_not_displace_a_good_one_that_waits(self):
         self.ask(1)
@@ -100,7 +100,7 @@ class Taking(unittest.TestCase):
         for tick in (1, 11):
             self.assertIsNone(self.tick(tick, 0), "no slack")
         self.assertIsNone(self.tick(12))
-        self.assertEqual((self.photographer.taken, self.photographer.declined), (0, 1))
+        self.assertEqual((self.frame_server.taken, self.frame_server.declined), (0, 1))
 
     def test_a_tick_without_slack_is_not_delayed(self):
         self.ask(1)
@@ -110,7 +110,7 @@ class Taking(unittest.TestCase):
         self.assertEqual(self.tick(5, AMPLE_NS).header.tick, 5)
 
     def test_one_slow_picture_is_not_the_last(self):
-        self.photographer._cost_ns = 50 * PERIOD_NS
+        self.frame_server._cost_ns = 50 * PERIOD_NS
         taken = 0
         for tick in range(100):
             self.ask(tick)

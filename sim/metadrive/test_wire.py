@@ -85,7 +85,7 @@ class Fixture(unittest.TestCase):
 
     def health(self):
         health = layout.Health()
-        self.producers.tell(health)
+        self.producers.report(health)
         return health
 
     def refused(self, **kinds):
@@ -102,7 +102,7 @@ class Senders(Fixture):
         self.refused()
         self.assertEqual(self.producers.contests, 0)
 
-    def test_a_foreign_process_is_refused_whatever_its_header_claims(self):
+    def test_a_foreign_process_is_refused_with_any_header(self):
         self.queue.put(CONTROLLER, command(steer=0.5))
         self.queue.put(STRANGER, command(steer=-1.0))
         self.assertEqual(self.newest().steer, 0.5)
@@ -274,7 +274,7 @@ class SharedMemory(unittest.TestCase):
             self.assertEqual(intruder.stdout.readline(), "sent\n")
             newest = commands.newest(lambda _: None)
             health = layout.Health()
-            self.wire.producers.tell(health)
+            self.wire.producers.report(health)
             self.assertEqual(newest.steer, 0.5)
             self.assertEqual(health.refused[RefusalKind.FOREIGN], 1)
             self.assertEqual(health.foreign_pid, intruder.pid)
@@ -286,7 +286,7 @@ class SharedMemory(unittest.TestCase):
         # Named by itself, which did not start it.
         self.rosters.send(roster(world=os.getpid()))
         # The supervisor passes its roster on to late joiners every few milliseconds.
-        passing_on = unittest.mock.patch("time.sleep", lambda _: self.rosters.tend())
+        passing_on = unittest.mock.patch("time.sleep", lambda _: self.rosters.update_connections())
         soon = unittest.mock.patch("member.NAMED_NS", 50_000_000)
         with passing_on, soon, self.assertRaises(SetUpError) as refused:
             join_as(self.RUN, "world")

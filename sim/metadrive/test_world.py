@@ -44,14 +44,15 @@ class Obeying(test_wire.Fixture):
         session = self.session = Session.__new__(Session)
         session.grid = Grid(True, PERIOD_NS, 0)
         session.ports = SimpleNamespace(
-            commands=Subscriber(port, layout.COMMAND, self.producers), tend=lambda: None
+            commands=Subscriber(port, layout.COMMAND, self.producers),
+            update_connections=lambda: None,
         )
         session.member = SimpleNamespace(
             wire=SimpleNamespace(producers=self.producers),
             config={"run": {"duration_s": 0, "episodes": 0}},
             is_stopping=False,
         )
-        session.pulse = SimpleNamespace(health=layout.Health(), beat=lambda _: None)
+        session.telemetry = SimpleNamespace(health=layout.Health(), heartbeat=lambda _: None)
         session.contest, session.score, session.world = Contest(), Score(7), Simulator()
         session.episode, session.command = EPISODE, None
         session.command_age_ns, session.driven_ns, session.wait_ns = 250_000_000, 0, 0
@@ -65,7 +66,7 @@ class Obeying(test_wire.Fixture):
         self.queue.put(sender, command(taken_ns=now_ns, **changes))
 
     def refusals(self):
-        return list(self.session.pulse.health.refused)
+        return list(self.session.telemetry.health.refused)
 
     def test_a_good_command_is_obeyed_until_it_is_old(self):
         self.send(CONTROLLER, 0, steer=0.5)
@@ -89,7 +90,7 @@ class Obeying(test_wire.Fixture):
             self.send(CONTROLLER, now_ns, steer=0.5)
             self.send(STRANGER, now_ns, steer=-1.0)
             self.assertEqual(self.obeyed(now_ns), BRAKE, now_ns)
-        health = self.session.pulse.health
+        health = self.session.telemetry.health
         self.assertEqual(health.foreign_pid, STRANGER)
         self.assertEqual(health.foreign_as, layout.Process.CONTROLLER)
         last_ns = now_ns

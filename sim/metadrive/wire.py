@@ -13,8 +13,8 @@ import iceoryx2
 import wire_layout as layout
 from producers import Producers
 
-# Messages of foreign processes that one look passes over: a flood on a queue must
-# not hold the reader.
+# Messages of foreign processes that one read skips, so that a flood on a queue
+# cannot block the reader.
 FOREIGN_MAX = 64
 # Publishers that have gone and left something unread, of one service and reader, as
 # in `shm-config/src/wire/mod.rs`.
@@ -45,7 +45,7 @@ def _is_file_of_ours(found):
 
 
 def _close_to_others(path):
-    """Takes a file of ours from other users; what is not ours is left alone.
+    """Removes other users' rights to a file of this user; other files are unchanged.
 
     Every user may make such a name: a link is not followed, a pipe not waited for,
     and what was opened is asked again what it is.
@@ -60,7 +60,7 @@ def _close_to_others(path):
     try:
         found = os.fstat(file)
         if _is_file_of_ours(found):
-            # Its owner's bits stay: the library knows by them how far a file is.
+            # The owner's bits are kept: the library encodes the file's state in them.
             os.fchmod(file, stat.S_IMODE(found.st_mode) & 0o700)
     finally:
         os.close(file)
@@ -238,10 +238,10 @@ class Publisher:
         return sent
 
     def has_readers(self):
-        """Somebody reads the service."""
+        """Whether a process reads the service."""
         return self._topic.dynamic_config.number_of_subscribers > 0
 
-    def tend(self):
+    def update_connections(self):
         """Connects to readers that came since the last message, between ticks."""
         try:
             self._port.update_connections()
@@ -328,7 +328,7 @@ class Subscriber:
 
 
 class Doorbell:
-    """Where the process sleeps until one of its services has something new."""
+    """Wakes the process when one of its services has a new message."""
 
     def __init__(self, listener):
         self._listener = listener

@@ -11,13 +11,13 @@ import member
 import wire_layout as layout
 from door import admit, admit_answer
 from grid import Grid, first_instant
-from member import Contest, Member, Pulse, SetUpError, monotonic_ns
+from member import Contest, Member, Telemetry, SetUpError, monotonic_ns
 from score import Score
 from wire import WireError
 
 # Ticks of the simulator in a second: the only rate of this world.
 DECISION_HZ = 10.0
-# How long the world sleeps at most before it says how it does, ns.
+# The longest that the world sleeps between two heartbeats, ns.
 NAP_NS = 20_000_000
 # From look to look at requests for pictures between two ticks, ns.
 LOOK_NS = 5_000_000
@@ -50,10 +50,10 @@ class Ports:
         self.frame_requests = wire.subscriber(layout.FRAME_REQUEST)
         self.frames = wire.publisher(layout.FRAME)
 
-    def tend(self):
+    def update_connections(self):
         """Connects to readers that came or came back, between ticks."""
         for port in (self.observations, self.progress, self.episodes, self.frames):
-            port.tend()
+            port.update_connections()
 
 
 class Session:
@@ -70,17 +70,17 @@ class Session:
                 f"MetaDrive steps at {DECISION_HZ} Hz; leave both keys out"
             )
         self.ports = Ports(self.member.wire)
-        self.pulse = Pulse(self.member.wire)
+        self.telemetry = Telemetry(self.member.wire)
         # Only now: the run's own errors need not wait for the simulator.
         from environment import World
-        from frame import Photographer
+        from frame import FrameServer
 
         try:
             self.world = World(config["world"])
         except (AssertionError, KeyError, ValueError) as error:
             raise SetUpError(f"MetaDrive refuses this configuration: {error!r}") from None
         ports = (self.ports.frame_requests, self.ports.frames)
-        self.photographer = Photographer(self.world, ports, self.member.period_ns)
+        self.frame_server = FrameServer(self.world, ports, self.member.period_ns)
         self.command_age_ns = int(config["limits"]["command_age_ms"] * 1e6)
         # Where the controller may be waiting for the learner, that comes on top.
         wait_s = config["limits"]["lockstep_wait_s"]
@@ -92,12 +92,12 @@ class Session:
         self.contest = Contest()
         self.episode = arguments.first_episode
         self.episode_skipped = 0
-        # What worlds before this one have driven.
+        # The counts of earlier worlds of this run.
         self.driven_ns = arguments.driven_ns
         self._reset()
-        self.member.claim_rights()
-        self.member.rights.tell(self.pulse.health)
-        self.pulse.enter(layout.HealthState.READY, monotonic_ns())
+        self.member.apply_privileges()
+        self.member.privileges.report(self.telemetry.health)
+        self.telemetry.enter(layout.HealthState.READY, monotonic_ns())
         period_ns = self.member.period_ns
         first_ns = first_instant(config["run"]["name"], period_ns, monotonic_ns())
         self.grid = Grid(self.member.lockstep, period_ns, first_ns)
@@ -108,16 +108,16 @@ class Session:
             self.world.reset(seed)
         except ValueError as error:
             raise SetUpError(f"seed {seed}: {error}") from None
-        self.photographer.begin_episode()
+        self.frame_server.begin_episode()
         self.score = Score(seed)
 
     def leave(self):
         """Closes what the world holds of the run, in this order."""
-        self.photographer = self.ports = self.pulse = self.member.wire = None
+        self.frame_server = self.ports = self.telemetry = self.member.wire = None
 
     def drive(self):
         """Ticks until the run is done."""
-        grid, health = self.grid, self.pulse.health
+        grid, health = self.grid, self.telemetry.health
         health.first_scheduled_ns = grid.instant_ns(0)
         health.state = layout.HealthState.RUNNING
         while True:
@@ -141,8 +141,8 @@ class Session:
             if grid.lockstep:
                 self._await_command()
         self._account()
-        # Its last words; nothing of the simulator is worth another second.
-        self.pulse.enter(layout.HealthState.FINISHED, monotonic_ns())
+        # The last health message; the simulator needs no orderly end.
+        self.telemetry.enter(layout.HealthState.FINISHED, monotonic_ns())
 
     def _finish_tick(self, released_ns, moved_ns):
         grid = self.grid
@@ -155,43 +155,44 @@ class Session:
                 layout.Part.MOVE: moved_ns - released_ns,
                 layout.Part.OBSERVE: done_ns - moved_ns,
             }
-            self.pulse.note_deadline(grid.tick, done_ns - first_ns, grid.missed, parts)
+            self.telemetry.note_deadline(grid.tick, done_ns - first_ns, grid.missed, parts)
         grid.tick += 1
         # In lockstep a command releases it, not the timer.
         wake_up_ns = None if grid.lockstep else lateness_ns
-        self.pulse.count_tick(lateness_ns, done_ns - released_ns, wake_up_ns)
+        self.telemetry.count_tick(lateness_ns, done_ns - released_ns, wake_up_ns)
         self._account()
-        self.pulse.beat(done_ns)
-        self.ports.tend()
+        self.telemetry.heartbeat(done_ns)
+        self.ports.update_connections()
         self._take_pictures()
 
     def _record_missed(self, released_ns):
         grid = self.grid
         newest_ns = released_ns - grid.instant_ns(grid.tick - 1)
-        self.pulse.record_skipped(newest_ns, grid.period_ns, grid.missed)
+        self.telemetry.record_skipped(newest_ns, grid.period_ns, grid.missed)
 
     def _take_pictures(self):
         """Answers requests until the next tick is near: a picture can only be of
         what stands there now, so most are of the very tick that is asked for. In
         lockstep, one look."""
-        grid, photographer = self.grid, self.photographer
+        grid, frame_server = self.grid, self.frame_server
         while True:
             slack_ns = None if grid.lockstep else grid.instant_ns(grid.tick) - monotonic_ns()
-            photographer.take_if_asked(self.observation.header, slack_ns)
-            if slack_ns is None or slack_ns < photographer.needed_ns + LOOK_NS:
+            frame_server.take_if_asked(self.observation.header, slack_ns)
+            if slack_ns is None or slack_ns < frame_server.needed_ns + LOOK_NS:
                 return
             member.sleep_until(monotonic_ns() + LOOK_NS)
 
     def _account(self):
-        health = self.pulse.health
+        health = self.telemetry.health
         health.header.tick = max(self.grid.tick - 1, 0)
         health.skipped = health.late = self.grid.skipped
         health.next_scheduled_ns = self.grid.instant_ns(self.grid.tick)
 
     def _advance(self, begun_ns):
-        """Obeys the newest command for one tick of the physics; whether the run
-        is done."""
-        # Read after the command came, which else would be from the future.
+        """Applies the newest command for one tick of the physics; returns whether the
+        run is done."""
+        # The clock is read after the command, which otherwise would seem to come from
+        # the future.
         clock = lambda: begun_ns if self.grid.lockstep else monotonic_ns()
         newest = self.ports.commands.newest(lambda command: self._refusal(command, clock()))
         if newest is not None:
@@ -199,7 +200,7 @@ class Session:
         now_ns = clock()
         producers = self.member.wire.producers
         is_contested = self.contest.look(producers.contests, now_ns)
-        producers.tell(self.pulse.health)
+        producers.report(self.telemetry.health)
         young = self.command
         if young is not None and (is_contested or self._refusal(young, now_ns) is not None):
             young = None
@@ -215,7 +216,7 @@ class Session:
         return self._ends(now_ns)
 
     def _ends(self, now_ns):
-        """Somebody asked the world to stop, or the time is up."""
+        """Whether the world was asked to stop, or the time is up."""
         duration_s = self.member.config["run"]["duration_s"]
         elapsed_ns = self.driven_ns + now_ns - self.grid.instant_ns(0)
         if (duration_s > 0 and elapsed_ns >= duration_s * 1e9) or self.member.is_stopping:
@@ -224,7 +225,7 @@ class Session:
         return False
 
     def _refusal(self, command, now_ns):
-        """Why a command is not obeyed now, None when it may be."""
+        """Why a command is refused now; None when it is admitted."""
         return admit(command, now_ns, self.command_age_ns, self.episode)
 
     def _close_episode(self, outcome, now_ns):
@@ -245,7 +246,7 @@ class Session:
 
     def _open_episode(self):
         # A reset is the longest the world is silent.
-        self.pulse.beat(monotonic_ns())
+        self.telemetry.heartbeat(monotonic_ns())
         self.episode += 1
         self._reset()
         self.episode_skipped = self.grid.skipped
@@ -273,8 +274,8 @@ class Session:
         self.ports.progress.send(progress)
 
     def _await_command(self):
-        """In lockstep the next tick begins when the command for this one is there.
-        Nobody is waited for endlessly: then the car brakes."""
+        """In lockstep the next tick begins when the command for this one has arrived.
+        The wait has a limit; after it the car brakes."""
         asked = self.grid.tick - 1
         door = lambda command: admit_answer(command, asked, self.episode)
         until_ns = monotonic_ns() + self.wait_ns
@@ -286,8 +287,8 @@ class Session:
             now_ns = monotonic_ns()
             if now_ns >= until_ns or self.member.is_stopping:
                 return
-            self.pulse.beat(now_ns)
-            self.ports.tend()
+            self.telemetry.heartbeat(now_ns)
+            self.ports.update_connections()
             self.ports.bell.wait(min(NAP_NS, until_ns - now_ns))
 
 
