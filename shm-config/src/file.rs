@@ -160,7 +160,7 @@ pub fn read_ours(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
 }
 
 /// Writes a file so that its name refers to either the old or the whole new content.
-/// The new file is created under a free name; whatever was at `path`, also a link, is
+/// The new file is created under a free name; an entry at `path`, also a link, is
 /// replaced and not followed.
 ///
 /// # Errors
@@ -188,7 +188,7 @@ pub fn replace_with(
     replace_at(folder, Path::new(name), durable, write)
 }
 
-/// The name is one under which [`replace`] writes: a killed process left the file.
+/// Whether the name is a temporary one of [`replace`], left by a killed process.
 pub fn is_unfinished(name: &str) -> bool {
     let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
     let mut parts = name.rsplitn(2, '.');
@@ -197,8 +197,8 @@ pub fn is_unfinished(name: &str) -> bool {
         && parts.next().is_some_and(|replaced| !replaced.is_empty())
 }
 
-/// Makes a folder and those above it, as far as they are missing, so that only this
-/// user writes there; without that many systems would let the user's group write.
+/// Creates a folder and its parents where they are missing, so that only this user may
+/// write to them; by default many systems let the user's group write.
 ///
 /// # Errors
 /// When one cannot be made.
@@ -206,8 +206,8 @@ pub fn make_folders(path: &Path) -> io::Result<()> {
     DirBuilder::new().recursive(true).mode(0o755).create(path)
 }
 
-/// Files can be made in this folder: one is, and is removed again. Of root and of
-/// file systems that are read only, permissions say nothing.
+/// Checks that files can be created in this folder: creates one and removes it.
+/// Permissions are not sufficient, for root and for read-only file systems.
 ///
 /// # Errors
 /// When the folder is missing or refuses.
@@ -219,13 +219,13 @@ pub fn check_writable(folder: &Path) -> io::Result<()> {
     Ok(rustix::fs::unlinkat(&folder, &name, AtFlags::empty())?)
 }
 
-/// No user but this one and root can put another folder in the place of this one:
-/// each folder above it is closed to others, or lets each user rename their own
-/// files alone, as `/tmp` does. Groups are not asked: a user's own group may write
-/// by default on many systems.
+/// Checks that only this user and root can replace this folder by another: each folder
+/// above it is closed to others, or lets each user rename their own files only, as
+/// `/tmp` does. Groups are not checked: on many systems a user's own group may write by
+/// default.
 ///
 /// # Errors
-/// The folder in which every user may rename what is in it.
+/// Names the folder in which every user may rename the entries.
 pub fn check_parents(path: &Path) -> io::Result<()> {
     for folder in path.ancestors().skip(1) {
         let stat = rustix::fs::stat(folder)?;
@@ -242,7 +242,7 @@ pub fn check_parents(path: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// It belongs to the calling user and has none of the `others` bits.
+/// Checks that it belongs to the calling user and has none of the `others` bits.
 ///
 /// # Errors
 /// [`NotOurs`].
@@ -303,12 +303,12 @@ fn replace_at(
     });
     let moved = written.and_then(|()| Ok(rustix::fs::renameat(at, &beside, at, name)?));
     if moved.is_err() {
-        // Half a file is none.
+        // An incomplete file is removed.
         let _ = rustix::fs::unlinkat(at, &beside, AtFlags::empty());
         return moved;
     }
     if durable == Durable::Yes {
-        // Some file systems know no such order; then the rename is as safe as theirs.
+        // Some file systems do not support this; the rename is then as safe as they are.
         let _ = rustix::fs::fsync(at);
     }
     Ok(())
@@ -359,7 +359,7 @@ fn not_regular() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, "is no regular file")
 }
 
-/// The system's word for a link that is not followed is a riddle.
+/// Replaces the system's error for a link that is not followed by a clear one.
 fn name_link(at: BorrowedFd, name: &Path, error: Errno) -> io::Error {
     let is_link = || {
         rustix::fs::statat(at, name, AtFlags::SYMLINK_NOFOLLOW)

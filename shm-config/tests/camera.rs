@@ -1,9 +1,9 @@
-//! Where points of the body frame are seen.
+//! Tests of the projection of points of the body frame.
 
 use shm_config::message::{Camera, View};
 
-/// A pinhole 2 m over the body's origin, looking ahead, 400 pixels a radian at
-/// the middle of a picture of 400 x 300.
+/// A pinhole camera 2 m above the body's origin, looking ahead, with 400 pixels per
+/// radian in the middle of a picture of 400 x 300.
 fn pinhole() -> Camera {
     let mut camera = Camera {
         position_body_m: [0.0, 0.0, 2.0],

@@ -1,4 +1,4 @@
-//! The configuration: the paper's numbers by default, and clear errors.
+//! Tests of the configuration: the paper's numbers by default, and clear errors.
 
 use shm_config::config::{Clock, Config, GateMode, Vlm, from_toml, load};
 

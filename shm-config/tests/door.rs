@@ -1,4 +1,4 @@
-//! What is refused at the door, message by message, field by field.
+//! Tests of the checks of all messages, field by field.
 
 use proptest::prelude::*;
 use shm_config::message::*;
@@ -392,7 +392,7 @@ fn orders_to_fail() {
     assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));
 }
 
-/// A frame is copied on the way, two megabytes each time.
+/// Each check copies a frame of two megabytes.
 const STACK_BYTES: usize = 64 << 20;
 
 #[test]
@@ -428,8 +428,8 @@ fn frames() {
 }
 
 proptest! {
-    /// Whatever bytes a publisher writes, the door answers and what it lets
-    /// through can be used without a panic.
+    /// For any bytes of a publisher, the check returns, and an admitted message can be
+    /// used without a panic.
     #[test]
     fn any_bytes_are_judged_without_a_panic(bits in prop::collection::vec(any::<u64>(), 19 + 4), beams in any::<u32>(), range in any::<u32>()) {
         let value = |k: usize| f64::from_bits(bits[k]);
@@ -450,7 +450,7 @@ proptest! {
         }
     }
 
-    /// Codes of every closed list survive the round trip, all others are none.
+    /// Codes of every closed list survive the round trip; all others are refused.
     #[test]
     fn codes_are_closed(code in any::<u32>()) {
         for known in Reason::ALL {

@@ -1,4 +1,4 @@
-//! What the policy's input means is pinned: weights are trained for it.
+//! The meaning of the policy's input is pinned, because weights are trained for it.
 
 use shm_config::message::{
     Bend, Checkpoint, Ego, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT, Observation, Road,
@@ -43,9 +43,9 @@ fn observation() -> Observation {
     observation
 }
 
-/// When this fails because a feature has another meaning than before, raise
-/// [`FEATURES_VERSION`] and renew the numbers here: nets that were trained for
-/// the old meaning are then refused instead of driving badly.
+/// When this fails because the meaning of a feature has changed, raise
+/// [`FEATURES_VERSION`] and update the numbers here: nets that were trained for the
+/// old meaning are then refused instead of driving badly.
 #[test]
 fn the_meaning_of_the_features_is_pinned() {
     let mut out = [0.0; FEATURES];

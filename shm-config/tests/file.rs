@@ -1,4 +1,5 @@
-//! Files of ours are opened without following a link, and replaced as a whole.
+//! Files of the calling user are opened without following a link, and replaced as a
+//! whole.
 
 use std::fs;
 use std::io;
@@ -10,7 +11,7 @@ use shm_config::file::{
     replace,
 };
 
-/// A folder of one test, removed with the value.
+/// A folder of one test, which is removed when this is dropped.
 struct Place(PathBuf);
 
 impl Place {
@@ -89,7 +90,7 @@ fn a_file_of_ours_is_no_link_and_no_pipe() {
     }
     assert!(!place.at("new").exists(), "the link was followed");
     assert!(said(open_ours(&place.at("link"), Access::Read)).contains("symbolic link"));
-    // Root's file, where this is not root; root is tried by tests of two users.
+    // A file of root, if this user is not root; tests with two users cover root.
     if rustix::process::getuid().as_raw() != 0 {
         let error = open_ours(Path::new("/etc/passwd"), Access::Read).unwrap_err();
         assert!(NotOurs::within(&error).is_some(), "{error}");
@@ -101,7 +102,7 @@ fn a_file_is_replaced_as_a_whole_and_a_link_in_its_place_is_not_followed() {
     let place = Place::new("replace");
     fs::write(place.at("victim"), "precious").unwrap();
     symlink("victim", place.at("file")).unwrap();
-    // The first name that is tried beside it leads elsewhere.
+    // The first temporary name is already taken by a link.
     let beside = format!("file.{}-0", std::process::id());
     symlink("victim", place.at(&beside)).unwrap();
     replace(&place.at("file"), b"new", Durable::Yes).unwrap();
@@ -128,7 +129,7 @@ fn a_folder_of_ours_is_closed_to_others_and_stays_the_one_that_was_opened() {
         let error = said(Folder::open(&place.at(path), Entry::Readable));
         assert!(error.contains("symbolic link"), "{path}: {error}");
     }
-    // Another folder comes to its place; what is written goes to the one opened.
+    // The folder is replaced by another one; writes still go to the opened one.
     fs::rename(place.at("a"), place.at("b")).unwrap();
     fs::create_dir(place.at("a")).unwrap();
     made.replace("file", b"text", Durable::No).unwrap();

@@ -1,4 +1,4 @@
-//! The Python module that is checked in is the one of these tables.
+//! Tests that the checked-in Python module is generated from these tables.
 
 const CHECKED_IN: &str = include_str!("../../sim/metadrive/wire_layout.py");
 

@@ -1,4 +1,4 @@
-//! The page and the picture that are checked in are those of the service table.
+//! Tests that the checked-in page and picture are generated from the service table.
 
 use shm_config::services;
 

@@ -10,7 +10,7 @@ use shm_config::services::{ADVICE, COMMAND, Process, ROSTER, STEP, STEP_QUEUE, S
 use shm_config::wire::{Foreigner, PUBLISHERS_MAX, Wire, WireError};
 use shm_config::{Instant, Message};
 
-/// A run of this test alone; its folder goes with it.
+/// A run of this test; its folder is removed with it.
 struct TestRun(RunName);
 
 impl TestRun {
@@ -68,7 +68,7 @@ fn the_latest_value_wins_and_late_joiners_get_it() {
 
 type Spoil = fn(&mut Command);
 
-/// What hides nothing: each spoils one thing, and is refused for it.
+/// Inadmissible messages: each has one fault, and is refused for it.
 const SPOILS: [(RefusalKind, Spoil); 5] = [
     (RefusalKind::Content, |c| c.steer = f64::NAN),
     (RefusalKind::Content, |c| c.driver = u32::MAX),
@@ -83,7 +83,7 @@ const SPOILS: [(RefusalKind, Spoil); 5] = [
 const NOW: Instant = Instant(10_000_000_000);
 const LIMIT_NS: u64 = 250_000_000;
 
-/// The door of a world: content, age, episode.
+/// The check of a world: content, age, episode.
 fn admit(command: &Command) -> Result<(), Refusal> {
     command.admit(NOW, LIMIT_NS)?;
     match command.header.episode {
@@ -140,7 +140,7 @@ fn a_process_that_the_run_did_not_start_is_not_heard() {
     let mut publisher = here.publisher(COMMAND).unwrap();
     let mut reader = there.subscriber(COMMAND).unwrap();
     let mut roster = Roster::default();
-    // Of a process that lives, and is not this one.
+    // The process id of a living process that is not this one.
     roster.set(Process::Controller, Some(1));
     there.trust(&roster);
     publisher.send(&mut command(1));
@@ -150,7 +150,7 @@ fn a_process_that_the_run_did_not_start_is_not_heard() {
     let place = Process::Controller;
     let pid = std::process::id();
     assert_eq!(there.foreigner(), Some(Foreigner { pid, place }));
-    // What it says of itself counts for nothing: the library tells who sent it.
+    // Its own claim does not count: the library reports the sender.
     let mut forged = command(2);
     forged.header.producer = 1;
     publisher.send(&mut forged);
@@ -200,7 +200,7 @@ fn a_roster_is_taken_from_its_author_alone() {
     let mut roster = Roster::default();
     roster.set(Process::Controller, Some(std::process::id()));
     port.send(&mut roster);
-    // Not this process's, which publishes it.
+    // The roster of another process than the author is ignored.
     there.follow(1).unwrap();
     port.update_connections();
     assert_eq!(there.named(Process::Controller), None);
@@ -226,14 +226,15 @@ fn places_that_are_held_are_named_as_the_cause() {
 }
 
 #[test]
-fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
+fn a_publisher_that_appears_between_two_reads_is_read_at_the_next_one() {
     let run = TestRun::new("comes");
     let (one, other) = (run.join(Process::Controller), run.join(Process::Learner));
     let world = run.join(Process::World);
     let mut reader = world.subscriber(COMMAND).unwrap();
     let mut first = one.publisher(COMMAND).unwrap();
     reader.update_connections();
-    // Tended with one publisher: one look a tick, and the other one is not lost.
+    // The connections were updated with one publisher: one read a tick, and the message
+    // of the other one is not lost.
     first.send(&mut command(0));
     assert!(reader.newest(Message::check).is_some());
     let mut second = other.publisher(COMMAND).unwrap();
@@ -252,7 +253,7 @@ fn who_comes_while_another_publishes_is_heard_at_the_next_look() {
     assert_eq!(
         reader.newest(Message::check),
         None,
-        "of two the look takes both"
+        "with two publishers the read takes both"
     );
     drop(first);
     reader.update_connections();
@@ -288,7 +289,7 @@ fn a_queue_counts_exactly_what_it_lost() {
 }
 
 #[test]
-fn what_many_gone_publishers_left_is_read() {
+fn unread_messages_of_many_dead_publishers_are_read() {
     let run = TestRun::new("gone");
     let (controller, gate) = (run.join(Process::Controller), run.join(Process::Gate));
     let mut steps = gate.subscriber(STEP).expect("a port");
@@ -298,7 +299,7 @@ fn what_many_gone_publishers_left_is_read() {
         let mut step = Step::default();
         step.header.tick = tick;
         assert!(port.send(&mut step));
-        // It is seen while it lives, and read when it is gone.
+        // It is connected while it lives, and read after it has ended.
         steps.update_connections();
         drop(port);
         steps.update_connections();
@@ -345,7 +346,7 @@ fn a_doorbell_wakes_at_once_and_times_out_without() {
         let mut publisher = wire.publisher(COMMAND).unwrap();
         publisher.send(&mut command(1));
     });
-    // Far beyond the test's patience: only the bell can end this wait.
+    // Longer than the test's limit: only the bell can end this wait.
     bell.wait(Duration::from_secs(3600));
     ringer.join().unwrap();
 }
@@ -353,7 +354,7 @@ fn a_doorbell_wakes_at_once_and_times_out_without() {
 mod another_layout {
     use super::*;
     shm_config::message! {
-        /// A command as another source might define it.
+        /// A command with another layout.
         pub struct Command: 40 bytes {
             /// The header.
             pub header: Header,

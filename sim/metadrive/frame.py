@@ -71,8 +71,8 @@ class FrameServer:
         return SLACK_FACTOR * self._cost_ns
 
     def take_if_asked(self, header, slack_ns):
-        """Publishes a picture of the observation of `header`, from above whatever
-        view is asked for: there is no other here, and the frame's camera says so.
+        """Publishes a picture of the observation of `header`, from above for any
+        requested view: there is no other here, and the frame's camera says so.
         `slack_ns` is the time until the next tick, None in lockstep, which has no
         deadline. A request waits for slack until it is too old."""
         door = lambda request: admit(request, header, self._period_ns)

@@ -180,7 +180,7 @@ fn when_the_supervisor_is_killed_everything_stops_and_the_next_start_is_clean() 
     drop(watch);
     set.signal(Signal::KILL);
     set.wait();
-    until("nobody is left", || set.pids("").is_empty());
+    until("no process is left", || set.pids("").is_empty());
     assert!(
         !set.paths().shared_memory().expect("/dev/shm").is_empty(),
         "killed processes leave traces"
@@ -244,7 +244,7 @@ fn order_a_panic(set: &Set) -> (Publisher<Fault>, Wire) {
         kind: FaultKind::Panic.code(),
         ..Fault::default()
     };
-    #[allow(clippy::disallowed_methods)] // who orders says when
+    #[allow(clippy::disallowed_methods)] // the sender of the order reads the clock
     {
         order.header.taken_ns = shm_config::time::monotonic().0;
     }

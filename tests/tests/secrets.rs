@@ -16,7 +16,7 @@ const OWN_KEY: &str = "sk-own-c55a10-never-to-be-seen";
 const KEYS: [&str; 3] = [KEY, OTHER_KEY, OWN_KEY];
 
 /// A marker in the environment that may be visible, unlike the keys.
-const MARKER: &str = "anybody-may-see-77812";
+const MARKER: &str = "visible-to-all-77812";
 
 fn holds(bytes: &[u8], word: &str) -> bool {
     let word = word.as_bytes();

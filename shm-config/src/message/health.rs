@@ -78,7 +78,7 @@ crate::message! {
         pub skipped: u64,
         /// Ticks completed after their deadline.
         pub late: u64,
-        /// Messages refused at the door, by [`RefusalKind`](super::RefusalKind).
+        /// Messages refused by a check, by [`RefusalKind`](super::RefusalKind).
         pub refused: [u64; 6],
         /// Messages lost on queues it reads.
         pub lost: u64,

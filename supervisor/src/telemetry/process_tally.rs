@@ -40,7 +40,7 @@ pub struct Totals {
     pub absent_ns: u64,
     /// Ticks completed after their deadline.
     pub late: u64,
-    /// Messages refused at the door, by reason.
+    /// Messages refused by a check, by reason.
     pub refused: Refusals,
     /// Messages lost on queues.
     pub lost: u64,
