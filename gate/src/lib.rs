@@ -5,6 +5,22 @@
 //! is shown a [`presentation`] of the question, and [`model`] asks it over HTTP. The
 //! [`record`] keeps all questions and answers. Nothing here can delay a tick; the check
 //! within the tick is the crate `safety`.
+//!
+//! ```
+//! use gate::advice::Advisor;
+//! use gate::judge::Rules;
+//! use gate::query::Immediate;
+//! use shm_config::Instant;
+//! use shm_config::config::{Gate, JudgeLimits};
+//! use shm_config::message::{Preference, Step};
+//! use vehicle::Vehicle;
+//!
+//! let rules = Rules::new(Vehicle::default(), JudgeLimits::default());
+//! let mut advisor = Advisor::new(&Gate::default(), Box::new(Immediate::new(rules)));
+//! // A step without a proposal of the policy asks no question.
+//! let advice = advisor.consider(&Step::default(), Instant(1));
+//! assert_eq!(advice.preference(), Preference::Abstain);
+//! ```
 
 pub mod advice;
 pub mod judge;

@@ -12,6 +12,13 @@
 //! | [`statistics`] | means with 95 % intervals, quantiles |
 //! | [`report`] | tables, and the machine that figures are from |
 //! | [`progress`], [`stop`] | a progress bar, and Ctrl-C |
+//!
+//! ```
+//! use lab::statistics::Estimate;
+//!
+//! let arrived = Estimate::of_share(43, 50);
+//! assert!(arrived.low > 0.7 && arrived.high < 0.95);
+//! ```
 
 pub mod episodes;
 pub mod eval;

@@ -14,6 +14,20 @@
 //! after every block |
 //!
 //! The feature `process` (default) adds the process: the loop that reads and publishes.
+//!
+//! ```
+//! use learner::adam::Adam;
+//! use learner::network::{Head, Network, Tape};
+//! use rand_xoshiro::Xoshiro256PlusPlus;
+//! use rand_xoshiro::rand_core::SeedableRng;
+//!
+//! let mut random = Xoshiro256PlusPlus::seed_from_u64(0);
+//! let actor = Network::new(&[4, 8, 2], Head::Tanh, &mut random);
+//! let mut tape = Tape::default();
+//! // Two rows of four inputs; two actions of two numbers.
+//! let actions = actor.forward(&[0.5; 8], 1, &mut tape);
+//! assert_eq!(actions.len(), 4);
+//! ```
 
 pub mod adam;
 pub mod algorithm;

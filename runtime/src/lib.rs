@@ -12,6 +12,19 @@
 //! | `kernel` | system calls that no library wraps |
 //!
 //! A process with a fixed rate is a [`FixedRate`], and [`TickLoop::run`] drives it.
+//!
+//! The schedule accounts for every tick that was due:
+//!
+//! ```
+//! use runtime::TickSchedule;
+//! use shm_config::Instant;
+//!
+//! let mut schedule = TickSchedule::following(100);
+//! schedule.take(Instant(1_000));
+//! // The next observation is three periods later: two ticks were skipped.
+//! assert_eq!(schedule.take(Instant(1_300)), 2);
+//! assert_eq!((schedule.ticks(), schedule.skipped()), (2, 2));
+//! ```
 
 mod contest;
 mod fault;

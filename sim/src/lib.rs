@@ -24,6 +24,19 @@
 //! | [`batch`] | many worlds at once |
 //!
 //! The feature `process` (default) adds the world process and its render thread.
+//!
+//! ```
+//! use sim::{World, WorldConfig};
+//! use vehicle::Action;
+//!
+//! let mut world = World::new(WorldConfig::default())?;
+//! world.reset(1000)?;
+//! let mut observation = Box::default();
+//! world.step(Action { steer: 0.0, pedal: 1.0 });
+//! world.observe(&mut observation);
+//! assert!(observation.ego.speed_mps > 0.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod batch;
 mod block;

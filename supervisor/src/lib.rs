@@ -65,6 +65,16 @@
 //! cannot block the loop. With `--gate human` the loop also reads the keys and publishes
 //! takeover messages ([`takeover::input`]); if it hangs, the last takeover message expires
 //! (`limits.takeover_age_ms`), and the takeover ends.
+//!
+//! # Example
+//!
+//! ```
+//! use shm_config::config::Config;
+//! use supervisor::set::table::rows;
+//!
+//! let names: Vec<_> = rows(&Config::default()).map(|row| row.process.word()).collect();
+//! assert!(names.contains(&"controller") && !names.contains(&"learner"));
+//! ```
 
 pub mod arguments;
 pub mod cli;
