@@ -159,7 +159,7 @@ fn drive(arguments: &BenchSwap, mut row: Row, clock: Clock) -> anyhow::Result<Ro
     up.push(arguments.seconds.to_string());
     let stay = [
         // The nets are active at once and stay, whichever actions they propose.
-        "policy.probation_ticks=0",
+        "policy.shadow_ticks=0",
         "policy.veto_rate_max=1.0",
         "policy.jump_max=2.0",
     ];

@@ -57,7 +57,7 @@ fn mistakes_are_named_with_exit_code_2() {
 
 #[test]
 fn a_judge_that_answers_nothing_is_an_error_that_says_why() {
-    // Port 9 is discard: nobody listens there.
+    // Port 9 is discard: no server listens there.
     let words = "bench judge --scenes 2 --view top_down --server http://127.0.0.1:9/v1 \
                  --set vlm.attempts_max=1";
     let output = bench(&words.split_whitespace().collect::<Vec<_>>());

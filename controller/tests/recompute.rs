@@ -28,7 +28,7 @@ fn config(seed: u64) -> Config {
     config.gate.mode = MODES[seed as usize % MODES.len()];
     config.deadlines.controller = LATE[seed as usize % LATE.len()];
     // Random nets are not good drivers; they may drive all the same.
-    (config.policy.probation_ticks, config.policy.watch_ticks) = (20, 40);
+    (config.policy.shadow_ticks, config.policy.watch_ticks) = (20, 40);
     (config.policy.veto_rate_max, config.policy.jump_max) = (0.9, 2.0);
     config
 }

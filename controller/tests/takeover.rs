@@ -1,4 +1,4 @@
-//! A person takes over: who drives then, and when nobody has taken over.
+//! Takeovers: which driver drives during one, and without one.
 
 mod road;
 

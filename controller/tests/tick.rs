@@ -1,4 +1,4 @@
-//! The tick answers, whatever it is given, and says why.
+//! The tick answers every input and says why.
 
 mod road;
 

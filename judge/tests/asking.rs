@@ -290,7 +290,7 @@ fn the_stand_in_says_429_when_it_is_asked_too_often() {
                 .is_ok()
         );
     }
-    // A minute is longer than the deadline, so nobody waits for it.
+    // A minute is longer than the deadline, so no request waits for it.
     let asked = ask(&asker, &prompt(BLIND), &red_ahead(), 5.0);
     assert_eq!((asked.reply, asked.attempts), (Err(Fault::RateLimited), 1));
     let again = ask(&asker, &prompt(BLIND), &red_ahead(), 5.0);

@@ -91,5 +91,5 @@ fn the_key_does_not_follow_a_redirect() {
         PATIENCE_S,
     );
     assert_eq!((asked.reply, asked.attempts), (Err(Fault::Redirect), 1));
-    assert_eq!(server.requests(), 1, "nobody asked where it points");
+    assert_eq!(server.requests(), 1, "no request followed the redirect");
 }

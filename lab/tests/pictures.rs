@@ -71,7 +71,7 @@ fn a_plan_of_an_episode_shows_tree_path_and_goal() {
 }
 
 #[test]
-fn plans_of_scenes_are_drawn_whatever_was_found() {
+fn plans_of_reached_partial_and_blocked_scenes_are_drawn() {
     let file = scenes();
     let all = stack::scene::checked_in().expect("the checked-in scenes");
     let of = |outcome: &str| {

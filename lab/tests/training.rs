@@ -166,7 +166,7 @@ fn a_mean_has_no_interval_that_cannot_be() {
 fn it_is_told_which_policies_there_are_and_what_the_early_column_is() {
     let out = TempDir::new().expect("a folder");
     seed(out.path(), 3, 10, 0);
-    // The fourth block is the best one, whatever comes after it.
+    // The fourth block is the best one; later blocks do not change that.
     let path = out.path().join("seed-3/evaluations.csv");
     let text = fs::read_to_string(&path).expect("the file");
     let text = text.replace("\n800,0.4,0.4,", "\n800,1.0,1.0,");
@@ -248,7 +248,7 @@ fn a_folder_that_is_trained_in_is_refused_and_left_alone() {
     fs::write(out.path().join("seed-0/drive.log"), b"drives").expect("written");
     fs::remove_file(out.path().join("seed-0/train.toml")).expect("the file");
     let lock = File::create(out.path().join(".lock")).expect("written");
-    lock.try_lock().expect("nobody has it");
+    lock.try_lock().expect("the lock is free");
     let before = files(out.path());
     let words = ["--resume", "--algorithm", "ppl", "--expert", "informed"];
     let output = train(out.path(), &words);

@@ -39,7 +39,7 @@ mod tests {
     use super::share;
 
     #[test]
-    fn each_item_is_worked_on_once_whatever_the_threads() {
+    fn each_item_is_worked_on_once_by_any_number_of_threads() {
         for threads in 0..5 {
             let mut items = [0_u32; 7];
             share(threads, items.iter_mut(), |item| *item += 1);

@@ -92,7 +92,7 @@ proptest! {
     }
 
     #[test]
-    fn the_start_is_free_whatever_is_around_it(config in small_config(), seed: u64) {
+    fn the_start_is_always_free(config in small_config(), seed: u64) {
         let grid = filled(&config, &wild_observation(seed));
         prop_assert!(grid.is_segment_free(Point::origin(), Point::origin()));
     }

@@ -152,10 +152,10 @@ fn lets_a_crossing_body_pass() {
     assert!(state.position.x > 40.0, "drives on: {} m", state.position.x);
 }
 
-/// It asks for the same whether the car stands with its brake on or without:
-/// what somebody else did to the pedal is no reason to stay.
+/// The plan is the same whether the car stands with its brake on or off: the pedal of
+/// another driver is no reason to stay.
 #[test]
-fn drives_off_from_rest_whoever_held_the_brake() {
+fn drives_off_from_rest_however_the_brake_was_set() {
     let road = Course::new(&[Road {
         length_m: 200.0,
         curvature_per_m: 0.0,

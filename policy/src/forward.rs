@@ -123,7 +123,7 @@ pub fn pack(weights: &[f32], bias: &[f32], blocks: &mut [[f32; BLOCK]]) -> Resul
 /// use policy::{Activation, Net, PackedLayer, Forward, pack};
 /// use shm_config::message::FEATURES;
 ///
-/// // One layer: full pedal, whatever it sees.
+/// // One layer: full pedal for any input.
 /// let mut blocks = [[0.0; 64]; 1 + FEATURES];
 /// pack(&[0.0; 2 * FEATURES], &[0.0, 1.0], &mut blocks)?;
 /// let layers = [PackedLayer::packed(&blocks, [FEATURES, 2], Activation::Tanh)?];

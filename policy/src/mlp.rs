@@ -25,7 +25,7 @@ pub const WIDTH_MAX: usize = 1 << 14;
 ///
 /// Every sum is taken in the order of the inputs, one product and one addition
 /// at a time and without fused operations, so that a net answers the same bits
-/// on every processor, whatever its vectors' width, as long as its activations
+/// on every processor, for any width of its vectors, as long as its activations
 /// do (`tanh` is the C library's).
 #[derive(Debug, Clone)]
 pub struct Mlp {

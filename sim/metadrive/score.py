@@ -21,7 +21,7 @@ class Score:
         self.object_contacts = 0
         self.crash_last_step = False
         self.braked = 0
-        self._oldest_obeyed_ns = 0
+        self._command_age_max_ns = 0
         self._commands = hashlib.sha256()
 
     def obey(self, command, now_ns):
@@ -33,7 +33,7 @@ class Score:
             driver, reason = layout.Driver.BRAKE, layout.Reason.BLIND
         else:
             age_ns = max(now_ns - command.header.taken_ns, 0)
-            self._oldest_obeyed_ns = max(self._oldest_obeyed_ns, age_ns)
+            self._command_age_max_ns = max(self._command_age_max_ns, age_ns)
             steer, pedal = command.steer, command.pedal
             driver, reason = command.driver, command.reason
         self._commands.update(struct.pack("<ddII", steer, pedal, driver, reason))
@@ -73,6 +73,6 @@ class Score:
             vehicle_contacts=self.vehicle_contacts,
             object_contacts=self.object_contacts,
             braked=self.braked,
-            oldest_obeyed_ns=self._oldest_obeyed_ns,
+            command_age_max_ns=self._command_age_max_ns,
             outcome=outcome,
         )

@@ -304,7 +304,7 @@ assert Command.reason.offset == 52
 
 
 class Progress(ctypes.Structure):
-    LAYOUT = "523adaadbe23e7a2"
+    LAYOUT = "ac29910c7e570174"
     _fields_ = [
         ("header", Header),
         ("seed", ctypes.c_uint64),
@@ -315,7 +315,7 @@ class Progress(ctypes.Structure):
         ("vehicle_contacts", ctypes.c_uint64),
         ("object_contacts", ctypes.c_uint64),
         ("braked", ctypes.c_uint64),
-        ("oldest_obeyed_ns", ctypes.c_uint64),
+        ("command_age_max_ns", ctypes.c_uint64),
         ("skipped", ctypes.c_uint64),
         ("outcome", ctypes.c_uint32),
         ("reserved", ctypes.c_uint32),
@@ -336,7 +336,7 @@ assert Progress.episode_ticks.offset == 64
 assert Progress.vehicle_contacts.offset == 72
 assert Progress.object_contacts.offset == 80
 assert Progress.braked.offset == 88
-assert Progress.oldest_obeyed_ns.offset == 96
+assert Progress.command_age_max_ns.offset == 96
 assert Progress.skipped.offset == 104
 assert Progress.outcome.offset == 112
 assert Progress.reserved.offset == 116

@@ -18,7 +18,7 @@ pub struct Score {
     braked: u64,
     /// The car was braked in the present tick because no command was there.
     is_braked: bool,
-    oldest_obeyed_ns: u64,
+    command_age_max_ns: u64,
     commands: Sha256,
 }
 
@@ -32,7 +32,7 @@ impl Score {
             crash_last_step: false,
             braked: 0,
             is_braked: false,
-            oldest_obeyed_ns: 0,
+            command_age_max_ns: 0,
             commands: Sha256::new(),
         }
     }
@@ -50,7 +50,7 @@ impl Score {
         match command {
             Some(command) => {
                 let age_ns = now.since_ns(command.header.taken());
-                self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(age_ns);
+                self.command_age_max_ns = self.command_age_max_ns.max(age_ns);
             }
             None => self.is_braked = true,
         }
@@ -100,7 +100,7 @@ impl Score {
             vehicle_contacts: self.vehicle_contacts,
             object_contacts: self.object_contacts,
             braked: self.braked,
-            oldest_obeyed_ns: self.oldest_obeyed_ns,
+            command_age_max_ns: self.command_age_max_ns,
             skipped: 0,
             outcome: outcome.code(),
             reserved: 0,

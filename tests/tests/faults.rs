@@ -60,7 +60,7 @@ fn drives_on_fresh_plans(step: &Step) -> bool {
 }
 
 fn assert_safe(json: &Value) {
-    let oldest = json["oldest_obeyed_ms"].as_f64().expect("oldest");
+    let oldest = json["command_age_max_ms"].as_f64().expect("oldest");
     assert!(oldest > 0.0 && oldest <= COMMAND_AGE_MS, "{json}");
     let number = |key: &str| json[key].as_f64().expect(key);
     let instants = (number("elapsed_s") / number("period_s")).round();

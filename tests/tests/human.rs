@@ -25,7 +25,7 @@ const LENIENT: [&str; 4] = [
     "--set",
     "policy.veto_rate_max=1.0",
     "--set",
-    "policy.probation_ticks=3",
+    "policy.shadow_ticks=3",
 ];
 
 fn taken_over(step: &Step) -> bool {

@@ -79,7 +79,7 @@ fn in_lockstep_the_same_seed_teaches_the_same_policies() {
             "learner.imagined_scenes=1",
             // Any weights pass, because the test does not depend on how they drive.
             "policy.veto_rate_max=1.0",
-            "policy.probation_ticks=3",
+            "policy.shadow_ticks=3",
         ]);
         let words = [
             "--lockstep",
@@ -249,7 +249,7 @@ fn a_run_that_goes_on_waits_for_the_updates_that_its_learner_was_killed_in() {
         "learner.imagined_scenes=1",
         "policy.veto_rate_max=1.0",
         "policy.jump_max=2.0",
-        "policy.probation_ticks=0",
+        "policy.shadow_ticks=0",
     ]);
     let words = [
         "--lockstep",

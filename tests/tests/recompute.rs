@@ -19,7 +19,7 @@ const LENIENT: [&str; 4] = [
     "--set",
     "policy.veto_rate_max=1.0",
     "--set",
-    "policy.probation_ticks=5",
+    "policy.shadow_ticks=5",
 ];
 
 /// Runs a set to its end; returns the steps that were read and recomputed.

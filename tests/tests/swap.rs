@@ -42,7 +42,7 @@ const LENIENT: [&str; 4] = [
     "--set",
     "policy.veto_rate_max=1.0",
     "--set",
-    "policy.probation_ticks=3",
+    "policy.shadow_ticks=3",
 ];
 
 fn start(set: &mut Set, more: &[&str]) {

@@ -129,7 +129,7 @@ impl Watch {
             self.ledger.command(&command, clock());
         }
         while let Some(progress) = self.progress.receive() {
-            self.ledger.obeyed(progress.oldest_obeyed_ns);
+            self.ledger.obeyed(progress.command_age_max_ns);
         }
     }
 

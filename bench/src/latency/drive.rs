@@ -240,7 +240,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
             format!("learner.block_steps={block}"),
             "learner.updates=50".into(),
             // Its weights are adopted and stay, whichever actions they propose.
-            "policy.probation_ticks=0".into(),
+            "policy.shadow_ticks=0".into(),
             "policy.veto_rate_max=1.0".into(),
             "policy.jump_max=2.0".into(),
         ]);

@@ -23,7 +23,7 @@ pub struct Limits {
 impl From<&config::Policy> for Limits {
     fn from(policy: &config::Policy) -> Self {
         Self {
-            shadow_ticks: policy.probation_ticks,
+            shadow_ticks: policy.shadow_ticks,
             watch_ticks: policy.watch_ticks,
             veto_rate_max: policy.veto_rate_max,
             jump_max: policy.jump_max,

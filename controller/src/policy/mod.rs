@@ -2,7 +2,7 @@
 //! roll-back.
 //!
 //! New weights go through three stages. **Shadow**: for the canary period
-//! (`policy.probation_ticks`) they propose beside the active ones, which go on driving;
+//! (`policy.shadow_ticks`) they propose beside the active ones, which go on driving;
 //! the step records the active ones alone. **Watched**: they are active, and those
 //! before are kept for `policy.watch_ticks`. **Settled**: those before are returned.
 //! Where their proposals are vetoed or jump too often, or are not finite, they are

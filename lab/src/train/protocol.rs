@@ -204,7 +204,7 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
         format!("learner.algorithm={}", experiment.algorithm.word()),
         format!("learner.seed={seed}"),
         // A policy that learns may fail; the judge in the tick protects the car.
-        "policy.probation_ticks=0".into(),
+        "policy.shadow_ticks=0".into(),
         "policy.watch_ticks=0".into(),
         // The paper's cadence, and its answers at once.
         "gate.when=period".into(),

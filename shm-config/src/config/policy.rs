@@ -31,7 +31,7 @@ pub struct Policy {
     pub resume: bool,
     /// Canary period of new weights, ticks: they propose in shadow mode and do not
     /// drive; 0 for none.
-    pub probation_ticks: u32,
+    pub shadow_ticks: u32,
     /// Ticks after the canary period in which the weights may still be rolled back.
     pub watch_ticks: u32,
     /// The weights are rolled back when the safety check vetoes a larger share than
@@ -60,7 +60,7 @@ impl Default for Policy {
             onnxruntime: String::new(),
             resume: true,
             // Two seconds at the paper's 10 Hz, about 10 m of road.
-            probation_ticks: 20,
+            shadow_ticks: 20,
             watch_ticks: 100,
             veto_rate_max: 0.5,
             // Actions drawn uniformly from their range change by 0.93 a tick, those of
@@ -78,11 +78,7 @@ impl Default for Policy {
 
 impl Policy {
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
-        in_range(
-            "policy.probation_ticks",
-            self.probation_ticks,
-            0..=1_000_000,
-        )?;
+        in_range("policy.shadow_ticks", self.shadow_ticks, 0..=1_000_000)?;
         in_range("policy.watch_ticks", self.watch_ticks, 0..=1_000_000)?;
         in_range("policy.veto_rate_max", self.veto_rate_max, 0.0..=1.0)?;
         in_range("policy.jump_max", self.jump_max, 0.0..=2.0)?;

@@ -40,7 +40,7 @@ crate::message! {
         /// Ticks of this run on which the world braked without a recent command.
         pub braked: u64,
         /// Maximum age of an applied command, ns.
-        pub oldest_obeyed_ns: u64,
+        pub command_age_max_ns: u64,
         /// Ticks of the grid the world skipped.
         pub skipped: u64,
         /// An [`Outcome`].

@@ -69,7 +69,7 @@ pub struct Summary {
     /// Ticks on which the world braked without a recent command, in finished episodes.
     pub braked: u64,
     /// Maximum age of an applied command, ms.
-    pub oldest_obeyed_ms: f64,
+    pub command_age_max_ms: f64,
     /// The policy's weights at the end; `None` when none were ever offered.
     pub policy: Option<PolicyView>,
     /// The steps of each version of the weights, the oldest first; of a run with many, the
@@ -202,7 +202,7 @@ impl Summary {
                     drove: counted.drove,
                 })
                 .collect(),
-            oldest_obeyed_ms: tally.oldest_obeyed_ns as f64 / 1e6,
+            command_age_max_ms: tally.command_age_max_ns as f64 / 1e6,
             judge_unasked: judge::unasked(config, tally, judge.as_ref()),
             judge,
             late_ticks: late::latest(tally),

@@ -141,7 +141,7 @@ impl Summary {
             f,
             "the car braked without a recent command on {} of traffic; maximum age of an applied command: {:.1} ms",
             counted(self.braked, "tick"),
-            self.oldest_obeyed_ms
+            self.command_age_max_ms
         )?;
         match self.first_command_s {
             Some(first_s) => writeln!(f, "first command {first_s:.2} s after the start"),

@@ -31,7 +31,7 @@ pub struct Tally {
     /// The controller's status of its weights.
     pub policy: Option<PolicyStatus>,
     /// Maximum age of an applied command, ns.
-    pub oldest_obeyed_ns: u64,
+    pub command_age_max_ns: u64,
     /// Messages with inadmissible content.
     pub refused: u64,
     /// When the supervisor was started; `None` for an observing command.
@@ -83,7 +83,7 @@ impl Tally {
     pub fn count_progress(&mut self, progress: Progress) {
         match progress.check() {
             Ok(()) => {
-                self.oldest_obeyed_ns = self.oldest_obeyed_ns.max(progress.oldest_obeyed_ns);
+                self.command_age_max_ns = self.command_age_max_ns.max(progress.command_age_max_ns);
                 self.progress_count += 1;
                 let before = self.progress.replace(progress);
                 self.is_unled = before.is_some_and(|before| progress.braked > before.braked);

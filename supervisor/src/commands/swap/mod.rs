@@ -27,7 +27,7 @@ use offers::{ANSWER_NS, Answer, Offers};
 #[command(
     after_help = "The set checks size, hash, format, observation layout, operators, shapes, \
         weights and probes, warms the net, and adopts it between two ticks. It then proposes in \
-        shadow mode for policy.probation_ticks, its canary period, before it may drive.\n\n\
+        shadow mode for policy.shadow_ticks, its canary period, before it may drive.\n\n\
         Without --run it is offered to the one set of this folder: a set whose run.folder \
         (runs/NAME where it was started) lies in the current folder or below it, and which no \
         training or evaluation drives.\n\n\
