@@ -59,9 +59,10 @@ pub struct Flatness {
     pub slope_kb_per_million: f64,
     /// The last tenth's median above the first tenth's, kB.
     pub growth_kb: f64,
-    /// Most open files in the first tenth and in the last.
+    /// Fewest open files in the first tenth and in the last: a leaked file is in every
+    /// later sample, a file that is open for a moment is not.
     pub files: [u64; 2],
-    /// Most threads in the first tenth and in the last.
+    /// Fewest threads in the first tenth and in the last.
     pub threads: [u64; 2],
     /// Process ids it had.
     pub incarnations: usize,
@@ -130,9 +131,9 @@ fn row(name: &str, all: &[(u64, &Held)], from: u64) -> Flatness {
         let mut kb: Vec<f64> = part.iter().map(|(_, held)| held.memory_kb as f64).collect();
         median(&mut kb)
     };
-    let most = |of: fn(&Held) -> u64| {
-        let most = |part: &[(u64, &Held)]| part.iter().map(|(_, held)| of(held)).max();
-        [first, last].map(|part| most(part).unwrap_or(0))
+    let fewest = |of: fn(&Held) -> u64| {
+        let fewest = |part: &[(u64, &Held)]| part.iter().map(|(_, held)| of(held)).min();
+        [first, last].map(|part| fewest(part).unwrap_or(0))
     };
     let points: Vec<(f64, f64)> = warm
         .iter()
@@ -149,8 +150,8 @@ fn row(name: &str, all: &[(u64, &Held)], from: u64) -> Flatness {
         resident_max_kb: max(|held| held.resident_kb),
         slope_kb_per_million: theil_sen(&points),
         growth_kb: memory(last) - memory(first),
-        files: most(|held| held.files),
-        threads: most(|held| held.threads),
+        files: fewest(|held| held.files),
+        threads: fewest(|held| held.threads),
         incarnations: pids.len(),
         is_flat: false,
     }
@@ -292,7 +293,17 @@ mod tests {
     }
 
     #[test]
-    fn the_supervisor_may_keep_its_episodes_and_nobody_else() {
+    fn a_file_that_is_open_for_a_moment_is_no_leak() {
+        let row = verdict(&samples(|tick| {
+            let mut one = held(8_000);
+            one.files += u64::from(tick == TICKS - 10_000);
+            one
+        }));
+        assert!(row.is_flat, "{row:?}");
+    }
+
+    #[test]
+    fn only_the_supervisor_may_keep_its_episodes() {
         let listing = |name: &str| {
             verdict(&samples(|tick| Held {
                 name: name.into(),
