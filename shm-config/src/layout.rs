@@ -19,7 +19,7 @@ pub struct Field {
 }
 
 /// The field table of a message, with those of the messages nested in it.
-#[derive(Debug)]
+#[derive(Debug, PartialEq, Eq)]
 pub struct Table {
     /// The name on the wire.
     pub name: &'static str,
@@ -42,7 +42,36 @@ pub trait Layout {
 
     /// The memory of the message.
     fn as_bytes(&self) -> &[u8];
+
+    /// The message of this memory, unchecked; `None` when its length is not the message's.
+    /// For messages of megabytes use [`Layout::copy_from`], which needs no stack.
+    fn from_bytes(bytes: &[u8]) -> Option<Self>
+    where
+        Self: Sized;
+
+    /// Overwrites the message with this memory, unchecked; returns whether its length is
+    /// the message's, else nothing changes.
+    fn copy_from(&mut self, bytes: &[u8]) -> bool;
 }
+
+/// A type of which every pattern of bytes is a value.
+///
+/// # Safety
+/// Numbers, arrays of them, and structs without padding made of both.
+#[allow(unsafe_code)]
+pub unsafe trait Plain: Copy + 'static {}
+
+macro_rules! plain {
+    ($($number:ty),+) => { $(
+        // SAFETY: a number.
+        #[allow(unsafe_code)]
+        unsafe impl Plain for $number {}
+    )+ };
+}
+plain!(u8, u32, u64, f32, f64);
+// SAFETY: an array has no padding of its own.
+#[allow(unsafe_code)]
+unsafe impl<T: Plain, const N: usize> Plain for [T; N] {}
 
 /// FNV-1a, a hash simple enough for a `const`. It distinguishes layouts and protects
 /// nothing.
@@ -148,7 +177,42 @@ macro_rules! message {
                     )
                 }
             }
+
+            #[allow(unsafe_code)]
+            fn from_bytes(bytes: &[u8]) -> Option<Self> {
+                if bytes.len() != size_of::<$name>() {
+                    return None;
+                }
+                // SAFETY: the length is the message's, an unaligned read needs no more, and
+                // every pattern of bytes is a message (`Plain`, asserted below).
+                Some(unsafe { bytes.as_ptr().cast::<$name>().read_unaligned() })
+            }
+
+            #[allow(unsafe_code)]
+            fn copy_from(&mut self, bytes: &[u8]) -> bool {
+                let fits = bytes.len() == size_of::<$name>();
+                if fits {
+                    // SAFETY: as above; the message is borrowed for writing, so the two
+                    // cannot overlap.
+                    unsafe {
+                        core::ptr::copy_nonoverlapping(
+                            bytes.as_ptr(),
+                            core::ptr::from_mut(self).cast::<u8>(),
+                            bytes.len(),
+                        );
+                    }
+                }
+                fits
+            }
         }
+
+        // SAFETY: without padding, and of plain fields alone (both asserted here).
+        #[allow(unsafe_code)]
+        unsafe impl $crate::layout::Plain for $name {}
+        const _: () = {
+            const fn plain<T: $crate::layout::Plain>() {}
+            $( plain::<$type>(); )+
+        };
 
         $crate::travels! { $name: $( $type, )+ }
 

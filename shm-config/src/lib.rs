@@ -41,6 +41,8 @@ pub mod config;
 mod counted;
 #[cfg(feature = "std")]
 pub mod difference;
+#[cfg(feature = "std")]
+pub mod draw;
 #[cfg(feature = "wire")]
 pub mod file;
 #[cfg(feature = "std")]

@@ -1,6 +1,8 @@
 //! The colours of rendered pictures. Every world draws with these colours, so that a
 //! reader of pictures can rely on them.
 
+use crate::message::Driver;
+
 /// Red, green and blue, a byte each.
 pub type Rgb = [u8; 3];
 
@@ -45,6 +47,20 @@ pub const ALL: [(&str, Rgb); 12] = [
     ("RIM", RIM),
     ("SKY", SKY),
 ];
+
+/// The colour of a driver in all pictures: paths, bands, text.
+pub const fn driver(driver: Driver) -> Rgb {
+    match driver {
+        Driver::Expert => [55, 214, 122],
+        Driver::Policy => [77, 181, 255],
+        Driver::Brake => [255, 86, 72],
+    }
+}
+
+/// A colour as HTML and SVG write it: `#37d67a`.
+pub fn hex([red, green, blue]: Rgb) -> String {
+    format!("#{red:02x}{green:02x}{blue:02x}")
+}
 
 /// Hues that no world uses; they are for lines drawn over a picture.
 pub const RESERVED: [Rgb; 6] = [

@@ -28,6 +28,21 @@ Generated from the crate `shm-config`; do not edit. Renew it with
 """
 "#;
 
+/// The name that iceoryx2 compares, and a comparison of what ctypes made of the fields with
+/// the layout of the other processes.
+const STRUCT: &str = r#"
+
+class Struct(ctypes.Structure):
+    @classmethod
+    def type_name(cls):
+        return cls.__name__
+
+
+def check(message, size, offsets):
+    found = tuple(getattr(message, name).offset for name, _ in message._fields_)
+    assert (ctypes.sizeof(message), found) == (size, offsets), message
+"#;
+
 /// The text of the module, with all that a world process needs.
 pub fn module() -> String {
     let mut out = String::from(TITLE);
@@ -35,6 +50,7 @@ pub fn module() -> String {
     limits(&mut out);
     colours(&mut out);
     word_lists(&mut out);
+    out.push_str(STRUCT);
     messages(&mut out);
     service_rows(&mut out);
     out
@@ -90,7 +106,7 @@ fn messages(out: &mut String) {
 
 fn service_rows(out: &mut String) {
     out.push_str(
-        "\n\nService = namedtuple(\"Service\", \"name message from_ to depth history open\")\n\n",
+        "\n\nService = namedtuple(\"Service\", \"name message from_ to depth most history open\")\n\n",
     );
     service(out, "OBSERVATION", &services::OBSERVATION);
     service(out, "COMMAND", &services::COMMAND);
@@ -179,35 +195,25 @@ fn python_type(name: &str) -> String {
 }
 
 fn message<M: Layout>(out: &mut String) {
-    line(out, &format!("\n\nclass {}(ctypes.Structure):", M::NAME));
+    line(out, &format!("\n\nclass {}(Struct):", M::NAME));
     line(out, &format!("    LAYOUT = \"{:016x}\"", M::FINGERPRINT));
     line(out, "    _fields_ = [");
     for field in M::FIELDS {
         let kind = python_type(field.type_name);
         line(out, &format!("        (\"{}\", {kind}),", field.name));
     }
-    line(out, "    ]\n\n    @staticmethod\n    def type_name():");
-    line(out, &format!("        return \"{}\"\n", M::NAME));
-    line(out, "");
+    line(out, "    ]");
     let end = M::FIELDS
         .last()
         .map_or(0, |field| field.offset + field.size);
-    line(out, &format!("assert ctypes.sizeof({}) == {end}", M::NAME));
-    for field in M::FIELDS {
-        line(
-            out,
-            &format!(
-                "assert {}.{}.offset == {}",
-                M::NAME,
-                field.name,
-                field.offset
-            ),
-        );
-    }
+    let offsets = M::FIELDS.iter().map(|field| field.offset.to_string());
+    let offsets = offsets.collect::<Vec<_>>().join(", ");
+    line(out, &format!("\n\ncheck({}, {end}, ({offsets},))", M::NAME));
 }
 
 fn service<M: Layout>(out: &mut String, constant: &str, service: &Service<M>) {
     let (depth, history) = service.row.delivery.queue();
+    let most = service.row.recorded_depth();
     let open = match service.row.taken_from {
         TakenFrom::Anyone => "True",
         TakenFrom::Producer => "False",
@@ -225,7 +231,7 @@ fn service<M: Layout>(out: &mut String, constant: &str, service: &Service<M>) {
     line(
         out,
         &format!(
-            "{constant} = Service({:?}, {}, {:?}, {to}, {depth}, {history}, {open})",
+            "{constant} = Service({:?}, {}, {:?}, {to}, {depth}, {most}, {history}, {open})",
             service.name,
             M::NAME,
             service.from.word(),

@@ -102,9 +102,13 @@ fn types_ranges_and_syntax_are_told_with_their_place() {
     assert!(text.contains("run.name"), "{text}");
     let text = error("[vehicle]\nwheelbase_m = -1.0\n");
     assert!(text.contains("vehicle.wheelbase_m = -1"), "{text}");
-    let text = error("[vehicle]\nwidth_m = 2.5\n");
-    let told = "vehicle.width_m = 2.5: must be 1.852, the default: the built-in world drives its \
-                own car, it does not obey [vehicle] yet";
+    let text = error("[vehicle]\nwidth_m = nan\n");
+    assert!(
+        text.contains("vehicle.width_m = NaN: must be within"),
+        "{text}"
+    );
+    let text = error("[world]\nsimulator = \"metadrive\"\n[vehicle]\nwidth_m = 2.5\n");
+    let told = "vehicle.width_m = 2.5: must be 1.852, the default: MetaDrive drives its own car";
     assert!(text.contains(told), "{text}");
     let text = error("[world]\nsequence = \"SCQ\"\n");
     assert!(

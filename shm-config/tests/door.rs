@@ -27,7 +27,7 @@ fn refused<M: Message>(good: M, spoil: impl Fn(&mut M)) -> Refusal {
 fn observations() {
     let nan = f64::NAN;
     type Set = fn(&mut Observation, f64);
-    let fields: [(&str, Set); 11] = [
+    let fields: [(&str, Set); 16] = [
         ("ego.x_world_m", |o, v| o.ego.x_world_m = v),
         ("ego.y_world_m", |o, v| o.ego.y_world_m = v),
         ("ego.heading_world_rad", |o, v| o.ego.heading_world_rad = v),
@@ -38,6 +38,11 @@ fn observations() {
         ("road.heading_rad", |o, v| o.road.heading_rad = v),
         ("checkpoint.x_body_m", |o, v| o.checkpoints[1].x_body_m = v),
         ("lidar_max_m", |o, v| o.lidar_max_m = v as f32),
+        ("road.lane_width_m", |o, v| o.road.lane_width_m = v),
+        ("field_of_view_rad", |o, v| o.field_of_view_rad = v),
+        ("scanner_heading_rad", |o, v| o.scanner_heading_rad = v),
+        ("scanner_x_body_m", |o, v| o.scanner_x_body_m = v),
+        ("scanner_y_body_m", |o, v| o.scanner_y_body_m = v),
         ("ranges_m", |o, v| o.ranges_m[239] = v as f32),
     ];
     for (field, set) in fields {
@@ -51,13 +56,17 @@ fn observations() {
             "{refusal}"
         );
     }
-    let refusal = refused(observation(), |o| o.beam_count = 513);
+}
+
+#[test]
+fn counts_and_limits_of_observations() {
+    let refusal = refused(observation(), |o| o.beam_count = 2049);
     assert_eq!(
         refusal,
         Refusal::OverCapacity {
             field: "beam_count",
-            count: 513,
-            capacity: 512
+            count: 2049,
+            capacity: 2048
         }
     );
     let refusal = refused(observation(), |o| o.ranges_m[0] = -0.1);
@@ -134,6 +143,10 @@ fn plans() {
     ));
     assert!(matches!(
         refused(plan, |p| p.outcome = 3),
+        Refusal::UnknownCode { .. }
+    ));
+    assert!(matches!(
+        refused(plan, |p| p.lateness = 4),
         Refusal::UnknownCode { .. }
     ));
     assert!(matches!(
@@ -388,7 +401,7 @@ fn orders_to_fail() {
     assert_eq!(good.check(), Ok(()));
     let refusal = Fault { kind: 5, ..good }.check();
     assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));
-    let refusal = Fault { target: 6, ..good }.check();
+    let refusal = Fault { target: 7, ..good }.check();
     assert!(matches!(refusal, Err(Refusal::UnknownCode { .. })));
 }
 
@@ -436,7 +449,9 @@ proptest! {
         let mut o = observation();
         o.ego = Ego { x_world_m: value(0), y_world_m: value(1), heading_world_rad: value(2), speed_mps: value(3),
                       yaw_rate_radps: value(4), steer: value(5), pedal: value(6) };
-        o.road = Road { left_m: value(7), right_m: value(8), heading_rad: value(9), offset_m: value(10) };
+        o.road = Road { left_m: value(7), right_m: value(8), heading_rad: value(9), offset_m: value(10), lane_width_m: value(17) };
+        (o.field_of_view_rad, o.scanner_heading_rad) = (value(18), value(19));
+        (o.scanner_x_body_m, o.scanner_y_body_m) = (value(20), value(21));
         o.checkpoints[0] = Checkpoint { x_body_m: value(11), y_body_m: value(12), bend_radius_m: value(13),
                                         bend_angle_rad: value(14), bend: bits[15] as u32, reserved: 0 };
         o.beam_count = beams;

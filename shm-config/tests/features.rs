@@ -28,6 +28,7 @@ fn observation() -> Observation {
             right_m: 9.0,
             heading_rad: 0.25,
             offset_m: -0.75,
+            lane_width_m: 3.5,
         },
         checkpoints: [
             checkpoint(10.0, Bend::Left),

@@ -1,4 +1,4 @@
-//! What a car is: frames, poses, the kinematic bicycle, limits and footprint.
+//! What a car is: frames, poses, the kinematic bicycle, limits, footprint and scanner.
 //! Arithmetic only; no I/O, no clock, no allocation. Without the feature `std` the
 //! crate needs no operating system; the feature `libm` then gives the mathematics.
 //!
@@ -45,12 +45,14 @@ mod angle;
 mod bicycle;
 mod footprint;
 mod parameters;
+mod scanner;
 
 pub use action::{Action, Control};
 pub use angle::{rem_euclid, wrap_rad};
 pub use bicycle::{State, step};
 pub use footprint::Footprint;
 pub use parameters::{InvalidVehicle, Vehicle};
+pub use scanner::{BEAMS_MAX, Fan, Scanner};
 
 /// A point, metres, in the frame its name begins with.
 pub type Point = nalgebra::Point2<f64>;

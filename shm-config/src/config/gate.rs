@@ -42,6 +42,11 @@ pub struct Gate {
     pub confirmations: u32,
     /// The most questions that may be in flight to a slow judge.
     pub in_flight: u32,
+    /// For `takeover`: the expert drives when the policy's steering differs by more than
+    /// this from its own. PVP4Real's human has 0.38 for actions with more spread.
+    pub takeover_steer: f64,
+    /// The same for the pedal; PVP4Real's human has 1.28.
+    pub takeover_pedal: f64,
     /// For `replay`: the folder with the questions of a recorded run.
     pub recording: String,
     /// Keep every question in `runs/NAME/judge`, for `./vlaps judge audit`.
@@ -65,6 +70,9 @@ impl Default for Gate {
             dwell_s: 2.0,
             confirmations: 1,
             in_flight: 2,
+            // results/learning.md compares other thresholds.
+            takeover_steer: 0.1,
+            takeover_pedal: 0.5,
             recording: String::new(),
             record: true,
         }
@@ -81,6 +89,8 @@ impl Gate {
         in_range("gate.hold_s", self.hold_s, 0.001..=7200.0)?;
         in_range("gate.label_s", self.label_s, 0.0..=7200.0)?;
         in_range("gate.dwell_s", self.dwell_s, 0.0..=3600.0)?;
+        in_range("gate.takeover_steer", self.takeover_steer, 0.0..=2.0)?;
+        in_range("gate.takeover_pedal", self.takeover_pedal, 0.0..=2.0)?;
         in_range("gate.confirmations", self.confirmations, 1..=100)?;
         in_range("gate.in_flight", self.in_flight, 1..=16)
     }
@@ -125,7 +135,7 @@ impl Gate {
         match self.mode {
             GateMode::Vlm | GateMode::Paper => true,
             GateMode::Rules | GateMode::Replay => false,
-            GateMode::Expert | GateMode::Policy | GateMode::Human => false,
+            GateMode::Expert | GateMode::Policy | GateMode::Human | GateMode::Takeover => false,
         }
     }
 

@@ -61,6 +61,16 @@ pub struct Learner {
     /// Standard deviation of the noise on the actions of pvp's targets; TD3 and
     /// PVP4Real.
     pub target_noise: f64,
+    /// For pvp: how much more an error in steering counts in the imitation than one of the
+    /// pedal. PVP4Real has 1.
+    pub imitation_steer: f64,
+    /// For pvp: the critics see the steering times this, so that they tell apart actions
+    /// that differ by little. PVP4Real has 1.
+    pub critic_steer: f64,
+    /// The same for the pedal.
+    pub critic_pedal: f64,
+    /// For pvp: publish the running average of the actor, not the actor.
+    pub averaged: bool,
     /// Capacity of each replay buffer, transitions; PVP4Real.
     pub capacity: u32,
     /// For ppl: predicted states of a rejected action, 0.2 s apart.
@@ -87,6 +97,10 @@ impl Default for Learner {
             rate: 0.0,
             imitation_weight: 1.0,
             target_noise: 0.2,
+            imitation_steer: 1.0,
+            critic_steer: 1.0,
+            critic_pedal: 1.0,
+            averaged: false,
             capacity: 50_000,
             predicted_states: 4,
             imagined_scenes: 3,
@@ -117,6 +131,9 @@ impl Learner {
         in_range("learner.rate", self.rate, 0.0..=1.0)?;
         in_range("learner.imitation_weight", self.imitation_weight, 0.0..=1e3)?;
         in_range("learner.target_noise", self.target_noise, 0.0..=1.0)?;
+        in_range("learner.imitation_steer", self.imitation_steer, 0.0..=1e3)?;
+        in_range("learner.critic_steer", self.critic_steer, 0.01..=100.0)?;
+        in_range("learner.critic_pedal", self.critic_pedal, 0.01..=100.0)?;
         in_range("learner.label_wait_s", self.label_wait_s, 0.0..=3600.0)
     }
 }

@@ -152,7 +152,10 @@ pub fn from_toml(text: &str, origin: &str) -> Result<Config, ConfigError> {
             (plain, _) => plain,
         }
     })?;
-    let checked = config.validated().map(Config::with_preset);
+    let fitted = config
+        .checked_vehicle()
+        .map(|config| config.fitted_to_vehicle(&given));
+    let checked = fitted.and_then(Config::validated).map(Config::with_preset);
     checked.map_err(|error| ConfigError::OutOfRange {
         origin: origin.into(),
         error,

@@ -5,26 +5,32 @@
 //! one.
 
 mod deadlines;
+mod fit;
 mod gate;
 mod learner;
 mod load;
 mod mpc;
 mod policy;
 mod preset;
+mod programs;
 mod rates;
+mod record;
 mod run;
 mod services;
+#[cfg(feature = "wire")]
+mod vehicle_file;
 mod vlm;
 mod world;
 mod wrong_type;
 
 use serde::{Deserialize, Serialize};
-use vehicle::Vehicle;
+use vehicle::{InvalidVehicle, Scanner, Vehicle};
 
+use crate::message::{FEATURE_BEAMS, fits_policy};
 use crate::settings::in_range;
 
 pub use crate::settings::{
-    Controller, GateMode, Informed, JudgeLimits, Kinodynamic, Late, OutOfRange, Planner, planner,
+    Controller, GateMode, Informed, Kinodynamic, Late, OutOfRange, Planner, SafetyLimits, planner,
 };
 pub use deadlines::Deadlines;
 pub use gate::{FaultyJudge, Gate, When};
@@ -34,8 +40,12 @@ pub use load::{ConfigError, from_toml};
 pub use load::{load, text_of};
 pub use mpc::Mpc;
 pub use policy::{Backend, Policy};
+pub use programs::Programs;
 pub use rates::DECISION_HZ;
+pub use record::{Keep, Record};
 pub use run::{Clock, Limits, Run, Supervisor};
+#[cfg(feature = "wire")]
+pub use vehicle_file::{vehicle_of, with_vehicle};
 pub use vlm::{PictureFormat, PromptPreset, Rollout, STAND_IN, View, Vlm};
 pub use world::{Simulator, World};
 
@@ -49,11 +59,15 @@ pub struct Config {
     pub limits: Limits,
     /// What follows when ticks are late or slow.
     pub deadlines: Deadlines,
-    /// The car with which planner and safety check compute. The worlds have their own
-    /// car and do not use these values yet, so other values are refused.
+    /// The car, which every part obeys; the real MetaDrive has its own and refuses
+    /// others. `--vehicle FILE` reads this section and the next from a vehicle file.
     pub vehicle: Vehicle,
+    /// The car's laser scanner.
+    pub scanner: Scanner,
     /// The world.
     pub world: World,
+    /// Programs of yours in place of those of the build.
+    pub programs: Programs,
     /// RRT*.
     pub planner: Planner,
     /// RRT* with a memory, in place of the paper's.
@@ -65,7 +79,7 @@ pub struct Config {
     /// PD tracking.
     pub controller: Controller,
     /// The safety check in the tick.
-    pub judge: JudgeLimits,
+    pub safety: SafetyLimits,
     /// The gate process.
     pub gate: Gate,
     /// The vision-language model that the gate process asks.
@@ -77,6 +91,8 @@ pub struct Config {
     pub policy: Policy,
     /// The learner process.
     pub learner: Learner,
+    /// The recorder process.
+    pub record: Record,
     /// Restarts and real-time privileges.
     pub supervisor: Supervisor,
 }
@@ -86,29 +102,65 @@ impl Config {
     ///
     /// # Errors
     /// The first key that is out of range.
-    pub fn validated(self) -> Result<Self, OutOfRange> {
+    pub fn validated(mut self) -> Result<Self, OutOfRange> {
         self.run.check()?;
         self.check_rates()?;
         self.limits.check(&self)?;
         self.deadlines.check()?;
-        self.vehicle.validated().map_err(|error| OutOfRange {
-            key: format!("vehicle.{}", error.name),
-            value: error.value.to_string(),
-            expected: format!("positive and at most {}", error.limit),
-        })?;
-        self.world.check(&self.vehicle)?;
+        self = self.checked_vehicle()?;
+        self.world.check(&self.vehicle, &self.scanner)?;
+        self.programs.check(&self.gate)?;
         self.planner.check()?;
         self.informed.check(self.planner.cell_m)?;
         self.kinodynamic.check()?;
         self.mpc.check()?;
         self.controller.check()?;
-        self.judge.check()?;
+        self.safety.check()?;
         self.gate.check(&self.run)?;
         self.vlm.check()?;
         self.faulty_judge.check()?;
         self.policy.check()?;
         self.learner.check()?;
+        self.check_policy_fits()?;
+        self.record.check()?;
         self.supervisor.check()?;
+        Ok(self)
+    }
+
+    /// Refuses a policy, and a learner, with a scanner that no policy is trained with.
+    fn check_policy_fits(&self) -> Result<(), OutOfRange> {
+        let (key, value) = match (self.policy.file.as_str(), self.learner.enabled) {
+            ("", false) => return Ok(()),
+            ("", true) => ("learner.enabled", "true".into()),
+            (file, _) => ("policy.file", format!("{file:?}")),
+        };
+        if fits_policy(&self.scanner.fan()) {
+            return Ok(());
+        }
+        Err(OutOfRange {
+            key: key.into(),
+            value,
+            expected: format!(
+                "left out with this [scanner]: the features of a policy are those of \
+                 {FEATURE_BEAMS} beams over 360 degrees from the car's centre; experts drive \
+                 with any scanner"
+            ),
+        })
+    }
+
+    /// Checks the car and its scanner, on which the defaults of other keys depend.
+    fn checked_vehicle(self) -> Result<Self, OutOfRange> {
+        let named = |section: &str, error: InvalidVehicle| OutOfRange {
+            key: format!("{section}.{}", error.name),
+            value: error.value.to_string(),
+            expected: format!("within {} and {}", error.range[0], error.range[1]),
+        };
+        self.vehicle
+            .validated()
+            .map_err(|error| named("vehicle", error))?;
+        self.scanner
+            .validated()
+            .map_err(|error| named("scanner", error))?;
         Ok(self)
     }
 

@@ -23,7 +23,6 @@ pub struct Mpc {
     #[serde(skip)]
     pub sideways_mps2: f64,
     /// Deceleration used in plans, m/s²; the brake gives four times as much.
-    #[serde(skip)]
     pub brake_mps2: f64,
     /// Distance from obstacles and road edges where there is room, m.
     pub clearance_m: f64,
@@ -32,7 +31,6 @@ pub struct Mpc {
     pub contact_m: f64,
     /// Distance from the car's centre to a blocked place at which the car stops, m:
     /// near enough to see past it, far enough to steer past it.
-    #[serde(skip)]
     pub standoff_m: f64,
     /// Cost of one metre off the path, squared.
     #[serde(skip)]

@@ -29,7 +29,7 @@ impl Config {
             Process::World => Some(self.world_rate_hz()),
             Process::Controller => Some(self.run.rate_hz),
             Process::Planner => Some(self.planner_rate_hz()),
-            Process::Supervisor | Process::Gate | Process::Learner => None,
+            Process::Supervisor | Process::Gate | Process::Learner | Process::Recorder => None,
         }
     }
 
@@ -92,7 +92,9 @@ impl Config {
     /// The real MetaDrive has one rate, and no controller is faster than its world.
     fn check_metadrive(&self) -> Result<(), OutOfRange> {
         let world_hz = self.world_rate_hz();
-        if self.world.simulator == Simulator::BuiltIn || world_hz == DECISION_HZ {
+        let is_metadrive =
+            self.programs.world.is_empty() && self.world.simulator == Simulator::MetaDrive;
+        if !is_metadrive || world_hz == DECISION_HZ {
             return Ok(());
         }
         let key = match self.world.rate_hz == 0.0 {

@@ -1,8 +1,7 @@
 use serde::{Deserialize, Serialize};
-use vehicle::Vehicle;
+use vehicle::{Scanner, Vehicle};
 
 use super::{OutOfRange, in_range};
-use crate::message::BEAMS_MAX;
 
 /// The simulator of the world.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -40,10 +39,6 @@ pub struct World {
     pub accident_probability: f64,
     /// Ticks after which an episode ends.
     pub horizon_ticks: u32,
-    /// Lidar beams over the full circle.
-    pub beams: u32,
-    /// Range of the lidar, m.
-    pub lidar_m: f64,
 }
 
 impl Default for World {
@@ -58,58 +53,73 @@ impl Default for World {
             traffic_density: 0.06,
             accident_probability: 0.8,
             horizon_ticks: 1500,
-            beams: 240,
-            lidar_m: 50.0,
         }
     }
 }
 
 impl World {
-    /// Refuses another car than the world's own. Planner and safety check compute with
-    /// `[vehicle]`, and would otherwise plan for another car than the one that drives.
-    fn check_obeys(&self, vehicle: &Vehicle) -> Result<(), OutOfRange> {
-        let world = match self.simulator {
-            Simulator::BuiltIn => "the built-in world drives its own car",
-            Simulator::MetaDrive => "MetaDrive drives its own car",
-        };
-        let default = Vehicle::default();
+    /// Refuses what the real MetaDrive does not obey. Planner and safety check compute
+    /// with `[vehicle]` and `[scanner]`, and would otherwise plan for another car than
+    /// the one that drives.
+    fn check_obeys(&self, vehicle: &Vehicle, scanner: &Scanner) -> Result<(), OutOfRange> {
+        if self.simulator == Simulator::BuiltIn {
+            return Ok(());
+        }
+        let (car, own) = (Vehicle::default(), Scanner::default());
         let keys = [
-            ("length_m", vehicle.length_m, default.length_m),
-            ("width_m", vehicle.width_m, default.width_m),
-            ("wheelbase_m", vehicle.wheelbase_m, default.wheelbase_m),
+            ("vehicle.length_m", vehicle.length_m, car.length_m),
+            ("vehicle.width_m", vehicle.width_m, car.width_m),
+            ("vehicle.wheelbase_m", vehicle.wheelbase_m, car.wheelbase_m),
             (
-                "max_steer_deg",
+                "vehicle.max_steer_deg",
                 vehicle.max_steer_deg,
-                default.max_steer_deg,
+                car.max_steer_deg,
             ),
             (
-                "max_accel_mps2",
+                "vehicle.max_accel_mps2",
                 vehicle.max_accel_mps2,
-                default.max_accel_mps2,
+                car.max_accel_mps2,
             ),
             (
-                "max_brake_mps2",
+                "vehicle.max_brake_mps2",
                 vehicle.max_brake_mps2,
-                default.max_brake_mps2,
+                car.max_brake_mps2,
             ),
             (
-                "max_speed_mps",
+                "vehicle.max_speed_mps",
                 vehicle.max_speed_mps,
-                default.max_speed_mps,
+                car.max_speed_mps,
+            ),
+            ("vehicle.delay_ms", vehicle.delay_ms, car.delay_ms),
+            (
+                "scanner.field_of_view_deg",
+                scanner.field_of_view_deg,
+                own.field_of_view_deg,
+            ),
+            ("scanner.x_m", scanner.x_m, own.x_m),
+            ("scanner.y_m", scanner.y_m, own.y_m),
+            ("scanner.heading_deg", scanner.heading_deg, own.heading_deg),
+            (
+                "scanner.drop_probability",
+                scanner.drop_probability,
+                own.drop_probability,
             ),
         ];
         match keys.into_iter().find(|(_, given, own)| given != own) {
             None => Ok(()),
             Some((key, given, own)) => Err(OutOfRange {
-                key: format!("vehicle.{key}"),
+                key: key.into(),
                 value: given.to_string(),
-                expected: format!("{own}, the default: {world}, it does not obey [vehicle] yet"),
+                expected: format!(
+                    "{own}, the default: MetaDrive drives its own car, it does not obey \
+                     [vehicle] and [scanner]; the built-in world does"
+                ),
             }),
         }
     }
 
-    pub(super) fn check(&self, vehicle: &Vehicle) -> Result<(), OutOfRange> {
-        self.check_obeys(vehicle)?;
+    pub(super) fn check(&self, vehicle: &Vehicle, scanner: &Scanner) -> Result<(), OutOfRange> {
+        self.check_obeys(vehicle, scanner)?;
         in_range("world.blocks", self.blocks, 1..=30)?;
         if let Some(letter) = self.sequence.chars().find(|c| !"SCrRXTO".contains(*c)) {
             return Err(OutOfRange {
@@ -127,8 +137,6 @@ impl World {
             self.accident_probability,
             0.0..=1.0,
         )?;
-        in_range("world.horizon_ticks", self.horizon_ticks, 1..=10_000_000)?;
-        in_range("world.beams", self.beams, 1..=BEAMS_MAX as u32)?;
-        in_range("world.lidar_m", self.lidar_m, 1.0..=500.0)
+        in_range("world.horizon_ticks", self.horizon_ticks, 1..=10_000_000)
     }
 }

@@ -33,7 +33,7 @@ crate::message! {
     /// Which driver should drive, and until when. Published for every step that the gate
     /// has read, so that lockstep can wait for it; the answer itself changes rarely.
     #[derive(Default)]
-    pub struct Advice: 104 bytes, nested [Header] {
+    pub struct Advice: 112 bytes, nested [Header] {
         /// The tick of the last step that the gate has read.
         pub header: Header,
         /// The tick the judge was asked about.
@@ -44,6 +44,9 @@ crate::message! {
         pub answered_ns: u64,
         /// The first instant at which the advice no longer holds, ns.
         pub holds_until_ns: u64,
+        /// When the gate considered the step, ns on the run's clock: its answers and their
+        /// hysteresis depend on it, so that advice can be recomputed.
+        pub considered_ns: u64,
         /// Questions answered so far, failures and abstentions included.
         pub answers: u64,
         /// A [`Preference`]: the driver to choose, after dwell time and confirmations.

@@ -1,6 +1,7 @@
 //! The state with which a tick begins, as a step records it.
 
 use super::{Driver, Refusal, known};
+use crate::settings::Late;
 
 crate::word_list! {
     /// What the process asks of the tick.
@@ -39,7 +40,7 @@ crate::word_list! {
 }
 
 crate::word_list! {
-    /// The lateness of the command, and what followed.
+    /// The lateness of a command or plan, and what followed.
     pub enum Lateness {
         /// Decided by the deadline.
         OnTime = 0 "on time",
@@ -124,6 +125,17 @@ crate::message! {
         pub has_advice: u32,
         /// Not used.
         pub reserved: u32,
+    }
+}
+
+impl Lateness {
+    /// What follows from a late answer with this setting.
+    pub fn of(policy: Late) -> Self {
+        match policy {
+            Late::Count => Self::Counted,
+            Late::Skip => Self::HeldBack,
+            Late::Brake => Self::Braked,
+        }
     }
 }
 

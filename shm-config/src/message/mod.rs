@@ -6,8 +6,10 @@ mod before;
 mod camera;
 mod command;
 mod fault;
+mod features;
 mod frame;
 mod health;
+mod kept;
 mod learning;
 mod observation;
 mod plan;
@@ -24,21 +26,22 @@ pub use before::{Admission, Before, Entry, Intent, Lateness, PdState, Stage, Tra
 pub use camera::{Camera, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, View};
 pub use command::{Command, Driver, Reason};
 pub use fault::{Fault, FaultKind};
+pub use features::{
+    FEATURE_BEAMS, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT, STATE_FEATURES, fits_policy,
+};
 pub use frame::{
     FRAME_BYTES_MAX, FRAME_SIDES_PX, Foresight, Frame, FrameRequest, Outlook, PixelFormat,
 };
 pub use health::{Grant, Health, HealthState, PARTS, Part, Scheduling};
+pub use kept::Kept;
 pub use learning::Learning;
-pub use observation::{
-    BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT,
-    Observation, Road,
-};
+pub use observation::{BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, Observation, Road};
 pub use plan::{PLANNED_MAX, Plan, PlanOutcome, PlannedAction, WAYPOINTS_MAX, Waypoint};
 pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
 pub use progress::{Episode, Outcome, Progress};
 pub use refusal::{REFUSALS, Refusal, RefusalKind, Refusals};
 pub use roster::{PROCESSES, Roster};
-pub use step::{Assessment, Proposal, ShadowProposal, Step, Timings, Verdict};
+pub use step::{Assessment, LATE_APART_NS, Proposal, ShadowProposal, Step, Timings, Verdict};
 pub use takeover::Takeover;
 pub use timing::{Histogram, LATE_TICKS, LateTick, Measure, Timing};
 

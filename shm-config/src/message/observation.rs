@@ -1,32 +1,21 @@
 use super::{Header, Message, Refusal, fits, header_accessors, known, within};
+use core::f64::consts::{PI, TAU};
+
 use crate::Instant;
-use crate::layout::{FNV_BASIS, fnv1a};
-#[cfg(not(feature = "std"))]
-use vehicle::Float as _;
+use vehicle::{Fan, Point};
 
 /// Most lidar beams a world may have.
-pub const BEAMS_MAX: usize = 512;
+pub use vehicle::BEAMS_MAX;
 /// Navigation checkpoints ahead that an observation carries.
 pub const CHECKPOINTS: usize = 2;
-/// Length of the policy's input for 240 beams.
-pub const FEATURES: usize = 259;
-/// The version of the meaning of [`Observation::features`]. Raise it whenever a feature
-/// changes its meaning, scale or position: weights trained for another version are
-/// refused. A test pins the features of one observation.
-pub const FEATURES_VERSION: u32 = 1;
-/// The observation layout that weights are trained for: count and meaning of
-/// the policy's input in one number.
-pub const OBSERVATION_LAYOUT: u64 = fnv1a(
-    fnv1a(FNV_BASIS, &(FEATURES as u64).to_le_bytes()),
-    &FEATURES_VERSION.to_le_bytes(),
-);
-
 /// Largest distance of a position from the run's origin, m.
 const POSITION_LIMIT_M: f64 = 1e6;
 /// Largest speed of a car, m/s.
 pub(super) const SPEED_LIMIT_MPS: f64 = 150.0;
 /// Largest width of a road, m.
 const LATERAL_LIMIT_M: f64 = 1e3;
+/// Largest distance of the scanner from the body's centre, m: twice the longest car.
+const MOUNT_LIMIT_M: f64 = 60.0;
 
 crate::message! {
     /// The car itself.
@@ -51,8 +40,7 @@ crate::message! {
 
 crate::message! {
     /// The road where the car is.
-    #[derive(Default)]
-    pub struct Road: 32 bytes {
+    pub struct Road: 40 bytes {
         /// Distance from the car's centre to the road's left edge, m; negative beyond it.
         pub left_m: f64,
         /// Distance from the car's centre to the road's right edge, m; negative beyond it.
@@ -61,6 +49,23 @@ crate::message! {
         pub heading_rad: f64,
         /// Offset from the centre of the car's lane, m, positive **left**.
         pub offset_m: f64,
+        /// Width of a lane, m: a checkpoint's bend is that of the leftmost lane's centre
+        /// line, half of it from the left edge. 0 for a road without lanes, whose bend is
+        /// that of its left edge.
+        pub lane_width_m: f64,
+    }
+}
+
+impl Default for Road {
+    /// Lanes of the paper's experiment.
+    fn default() -> Self {
+        Self {
+            left_m: 0.0,
+            right_m: 0.0,
+            heading_rad: 0.0,
+            offset_m: 0.0,
+            lane_width_m: 3.5,
+        }
     }
 }
 
@@ -97,7 +102,7 @@ crate::message! {
 
 crate::message! {
     /// The car's observation at one tick, in physical quantities.
-    pub struct Observation: 2280 bytes, nested [Header, Ego, Road, Checkpoint] {
+    pub struct Observation: 8464 bytes, nested [Header, Ego, Road, Checkpoint] {
         /// Which tick, and when.
         pub header: Header,
         /// The instant of the run's grid at which this tick was due, ns on the
@@ -118,19 +123,29 @@ crate::message! {
         pub checkpoints: [Checkpoint; 2],
         /// Range of a beam that hits nothing, m.
         pub lidar_max_m: f32,
-        /// How many beams are valid; evenly spaced over the full circle.
+        /// How many beams are valid; evenly spaced, their angles are those of
+        /// `Observation::fan`.
         pub beam_count: u32,
-        /// Range of beam k at `k * 360 deg / beam_count` counter-clockwise from
-        /// the heading, m, at most `lidar_max_m`.
-        pub ranges_m: [f32; 512],
+        /// Angle from the first beam to the last, rad; a full circle from 2π on, whose
+        /// first beam looks along the scanner's heading. Else it looks along the right
+        /// limit of the field of view. Counter-clockwise.
+        pub field_of_view_rad: f64,
+        /// Heading of the scanner in the body frame, rad.
+        pub scanner_heading_rad: f64,
+        /// Where the beams begin, m forward of the car's centre.
+        pub scanner_x_body_m: f64,
+        /// Where the beams begin, m left of the car's centre.
+        pub scanner_y_body_m: f64,
+        /// Range of beam k from where the beams begin, m, at most `lidar_max_m`. A beam
+        /// at `lidar_max_m` hit nothing, or its return was dropped.
+        pub ranges_m: [f32; 2048],
     }
 }
 
 const _: () = assert!(
-    BEAMS_MAX == 512 && CHECKPOINTS == 2,
+    BEAMS_MAX == 2048 && CHECKPOINTS == 2,
     "as the message declares"
 );
-const _: () = assert!(FEATURES == 19 + 240);
 
 impl Default for Observation {
     fn default() -> Self {
@@ -144,6 +159,10 @@ impl Default for Observation {
             checkpoints: [Checkpoint::default(); CHECKPOINTS],
             lidar_max_m: 50.0,
             beam_count: 0,
+            field_of_view_rad: TAU,
+            scanner_heading_rad: 0.0,
+            scanner_x_body_m: 0.0,
+            scanner_y_body_m: 0.0,
             ranges_m: [0.0; BEAMS_MAX],
         }
     }
@@ -176,6 +195,11 @@ impl Message for Observation {
         within("road.right_m", self.road.right_m, lateral.clone())?;
         within("road.heading_rad", self.road.heading_rad, -4.0..=4.0)?;
         within("road.offset_m", self.road.offset_m, lateral)?;
+        within(
+            "road.lane_width_m",
+            self.road.lane_width_m,
+            0.0..=LATERAL_LIMIT_M,
+        )?;
         for checkpoint in &self.checkpoints {
             within("checkpoint.x_body_m", checkpoint.x_body_m, position.clone())?;
             within("checkpoint.y_body_m", checkpoint.y_body_m, position.clone())?;
@@ -193,6 +217,12 @@ impl Message for Observation {
         }
         within("lidar_max_m", f64::from(self.lidar_max_m), 0.1..=1e3)?;
         fits("beam_count", u64::from(self.beam_count), BEAMS_MAX)?;
+        // Two beams of a scan must look in different directions.
+        within("field_of_view_rad", self.field_of_view_rad, 1e-3..=7.0)?;
+        within("scanner_heading_rad", self.scanner_heading_rad, -PI..=PI)?;
+        let mount = -MOUNT_LIMIT_M..=MOUNT_LIMIT_M;
+        within("scanner_x_body_m", self.scanner_x_body_m, mount.clone())?;
+        within("scanner_y_body_m", self.scanner_y_body_m, mount)?;
         // The bits of non-negative floats are ordered like their values; negative
         // values and NaN are above all. A single pass without an early exit keeps this
         // loop vectorised.
@@ -223,39 +253,23 @@ impl Observation {
         Instant(self.published_ns.max(self.scheduled_ns))
     }
 
-    /// Length of [`Observation::features`] for this many beams.
-    pub fn feature_count(&self) -> usize {
-        19 + self.ranges().len()
+    /// Where its beams look.
+    pub fn fan(&self) -> Fan {
+        Fan {
+            beams: self.ranges().len(),
+            field_of_view_rad: self.field_of_view_rad,
+            heading_rad: self.scanner_heading_rad,
+            mount_body: Point::new(self.scanner_x_body_m, self.scanner_y_body_m),
+        }
     }
 
-    /// The policy's input, each number in [0, 1]: MetaDrive's 19 numbers and one for
-    /// each beam. Training and driving use this same function.
-    ///
-    /// Fills the first [`Observation::feature_count`] places and returns them;
-    /// `None` when `out` is shorter.
-    pub fn features<'a>(&self, out: &'a mut [f32]) -> Option<&'a [f32]> {
-        let out = out.get_mut(..self.feature_count())?;
-        let unit = |value: f64| value.clamp(0.0, 1.0) as f32;
-        let Self { ego, road, .. } = self;
-        // 18 m: room for four lanes of 4.5 m beside the car.
-        out[0] = unit(road.left_m / 18.0);
-        out[1] = unit(road.right_m / 18.0);
-        out[2] = unit(0.5 - 0.5 * road.heading_rad.sin());
-        out[3] = unit((ego.speed_mps * 3.6 + 1.0) / 81.0);
-        // The simulator divides the action by 60 degrees once more, and so does this
-        // code.
-        out[4] = unit((ego.steer / 60.0 + 1.0) / 2.0);
-        out[5] = unit((ego.steer + 1.0) / 2.0);
-        out[6] = unit((ego.pedal + 1.0) / 2.0);
-        out[7] = unit(ego.yaw_rate_radps.abs());
-        out[8] = unit(0.5 - road.offset_m / 4.5);
-        for (block, checkpoint) in out[9..19].chunks_exact_mut(5).zip(&self.checkpoints) {
-            checkpoint.features(block);
-        }
-        for (feature, &range_m) in out[19..].iter_mut().zip(self.ranges()) {
-            *feature = (range_m / self.lidar_max_m).clamp(0.0, 1.0);
-        }
-        Some(out)
+    /// Says where the beams of the ranges look.
+    pub fn set_fan(&mut self, fan: &Fan) {
+        self.beam_count = fan.beams.min(BEAMS_MAX) as u32;
+        self.field_of_view_rad = fan.field_of_view_rad;
+        self.scanner_heading_rad = fan.heading_rad;
+        self.scanner_x_body_m = fan.mount_body.x;
+        self.scanner_y_body_m = fan.mount_body.y;
     }
 }
 
@@ -263,32 +277,5 @@ impl Checkpoint {
     /// The direction of the bend; an unknown code is read as straight.
     pub fn bend(&self) -> Bend {
         Bend::from_code(self.bend).unwrap_or(Bend::Straight)
-    }
-
-    /// The five numbers of a checkpoint block.
-    fn features(&self, out: &mut [f32]) {
-        let unit = |value: f64| value.clamp(0.0, 1.0) as f32;
-        // The vector is shortened to the lidar's 50 m, keeping its direction.
-        let distance_m = self.x_body_m.hypot(self.y_body_m);
-        let scale = if distance_m > 50.0 {
-            50.0 / distance_m
-        } else {
-            1.0
-        };
-        out[0] = unit((self.x_body_m * scale / 50.0 + 1.0) / 2.0);
-        out[1] = unit((self.y_body_m * scale / 50.0 + 1.0) / 2.0);
-        // 70.5 m: the largest bend radius (60 m) and three lanes of 3.5 m.
-        out[2] = unit(self.bend_radius_m / 70.5);
-        out[3] = match self.bend() {
-            Bend::Left => 0.0,
-            Bend::Straight => 0.5,
-            Bend::Right => 1.0,
-        };
-        out[4] = match self.bend() {
-            Bend::Straight => 0.5,
-            Bend::Left | Bend::Right => {
-                unit((self.bend_angle_rad.to_degrees() / 135.0 + 1.0) / 2.0)
-            }
-        };
     }
 }

@@ -1,7 +1,8 @@
 use vehicle::{Action, Point, Pose, pose};
 
 use super::observation::SPEED_LIMIT_MPS;
-use super::{Header, Message, Refusal, fits, header_accessors, known, within};
+use super::{Header, Lateness, Message, Refusal, fits, header_accessors, known, within};
+use crate::settings::Late;
 
 /// Largest distance of a plan from the car, m.
 const FAR_M: f64 = 1e4;
@@ -80,8 +81,8 @@ crate::message! {
         pub action_step_s: f64,
         /// The number of valid actions; 0 for a plan that is only a path.
         pub action_count: u32,
-        /// Not used.
-        pub reserved: u32,
+        /// A [`Lateness`]: of the plan.
+        pub lateness: u32,
         /// The actions from the plan's observation on, in order.
         pub actions: [PlannedAction; 32],
     }
@@ -110,7 +111,7 @@ impl Default for Plan {
             waypoints: [Waypoint::default(); WAYPOINTS_MAX],
             action_step_s: 0.0,
             action_count: 0,
-            reserved: 0,
+            lateness: Lateness::OnTime.code(),
             actions: [PlannedAction::default(); PLANNED_MAX],
         }
     }
@@ -132,6 +133,7 @@ impl Message for Plan {
         within("goal_y_body_m", self.goal_y_body_m, -FAR_M..=FAR_M)?;
         within("cost_m", self.cost_m, 0.0..=FAR_M)?;
         known("outcome", self.outcome, PlanOutcome::from_code)?;
+        known("lateness", self.lateness, Lateness::from_code)?;
         fits(
             "waypoint_count",
             u64::from(self.waypoint_count),
@@ -171,6 +173,16 @@ impl Plan {
     /// The result; an unknown code is read as blocked.
     pub fn outcome(&self) -> PlanOutcome {
         PlanOutcome::from_code(self.outcome).unwrap_or(PlanOutcome::Blocked)
+    }
+
+    /// Applies `deadlines.planner` to a plan that is late. Returns whether it is published.
+    pub fn answer_late(&mut self, policy: Late) -> bool {
+        if policy == Late::Brake {
+            self.outcome = PlanOutcome::Blocked.code();
+            (self.waypoint_count, self.action_count) = (0, 0);
+        }
+        self.lateness = Lateness::of(policy).code();
+        policy != Late::Skip
     }
 
     /// The valid waypoints; at most the capacity, even if the count is larger.

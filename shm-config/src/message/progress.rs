@@ -81,6 +81,13 @@ crate::message! {
     }
 }
 
+impl Progress {
+    /// Ticks in contact with a vehicle or an object.
+    pub fn contacts(&self) -> u64 {
+        self.vehicle_contacts.saturating_add(self.object_contacts)
+    }
+}
+
 impl Message for Progress {
     header_accessors!();
 
@@ -108,8 +115,13 @@ impl Episode {
         Outcome::from_code(self.outcome).unwrap_or(Outcome::Stopped)
     }
 
+    /// Ticks in contact with a vehicle or an object.
+    pub fn contacts(&self) -> u64 {
+        self.vehicle_contacts.saturating_add(self.object_contacts)
+    }
+
     /// Arrived without touching anything: the strict metric.
     pub fn is_strict_success(&self) -> bool {
-        self.outcome() == Outcome::Arrived && self.vehicle_contacts + self.object_contacts == 0
+        self.outcome() == Outcome::Arrived && self.contacts() == 0
     }
 }

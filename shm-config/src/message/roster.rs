@@ -4,16 +4,22 @@ use crate::services::Process;
 /// Processes of a run, the supervisor among them.
 pub const PROCESSES: usize = Process::ALL.len();
 
-const _: () = assert!(PROCESSES == 6, "as the message declares");
+/// Places of a roster: an even number, so that no padding follows.
+const PLACES: usize = 8;
+
+const _: () = assert!(
+    PROCESSES <= PLACES && PLACES == 8,
+    "as the message declares"
+);
 
 crate::message! {
     /// The process ids that the run has started; only their messages are taken.
     #[derive(Default)]
-    pub struct Roster: 56 bytes, nested [Header] {
+    pub struct Roster: 64 bytes, nested [Header] {
         /// When it was last changed.
         pub header: Header,
         /// The process ids, by the code of the [`Process`]; 0 where there is none.
-        pub pids: [u32; 6],
+        pub pids: [u32; 8],
     }
 }
 

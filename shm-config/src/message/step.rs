@@ -5,6 +5,10 @@ use super::{
     Reason, Refusal, Stage, Takeover, header_accessors, known, within,
 };
 
+/// A late tick at most this long after another one is part of the same event, ns: under load
+/// every tick may be late.
+pub const LATE_APART_NS: u64 = 1_000_000_000;
+
 crate::word_list! {
     /// The safety check's verdict on one proposal.
     pub enum Verdict {
@@ -95,7 +99,7 @@ crate::message! {
     /// The record of one tick of the controller: everything known and decided. From it
     /// and the run's configuration the tick can be recomputed bit by bit
     /// (`controller::Recomputer`).
-    pub struct Step: 5200 bytes,
+    pub struct Step: 11392 bytes,
         nested [
             Header, Before, Entry, Observation, Plan, Advice, Takeover, Proposal, Assessment,
             ShadowProposal, Command, Timings
@@ -219,6 +223,21 @@ impl Step {
     /// The reason.
     pub fn reason(&self) -> Option<Reason> {
         self.command.reason()
+    }
+
+    /// Whether the safety check vetoed the driver in charge.
+    pub fn is_vetoed(&self) -> bool {
+        matches!(self.reason(), Some(Reason::Vetoed | Reason::Unsafe))
+    }
+
+    /// Whether a person drove.
+    pub fn is_taken_over(&self) -> bool {
+        self.takeover_used == 1
+    }
+
+    /// Whether the command was decided too late, or the one before it was missing for that.
+    pub fn is_late(&self) -> bool {
+        self.lateness != Lateness::OnTime.code() || self.reason() == Some(Reason::Late)
     }
 
     /// What the process asked of the tick; an unknown code is read as a stop.

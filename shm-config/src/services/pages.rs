@@ -7,12 +7,13 @@ use std::fmt::Write as _;
 use super::{Delivery, Leaves, Process, Rate, Recorded, Row, SERVICES, TakenFrom};
 
 /// The processes from left to right, in the order in which a tick passes through them.
-const COLUMNS: [Process; 6] = [
+const COLUMNS: [Process; 7] = [
     Process::World,
     Process::Planner,
     Process::Controller,
     Process::Gate,
     Process::Learner,
+    Process::Recorder,
     Process::Supervisor,
 ];
 
@@ -39,7 +40,8 @@ pub fn markdown() -> String {
         "The service table: every flow of data between two processes is one row.\n\n\
          This page is generated from the table in `shm-config/src/services/mod.rs`. The names of \
          consumers that a message wakes are bold; commands such as `status` may read every \
-         service. \"In the step\" means that a recording has the message within `step`.\n\n\
+         service. The recorder reads each row that is recorded; \"and in the step\" means that \
+         `step` has the message that its tick used, too.\n\n\
          | service | message | bytes | from | to | delivery | published | refused when older than \
          | recorded | leaves the machine |\n|---|---|--:|---|---|---|---|---|---|---|\n",
     );
@@ -65,7 +67,7 @@ pub fn markdown() -> String {
             match row.recorded {
                 Recorded::Yes => "yes",
                 Recorded::No => "no",
-                Recorded::InStep => "in the step",
+                Recorded::InStep => "yes, and in the step",
             },
             match row.leaves {
                 Leaves::No => "no",

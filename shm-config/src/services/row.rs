@@ -2,7 +2,7 @@
 
 use core::marker::PhantomData;
 
-use crate::layout::Layout;
+use crate::layout::{Layout, Table};
 use crate::word_list;
 
 word_list! {
@@ -20,6 +20,23 @@ word_list! {
         Gate = 4 "gate",
         /// Steps to weights.
         Learner = 5 "learner",
+        /// Every recorded message to files.
+        Recorder = 6 "recorder",
+    }
+}
+
+impl Process {
+    /// The name of its program; a world outside this repository has another.
+    pub const fn binary(self) -> &'static str {
+        match self {
+            Self::Supervisor => "vlaps-supervisor",
+            Self::World => "vlaps-world",
+            Self::Planner => "vlaps-planner",
+            Self::Controller => "vlaps-controller",
+            Self::Gate => "vlaps-gate",
+            Self::Learner => "vlaps-learner",
+            Self::Recorder => "vlaps-recorder",
+        }
     }
 }
 
@@ -43,6 +60,13 @@ impl Delivery {
         }
     }
 }
+
+/// Messages of a service of newest values that the recorder may fall behind: at 1,000 Hz
+/// 64 ms.
+pub const RECORDED_DEPTH: usize = 64;
+/// Bytes of the largest message with that depth. Each publisher reserves such a queue for
+/// each of its 16 readers: 8.7 MB of observations, but 2 GB of frames.
+const RECORDED_BYTES_MAX: usize = 16 << 10;
 
 /// The processes from which a reader takes messages of a service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -102,8 +126,17 @@ pub enum Recorded {
     Yes,
     /// No message.
     No,
-    /// No message: each step contains the one that its tick used.
+    /// Every message; and each step contains the one that its tick used.
     InStep,
+}
+
+/// The clock of a message's times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Times {
+    /// The run's, which is simulated in lockstep.
+    Run,
+    /// The machine's, in lockstep too.
+    Machine,
 }
 
 /// Which messages may leave the machine.
@@ -126,6 +159,8 @@ pub struct MessageType {
     pub fingerprint: u64,
     /// Bytes of one message.
     pub bytes: usize,
+    /// Its fields.
+    pub table: &'static Table,
 }
 
 impl MessageType {
@@ -135,6 +170,7 @@ impl MessageType {
             name: M::NAME,
             fingerprint: M::FINGERPRINT,
             bytes: size_of::<M>(),
+            table: M::TABLE,
         }
     }
 }
@@ -169,6 +205,8 @@ pub struct Row {
     pub age_limit: AgeLimit,
     /// Whether a recording contains it.
     pub recorded: Recorded,
+    /// The clock of its messages.
+    pub times: Times,
     /// Which messages may leave the machine.
     pub leaves: Leaves,
 }
@@ -179,9 +217,23 @@ impl Row {
         holds(self.producers, process)
     }
 
-    /// Whether the process reads it.
+    /// Whether the process reads it. The recorder reads each row that is recorded.
     pub const fn is_consumed_by(&self, process: Process) -> bool {
-        holds(self.consumers, process)
+        match process {
+            Process::Recorder => !matches!(self.recorded, Recorded::No),
+            _ => holds(self.consumers, process),
+        }
+    }
+
+    /// How many messages the recorder may fall behind. Beside it a reader of the newest
+    /// value still has room for one.
+    pub const fn recorded_depth(&self) -> usize {
+        match self.delivery {
+            Delivery::Queue(depth) => depth,
+            Delivery::Latest if matches!(self.recorded, Recorded::No) => 1,
+            Delivery::Latest if self.message.bytes > RECORDED_BYTES_MAX => 1,
+            Delivery::Latest => RECORDED_DEPTH,
+        }
     }
 
     /// Whether the processes that a message wakes are among those that read it.
@@ -236,6 +288,11 @@ impl<M: Layout> Service<M> {
         }
     }
 
+    /// The service of one process, of a family such as `health/*`.
+    pub const fn instance(self, process: Process) -> Self {
+        self.of_process(process)
+    }
+
     /// The service of one process, of a family.
     pub(crate) const fn of_process(self, process: Process) -> Self {
         Self {
@@ -266,6 +323,7 @@ impl<M: Layout> Service<M> {
             rate: Rate::Event("test"),
             age_limit: AgeLimit::None,
             recorded: Recorded::No,
+            times: Times::Run,
             leaves: Leaves::No,
         };
         Self {

@@ -20,6 +20,10 @@ pub enum GateMode {
     Policy,
     /// The policy until a person takes over; no gate process.
     Human,
+    /// The policy, and the expert in each tick in which their proposals differ by more
+    /// than `takeover_steer` or `takeover_pedal`, as the simulated human of PVP4Real takes
+    /// over; no gate process.
+    Takeover,
 }
 
 impl GateMode {
@@ -27,7 +31,7 @@ impl GateMode {
     pub fn is_advised(self) -> bool {
         match self {
             Self::Rules | Self::Vlm | Self::Paper | Self::Replay => true,
-            Self::Expert | Self::Policy | Self::Human => false,
+            Self::Expert | Self::Policy | Self::Human | Self::Takeover => false,
         }
     }
 }

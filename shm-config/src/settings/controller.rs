@@ -64,7 +64,7 @@ impl Controller {
 /// and road.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct JudgeLimits {
+pub struct SafetyLimits {
     /// Horizon of the rollouts, s: the paper's picture shows 1.5 s.
     pub horizon_s: f64,
     /// Integration step, s.
@@ -80,7 +80,7 @@ pub struct JudgeLimits {
     pub reaction_s: f64,
 }
 
-impl Default for JudgeLimits {
+impl Default for SafetyLimits {
     fn default() -> Self {
         Self {
             horizon_s: 1.5,
@@ -94,16 +94,16 @@ impl Default for JudgeLimits {
     }
 }
 
-impl JudgeLimits {
+impl SafetyLimits {
     /// Checks every number.
     ///
     /// # Errors
     /// The first number that is not finite or outside its limits.
     pub fn check(&self) -> Result<(), OutOfRange> {
-        in_range("judge.horizon_s", self.horizon_s, 0.1..=5.0)?;
-        in_range("judge.step_s", self.step_s, 0.02..=1.5)?;
-        in_range("judge.margin_m", self.margin_m, 0.0..=5.0)?;
-        in_range("judge.edge_margin_m", self.edge_margin_m, -5.0..=5.0)?;
-        in_range("judge.reaction_s", self.reaction_s, 0.0..=5.0)
+        in_range("safety.horizon_s", self.horizon_s, 0.1..=5.0)?;
+        in_range("safety.step_s", self.step_s, 0.02..=1.5)?;
+        in_range("safety.margin_m", self.margin_m, 0.0..=5.0)?;
+        in_range("safety.edge_margin_m", self.edge_margin_m, -5.0..=5.0)?;
+        in_range("safety.reaction_s", self.reaction_s, 0.0..=5.0)
     }
 }

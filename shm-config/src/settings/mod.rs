@@ -9,7 +9,7 @@ mod out_of_range;
 pub mod planner;
 
 pub use choice::{GateMode, Late};
-pub use controller::{Controller, JudgeLimits};
+pub use controller::{Controller, SafetyLimits};
 pub use informed::Informed;
 pub use kinodynamic::Kinodynamic;
 pub use out_of_range::OutOfRange;

@@ -72,9 +72,13 @@ pub struct Planner {
     pub goal_sag_m: f64,
     /// A path that does not reach the goal and ends nearer than this to the car counts
     /// as none, m. 4.0: the front bumper is 2.26 m ahead of the centre, a car at 5 m/s
-    /// stops within 1.1 m, and one tick adds 0.5 m.
-    #[serde(skip)]
+    /// stops within 1.1 m, and one tick adds 0.5 m. Of another car it follows the
+    /// length.
     pub partial_min_m: f64,
+    /// Least distance of the goal, m along the road and m ahead of the car's centre: the
+    /// lookahead of 2 m and the goal ball of 1 m fit before it. Of a longer car it
+    /// follows the length.
+    pub goal_near_m: f64,
     /// Seed of the samples. The samples of a plan depend only on it, the episode and
     /// the tick.
     pub seed: u64,
@@ -99,6 +103,7 @@ impl Default for Planner {
             goal_distance_m: 15.0,
             goal_sag_m: 0.25,
             partial_min_m: 4.0,
+            goal_near_m: 3.0,
             seed: 0,
         }
     }
@@ -139,6 +144,11 @@ impl Planner {
             ),
             ("planner.goal_sag_m", self.goal_sag_m, 0.01..=1000.0),
             ("planner.partial_min_m", self.partial_min_m, 0.0..=100.0),
+            (
+                "planner.goal_near_m",
+                self.goal_near_m,
+                0.1..=self.x_max_m - 2.0 * self.cell_m,
+            ),
         ];
         for (key, value, range) in rows {
             in_range(key, value, range)?;

@@ -26,7 +26,7 @@ pub use subscriber::Subscriber;
 
 use crate::message::{Message, Refusal, Refusals, Roster};
 use crate::run::{RunError, RunLock, RunName, RunPaths};
-use crate::services::{Process, ROSTER, Service};
+use crate::services::{Process, ROSTER, Row, SERVICES, Service};
 
 type Ipc = ipc::Service;
 /// A reading end, and the service that it reads.
@@ -234,6 +234,27 @@ impl Wire {
             .blocking_cleanup_dead_nodes(Duration::from_millis(200));
     }
 
+    /// Compares the layouts of the process's rows with those that the run uses already.
+    /// Opening a port compares too; a program that cannot be rebuilt beside the run, such
+    /// as one on the C library, learns it before it opens any.
+    ///
+    /// # Errors
+    /// The first service whose layout differs.
+    pub fn compare_layouts(&self, process: Process) -> Result<(), WireError> {
+        let is_of = |row: &&Row| row.is_produced_by(process) || row.is_consumed_by(process);
+        for row in SERVICES.iter().filter(is_of) {
+            let ours = format!("{:016x}", row.message.fingerprint);
+            for service in row.instances {
+                let name = ServiceName::new(service)
+                    .map_err(|error| WireError::port(service, format!("{error:?}")))?;
+                if let Some(error) = self.layout_error(&name, service, &ours) {
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Opens the publishing end of a service.
     ///
     /// # Errors
@@ -274,6 +295,15 @@ impl Wire {
     /// As [`Wire::publisher`].
     pub fn latest<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
         self.subscriber_of_depth(service, 1)
+    }
+
+    /// Opens the reading end of a service for a reader that wants every message. It may fall
+    /// behind by as many as [`Row::recorded_depth`](crate::services::Row::recorded_depth).
+    ///
+    /// # Errors
+    /// As [`Wire::publisher`].
+    pub fn every<M: Message>(&self, service: Service<M>) -> Result<Subscriber<M>, WireError> {
+        self.subscriber_of_depth(service, service.row.recorded_depth())
     }
 
     fn subscriber_of_depth<M: Message>(
@@ -336,12 +366,12 @@ impl Wire {
         let name = ServiceName::new(service.name).map_err(|error| failed(format!("{error:?}")))?;
         let ours = format!("{:016x}", M::FINGERPRINT);
         let verifier = attributes(&ours).map_err(&failed)?;
-        let (depth, history) = service.row.delivery.queue();
+        let (_, history) = service.row.delivery.queue();
         self.node
             .service_builder(&name)
             .publish_subscribe::<M>()
             .enable_safe_overflow(true)
-            .subscriber_max_buffer_size(depth)
+            .subscriber_max_buffer_size(service.row.recorded_depth())
             .subscriber_max_borrowed_samples(1)
             .history_size(history)
             .max_publishers(PUBLISHERS_MAX)

@@ -83,7 +83,9 @@ impl<M: Message> Subscriber<M> {
     fn count(&mut self, header: &Header) {
         let (producer, sequence) = (header.producer, header.sequence);
         if producer == self.producer {
-            self.lost += sequence.saturating_sub(self.sequence + 1);
+            // The numbers of a message that is not admitted yet may be anything.
+            let lost = sequence.saturating_sub(self.sequence.saturating_add(1));
+            self.lost = self.lost.saturating_add(lost);
         }
         (self.producer, self.sequence) = (producer, sequence);
     }
