@@ -11,6 +11,8 @@ pub struct ArbitrationInput<'a> {
     pub intent: Intent,
     /// How driver and policy alternate, by configuration.
     pub mode: GateMode,
+    /// For [`GateMode::Takeover`]: the expert drives when the proposals differ by more.
+    pub takeover_difference: Action,
     /// The time of the tick.
     pub now: Instant,
     /// There is an observation young enough.
@@ -27,9 +29,9 @@ pub struct ArbitrationInput<'a> {
     pub expert: Option<Action>,
     /// What the policy proposed.
     pub policy: Option<Action>,
-    /// The judge in the tick on the expert.
+    /// The safety check of the expert's proposal.
     pub expert_assessment: &'a Assessment,
-    /// The judge in the tick on the policy.
+    /// The safety check of the policy's proposal.
     pub policy_assessment: &'a Assessment,
 }
 
@@ -58,10 +60,10 @@ pub fn choose(input: &ArbitrationInput) -> Choice {
         return brake(input, Reason::Blind);
     }
     if let (GateMode::Human, Some(action)) = (input.mode, input.takeover) {
-        // The judge's verdict is recorded and vetoes nothing: drivers take over where
-        // judge and policy are wrong, and a demonstration that the judge cuts short
-        // teaches the judge's limits instead. A takeover needs no plan either. Its
-        // action is clamped to what the car can do, as every other.
+        // The verdict is recorded and vetoes nothing: drivers take over where safety
+        // check and policy are wrong, and a demonstration that the check cuts short
+        // teaches its limits instead. A takeover needs no plan either. Its action is
+        // clamped to what the car can do, as every other.
         return answer(Driver::Expert, Reason::Takeover, action);
     }
     let (wanted, reason) = wanted(input);
@@ -94,10 +96,20 @@ fn wanted(input: &ArbitrationInput) -> (Driver, Reason) {
         GateMode::Expert => return (Driver::Expert, Reason::Configured),
         // Without a takeover the policy drives.
         GateMode::Policy | GateMode::Human => return (Driver::Policy, Reason::Configured),
-        GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay => {}
+        GateMode::Takeover
+        | GateMode::Rules
+        | GateMode::Vlm
+        | GateMode::Paper
+        | GateMode::Replay => {}
     }
     if let Some(reason) = blocking_reason(input.stage) {
         return (Driver::Expert, reason);
+    }
+    if input.mode == GateMode::Takeover {
+        return match is_taken_over(input) {
+            true => (Driver::Expert, Reason::Takeover),
+            false => (Driver::Policy, Reason::Configured),
+        };
     }
     let Some(advice) = input.advice.filter(|advice| advice.answers > 0) else {
         return (Driver::Expert, Reason::Unadvised);
@@ -110,6 +122,16 @@ fn wanted(input: &ArbitrationInput) -> (Driver, Reason) {
         Preference::Policy => (Driver::Policy, Reason::Advised),
         Preference::Abstain => (Driver::Expert, Reason::Unadvised),
     }
+}
+
+/// Whether the proposals differ so much that the expert takes over.
+fn is_taken_over(input: &ArbitrationInput) -> bool {
+    let limit = input.takeover_difference;
+    let (Some(expert), Some(policy)) = (input.expert, input.policy) else {
+        return false;
+    };
+    (expert.steer - policy.steer).abs() > limit.steer
+        || (expert.pedal - policy.pedal).abs() > limit.pedal
 }
 
 /// The policy drives only if it has a proposal and is allowed to.

@@ -1,6 +1,6 @@
 use shm_config::Instant;
 use shm_config::config::Config;
-use shm_config::message::{Admission, Intent, Step};
+use shm_config::message::{Admission, Before, Intent, Step};
 
 use crate::policy::Limits;
 use crate::{Arbiter, ArbiterConfig, Inputs, PolicySlot};
@@ -22,6 +22,12 @@ impl Controller {
             limits: Limits::from(&config.policy),
             observation_age_ns: config.limits.observation_age_ns(),
         }
+    }
+
+    /// Goes on from the state before a tick; `step` is the one before it, with the messages
+    /// that were admitted.
+    pub fn resume(&mut self, before: &Before, step: Step) {
+        self.arbiter.restore(before, step);
     }
 
     /// One tick, start to end. Always answers.

@@ -1,10 +1,10 @@
 //! The ports of the controller process.
 
 use shm_config::message::{
-    Advice, Command, Learning, Observation, Plan, PolicyStatus, Step, Takeover, Weights,
+    Advice, Command, Kept, Learning, Observation, Plan, PolicyStatus, Step, Takeover, Weights,
 };
 use shm_config::services::{
-    ADVICE, COMMAND, LEARNING, OBSERVATION, PLAN, POLICY_STATUS, STEP, TAKEOVER, WEIGHTS,
+    ADVICE, COMMAND, KEPT, LEARNING, OBSERVATION, PLAN, POLICY_STATUS, STEP, TAKEOVER, WEIGHTS,
 };
 
 shm_config::ports! {
@@ -40,5 +40,13 @@ shm_config::ports! {
     pub struct LearnerPorts of Controller {
         /// How far it is.
         learning: read LEARNING: Learning,
+    }
+}
+
+shm_config::ports! {
+    /// How far the recorder is, which a run in lockstep waits for.
+    pub struct RecorderPorts of Controller {
+        /// How far it is.
+        kept: read KEPT: Kept,
     }
 }

@@ -1,7 +1,7 @@
 use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::difference::{Difference, first_difference};
-use shm_config::message::{Admission, Entry, Header, Step};
+use shm_config::message::{Admission, Before, Entry, Header, Step};
 
 use crate::{Arbiter, ArbiterConfig, Inputs, Policy, PolicyAnswer, PolicySlot};
 
@@ -13,7 +13,17 @@ use crate::{Arbiter, ArbiterConfig, Inputs, Policy, PolicyAnswer, PolicySlot};
 /// is computed by the [`Arbiter`] that drives.
 pub struct Recomputer {
     arbiter: Arbiter,
-    policy: Option<PolicySlot>,
+    policies: Policies,
+}
+
+/// Where the policies' proposals come from.
+enum Policies {
+    /// From the steps.
+    Recorded,
+    /// From this one, in place of the active one.
+    Instead(Box<PolicySlot>),
+    /// From those of these whose weights a step names; of others, from the step.
+    Known(Vec<PolicySlot>),
 }
 
 impl Recomputer {
@@ -22,7 +32,7 @@ impl Recomputer {
     pub fn new(config: &Config) -> Self {
         Self {
             arbiter: Arbiter::new(ArbiterConfig::from(config)),
-            policy: None,
+            policies: Policies::Recorded,
         }
     }
 
@@ -30,9 +40,27 @@ impl Recomputer {
     /// the one in shadow mode where that had its hash.
     pub fn with_policy(config: &Config, policy: Box<dyn Policy>) -> Self {
         Self {
-            policy: Some(PolicySlot::new(Some(policy))),
+            policies: Policies::Instead(Box::new(PolicySlot::new(Some(policy)))),
             ..Self::new(config)
         }
+    }
+
+    /// The same with the run's policies, each of which is asked again where a step names
+    /// its weights. An answer that a step lacks came too late or was not finite: that is
+    /// taken from the step.
+    pub fn with_policies(config: &Config, policies: Vec<Box<dyn Policy>>) -> Self {
+        let slots = policies
+            .into_iter()
+            .map(|policy| PolicySlot::new(Some(policy)));
+        Self {
+            policies: Policies::Known(slots.collect()),
+            ..Self::new(config)
+        }
+    }
+
+    /// The state after the tick that was computed last: the one before the next.
+    pub fn after(&self) -> Before {
+        self.arbiter.state()
     }
 
     /// Computes the tick of a recorded step again.
@@ -82,16 +110,24 @@ impl Recomputer {
     /// What the policies said: recorded, or asked again.
     fn answer(&mut self, recorded: &Step, now: Instant) -> PolicyAnswer {
         let sees = self.arbiter.sees(now);
-        match &mut self.policy {
-            Some(policy) if !is_shadow(policy, recorded) => {
-                policy.answer(&self.arbiter.step().observation, sees)
+        let observation = &self.arbiter.step().observation;
+        let mut answer = PolicyAnswer {
+            stage: recorded.stage(),
+            proposal: recorded.policy.action(),
+            weights: (recorded.weights_version, recorded.weights_hash),
+        };
+        match &mut self.policies {
+            Policies::Instead(policy) if !is_shadow(policy, recorded) => {
+                return policy.answer(observation, sees);
             }
-            Some(_) | None => PolicyAnswer {
-                stage: recorded.stage(),
-                proposal: recorded.policy.action(),
-                weights: (recorded.weights_version, recorded.weights_hash),
-            },
+            Policies::Known(policies) if answer.proposal.is_some() => {
+                if let Some(policy) = of_hash(policies, recorded.weights_hash) {
+                    answer.proposal = policy.answer(observation, sees).proposal;
+                }
+            }
+            Policies::Recorded | Policies::Instead(_) | Policies::Known(_) => {}
         }
+        answer
     }
 
     /// What the policy in shadow mode said, likewise.
@@ -101,13 +137,25 @@ impl Recomputer {
             return;
         }
         let observation = &self.arbiter.step().observation;
-        let proposal = match &mut self.policy {
-            Some(policy) if is_shadow(policy, recorded) => policy.propose(observation),
-            Some(_) | None => shadow.proposal.action(),
+        let said = shadow.proposal.action();
+        let again = match &mut self.policies {
+            Policies::Instead(policy) => {
+                Some(&mut **policy).filter(|policy| is_shadow(policy, recorded))
+            }
+            Policies::Known(policies) if said.is_some() => of_hash(policies, shadow.weights_hash),
+            Policies::Recorded | Policies::Known(_) => None,
         };
+        let proposal = again.map_or(said, |policy| policy.propose(observation));
         let weights = (shadow.weights_version, shadow.weights_hash);
         self.arbiter.record_shadow(proposal, weights);
     }
+}
+
+/// The policy of these weights.
+fn of_hash(policies: &mut [PolicySlot], hash: u64) -> Option<&mut PolicySlot> {
+    policies
+        .iter_mut()
+        .find(|policy| policy.weights().1 == hash)
 }
 
 /// The policy was in shadow mode in this tick, and not active.

@@ -7,7 +7,7 @@ use shm_config::message::{
     Admission, Advice, Assessment, Before, Command, Driver, Entry, Intent, Lateness, Observation,
     Plan, Proposal, Reason, ShadowProposal, Stage, Step, Takeover,
 };
-use shm_config::settings::{self, GateMode, JudgeLimits, Late};
+use shm_config::settings::{self, GateMode, Late, SafetyLimits};
 use shm_config::{Instant, Message};
 use vehicle::{Action, Vehicle};
 
@@ -62,11 +62,13 @@ pub struct ArbiterConfig {
     /// The tracking's gains, and the rates of a hand-over.
     pub gains: settings::Controller,
     /// Limits of the verdict.
-    pub judge: JudgeLimits,
+    pub safety: SafetyLimits,
     /// The car.
     pub vehicle: Vehicle,
     /// What decides which driver drives.
     pub mode: GateMode,
+    /// For [`GateMode::Takeover`]: the expert drives when the proposals differ by more.
+    pub takeover_difference: Action,
     /// What becomes of a late command.
     pub late: Late,
     /// From tick to tick, ns.
@@ -86,9 +88,13 @@ impl From<&Config> for ArbiterConfig {
     fn from(config: &Config) -> Self {
         Self {
             gains: config.controller,
-            judge: config.judge,
+            safety: config.safety,
             vehicle: config.vehicle,
             mode: config.gate.mode,
+            takeover_difference: Action {
+                steer: config.gate.takeover_steer,
+                pedal: config.gate.takeover_pedal,
+            },
             late: config.deadlines.controller,
             period_ns: config.run.period_ns(),
             is_lockstep: config.run.is_lockstep(),
@@ -137,20 +143,26 @@ impl Arbiter {
         self.step.refused = before.refused;
     }
 
-    /// The first half of a tick, the door: what is refused is counted, and the last
-    /// good one stays.
-    pub fn admit(&mut self, inputs: &Inputs, now: Instant) {
-        let (config, at) = (&self.config, &inputs.admitted);
-        let step = &mut self.step;
-        step.before = Before {
+    /// The state with which the next tick begins, beside the messages in the last step.
+    pub fn state(&self) -> Before {
+        Before {
             pd: self.pd.state(),
             transfer: self.transfer.state(),
-            refused: step.refused,
+            refused: self.step.refused,
             has_observation: u32::from(self.has_observation),
             has_plan: u32::from(self.has_plan),
             has_advice: u32::from(self.has_advice),
             reserved: 0,
-        };
+        }
+    }
+
+    /// The first half of a tick, the door: what is refused is counted, and the last
+    /// good one stays.
+    pub fn admit(&mut self, inputs: &Inputs, now: Instant) {
+        let before = self.state();
+        let (config, at) = (&self.config, &inputs.admitted);
+        let step = &mut self.step;
+        step.before = before;
         step.refused_at_ports = inputs.refused;
         step.refused += inputs.refused;
         let refused = &mut step.refused;
@@ -206,6 +218,7 @@ impl Arbiter {
         let mut choice = choose(&ArbitrationInput {
             intent,
             mode: self.config.mode,
+            takeover_difference: self.config.takeover_difference,
             now,
             sees,
             plan,
@@ -264,12 +277,7 @@ impl Arbiter {
             command.pedal = Action::BRAKE.pedal;
             command.driver = Driver::Brake.code();
         }
-        let lateness = match policy {
-            Late::Count => Lateness::Counted,
-            Late::Skip => Lateness::HeldBack,
-            Late::Brake => Lateness::Braked,
-        };
-        self.step.lateness = lateness.code();
+        self.step.lateness = Lateness::of(policy).code();
         policy != Late::Skip
     }
 
@@ -307,7 +315,7 @@ impl Arbiter {
         takeover.action().filter(|_| holds)
     }
 
-    /// The judge in the tick, on these proposals.
+    /// The safety check of these proposals.
     fn assess<const N: usize>(
         &self,
         sees: bool,
@@ -316,7 +324,7 @@ impl Arbiter {
         if !sees {
             return proposals.map(|_| Assessment::default());
         }
-        let (vehicle, limits) = (&self.config.vehicle, &self.config.judge);
+        let (vehicle, limits) = (&self.config.vehicle, &self.config.safety);
         let observation = &self.step.observation;
         let reach_m = Scene::reach_m(vehicle, limits, observation.ego.speed_mps);
         let scene = Scene::new(observation, reach_m);

@@ -1,5 +1,5 @@
 use shm_config::message::{Driver, Reason, TransferState};
-use shm_config::settings::Controller as Gains;
+use shm_config::settings::{Controller as Gains, GateMode};
 use vehicle::Action;
 
 use crate::{ArbiterConfig, Choice};
@@ -20,7 +20,13 @@ pub struct Transfer {
 impl Transfer {
     /// With the configured rates, at one tick each period of the run.
     pub fn of(config: &ArbiterConfig) -> Self {
-        Self::new(&config.gains, config.period_ns as f64 / 1e9)
+        let mut gains = config.gains;
+        if config.mode == GateMode::Takeover {
+            // The tick that is taken over and the tick after it each apply one driver's
+            // own action: an eased one would be neither's, and teaches neither.
+            (gains.handover_steer_per_s, gains.handover_pedal_per_s) = (0.0, 0.0);
+        }
+        Self::new(&gains, config.period_ns as f64 / 1e9)
     }
 
     /// With the configured rates, at one tick each `period_s`.

@@ -6,20 +6,22 @@ use std::collections::BTreeSet;
 
 use controller::Recomputer;
 use shm_config::config::{Config, GateMode, Late};
+use shm_config::draw::Draw;
 use shm_config::message::Step;
 
-use recorded::{Draw, Recording, net, seen};
+use recorded::{Recording, net, seen};
 
 /// Recordings, each with a configuration and a seed of its own.
 const RECORDINGS: u64 = 20;
 /// Ticks of each: 100,000 together.
 const TICKS: usize = 5_000;
 
-const MODES: [GateMode; 4] = [
+const MODES: [GateMode; 5] = [
     GateMode::Human,
     GateMode::Vlm,
     GateMode::Policy,
     GateMode::Expert,
+    GateMode::Takeover,
 ];
 const LATE: [Late; 3] = [Late::Count, Late::Skip, Late::Brake];
 
@@ -35,7 +37,7 @@ fn config(seed: u64) -> Config {
 
 /// Every step, in random order: nothing goes from one tick to the next but by the step.
 fn shuffle(steps: &mut [Step], seed: u64) {
-    let mut draw = Draw(seed);
+    let mut draw = Draw::new(seed);
     for k in (1..steps.len()).rev() {
         steps.swap(k, draw.below(k as u64 + 1) as usize);
     }

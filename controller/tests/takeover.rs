@@ -205,3 +205,92 @@ fn nobody_takes_over_where_no_person_is_configured() {
         assert_ne!(step.expert.action(), Some(PERSON), "{mode:?}");
     }
 }
+
+#[test]
+fn the_expert_takes_over_in_exactly_the_ticks_in_which_the_policy_is_far_off() {
+    let expert = Seat::new(GateMode::Takeover, true)
+        .tick(None)
+        .expert
+        .action();
+    let expert = expert.expect("the expert proposes");
+    let at = |steer: f64, pedal: f64| Action {
+        steer: expert.steer + steer,
+        pedal: expert.pedal - pedal,
+    };
+    let limits = Config::default().gate;
+    let (steer, pedal) = (limits.takeover_steer, limits.takeover_pedal);
+    let rows = [
+        (at(0.0, 0.0), Driver::Policy, Reason::Configured),
+        (
+            at(0.9 * steer, 0.9 * pedal),
+            Driver::Policy,
+            Reason::Configured,
+        ),
+        (at(1.1 * steer, 0.0), Driver::Expert, Reason::Takeover),
+        (at(-1.1 * steer, 0.0), Driver::Expert, Reason::Takeover),
+        (at(0.0, 1.1 * pedal), Driver::Expert, Reason::Takeover),
+    ];
+    for (policy, driver, reason) in rows {
+        let mut config = Config::default();
+        config.gate.mode = GateMode::Takeover;
+        let slot = PolicySlot::new(Some(Box::new(Fixed(policy)) as Box<dyn Policy>));
+        let mut seat = Seat {
+            controller: Controller::new(config, slot),
+            now: NOW,
+        };
+        let step = seat.tick(None);
+        assert_drove(&step, driver, reason);
+        assert_eq!(step.takeover_used, 0, "no person did");
+        let wanted = match driver {
+            Driver::Expert => expert,
+            _ => policy,
+        };
+        let command = Action {
+            steer: step.command.steer,
+            pedal: step.command.pedal,
+        };
+        assert_eq!(command, wanted.clamped(), "nothing is eased");
+    }
+}
+
+#[test]
+fn the_way_back_from_a_takeover_by_distance_is_not_eased() {
+    let straight = Seat::new(GateMode::Expert, false)
+        .tick(None)
+        .expert
+        .action();
+    let straight = straight.expect("the expert proposes");
+    let mut config = Config::default();
+    config.gate.mode = GateMode::Takeover;
+    let slot = PolicySlot::new(Some(Box::new(Fixed(straight)) as Box<dyn Policy>));
+    let mut seat = Seat {
+        controller: Controller::new(config, slot),
+        now: NOW,
+    };
+    let mut tick = |left_m: f64| {
+        let inputs = Inputs {
+            observation: Some(observation(seat.now)),
+            plan: Some(plan(seat.now, left_m)),
+            ..Inputs::default()
+        };
+        seat.tick_on(&inputs, Intent::Drive)
+    };
+    let aside = tick(1.0);
+    assert_drove(&aside, Driver::Expert, Reason::Takeover);
+    let limit = Config::default().gate.takeover_steer;
+    assert!((aside.command.steer - straight.steer).abs() > limit);
+    // The expert's control has a memory: it may be far off for another tick.
+    let back = (0..5).map(|_| tick(0.0));
+    let mut driven = back.filter(|step| step.driver() == Driver::Policy);
+    let first = driven.next().expect("the policy drives again");
+    assert_eq!(first.command.action(), straight.clamped());
+}
+
+#[test]
+fn nobody_takes_over_from_a_policy_that_may_not_drive() {
+    let mut seat = Seat::new(GateMode::Takeover, false);
+    assert_drove(&seat.tick(None), Driver::Expert, Reason::Unloaded);
+    // The keys of a person have no effect in this mode.
+    let active = takeover(1, seat.now);
+    assert_drove(&seat.tick(Some(active)), Driver::Expert, Reason::Unloaded);
+}

@@ -246,7 +246,7 @@ fn bad_observations_are_refused_and_the_last_good_one_stays() {
     let mut nan = observation(NOW);
     nan.ranges_m[17] = f32::NAN;
     let mut over = observation(NOW);
-    over.beam_count = 513;
+    over.beam_count = 2049;
     let mut wild = observation(NOW);
     wild.ego.speed_mps = f64::INFINITY;
     let mut bend = observation(NOW);

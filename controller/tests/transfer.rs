@@ -1,4 +1,4 @@
-//! TickEnd-overs: the command moves from one driver's to the other's.
+//! Hand-overs: the command moves from one driver's to the other's.
 
 use controller::{Choice, Transfer};
 use shm_config::config::Controller;

@@ -23,13 +23,13 @@ struct Arc {
 
 /// A place on the middle line of the road ahead.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Station {
+pub struct Station {
     /// x along the road, y to its left.
-    pub(crate) body_from_road: Pose,
+    pub body_from_road: Pose,
     /// How far the road has turned since the car, rad, counter-clockwise.
-    pub(crate) turn_rad: f64,
+    pub turn_rad: f64,
     /// Its curvature here, 1/m, counter-clockwise.
-    pub(crate) curvature_per_m: f64,
+    pub curvature_per_m: f64,
 }
 
 /// The middle line of the road from beside the car to the second checkpoint.
@@ -40,7 +40,7 @@ pub(crate) struct Station {
 /// line: it is the only arc that begins beside the car, along the road, and
 /// ends in the checkpoint. The second checkpoint continues it in the same way.
 #[derive(Debug)]
-pub(crate) struct CentreLine {
+pub struct CentreLine {
     arcs: [Arc; 2],
     /// Whether its end is that of the route.
     is_last: bool,
@@ -49,7 +49,7 @@ pub(crate) struct CentreLine {
 impl CentreLine {
     /// From the edges, the heading and the checkpoints of an observation.
     /// Passed checkpoints are left out; with none left, the line is straight.
-    pub(crate) fn new(observation: &Observation) -> Self {
+    pub fn new(observation: &Observation) -> Self {
         let road = &observation.road;
         let road_direction = pose(0.0, 0.0, -road.heading_rad);
         let beside = road_direction * Point::new(0.0, (road.left_m - road.right_m) / 2.0);
@@ -67,26 +67,26 @@ impl CentreLine {
 
     /// Length of the car's own road from beside the car on, m.
     #[cfg(feature = "std")]
-    pub(crate) fn first_length_m(&self) -> f64 {
+    pub fn first_length_m(&self) -> f64 {
         self.arcs[0].length_m
     }
 
     /// Distance to its end along the line, m.
-    pub(crate) fn length_m(&self) -> f64 {
+    pub fn length_m(&self) -> f64 {
         self.arcs.iter().map(|arc| arc.length_m).sum()
     }
 
     /// The farthest useful goal along it, m: its end; after the last checkpoint of the
     /// route, which an observation has twice, a little farther, so that the car can pass
     /// an obstacle on the goal line.
-    pub(crate) fn known_m(&self) -> f64 {
+    pub fn known_m(&self) -> f64 {
         let beyond_m = if self.is_last { BEYOND_M } else { 0.0 };
         self.length_m() + beyond_m
     }
 
     /// How far along the line it goes straight on from a place on it, m; the
     /// place itself within a bend.
-    pub(crate) fn straight_until(&self, distance_m: f64) -> f64 {
+    pub fn straight_until(&self, distance_m: f64) -> f64 {
         let mut end_m = 0.0;
         for arc in &self.arcs {
             end_m += arc.length_m;
@@ -102,7 +102,7 @@ impl CentreLine {
     }
 
     /// The place so far along the line, m; beyond its end, straight on.
-    pub(crate) fn at(&self, distance_m: f64) -> Station {
+    pub fn at(&self, distance_m: f64) -> Station {
         let [first, second] = &self.arcs;
         if distance_m <= first.length_m {
             return first.at(distance_m);

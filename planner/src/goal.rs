@@ -6,9 +6,6 @@ use crate::centre_line::CentreLine;
 use crate::corridor::Corridor;
 use crate::grid::Grid;
 
-/// The nearest goal, m along the road and m ahead: the lookahead of 2 m and the
-/// goal ball of 1 m fit before it.
-const NEAR_M: f64 = 3.0;
 /// Distance between the places looked at along the road, m.
 const ALONG_M: f64 = 0.5;
 /// Distance between the places looked at across the road, m; half the radius of
@@ -37,14 +34,15 @@ const ACROSS_M: f64 = 0.5;
 /// passed, so that the planner, which has no memory, chooses the same side at each tick.
 ///
 /// `grid` shows the same observation. The goal is inside the grid and the lane
-/// corridor, and at least 3 m ahead.
+/// corridor, and at least `goal_near_m` ahead.
 pub fn choose_goal(grid: &Grid, config: &PlannerConfig, observation: &Observation) -> Point {
     let lane = Corridor::lane(&observation.road, config.lane_margin_m, grid.y_max_m());
     let line = CentreLine::new(observation);
     let across = |distance_m: f64| {
         let body_from_road = line.at(distance_m).body_from_road;
         offsets(&lane)
-            .map(move |across_m| limited(grid, &lane, body_from_road * Point::new(0.0, across_m)))
+            .map(move |across_m| body_from_road * Point::new(0.0, across_m))
+            .map(move |place_body| limited(grid, config, &lane, place_body))
     };
     let farthest_m = farthest(grid, config, &lane, &line);
     let free = |place_body: &Point| {
@@ -55,13 +53,14 @@ pub fn choose_goal(grid: &Grid, config: &PlannerConfig, observation: &Observatio
     if let Some(place_body) = across(farthest_m).find(in_view) {
         return place_body;
     }
-    let nearer = (farthest_m - NEAR_M) / ALONG_M;
+    let nearer = (farthest_m - config.goal_near_m) / ALONG_M;
     (0..=nearer.max(0.0) as usize)
         .map(|step| farthest_m - step as f64 * ALONG_M)
         .flat_map(across)
         .find(free)
         .unwrap_or(limited(
             grid,
+            config,
             &lane,
             line.at(farthest_m).body_from_road * Point::origin(),
         ))
@@ -79,12 +78,13 @@ fn farthest(grid: &Grid, config: &PlannerConfig, lane: &Corridor, line: &CentreL
             && (lane.right_m..=lane.left_m).contains(&place.y)
             && sag_m <= config.goal_sag_m
     };
-    let steps = ((end_m - NEAR_M) / ALONG_M).max(0.0) as usize;
+    let near_m = config.goal_near_m;
+    let steps = ((end_m - near_m) / ALONG_M).max(0.0) as usize;
     (0..=steps)
-        .map(|step| NEAR_M + step as f64 * ALONG_M)
+        .map(|step| near_m + step as f64 * ALONG_M)
         .take_while(good)
         .last()
-        .unwrap_or(NEAR_M)
+        .unwrap_or(near_m)
 }
 
 /// Offsets across the road, m: 0, then either side, outwards, as far as the
@@ -103,9 +103,10 @@ fn offsets(lane: &Corridor) -> impl Iterator<Item = f64> + use<> {
 
 /// The place moved into the lane corridor and the part of the grid that is far
 /// enough ahead.
-fn limited(grid: &Grid, lane: &Corridor, place_body: Point) -> Point {
+fn limited(grid: &Grid, config: &PlannerConfig, lane: &Corridor, place_body: Point) -> Point {
+    let near_m = config.goal_near_m;
     Point::new(
-        place_body.x.clamp(NEAR_M, grid.x_max_m() - grid.cell_m()),
+        place_body.x.clamp(near_m, grid.x_max_m() - grid.cell_m()),
         place_body.y.clamp(lane.right_m, lane.left_m),
     )
 }

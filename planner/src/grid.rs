@@ -1,7 +1,7 @@
 use shm_config::message::Observation;
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
-use vehicle::Point;
+use vehicle::{Footprint, Point, Vehicle};
 
 use crate::PlannerConfig;
 use crate::beams::Beams;
@@ -14,6 +14,7 @@ use shm_config::settings::planner::DISC_CELLS_MAX;
 
 mod arc;
 mod road;
+mod unseen;
 
 /// Most points of the body that are protected at the start.
 pub(crate) const STARTS_MAX: usize = 4;
@@ -50,7 +51,7 @@ pub struct Cell {
 ///
 /// A cell is occupied when its row's middle is outside the lane corridor, or
 /// when it is within the inflation radius of a cell that holds a lidar return,
-/// middle to middle.
+/// middle to middle. So is a cell ahead of the front bumper at which no beam looks.
 ///
 /// # The start
 /// The car stands at the origin, on the edge between two cells. Those two are
@@ -75,6 +76,8 @@ pub struct Grid {
     disc: heapless::Vec<i64, { DISC_CELLS_MAX + 1 }>,
     beams: Beams,
     corridor: Corridor,
+    /// The car's rectangle: unseen cells ahead of it are occupied.
+    footprint: Footprint,
     /// Columns of the cells on either side of the x axis that are never
     /// occupied: the car's.
     starts: heapless::Vec<i64, STARTS_MAX>,
@@ -115,9 +118,16 @@ impl Grid {
                 right_m: 0.0,
                 left_m: 0.0,
             },
+            footprint: Vehicle::default().footprint(),
             starts: heapless::Vec::from_array([0]),
             words: exactly(words, word_count(config)),
         }
+    }
+
+    /// For a car of this rectangle, in place of the default one's.
+    pub fn of(mut self, footprint: Footprint) -> Self {
+        self.footprint = footprint;
+        self
     }
 
     /// Number of cells along x.
@@ -164,13 +174,14 @@ impl Grid {
             words[free.clone()].fill(0);
         }
         self.stamp_returns(observation);
+        self.mark_unseen(observation);
     }
 
     /// Marks what the lidar saw.
     fn stamp_returns(&mut self, observation: &Observation) {
         // The beams are taken out so that the rows can be written while they are read.
         let mut beams = core::mem::take(&mut self.beams);
-        beams.prepare(observation.ranges().len());
+        beams.prepare(observation.fan());
         let mut last = None;
         for return_body in beams.returns(observation) {
             let cell = self.signed_cell(return_body);

@@ -1,6 +1,6 @@
 use shm_config::message::{Header, Observation, Plan, WAYPOINTS_MAX};
 use shm_config::settings::{Informed as Settings, OutOfRange};
-use vehicle::{Point, Pose, pose};
+use vehicle::{Footprint, Point, Pose, pose};
 
 use crate::PlannerConfig;
 use crate::ellipse::Ellipse;
@@ -86,6 +86,12 @@ impl Informed {
             memory: None,
             warm_nodes: 0,
         })
+    }
+
+    /// For a car of this rectangle, in place of the default one's.
+    pub fn for_car(mut self, footprint: Footprint) -> Self {
+        self.grid = self.grid.of(footprint);
+        self
     }
 
     /// The planner's section it was made with, with its own inflation.

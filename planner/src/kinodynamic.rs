@@ -108,7 +108,7 @@ impl Kinodynamic {
             settings,
             vehicle,
             body,
-            grid: Grid::within(&planner, words),
+            grid: Grid::within(&planner, words).of(vehicle.footprint()),
             search,
             path,
             radius_m: 0.0,

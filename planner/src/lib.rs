@@ -62,6 +62,7 @@ mod segment;
 mod track;
 mod tree;
 
+pub use centre_line::{CentreLine, Station};
 pub use corridor::Corridor;
 pub use dubins::{Dubins, Piece, Turn};
 pub use goal::choose_goal;
@@ -78,4 +79,6 @@ pub use process::{PlannerProcess, run};
 pub use rrt_star::RrtStar;
 pub use search::Search;
 pub use shm_config::settings::Planner as PlannerConfig;
+#[cfg(feature = "std")]
+pub use track::{Sighting, Tracker};
 pub use tree::{Node, Tree};

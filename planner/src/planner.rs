@@ -1,6 +1,6 @@
 use shm_config::config::planner::Method;
-use shm_config::config::{Config, OutOfRange};
-use shm_config::message::{Observation, Plan};
+use shm_config::config::{Config, Late, OutOfRange};
+use shm_config::message::{Lateness, Observation, Plan};
 
 use crate::{Grid, Informed, Kinodynamic, Mpc, RrtStar, Tree};
 
@@ -23,10 +23,15 @@ impl Planner {
     /// # Errors
     /// The first number of the configuration that is outside its limits.
     pub fn new(config: &Config) -> Result<Self, OutOfRange> {
+        let footprint = config.vehicle.footprint();
         Ok(match config.planner.method {
-            Method::RrtStar => Self::RrtStar(Box::new(RrtStar::new(config.planner)?)),
+            Method::RrtStar => {
+                let planner = RrtStar::new(config.planner)?;
+                Self::RrtStar(Box::new(planner.for_car(footprint)))
+            }
             Method::Informed => {
-                Self::Informed(Box::new(Informed::new(config.planner, config.informed)?))
+                let planner = Informed::new(config.planner, config.informed)?;
+                Self::Informed(Box::new(planner.for_car(footprint)))
             }
             Method::Kinodynamic => Self::Kinodynamic(Box::new(Kinodynamic::new(config)?)),
             Method::Mpc => Self::Mpc(Box::new(Mpc::new(config))),
@@ -55,6 +60,36 @@ impl Planner {
             Self::Kinodynamic(planner) => planner.plan_in_parts(observation, out, prepared),
             Self::Mpc(planner) => planner.plan_in_parts(observation, out, prepared),
         }
+    }
+
+    /// Plans again as a recorded plan was made: the caller's fields are its own, and the
+    /// solver of [`Mpc`] gives up where it did. It gives up at a limit of time, too, which
+    /// an observation does not tell; a plan that its solver found has iterations. A late
+    /// plan becomes what this setting says.
+    ///
+    /// Of a configuration in lockstep, which has no limit of time. Methods with a memory
+    /// need the plans in order.
+    pub fn plan_again(
+        &mut self,
+        observation: &Observation,
+        (recorded, late): (&Plan, Late),
+        out: &mut Plan,
+    ) {
+        (out.header, out.planning_ns) = (recorded.header, recorded.planning_ns);
+        match self {
+            Self::Mpc(planner) => planner.plan_again(observation, recorded, out),
+            Self::RrtStar(_) | Self::Informed(_) | Self::Kinodynamic(_) => {
+                self.plan(observation, out);
+            }
+        }
+        if recorded.lateness != Lateness::OnTime.code() {
+            out.answer_late(late);
+        }
+    }
+
+    /// Whether a plan depends on the plans before it.
+    pub fn remembers(&self) -> bool {
+        matches!(self, Self::Informed(_) | Self::Mpc(_))
     }
 
     /// The grid of the last plan; none of methods without one.

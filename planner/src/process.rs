@@ -4,7 +4,7 @@ use std::cell::Cell;
 
 use runtime::{Deadline, FixedRate, Flow, Member, SetUpError, Tick, TickLoop, TickSchedule};
 use shm_config::config::{Config, Late};
-use shm_config::message::{HealthState, Observation, Part, Plan, PlanOutcome};
+use shm_config::message::{HealthState, Observation, Part, Plan};
 use shm_config::services::Process;
 use shm_config::{Instant, PlanTurns, RunGrid};
 
@@ -146,7 +146,7 @@ impl FixedRate for PlannerProcess {
         self.plan.planning_ns = planned.since_ns(due.received);
         let deadline_ns = due.observation.scheduled_ns + self.schedule.period_ns();
         let is_late = !self.lockstep && planned.0 > deadline_ns;
-        if !is_late || answer_late(&mut self.plan, self.late) {
+        if !is_late || self.plan.answer_late(self.late) {
             self.ports.plans.send(&mut self.plan);
         }
         let done = clock();
@@ -154,13 +154,4 @@ impl FixedRate for PlannerProcess {
         self.account(run, &due, done);
         Ok(Flow::Continue)
     }
-}
-
-/// Applies `deadlines.planner` to a plan that is late. Returns whether it is published.
-fn answer_late(plan: &mut Plan, policy: Late) -> bool {
-    if policy == Late::Brake {
-        plan.outcome = PlanOutcome::Blocked.code();
-        (plan.waypoint_count, plan.action_count) = (0, 0);
-    }
-    policy != Late::Skip
 }

@@ -1,6 +1,6 @@
 use shm_config::message::{Header, Observation, Plan, PlanOutcome, WAYPOINTS_MAX, Waypoint};
 use shm_config::settings::OutOfRange;
-use vehicle::Point;
+use vehicle::{Footprint, Point};
 
 use crate::PlannerConfig;
 use crate::goal::choose_goal;
@@ -46,6 +46,12 @@ impl RrtStar {
             grid: Grid::within(&config, words),
             search,
         })
+    }
+
+    /// For a car of this rectangle, in place of the default one's.
+    pub fn for_car(mut self, footprint: Footprint) -> Self {
+        self.grid = self.grid.of(footprint);
+        self
     }
 
     /// The configuration it was made with.

@@ -45,6 +45,8 @@
 #![cfg_attr(not(feature = "std"), no_std)]
 
 #[cfg(feature = "std")]
+pub mod drawn;
+#[cfg(feature = "std")]
 mod file;
 mod forward;
 #[cfg(feature = "std")]

@@ -113,6 +113,18 @@ pub enum Refusal {
         /// The limit, us.
         limit_us: f64,
     },
+    /// The file is valid, but the car has another scanner than the feature map's.
+    #[error(
+        "the features of a policy are those of 240 beams over 360 degrees from the car's centre; \
+         the scanner of this run has {beams} over {field_of_view_deg} degrees or is mounted \
+         elsewhere"
+    )]
+    Scanner {
+        /// Beams of the run's scanner.
+        beams: u32,
+        /// Its field of view, degrees.
+        field_of_view_deg: f64,
+    },
     /// The file is valid, but no back end of this machine can run it.
     #[error("{0}")]
     NoBackEnd(String),

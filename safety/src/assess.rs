@@ -1,8 +1,8 @@
 use shm_config::message::{Assessment, BEAMS_MAX, Observation, Verdict};
-use shm_config::settings::JudgeLimits;
+use shm_config::settings::SafetyLimits;
 #[allow(unused_imports)]
 use vehicle::Float as _;
-use vehicle::{Action, Point, State, Vehicle, step};
+use vehicle::{Action, Fan, Point, State, Vehicle, step};
 
 use crate::RoadAhead;
 
@@ -17,6 +17,7 @@ const SIDEWALK_M: f64 = 0.2;
 /// body frame. Made once a tick, without allocation.
 pub struct Scene {
     returns_body: heapless::Vec<Point, BEAMS_MAX>,
+    fan: Fan,
     road: RoadAhead,
     checkpoint_body: Point,
     speed_mps: f64,
@@ -26,20 +27,21 @@ impl Scene {
     /// The scene of an admitted observation. Returns beyond `reach_m` of the car
     /// are left out: no rollout gets there.
     pub fn new(observation: &Observation, reach_m: f64) -> Self {
-        let ranges_m = observation.ranges();
         let mut returns_body = heapless::Vec::new();
-        let turn_rad = core::f64::consts::TAU / ranges_m.len().max(1) as f64;
+        let fan = observation.fan();
+        // The reach is from the body's centre, the ranges are from the scanner.
+        let reach_m = reach_m + fan.mount_body.coords.norm();
         let limit_m = observation.lidar_max_m.min(reach_m as f32);
-        for (beam, &range_m) in ranges_m.iter().enumerate() {
+        for (beam, &range_m) in observation.ranges().iter().enumerate() {
             if range_m < limit_m {
-                let (sin, cos) = (beam as f64 * turn_rad).sin_cos();
                 // Cannot overflow: there is one place for each beam.
-                let _ = returns_body.push(Point::new(cos, sin) * f64::from(range_m));
+                let _ = returns_body.push(fan.point_body(beam, f64::from(range_m)));
             }
         }
         let checkpoint = &observation.checkpoints[0];
         Self {
             returns_body,
+            fan,
             road: RoadAhead::new(observation),
             checkpoint_body: Point::new(checkpoint.x_body_m, checkpoint.y_body_m),
             speed_mps: observation.ego.speed_mps.max(0.0),
@@ -48,7 +50,7 @@ impl Scene {
 
     /// The farthest that a car can get within the horizon, m, footprint and margin
     /// included.
-    pub fn reach_m(vehicle: &Vehicle, limits: &JudgeLimits, speed_mps: f64) -> f64 {
+    pub fn reach_m(vehicle: &Vehicle, limits: &SafetyLimits, speed_mps: f64) -> f64 {
         let speed_mps = speed_mps.max(0.0);
         let travel_m = speed_mps * limits.horizon_s
             + 0.5 * vehicle.max_accel_mps2 * limits.horizon_s * limits.horizon_s;
@@ -61,10 +63,15 @@ impl Scene {
 /// The rollout is the bicycle of Eq. 3 to 6 with the accurate step; the paper's
 /// single step of 1.5 s is used in its picture only. Obstacles are the lidar
 /// returns at rest. The proposal is vetoed when it would touch something, or
-/// leave the road, sooner than the brake could still prevent it.
+/// leave the road, sooner than the brake could still prevent it. The car's delay counts
+/// as time that the brake needs.
+///
+/// Space at which no beam looks counts as occupied where the front of the body would
+/// enter it, since nothing says that it is free. The sides and the rear are not asked:
+/// the car does not reverse, so they follow where the front has been.
 pub fn assess(
     vehicle: &Vehicle,
-    limits: &JudgeLimits,
+    limits: &SafetyLimits,
     scene: &Scene,
     proposal: Option<Action>,
 ) -> Assessment {
@@ -94,7 +101,8 @@ pub fn assess(
         );
         measured.clearance_m = measured.clearance_m.min(clearance_m);
         measured.edge_m = measured.edge_m.min(edge_m);
-        let found = if clearance_m < limits.margin_m && state.speed_mps > 0.0 {
+        let enters_unseen = || state.speed_mps > 0.0 && is_front_unseen(vehicle, scene, &state);
+        let found = if clearance_m < limits.margin_m && state.speed_mps > 0.0 || enters_unseen() {
             Verdict::Hits
         } else if edge_m < (limits.edge_margin_m - SIDEWALK_M).min(edge_now_m) {
             Verdict::Leaves
@@ -107,7 +115,8 @@ pub fn assess(
     }
     let to_checkpoint_m = |point: Point| (scene.checkpoint_body - point).norm();
     measured.progress_m = to_checkpoint_m(Point::origin()) - to_checkpoint_m(state.position);
-    let stopping_s = scene.speed_mps / vehicle.max_brake_mps2 + limits.reaction_s;
+    let stopping_s =
+        scene.speed_mps / vehicle.max_brake_mps2 + limits.reaction_s + vehicle.delay_s();
     let doomed = measured.verdict() != Verdict::Clear && measured.safe_s <= stopping_s;
     measured.veto = u32::from(doomed);
     measured
@@ -122,6 +131,23 @@ fn clearance_m(vehicle: &Vehicle, scene: &Scene, state: &State) -> f64 {
         .iter()
         .map(|point| footprint.distance_m(body_from_world * point))
         .fold(CLEARANCE_MAX_M, f64::min)
+}
+
+/// Places of the front edge at which it is asked whether a beam looks there: the corners
+/// and three between them, so that no wedge hides between the corners.
+const FRONT_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+
+/// Whether a part of the front edge is where no beam looks and the car does not stand now.
+fn is_front_unseen(vehicle: &Vehicle, scene: &Scene, state: &State) -> bool {
+    if scene.fan.is_circle() {
+        return false;
+    }
+    let footprint = vehicle.footprint();
+    let [front_left, _, _, front_right] = footprint.corners(&state.pose());
+    FRONT_SHARES
+        .into_iter()
+        .map(|share| front_left + (front_right - front_left) * share)
+        .any(|place| footprint.distance_m(place) > 0.0 && !scene.fan.covers(place))
 }
 
 /// Least distance from a corner of the footprint to the road's edge, m.

@@ -9,10 +9,10 @@
 //! ```
 //! use safety::{Scene, assess};
 //! use shm_config::message::Observation;
-//! use shm_config::settings::JudgeLimits;
+//! use shm_config::settings::SafetyLimits;
 //! use vehicle::{Action, Vehicle};
 //!
-//! let (car, limits) = (Vehicle::default(), JudgeLimits::default());
+//! let (car, limits) = (Vehicle::default(), SafetyLimits::default());
 //! let mut observation = Observation::default();
 //! (observation.road.left_m, observation.road.right_m) = (5.0, 5.0);
 //! observation.ego.speed_mps = 8.0;

@@ -31,9 +31,9 @@ impl RoadAhead {
     pub fn new(observation: &Observation) -> Self {
         let road = &observation.road;
         let checkpoint = &observation.checkpoints[0];
-        // The radius is that of the leftmost lane's centre line; half a lane of
-        // 3.5 m from the left edge.
-        let to_leftmost_m = road.left_m - 1.75;
+        // The radius is that of the leftmost lane's centre line, half a lane from the
+        // left edge.
+        let to_leftmost_m = road.left_m - road.lane_width_m / 2.0;
         let shape = match checkpoint.bend() {
             Bend::Straight => Shape::Straight,
             Bend::Left => Shape::Arc {

@@ -2,9 +2,9 @@
 
 use proptest::prelude::*;
 use safety::{RoadAhead, Scene, assess};
-use shm_config::config::JudgeLimits;
+use shm_config::config::SafetyLimits;
 use shm_config::message::{Bend, Observation, Verdict};
-use vehicle::{Action, Point, State, Vehicle, step};
+use vehicle::{Action, Point, Scanner, State, Vehicle, step};
 
 fn observation(speed_mps: f64) -> Observation {
     let mut observation = Observation {
@@ -27,7 +27,7 @@ proptest! {
         speed_mps in 0.0..15.0f64, steer in -1.0..1.0f64, pedal in -1.0..1.0f64,
         returns in prop::collection::vec((0usize..240, 2.5f32..30.0), 0..12),
     ) {
-        let (vehicle, limits) = (Vehicle::default(), JudgeLimits::default());
+        let (vehicle, limits) = (Vehicle::default(), SafetyLimits::default());
         let mut observation = observation(speed_mps);
         for (beam, range_m) in &returns {
             observation.ranges_m[*beam] = *range_m;
@@ -83,4 +83,103 @@ proptest! {
         prop_assert!((road.offset_m(point) - offset_m).abs() < 1e-9);
         prop_assert!((road.edge_m(point) - (5.25 - offset_m.abs())).abs() < 1e-9);
     }
+}
+
+/// The verdict on a free road, by what this scanner sees of it.
+fn seen_by(
+    scanner: &Scanner,
+    vehicle: &Vehicle,
+    action: Action,
+) -> shm_config::message::Assessment {
+    let mut observation = observation(6.0);
+    observation.set_fan(&scanner.fan());
+    let limits = SafetyLimits::default();
+    let scene = Scene::new(&observation, Scene::reach_m(vehicle, &limits, 6.0));
+    assess(vehicle, &limits, &scene, Some(action))
+}
+
+#[test]
+fn the_front_does_not_enter_what_no_beam_sees() {
+    let ahead = Action {
+        steer: 0.0,
+        pedal: 0.2,
+    };
+    let car = Vehicle::default();
+    let scanner = |field_of_view_deg: f64, heading_deg: f64| Scanner {
+        field_of_view_deg,
+        heading_deg,
+        x_m: 2.0,
+        ..Scanner::default()
+    };
+    assert_eq!(
+        seen_by(&scanner(360.0, 0.0), &car, ahead).verdict(),
+        Verdict::Clear
+    );
+    assert_eq!(
+        seen_by(&scanner(270.0, 0.0), &car, ahead).verdict(),
+        Verdict::Clear
+    );
+    let blind = seen_by(&scanner(180.0, 180.0), &car, ahead);
+    assert_eq!(blind.verdict(), Verdict::Hits);
+    assert!(blind.is_vetoed(), "nothing says that the road is free");
+    // A wedge straight ahead that lies between the corners of the front.
+    let wedge = seen_by(&scanner(340.0, 180.0), &car, ahead);
+    assert_eq!(wedge.verdict(), Verdict::Hits);
+    // From the rear, 60 degrees see a straight lane but not what a sharp turn leads into.
+    let narrow = Scanner {
+        x_m: -2.0,
+        ..scanner(60.0, 0.0)
+    };
+    let turn = Action {
+        steer: 1.0,
+        pedal: 0.0,
+    };
+    assert_eq!(seen_by(&narrow, &car, ahead).verdict(), Verdict::Clear);
+    assert_eq!(seen_by(&narrow, &car, turn).verdict(), Verdict::Hits);
+}
+
+#[test]
+fn returns_are_where_the_scanner_is() {
+    let vehicle = Vehicle::default();
+    let limits = SafetyLimits::default();
+    let clearance_m = |x_m: f64| {
+        let scanner = Scanner {
+            beams: 3,
+            field_of_view_deg: 180.0,
+            x_m,
+            ..Scanner::default()
+        };
+        let mut observation = observation(0.0);
+        observation.set_fan(&scanner.fan());
+        observation.ranges_m[1] = 3.0;
+        let scene = Scene::new(&observation, Scene::reach_m(&vehicle, &limits, 0.0));
+        let stand = Action {
+            steer: 0.0,
+            pedal: -1.0,
+        };
+        assess(&vehicle, &limits, &scene, Some(stand)).clearance_m
+    };
+    assert!((clearance_m(0.0) - (3.0 - vehicle.length_m / 2.0)).abs() < 1e-9);
+    assert!((clearance_m(1.0) - (4.0 - vehicle.length_m / 2.0)).abs() < 1e-9);
+}
+
+#[test]
+fn a_delay_makes_the_veto_earlier() {
+    let mut observation = observation(10.0);
+    observation.ranges_m[0] = 13.0;
+    let limits = SafetyLimits::default();
+    let vetoed = |delay_ms: f64| {
+        let vehicle = Vehicle {
+            delay_ms,
+            ..Vehicle::default()
+        };
+        let scene = Scene::new(&observation, Scene::reach_m(&vehicle, &limits, 10.0));
+        let ahead = Action {
+            steer: 0.0,
+            pedal: 0.0,
+        };
+        assess(&vehicle, &limits, &scene, Some(ahead)).is_vetoed()
+    };
+    // A contact in 1.1 s; the brake takes 0.85 s and the reaction 0.2 s.
+    assert!(!vetoed(0.0) && vetoed(300.0));
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use policy::{Net, PolicyFile, Refusal, check_answers, decode_within};
 use shm_config::config::{Backend, Config};
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, fits_policy};
 use shm_config::time::Clock;
 
 use super::{NativePolicy, OrtPolicy, OrtSession, Policy, library};
@@ -31,6 +31,13 @@ pub struct Terms<'a> {
 /// The first check that fails.
 pub fn build(bytes: &[u8], terms: &Terms) -> Result<Box<dyn Policy>, Refusal> {
     let config = &terms.config.policy;
+    let scanner = &terms.config.scanner;
+    if !fits_policy(&scanner.fan()) {
+        return Err(Refusal::Scanner {
+            beams: scanner.beams,
+            field_of_view_deg: scanner.field_of_view_deg,
+        });
+    }
     let tolerance = config.tolerance as f32;
     let PolicyFile {
         net,

@@ -55,7 +55,7 @@ impl fmt::Display for Fault {
         match self {
             Self::Vetoed { vetoed, ticks } => write!(
                 f,
-                "the judge vetoed {vetoed} of {ticks} proposals, over policy.veto_rate_max"
+                "the safety check vetoed {vetoed} of {ticks} proposals, over policy.veto_rate_max"
             ),
             Self::Jumps { mean } => write!(
                 f,

@@ -26,7 +26,7 @@ pub use mailbox::{Candidate, Exchanged, Mailbox, SwapEvent, TickEnd};
 pub use native::NativePolicy;
 pub use ort::{OrtPolicy, OrtSession, library};
 
-use shm_config::message::{BEAMS_MAX, Observation, Stage};
+use shm_config::message::{FEATURES, Observation, Stage};
 use vehicle::Action;
 
 use crate::PolicyAnswer;
@@ -88,7 +88,7 @@ pub struct PolicySlot {
     before: Option<Box<dyn Policy>>,
     is_watched: bool,
     shadow: Option<TrackedPolicy>,
-    features: [f32; 19 + BEAMS_MAX],
+    features: [f32; FEATURES],
 }
 
 /// Policies to be dropped outside the tick.
@@ -103,7 +103,7 @@ impl PolicySlot {
             before: None,
             is_watched: false,
             shadow: None,
-            features: [0.0; 19 + BEAMS_MAX],
+            features: [0.0; FEATURES],
         }
     }
 
@@ -248,7 +248,7 @@ impl TrackedPolicy {
     }
 
     fn propose(&mut self, observation: &Observation, workspace: &mut [f32]) -> Option<Action> {
-        let features = observation.features(workspace)?;
+        let features = observation.policy_features(workspace)?;
         let action = self.policy.infer(features)?;
         if !action.is_finite() {
             self.canary.count_not_finite();

@@ -1,5 +1,6 @@
 //! The controller process: one command for every tick, without exception.
 
+mod kept;
 mod swap;
 mod wait;
 
@@ -13,6 +14,7 @@ use shm_config::services::TAKEOVER;
 
 use crate::ports::Ports;
 use crate::{Controller, Inputs, Intent, PolicySlot};
+use kept::RecorderWait;
 use swap::PolicySwap;
 use wait::{RunClock, Waiting, origin};
 
@@ -36,6 +38,7 @@ pub struct ControllerProcess {
     ports: Ports,
     controller: Controller,
     swap: PolicySwap,
+    recorder: Option<RecorderWait>,
     waiting: Waiting,
     inputs: Inputs,
     contest: Contest,
@@ -67,6 +70,7 @@ impl ControllerProcess {
             ports,
             controller,
             swap,
+            recorder: RecorderWait::open(&run.member)?,
             waiting,
             inputs: Inputs::default(),
             contest: Contest::default(),
@@ -202,6 +206,9 @@ impl FixedRate for ControllerProcess {
     /// Connects to peers that came or came back.
     fn update_connections(&mut self) {
         self.ports.update_connections();
+        if let Some(recorder) = &mut self.recorder {
+            recorder.update_connections();
+        }
     }
 
     fn stop(&mut self, run: &mut TickLoop, now: Instant) -> Flow {
@@ -295,6 +302,9 @@ impl FixedRate for ControllerProcess {
         }
         self.swap.after_tick(&mut self.controller);
         self.swap.await_learner(run, &mut self.controller);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.wait(run, tick);
+        }
         Ok(Flow::Continue)
     }
 }

@@ -8,60 +8,29 @@ use controller::{
     Candidate, Controller, Inputs, Intent, Mailbox, NativePolicy, Policy, PolicySlot, StartStage,
     TickEnd,
 };
-use policy::{Activation, Layer, Mlp};
+use policy::drawn::Spread;
 use shm_config::Instant;
 use shm_config::config::Config;
+use shm_config::draw::Draw;
 use shm_config::message::{
-    Advice, Bend, FEATURES, Observation, Plan, PlanOutcome, PlannedAction, Step, Takeover, Waypoint,
+    Advice, Bend, Observation, Plan, PlanOutcome, PlannedAction, Step, Takeover, Waypoint,
 };
 use vehicle::{Action, State, step};
 
 const MS: u64 = 1_000_000;
 const PERIOD_NS: u64 = 100 * MS;
 
-/// SplitMix64: the whole recording follows from its seed.
-pub struct Draw(pub u64);
-
-impl Draw {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub fn below(&mut self, count: u64) -> u64 {
-        self.bits() % count
-    }
-
-    fn one_in(&mut self, count: u64) -> bool {
-        self.below(count) == 0
-    }
-
-    fn within(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
-    }
-}
-
 /// A net of random weights: another driver for each version.
 pub fn net(version: u64) -> NativePolicy {
-    let mut draw = Draw(version);
-    let mut layer = |inputs: usize, outputs: usize, scale: f64| Layer {
-        weights: (0..inputs * outputs)
-            .map(|_| draw.within(-scale, scale) as f32)
-            .collect(),
-        bias: (0..outputs)
-            .map(|_| draw.within(-0.3, 0.3) as f32)
-            .collect(),
-        inputs,
-        outputs,
-        activation: Activation::Tanh,
+    let spread = Spread {
+        weights: [0.1, 0.5],
+        bias_min: -0.3,
+        bias_max: 0.3,
     };
-    let layers = vec![layer(FEATURES, 8, 0.1), layer(8, 2, 0.5)];
+    let mlp = policy::drawn::net(version, spread).expect("finite weights");
     let mut sha256 = [0; 32];
     sha256[..8].copy_from_slice(&version.to_be_bytes());
-    NativePolicy::new(Mlp::new(layers).expect("layers that fit"), version, &sha256)
+    NativePolicy::new(mlp, version, &sha256)
 }
 
 /// A net that now and then has no answer, or one that is not finite.
@@ -114,7 +83,7 @@ impl Recording {
             config,
             end: TickEnd::default(),
             mailbox: Mailbox::default(),
-            draw: Draw(seed),
+            draw: Draw::new(seed),
             car: State::at_origin(5.0),
             episode: 0,
             sequence: 0,
@@ -193,7 +162,7 @@ impl Recording {
         if self.draw.one_in(90) {
             self.version += 1;
             let net = net(self.version);
-            let draw = Draw(self.version);
+            let draw = Draw::new(self.version);
             let policy: Box<dyn Policy> = match self.faults {
                 true => Box::new(Faulty { net, draw }),
                 false => Box::new(net),

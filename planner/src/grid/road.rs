@@ -55,6 +55,7 @@ impl Grid {
             .map(|start_m| (start_m * self.cells_per_m).floor() as i64)
             .collect();
         self.stamp_returns(observation);
+        self.mark_unseen(observation);
         for start in 0..self.starts.len() {
             let column = self.starts[start].max(0) as usize;
             self.clear(self.half_rows, column, column);

@@ -1,5 +1,6 @@
 use crate::mpc::line::{Line, Place};
 use crate::track::Sighting;
+use vehicle::{Fan, Point};
 
 /// Larger clearances count as this one, m.
 pub(crate) const FAR_M: f64 = 2.5;
@@ -67,6 +68,27 @@ impl Field {
                         left_m: place.left_m + velocity.y * arrive_s,
                     };
                     self.mark_row(row, then);
+                }
+            }
+        }
+    }
+
+    /// Marks the places ahead of the front bumper at which no beam looks: nothing says
+    /// that they are free. What is beside the body was ahead of it before.
+    pub(crate) fn mark_unseen(&mut self, line: &Line, fan: &Fan, bumper_m: f64) {
+        if fan.is_circle() {
+            return;
+        }
+        for row in 0..ROWS {
+            let along_m = BEGIN_M + (row as f64 + 0.5) * ALONG_M;
+            if along_m <= bumper_m {
+                continue;
+            }
+            let body_from_road = line.body_from_road(along_m);
+            for column in 0..COLUMNS {
+                let left_m = (column as f64 + 0.5) * ACROSS_M - SIDE_M;
+                if !fan.covers(body_from_road * Point::new(0.0, left_m)) {
+                    self.clearance_m[row * COLUMNS + column] = 0.0;
                 }
             }
         }

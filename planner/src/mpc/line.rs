@@ -32,9 +32,10 @@ struct Knot {
     curvature_per_m: f64,
 }
 
-/// Width of the experiment's roads, halved, m: three lanes of 3.5 m. A wider
-/// road of now (a ramp's extra lane) need not go on beyond its end.
-const NEXT_HALF_WIDTH_M: f64 = 5.25;
+/// Half the width of the next road is at most this many lanes, those of the experiment's
+/// roads, which have three. A wider road of now (a ramp's extra lane) need not go on
+/// beyond its end.
+const NEXT_HALF_WIDTH_LANES: f64 = 1.5;
 
 impl Line {
     /// The line of an observation; straight beyond its known part.
@@ -55,7 +56,10 @@ impl Line {
             first_m: centre.first_length_m(),
             known_m: centre.length_m(),
             half_width_m,
-            next_half_width_m: half_width_m.min(NEXT_HALF_WIDTH_M),
+            next_half_width_m: match road.lane_width_m > 0.0 {
+                true => half_width_m.min(NEXT_HALF_WIDTH_LANES * road.lane_width_m),
+                false => half_width_m,
+            },
         }
     }
 

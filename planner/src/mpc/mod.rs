@@ -129,6 +129,18 @@ impl Mpc {
         self.plan_in_parts(observation, out, || ());
     }
 
+    /// Plans again as a recorded plan was made: without the solver where it gave up.
+    pub(crate) fn plan_again(
+        &mut self,
+        observation: &Observation,
+        recorded: &Plan,
+        out: &mut Plan,
+    ) {
+        self.problem.set_given_up(recorded.iterations == 0);
+        self.plan(observation, out);
+        self.problem.set_given_up(false);
+    }
+
     /// The same; `prepared` is called before the search begins.
     pub(crate) fn plan_in_parts(
         &mut self,
@@ -140,6 +152,8 @@ impl Mpc {
         let line = Line::new(observation);
         self.field
             .fill(&line, self.tracker.sightings(), ego.speed_mps());
+        self.field
+            .mark_unseen(&line, &observation.fan(), self.body.half_length_m);
         let road = &observation.road;
         let begin = Place {
             along_m: 0.0,

@@ -61,6 +61,8 @@ pub(crate) struct Problem {
     linear: Vec<f64>,
     bounds: Vec<f64>,
     effort: Effort,
+    /// The next problems are not solved.
+    is_given_up: bool,
 }
 
 impl std::fmt::Debug for Problem {
@@ -108,6 +110,7 @@ impl Problem {
             linear: vec![0.0; columns],
             bounds: vec![0.0; row_count],
             effort: Effort::default(),
+            is_given_up: false,
         };
         problem.write_costs();
         problem.set_up(time_limit_s);
@@ -160,10 +163,18 @@ impl Problem {
         self.effort
     }
 
+    /// Whether the next problems are given up without a solver, as at its limits.
+    pub(crate) fn set_given_up(&mut self, is_given_up: bool) {
+        self.is_given_up = is_given_up;
+    }
+
     /// Solves; `None` when the solver reaches its limit of time or iterations.
     pub(crate) fn solve(&mut self, task: &Task, stages: &[Stage]) -> Option<Solution> {
         debug_assert_eq!(stages.len(), self.steps, "a stage for each step");
         self.effort = Effort::default();
+        if self.is_given_up {
+            return None;
+        }
         self.write_linear(task, stages);
         self.write_rows(task, stages);
         let solver = self.solver.as_mut()?;

@@ -47,18 +47,18 @@ const VEHICLE_M: f64 = 3.6;
 
 /// One lidar return with the velocity of its body.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sighting {
+pub struct Sighting {
     /// Where, in the body frame, m.
-    pub(crate) point_body: Point,
+    pub point_body: Point,
     /// Velocity over ground, in the body frame's directions, m/s; zero at rest.
-    pub(crate) velocity_body: Vector,
+    pub velocity_body: Vector,
     /// Half the diagonal of the box around all returns of its body, m.
-    pub(crate) radius_m: f64,
+    pub radius_m: f64,
 }
 
 impl Sighting {
     /// Its body moves.
-    pub(crate) fn moves(&self) -> bool {
+    pub fn moves(&self) -> bool {
         self.velocity_body != Vector::zeros()
     }
 }
@@ -117,7 +117,7 @@ impl Track {
 
 /// Follows bodies from scan to scan. All memory is its own.
 #[derive(Debug, Default)]
-pub(crate) struct Tracker {
+pub struct Tracker {
     beams: Beams,
     tracks: heapless::Vec<Track, TRACKS_MAX>,
     sightings: heapless::Vec<Sighting, BEAMS_MAX>,
@@ -125,20 +125,20 @@ pub(crate) struct Tracker {
 
 impl Tracker {
     /// Nothing was seen yet.
-    pub(crate) fn forget(&mut self) {
+    pub fn forget(&mut self) {
         self.tracks.clear();
     }
 
     /// All returns of the last scan.
-    pub(crate) fn sightings(&self) -> &[Sighting] {
+    pub fn sightings(&self) -> &[Sighting] {
         &self.sightings
     }
 
     /// Takes a scan in, `step_s` after the last one.
-    pub(crate) fn update(&mut self, observation: &Observation, step_s: f64) {
+    pub fn update(&mut self, observation: &Observation, step_s: f64) {
         let ego = &observation.ego;
         let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
-        self.beams.prepare(observation.ranges().len());
+        self.beams.prepare(observation.fan());
         let mut returns_world = heapless::Vec::<(Point, f64), BEAMS_MAX>::new();
         self.sightings.clear();
         for point_body in self.beams.returns(observation) {
