@@ -20,8 +20,8 @@ use crate::Privileges;
 use crate::kernel::set_ordinary;
 use crate::privileges::Ask;
 
-/// The exit code of a process that could not be set up. The supervisor does not restart
-/// it, because it would fail again.
+/// The exit code of a process that could not be set up. At the first
+/// start the supervisor gives the run up, because it would fail again.
 pub const SET_UP_FAILED: u8 = 2;
 
 /// The arguments that every process takes.

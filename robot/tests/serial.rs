@@ -1,0 +1,213 @@
+//! The example on a serial line, against a machine at the other end of a pseudo terminal.
+
+#[path = "../examples/serial/link.rs"]
+mod link;
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use link::{Frames, Order, Report, frame};
+use robot::{Action, Bicycle, Vehicle};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::time::Timespec;
+use shm_config::message::BEAMS_MAX;
+use vlaps_tests::Set;
+
+/// Time from report to report, s, and for poll.
+const STEP_S: f64 = 0.02;
+const STEP: Timespec = Timespec {
+    tv_sec: 0,
+    tv_nsec: 20_000_000,
+};
+/// Steps without an order after which the machine brakes by itself.
+const PATIENCE: u32 = 13;
+
+/// Beams of the machine's lidar.
+const BEAMS: u32 = 72;
+
+/// The machine: a car in the corridor of the example, that reports this many ranges until
+/// it is told to end. Returns how far it came, m, and the last order.
+fn machine(mut line: File, beams: u32, ends: &AtomicBool) -> (f64, Action) {
+    let mut car = Bicycle::new(Vehicle::default());
+    let (mut frames, mut bytes) = (Frames::default(), [0; 256]);
+    let (mut action, mut silent) = (Action::BRAKE, 0);
+    let mut ordered = action;
+    while !ends.load(Ordering::Relaxed) {
+        let mut ready = [PollFd::new(&line, PollFlags::IN)];
+        if poll(&mut ready, Some(&STEP)).is_ok_and(|ready| ready > 0)
+            && let Ok(count) = line.read(&mut bytes)
+            && let Some(Order { steer, pedal }) = frames.newest(&bytes[..count])
+        {
+            silent = 0;
+            action = Action {
+                steer: steer.into(),
+                pedal: pedal.into(),
+            };
+            ordered = action;
+        }
+        silent += 1;
+        if silent > PATIENCE {
+            action = Action::BRAKE;
+        }
+        car.advance(action, STEP_S);
+        let heading_rad = car.state.heading_rad;
+        let ranges_m = (0..beams).map(|beam| {
+            let sin = (heading_rad + f64::from(beam) * 5_f64.to_radians()).sin();
+            let wall_m = if sin > 0.0 {
+                3.0 - car.state.position.y
+            } else {
+                3.0 + car.state.position.y
+            };
+            (wall_m / sin.abs()) as f32
+        });
+        let report = Report {
+            x_m: car.state.position.x as f32,
+            y_m: car.state.position.y as f32,
+            heading_rad: heading_rad as f32,
+            speed_mps: car.state.speed_mps as f32,
+            yaw_rate_radps: car.yaw_rate_radps as f32,
+            ranges_m: ranges_m.collect(),
+        };
+        // Noise on the line, which costs no report but its own.
+        let noise = [17, 0, 3, 255, 0];
+        let _ = line
+            .write_all(&noise)
+            .and_then(|()| line.write_all(&frame(&report)));
+    }
+    (car.state.position.x, ordered)
+}
+
+/// A run with a machine whose lidar gives this many ranges: how far it came, m, its last
+/// order, and the run.
+fn drive(run: &str, beams: u32) -> (f64, Action, Set) {
+    let line = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo terminal");
+    grantpt(&line)
+        .and_then(|()| unlockpt(&line))
+        .expect("its other end");
+    // Nothing reads the line when the world has ended, and the machine must not wait.
+    let flags = fcntl_getfl(&line).expect("its flags");
+    fcntl_setfl(&line, flags | OFlags::NONBLOCK).expect("its flags");
+    let name = ptsname(&line, Vec::new()).expect("its name");
+    let name = name.into_string().expect("UTF-8");
+    let ends = Arc::new(AtomicBool::new(false));
+    let until = ends.clone();
+    let firmware = std::thread::spawn(move || machine(File::from(line), beams, &until));
+    let test = std::env::current_exe().expect("the test's own path");
+    let profile = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
+    let world: PathBuf = profile.join("examples/serial");
+    let world = world.display().to_string();
+    let set = Set::new(run);
+    let lidar = format!("scanner.beams={BEAMS}");
+    let options = ["--world", &world, "--duration", "6", "--set", &lidar];
+    let mut command = set.up_command(&[], &options);
+    let output = command
+        .env("VLAPS_SERIAL", &name)
+        .output()
+        .expect("it runs");
+    ends.store(true, Ordering::Relaxed);
+    let (driven_m, ordered) = firmware.join().expect("the machine");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{told}{}", set.logs());
+    (driven_m, ordered, set)
+}
+
+#[test]
+fn a_robot_behind_a_serial_line_drives_until_the_run_ends() {
+    let (driven_m, ordered, set) = drive("serial", BEAMS);
+    let json = set.json();
+    assert!(driven_m > 3.0, "{driven_m} m: {json}");
+    assert_eq!(json["processes"]["controller"]["refused"], 0, "{json}");
+    assert_eq!(ordered, Action::BRAKE, "the last order");
+}
+
+#[test]
+fn a_machine_whose_lidar_is_dead_stands() {
+    let (driven_m, _, set) = drive("nolidar", 0);
+    assert!(driven_m < 0.1, "{driven_m} m");
+    let told = set.logs();
+    let line = "a report without the ranges of all beams is dropped";
+    assert_eq!(told.matches(line).count(), 1, "{told}");
+}
+
+#[test]
+fn a_report_of_the_largest_lidar_is_a_frame() {
+    let report = Report {
+        x_m: 1.0,
+        y_m: 2.0,
+        heading_rad: 3.0,
+        speed_mps: 4.0,
+        yaw_rate_radps: 5.0,
+        ranges_m: vec![6.0; BEAMS_MAX],
+    };
+    let mut frames = Frames::default();
+    assert_eq!(frames.newest(&frame(&report)), Some(report.clone()));
+    assert_eq!(frames.too_long, 0);
+    // What the line carries in a second, as the example says.
+    let rate = |beams| {
+        let ranges_m = vec![6.0; beams];
+        let report = Report {
+            ranges_m,
+            ..report.clone()
+        };
+        11_520 / frame(&report).len()
+    };
+    assert_eq!([rate(72), rate(240)], [36, 11]);
+}
+
+#[test]
+fn a_missing_line_is_one_line() {
+    let test = std::env::current_exe().expect("the test's own path");
+    let profile = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
+    let world = profile.join("examples/serial").display().to_string();
+    let set = Set::new("noline");
+    let mut command = set.up_command(&[], &["--world", &world]);
+    let output = command
+        .env("VLAPS_SERIAL", "/dev/no-line")
+        .output()
+        .expect("it runs");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(
+        told.contains("VLAPS_SERIAL=/dev/no-line: No such file"),
+        "{told}"
+    );
+}
+
+#[test]
+fn broken_frames_are_dropped_and_the_next_one_is_found() {
+    let order = Order {
+        steer: -0.5,
+        pedal: 1.0,
+    };
+    let whole = frame(&order);
+    let mut frames = Frames::default();
+    for at in 0..whole.len() - 1 {
+        for bit in 0..8 {
+            let mut broken = whole.clone();
+            broken[at] ^= 1 << bit;
+            let found: Option<Order> = frames.newest(&broken);
+            assert_eq!(found, None, "byte {at}, bit {bit}");
+            // A flipped bit may have made an end in the middle.
+            let _: Option<Order> = frames.newest(&[0]);
+        }
+        let cut = &whole[at + 1..];
+        assert_eq!(
+            frames.newest::<Order>(cut).filter(|_| at > 0),
+            None,
+            "cut at {at}"
+        );
+    }
+    let long = vec![1; 100_000];
+    assert_eq!(frames.newest::<Order>(&long), None);
+    assert!(frames.too_long > 0);
+    assert_eq!(frames.newest::<Order>(&[0]), None);
+    assert_eq!(frames.newest(&whole), Some(order));
+    let (begin, end) = whole.split_at(3);
+    assert_eq!(frames.newest::<Order>(begin), None);
+    assert_eq!(frames.newest(end), Some(order), "in two pieces");
+}
