@@ -1,0 +1,1014 @@
+/* libvlaps: a process of a VLAPS run in C.
+ *
+ * Generated from the messages of the crate shm-config; do not edit. Renew it with
+ *     cargo run -p capi --example header > capi/include/vlaps.h
+ *
+ * docs/foreign.md explains the calls, docs/services.md the services. Units end a name
+ * and frames begin it: speed_mps, x_body_m. Angles are counter-clockwise, y is left.
+ *
+ * Every call returns 0 or more (enum vlaps_answer) when it was carried out, and a
+ * negative number (enum vlaps_kind) when it failed; vlaps_last_error says why. All calls
+ * of a process come from the thread that joined.
+ */
+#ifndef VLAPS_H
+#define VLAPS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+#define VLAPS_ASSERT(holds, text) static_assert(holds, text)
+extern "C" {
+#else
+#define VLAPS_ASSERT(holds, text) _Static_assert(holds, text)
+#endif
+
+/* The hash of all layouts, codes and constants below. A library with another one refuses to join. */
+#define VLAPS_LAYOUT UINT64_C(0x65ff2fbdf765c3cc)
+
+#define VLAPS_BEAMS_MAX 2048
+#define VLAPS_WAYPOINTS_MAX 64
+#define VLAPS_PLANNED_MAX 32
+#define VLAPS_FEATURES 259
+
+enum vlaps_process {
+    VLAPS_PROCESS_SUPERVISOR = 0,
+    VLAPS_PROCESS_WORLD = 1,
+    VLAPS_PROCESS_PLANNER = 2,
+    VLAPS_PROCESS_CONTROLLER = 3,
+    VLAPS_PROCESS_GATE = 4,
+    VLAPS_PROCESS_LEARNER = 5,
+    VLAPS_PROCESS_RECORDER = 6,
+};
+
+enum vlaps_health_state {
+    VLAPS_HEALTH_STATE_STARTING = 0,
+    VLAPS_HEALTH_STATE_READY = 1,
+    VLAPS_HEALTH_STATE_RUNNING = 2,
+    VLAPS_HEALTH_STATE_STOPPING = 3,
+    VLAPS_HEALTH_STATE_FINISHED = 4,
+};
+
+enum vlaps_grant {
+    VLAPS_GRANT_NOT_ASKED = 0,
+    VLAPS_GRANT_GRANTED = 1,
+    VLAPS_GRANT_REFUSED = 2,
+};
+
+enum vlaps_part {
+    VLAPS_PART_WAIT = 0,
+    VLAPS_PART_ADMIT = 1,
+    VLAPS_PART_GRID = 2,
+    VLAPS_PART_SEARCH = 3,
+    VLAPS_PART_DECIDE = 4,
+    VLAPS_PART_SEND = 5,
+    VLAPS_PART_MOVE = 6,
+    VLAPS_PART_OBSERVE = 7,
+};
+
+enum vlaps_scheduling {
+    VLAPS_SCHEDULING_ORDINARY = 0,
+    VLAPS_SCHEDULING_FIFO = 1,
+};
+
+enum vlaps_outcome {
+    VLAPS_OUTCOME_DRIVING = 0,
+    VLAPS_OUTCOME_ARRIVED = 1,
+    VLAPS_OUTCOME_OUT_OF_ROAD = 2,
+    VLAPS_OUTCOME_MAX_STEP = 3,
+    VLAPS_OUTCOME_STOPPED = 4,
+};
+
+enum vlaps_driver {
+    VLAPS_DRIVER_EXPERT = 0,
+    VLAPS_DRIVER_POLICY = 1,
+    VLAPS_DRIVER_BRAKE = 2,
+};
+
+enum vlaps_reason {
+    VLAPS_REASON_CONFIGURED = 0,
+    VLAPS_REASON_ADVISED = 1,
+    VLAPS_REASON_UNADVISED = 2,
+    VLAPS_REASON_EXPIRED = 3,
+    VLAPS_REASON_UNLOADED = 4,
+    VLAPS_REASON_FAULTY = 5,
+    VLAPS_REASON_VETOED = 6,
+    VLAPS_REASON_UNSAFE = 7,
+    VLAPS_REASON_BLOCKED = 8,
+    VLAPS_REASON_UNPLANNED = 9,
+    VLAPS_REASON_BLIND = 10,
+    VLAPS_REASON_STOPPING = 11,
+    VLAPS_REASON_TAKEOVER = 12,
+    VLAPS_REASON_SHADOW = 13,
+    VLAPS_REASON_LATE = 14,
+    VLAPS_REASON_CONTESTED = 15,
+};
+
+enum vlaps_refusal_kind {
+    VLAPS_REFUSAL_KIND_CONTENT = 0,
+    VLAPS_REFUSAL_KIND_STALE = 1,
+    VLAPS_REFUSAL_KIND_FUTURE = 2,
+    VLAPS_REFUSAL_KIND_EPISODE = 3,
+    VLAPS_REFUSAL_KIND_GRID = 4,
+    VLAPS_REFUSAL_KIND_FOREIGN = 5,
+};
+
+enum vlaps_bend {
+    VLAPS_BEND_STRAIGHT = 0,
+    VLAPS_BEND_LEFT = 1,
+    VLAPS_BEND_RIGHT = 2,
+};
+
+enum vlaps_view {
+    VLAPS_VIEW_EGO = 0,
+    VLAPS_VIEW_TOP_DOWN = 1,
+};
+
+enum vlaps_pixel_format {
+    VLAPS_PIXEL_FORMAT_RGB8 = 0,
+};
+
+enum vlaps_plan_outcome {
+    VLAPS_PLAN_OUTCOME_REACHED = 0,
+    VLAPS_PLAN_OUTCOME_PARTIAL = 1,
+    VLAPS_PLAN_OUTCOME_BLOCKED = 2,
+};
+
+enum vlaps_lateness {
+    VLAPS_LATENESS_ON_TIME = 0,
+    VLAPS_LATENESS_COUNTED = 1,
+    VLAPS_LATENESS_HELD_BACK = 2,
+    VLAPS_LATENESS_BRAKED = 3,
+};
+
+enum vlaps_preference {
+    VLAPS_PREFERENCE_ABSTAIN = 0,
+    VLAPS_PREFERENCE_EXPERT = 1,
+    VLAPS_PREFERENCE_POLICY = 2,
+};
+
+enum vlaps_judge {
+    VLAPS_JUDGE_NONE = 0,
+    VLAPS_JUDGE_RULES = 1,
+    VLAPS_JUDGE_VLM = 2,
+    VLAPS_JUDGE_HUMAN = 3,
+    VLAPS_JUDGE_RECORDED = 5,
+};
+
+enum vlaps_verdict {
+    VLAPS_VERDICT_ABSENT = 0,
+    VLAPS_VERDICT_CLEAR = 1,
+    VLAPS_VERDICT_LEAVES = 2,
+    VLAPS_VERDICT_HITS = 3,
+};
+
+enum vlaps_policy_state {
+    VLAPS_POLICY_STATE_EMPTY = 0,
+    VLAPS_POLICY_STATE_SHADOW = 1,
+    VLAPS_POLICY_STATE_READY = 2,
+    VLAPS_POLICY_STATE_REFUSED = 3,
+    VLAPS_POLICY_STATE_ROLLED_BACK = 4,
+};
+
+enum vlaps_admission {
+    VLAPS_ADMISSION_ABSENT = 0,
+    VLAPS_ADMISSION_ADMITTED = 1,
+    VLAPS_ADMISSION_REFUSED = 2,
+};
+
+enum vlaps_intent {
+    VLAPS_INTENT_DRIVE = 0,
+    VLAPS_INTENT_STOP = 1,
+    VLAPS_INTENT_CONTESTED = 2,
+};
+
+enum vlaps_stage {
+    VLAPS_STAGE_UNLOADED = 0,
+    VLAPS_STAGE_SHADOW = 1,
+    VLAPS_STAGE_ACTIVE = 2,
+};
+
+enum vlaps_fault_kind {
+    VLAPS_FAULT_KIND_HANG = 0,
+    VLAPS_FAULT_KIND_SLOW = 1,
+    VLAPS_FAULT_KIND_PANIC = 2,
+    VLAPS_FAULT_KIND_ALLOCATION = 3,
+    VLAPS_FAULT_KIND_SPIN = 4,
+};
+
+enum vlaps_answer {
+    VLAPS_OK = 0,
+    VLAPS_NONE = 1,
+    VLAPS_ENDED = 2,
+};
+
+enum vlaps_kind {
+    VLAPS_REFUSED = -1,
+    VLAPS_INVALID = -2,
+    VLAPS_OTHER_LAYOUT = -3,
+    VLAPS_FAILED = -4,
+    VLAPS_PANICKED = -5,
+};
+
+enum vlaps_use {
+    VLAPS_NEWEST = 0,
+    VLAPS_EVERY = 1,
+    VLAPS_WRITE = 2,
+};
+
+typedef struct vlaps_header {
+    uint64_t tick;
+    uint64_t taken_ns;
+    uint64_t sequence;
+    uint32_t episode;
+    uint32_t producer;
+} vlaps_header;
+VLAPS_ASSERT(sizeof(vlaps_header) == 32, "vlaps_header");
+VLAPS_ASSERT(offsetof(vlaps_header, tick) == 0, "vlaps_header.tick");
+VLAPS_ASSERT(offsetof(vlaps_header, taken_ns) == 8, "vlaps_header.taken_ns");
+VLAPS_ASSERT(offsetof(vlaps_header, sequence) == 16, "vlaps_header.sequence");
+VLAPS_ASSERT(offsetof(vlaps_header, episode) == 24, "vlaps_header.episode");
+VLAPS_ASSERT(offsetof(vlaps_header, producer) == 28, "vlaps_header.producer");
+
+typedef struct vlaps_ego {
+    double x_world_m;
+    double y_world_m;
+    double heading_world_rad;
+    double speed_mps;
+    double yaw_rate_radps;
+    double steer;
+    double pedal;
+} vlaps_ego;
+VLAPS_ASSERT(sizeof(vlaps_ego) == 56, "vlaps_ego");
+VLAPS_ASSERT(offsetof(vlaps_ego, x_world_m) == 0, "vlaps_ego.x_world_m");
+VLAPS_ASSERT(offsetof(vlaps_ego, y_world_m) == 8, "vlaps_ego.y_world_m");
+VLAPS_ASSERT(offsetof(vlaps_ego, heading_world_rad) == 16, "vlaps_ego.heading_world_rad");
+VLAPS_ASSERT(offsetof(vlaps_ego, speed_mps) == 24, "vlaps_ego.speed_mps");
+VLAPS_ASSERT(offsetof(vlaps_ego, yaw_rate_radps) == 32, "vlaps_ego.yaw_rate_radps");
+VLAPS_ASSERT(offsetof(vlaps_ego, steer) == 40, "vlaps_ego.steer");
+VLAPS_ASSERT(offsetof(vlaps_ego, pedal) == 48, "vlaps_ego.pedal");
+
+typedef struct vlaps_road {
+    double left_m;
+    double right_m;
+    double heading_rad;
+    double offset_m;
+    double lane_width_m;
+} vlaps_road;
+VLAPS_ASSERT(sizeof(vlaps_road) == 40, "vlaps_road");
+VLAPS_ASSERT(offsetof(vlaps_road, left_m) == 0, "vlaps_road.left_m");
+VLAPS_ASSERT(offsetof(vlaps_road, right_m) == 8, "vlaps_road.right_m");
+VLAPS_ASSERT(offsetof(vlaps_road, heading_rad) == 16, "vlaps_road.heading_rad");
+VLAPS_ASSERT(offsetof(vlaps_road, offset_m) == 24, "vlaps_road.offset_m");
+VLAPS_ASSERT(offsetof(vlaps_road, lane_width_m) == 32, "vlaps_road.lane_width_m");
+
+typedef struct vlaps_checkpoint {
+    double x_body_m;
+    double y_body_m;
+    double bend_radius_m;
+    double bend_angle_rad;
+    uint32_t bend;
+    uint32_t reserved;
+} vlaps_checkpoint;
+VLAPS_ASSERT(sizeof(vlaps_checkpoint) == 40, "vlaps_checkpoint");
+VLAPS_ASSERT(offsetof(vlaps_checkpoint, x_body_m) == 0, "vlaps_checkpoint.x_body_m");
+VLAPS_ASSERT(offsetof(vlaps_checkpoint, y_body_m) == 8, "vlaps_checkpoint.y_body_m");
+VLAPS_ASSERT(offsetof(vlaps_checkpoint, bend_radius_m) == 16, "vlaps_checkpoint.bend_radius_m");
+VLAPS_ASSERT(offsetof(vlaps_checkpoint, bend_angle_rad) == 24, "vlaps_checkpoint.bend_angle_rad");
+VLAPS_ASSERT(offsetof(vlaps_checkpoint, bend) == 32, "vlaps_checkpoint.bend");
+VLAPS_ASSERT(offsetof(vlaps_checkpoint, reserved) == 36, "vlaps_checkpoint.reserved");
+
+typedef struct vlaps_observation {
+    vlaps_header header;
+    uint64_t scheduled_ns;
+    uint64_t released_ns;
+    uint64_t published_ns;
+    vlaps_ego ego;
+    vlaps_road road;
+    vlaps_checkpoint checkpoints[2];
+    float lidar_max_m;
+    uint32_t beam_count;
+    double field_of_view_rad;
+    double scanner_heading_rad;
+    double scanner_x_body_m;
+    double scanner_y_body_m;
+    float ranges_m[2048];
+} vlaps_observation;
+VLAPS_ASSERT(sizeof(vlaps_observation) == 8464, "vlaps_observation");
+VLAPS_ASSERT(offsetof(vlaps_observation, header) == 0, "vlaps_observation.header");
+VLAPS_ASSERT(offsetof(vlaps_observation, scheduled_ns) == 32, "vlaps_observation.scheduled_ns");
+VLAPS_ASSERT(offsetof(vlaps_observation, released_ns) == 40, "vlaps_observation.released_ns");
+VLAPS_ASSERT(offsetof(vlaps_observation, published_ns) == 48, "vlaps_observation.published_ns");
+VLAPS_ASSERT(offsetof(vlaps_observation, ego) == 56, "vlaps_observation.ego");
+VLAPS_ASSERT(offsetof(vlaps_observation, road) == 112, "vlaps_observation.road");
+VLAPS_ASSERT(offsetof(vlaps_observation, checkpoints) == 152, "vlaps_observation.checkpoints");
+VLAPS_ASSERT(offsetof(vlaps_observation, lidar_max_m) == 232, "vlaps_observation.lidar_max_m");
+VLAPS_ASSERT(offsetof(vlaps_observation, beam_count) == 236, "vlaps_observation.beam_count");
+VLAPS_ASSERT(offsetof(vlaps_observation, field_of_view_rad) == 240, "vlaps_observation.field_of_view_rad");
+VLAPS_ASSERT(offsetof(vlaps_observation, scanner_heading_rad) == 248, "vlaps_observation.scanner_heading_rad");
+VLAPS_ASSERT(offsetof(vlaps_observation, scanner_x_body_m) == 256, "vlaps_observation.scanner_x_body_m");
+VLAPS_ASSERT(offsetof(vlaps_observation, scanner_y_body_m) == 264, "vlaps_observation.scanner_y_body_m");
+VLAPS_ASSERT(offsetof(vlaps_observation, ranges_m) == 272, "vlaps_observation.ranges_m");
+
+typedef struct vlaps_waypoint {
+    double x_body_m;
+    double y_body_m;
+    double speed_mps;
+} vlaps_waypoint;
+VLAPS_ASSERT(sizeof(vlaps_waypoint) == 24, "vlaps_waypoint");
+VLAPS_ASSERT(offsetof(vlaps_waypoint, x_body_m) == 0, "vlaps_waypoint.x_body_m");
+VLAPS_ASSERT(offsetof(vlaps_waypoint, y_body_m) == 8, "vlaps_waypoint.y_body_m");
+VLAPS_ASSERT(offsetof(vlaps_waypoint, speed_mps) == 16, "vlaps_waypoint.speed_mps");
+
+typedef struct vlaps_planned_action {
+    double steer;
+    double pedal;
+} vlaps_planned_action;
+VLAPS_ASSERT(sizeof(vlaps_planned_action) == 16, "vlaps_planned_action");
+VLAPS_ASSERT(offsetof(vlaps_planned_action, steer) == 0, "vlaps_planned_action.steer");
+VLAPS_ASSERT(offsetof(vlaps_planned_action, pedal) == 8, "vlaps_planned_action.pedal");
+
+typedef struct vlaps_plan {
+    vlaps_header header;
+    double origin_x_world_m;
+    double origin_y_world_m;
+    double origin_heading_world_rad;
+    double goal_x_body_m;
+    double goal_y_body_m;
+    double cost_m;
+    uint64_t planning_ns;
+    uint32_t outcome;
+    uint32_t iterations;
+    uint32_t nodes;
+    uint32_t waypoint_count;
+    vlaps_waypoint waypoints[64];
+    double action_step_s;
+    uint32_t action_count;
+    uint32_t lateness;
+    vlaps_planned_action actions[32];
+} vlaps_plan;
+VLAPS_ASSERT(sizeof(vlaps_plan) == 2168, "vlaps_plan");
+VLAPS_ASSERT(offsetof(vlaps_plan, header) == 0, "vlaps_plan.header");
+VLAPS_ASSERT(offsetof(vlaps_plan, origin_x_world_m) == 32, "vlaps_plan.origin_x_world_m");
+VLAPS_ASSERT(offsetof(vlaps_plan, origin_y_world_m) == 40, "vlaps_plan.origin_y_world_m");
+VLAPS_ASSERT(offsetof(vlaps_plan, origin_heading_world_rad) == 48, "vlaps_plan.origin_heading_world_rad");
+VLAPS_ASSERT(offsetof(vlaps_plan, goal_x_body_m) == 56, "vlaps_plan.goal_x_body_m");
+VLAPS_ASSERT(offsetof(vlaps_plan, goal_y_body_m) == 64, "vlaps_plan.goal_y_body_m");
+VLAPS_ASSERT(offsetof(vlaps_plan, cost_m) == 72, "vlaps_plan.cost_m");
+VLAPS_ASSERT(offsetof(vlaps_plan, planning_ns) == 80, "vlaps_plan.planning_ns");
+VLAPS_ASSERT(offsetof(vlaps_plan, outcome) == 88, "vlaps_plan.outcome");
+VLAPS_ASSERT(offsetof(vlaps_plan, iterations) == 92, "vlaps_plan.iterations");
+VLAPS_ASSERT(offsetof(vlaps_plan, nodes) == 96, "vlaps_plan.nodes");
+VLAPS_ASSERT(offsetof(vlaps_plan, waypoint_count) == 100, "vlaps_plan.waypoint_count");
+VLAPS_ASSERT(offsetof(vlaps_plan, waypoints) == 104, "vlaps_plan.waypoints");
+VLAPS_ASSERT(offsetof(vlaps_plan, action_step_s) == 1640, "vlaps_plan.action_step_s");
+VLAPS_ASSERT(offsetof(vlaps_plan, action_count) == 1648, "vlaps_plan.action_count");
+VLAPS_ASSERT(offsetof(vlaps_plan, lateness) == 1652, "vlaps_plan.lateness");
+VLAPS_ASSERT(offsetof(vlaps_plan, actions) == 1656, "vlaps_plan.actions");
+
+typedef struct vlaps_command {
+    vlaps_header header;
+    double steer;
+    double pedal;
+    uint32_t driver;
+    uint32_t reason;
+} vlaps_command;
+VLAPS_ASSERT(sizeof(vlaps_command) == 56, "vlaps_command");
+VLAPS_ASSERT(offsetof(vlaps_command, header) == 0, "vlaps_command.header");
+VLAPS_ASSERT(offsetof(vlaps_command, steer) == 32, "vlaps_command.steer");
+VLAPS_ASSERT(offsetof(vlaps_command, pedal) == 40, "vlaps_command.pedal");
+VLAPS_ASSERT(offsetof(vlaps_command, driver) == 48, "vlaps_command.driver");
+VLAPS_ASSERT(offsetof(vlaps_command, reason) == 52, "vlaps_command.reason");
+
+typedef struct vlaps_pd_state {
+    double heading_rad;
+    double speed_mps;
+    double goal_x_world_m;
+    double goal_y_world_m;
+    uint64_t taken_ns;
+    uint32_t episode;
+    uint32_t present;
+} vlaps_pd_state;
+VLAPS_ASSERT(sizeof(vlaps_pd_state) == 48, "vlaps_pd_state");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, heading_rad) == 0, "vlaps_pd_state.heading_rad");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, speed_mps) == 8, "vlaps_pd_state.speed_mps");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, goal_x_world_m) == 16, "vlaps_pd_state.goal_x_world_m");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, goal_y_world_m) == 24, "vlaps_pd_state.goal_y_world_m");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, taken_ns) == 32, "vlaps_pd_state.taken_ns");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, episode) == 40, "vlaps_pd_state.episode");
+VLAPS_ASSERT(offsetof(vlaps_pd_state, present) == 44, "vlaps_pd_state.present");
+
+typedef struct vlaps_transfer_state {
+    double steer;
+    double pedal;
+    uint32_t driver;
+    uint32_t episode;
+    uint32_t present;
+    uint32_t is_easing;
+} vlaps_transfer_state;
+VLAPS_ASSERT(sizeof(vlaps_transfer_state) == 32, "vlaps_transfer_state");
+VLAPS_ASSERT(offsetof(vlaps_transfer_state, steer) == 0, "vlaps_transfer_state.steer");
+VLAPS_ASSERT(offsetof(vlaps_transfer_state, pedal) == 8, "vlaps_transfer_state.pedal");
+VLAPS_ASSERT(offsetof(vlaps_transfer_state, driver) == 16, "vlaps_transfer_state.driver");
+VLAPS_ASSERT(offsetof(vlaps_transfer_state, episode) == 20, "vlaps_transfer_state.episode");
+VLAPS_ASSERT(offsetof(vlaps_transfer_state, present) == 24, "vlaps_transfer_state.present");
+VLAPS_ASSERT(offsetof(vlaps_transfer_state, is_easing) == 28, "vlaps_transfer_state.is_easing");
+
+typedef struct vlaps_before {
+    vlaps_pd_state pd;
+    vlaps_transfer_state transfer;
+    uint64_t refused;
+    uint32_t has_observation;
+    uint32_t has_plan;
+    uint32_t has_advice;
+    uint32_t reserved;
+} vlaps_before;
+VLAPS_ASSERT(sizeof(vlaps_before) == 104, "vlaps_before");
+VLAPS_ASSERT(offsetof(vlaps_before, pd) == 0, "vlaps_before.pd");
+VLAPS_ASSERT(offsetof(vlaps_before, transfer) == 48, "vlaps_before.transfer");
+VLAPS_ASSERT(offsetof(vlaps_before, refused) == 80, "vlaps_before.refused");
+VLAPS_ASSERT(offsetof(vlaps_before, has_observation) == 88, "vlaps_before.has_observation");
+VLAPS_ASSERT(offsetof(vlaps_before, has_plan) == 92, "vlaps_before.has_plan");
+VLAPS_ASSERT(offsetof(vlaps_before, has_advice) == 96, "vlaps_before.has_advice");
+VLAPS_ASSERT(offsetof(vlaps_before, reserved) == 100, "vlaps_before.reserved");
+
+typedef struct vlaps_entry {
+    uint64_t port_ns;
+    uint32_t admission;
+    uint32_t reserved;
+} vlaps_entry;
+VLAPS_ASSERT(sizeof(vlaps_entry) == 16, "vlaps_entry");
+VLAPS_ASSERT(offsetof(vlaps_entry, port_ns) == 0, "vlaps_entry.port_ns");
+VLAPS_ASSERT(offsetof(vlaps_entry, admission) == 8, "vlaps_entry.admission");
+VLAPS_ASSERT(offsetof(vlaps_entry, reserved) == 12, "vlaps_entry.reserved");
+
+typedef struct vlaps_advice {
+    vlaps_header header;
+    uint64_t question_tick;
+    uint64_t question_taken_ns;
+    uint64_t answered_ns;
+    uint64_t holds_until_ns;
+    uint64_t considered_ns;
+    uint64_t answers;
+    uint32_t preference;
+    uint32_t judge;
+    uint64_t label_from_ns;
+    uint64_t label_until_ns;
+    uint32_t label;
+    uint32_t reserved;
+} vlaps_advice;
+VLAPS_ASSERT(sizeof(vlaps_advice) == 112, "vlaps_advice");
+VLAPS_ASSERT(offsetof(vlaps_advice, header) == 0, "vlaps_advice.header");
+VLAPS_ASSERT(offsetof(vlaps_advice, question_tick) == 32, "vlaps_advice.question_tick");
+VLAPS_ASSERT(offsetof(vlaps_advice, question_taken_ns) == 40, "vlaps_advice.question_taken_ns");
+VLAPS_ASSERT(offsetof(vlaps_advice, answered_ns) == 48, "vlaps_advice.answered_ns");
+VLAPS_ASSERT(offsetof(vlaps_advice, holds_until_ns) == 56, "vlaps_advice.holds_until_ns");
+VLAPS_ASSERT(offsetof(vlaps_advice, considered_ns) == 64, "vlaps_advice.considered_ns");
+VLAPS_ASSERT(offsetof(vlaps_advice, answers) == 72, "vlaps_advice.answers");
+VLAPS_ASSERT(offsetof(vlaps_advice, preference) == 80, "vlaps_advice.preference");
+VLAPS_ASSERT(offsetof(vlaps_advice, judge) == 84, "vlaps_advice.judge");
+VLAPS_ASSERT(offsetof(vlaps_advice, label_from_ns) == 88, "vlaps_advice.label_from_ns");
+VLAPS_ASSERT(offsetof(vlaps_advice, label_until_ns) == 96, "vlaps_advice.label_until_ns");
+VLAPS_ASSERT(offsetof(vlaps_advice, label) == 104, "vlaps_advice.label");
+VLAPS_ASSERT(offsetof(vlaps_advice, reserved) == 108, "vlaps_advice.reserved");
+
+typedef struct vlaps_takeover {
+    vlaps_header header;
+    double steer;
+    double pedal;
+    uint32_t active;
+    uint32_t reserved;
+} vlaps_takeover;
+VLAPS_ASSERT(sizeof(vlaps_takeover) == 56, "vlaps_takeover");
+VLAPS_ASSERT(offsetof(vlaps_takeover, header) == 0, "vlaps_takeover.header");
+VLAPS_ASSERT(offsetof(vlaps_takeover, steer) == 32, "vlaps_takeover.steer");
+VLAPS_ASSERT(offsetof(vlaps_takeover, pedal) == 40, "vlaps_takeover.pedal");
+VLAPS_ASSERT(offsetof(vlaps_takeover, active) == 48, "vlaps_takeover.active");
+VLAPS_ASSERT(offsetof(vlaps_takeover, reserved) == 52, "vlaps_takeover.reserved");
+
+typedef struct vlaps_proposal {
+    double steer;
+    double pedal;
+    uint32_t present;
+    uint32_t reserved;
+} vlaps_proposal;
+VLAPS_ASSERT(sizeof(vlaps_proposal) == 24, "vlaps_proposal");
+VLAPS_ASSERT(offsetof(vlaps_proposal, steer) == 0, "vlaps_proposal.steer");
+VLAPS_ASSERT(offsetof(vlaps_proposal, pedal) == 8, "vlaps_proposal.pedal");
+VLAPS_ASSERT(offsetof(vlaps_proposal, present) == 16, "vlaps_proposal.present");
+VLAPS_ASSERT(offsetof(vlaps_proposal, reserved) == 20, "vlaps_proposal.reserved");
+
+typedef struct vlaps_assessment {
+    double clearance_m;
+    double safe_s;
+    double edge_m;
+    double progress_m;
+    uint32_t verdict;
+    uint32_t veto;
+} vlaps_assessment;
+VLAPS_ASSERT(sizeof(vlaps_assessment) == 40, "vlaps_assessment");
+VLAPS_ASSERT(offsetof(vlaps_assessment, clearance_m) == 0, "vlaps_assessment.clearance_m");
+VLAPS_ASSERT(offsetof(vlaps_assessment, safe_s) == 8, "vlaps_assessment.safe_s");
+VLAPS_ASSERT(offsetof(vlaps_assessment, edge_m) == 16, "vlaps_assessment.edge_m");
+VLAPS_ASSERT(offsetof(vlaps_assessment, progress_m) == 24, "vlaps_assessment.progress_m");
+VLAPS_ASSERT(offsetof(vlaps_assessment, verdict) == 32, "vlaps_assessment.verdict");
+VLAPS_ASSERT(offsetof(vlaps_assessment, veto) == 36, "vlaps_assessment.veto");
+
+typedef struct vlaps_shadow_proposal {
+    vlaps_proposal proposal;
+    vlaps_assessment assessment;
+    uint64_t weights_version;
+    uint64_t weights_hash;
+} vlaps_shadow_proposal;
+VLAPS_ASSERT(sizeof(vlaps_shadow_proposal) == 80, "vlaps_shadow_proposal");
+VLAPS_ASSERT(offsetof(vlaps_shadow_proposal, proposal) == 0, "vlaps_shadow_proposal.proposal");
+VLAPS_ASSERT(offsetof(vlaps_shadow_proposal, assessment) == 24, "vlaps_shadow_proposal.assessment");
+VLAPS_ASSERT(offsetof(vlaps_shadow_proposal, weights_version) == 64, "vlaps_shadow_proposal.weights_version");
+VLAPS_ASSERT(offsetof(vlaps_shadow_proposal, weights_hash) == 72, "vlaps_shadow_proposal.weights_hash");
+
+typedef struct vlaps_timings {
+    uint64_t scheduled_ns;
+    uint64_t released_ns;
+    uint64_t started_ns;
+    uint64_t planned_ns;
+    uint64_t decided_ns;
+    uint64_t commanded_ns;
+} vlaps_timings;
+VLAPS_ASSERT(sizeof(vlaps_timings) == 48, "vlaps_timings");
+VLAPS_ASSERT(offsetof(vlaps_timings, scheduled_ns) == 0, "vlaps_timings.scheduled_ns");
+VLAPS_ASSERT(offsetof(vlaps_timings, released_ns) == 8, "vlaps_timings.released_ns");
+VLAPS_ASSERT(offsetof(vlaps_timings, started_ns) == 16, "vlaps_timings.started_ns");
+VLAPS_ASSERT(offsetof(vlaps_timings, planned_ns) == 24, "vlaps_timings.planned_ns");
+VLAPS_ASSERT(offsetof(vlaps_timings, decided_ns) == 32, "vlaps_timings.decided_ns");
+VLAPS_ASSERT(offsetof(vlaps_timings, commanded_ns) == 40, "vlaps_timings.commanded_ns");
+
+typedef struct vlaps_step {
+    vlaps_header header;
+    vlaps_before before;
+    vlaps_entry observation_entry;
+    vlaps_entry plan_entry;
+    vlaps_entry advice_entry;
+    vlaps_entry takeover_entry;
+    vlaps_observation observation;
+    vlaps_plan plan;
+    vlaps_advice advice;
+    vlaps_takeover takeover;
+    vlaps_proposal expert;
+    vlaps_proposal policy;
+    vlaps_assessment expert_assessment;
+    vlaps_assessment policy_assessment;
+    vlaps_shadow_proposal shadow;
+    vlaps_command command;
+    vlaps_timings timings;
+    uint64_t observation_age_ns;
+    uint64_t plan_age_ns;
+    uint64_t advice_age_ns;
+    uint64_t weights_version;
+    uint64_t weights_hash;
+    uint64_t skipped;
+    uint64_t refused;
+    uint64_t refused_at_ports;
+    uint32_t intent;
+    uint32_t stage;
+    uint32_t takeover_used;
+    uint32_t lateness;
+} vlaps_step;
+VLAPS_ASSERT(sizeof(vlaps_step) == 11392, "vlaps_step");
+VLAPS_ASSERT(offsetof(vlaps_step, header) == 0, "vlaps_step.header");
+VLAPS_ASSERT(offsetof(vlaps_step, before) == 32, "vlaps_step.before");
+VLAPS_ASSERT(offsetof(vlaps_step, observation_entry) == 136, "vlaps_step.observation_entry");
+VLAPS_ASSERT(offsetof(vlaps_step, plan_entry) == 152, "vlaps_step.plan_entry");
+VLAPS_ASSERT(offsetof(vlaps_step, advice_entry) == 168, "vlaps_step.advice_entry");
+VLAPS_ASSERT(offsetof(vlaps_step, takeover_entry) == 184, "vlaps_step.takeover_entry");
+VLAPS_ASSERT(offsetof(vlaps_step, observation) == 200, "vlaps_step.observation");
+VLAPS_ASSERT(offsetof(vlaps_step, plan) == 8664, "vlaps_step.plan");
+VLAPS_ASSERT(offsetof(vlaps_step, advice) == 10832, "vlaps_step.advice");
+VLAPS_ASSERT(offsetof(vlaps_step, takeover) == 10944, "vlaps_step.takeover");
+VLAPS_ASSERT(offsetof(vlaps_step, expert) == 11000, "vlaps_step.expert");
+VLAPS_ASSERT(offsetof(vlaps_step, policy) == 11024, "vlaps_step.policy");
+VLAPS_ASSERT(offsetof(vlaps_step, expert_assessment) == 11048, "vlaps_step.expert_assessment");
+VLAPS_ASSERT(offsetof(vlaps_step, policy_assessment) == 11088, "vlaps_step.policy_assessment");
+VLAPS_ASSERT(offsetof(vlaps_step, shadow) == 11128, "vlaps_step.shadow");
+VLAPS_ASSERT(offsetof(vlaps_step, command) == 11208, "vlaps_step.command");
+VLAPS_ASSERT(offsetof(vlaps_step, timings) == 11264, "vlaps_step.timings");
+VLAPS_ASSERT(offsetof(vlaps_step, observation_age_ns) == 11312, "vlaps_step.observation_age_ns");
+VLAPS_ASSERT(offsetof(vlaps_step, plan_age_ns) == 11320, "vlaps_step.plan_age_ns");
+VLAPS_ASSERT(offsetof(vlaps_step, advice_age_ns) == 11328, "vlaps_step.advice_age_ns");
+VLAPS_ASSERT(offsetof(vlaps_step, weights_version) == 11336, "vlaps_step.weights_version");
+VLAPS_ASSERT(offsetof(vlaps_step, weights_hash) == 11344, "vlaps_step.weights_hash");
+VLAPS_ASSERT(offsetof(vlaps_step, skipped) == 11352, "vlaps_step.skipped");
+VLAPS_ASSERT(offsetof(vlaps_step, refused) == 11360, "vlaps_step.refused");
+VLAPS_ASSERT(offsetof(vlaps_step, refused_at_ports) == 11368, "vlaps_step.refused_at_ports");
+VLAPS_ASSERT(offsetof(vlaps_step, intent) == 11376, "vlaps_step.intent");
+VLAPS_ASSERT(offsetof(vlaps_step, stage) == 11380, "vlaps_step.stage");
+VLAPS_ASSERT(offsetof(vlaps_step, takeover_used) == 11384, "vlaps_step.takeover_used");
+VLAPS_ASSERT(offsetof(vlaps_step, lateness) == 11388, "vlaps_step.lateness");
+
+typedef struct vlaps_frame_request {
+    vlaps_header header;
+    vlaps_proposal proposals[2];
+    uint32_t view;
+    uint32_t width;
+    uint32_t height;
+    uint32_t reserved;
+} vlaps_frame_request;
+VLAPS_ASSERT(sizeof(vlaps_frame_request) == 96, "vlaps_frame_request");
+VLAPS_ASSERT(offsetof(vlaps_frame_request, header) == 0, "vlaps_frame_request.header");
+VLAPS_ASSERT(offsetof(vlaps_frame_request, proposals) == 32, "vlaps_frame_request.proposals");
+VLAPS_ASSERT(offsetof(vlaps_frame_request, view) == 80, "vlaps_frame_request.view");
+VLAPS_ASSERT(offsetof(vlaps_frame_request, width) == 84, "vlaps_frame_request.width");
+VLAPS_ASSERT(offsetof(vlaps_frame_request, height) == 88, "vlaps_frame_request.height");
+VLAPS_ASSERT(offsetof(vlaps_frame_request, reserved) == 92, "vlaps_frame_request.reserved");
+
+typedef struct vlaps_camera {
+    double pixel_from_body[12];
+    double position_body_m[3];
+    double near_m;
+    uint32_t view;
+    uint32_t orthographic;
+} vlaps_camera;
+VLAPS_ASSERT(sizeof(vlaps_camera) == 136, "vlaps_camera");
+VLAPS_ASSERT(offsetof(vlaps_camera, pixel_from_body) == 0, "vlaps_camera.pixel_from_body");
+VLAPS_ASSERT(offsetof(vlaps_camera, position_body_m) == 96, "vlaps_camera.position_body_m");
+VLAPS_ASSERT(offsetof(vlaps_camera, near_m) == 120, "vlaps_camera.near_m");
+VLAPS_ASSERT(offsetof(vlaps_camera, view) == 128, "vlaps_camera.view");
+VLAPS_ASSERT(offsetof(vlaps_camera, orthographic) == 132, "vlaps_camera.orthographic");
+
+typedef struct vlaps_frame {
+    vlaps_header header;
+    vlaps_camera camera;
+    uint32_t width;
+    uint32_t height;
+    uint32_t format;
+    uint32_t reserved;
+    uint8_t pixels[2073600];
+    uint64_t end;
+} vlaps_frame;
+VLAPS_ASSERT(sizeof(vlaps_frame) == 2073792, "vlaps_frame");
+VLAPS_ASSERT(offsetof(vlaps_frame, header) == 0, "vlaps_frame.header");
+VLAPS_ASSERT(offsetof(vlaps_frame, camera) == 32, "vlaps_frame.camera");
+VLAPS_ASSERT(offsetof(vlaps_frame, width) == 168, "vlaps_frame.width");
+VLAPS_ASSERT(offsetof(vlaps_frame, height) == 172, "vlaps_frame.height");
+VLAPS_ASSERT(offsetof(vlaps_frame, format) == 176, "vlaps_frame.format");
+VLAPS_ASSERT(offsetof(vlaps_frame, reserved) == 180, "vlaps_frame.reserved");
+VLAPS_ASSERT(offsetof(vlaps_frame, pixels) == 184, "vlaps_frame.pixels");
+VLAPS_ASSERT(offsetof(vlaps_frame, end) == 2073784, "vlaps_frame.end");
+
+typedef struct vlaps_outlook {
+    double contact_s;
+    double out_s;
+    double completion;
+} vlaps_outlook;
+VLAPS_ASSERT(sizeof(vlaps_outlook) == 24, "vlaps_outlook");
+VLAPS_ASSERT(offsetof(vlaps_outlook, contact_s) == 0, "vlaps_outlook.contact_s");
+VLAPS_ASSERT(offsetof(vlaps_outlook, out_s) == 8, "vlaps_outlook.out_s");
+VLAPS_ASSERT(offsetof(vlaps_outlook, completion) == 16, "vlaps_outlook.completion");
+
+typedef struct vlaps_foresight {
+    vlaps_header header;
+    double horizon_s;
+    vlaps_outlook outlooks[2];
+} vlaps_foresight;
+VLAPS_ASSERT(sizeof(vlaps_foresight) == 88, "vlaps_foresight");
+VLAPS_ASSERT(offsetof(vlaps_foresight, header) == 0, "vlaps_foresight.header");
+VLAPS_ASSERT(offsetof(vlaps_foresight, horizon_s) == 32, "vlaps_foresight.horizon_s");
+VLAPS_ASSERT(offsetof(vlaps_foresight, outlooks) == 40, "vlaps_foresight.outlooks");
+
+typedef struct vlaps_weights {
+    vlaps_header header;
+    uint64_t version;
+    uint64_t byte_count;
+    uint8_t sha256[32];
+    uint8_t bytes[8388608];
+    uint64_t end;
+} vlaps_weights;
+VLAPS_ASSERT(sizeof(vlaps_weights) == 8388696, "vlaps_weights");
+VLAPS_ASSERT(offsetof(vlaps_weights, header) == 0, "vlaps_weights.header");
+VLAPS_ASSERT(offsetof(vlaps_weights, version) == 32, "vlaps_weights.version");
+VLAPS_ASSERT(offsetof(vlaps_weights, byte_count) == 40, "vlaps_weights.byte_count");
+VLAPS_ASSERT(offsetof(vlaps_weights, sha256) == 48, "vlaps_weights.sha256");
+VLAPS_ASSERT(offsetof(vlaps_weights, bytes) == 80, "vlaps_weights.bytes");
+VLAPS_ASSERT(offsetof(vlaps_weights, end) == 8388688, "vlaps_weights.end");
+
+typedef struct vlaps_learning {
+    vlaps_header header;
+    uint64_t steps;
+    uint64_t version;
+    uint64_t block_steps;
+} vlaps_learning;
+VLAPS_ASSERT(sizeof(vlaps_learning) == 56, "vlaps_learning");
+VLAPS_ASSERT(offsetof(vlaps_learning, header) == 0, "vlaps_learning.header");
+VLAPS_ASSERT(offsetof(vlaps_learning, steps) == 32, "vlaps_learning.steps");
+VLAPS_ASSERT(offsetof(vlaps_learning, version) == 40, "vlaps_learning.version");
+VLAPS_ASSERT(offsetof(vlaps_learning, block_steps) == 48, "vlaps_learning.block_steps");
+
+typedef struct vlaps_policy_status {
+    vlaps_header header;
+    uint64_t version;
+    uint64_t hash;
+    uint64_t offered_version;
+    uint64_t offered_hash;
+    uint64_t adopted_tick;
+    uint64_t unkept;
+    uint32_t state;
+    uint32_t refusal_bytes;
+    uint8_t refusal[248];
+} vlaps_policy_status;
+VLAPS_ASSERT(sizeof(vlaps_policy_status) == 336, "vlaps_policy_status");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, header) == 0, "vlaps_policy_status.header");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, version) == 32, "vlaps_policy_status.version");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, hash) == 40, "vlaps_policy_status.hash");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, offered_version) == 48, "vlaps_policy_status.offered_version");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, offered_hash) == 56, "vlaps_policy_status.offered_hash");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, adopted_tick) == 64, "vlaps_policy_status.adopted_tick");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, unkept) == 72, "vlaps_policy_status.unkept");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, state) == 80, "vlaps_policy_status.state");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, refusal_bytes) == 84, "vlaps_policy_status.refusal_bytes");
+VLAPS_ASSERT(offsetof(vlaps_policy_status, refusal) == 88, "vlaps_policy_status.refusal");
+
+typedef struct vlaps_progress {
+    vlaps_header header;
+    uint64_t seed;
+    double completion;
+    double route_m;
+    double speed_mps;
+    uint64_t episode_ticks;
+    uint64_t vehicle_contacts;
+    uint64_t object_contacts;
+    uint64_t braked;
+    uint64_t command_age_max_ns;
+    uint64_t skipped;
+    uint32_t outcome;
+    uint32_t reserved;
+} vlaps_progress;
+VLAPS_ASSERT(sizeof(vlaps_progress) == 120, "vlaps_progress");
+VLAPS_ASSERT(offsetof(vlaps_progress, header) == 0, "vlaps_progress.header");
+VLAPS_ASSERT(offsetof(vlaps_progress, seed) == 32, "vlaps_progress.seed");
+VLAPS_ASSERT(offsetof(vlaps_progress, completion) == 40, "vlaps_progress.completion");
+VLAPS_ASSERT(offsetof(vlaps_progress, route_m) == 48, "vlaps_progress.route_m");
+VLAPS_ASSERT(offsetof(vlaps_progress, speed_mps) == 56, "vlaps_progress.speed_mps");
+VLAPS_ASSERT(offsetof(vlaps_progress, episode_ticks) == 64, "vlaps_progress.episode_ticks");
+VLAPS_ASSERT(offsetof(vlaps_progress, vehicle_contacts) == 72, "vlaps_progress.vehicle_contacts");
+VLAPS_ASSERT(offsetof(vlaps_progress, object_contacts) == 80, "vlaps_progress.object_contacts");
+VLAPS_ASSERT(offsetof(vlaps_progress, braked) == 88, "vlaps_progress.braked");
+VLAPS_ASSERT(offsetof(vlaps_progress, command_age_max_ns) == 96, "vlaps_progress.command_age_max_ns");
+VLAPS_ASSERT(offsetof(vlaps_progress, skipped) == 104, "vlaps_progress.skipped");
+VLAPS_ASSERT(offsetof(vlaps_progress, outcome) == 112, "vlaps_progress.outcome");
+VLAPS_ASSERT(offsetof(vlaps_progress, reserved) == 116, "vlaps_progress.reserved");
+
+typedef struct vlaps_episode {
+    vlaps_header header;
+    uint64_t seed;
+    uint64_t ticks;
+    double completion;
+    double driven_m;
+    uint64_t vehicle_contacts;
+    uint64_t object_contacts;
+    uint64_t braked;
+    uint32_t outcome;
+    uint32_t crash_last_step;
+    uint8_t command_digest[32];
+    uint64_t skipped;
+} vlaps_episode;
+VLAPS_ASSERT(sizeof(vlaps_episode) == 136, "vlaps_episode");
+VLAPS_ASSERT(offsetof(vlaps_episode, header) == 0, "vlaps_episode.header");
+VLAPS_ASSERT(offsetof(vlaps_episode, seed) == 32, "vlaps_episode.seed");
+VLAPS_ASSERT(offsetof(vlaps_episode, ticks) == 40, "vlaps_episode.ticks");
+VLAPS_ASSERT(offsetof(vlaps_episode, completion) == 48, "vlaps_episode.completion");
+VLAPS_ASSERT(offsetof(vlaps_episode, driven_m) == 56, "vlaps_episode.driven_m");
+VLAPS_ASSERT(offsetof(vlaps_episode, vehicle_contacts) == 64, "vlaps_episode.vehicle_contacts");
+VLAPS_ASSERT(offsetof(vlaps_episode, object_contacts) == 72, "vlaps_episode.object_contacts");
+VLAPS_ASSERT(offsetof(vlaps_episode, braked) == 80, "vlaps_episode.braked");
+VLAPS_ASSERT(offsetof(vlaps_episode, outcome) == 88, "vlaps_episode.outcome");
+VLAPS_ASSERT(offsetof(vlaps_episode, crash_last_step) == 92, "vlaps_episode.crash_last_step");
+VLAPS_ASSERT(offsetof(vlaps_episode, command_digest) == 96, "vlaps_episode.command_digest");
+VLAPS_ASSERT(offsetof(vlaps_episode, skipped) == 128, "vlaps_episode.skipped");
+
+typedef struct vlaps_health {
+    vlaps_header header;
+    uint64_t ticks;
+    uint64_t skipped;
+    uint64_t late;
+    uint64_t refused[6];
+    uint64_t lost;
+    uint64_t first_scheduled_ns;
+    uint64_t next_scheduled_ns;
+    uint64_t minor_faults;
+    uint64_t major_faults;
+    uint64_t involuntary_switches;
+    uint64_t overruns[8];
+    uint32_t state;
+    uint32_t priority;
+    uint32_t core;
+    uint32_t memory;
+    uint32_t priority_asked;
+    uint32_t priority_got;
+    uint32_t scheduling_asked;
+    uint32_t scheduling_got;
+    uint32_t foreign_pid;
+    uint32_t foreign_as;
+} vlaps_health;
+VLAPS_ASSERT(sizeof(vlaps_health) == 256, "vlaps_health");
+VLAPS_ASSERT(offsetof(vlaps_health, header) == 0, "vlaps_health.header");
+VLAPS_ASSERT(offsetof(vlaps_health, ticks) == 32, "vlaps_health.ticks");
+VLAPS_ASSERT(offsetof(vlaps_health, skipped) == 40, "vlaps_health.skipped");
+VLAPS_ASSERT(offsetof(vlaps_health, late) == 48, "vlaps_health.late");
+VLAPS_ASSERT(offsetof(vlaps_health, refused) == 56, "vlaps_health.refused");
+VLAPS_ASSERT(offsetof(vlaps_health, lost) == 104, "vlaps_health.lost");
+VLAPS_ASSERT(offsetof(vlaps_health, first_scheduled_ns) == 112, "vlaps_health.first_scheduled_ns");
+VLAPS_ASSERT(offsetof(vlaps_health, next_scheduled_ns) == 120, "vlaps_health.next_scheduled_ns");
+VLAPS_ASSERT(offsetof(vlaps_health, minor_faults) == 128, "vlaps_health.minor_faults");
+VLAPS_ASSERT(offsetof(vlaps_health, major_faults) == 136, "vlaps_health.major_faults");
+VLAPS_ASSERT(offsetof(vlaps_health, involuntary_switches) == 144, "vlaps_health.involuntary_switches");
+VLAPS_ASSERT(offsetof(vlaps_health, overruns) == 152, "vlaps_health.overruns");
+VLAPS_ASSERT(offsetof(vlaps_health, state) == 216, "vlaps_health.state");
+VLAPS_ASSERT(offsetof(vlaps_health, priority) == 220, "vlaps_health.priority");
+VLAPS_ASSERT(offsetof(vlaps_health, core) == 224, "vlaps_health.core");
+VLAPS_ASSERT(offsetof(vlaps_health, memory) == 228, "vlaps_health.memory");
+VLAPS_ASSERT(offsetof(vlaps_health, priority_asked) == 232, "vlaps_health.priority_asked");
+VLAPS_ASSERT(offsetof(vlaps_health, priority_got) == 236, "vlaps_health.priority_got");
+VLAPS_ASSERT(offsetof(vlaps_health, scheduling_asked) == 240, "vlaps_health.scheduling_asked");
+VLAPS_ASSERT(offsetof(vlaps_health, scheduling_got) == 244, "vlaps_health.scheduling_got");
+VLAPS_ASSERT(offsetof(vlaps_health, foreign_pid) == 248, "vlaps_health.foreign_pid");
+VLAPS_ASSERT(offsetof(vlaps_health, foreign_as) == 252, "vlaps_health.foreign_as");
+
+typedef struct vlaps_histogram {
+    uint64_t max_ns;
+    uint64_t count;
+    uint32_t buckets[2816];
+} vlaps_histogram;
+VLAPS_ASSERT(sizeof(vlaps_histogram) == 11280, "vlaps_histogram");
+VLAPS_ASSERT(offsetof(vlaps_histogram, max_ns) == 0, "vlaps_histogram.max_ns");
+VLAPS_ASSERT(offsetof(vlaps_histogram, count) == 8, "vlaps_histogram.count");
+VLAPS_ASSERT(offsetof(vlaps_histogram, buckets) == 16, "vlaps_histogram.buckets");
+
+typedef struct vlaps_late_tick {
+    uint64_t tick;
+    uint64_t late_ns;
+    uint64_t part_ns;
+    uint64_t skipped;
+    uint32_t part;
+    uint32_t reserved;
+} vlaps_late_tick;
+VLAPS_ASSERT(sizeof(vlaps_late_tick) == 40, "vlaps_late_tick");
+VLAPS_ASSERT(offsetof(vlaps_late_tick, tick) == 0, "vlaps_late_tick.tick");
+VLAPS_ASSERT(offsetof(vlaps_late_tick, late_ns) == 8, "vlaps_late_tick.late_ns");
+VLAPS_ASSERT(offsetof(vlaps_late_tick, part_ns) == 16, "vlaps_late_tick.part_ns");
+VLAPS_ASSERT(offsetof(vlaps_late_tick, skipped) == 24, "vlaps_late_tick.skipped");
+VLAPS_ASSERT(offsetof(vlaps_late_tick, part) == 32, "vlaps_late_tick.part");
+VLAPS_ASSERT(offsetof(vlaps_late_tick, reserved) == 36, "vlaps_late_tick.reserved");
+
+typedef struct vlaps_timing {
+    vlaps_header header;
+    vlaps_histogram release_lateness;
+    vlaps_histogram wake_up;
+    vlaps_histogram execution;
+    vlaps_histogram response;
+    vlaps_histogram observation_age;
+    vlaps_histogram plan_age;
+    vlaps_histogram advice_age;
+    uint64_t late_count;
+    vlaps_late_tick late[20];
+} vlaps_timing;
+VLAPS_ASSERT(sizeof(vlaps_timing) == 79800, "vlaps_timing");
+VLAPS_ASSERT(offsetof(vlaps_timing, header) == 0, "vlaps_timing.header");
+VLAPS_ASSERT(offsetof(vlaps_timing, release_lateness) == 32, "vlaps_timing.release_lateness");
+VLAPS_ASSERT(offsetof(vlaps_timing, wake_up) == 11312, "vlaps_timing.wake_up");
+VLAPS_ASSERT(offsetof(vlaps_timing, execution) == 22592, "vlaps_timing.execution");
+VLAPS_ASSERT(offsetof(vlaps_timing, response) == 33872, "vlaps_timing.response");
+VLAPS_ASSERT(offsetof(vlaps_timing, observation_age) == 45152, "vlaps_timing.observation_age");
+VLAPS_ASSERT(offsetof(vlaps_timing, plan_age) == 56432, "vlaps_timing.plan_age");
+VLAPS_ASSERT(offsetof(vlaps_timing, advice_age) == 67712, "vlaps_timing.advice_age");
+VLAPS_ASSERT(offsetof(vlaps_timing, late_count) == 78992, "vlaps_timing.late_count");
+VLAPS_ASSERT(offsetof(vlaps_timing, late) == 79000, "vlaps_timing.late");
+
+typedef struct vlaps_roster {
+    vlaps_header header;
+    uint32_t pids[8];
+} vlaps_roster;
+VLAPS_ASSERT(sizeof(vlaps_roster) == 64, "vlaps_roster");
+VLAPS_ASSERT(offsetof(vlaps_roster, header) == 0, "vlaps_roster.header");
+VLAPS_ASSERT(offsetof(vlaps_roster, pids) == 32, "vlaps_roster.pids");
+
+typedef struct vlaps_kept {
+    vlaps_header header;
+} vlaps_kept;
+VLAPS_ASSERT(sizeof(vlaps_kept) == 32, "vlaps_kept");
+VLAPS_ASSERT(offsetof(vlaps_kept, header) == 0, "vlaps_kept.header");
+
+typedef struct vlaps_fault {
+    vlaps_header header;
+    uint64_t duration_ns;
+    uint32_t target;
+    uint32_t kind;
+} vlaps_fault;
+VLAPS_ASSERT(sizeof(vlaps_fault) == 48, "vlaps_fault");
+VLAPS_ASSERT(offsetof(vlaps_fault, header) == 0, "vlaps_fault.header");
+VLAPS_ASSERT(offsetof(vlaps_fault, duration_ns) == 32, "vlaps_fault.duration_ns");
+VLAPS_ASSERT(offsetof(vlaps_fault, target) == 40, "vlaps_fault.target");
+VLAPS_ASSERT(offsetof(vlaps_fault, kind) == 44, "vlaps_fault.kind");
+
+typedef struct vlaps_tick {
+    uint64_t tick;
+    uint64_t seed;
+    uint64_t scheduled_ns;
+    uint64_t released_ns;
+    uint64_t taken_ns;
+    uint64_t missed;
+    double step_s;
+    double steer;
+    double pedal;
+    uint32_t episode;
+    uint32_t begins;
+    uint32_t braked;
+    uint32_t reserved;
+} vlaps_tick;
+VLAPS_ASSERT(sizeof(vlaps_tick) == 88, "vlaps_tick");
+VLAPS_ASSERT(offsetof(vlaps_tick, tick) == 0, "vlaps_tick.tick");
+VLAPS_ASSERT(offsetof(vlaps_tick, seed) == 8, "vlaps_tick.seed");
+VLAPS_ASSERT(offsetof(vlaps_tick, scheduled_ns) == 16, "vlaps_tick.scheduled_ns");
+VLAPS_ASSERT(offsetof(vlaps_tick, released_ns) == 24, "vlaps_tick.released_ns");
+VLAPS_ASSERT(offsetof(vlaps_tick, taken_ns) == 32, "vlaps_tick.taken_ns");
+VLAPS_ASSERT(offsetof(vlaps_tick, missed) == 40, "vlaps_tick.missed");
+VLAPS_ASSERT(offsetof(vlaps_tick, step_s) == 48, "vlaps_tick.step_s");
+VLAPS_ASSERT(offsetof(vlaps_tick, steer) == 56, "vlaps_tick.steer");
+VLAPS_ASSERT(offsetof(vlaps_tick, pedal) == 64, "vlaps_tick.pedal");
+VLAPS_ASSERT(offsetof(vlaps_tick, episode) == 72, "vlaps_tick.episode");
+VLAPS_ASSERT(offsetof(vlaps_tick, begins) == 76, "vlaps_tick.begins");
+VLAPS_ASSERT(offsetof(vlaps_tick, braked) == 80, "vlaps_tick.braked");
+VLAPS_ASSERT(offsetof(vlaps_tick, reserved) == 84, "vlaps_tick.reserved");
+
+/* Why the last call of this thread failed: one line, valid until the next call. */
+const char *vlaps_last_error(void);
+
+/* The layout hash of the library. */
+uint64_t vlaps_layout(void);
+
+/* All messages, lists and services as JSON, for bindings of other languages. */
+const char *vlaps_describe(void);
+
+/* Joins the run as "world", "planner", "controller", "gate", "learner" or "recorder".
+ * The arguments are those with which the supervisor started this program. Call it first
+ * in main; from then on SIGTERM and SIGINT are a request to stop, and the process ends
+ * with its supervisor. */
+int vlaps_join_as(uint64_t layout, const char *process, int argc, const char *const *argv);
+
+static inline int vlaps_join(const char *process, int argc, char **argv) {
+    return vlaps_join_as(VLAPS_LAYOUT, process, argc, (const char *const *)argv);
+}
+
+/* Leaves the run. Without it the supervisor removes what the process held. */
+int vlaps_leave(void);
+
+/* Opens a port of a service: VLAPS_NEWEST, VLAPS_EVERY or VLAPS_WRITE. Returns its
+ * number. The service's row has to name the process for this use. */
+int vlaps_open(const char *service, uint32_t use);
+int vlaps_close(int port);
+
+/* Copies the newest message, or the next one of a queue, that passed its check.
+ * VLAPS_OK when there was one, else VLAPS_NONE. */
+int vlaps_newest(int port, void *message, size_t bytes);
+int vlaps_next(int port, void *message, size_t bytes);
+
+/* Checks a message and sends it. VLAPS_REFUSED when the check fails: vlaps_last_error
+ * names the field, and nothing is sent. */
+int vlaps_publish(int port, const void *message, size_t bytes);
+
+/* The check alone. */
+int vlaps_admit(const char *service, const void *message, size_t bytes);
+
+/* Sleeps until a message wakes this process, at most limit_ns and 20 ms; publishes
+ * health and timing, and connects to new peers. VLAPS_ENDED when the process has to
+ * exit. Call it at least once in a second. */
+int vlaps_wait(uint64_t limit_ns);
+
+/* The process id of a process of the run; 0 while the roster names none. */
+int64_t vlaps_pid_of(const char *process);
+
+/* The machine's monotonic clock, ns; 0 before the process has joined. */
+uint64_t vlaps_now_ns(void);
+
+/* 1 in lockstep, where the run's clock is simulated, else 0. */
+int vlaps_is_lockstep(void);
+
+/* A number of the run's configuration, such as "scanner.range_m"; true is 1. */
+int vlaps_setting(const char *key, double *number);
+
+/* The loop of a world: its grid, the age limit of commands, the brake, the episodes.
+ * vlaps_await_tick waits for the next instant; VLAPS_ENDED: exit with 0. The answer to
+ * each is vlaps_finish_tick; headers, instants and counts are filled in. An outcome of
+ * the progress other than VLAPS_OUTCOME_DRIVING ends the episode. */
+int vlaps_await_tick(vlaps_tick *tick);
+int vlaps_finish_tick(const vlaps_observation *observation, const vlaps_progress *progress);
+
+/* The loop of a planner: waits for the next observation of a planner's turn;
+ * VLAPS_ENDED: exit with 0. The answer to each is vlaps_answer; header, origin and times
+ * are filled in. */
+int vlaps_await_observation(vlaps_observation *observation);
+int vlaps_answer(const vlaps_plan *plan);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
