@@ -1,5 +1,5 @@
 """The check of commands: content, age, episode. The mirror of `admit` and
-`admit_answer` in `sim/src/main.rs`.
+`admit_answer` in `robot/src/door.rs`.
 
 Both return the RefusalKind of a command that is refused, None for one that is admitted.
 """

@@ -32,8 +32,8 @@ class ExperimentEnv(SafeMetaDriveEnv):
         return super()._is_out_of_road(vehicle) or vehicle.crash_sidewalk
 
 
-def environment_config(world):
-    """The experiment's configuration; `world` is that section of the run's."""
+def environment_config(world, scanner):
+    """The experiment's configuration; `world` and `scanner` are those sections of the run's."""
     sequence = world["sequence"]
     return {
         "start_seed": 0,
@@ -57,7 +57,7 @@ def environment_config(world):
         "crash_object_done": False,
         "out_of_route_done": True,
         "vehicle_config": {
-            "lidar": {"num_lasers": world["beams"], "distance": world["lidar_m"], "num_others": 0}
+            "lidar": {"num_lasers": scanner["beams"], "distance": scanner["range_m"], "num_others": 0}
         },
         "use_render": False,
         "image_observation": False,
@@ -68,10 +68,10 @@ def environment_config(world):
 class World:
     """One episode after the other of the real simulator."""
 
-    def __init__(self, world):
-        self._lidar_m = world["lidar_m"]
-        self._beams = world["beams"]
-        self.env = ExperimentEnv(environment_config(world))
+    def __init__(self, world, scanner):
+        self._lidar_m = scanner["range_m"]
+        self._beams = scanner["beams"]
+        self.env = ExperimentEnv(environment_config(world, scanner))
         self.ticks = 0
         self.driven_m = 0.0
         # The simulator's own observation, for the test that compares.
@@ -133,6 +133,7 @@ class World:
         _fill_checkpoint(observation.checkpoints[1], vehicle, following[0] if following else this)
         observation.lidar_max_m = self._lidar_m
         observation.beam_count = self._beams
+        observation.field_of_view_rad = math.tau
         fractions = self.env.observations[DEFAULT_AGENT].cloud_points
         ranges_m = np.minimum(np.asarray(fractions) * self._lidar_m, self._lidar_m)
         ranges_m = ranges_m.astype(np.float32)
@@ -168,6 +169,7 @@ def _fill_road(road, vehicle):
     road.heading_rad = math.remainder(heading_rad, math.tau)
     # The simulator counts to the right of a lane.
     road.offset_m = -vehicle.lane.local_coordinates(vehicle.position)[1]
+    road.lane_width_m = vehicle.navigation.get_current_lane_width()
 
 
 def _fill_checkpoint(checkpoint, vehicle, lane):

@@ -17,9 +17,8 @@ EXPERIMENT = {
     "traffic_density": 0.06,
     "accident_probability": 0.8,
     "horizon_ticks": 1500,
-    "beams": 240,
-    "lidar_m": 50.0,
 }
+SCANNER = {"beams": 240, "range_m": 50.0}
 # A picture that is only asked for by name.
 TEXTURE = "textures/grass1/GroundGrassGreen002_COL_1K.jpg"
 
@@ -48,7 +47,7 @@ def main():
     from environment import World
     from score import BRAKE
 
-    world = World(EXPERIMENT)
+    world = World(EXPERIMENT, SCANNER)
     world.reset(0)
     world.step(BRAKE)
     observation = layout.Observation()

@@ -10,7 +10,7 @@ import random
 
 import wire_layout as layout
 from environment import World
-from prepare import EXPERIMENT
+from prepare import EXPERIMENT, SCANNER
 
 
 def drive(observation, wobble):
@@ -58,7 +58,7 @@ def main():
     parser.add_argument("--ticks", type=int, required=True)
     parser.add_argument("--after", type=int, help="seed of an episode to drive before")
     arguments = parser.parse_args()
-    world = World(EXPERIMENT)
+    world = World(EXPERIMENT, SCANNER)
     if arguments.after is not None:
         episode(world, arguments.after, arguments.ticks, lambda line: None)
     episode(world, arguments.seed, arguments.ticks, print)

@@ -179,7 +179,7 @@ class Wire:
                 self._node.service_builder(iceoryx2.ServiceName.new(service.name))
                 .publish_subscribe(service.message)
                 .enable_safe_overflow(True)
-                .subscriber_max_buffer_size(service.depth)
+                .subscriber_max_buffer_size(service.most)
                 .subscriber_max_borrowed_samples(1)
                 .history_size(service.history)
                 .max_publishers(layout.PUBLISHERS_MAX)

@@ -50,7 +50,8 @@ class Process:
     CONTROLLER = 3
     GATE = 4
     LEARNER = 5
-    WORDS = {0: "supervisor", 1: "world", 2: "planner", 3: "controller", 4: "gate", 5: "learner"}
+    RECORDER = 6
+    WORDS = {0: "supervisor", 1: "world", 2: "planner", 3: "controller", 4: "gate", 5: "learner", 6: "recorder"}
 
 
 class HealthState:
@@ -151,7 +152,18 @@ class PixelFormat:
     WORDS = {0: "rgb8"}
 
 
-class Header(ctypes.Structure):
+class Struct(ctypes.Structure):
+    @classmethod
+    def type_name(cls):
+        return cls.__name__
+
+
+def check(message, size, offsets):
+    found = tuple(getattr(message, name).offset for name, _ in message._fields_)
+    assert (ctypes.sizeof(message), found) == (size, offsets), message
+
+
+class Header(Struct):
     LAYOUT = "364439007b1123b7"
     _fields_ = [
         ("tick", ctypes.c_uint64),
@@ -161,20 +173,11 @@ class Header(ctypes.Structure):
         ("producer", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Header"
+
+check(Header, 32, (0, 8, 16, 24, 28,))
 
 
-assert ctypes.sizeof(Header) == 32
-assert Header.tick.offset == 0
-assert Header.taken_ns.offset == 8
-assert Header.sequence.offset == 16
-assert Header.episode.offset == 24
-assert Header.producer.offset == 28
-
-
-class Ego(ctypes.Structure):
+class Ego(Struct):
     LAYOUT = "ea559b89d1b510fc"
     _fields_ = [
         ("x_world_m", ctypes.c_double),
@@ -186,43 +189,25 @@ class Ego(ctypes.Structure):
         ("pedal", ctypes.c_double),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Ego"
+
+check(Ego, 56, (0, 8, 16, 24, 32, 40, 48,))
 
 
-assert ctypes.sizeof(Ego) == 56
-assert Ego.x_world_m.offset == 0
-assert Ego.y_world_m.offset == 8
-assert Ego.heading_world_rad.offset == 16
-assert Ego.speed_mps.offset == 24
-assert Ego.yaw_rate_radps.offset == 32
-assert Ego.steer.offset == 40
-assert Ego.pedal.offset == 48
-
-
-class Road(ctypes.Structure):
-    LAYOUT = "ec258c3c42b9cd1f"
+class Road(Struct):
+    LAYOUT = "99dbc25832e1d4aa"
     _fields_ = [
         ("left_m", ctypes.c_double),
         ("right_m", ctypes.c_double),
         ("heading_rad", ctypes.c_double),
         ("offset_m", ctypes.c_double),
+        ("lane_width_m", ctypes.c_double),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Road"
+
+check(Road, 40, (0, 8, 16, 24, 32,))
 
 
-assert ctypes.sizeof(Road) == 32
-assert Road.left_m.offset == 0
-assert Road.right_m.offset == 8
-assert Road.heading_rad.offset == 16
-assert Road.offset_m.offset == 24
-
-
-class Checkpoint(ctypes.Structure):
+class Checkpoint(Struct):
     LAYOUT = "ba20014db975d1ca"
     _fields_ = [
         ("x_body_m", ctypes.c_double),
@@ -233,22 +218,12 @@ class Checkpoint(ctypes.Structure):
         ("reserved", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Checkpoint"
+
+check(Checkpoint, 40, (0, 8, 16, 24, 32, 36,))
 
 
-assert ctypes.sizeof(Checkpoint) == 40
-assert Checkpoint.x_body_m.offset == 0
-assert Checkpoint.y_body_m.offset == 8
-assert Checkpoint.bend_radius_m.offset == 16
-assert Checkpoint.bend_angle_rad.offset == 24
-assert Checkpoint.bend.offset == 32
-assert Checkpoint.reserved.offset == 36
-
-
-class Observation(ctypes.Structure):
-    LAYOUT = "2e0fc1570841e222"
+class Observation(Struct):
+    LAYOUT = "20bc3c93c1b4e7c6"
     _fields_ = [
         ("header", Header),
         ("scheduled_ns", ctypes.c_uint64),
@@ -259,28 +234,18 @@ class Observation(ctypes.Structure):
         ("checkpoints", Checkpoint * 2),
         ("lidar_max_m", ctypes.c_float),
         ("beam_count", ctypes.c_uint32),
-        ("ranges_m", ctypes.c_float * 512),
+        ("field_of_view_rad", ctypes.c_double),
+        ("scanner_heading_rad", ctypes.c_double),
+        ("scanner_x_body_m", ctypes.c_double),
+        ("scanner_y_body_m", ctypes.c_double),
+        ("ranges_m", ctypes.c_float * 2048),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Observation"
+
+check(Observation, 8464, (0, 32, 40, 48, 56, 112, 152, 232, 236, 240, 248, 256, 264, 272,))
 
 
-assert ctypes.sizeof(Observation) == 2280
-assert Observation.header.offset == 0
-assert Observation.scheduled_ns.offset == 32
-assert Observation.released_ns.offset == 40
-assert Observation.published_ns.offset == 48
-assert Observation.ego.offset == 56
-assert Observation.road.offset == 112
-assert Observation.checkpoints.offset == 144
-assert Observation.lidar_max_m.offset == 224
-assert Observation.beam_count.offset == 228
-assert Observation.ranges_m.offset == 232
-
-
-class Command(ctypes.Structure):
+class Command(Struct):
     LAYOUT = "a5ef2e32c43c5dac"
     _fields_ = [
         ("header", Header),
@@ -290,20 +255,11 @@ class Command(ctypes.Structure):
         ("reason", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Command"
+
+check(Command, 56, (0, 32, 40, 48, 52,))
 
 
-assert ctypes.sizeof(Command) == 56
-assert Command.header.offset == 0
-assert Command.steer.offset == 32
-assert Command.pedal.offset == 40
-assert Command.driver.offset == 48
-assert Command.reason.offset == 52
-
-
-class Progress(ctypes.Structure):
+class Progress(Struct):
     LAYOUT = "ac29910c7e570174"
     _fields_ = [
         ("header", Header),
@@ -321,28 +277,11 @@ class Progress(ctypes.Structure):
         ("reserved", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Progress"
+
+check(Progress, 120, (0, 32, 40, 48, 56, 64, 72, 80, 88, 96, 104, 112, 116,))
 
 
-assert ctypes.sizeof(Progress) == 120
-assert Progress.header.offset == 0
-assert Progress.seed.offset == 32
-assert Progress.completion.offset == 40
-assert Progress.route_m.offset == 48
-assert Progress.speed_mps.offset == 56
-assert Progress.episode_ticks.offset == 64
-assert Progress.vehicle_contacts.offset == 72
-assert Progress.object_contacts.offset == 80
-assert Progress.braked.offset == 88
-assert Progress.command_age_max_ns.offset == 96
-assert Progress.skipped.offset == 104
-assert Progress.outcome.offset == 112
-assert Progress.reserved.offset == 116
-
-
-class Episode(ctypes.Structure):
+class Episode(Struct):
     LAYOUT = "317dfc03d9b39474"
     _fields_ = [
         ("header", Header),
@@ -359,27 +298,11 @@ class Episode(ctypes.Structure):
         ("skipped", ctypes.c_uint64),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Episode"
+
+check(Episode, 136, (0, 32, 40, 48, 56, 64, 72, 80, 88, 92, 96, 128,))
 
 
-assert ctypes.sizeof(Episode) == 136
-assert Episode.header.offset == 0
-assert Episode.seed.offset == 32
-assert Episode.ticks.offset == 40
-assert Episode.completion.offset == 48
-assert Episode.driven_m.offset == 56
-assert Episode.vehicle_contacts.offset == 64
-assert Episode.object_contacts.offset == 72
-assert Episode.braked.offset == 80
-assert Episode.outcome.offset == 88
-assert Episode.crash_last_step.offset == 92
-assert Episode.command_digest.offset == 96
-assert Episode.skipped.offset == 128
-
-
-class Health(ctypes.Structure):
+class Health(Struct):
     LAYOUT = "b883934d83a61ada"
     _fields_ = [
         ("header", Header),
@@ -406,37 +329,11 @@ class Health(ctypes.Structure):
         ("foreign_as", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Health"
+
+check(Health, 256, (0, 32, 40, 48, 56, 104, 112, 120, 128, 136, 144, 152, 216, 220, 224, 228, 232, 236, 240, 244, 248, 252,))
 
 
-assert ctypes.sizeof(Health) == 256
-assert Health.header.offset == 0
-assert Health.ticks.offset == 32
-assert Health.skipped.offset == 40
-assert Health.late.offset == 48
-assert Health.refused.offset == 56
-assert Health.lost.offset == 104
-assert Health.first_scheduled_ns.offset == 112
-assert Health.next_scheduled_ns.offset == 120
-assert Health.minor_faults.offset == 128
-assert Health.major_faults.offset == 136
-assert Health.involuntary_switches.offset == 144
-assert Health.overruns.offset == 152
-assert Health.state.offset == 216
-assert Health.priority.offset == 220
-assert Health.core.offset == 224
-assert Health.memory.offset == 228
-assert Health.priority_asked.offset == 232
-assert Health.priority_got.offset == 236
-assert Health.scheduling_asked.offset == 240
-assert Health.scheduling_got.offset == 244
-assert Health.foreign_pid.offset == 248
-assert Health.foreign_as.offset == 252
-
-
-class Histogram(ctypes.Structure):
+class Histogram(Struct):
     LAYOUT = "0fb2e4b3cb700579"
     _fields_ = [
         ("max_ns", ctypes.c_uint64),
@@ -444,18 +341,11 @@ class Histogram(ctypes.Structure):
         ("buckets", ctypes.c_uint32 * 2816),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Histogram"
+
+check(Histogram, 11280, (0, 8, 16,))
 
 
-assert ctypes.sizeof(Histogram) == 11280
-assert Histogram.max_ns.offset == 0
-assert Histogram.count.offset == 8
-assert Histogram.buckets.offset == 16
-
-
-class LateTick(ctypes.Structure):
+class LateTick(Struct):
     LAYOUT = "6b3d8ba7ac752f4b"
     _fields_ = [
         ("tick", ctypes.c_uint64),
@@ -466,21 +356,11 @@ class LateTick(ctypes.Structure):
         ("reserved", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "LateTick"
+
+check(LateTick, 40, (0, 8, 16, 24, 32, 36,))
 
 
-assert ctypes.sizeof(LateTick) == 40
-assert LateTick.tick.offset == 0
-assert LateTick.late_ns.offset == 8
-assert LateTick.part_ns.offset == 16
-assert LateTick.skipped.offset == 24
-assert LateTick.part.offset == 32
-assert LateTick.reserved.offset == 36
-
-
-class Timing(ctypes.Structure):
+class Timing(Struct):
     LAYOUT = "2e3496a50f6e7fec"
     _fields_ = [
         ("header", Header),
@@ -495,25 +375,11 @@ class Timing(ctypes.Structure):
         ("late", LateTick * 20),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Timing"
+
+check(Timing, 79800, (0, 32, 11312, 22592, 33872, 45152, 56432, 67712, 78992, 79000,))
 
 
-assert ctypes.sizeof(Timing) == 79800
-assert Timing.header.offset == 0
-assert Timing.release_lateness.offset == 32
-assert Timing.wake_up.offset == 11312
-assert Timing.execution.offset == 22592
-assert Timing.response.offset == 33872
-assert Timing.observation_age.offset == 45152
-assert Timing.plan_age.offset == 56432
-assert Timing.advice_age.offset == 67712
-assert Timing.late_count.offset == 78992
-assert Timing.late.offset == 79000
-
-
-class Camera(ctypes.Structure):
+class Camera(Struct):
     LAYOUT = "deb5f19c7c52d6bf"
     _fields_ = [
         ("pixel_from_body", ctypes.c_double * 12),
@@ -523,20 +389,11 @@ class Camera(ctypes.Structure):
         ("orthographic", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Camera"
+
+check(Camera, 136, (0, 96, 120, 128, 132,))
 
 
-assert ctypes.sizeof(Camera) == 136
-assert Camera.pixel_from_body.offset == 0
-assert Camera.position_body_m.offset == 96
-assert Camera.near_m.offset == 120
-assert Camera.view.offset == 128
-assert Camera.orthographic.offset == 132
-
-
-class Frame(ctypes.Structure):
+class Frame(Struct):
     LAYOUT = "941cd01acca576d3"
     _fields_ = [
         ("header", Header),
@@ -549,23 +406,11 @@ class Frame(ctypes.Structure):
         ("end", ctypes.c_uint64),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Frame"
+
+check(Frame, 2073792, (0, 32, 168, 172, 176, 180, 184, 2073784,))
 
 
-assert ctypes.sizeof(Frame) == 2073792
-assert Frame.header.offset == 0
-assert Frame.camera.offset == 32
-assert Frame.width.offset == 168
-assert Frame.height.offset == 172
-assert Frame.format.offset == 176
-assert Frame.reserved.offset == 180
-assert Frame.pixels.offset == 184
-assert Frame.end.offset == 2073784
-
-
-class Proposal(ctypes.Structure):
+class Proposal(Struct):
     LAYOUT = "825aad0d9b57a5e7"
     _fields_ = [
         ("steer", ctypes.c_double),
@@ -574,19 +419,11 @@ class Proposal(ctypes.Structure):
         ("reserved", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Proposal"
+
+check(Proposal, 24, (0, 8, 16, 20,))
 
 
-assert ctypes.sizeof(Proposal) == 24
-assert Proposal.steer.offset == 0
-assert Proposal.pedal.offset == 8
-assert Proposal.present.offset == 16
-assert Proposal.reserved.offset == 20
-
-
-class FrameRequest(ctypes.Structure):
+class FrameRequest(Struct):
     LAYOUT = "237d915d1c81e3f2"
     _fields_ = [
         ("header", Header),
@@ -597,45 +434,29 @@ class FrameRequest(ctypes.Structure):
         ("reserved", ctypes.c_uint32),
     ]
 
-    @staticmethod
-    def type_name():
-        return "FrameRequest"
+
+check(FrameRequest, 96, (0, 32, 80, 84, 88, 92,))
 
 
-assert ctypes.sizeof(FrameRequest) == 96
-assert FrameRequest.header.offset == 0
-assert FrameRequest.proposals.offset == 32
-assert FrameRequest.view.offset == 80
-assert FrameRequest.width.offset == 84
-assert FrameRequest.height.offset == 88
-assert FrameRequest.reserved.offset == 92
-
-
-class Roster(ctypes.Structure):
-    LAYOUT = "a0ba52d9a8770748"
+class Roster(Struct):
+    LAYOUT = "44af8c6b39aea53e"
     _fields_ = [
         ("header", Header),
-        ("pids", ctypes.c_uint32 * 6),
+        ("pids", ctypes.c_uint32 * 8),
     ]
 
-    @staticmethod
-    def type_name():
-        return "Roster"
+
+check(Roster, 64, (0, 32,))
 
 
-assert ctypes.sizeof(Roster) == 56
-assert Roster.header.offset == 0
-assert Roster.pids.offset == 32
+Service = namedtuple("Service", "name message from_ to depth most history open")
 
-
-Service = namedtuple("Service", "name message from_ to depth history open")
-
-OBSERVATION = Service("observation", Observation, "world", ("planner", "controller",), 1, 1, False)
-COMMAND = Service("command", Command, "controller", ("world",), 1, 1, False)
-FRAME_REQUEST = Service("frame_request", FrameRequest, "gate", (), 1, 1, True)
-FRAME = Service("frame", Frame, "world", ("gate",), 1, 1, False)
-ROSTER = Service("roster", Roster, "supervisor", (), 1, 1, False)
-PROGRESS = Service("progress", Progress, "world", (), 1, 1, False)
-EPISODE = Service("episode", Episode, "world", (), 256, 0, False)
-HEALTH_WORLD = Service("health/world", Health, "world", (), 1, 1, False)
-TIMING_WORLD = Service("timing/world", Timing, "world", (), 1, 1, False)
+OBSERVATION = Service("observation", Observation, "world", ("planner", "controller",), 1, 64, 1, False)
+COMMAND = Service("command", Command, "controller", ("world",), 1, 64, 1, False)
+FRAME_REQUEST = Service("frame_request", FrameRequest, "gate", (), 1, 1, 1, True)
+FRAME = Service("frame", Frame, "world", ("gate",), 1, 1, 1, False)
+ROSTER = Service("roster", Roster, "supervisor", (), 1, 64, 1, False)
+PROGRESS = Service("progress", Progress, "world", (), 1, 64, 1, False)
+EPISODE = Service("episode", Episode, "world", (), 256, 256, 0, False)
+HEALTH_WORLD = Service("health/world", Health, "world", (), 1, 64, 1, False)
+TIMING_WORLD = Service("timing/world", Timing, "world", (), 1, 1, 1, False)

@@ -1,6 +1,6 @@
 """The world process on the real MetaDrive: owns the run's clock and the car.
 
-The mirror of `sim/src/main.rs`, tick for tick.
+The mirror of `robot/src/process.rs`, tick for tick.
 """
 
 import os
@@ -76,7 +76,7 @@ class Session:
         from frame import FrameServer
 
         try:
-            self.world = World(config["world"])
+            self.world = World(config["world"], config["scanner"])
         except (AssertionError, KeyError, ValueError) as error:
             raise SetUpError(f"MetaDrive refuses this configuration: {error!r}") from None
         ports = (self.ports.frame_requests, self.ports.frames)

@@ -3,10 +3,12 @@
 use vehicle::{Action, Footprint, Point, Vector};
 
 use crate::contact::{Placed, Shape, collide, overlap};
-use crate::dynamics::{Car, Controls, GRAVITY_MPS2, Motion, SUBSTEP_S, SUBSTEPS};
+use crate::dynamics::{Car, Controls, GRAVITY_MPS2, GROUP, Group, Motion, SUBSTEP_S, SUBSTEPS};
 use crate::lidar::BEAM_HEIGHT_M;
 use crate::model::VehicleKind;
+use crate::prefetch;
 use crate::road::LaneId;
+use crate::simd::Width;
 use crate::spawn::{Obstacle, ObstacleKind};
 
 /// Length and width of a barrier, m; its long side lies across the lane.
@@ -21,8 +23,9 @@ const WARNING_M: f64 = 0.5;
 /// faster than its present speed plus this slack, m.
 const SLACK_M: f64 = 0.5;
 
-/// A car that may move.
+/// A car that may move, on cache lines of its own.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 pub struct Mover {
     /// What kind of car it is.
     pub kind: VehicleKind,
@@ -30,11 +33,23 @@ pub struct Mover {
     pub car: Car,
     /// Where it is.
     pub motion: Motion,
+    controls: Controls,
+}
+
+/// What is asked of every car in every tick, apart from the rest: most cars are parked,
+/// and their motion is not even read.
+#[derive(Clone, Copy, Debug)]
+pub struct Spot {
     /// Whether it is part of the world; cars that leave the road are removed.
     pub present: bool,
     /// Whether it moves; a parked car stays at rest until it is hit or drives off.
     pub awake: bool,
-    controls: Controls,
+    /// Centre of its body.
+    pub center_world: Point,
+    /// Radius of the circle around its body, m.
+    pub radius_m: f64,
+    /// Speed over the ground, m/s.
+    speed_mps: f64,
 }
 
 impl Mover {
@@ -44,8 +59,6 @@ impl Mover {
             kind,
             car,
             motion,
-            present: true,
-            awake: false,
             controls: Controls::default(),
         }
     }
@@ -53,12 +66,6 @@ impl Mover {
     /// Its rectangle for contacts and beams.
     pub fn placed(&self) -> Placed {
         Placed::car(&self.car, &self.motion)
-    }
-
-    /// Sets its action from the next sub-step on.
-    pub fn command(&mut self, action: Action) {
-        self.awake = true;
-        self.controls = self.car.controls(&self.motion, action);
     }
 
     /// Whether the beams can hit its body, whose floor is `floor_m` above the ground.
@@ -83,6 +90,8 @@ pub struct Fixture {
     pub lane: LaneId,
     /// Where it stands.
     pub placed: Placed,
+    /// Radius of the circle around its shape, m.
+    pub(crate) radius_m: f64,
 }
 
 impl Fixture {
@@ -101,6 +110,7 @@ impl Fixture {
         Some(Fixture {
             kind: obstacle.kind,
             lane: obstacle.lane,
+            radius_m: shape.radius_m(),
             placed: Placed {
                 shape,
                 center_world: obstacle.position_world,
@@ -115,12 +125,17 @@ impl Fixture {
 pub struct Bodies {
     /// The cars.
     pub movers: Vec<Mover>,
+    /// One for each car.
+    pub spots: Vec<Spot>,
     /// The fixtures.
     pub fixtures: Vec<Fixture>,
     /// Pairs that may meet in this tick: a mover with a mover or a fixture. Indices are
     /// short because memory is reserved for all pairs; 65,535 cars would need 600 km of
     /// lanes.
     pairs: Vec<(u16, Other)>,
+    /// The cars that are awake, in ascending order.
+    awake: Vec<u16>,
+    width: Width,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -139,21 +154,135 @@ pub struct Touch {
 }
 
 impl Bodies {
-    /// Reserves memory for all pairs, so that no tick allocates: in the worst pile-up
-    /// every car meets every other body.
+    /// Takes all bodies away.
+    pub fn clear(&mut self) {
+        self.movers.clear();
+        self.spots.clear();
+        self.fixtures.clear();
+        self.awake.clear();
+    }
+
+    /// Adds a car, parked.
+    pub fn push(&mut self, mover: Mover) {
+        self.spots.push(Spot {
+            present: true,
+            awake: false,
+            center_world: mover.motion.body_position(),
+            radius_m: mover.car.radius_m(),
+            speed_mps: mover.motion.speed_mps(),
+        });
+        self.movers.push(mover);
+    }
+
+    /// Sets the action of a car from the next sub-step on.
+    pub fn command(&mut self, index: usize, action: Action) {
+        self.wake(index);
+        let mover = &mut self.movers[index];
+        mover.controls = mover.car.controls(&mover.motion, action);
+    }
+
+    /// The cars that are awake, in ascending order.
+    pub fn awake(&self) -> impl Iterator<Item = usize> {
+        self.awake.iter().map(|&index| usize::from(index))
+    }
+
+    /// Asks for what a tick reads of all bodies.
+    pub(crate) fn prefetch(&self) {
+        prefetch::slice(&self.spots);
+        prefetch::slice(&self.fixtures);
+        prefetch::slice(&self.awake);
+    }
+
+    fn wake(&mut self, index: usize) {
+        if !self.spots[index].awake {
+            self.spots[index].awake = true;
+            let place = self
+                .awake
+                .partition_point(|&other| usize::from(other) < index);
+            self.awake.insert(place, index as u16);
+        }
+    }
+
+    /// Takes a car away; it keeps its index.
+    pub fn remove(&mut self, index: usize) {
+        (self.spots[index].present, self.spots[index].awake) = (false, false);
+        self.awake.retain(|&other| usize::from(other) != index);
+    }
+
+    /// Reserves memory for all pairs and for all cars awake, so that no tick allocates: in
+    /// the worst pile-up every car meets every other body.
     pub fn reserve(&mut self) {
         let (movers, fixtures) = (self.movers.len(), self.fixtures.len());
         let most = movers * movers.saturating_sub(1) / 2 + movers * fixtures;
         self.pairs.clear();
         self.pairs.reserve_exact(most);
+        self.awake
+            .reserve_exact(movers.saturating_sub(self.awake.len()));
     }
 
-    /// Moves all bodies by one sub-step and adds to `touch` what the ego touched.
+    /// Moves all bodies by one sub-step for each entry of `headings_world`, which takes
+    /// the ego's seen heading before it, and adds to `touch` what the ego touched.
     /// [`Bodies::find_pairs`] must have been called for the tick.
-    pub fn substep(&mut self, touch: &mut Touch) {
-        for mover in self.movers.iter_mut().filter(|mover| mover.awake) {
-            mover.car.substep(&mut mover.motion, &mover.controls);
+    pub fn advance(&mut self, headings_world: &mut [Vector], touch: &mut Touch) {
+        if self.pairs.is_empty() {
+            // No car depends on another before the next tick.
+            self.drive(headings_world);
+        } else {
+            for heading_world in headings_world {
+                self.drive(std::slice::from_mut(heading_world));
+                self.meet_all(touch);
+            }
         }
+        for &index in &self.awake {
+            let index = usize::from(index);
+            let (spot, motion) = (&mut self.spots[index], &self.movers[index].motion);
+            spot.center_world = motion.body_position();
+            spot.speed_mps = motion.speed_mps();
+        }
+    }
+
+    /// Moves the cars that are awake, several at once, without regard to each other.
+    fn drive(&mut self, headings_world: &mut [Vector]) {
+        let Bodies {
+            movers,
+            awake,
+            width,
+            ..
+        } = self;
+        let mut rest = &awake[..];
+        if let Some(ego) = movers.first_mut() {
+            headings_world.fill(ego.motion.seen_forward());
+            if ego.car.is_bicycle() && rest.first() == Some(&0) {
+                rest = &rest[1..];
+                for heading_world in headings_world.iter_mut() {
+                    *heading_world = ego.motion.seen_forward();
+                    ego.car.substep(&mut ego.motion, &ego.controls);
+                }
+            }
+        }
+        let mut group = Group::default();
+        for members in rest.chunks(GROUP) {
+            group.clear();
+            for &index in members {
+                let mover = &movers[usize::from(index)];
+                group.push(&mover.car, &mover.motion, &mover.controls);
+            }
+            for substep in 0..headings_world.len() {
+                group.substep(*width);
+                if members[0] == 0
+                    && let Some(next) = headings_world.get_mut(substep + 1)
+                {
+                    *next = group.seen_direction(0).normalize();
+                }
+            }
+            for (column, &index) in members.iter().enumerate() {
+                movers[usize::from(index)].motion = group.motion(column);
+            }
+        }
+    }
+
+    /// Lets the pairs that overlap collide.
+    fn meet_all(&mut self, touch: &mut Touch) {
         for k in 0..self.pairs.len() {
             let (first, other) = self.pairs[k];
             let touched = self.meet(first, other) && first == 0;
@@ -164,25 +293,47 @@ impl Bodies {
         }
     }
 
+    /// Whether any car that is awake may meet anything within a tick that begins now. In
+    /// most ticks none does, so this tests all bodies without a branch for each.
+    fn may_meet(&self) -> bool {
+        let mut meets = false;
+        for &index in &self.awake {
+            let own = &self.spots[usize::from(index)];
+            let (center, reach_m) = (own.center_world, own.reach_m());
+            for (other, spot) in self.spots.iter().enumerate() {
+                let is_near = within(center - spot.center_world, reach_m + spot.reach_m());
+                meets |= (other != usize::from(index)) & spot.present & is_near;
+            }
+            for fixture in &self.fixtures {
+                let away = center - fixture.placed.center_world;
+                meets |= within(away, reach_m + fixture.radius_m);
+            }
+        }
+        meets
+    }
+
     /// Lists the pairs that may meet within a tick that begins now.
     pub fn find_pairs(&mut self) {
         self.pairs.clear();
+        if !self.may_meet() {
+            return;
+        }
         let Bodies {
-            movers,
+            spots,
             fixtures,
             pairs,
+            ..
         } = self;
-        for (i, first) in movers.iter().enumerate() {
+        for (i, first) in spots.iter().enumerate() {
             if !first.present {
                 continue;
             }
-            let (center, reach_m) = reach(first);
-            for (j, second) in movers.iter().enumerate().skip(i + 1) {
+            let (center, reach_m) = (first.center_world, first.reach_m());
+            for (j, second) in spots.iter().enumerate().skip(i + 1) {
                 if !second.present || !(first.awake || second.awake) {
                     continue;
                 }
-                let (other_center, other_reach_m) = reach(second);
-                if within(center - other_center, reach_m + other_reach_m) {
+                if within(center - second.center_world, reach_m + second.reach_m()) {
                     pairs.push((i as u16, Other::Mover(j as u16)));
                 }
             }
@@ -191,7 +342,7 @@ impl Bodies {
             }
             for (j, fixture) in fixtures.iter().enumerate() {
                 let away = center - fixture.placed.center_world;
-                if within(away, reach_m + fixture.placed.shape.radius_m()) {
+                if within(away, reach_m + fixture.radius_m) {
                     pairs.push((i as u16, Other::Fixture(j as u16)));
                 }
             }
@@ -210,8 +361,10 @@ impl Bodies {
                 let Some(found) = overlap(&a.placed(), &b.placed()) else {
                     return false;
                 };
-                (a.awake, b.awake) = (true, true);
                 collide((&a.car, &mut a.motion), (&b.car, &mut b.motion), &found);
+                for index in pair {
+                    self.wake(index);
+                }
                 true
             }
             Other::Fixture(fixture) => {
@@ -222,17 +375,12 @@ impl Bodies {
     }
 }
 
-/// Centre of a car, and the radius around it within which it can touch something in a
-/// tick, m.
-fn reach(mover: &Mover) -> (Point, f64) {
-    let model = mover.car.model;
-    let radius_m = model.length_m.hypot(model.width_m) / 2.0;
-    let drive_m = if mover.awake {
-        mover.motion.speed_mps() * 0.1 + SLACK_M
-    } else {
-        0.0
-    };
-    (mover.motion.body_position(), radius_m + drive_m)
+impl Spot {
+    /// The radius around its centre within which it can touch something in a tick, m.
+    fn reach_m(&self) -> f64 {
+        let drive_m = self.speed_mps * 0.1 + SLACK_M;
+        self.radius_m + if self.awake { drive_m } else { 0.0 }
+    }
 }
 
 fn within(away: Vector, reach_m: f64) -> bool {

@@ -1,13 +1,10 @@
 //! The configuration of a world's episodes. The defaults are the paper's experiment.
 
 use serde::{Deserialize, Serialize};
-use shm_config::message::BEAMS_MAX;
+use vehicle::{InvalidVehicle, Scanner, Vehicle};
 
 use crate::map::{BlockPlan, MapConfig, MapError};
 use crate::spawn::{ScenarioConfig, ScenarioError};
-
-/// Least and greatest range of a beam, m, that a message can carry.
-const LIDAR_RANGES_M: std::ops::RangeInclusive<f64> = 0.1..=1000.0;
 
 /// Whether leaving the edges of the route's current road ends an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -39,10 +36,10 @@ pub struct WorldConfig {
     pub accident_probability: f64,
     /// Ticks after which an episode ends.
     pub horizon_steps: u64,
-    /// Lidar beams.
-    pub beam_count: usize,
-    /// Reach of a beam, m.
-    pub lidar_range_m: f64,
+    /// The ego's car.
+    pub vehicle: Vehicle,
+    /// The ego's scanner; one of no beams sees nothing.
+    pub scanner: Scanner,
     /// What leaving the route means.
     pub out_of_route: OutOfRoute,
 }
@@ -59,8 +56,8 @@ impl Default for WorldConfig {
             traffic_density: scenario.traffic_density,
             accident_probability: scenario.accident_probability,
             horizon_steps: 1500,
-            beam_count: 240,
-            lidar_range_m: 50.0,
+            vehicle: Vehicle::default(),
+            scanner: Scanner::default(),
             out_of_route: OutOfRoute::Ends,
         }
     }
@@ -72,12 +69,12 @@ pub enum WorldError {
     /// There is no scenario.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// More beams than a message carries.
-    #[error("beam_count = {0}: an observation carries at most {BEAMS_MAX}")]
-    BeamCount(usize),
-    /// A reach that no message can carry.
-    #[error("lidar_range_m = {0}: it must be {LIDAR_RANGES_M:?} m")]
-    LidarRange(f64),
+    /// A number of the ego's car that no car has.
+    #[error("vehicle.{0}")]
+    Vehicle(InvalidVehicle),
+    /// A number of the ego's scanner that no scanner has, or no message can carry.
+    #[error("scanner.{0}")]
+    Scanner(InvalidVehicle),
     /// An episode needs at least one tick.
     #[error("horizon_steps = 0: an episode needs at least one tick")]
     Horizon,
@@ -96,15 +93,15 @@ impl WorldConfig {
     /// The configuration of the scenario generator.
     ///
     /// # Errors
-    /// [`WorldError`] if a block letter is unknown, or if beams or horizon are
-    /// out of range; the rest is checked when an episode begins.
+    /// [`WorldError`] if a block letter is unknown, or if car, scanner or
+    /// horizon are out of range; the rest is checked when an episode begins.
     pub fn scenario(&self) -> Result<ScenarioConfig, WorldError> {
-        if self.beam_count > BEAMS_MAX {
-            return Err(WorldError::BeamCount(self.beam_count));
-        }
-        if !LIDAR_RANGES_M.contains(&self.lidar_range_m) {
-            return Err(WorldError::LidarRange(self.lidar_range_m));
-        }
+        self.vehicle.validated().map_err(WorldError::Vehicle)?;
+        let scanner = Scanner {
+            beams: self.scanner.beams.max(1),
+            ..self.scanner
+        };
+        scanner.validated().map_err(WorldError::Scanner)?;
         if self.horizon_steps == 0 {
             return Err(WorldError::Horizon);
         }

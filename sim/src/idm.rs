@@ -12,6 +12,7 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use vehicle::{Action, Point, Vector, wrap_rad};
 
 use crate::navigation::Navigator;
+use crate::places::places;
 use crate::road::{LaneId, Network, RoadId};
 
 /// Speeds, km/h: desired, while waiting to change lanes, and assumed of an empty lane.
@@ -33,14 +34,13 @@ const CONTENT_KMH: f64 = 3.0;
 const STANDING_GAP_M: f64 = 10.0;
 const TIME_GAP: f64 = 1.5;
 const ACCELERATIONS: f64 = 5.0;
-/// A lane that ends nearer than this to the start of another leads to it, m.
-const JOIN_M: f64 = 0.1;
+/// Gains of the two controllers: proportional, integral, derivative.
+const HEADING_GAINS: [f64; 3] = [1.7, 0.01, 3.5];
+const LATERAL_GAINS: [f64; 3] = [0.3, 0.002, 0.05];
 
 /// What a driver sees of a body on the road.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Neighbour {
-    /// The lane it is on.
-    pub lane: LaneId,
     /// Its centre.
     pub position_world: Point,
     /// Its velocity, m/s.
@@ -58,25 +58,21 @@ impl Neighbour {
 /// A PID controller without a time step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Pid {
-    gains: [f64; 3],
     error: f64,
     sum: f64,
 }
 
 impl Pid {
-    const fn new(gains: [f64; 3]) -> Pid {
-        Pid {
-            gains,
-            error: 0.0,
-            sum: 0.0,
-        }
-    }
+    const NEW: Pid = Pid {
+        error: 0.0,
+        sum: 0.0,
+    };
 
-    fn answer(&mut self, error: f64) -> f64 {
+    fn answer(&mut self, gains: [f64; 3], error: f64) -> f64 {
         self.sum += error;
         let change = error - self.error;
         self.error = error;
-        -(self.gains[0] * error + self.gains[1] * self.sum + self.gains[2] * change)
+        -(gains[0] * error + gains[1] * self.sum + gains[2] * change)
     }
 }
 
@@ -100,6 +96,9 @@ pub struct View<'a> {
     pub navigator: &'a Navigator,
     /// All bodies on the road.
     pub bodies: &'a [Neighbour],
+    /// The lane that each is on, apart from the rest: most bodies are on other lanes than
+    /// those that a driver asks for, and only their lanes are read.
+    pub lanes: &'a [LaneId],
     /// The index of the driver's own body.
     pub own: usize,
 }
@@ -127,8 +126,8 @@ impl Idm {
             target_lane: None,
             target_kmh: NORMAL_KMH,
             overtake_timer,
-            heading: Pid::new([1.7, 0.01, 3.5]),
-            lateral: Pid::new([0.3, 0.002, 0.05]),
+            heading: Pid::NEW,
+            lateral: Pid::NEW,
             random: SplitMix64::seed_from_u64(seed),
         }
     }
@@ -162,7 +161,7 @@ impl Idm {
             let connected = view.network.road_between(end, to).is_some();
             let joined = lanes
                 .iter()
-                .find(|&lane| connected || leads_to(view.network, target, lane));
+                .find(|&lane| connected || view.network.leads_to(target, lane));
             return joined.map_or((target, false), |lane| (lane, true));
         }
         if lanes.contains(own) && target != own {
@@ -234,7 +233,10 @@ impl Idm {
         if next.count >= lanes.count {
             return 0..lanes.count;
         }
-        if leads_to(view.network, LaneId(lanes.first), LaneId(next.first)) {
+        if view
+            .network
+            .leads_to(LaneId(lanes.first), LaneId(next.first))
+        {
             0..next.count
         } else {
             lanes.count - next.count..lanes.count
@@ -247,7 +249,10 @@ impl Idm {
         let (longitudinal_m, lateral_m) = lane.local_coordinates(own.position_world);
         let lane_rad = lane.heading_at(longitudinal_m + 1.0);
         let own_rad = own.forward_world.y.atan2(own.forward_world.x);
-        self.heading.answer(-wrap_rad(lane_rad - own_rad)) + self.lateral.answer(-lateral_m)
+        let turn = self
+            .heading
+            .answer(HEADING_GAINS, -wrap_rad(lane_rad - own_rad));
+        turn + self.lateral.answer(LATERAL_GAINS, -lateral_m)
     }
 
     fn pedal(&self, view: &View, front: Option<usize>, front_m: f64) -> f64 {
@@ -297,12 +302,6 @@ impl LanesOf {
     }
 }
 
-/// Whether one lane ends where another begins.
-fn leads_to(network: &Network, lane: LaneId, next: LaneId) -> bool {
-    let gap = network.lane(lane).end_world - network.lane(next).start_world;
-    gap.norm_squared() < JOIN_M * JOIN_M
-}
-
 /// Speed that a neighbouring lane offers, km/h: that of its first car, or the free
 /// speed when its gaps are wide enough.
 fn lane_kmh(view: &View, side: &Surroundings) -> Option<f64> {
@@ -315,7 +314,7 @@ fn lane_kmh(view: &View, side: &Surroundings) -> Option<f64> {
 /// The nearest bodies ahead and behind on a lane, or on the lanes that join it.
 fn surroundings(view: &View, lane_id: LaneId) -> Surroundings {
     let network = view.network;
-    let lane = network.lane(lane_id);
+    let (lane, joins) = (network.lane(lane_id), network.joins(lane_id));
     let own = &view.bodies[view.own];
     let own_m = lane.local_coordinates(own.position_world).0;
     let left_m = lane.length_m - own_m;
@@ -325,31 +324,31 @@ fn surroundings(view: &View, lane_id: LaneId) -> Surroundings {
         back_m: LOOK_M,
     };
     let (mut front_here, mut back_here) = (false, false);
-    for (index, body) in view.bodies.iter().enumerate() {
+    for index in places(view.lanes, |&lane| joins.may_hold(lane)) {
+        let body_lane = view.lanes[index];
         if index == view.own {
             continue;
         }
-        if body.lane == lane_id {
-            let ahead_m = lane.local_coordinates(body.position_world).0 - own_m;
+        let along_m = || {
+            let position_world = view.bodies[index].position_world;
+            network.lane(body_lane).local_coordinates(position_world).0
+        };
+        if body_lane == lane_id {
+            let ahead_m = along_m() - own_m;
             if ahead_m > 0.0 && ahead_m < found.front_m {
                 (found.front_m, found.front, front_here) = (ahead_m, Some(index), true);
             }
             if ahead_m < 0.0 && -ahead_m < found.back_m {
                 (found.back_m, back_here) = (-ahead_m, true);
             }
-        } else if !front_here && leads_to(network, lane_id, body.lane) {
-            let on_lane_m = network
-                .lane(body.lane)
-                .local_coordinates(body.position_world)
-                .0;
-            let ahead_m = on_lane_m + left_m;
+        } else if !front_here && joins.leads_to(body_lane) {
+            let ahead_m = along_m() + left_m;
             if ahead_m > 0.0 && ahead_m < found.front_m {
                 (found.front_m, found.front) = (ahead_m, Some(index));
             }
-        } else if !back_here && leads_to(network, body.lane, lane_id) {
-            let other = network.lane(body.lane);
-            let on_lane_m = other.local_coordinates(body.position_world).0;
-            found.back_m = found.back_m.min(other.length_m - on_lane_m + own_m);
+        } else if !back_here && joins.follows(body_lane) {
+            let length_m = network.lane(body_lane).length_m;
+            found.back_m = found.back_m.min(length_m - along_m() + own_m);
         }
     }
     found

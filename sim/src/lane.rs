@@ -7,6 +7,7 @@
 //! meant). Source: `component/lane/*.py` of MetaDrive, commit c29cc37.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::mem::offset_of;
 
 use vehicle::{Point, Vector};
 
@@ -66,6 +67,7 @@ impl Turn {
 
 /// A straight centre line.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 pub struct Straight {
     /// Heading, rad, counter-clockwise from world x.
     pub heading_rad: f64,
@@ -81,7 +83,10 @@ impl Straight {
 
 /// A circular centre line.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 pub struct Arc {
+    /// Which way it bends.
+    pub turn: Turn,
     /// Centre of the circle.
     pub center_world: Point,
     /// Radius of the centre line, m, positive.
@@ -90,8 +95,6 @@ pub struct Arc {
     pub start_phase_rad: f64,
     /// Angle swept, rad, positive.
     pub angle_rad: f64,
-    /// Which way it bends.
-    pub turn: Turn,
     surface: ArcSurface,
 }
 
@@ -129,17 +132,19 @@ pub enum Curve {
     Arc(Arc),
 }
 
-/// One lane. Everything that a step looks up is computed once, here.
+/// One lane. Everything that a step looks up is computed once, here. What the lane
+/// coordinates need is first: one cache line of a straight lane, two of an arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(64))]
 pub struct Lane {
-    /// Shape of the centre line.
-    pub curve: Curve,
     /// Length of the centre line, m.
     pub length_m: f64,
     /// Width, m.
     pub width_m: f64,
     /// Start of the centre line.
     pub start_world: Point,
+    /// Shape of the centre line.
+    pub curve: Curve,
     /// End of the centre line.
     pub end_world: Point,
     /// Lines on the left and on the right.
@@ -147,6 +152,11 @@ pub struct Lane {
     /// Colour of the left line.
     pub left_color: LineColor,
 }
+
+/// Bytes of a lane that a tick reads.
+pub(crate) const LANE_BYTES: usize = offset_of!(Lane, end_world);
+
+const _: () = assert!(LANE_BYTES == 128, "two cache lines");
 
 impl Lane {
     /// A straight lane from one point to another.
@@ -300,8 +310,7 @@ impl Lane {
             }
             Curve::Arc(arc) => {
                 let from_center = point_world - arc.center_world;
-                arc.surface
-                    .contains(arc.turn, from_center, (arc.radius_m, half_m), margin_m)
+                arc.surface.contains(arc, from_center, half_m, margin_m)
             }
         }
     }
@@ -376,6 +385,52 @@ pub fn wrap_rad(angle_rad: f64) -> f64 {
 /// goes up a turn and down again, and the bits that it loses there decide
 /// further on whether a lane of twenty metres has room for one car or two.
 fn wrap_by_turns_rad(angle_rad: f64) -> f64 {
-    let wrapped = angle_rad.rem_euclid(TAU);
+    let rest = rest_of_turns_rad(angle_rad);
+    let wrapped = if rest < 0.0 { rest + TAU } else { rest };
     if wrapped > PI { wrapped - TAU } else { wrapped }
+}
+
+/// `angle_rad % TAU`, without its cost where at most one turn comes off: there the
+/// difference has no rounding.
+fn rest_of_turns_rad(angle_rad: f64) -> f64 {
+    let size_rad = angle_rad.abs();
+    if size_rad < TAU {
+        angle_rad
+    } else if size_rad < 2.0 * TAU {
+        (size_rad - TAU).copysign(angle_rad)
+    } else {
+        angle_rad % TAU
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn assert_equal(angle_rad: f64) {
+        let (ours, theirs) = (rest_of_turns_rad(angle_rad), angle_rad % TAU);
+        assert_eq!(ours.to_bits(), theirs.to_bits(), "{angle_rad}");
+    }
+
+    #[test]
+    fn the_rest_of_whole_turns_has_the_bits_of_the_remainder() {
+        for turns in -4..=4 {
+            let angle_rad = f64::from(turns) * TAU;
+            assert_equal(angle_rad);
+            assert_equal(angle_rad.next_up());
+            assert_equal(angle_rad.next_down());
+        }
+        assert_equal(-0.0);
+        assert!(rest_of_turns_rad(f64::NAN).is_nan());
+        assert!(rest_of_turns_rad(f64::INFINITY).is_nan());
+    }
+
+    proptest! {
+        #[test]
+        fn the_rest_of_turns_has_the_bits_of_the_remainder(angle_rad in -30.0..30.0_f64) {
+            assert_equal(angle_rad);
+        }
+    }
 }

@@ -43,6 +43,7 @@ mod block;
 pub mod bodies;
 pub mod config;
 pub mod contact;
+mod delay;
 pub mod dynamics;
 pub mod idm;
 pub mod lane;
@@ -50,9 +51,12 @@ pub mod lidar;
 pub mod map;
 pub mod model;
 pub mod navigation;
+mod nearby;
 pub mod observe;
+mod places;
 #[cfg(feature = "process")]
 pub mod ports;
+mod prefetch;
 #[cfg(feature = "process")]
 mod process;
 pub mod render;
@@ -64,9 +68,9 @@ pub mod road;
 pub mod rules;
 pub mod score;
 mod settings;
+mod simd;
 pub mod spawn;
-#[cfg(feature = "process")]
-mod substeps;
+pub mod substeps;
 mod surface;
 pub mod traffic;
 pub mod world;
@@ -75,7 +79,7 @@ pub use batch::{AfterEnd, Batch, BatchConfig};
 pub use block::Parameters;
 pub use config::{OutOfRoute, WorldConfig, WorldError};
 #[cfg(feature = "process")]
-pub use process::{Begin, WorldProcess, run};
+pub use process::run;
 pub use reward::{Reward, RewardConfig};
 pub use surface::Bounds;
 pub use world::{StepOutcome, World};

@@ -3,11 +3,10 @@
 use std::process::ExitCode;
 
 use clap::Parser;
+use robot::process::Begin;
 use runtime::{Arguments, Member, SetUpError, exit_code};
 use shm_config::services::Process;
 use shm_config::time::monotonic;
-use sim::Begin;
-use sim::ports::Ports;
 
 /// Drives the built-in world: maps, traffic and rules of MetaDrive
 #[derive(Parser)]
@@ -26,6 +25,5 @@ fn main() -> ExitCode {
 #[allow(clippy::disallowed_methods)] // a process entry point chooses the clock
 fn run(cli: &Cli) -> Result<(), SetUpError> {
     let member = Member::join(Process::World, &cli.arguments, monotonic)?;
-    let ports = Ports::open(&member.wire)?;
-    sim::run(member, ports, cli.begin)
+    sim::run(member, cli.begin)
 }

@@ -3,6 +3,8 @@
 
 use std::ops::Range;
 
+use vehicle::Vehicle;
+
 use crate::rng::Shared;
 
 /// A kind of car.
@@ -61,6 +63,15 @@ pub struct Forces {
 }
 
 impl VehicleKind {
+    /// All kinds, by the number of the enumeration.
+    pub const ALL: [VehicleKind; 5] = [
+        VehicleKind::Default,
+        VehicleKind::Small,
+        VehicleKind::Medium,
+        VehicleKind::Large,
+        VehicleKind::ExtraLarge,
+    ];
+
     /// The kinds that traffic draws from, with their weights.
     pub const TRAFFIC_WEIGHTS: [(VehicleKind, f64); 5] = [
         (VehicleKind::Small, 0.2),
@@ -90,6 +101,28 @@ impl VehicleKind {
         Forces {
             engine_n: sample(&model.engine_force_n),
             brake: sample(&model.brake_force),
+        }
+    }
+}
+
+impl VehicleModel {
+    /// The measures of a car of which only size, wheelbase and limits are known. The rest
+    /// matters to collisions and pictures alone: it is the default car's, in proportion.
+    pub(crate) fn of(vehicle: &Vehicle) -> VehicleModel {
+        let wider = vehicle.width_m / DEFAULT.width_m;
+        let longer = vehicle.length_m / DEFAULT.length_m;
+        VehicleModel {
+            name: "a vehicle file's",
+            length_m: vehicle.length_m,
+            width_m: vehicle.width_m,
+            height_m: DEFAULT.height_m * wider,
+            mass_kg: DEFAULT.mass_kg * longer * wider * wider,
+            front_axle_m: vehicle.wheelbase_m / 2.0,
+            rear_axle_m: vehicle.wheelbase_m / 2.0,
+            half_track_m: DEFAULT.half_track_m * wider,
+            wheel_radius_m: DEFAULT.wheel_radius_m * wider,
+            max_steer_deg: vehicle.max_steer_deg,
+            ..DEFAULT.clone()
         }
     }
 }

@@ -2,8 +2,12 @@
 //! and how much of the route it has driven.
 //! Source: `component/navigation_module/node_network_navigation.py`.
 
+use std::mem::offset_of;
+
 use vehicle::{Point, Vector};
 
+use crate::nearby::{Cell, Nearby, around};
+use crate::prefetch;
 use crate::road::{LaneId, Network, RoadId};
 use crate::spawn::Route;
 
@@ -15,35 +19,69 @@ const REACHED_M: f64 = 5.0;
 /// recorded ticks is localised differently; with 0.04 or 0.06 a dozen are.
 const SURFACE_MARGIN_M: f64 = 0.05;
 
-/// A car's progress along its route.
+/// A car's progress along its route. What most ticks read is in the first two lines.
 #[derive(Clone, Debug, PartialEq)]
+#[repr(C)]
 pub struct Navigator {
-    roads: Vec<RoadId>,
-    /// Index of the road the car is on.
-    current: usize,
+    /// The lanes whose boxes hold its place.
+    cell: Cell,
+    /// Where it was found, and its coordinates on the leftmost lane of the current
+    /// road, m.
+    position_world: Point,
+    longitudinal_m: f64,
+    lateral_m: f64,
+    travelled_m: f64,
+    /// The road the car is on, the one after it, and the last one.
+    road: RoadId,
+    next_road: Option<RoadId>,
+    final_road: RoadId,
     lane: LaneId,
     on_lane: bool,
     length_m: f64,
-    travelled_m: f64,
-    /// Coordinate on the leftmost lane of the current road, m.
-    longitudinal_m: f64,
+    /// Index of the road the car is on.
+    current: usize,
+    roads: Vec<RoadId>,
+    /// The lanes around it.
+    nearby: Nearby,
 }
 
 impl Navigator {
     /// At the beginning of a route, on one of its first road's lanes.
     pub fn new(network: &Network, route: &Route, lane: LaneId, position_world: Point) -> Navigator {
+        let roads = route.roads.clone();
         let mut navigator = Navigator {
-            roads: route.roads.clone(),
-            current: 0,
+            cell: Cell::default(),
+            position_world,
+            longitudinal_m: 0.0,
+            lateral_m: 0.0,
+            travelled_m: 0.0,
+            road: roads[0],
+            next_road: None,
+            final_road: roads[roads.len() - 1],
             lane,
             on_lane: true,
             length_m: route.length_m(network),
-            travelled_m: 0.0,
-            longitudinal_m: 0.0,
+            current: 0,
+            roads,
+            nearby: Nearby::default(),
         };
-        navigator.travelled_m = navigator.reference_m(network, position_world);
-        navigator.longitudinal_m = navigator.travelled_m;
+        navigator.enter(0);
+        navigator.refer(network, position_world);
+        navigator.travelled_m = navigator.longitudinal_m;
         navigator
+    }
+
+    /// Asks for what an update reads of the navigator itself.
+    pub(crate) fn prefetch(&self) {
+        prefetch::first::<{ offset_of!(Navigator, roads) }, _>(self);
+    }
+
+    /// Asks for the lanes that an update reads while the car stays in its cell.
+    pub(crate) fn prefetch_lanes(&self, network: &Network) {
+        network.prefetch_lane(self.lane);
+        for &lane in self.cell.of(self.position_world).unwrap_or_default() {
+            network.prefetch_lane(LaneId(lane));
+        }
     }
 
     /// The lane the car is on; the last one when it is on none.
@@ -68,17 +106,17 @@ impl Navigator {
 
     /// The road of the route that the car is on.
     pub fn road(&self) -> RoadId {
-        self.roads[self.current]
+        self.road
     }
 
     /// The road after it; `None` on the last one.
     pub fn next_road(&self) -> Option<RoadId> {
-        self.roads.get(self.current + 1).copied()
+        self.next_road
     }
 
     /// The last road.
     pub fn final_road(&self) -> RoadId {
-        self.roads[self.roads.len() - 1]
+        self.final_road
     }
 
     /// Length of the route along the leftmost lanes, m.
@@ -102,9 +140,9 @@ impl Navigator {
             }
             None => network.lane(self.lane).local_coordinates(position_world).0,
         };
-        let now_m = self.reference_m(network, position_world);
-        self.travelled_m += now_m - self.longitudinal_m;
-        self.longitudinal_m = now_m;
+        let before_m = self.longitudinal_m;
+        self.refer(network, position_world);
+        self.travelled_m += self.longitudinal_m - before_m;
         if longitudinal_m >= REACHED_M {
             return;
         }
@@ -114,9 +152,16 @@ impl Navigator {
             .map(|&road| network.road(road).from)
             .position(|node| node == from)
         {
-            self.current += passed + 1;
-            self.longitudinal_m = self.reference_m(network, position_world);
+            self.enter(self.current + passed + 1);
+            self.refer(network, position_world);
         }
+    }
+
+    /// Notes that the car is on a road of its route.
+    fn enter(&mut self, index: usize) {
+        self.current = index;
+        self.road = self.roads[index];
+        self.next_road = self.roads.get(index + 1).copied();
     }
 
     /// Of the lanes under the car whose direction it shares, the nearest of
@@ -127,27 +172,33 @@ impl Navigator {
         position_world: Point,
         forward_world: Vector,
     ) -> Option<(LaneId, f64)> {
-        let (current, next) = (self.road(), self.next_road());
-        self.on_lane = false;
+        if self.cell.of(position_world).is_none() {
+            self.find_cell(network, position_world);
+        }
+        let held = self.cell.of(position_world);
+        let count = held.map_or(network.lanes().len(), <[u16]>::len);
+        let mut on_lane = false;
         let mut best: Option<(u8, f64, LaneId, f64)> = None;
-        for (index, bounds) in network.bounds().iter().enumerate() {
-            if !bounds.contains(position_world, SURFACE_MARGIN_M) {
+        for place in 0..count {
+            let id = LaneId(held.map_or(place as u16, |lanes| lanes[place]));
+            if held.is_none()
+                && !network.bounds()[id.index()].contains(position_world, SURFACE_MARGIN_M)
+            {
                 continue;
             }
-            let id = LaneId(index as u16);
             let lane = network.lane(id);
             if !lane.surface_contains(position_world, SURFACE_MARGIN_M) {
                 continue;
             }
-            self.on_lane = true;
+            on_lane = true;
             let (longitudinal_m, lateral_m) = lane.local_coordinates(position_world);
             if lane.forward_at(longitudinal_m).dot(&forward_world) <= 0.0 {
                 continue;
             }
             let road = network.road_of(id);
             let rank = match () {
-                () if road == current => 0,
-                () if Some(road) == next => 1,
+                () if road == self.road => 0,
+                () if Some(road) == self.next_road => 1,
                 () => 2,
             };
             let distance_m = lateral_m.abs()
@@ -157,11 +208,41 @@ impl Navigator {
                 best = Some((rank, distance_m, id, longitudinal_m));
             }
         }
+        self.on_lane = on_lane;
         best.map(|(_, _, id, longitudinal_m)| (id, longitudinal_m))
     }
 
-    fn reference_m(&self, network: &Network, position_world: Point) -> f64 {
-        let lane = network.road(self.road()).first_lane;
-        network.lane(lane).local_coordinates(position_world).0
+    /// Finds the cell of a place. Where too many lanes are near, there is none.
+    fn find_cell(&mut self, network: &Network, position_world: Point) {
+        // Twice the margin, so that rounding leaves out no lane.
+        let asked = around(position_world, 2.0 * SURFACE_MARGIN_M);
+        self.cell = Cell::default();
+        let bounds = network.bounds();
+        let Some((lanes, listed)) = self.nearby.find(&asked, bounds.iter()) else {
+            return;
+        };
+        let near = lanes.iter().map(|&lane| (lane, bounds[usize::from(lane)]));
+        let within = listed.shrunk(2.0 * SURFACE_MARGIN_M);
+        self.cell
+            .find(position_world, SURFACE_MARGIN_M, within, near);
+    }
+
+    /// Lateral coordinate of a place on the leftmost lane of the current road, m; known
+    /// already where the car was found.
+    pub(crate) fn lateral_m(&self, network: &Network, position_world: Point) -> f64 {
+        match position_world == self.position_world {
+            true => self.lateral_m,
+            false => self.reference(network, position_world).1,
+        }
+    }
+
+    fn reference(&self, network: &Network, position_world: Point) -> (f64, f64) {
+        let lane = network.road(self.road).first_lane;
+        network.lane(lane).local_coordinates(position_world)
+    }
+
+    fn refer(&mut self, network: &Network, position_world: Point) {
+        self.position_world = position_world;
+        (self.longitudinal_m, self.lateral_m) = self.reference(network, position_world);
     }
 }

@@ -45,6 +45,7 @@ pub(crate) fn road(network: &Network, navigator: &Navigator, motion: &Motion) ->
         right_m: edges.right_m,
         heading_rad: wrap_rad(motion.seen_heading_rad() - lane_rad),
         offset_m: -network.lane(navigator.lane()).local_coordinates(position).1,
+        lane_width_m: network.lane(navigator.lane()).width_m,
     }
 }
 

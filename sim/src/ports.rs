@@ -1,25 +1,7 @@
-//! The ports of the world process.
+//! The ports of the render thread. Those of a tick are `robot::ports`.
 
-use shm_config::message::{
-    Command, Episode, Foresight, Frame, FrameRequest, Observation, Progress,
-};
-use shm_config::services::{
-    COMMAND, EPISODE, FORESIGHT, FRAME, FRAME_REQUEST, OBSERVATION, PROGRESS,
-};
-
-shm_config::ports! {
-    /// What a tick of the world reads and publishes.
-    pub struct Ports of World {
-        /// The command for the car.
-        commands: read COMMAND: Command,
-        /// The observation.
-        observations: write OBSERVATION: Observation,
-        /// The progress of the episode.
-        progress: write PROGRESS: Progress,
-        /// The result of an episode.
-        episodes: write EPISODE: Episode,
-    }
-}
+use shm_config::message::{Foresight, Frame, FrameRequest};
+use shm_config::services::{FORESIGHT, FRAME, FRAME_REQUEST};
 
 shm_config::ports! {
     /// Requests for pictures.

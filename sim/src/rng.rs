@@ -5,8 +5,12 @@
 //! numpy's own ways of turning words into integers, choices and shuffles.
 //! Those few are written here; the generator is `rand_mt`'s.
 
+mod lanes;
+
 use rand_mt::Mt;
 use sha2::{Digest, Sha512};
+
+use lanes::{WORDS, first_words};
 
 /// Managers seed the things they spawn with a number below this
 /// (`Randomizable.MAX_RAND_INT`).
@@ -16,30 +20,61 @@ const PARAMETER_SEEDS: u32 = 1_000_000;
 
 /// One random stream.
 pub struct Stream {
-    words: Mt,
+    key: [u32; 2],
+    /// Its first words, of which some are used up.
+    first: [u32; WORDS],
+    used: usize,
+    /// Made when the first words do not suffice.
+    rest: Option<Box<Mt>>,
 }
 
 impl Stream {
     /// The stream that MetaDrive's `get_np_random(seed)` returns.
     pub fn new(seed: u64) -> Stream {
-        let digest = Sha512::digest(seed.to_string().as_bytes());
-        let mut low = [0; 4];
-        let mut high = [0; 4];
-        low.copy_from_slice(&digest[..4]);
-        high.copy_from_slice(&digest[4..8]);
-        let (low, high) = (u32::from_le_bytes(low), u32::from_le_bytes(high));
-        // The key is a big integer cut into words: no leading zero words.
-        let key = [low, high];
-        let key = if high == 0 { &key[..1] } else { &key[..] };
+        let key = key_of(seed);
         Stream {
-            words: Mt::new_with_key(key.iter().copied()),
+            key,
+            first: [0; WORDS],
+            used: WORDS,
+            rest: Some(Box::new(generator(key))),
         }
+    }
+
+    /// The streams of many seeds, of each of which a few words are needed: this costs a
+    /// fraction of making one after the other.
+    pub(crate) fn many(seeds: &[u64]) -> Vec<Stream> {
+        let keys: Vec<[u32; 2]> = seeds.iter().map(|&seed| key_of(seed)).collect();
+        let found = first_words(&keys);
+        let stream = |(key, first): ([u32; 2], [u32; WORDS])| Stream {
+            key,
+            first,
+            // A key of one word is another key: its words are not those found.
+            used: if key[1] == 0 { WORDS } else { 0 },
+            rest: (key[1] == 0).then(|| Box::new(generator(key))),
+        };
+        keys.into_iter().zip(found).map(stream).collect()
+    }
+
+    fn next_u32(&mut self) -> u32 {
+        if let Some(&word) = self.first.get(self.used) {
+            self.used += 1;
+            return word;
+        }
+        let key = self.key;
+        let rest = self.rest.get_or_insert_with(|| {
+            let mut rest = Box::new(generator(key));
+            for _ in 0..WORDS {
+                rest.next_u32();
+            }
+            rest
+        });
+        rest.next_u32()
     }
 
     /// Uniform in [0, 1): `random_sample`, `rand`.
     pub fn unit(&mut self) -> f64 {
-        let high = f64::from(self.words.next_u32() >> 5);
-        let low = f64::from(self.words.next_u32() >> 6);
+        let high = f64::from(self.next_u32() >> 5);
+        let low = f64::from(self.next_u32() >> 6);
         (high * 67_108_864.0 + low) / 9_007_199_254_740_992.0
     }
 
@@ -52,7 +87,7 @@ impl Stream {
         let largest = count - 1;
         let mask = u32::MAX >> largest.leading_zeros();
         loop {
-            let value = self.words.next_u32() & mask;
+            let value = self.next_u32() & mask;
             if value <= largest {
                 return value;
             }
@@ -102,6 +137,30 @@ impl Stream {
             unit: Stream::new(u64::from(seed)).unit(),
         }
     }
+}
+
+/// What [`Stream::parameters`] gives of each stream.
+pub(crate) fn parameters_of(streams: &mut [Stream]) -> Vec<Shared> {
+    let seed = |stream: &mut Stream| u64::from(stream.below(PARAMETER_SEEDS));
+    let seeds: Vec<u64> = streams.iter_mut().map(seed).collect();
+    let shared = |mut stream: Stream| Shared {
+        unit: stream.unit(),
+    };
+    Stream::many(&seeds).into_iter().map(shared).collect()
+}
+
+/// The key that the seed of a stream is made into: a big integer of two words, the lower
+/// one first.
+fn key_of(seed: u64) -> [u32; 2] {
+    let digest = Sha512::digest(seed.to_string().as_bytes());
+    let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| digest[at + byte]));
+    [word(0), word(4)]
+}
+
+/// The generator of a key, which has no leading zero words.
+fn generator(key: [u32; 2]) -> Mt {
+    let words = if key[1] == 0 { &key[..1] } else { &key[..] };
+    Mt::new_with_key(words.iter().copied())
 }
 
 /// The number that all parameters of one sample are made of.
@@ -170,6 +229,22 @@ mod tests {
             stream.shuffle(&mut items);
             assert_eq!(items, shuffled, "seed {seed}");
             assert_eq!(stream.unit(), last, "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn many_streams_draw_what_each_draws_alone() {
+        let seeds: Vec<u64> = (0..100).map(|k| k * k * 977).collect();
+        for (&seed, mut together) in seeds.iter().zip(Stream::many(&seeds)) {
+            let mut alone = Stream::new(seed);
+            for draw in 0..3 * WORDS as u32 {
+                let count = 2 + draw * draw * 77;
+                assert_eq!(together.below(count), alone.below(count), "seed {seed}");
+            }
+        }
+        let shared = parameters_of(&mut Stream::many(&seeds));
+        for (&seed, shared) in seeds.iter().zip(shared) {
+            assert_eq!(shared, Stream::new(seed).parameters(), "seed {seed}");
         }
     }
 

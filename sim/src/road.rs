@@ -6,9 +6,18 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::ops::Range;
 
-use crate::lane::Lane;
+use crate::lane::{LANE_BYTES, Lane};
 use crate::map::BlockKind;
+use crate::prefetch;
 use crate::surface::Bounds;
+
+/// A lane that ends nearer than this to the start of another leads to it, m.
+const JOIN_M: f64 = 0.1;
+
+/// Most lanes that begin or end at one place: those of a crossing are four.
+const JOINED: usize = 6;
+/// The id of no lane: no map has so many.
+const NO_LANE: LaneId = LaneId(u16::MAX);
 
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident) => {
@@ -111,6 +120,42 @@ impl Road {
     }
 }
 
+/// The lanes around the ends of a lane. Every driver compares them with those of all
+/// bodies around it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Joins {
+    /// Lanes that begin where it ends.
+    next: [LaneId; JOINED],
+    /// Lanes that end where it begins.
+    before: [LaneId; JOINED],
+    /// A bit for each of these lanes and for the lane itself, by the last digits of its id.
+    marks: u64,
+}
+
+impl Joins {
+    const NONE: Joins = Joins {
+        next: [NO_LANE; JOINED],
+        before: [NO_LANE; JOINED],
+        marks: 0,
+    };
+
+    /// Whether a lane may be one of these or the lane itself; false only if it is not.
+    #[inline(always)]
+    pub fn may_hold(&self, lane: LaneId) -> bool {
+        self.marks & mark(lane) != 0
+    }
+
+    /// Whether this lane ends where another begins.
+    pub fn leads_to(&self, lane: LaneId) -> bool {
+        self.next.contains(&lane)
+    }
+
+    /// Whether this lane begins where another ends.
+    pub fn follows(&self, lane: LaneId) -> bool {
+        self.before.contains(&lane)
+    }
+}
+
 /// All roads of a map.
 #[derive(Clone, Debug, Default)]
 pub struct Network {
@@ -122,6 +167,7 @@ pub struct Network {
     lanes: Vec<Lane>,
     lane_roads: Vec<RoadId>,
     bounds: Vec<Bounds>,
+    joins: Vec<Joins>,
 }
 
 impl Network {
@@ -153,6 +199,7 @@ impl Network {
         }
         let end = RoadId::from_index(network.roads.len()).0;
         network.roads_from.resize(network.nodes.len(), end..end);
+        network.join();
         network
     }
 
@@ -182,6 +229,34 @@ impl Network {
             self.lane_roads.push(road);
             self.bounds.push(lane.surface_bounds());
         }
+    }
+
+    /// Finds the lanes that lead to each other.
+    fn join(&mut self) {
+        let mut starts: Vec<LaneId> = (0..self.lanes.len()).map(LaneId::from_index).collect();
+        let x_m = |lane: LaneId| self.lanes[lane.index()].start_world.x;
+        starts.sort_unstable_by(|&a, &b| x_m(a).total_cmp(&x_m(b)));
+        let mut joins = vec![Joins::NONE; self.lanes.len()];
+        for (index, lane) in self.lanes.iter().enumerate() {
+            let own = LaneId::from_index(index);
+            joins[index].marks |= mark(own);
+            let end_world = lane.end_world;
+            // Twice the distance, so that rounding leaves out no lane.
+            let first = starts.partition_point(|&next| x_m(next) < end_world.x - 2.0 * JOIN_M);
+            let near = starts[first..]
+                .iter()
+                .take_while(|&&next| x_m(next) <= end_world.x + 2.0 * JOIN_M);
+            for &next in near {
+                let start_world = self.lanes[next.index()].start_world;
+                if (end_world - start_world).norm_squared() < JOIN_M * JOIN_M {
+                    note(&mut joins[index].next, next);
+                    note(&mut joins[next.index()].before, own);
+                    joins[index].marks |= mark(next);
+                    joins[next.index()].marks |= mark(own);
+                }
+            }
+        }
+        self.joins = joins;
     }
 
     /// All nodes' names, by id.
@@ -230,6 +305,29 @@ impl Network {
     /// The road that a lane is part of.
     pub fn road_of(&self, lane: LaneId) -> RoadId {
         self.lane_roads[lane.index()]
+    }
+
+    /// Whether one lane ends where another begins.
+    pub fn leads_to(&self, lane: LaneId, next: LaneId) -> bool {
+        self.joins(lane).leads_to(next)
+    }
+
+    /// Asks for what a driver on a lane reads of it.
+    pub(crate) fn prefetch_lane(&self, lane: LaneId) {
+        let index = lane.index();
+        prefetch::first::<LANE_BYTES, _>(&self.lanes[index]);
+        prefetch::value(&self.joins[index]);
+        prefetch::value(&self.lane_roads[index]);
+    }
+
+    /// Asks for a road.
+    pub(crate) fn prefetch_road(&self, road: RoadId) {
+        prefetch::value(self.road(road));
+    }
+
+    /// The lanes that lead to a lane, and those that it leads to.
+    pub(crate) fn joins(&self, lane: LaneId) -> &Joins {
+        &self.joins[lane.index()]
     }
 
     /// A lane's place in its road: 0 is the leftmost.
@@ -290,5 +388,55 @@ impl Network {
         }
         roads.reverse();
         roads
+    }
+}
+
+/// The bit of a lane.
+fn mark(lane: LaneId) -> u64 {
+    1 << (lane.0 % 64)
+}
+
+/// Adds a lane where there is room for one. At no place of a map do more begin or end.
+fn note(lanes: &mut [LaneId; JOINED], lane: LaneId) {
+    let room = lanes.iter_mut().find(|known| **known == NO_LANE);
+    debug_assert!(room.is_some(), "more than {JOINED} lanes at one place");
+    if let Some(room) = room {
+        *room = lane;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::map::{BlockPlan, Map, MapConfig};
+
+    #[test]
+    fn joined_lanes_are_those_whose_ends_meet() {
+        let mut met = 0;
+        for seed in 0..30 {
+            let config = MapConfig {
+                blocks: BlockPlan::Random(6),
+                lane_count: 1 + seed as usize % 5,
+                ..MapConfig::default()
+            };
+            let Ok(map) = Map::generate(&config, seed) else {
+                continue;
+            };
+            let network = &map.network;
+            let lanes = network.lanes();
+            for (a, lane) in lanes.iter().enumerate() {
+                for (b, next) in lanes.iter().enumerate() {
+                    let apart = lane.end_world - next.start_world;
+                    let meets = apart.norm_squared() < JOIN_M * JOIN_M;
+                    let [a, b] = [a, b].map(LaneId::from_index);
+                    assert_eq!(network.leads_to(a, b), meets, "seed {seed}: {a:?}, {b:?}");
+                    assert_eq!(network.joins(b).follows(a), meets, "seed {seed}");
+                    let marked = network.joins(a).may_hold(b) && network.joins(b).may_hold(a);
+                    assert!(marked || !(meets || a == b), "seed {seed}: {a:?}, {b:?}");
+                    met += usize::from(meets);
+                }
+            }
+        }
+        assert!(met > 1000, "{met} lanes meet");
     }
 }

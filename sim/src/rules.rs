@@ -11,6 +11,7 @@ use vehicle::Point;
 use crate::contact::Placed;
 use crate::lane::{Lane, LineType};
 use crate::navigation::Navigator;
+use crate::nearby::Nearby;
 use crate::road::Network;
 use crate::surface::Bounds;
 
@@ -21,6 +22,8 @@ const ARRIVAL_M: f64 = 5.0;
 const SIDEWALK_GAP_M: f64 = 0.2;
 const SIDEWALK_WIDTH_M: f64 = 2.0;
 const SIDEWALK_STEP_M: f64 = 3.0;
+/// Pieces of a strip: two lines of boxes, so that a car beside a strip reads few.
+const STRIP_PIECES: usize = 4;
 /// A sidewalk ends this far beyond its lane, m.
 const SIDEWALK_OVERHANG_M: f64 = 0.1;
 
@@ -39,10 +42,7 @@ impl Edges {
     pub fn of(network: &Network, navigator: &Navigator, position_world: Point) -> Edges {
         let road = network.road(navigator.road());
         let width_m = network.lane(navigator.lane()).width_m;
-        let lateral_m = network
-            .lane(road.first_lane)
-            .local_coordinates(position_world)
-            .1;
+        let lateral_m = navigator.lateral_m(network, position_world);
         let left_m = lateral_m + width_m / 2.0;
         Edges {
             left_m,
@@ -70,28 +70,33 @@ pub fn has_arrived(network: &Network, navigator: &Navigator, position_world: Poi
 /// The sidewalks of a map, as chains of quadrilaterals.
 #[derive(Clone, Debug, Default)]
 pub struct Sidewalks {
-    strips: Vec<Strip>,
-    pieces: Vec<Piece>,
+    /// The box around each strip: [`STRIP_PIECES`] neighbouring pieces, or the fewer at
+    /// the end of a chain.
+    strips: Vec<Bounds>,
+    /// The first piece of each strip, and where the last one ends.
+    begins: Vec<u32>,
+    /// The box around each piece, and its corners.
+    pieces: Vec<Bounds>,
+    corners_world: Vec<[Point; 4]>,
 }
 
-#[derive(Clone, Debug)]
-struct Strip {
-    bounds: Bounds,
-    first: usize,
-    end: usize,
-}
-
-#[derive(Clone, Debug)]
-struct Piece {
-    bounds: Bounds,
-    corners_world: [Point; 4],
+/// Where a car was when its box met no sidewalk's.
+#[derive(Clone, Debug, Default)]
+#[repr(C)]
+pub(crate) struct Beside {
+    /// No piece's box meets a box in here.
+    clear: Option<Bounds>,
+    /// The strips around it.
+    nearby: Nearby,
 }
 
 impl Sidewalks {
     /// Lays the sidewalks of a map, reusing what is allocated.
     pub fn lay(&mut self, network: &Network) {
         self.strips.clear();
+        self.begins.clear();
         self.pieces.clear();
+        self.corners_world.clear();
         for road in network.roads() {
             let first = road.first_lane.index();
             let lanes = &network.lanes()[first..first + usize::from(road.lane_count)];
@@ -104,6 +109,7 @@ impl Sidewalks {
                 }
             }
         }
+        self.begins.push(self.pieces.len() as u32);
     }
 
     fn lay_along(&mut self, lane: &Lane) {
@@ -115,8 +121,6 @@ impl Sidewalks {
         {
             return;
         }
-        let first = self.pieces.len();
-        let mut bounds = Bounds::EMPTY;
         let across = |longitudinal_m: f64| {
             let end_m = longitudinal_m.min(lane.length_m + SIDEWALK_OVERHANG_M);
             [lane.position(end_m, near_m), lane.position(end_m, far_m)]
@@ -125,38 +129,77 @@ impl Sidewalks {
         let mut behind = across(0.0);
         for step in 1..steps {
             let ahead = across(step as f64 * SIDEWALK_STEP_M);
-            let corners_world = [behind[0], behind[1], ahead[1], ahead[0]];
-            let piece = Piece {
-                bounds: Bounds::around(&corners_world),
-                corners_world,
-            };
-            bounds.include(piece.bounds.min_world);
-            bounds.include(piece.bounds.max_world);
-            self.pieces.push(piece);
+            self.push(
+                [behind[0], behind[1], ahead[1], ahead[0]],
+                (step - 1) % STRIP_PIECES,
+            );
             behind = ahead;
         }
-        self.strips.push(Strip {
-            bounds,
-            first,
-            end: self.pieces.len(),
-        });
+    }
+
+    /// Adds a piece, at a place in its strip.
+    fn push(&mut self, corners_world: [Point; 4], place: usize) {
+        if place == 0 {
+            self.begins.push(self.pieces.len() as u32);
+            self.strips.push(Bounds::EMPTY);
+        }
+        let bounds = Bounds::around(&corners_world);
+        if let Some(strip) = self.strips.last_mut() {
+            strip.include(bounds.min_world);
+            strip.include(bounds.max_world);
+        }
+        self.pieces.push(bounds);
+        self.corners_world.push(corners_world);
     }
 
     /// Whether a car stands on a sidewalk.
     pub fn touch(&self, car: &Placed) -> bool {
+        self.touch_near(car, &mut Beside::default())
+    }
+
+    /// The same, with what is known from the tick before.
+    pub(crate) fn touch_near(&self, car: &Placed, beside: &mut Beside) -> bool {
         let corners = car.corners_world();
         let around = Bounds::around(&corners);
-        self.strips
-            .iter()
-            .filter(|strip| strip.bounds.overlaps(&around))
-            .flat_map(|strip| &self.pieces[strip.first..strip.end])
-            .filter(|piece| piece.bounds.overlaps(&around))
-            .any(|piece| convex_overlap(&corners, &piece.corners_world))
+        if beside.clear.is_some_and(|clear| clear.encloses(&around)) {
+            return false;
+        }
+        beside.clear = None;
+        let Some((strips, listed)) = beside.nearby.find(&around, self.strips.iter()) else {
+            let mut near =
+                (0..self.pieces.len()).filter(|&piece| self.pieces[piece].overlaps(&around));
+            return near.any(|piece| convex_overlap(&corners, &self.corners_world[piece]));
+        };
+        let kept = (around.min_world, around.max_world);
+        let mut is_clear = true;
+        let mut on_sidewalk = false;
+        let mut cut = Bounds::EVERYWHERE;
+        for &strip in strips {
+            let strip = usize::from(strip);
+            let bounds = &self.strips[strip];
+            if !bounds.overlaps(&around) {
+                cut.keep_off(kept, (bounds.min_world, bounds.max_world));
+                continue;
+            }
+            for piece in self.begins[strip] as usize..self.begins[strip + 1] as usize {
+                let bounds = &self.pieces[piece];
+                if bounds.overlaps(&around) {
+                    is_clear = false;
+                    on_sidewalk |= convex_overlap(&corners, &self.corners_world[piece]);
+                } else {
+                    cut.keep_off(kept, (bounds.min_world, bounds.max_world));
+                }
+            }
+        }
+        if is_clear {
+            beside.clear = Some(cut.within(&listed));
+        }
+        on_sidewalk
     }
 
     /// The corners of every piece, for drawings.
     pub fn pieces(&self) -> impl Iterator<Item = &[Point; 4]> {
-        self.pieces.iter().map(|piece| &piece.corners_world)
+        self.corners_world.iter()
     }
 }
 

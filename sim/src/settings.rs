@@ -1,11 +1,12 @@
-//! Converts the `world` section of a run's configuration.
+//! Converts the sections of a run's configuration that a world obeys.
 
-use shm_config::config;
+use shm_config::config::Config;
 
 use crate::config::WorldConfig;
 
-impl From<&config::World> for WorldConfig {
-    fn from(section: &config::World) -> WorldConfig {
+impl From<&Config> for WorldConfig {
+    fn from(config: &Config) -> WorldConfig {
+        let section = &config.world;
         WorldConfig {
             blocks: section.blocks as usize,
             block_sequence: section.sequence.clone(),
@@ -14,8 +15,8 @@ impl From<&config::World> for WorldConfig {
             traffic_density: section.traffic_density,
             accident_probability: section.accident_probability,
             horizon_steps: u64::from(section.horizon_ticks),
-            beam_count: section.beams as usize,
-            lidar_range_m: section.lidar_m,
+            vehicle: config.vehicle,
+            scanner: config.scanner,
             ..WorldConfig::default()
         }
     }

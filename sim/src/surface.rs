@@ -30,6 +30,12 @@ impl Bounds {
         max_world: Point::new(f64::NEG_INFINITY, f64::NEG_INFINITY),
     };
 
+    /// The box around all points.
+    pub(crate) const EVERYWHERE: Bounds = Bounds {
+        min_world: Point::new(f64::NEG_INFINITY, f64::NEG_INFINITY),
+        max_world: Point::new(f64::INFINITY, f64::INFINITY),
+    };
+
     /// The smallest box around the points.
     pub fn around(points_world: &[Point]) -> Bounds {
         let mut bounds = Bounds::EMPTY;
@@ -53,6 +59,67 @@ impl Bounds {
             && point_world.y <= self.max_world.y + margin_m
     }
 
+    /// Whether all of the other box is inside.
+    pub fn encloses(&self, other: &Bounds) -> bool {
+        self.min_world.x <= other.min_world.x
+            && self.min_world.y <= other.min_world.y
+            && self.max_world.x >= other.max_world.x
+            && self.max_world.y >= other.max_world.y
+    }
+
+    /// The corners of the box that [`Bounds::contains`] asks about.
+    pub(crate) fn grown(&self, margin_m: f64) -> (Point, Point) {
+        let margin = Vector::new(margin_m, margin_m);
+        (self.min_world - margin, self.max_world + margin)
+    }
+
+    /// The box whose sides are further inside.
+    pub(crate) fn shrunk(&self, by_m: f64) -> Bounds {
+        let by = Vector::new(by_m, by_m);
+        Bounds {
+            min_world: self.min_world + by,
+            max_world: self.max_world - by,
+        }
+    }
+
+    /// Cuts off the part that another box reaches, where that keeps `kept`, which must be
+    /// inside and must not meet the other. The corners are given as lower left, upper
+    /// right. It cuts at the side from which the other is farthest.
+    pub(crate) fn keep_off(&mut self, kept: (Point, Point), other: (Point, Point)) {
+        let mut widest_m = 0.0;
+        let mut cut = None;
+        for axis in 0..2 {
+            let above_m = other.0[axis] - kept.1[axis];
+            if above_m > widest_m {
+                (widest_m, cut) = (above_m, Some((axis, true)));
+            }
+            let below_m = kept.0[axis] - other.1[axis];
+            if below_m > widest_m {
+                (widest_m, cut) = (below_m, Some((axis, false)));
+            }
+        }
+        match cut {
+            Some((axis, true)) => {
+                let edge = other.0[axis].next_down();
+                self.max_world[axis] = self.max_world[axis].min(edge);
+            }
+            Some((axis, false)) => {
+                let edge = other.1[axis].next_up();
+                self.min_world[axis] = self.min_world[axis].max(edge);
+            }
+            // Not a number: nothing is known of any other place.
+            None => *self = Bounds::EMPTY,
+        }
+    }
+
+    /// The part of both boxes.
+    pub(crate) fn within(&self, other: &Bounds) -> Bounds {
+        Bounds {
+            min_world: self.min_world.sup(&other.min_world),
+            max_world: self.max_world.inf(&other.max_world),
+        }
+    }
+
     /// Whether the two boxes share a point.
     pub fn overlaps(&self, other: &Bounds) -> bool {
         self.min_world.x <= other.max_world.x
@@ -64,6 +131,7 @@ impl Bounds {
 
 /// Directions that the surface of an arc is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 pub(crate) struct ArcSurface {
     /// From the centre to the start, in the world.
     start: Vector,
@@ -71,13 +139,11 @@ pub(crate) struct ArcSurface {
     cap: Vector,
     /// Heading at the end of the centre line, in the arc frame.
     exit: Vector,
-    /// Number of whole steps sampled.
-    steps: f64,
 }
 
 impl ArcSurface {
     pub(crate) fn new(shape: &ArcShape, start_phase_rad: f64) -> ArcSurface {
-        let steps = (shape.radius_m * shape.angle_rad / SURFACE_STEP_M).ceil();
+        let steps = steps(shape.radius_m, shape.angle_rad);
         let (start_sin, start_cos) = start_phase_rad.sin_cos();
         let (cap_sin, cap_cos) = (steps * SURFACE_STEP_M / shape.radius_m).sin_cos();
         let (exit_sin, exit_cos) = shape.angle_rad.sin_cos();
@@ -85,21 +151,19 @@ impl ArcSurface {
             start: Vector::new(start_cos, start_sin),
             cap: Vector::new(cap_cos, cap_sin),
             exit: Vector::new(-exit_sin, exit_cos),
-            steps,
         }
     }
 
     /// Whether a point, given from the centre of the circle in world axes,
-    /// lies on the surface. `ring_m` is (radius of the centre line, half
-    /// width).
+    /// lies on the surface.
     pub(crate) fn contains(
         &self,
-        turn: Turn,
+        arc: &Arc,
         from_center: Vector,
-        ring_m: (f64, f64),
+        half_m: f64,
         margin_m: f64,
     ) -> bool {
-        let (radius_m, half_m) = ring_m;
+        let (radius_m, turn) = (arc.radius_m, arc.turn);
         let (outer_m, inner_m) = (radius_m + half_m, radius_m - half_m);
         let point = Vector::new(
             from_center.dot(&self.start),
@@ -116,20 +180,21 @@ impl ArcSurface {
             && point.x <= outer_m + margin_m
             && left_of(exit_outer, exit_inner, point, margin_m)
             && left_of(exit_inner, entry_inner, point, margin_m)
-            && self.within_outer_rim(point, (radius_m, outer_m), exit_outer, margin_m)
+            && self.within_outer_rim(arc, point, (outer_m, exit_outer), margin_m)
     }
 
     /// The rim is a chain of chords; only the one at the point's angle can
     /// cut it off.
     fn within_outer_rim(
         &self,
+        arc: &Arc,
         point: Vector,
-        radii_m: (f64, f64),
-        exit_outer: Vector,
+        (outer_m, exit_outer): (f64, Vector),
         margin_m: f64,
     ) -> bool {
-        let (radius_m, outer_m) = radii_m;
-        let rim_end = self.rim_end(radii_m, exit_outer);
+        let radius_m = arc.radius_m;
+        let radii_m = (radius_m, outer_m);
+        let rim_end = self.rim_end(arc, outer_m, exit_outer);
         if !left_of(rim_end.0, exit_outer, point, margin_m) {
             return false;
         }
@@ -149,13 +214,14 @@ impl ArcSurface {
     /// The last rim sample that is a corner, and its number: the very last
     /// one falls inside when the exit metre leaves at a smaller angle than
     /// the chord that reaches it.
-    fn rim_end(&self, radii_m: (f64, f64), exit_outer: Vector) -> (Vector, f64) {
-        let end = radii_m.1 * self.cap;
-        let before = rim(self.steps - 1.0, radii_m);
+    fn rim_end(&self, arc: &Arc, outer_m: f64, exit_outer: Vector) -> (Vector, f64) {
+        let steps = steps(arc.radius_m, arc.angle_rad);
+        let end = outer_m * self.cap;
+        let before = rim(steps - 1.0, (arc.radius_m, outer_m));
         if cross(end - before, exit_outer - end) > 0.0 {
-            (end, self.steps)
+            (end, steps)
         } else {
-            (before, self.steps - 1.0)
+            (before, steps - 1.0)
         }
     }
 
@@ -163,7 +229,7 @@ impl ArcSurface {
     pub(crate) fn corners(&self, arc: &Arc, half_m: f64) -> Vec<Point> {
         let (outer_m, inner_m) = (arc.radius_m + half_m, arc.radius_m - half_m);
         let exit_outer = outer_m * self.cap + SURFACE_STEP_M * self.exit;
-        let rim_steps = self.rim_end((arc.radius_m, outer_m), exit_outer).1;
+        let rim_steps = self.rim_end(arc, outer_m, exit_outer).1;
         let mut corners = vec![Vector::new(outer_m, -SURFACE_STEP_M)];
         corners.extend((0..=rim_steps as usize).map(|k| rim(k as f64, (arc.radius_m, outer_m))));
         corners.push(exit_outer);
@@ -191,7 +257,7 @@ impl ArcSurface {
         ] {
             bounds.include(self.to_world(arc, corner));
         }
-        let swept_rad = self.steps * SURFACE_STEP_M / arc.radius_m;
+        let swept_rad = steps(arc.radius_m, arc.angle_rad) * SURFACE_STEP_M / arc.radius_m;
         for axis in [Vector::x(), Vector::y(), -Vector::x(), -Vector::y()] {
             let along = axis.dot(&self.start);
             let across = arc.turn.sign() * cross(self.start, axis);
@@ -211,6 +277,12 @@ impl ArcSurface {
                 self.start.y * point.x + self.start.x * across,
             )
     }
+}
+
+/// Number of whole steps sampled. It is computed anew because the two cache lines of an
+/// arc are full.
+fn steps(radius_m: f64, angle_rad: f64) -> f64 {
+    (radius_m * angle_rad / SURFACE_STEP_M).ceil()
 }
 
 /// The k-th sample on the rim; `radii_m` is (centre line, rim).

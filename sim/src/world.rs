@@ -1,19 +1,23 @@
 //! The world: episodes by seed, one tick of 0.1 s at a time.
 
+mod fetch;
+
 use shm_config::message::{Observation, Outcome};
 use vehicle::{Action, Point, Pose, Vector, pose};
 
 use crate::bodies::{Bodies, Fixture, Mover, Touch, floor_after_drop_m};
 use crate::config::{OutOfRoute, WorldConfig, WorldError};
 use crate::contact::{Placed, Shape};
+use crate::delay::Delay;
 use crate::dynamics::{Car, Motion, SUBSTEPS};
 use crate::idm::{Idm, View};
-use crate::lidar::{Lidar, Origin};
+use crate::lidar::Lidar;
 use crate::map::Map;
 use crate::model::VehicleKind;
 use crate::navigation::Navigator;
 use crate::observe;
-use crate::rules::{Edges, Sidewalks, has_arrived};
+use crate::places::places;
+use crate::rules::{Beside, Edges, Sidewalks, has_arrived};
 use crate::spawn::{ObstacleKind, Scenario, ScenarioConfig};
 use crate::traffic::Traffic;
 
@@ -64,29 +68,34 @@ pub struct Body {
     pub velocity_world: Vector,
 }
 
-/// An episode, and what is needed to begin the next one.
+/// An episode, and what is needed to begin the next one. The fields that every tick
+/// reads are first, in the order of use: in a batch they are fetched before the tick.
 #[derive(Clone, Debug)]
+#[repr(C)]
 pub struct World {
-    config: WorldConfig,
-    scenario_config: ScenarioConfig,
-    lidar: Lidar,
-    map: Map,
-    sidewalks: Sidewalks,
     navigator: Navigator,
-    bodies: Bodies,
-    traffic: Traffic,
-    ticks: u64,
-    driven_m: f64,
+    step: StepOutcome,
     last_action: Action,
+    ticks: u64,
     /// Sub-steps of the current tick that are done, and what the ego touched in them.
     substeps: usize,
     touch: Touch,
+    driven_m: f64,
     /// Where the ego was seen when the current tick began.
     begun_world: Point,
     /// The ego's seen headings before each of the last five sub-steps; the one
     /// that the next sub-step overwrites is the oldest, a tick ago.
     headings_world: [Vector; SUBSTEPS as usize],
-    step: StepOutcome,
+    lidar: Lidar,
+    delay: Delay,
+    bodies: Bodies,
+    traffic: Traffic,
+    map: Map,
+    config: WorldConfig,
+    /// The sidewalks around the ego.
+    beside: Beside,
+    sidewalks: Sidewalks,
+    scenario_config: ScenarioConfig,
 }
 
 impl World {
@@ -106,11 +115,13 @@ impl World {
             place.position_world,
         );
         let mut world = World {
-            lidar: Lidar::new(config.beam_count, config.lidar_range_m),
+            lidar: Lidar::new(&config.scanner),
+            delay: Delay::of(&config.vehicle),
             config,
             scenario_config,
             map: scenario.map.clone(),
             sidewalks: Sidewalks::default(),
+            beside: Beside::default(),
             navigator,
             bodies: Bodies::default(),
             traffic: Traffic::new(),
@@ -143,7 +154,7 @@ impl World {
         let network = &scenario.map.network;
         let ego = &scenario.ego;
         let position = ego.place.position_world;
-        let car = Car::new(ego.kind, ego.forces);
+        let car = Car::ego(&self.config.vehicle, ego.forces);
         let at = pose(position.x, position.y, ego.place.heading_rad);
         let motion = Motion::at_rest(at, car.model);
         self.navigator = Navigator::new(network, &ego.route, ego.place.lane, position);
@@ -151,18 +162,19 @@ impl World {
             .update(network, position, motion.seen_forward());
         self.headings_world.fill(motion.seen_forward());
         (self.substeps, self.touch) = (0, Touch::default());
-        self.bodies.movers.clear();
-        self.bodies.movers.push(Mover::new(ego.kind, car, motion));
-        self.bodies.fixtures.clear();
+        self.bodies.clear();
+        self.bodies.push(Mover::new(ego.kind, car, motion));
         let fixtures = scenario.obstacles.iter().filter_map(Fixture::new);
         self.bodies.fixtures.extend(fixtures);
         self.traffic.place(&scenario, &mut self.bodies);
         self.bodies.reserve();
         self.sidewalks.lay(network);
+        self.beside = Beside::default();
         self.map = scenario.map;
         self.ticks = 0;
         self.driven_m = 0.0;
         self.last_action = Action::default();
+        self.delay.forget();
         self.step = StepOutcome::BEGINNING;
     }
 
@@ -170,11 +182,8 @@ impl World {
     /// non-finite action brakes. After the end of the episode nothing moves and
     /// the outcome repeats.
     pub fn step(&mut self, action: Action) -> StepOutcome {
-        loop {
-            if let Some(step) = self.substep(action) {
-                return step;
-            }
-        }
+        self.advance(action, SUBSTEPS as usize - self.substeps)
+            .unwrap_or(self.step)
     }
 
     /// Drives for one sub-step of 0.02 s; returns the tick's outcome with the last
@@ -183,31 +192,49 @@ impl World {
     /// the wheel as they were set for it. Traffic decisions and rules run once in a
     /// tick.
     pub fn substep(&mut self, action: Action) -> Option<StepOutcome> {
+        self.advance(action, 1)
+    }
+
+    /// Drives for some of the sub-steps that are left of the tick.
+    fn advance(&mut self, action: Action, count: usize) -> Option<StepOutcome> {
         if self.step.has_ended() {
             return Some(self.step);
         }
         let action = action.clamped();
-        let begins = self.substeps == 0;
-        if begins {
+        if self.substeps == 0 {
             let ego_lane = self.navigator.lane();
             let network = &self.map.network;
             self.traffic.trigger(network.road_of(ego_lane));
             self.traffic.drive(network, &mut self.bodies, ego_lane);
         }
+        match self.delay.is_none() {
+            true => self.drive(action, count),
+            false => {
+                for _ in 0..count {
+                    let effective = self.delay.pass(action);
+                    self.drive(effective, 1);
+                }
+            }
+        }
+        (self.substeps == SUBSTEPS as usize).then(|| self.end_tick())
+    }
+
+    /// Moves all bodies by some sub-steps, the ego with an action that takes effect now.
+    fn drive(&mut self, action: Action, count: usize) {
+        let begins = self.substeps == 0;
         if begins || action != self.last_action {
-            self.bodies.movers[0].command(action);
+            self.bodies.command(0, action);
             self.last_action = action;
         }
-        let motion = &self.bodies.movers[0].motion;
-        self.headings_world[self.substeps] = motion.seen_forward();
         if begins {
-            self.begun_world = motion.seen_position();
+            self.begun_world = self.bodies.movers[0].motion.seen_position();
             self.touch = Touch::default();
             self.bodies.find_pairs();
         }
-        self.bodies.substep(&mut self.touch);
-        self.substeps += 1;
-        (self.substeps == SUBSTEPS as usize).then(|| self.end_tick())
+        let substeps = self.substeps..self.substeps + count;
+        let headings_world = &mut self.headings_world[substeps];
+        self.bodies.advance(headings_world, &mut self.touch);
+        self.substeps += count;
     }
 
     fn end_tick(&mut self) -> StepOutcome {
@@ -223,11 +250,11 @@ impl World {
         self.step
     }
 
-    fn judge(&self, touch: Touch) -> StepOutcome {
+    fn judge(&mut self, touch: Touch) -> StepOutcome {
+        let ego = self.ego_seen();
+        let on_sidewalk = self.sidewalks.touch_near(&ego, &mut self.beside);
         let network = &self.map.network;
-        let motion = &self.bodies.movers[0].motion;
-        let position = motion.seen_position();
-        let on_sidewalk = self.sidewalks.touch(&self.ego_seen());
+        let position = ego.center_world;
         let outside = self.config.out_of_route == OutOfRoute::Ends
             && Edges::of(network, &self.navigator, position).is_outside();
         let outcome = if has_arrived(network, &self.navigator, position) {
@@ -262,16 +289,38 @@ impl World {
         observation.road = observe::road(network, &self.navigator, motion);
         observation.checkpoints = observe::checkpoints(network, &self.navigator, motion);
         observation.lidar_max_m = self.lidar.range_m() as f32;
-        observation.beam_count = self.lidar.beam_count() as u32;
-        let origin = Origin {
-            position_world: motion.seen_position(),
-            forward_world: motion.seen_forward(),
+        observation.set_fan(self.lidar.fan());
+        let origin = self.lidar.origin(motion);
+        let reach_m = self.lidar.range_m();
+        let is_near = |away: Vector, radius_m: f64| {
+            let most_m = reach_m + radius_m;
+            away.norm_squared() <= most_m * most_m
         };
-        let movers = self.bodies.movers.iter().skip(1);
-        let seen = movers.filter(|mover| mover.present && self.is_at_beam_height(mover));
-        let fixtures = self.bodies.fixtures.iter().map(|fixture| fixture.placed);
-        let bodies = seen.map(Mover::placed).chain(fixtures);
+        let Bodies {
+            movers,
+            spots,
+            fixtures,
+            ..
+        } = &self.bodies;
+        let cars = places(&spots[1..], |spot| {
+            let away = spot.center_world - origin.position_world;
+            spot.present & is_near(away, spot.radius_m)
+        });
+        let seen = cars
+            .map(|place| &movers[place + 1])
+            .filter(|mover| self.is_at_beam_height(mover));
+        let things = places(fixtures, |fixture| {
+            let away = fixture.placed.center_world - origin.position_world;
+            is_near(away, fixture.radius_m)
+        });
+        let bodies = seen
+            .map(Mover::placed)
+            .chain(things.map(|place| fixtures[place].placed));
         self.lidar.scan(&origin, bodies, &mut observation.ranges_m);
+        // Of an instant and an episode, the same returns are dropped in every run.
+        let instant = (self.ticks << 3) + self.substeps as u64;
+        let draw = (self.seed(), instant ^ passed.to_bits());
+        self.lidar.drop_returns(draw, &mut observation.ranges_m);
     }
 
     /// The ego's seen heading a tick before that moment, as a unit vector.
@@ -294,11 +343,12 @@ impl World {
     /// What MetaDrive's traffic driver would do in the ego's place.
     pub fn advise(&mut self, idm: &mut Idm) -> Action {
         let ego_lane = self.navigator.lane();
-        let bodies = self.traffic.look(&self.bodies, ego_lane);
+        let (bodies, lanes) = self.traffic.look(&self.bodies, ego_lane);
         idm.act(&View {
             network: &self.map.network,
             navigator: &self.navigator,
             bodies,
+            lanes,
             own: 0,
         })
     }
@@ -307,7 +357,7 @@ impl World {
     pub fn bodies(&self) -> impl Iterator<Item = Body> {
         let movers = self.bodies.movers.iter().enumerate().skip(1);
         let cars = movers
-            .filter(|(_, mover)| mover.present)
+            .filter(|&(index, _)| self.bodies.spots[index].present)
             .map(|(index, mover)| Body {
                 kind: match self.traffic.is_broken_down(index) {
                     true => BodyKind::Obstacle(ObstacleKind::BrokenDown(mover.kind)),

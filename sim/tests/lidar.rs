@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use sim::contact::{Placed, Shape, overlap};
 use sim::lidar::{Lidar, Origin};
-use vehicle::{Footprint, Point, Vector};
+use vehicle::{Footprint, Point, Scanner, Vector};
 
 const RANGE_M: f64 = 50.0;
 
@@ -71,7 +71,10 @@ proptest! {
     fn beams_end_where_they_meet_an_outline(
         bodies in prop::collection::vec(placed(), 0..6),
         turn_rad in -3.2..3.2_f64,
+        fan in (1u32..1200, prop_oneof![Just(360.0), 20.0..360.0_f64], prop_oneof![Just(0.0), -180.0..180.0_f64]),
     ) {
+        let (beams, field_of_view_deg, heading_deg) = fan;
+        let scanner = Scanner { beams, field_of_view_deg, heading_deg, range_m: RANGE_M, ..Scanner::default() };
         let position_world = Point::new(0.3, -0.2);
         let origin = Origin {
             position_world,
@@ -81,11 +84,11 @@ proptest! {
             .into_iter()
             .filter(|body| (body.center_world - position_world).norm() > body.shape.radius_m())
             .collect();
-        let mut ranges_m = [0.0_f32; 240];
-        Lidar::new(240, RANGE_M).scan(&origin, bodies.iter().copied(), &mut ranges_m);
+        let mut ranges_m = vec![0.0_f32; beams as usize];
+        Lidar::new(&scanner).scan(&origin, bodies.iter().copied(), &mut ranges_m);
         let outlines: Vec<Vec<Point>> = bodies.iter().map(outline).collect();
         for (k, &range_m) in ranges_m.iter().enumerate() {
-            let angle_rad = turn_rad + k as f64 * 1.5_f64.to_radians();
+            let angle_rad = turn_rad + scanner.fan().angle_rad(k);
             let along = Vector::new(angle_rad.cos(), angle_rad.sin());
             // A beam that only grazes a body may hit it or not: the oracle's answers
             // for beams slightly to either side bound the correct one.

@@ -283,7 +283,7 @@ fn a_gate_gets_the_picture_of_the_tick_it_asks_for() {
     let mut config = Config::default();
     config.run.name = gate.run.0.to_string();
     let (render_thread, mut writer) = RenderThread::start(&config).expect("a thread");
-    let mut world = World::new(WorldConfig::from(&config.world)).expect("a world");
+    let mut world = World::new(WorldConfig::from(&config)).expect("a world");
     let mut noise = Noise(3);
     let known = drive(&mut world, (&mut writer, &mut noise), (4, 1007), 70..220);
     let mut renderer = Renderer::default();

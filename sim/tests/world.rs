@@ -100,6 +100,51 @@ fn the_same_seed_is_the_same_episode() {
     }
 }
 
+/// A batch asks for the memory of the next worlds, which must change nothing.
+#[test]
+fn a_batch_drives_world_by_world_as_each_drives_alone() {
+    const WORLDS: usize = 7;
+    let config = BatchConfig {
+        worlds: NonZeroUsize::new(WORLDS).expect("seven"),
+        threads: NonZeroUsize::MIN,
+        after_end: AfterEnd::Restart {
+            stride: WORLDS as u64,
+        },
+    };
+    let mut batch = Batch::new(&WorldConfig::default(), config, 300).expect("a batch");
+    let mut alone: Vec<World> = (300..300 + WORLDS as u64)
+        .map(|seed| {
+            let mut world = world();
+            world.reset(seed).expect("every seed has a map");
+            world
+        })
+        .collect();
+    let mut actions = [Action::default(); WORLDS];
+    let mut restarts = 0;
+    for tick in 0..400 {
+        batch.visit(|k, report| {
+            actions[k] = drivers::keep_lane(report.observation);
+            actions[k].pedal = 1.0;
+        });
+        batch.step(&actions).expect("every seed has a map");
+        for (world, &action) in alone.iter_mut().zip(&actions) {
+            if world.step(action).has_ended() {
+                let next = world.seed() + WORLDS as u64;
+                world.reset(next).expect("every seed has a map");
+                restarts += 1;
+            }
+        }
+        batch.visit(|k, report| {
+            assert_eq!(
+                bits(report.world),
+                bits(&alone[k]),
+                "world {k}, tick {tick}"
+            );
+        });
+    }
+    assert!(restarts > 0, "episodes end and begin anew");
+}
+
 #[test]
 fn threads_do_not_change_a_bit() {
     let run = |threads: usize| {
@@ -203,12 +248,11 @@ fn an_invalid_configuration_is_refused() {
         change(&mut config);
         World::new(config).err()
     };
-    assert_eq!(
-        config(|c| c.beam_count = 513),
-        Some(WorldError::BeamCount(513))
-    );
+    let refused = |change| config(change).expect("refused").to_string();
+    assert!(refused(|c| c.scanner.beams = 2049).starts_with("scanner.beams = 2049"));
+    assert!(refused(|c| c.vehicle.length_m = 0.0).starts_with("vehicle.length_m = 0"));
     assert_eq!(config(|c| c.horizon_steps = 0), Some(WorldError::Horizon));
-    assert!(config(|c| c.lidar_range_m = f64::NAN).is_some());
+    assert!(config(|c| c.scanner.range_m = f64::NAN).is_some());
     assert!(config(|c| c.block_sequence = "SZ".into()).is_some());
     assert!(config(|c| c.traffic_density = -0.1).is_some());
     assert!(config(|c| c.lane_count = 0).is_some());

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector3};
 use vehicle::{Action, Point, Pose, Vector, pose};
 
-use super::{Car, GRAVITY_MPS2, SUBSTEP_S};
+use super::Car;
 use crate::model::VehicleModel;
 
 /// Where a car is and how it moves, in the world frame.
@@ -156,32 +156,5 @@ impl Motion {
 
     pub(super) fn heading_rad(&self) -> f64 {
         self.axes[(1, 0)].atan2(self.axes[(0, 0)])
-    }
-
-    pub(super) fn integrate(&mut self) {
-        self.seen_world = (self.position.xy(), self.axes.column(0).xy());
-        self.velocity.z -= GRAVITY_MPS2 * SUBSTEP_S;
-        self.position += self.velocity * SUBSTEP_S;
-        self.turn();
-    }
-
-    /// Rotation by `spin * SUBSTEP_S`; the axes stay orthonormal.
-    pub(super) fn turn(&mut self) {
-        let angle = self.spin * SUBSTEP_S;
-        let square = angle.norm_squared();
-        // Rodrigues with both coefficients to the fourth order: the angle of
-        // one sub-step stays below 0.2 rad, so the rest is below 1e-8.
-        let sine = 1.0 - square / 6.0 * (1.0 - square / 20.0);
-        let cosine = 0.5 - square / 24.0 * (1.0 - square / 30.0);
-        let turned = |axis: Vector3<f64>| {
-            let across = angle.cross(&axis);
-            axis + across * sine + angle.cross(&across) * cosine
-        };
-        // One Newton step keeps the axes of unit length without a root.
-        let unit = |axis: Vector3<f64>| axis * (1.5 - 0.5 * axis.norm_squared());
-        let forward = unit(turned(self.axes.column(0).into()));
-        let left: Vector3<f64> = turned(self.axes.column(1).into());
-        let left = unit(left - forward * forward.dot(&left));
-        self.axes = Matrix3::from_columns(&[forward, left, forward.cross(&left)]);
     }
 }

@@ -172,7 +172,7 @@ impl Worker {
         let episode_log = episode_log.ok_or(Declined::Gone)?;
         let replica = match &mut self.replica {
             Some(replica) => replica,
-            none => none.insert(Replica::new(WorldConfig::from(&self.config.world))?),
+            none => none.insert(Replica::new(WorldConfig::from(&self.config))?),
         };
         let renderer = &mut self.renderer;
         let reached = replica.reach(episode_log, &request.header, |world| renderer.begin(world))?;
