@@ -11,11 +11,11 @@
 //! use gate::judge::Rules;
 //! use gate::query::Immediate;
 //! use shm_config::Instant;
-//! use shm_config::config::{Gate, JudgeLimits};
+//! use shm_config::config::{Gate, SafetyLimits};
 //! use shm_config::message::{Preference, Step};
 //! use vehicle::Vehicle;
 //!
-//! let rules = Rules::new(Vehicle::default(), JudgeLimits::default());
+//! let rules = Rules::new(Vehicle::default(), SafetyLimits::default());
 //! let mut advisor = Advisor::new(&Gate::default(), Box::new(Immediate::new(rules)));
 //! // A step without a proposal of the policy asks no question.
 //! let advice = advisor.consider(&Step::default(), Instant(1));

@@ -6,7 +6,7 @@ use gate::advice::Advisor;
 use gate::judge::{FaultyJudge, Rules};
 use gate::query::{Answer, Failure, Immediate, Judge, Question, Threaded};
 use shm_config::Instant;
-use shm_config::config::{self, Gate, JudgeLimits, When};
+use shm_config::config::{self, Gate, SafetyLimits, When};
 use shm_config::message::{Judge as Kind, Observation, Preference, Proposal, Step};
 use vehicle::{Action, Vehicle};
 
@@ -47,7 +47,7 @@ const OFF_ROAD: Action = Action {
 };
 
 fn rules() -> Advisor {
-    let judge = Rules::new(Vehicle::default(), JudgeLimits::default());
+    let judge = Rules::new(Vehicle::default(), SafetyLimits::default());
     let config = Gate {
         when: When::Period,
         ..Gate::default()

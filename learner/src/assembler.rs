@@ -265,7 +265,7 @@ impl Assembler {
         let mut state = [0.0; FEATURES];
         let sees = step.reason() != Some(Reason::Blind)
             && step.observation_age_ns != u64::MAX
-            && observation.feature_count() == FEATURES;
+            && observation.fits_policy();
         if is_old || !sees || observation.features(&mut state).is_none() {
             self.counts.unseen += 1;
             return None;
@@ -301,15 +301,19 @@ impl Assembler {
     }
 
     /// The label of a step that needs no answer: the safety check vetoed the policy, a
-    /// person took over, or the configuration leaves no choice. A person who watched
-    /// and let the policy drive gives no label: it is unknown whether they agreed or
-    /// did not look (HG-DAgger and PVP take no preference from it either).
+    /// person or the expert took over, or the configuration leaves no choice. A step
+    /// without a takeover has no label: it is unknown whether a person agreed or did not
+    /// look (HG-DAgger and PVP take no preference from it either).
     fn known_label(&self, step: &Step) -> Option<Preference> {
         match (self.labelling.mode, step.reason()) {
             (GateMode::Expert, _) => Some(Preference::Expert),
-            (GateMode::Human, Some(Reason::Takeover)) => Some(Preference::Expert),
+            (GateMode::Human | GateMode::Takeover, Some(Reason::Takeover)) => {
+                Some(Preference::Expert)
+            }
             (_, Some(Reason::Vetoed)) => Some(Preference::Expert),
-            (GateMode::Policy | GateMode::Human, _) => Some(Preference::Abstain),
+            (GateMode::Policy | GateMode::Human | GateMode::Takeover, _) => {
+                Some(Preference::Abstain)
+            }
             // A policy that proposed nothing cannot be preferred, and a late tick is
             // caused by the machine.
             (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty | Reason::Late)) => {

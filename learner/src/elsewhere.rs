@@ -6,13 +6,11 @@
 //! were, which is a good approximation for the second or two of a rollout.
 
 use shm_config::message::{BEAMS_MAX, Bend, Observation};
-use vehicle::{Point, Pose, State, wrap_rad};
+use vehicle::{Fan, Point, Pose, State, wrap_rad};
 
 /// Neighbouring returns nearer to each other than this belong to one body, m: a car
 /// could not pass between them.
 const JOINED_M: f64 = 1.5;
-/// Distance of the leftmost lane's centre line from the road's edge, in lane widths.
-const HALF_LANE_M: f64 = 1.75;
 /// A bend with a smaller radius is too tight for any car, m.
 const CENTRE_MIN_M: f64 = 1.0;
 
@@ -51,7 +49,7 @@ fn move_ego(from: &Observation, moved: &State, out: &mut Observation) {
 fn move_road(from: &Observation, body_from_there: &Pose, out: &mut Observation) {
     let road = &from.road;
     let checkpoint = &from.checkpoints[0];
-    let to_leftmost_m = road.left_m - HALF_LANE_M;
+    let to_leftmost_m = road.left_m - road.lane_width_m / 2.0;
     let centre_y_m = match checkpoint.bend() {
         Bend::Straight => f64::INFINITY,
         Bend::Left => to_leftmost_m + checkpoint.bend_radius_m,
@@ -84,26 +82,30 @@ fn scan(from: &Observation, there_from_body: &Pose, out: &mut Observation) {
     if beams == 0 {
         return;
     }
-    let spacing_rad = std::f64::consts::TAU / beams as f64;
+    let fan = from.fan();
     let max_m = f64::from(from.lidar_max_m);
     out.ranges_m[..beams].fill(from.lidar_max_m);
     let mut points = [None; BEAMS_MAX];
     for (k, &range_m) in ranges_m.iter().enumerate() {
         let range_m = f64::from(range_m);
         if range_m < max_m {
-            let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
-            points[k] = Some(there_from_body * Point::new(range_m * cos, range_m * sin));
+            points[k] = Some(there_from_body * fan.point_body(k, range_m));
         }
     }
     for k in 0..beams {
         let Some(point) = points[k] else {
             continue;
         };
-        let next = points[(k + 1) % beams].filter(|next| (next - point).norm() < JOINED_M);
+        // The last beam of a partial scan has no neighbour.
+        let next = match k + 1 < beams || fan.is_circle() {
+            true => points[(k + 1) % beams],
+            false => None,
+        };
+        let next = next.filter(|next| (next - point).norm() < JOINED_M);
         fill(
             point,
             next.unwrap_or(point),
-            spacing_rad,
+            &fan,
             &mut out.ranges_m[..beams],
             max_m,
         );
@@ -111,7 +113,10 @@ fn scan(from: &Observation, there_from_body: &Pose, out: &mut Observation) {
 }
 
 /// Shortens the beams that hit the segment.
-fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) {
+fn fill(a: Point, b: Point, fan: &Fan, ranges_m: &mut [f32], max_m: f64) {
+    // As the scanner sees it.
+    let from_mount = |point: Point| Point::from(point - fan.mount_body);
+    let (a, b) = (from_mount(a), from_mount(b));
     let (from_rad, to_rad) = (a.y.atan2(a.x), b.y.atan2(b.x));
     let sweep_rad = wrap_rad(to_rad - from_rad);
     // The segment is extended by half a gap at both ends, so that no body falls between
@@ -120,12 +125,19 @@ fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) 
         true => (from_rad + sweep_rad, from_rad),
         false => (from_rad, from_rad + sweep_rad),
     };
-    let first = (low_rad / spacing_rad - 0.5).ceil() as i64;
-    let last = (high_rad / spacing_rad + 0.5).floor() as i64;
+    let first_beam = fan.beam_at(low_rad);
+    let first = (first_beam - 0.5).ceil() as i64;
+    let last = (first_beam + (high_rad - low_rad) / fan.spacing_rad() + 0.5).floor() as i64;
     let along = b - a;
     let beams = ranges_m.len() as i64;
     for k in first..=last {
-        let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
+        let k = match fan.is_circle() {
+            true => k.rem_euclid(beams) as usize,
+            // No beam looks there.
+            false if !(0..beams).contains(&k) => continue,
+            false => k as usize,
+        };
+        let (sin, cos) = fan.angle_rad(k).sin_cos();
         // The beam crosses the segment's line at this share of its length.
         let across = cos * along.y - sin * along.x;
         let share = match across.abs() > 1e-9 {
@@ -134,7 +146,7 @@ fn fill(a: Point, b: Point, spacing_rad: f64, ranges_m: &mut [f32], max_m: f64) 
         };
         let meets = a + along * share;
         let range_m = meets.coords.norm().min(max_m) as f32;
-        let beam = &mut ranges_m[k.rem_euclid(beams) as usize];
+        let beam = &mut ranges_m[k];
         *beam = beam.min(range_m);
     }
 }
@@ -146,10 +158,10 @@ pub fn place(outline_body: &[Point], observation: &mut Observation) {
         return;
     }
     let max_m = f64::from(observation.lidar_max_m);
-    let spacing_rad = std::f64::consts::TAU / beams as f64;
+    let fan = observation.fan();
     let ranges_m = &mut observation.ranges_m[..beams];
     for (k, &corner) in outline_body.iter().enumerate() {
         let next = outline_body[(k + 1) % outline_body.len()];
-        fill(corner, next, spacing_rad, ranges_m, max_m);
+        fill(corner, next, &fan, ranges_m, max_m);
     }
 }

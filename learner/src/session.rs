@@ -11,7 +11,7 @@ use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::config::{Algorithm, Config};
 use shm_config::file::{Durable, Entry, Folder, is_unfinished, make_folders, replace};
-use shm_config::message::{Driver, FEATURES, Step};
+use shm_config::message::{Driver, Step};
 use vehicle::Action;
 
 use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
@@ -43,6 +43,8 @@ pub struct Session {
     /// Threads of an update. In lockstep the set waits, so all cores are free; in real
     /// time the other cores are busy.
     threads: usize,
+    /// The build that learns, as its policy files name it.
+    commit: String,
     /// A write error is reported once; learning continues without saving.
     disk_failed: bool,
 }
@@ -129,6 +131,7 @@ impl Session {
             replay,
             journal,
             state,
+            commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
             disk_failed: false,
         })
     }
@@ -148,6 +151,16 @@ impl Session {
     /// missed: a block ends where the controller's count says so.
     pub fn driven(&self) -> u64 {
         self.assembler.counts().driven()
+    }
+
+    /// Steps driven at the end of the last block that was learnt.
+    pub fn learnt(&self) -> u64 {
+        self.state.steps
+    }
+
+    /// Names another build in the policy files that follow.
+    pub fn set_commit(&mut self, commit: String) {
+        self.commit = commit;
     }
 
     /// Counts of steps and transitions.
@@ -217,7 +230,7 @@ impl Session {
             algorithm: self.state.algorithm.clone(),
             seed: self.config.learner.seed,
             steps: self.state.steps,
-            commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
+            commit: self.commit.clone(),
         };
         let buffers = Buffer::ALL.into_iter();
         let states = buffers.flat_map(|buffer| self.replay.iter(buffer));
@@ -248,7 +261,7 @@ impl Session {
         let settings = self.config.learner;
         let observation = &step.observation;
         let mut made = Vec::new();
-        let sees = step.observation_age_ns != u64::MAX && observation.feature_count() == FEATURES;
+        let sees = step.observation_age_ns != u64::MAX && observation.fits_policy();
         if sees {
             for _ in 0..settings.imagined_scenes {
                 made.push(imagination.disturb(observation, &mut self.state.random));
@@ -380,6 +393,9 @@ fn begin(config: &Config) -> Checkpoint {
                 rate: rate(VALUE_RATE),
                 imitation_weight: settings.imitation_weight as f32,
                 target_noise: settings.target_noise as f32,
+                imitation_steer: settings.imitation_steer as f32,
+                critic_scale: [settings.critic_steer as f32, settings.critic_pedal as f32],
+                is_averaged: settings.averaged,
             };
             Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }

@@ -33,10 +33,13 @@ fn step(tick: u64, driver: Driver, reason: Reason) -> Step {
 
 #[test]
 fn a_takeover_is_labelled_and_imitated_and_the_rest_is_not() {
-    let labelling = Labelling {
-        mode: GateMode::Human,
-        wait_ns: 0,
-    };
+    for mode in [GateMode::Human, GateMode::Takeover] {
+        assert_takeovers_teach(mode);
+    }
+}
+
+fn assert_takeovers_teach(mode: GateMode) {
+    let labelling = Labelling { mode, wait_ns: 0 };
     let rows = [
         (Driver::Policy, Reason::Configured, Preference::Abstain),
         (Driver::Expert, Reason::Takeover, Preference::Expert),

@@ -5,7 +5,7 @@ use controller::{Policy, Terms};
 use hdrhistogram::Histogram;
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, GateMode};
-use shm_config::message::{BEAMS_MAX, Command, Driver, Observation, Plan, Reason};
+use shm_config::message::{Command, Driver, FEATURES, Observation, Plan, Reason};
 use sim::World;
 use sim::idm::Idm;
 use vehicle::Action;
@@ -143,7 +143,7 @@ enum Loaded {
 /// A policy without expert and safety check, and the buffer of its features.
 struct PolicyAlone {
     policy: Box<dyn Policy>,
-    features: [f32; 19 + BEAMS_MAX],
+    features: [f32; FEATURES],
 }
 
 impl EpisodeDriver {
@@ -191,7 +191,7 @@ impl EpisodeDriver {
             planning_us: planning_histogram(),
             kind: Loaded::Policy(Box::new(PolicyAlone {
                 policy,
-                features: [0.0; 19 + BEAMS_MAX],
+                features: [0.0; FEATURES],
             })),
         }
     }
@@ -280,7 +280,7 @@ pub fn planning_histogram() -> Histogram<u64> {
 impl PolicyAlone {
     /// The policy's action, clamped; the brake where it has none.
     fn action(&mut self, observation: &Observation) -> Action {
-        let features = observation.features(&mut self.features);
+        let features = observation.policy_features(&mut self.features);
         let action = features.and_then(|features| self.policy.infer(features));
         let action = action.filter(|action| action.is_finite());
         action.map_or(Action::BRAKE, |action| action.clamped())

@@ -41,15 +41,14 @@ pub fn keep_lane(observation: &Observation) -> Action {
 
 /// Distance to the nearest return in the strip ahead, m; infinite when free.
 fn free_ahead_m(observation: &Observation) -> f64 {
+    let fan = observation.fan();
     let ranges_m = observation.ranges();
-    let spacing_rad = std::f64::consts::TAU / ranges_m.len() as f64;
     let returns = ranges_m.iter().enumerate().filter_map(|(k, &range_m)| {
         if range_m >= observation.lidar_max_m {
             return None;
         }
-        let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
-        let range_m = f64::from(range_m);
-        (cos > 0.0 && (range_m * sin).abs() < STRIP_M).then_some(range_m * cos)
+        let point_body = fan.point_body(k, f64::from(range_m));
+        (point_body.x > 0.0 && point_body.y.abs() < STRIP_M).then_some(point_body.x)
     });
     returns.fold(f64::INFINITY, f64::min)
 }

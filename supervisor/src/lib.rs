@@ -12,7 +12,7 @@
 //! | [`telemetry`] | what the messages of a run add up to |
 //! | [`show`] | the live view and the summary |
 //! | [`takeover`] | keys of a human driver to takeover messages |
-//! | [`setup`] | MetaDrive, ONNX Runtime |
+//! | [`setup`] | MetaDrive, ONNX Runtime, programs of a user |
 //! | [`commands`] | one file or folder a command |
 //! | [`subcommand`] | what the programs of `eval`, `train`, `draw` and `bench` share |
 //!
@@ -23,14 +23,15 @@
 //!
 //! | process | binary | core | priority | when it dies | starts after | part of a run |
 //! |---|---|---|---|---|---|---|
-//! | planner | `vlaps-planner` | last but one | 45 | restarted | | always |
+//! | recorder | `vlaps-recorder` | any | 0 | restarted, at last given up; goes on in a new file | | `record.keep` |
+//! | planner | `vlaps-planner` | last but one | 45 | restarted | recorder | always |
 //! | controller | `vlaps-controller` | last | 48 | restarted | planner | always |
 //! | gate | `vlaps-gate` | any | 0 | restarted | controller | `gate.mode` needs a process |
 //! | learner | `vlaps-learner` | any | 0 | restarted; continues from its saved state | gate | `learner.enabled` |
 //! | world | `vlaps-world` | last but two | 50 | restarted at the episode it died in; exit 0 ends the run | learner | always |
 //!
-//! The world starts last: it owns the clock, and at its first tick all processes that answer
-//! it are ready. [`set::table::TABLE`] is this table; a test compares the two. Cores are
+//! The recorder starts first, so that it misses no message. The world starts last: it
+//! owns the clock, and at its first tick all processes that answer it are ready. [`set::table::TABLE`] is this table; a test compares the two. Cores are
 //! counted in the order of [`machine::cores::own_cores`]. With fewer than
 //! [`set::privileges::CORES_MIN`] cores, world, planner and controller share the last one;
 //! with a single core no process asks for one. Cores and priorities are asked for only in
@@ -42,7 +43,8 @@
 //! | what the supervisor observes | what it does |
 //! |---|---|
 //! | exit code 2 at the first start | shows the process's last log line and gives the run up: the same set-up would fail again |
-//! | exit code 2 later, any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times |
+//! | any exit of a user's program (`[programs]`) before it was ready | shows its last log lines and gives the run up |
+//! | exit code 2 later, any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times; then gives the run up, or goes on without a recorder |
 //! | no health message for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
 //! | not ready within [`set::member::READY_LIMIT_NS`] ([`set::member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
 //! | the run's files are gone from the disk or /dev/shm | brakes the car and gives up: a restarted process could not join the others |
@@ -79,6 +81,7 @@
 pub mod arguments;
 pub mod cli;
 pub mod commands;
+pub mod dispatch;
 pub mod machine;
 pub mod run;
 pub mod set;

@@ -104,3 +104,47 @@ fn a_set_whose_parent_has_gone_does_not_begin() {
         &["--parent", "has ended"],
     );
 }
+
+#[test]
+fn a_program_that_cannot_be_started_is_refused_with_its_option() {
+    let folder = TempDir::new().expect("a folder");
+    fs::create_dir(folder.path().join("folder")).expect("a folder");
+    fs::write(folder.path().join("plain"), "text").expect("a file");
+    for option in ["--world", "--planner"] {
+        let up = |path| vec!["up", option, path];
+        let told = |path: &str, why: &str| format!("{option} {path}: {why}");
+        for (path, why) in [
+            ("./nope", "there is no such file"),
+            ("./folder", "is not a file"),
+            ("./plain", "is not executable; chmod +x"),
+        ] {
+            assert_refused(&folder, &up(path), &[&told(path, why)]);
+        }
+    }
+    assert_refused(&folder, &["up", "--world", "smi"], &["sim", "metadrive"]);
+    assert_refused(
+        &folder,
+        &["up", "--set", "programs.world=./plain"],
+        &["programs.world = \"./plain\": must be an absolute path"],
+    );
+    assert_refused(
+        &folder,
+        &["up", "--set", "programs.planner=/no/such/planner"],
+        &["programs.planner = \"/no/such/planner\": there is no such file"],
+    );
+    assert_refused(
+        &folder,
+        &["up", "--judge", "/no/such/judge"],
+        &["--judge /no/such/judge: there is no such file"],
+    );
+    assert_refused(
+        &folder,
+        &["up", "--gate", "expert", "--set", "programs.gate=/bin/true"],
+        &["programs.gate", "gate.mode"],
+    );
+    assert_refused(
+        &folder,
+        &["up", "--driver", "mpc", "--planner", "./plain"],
+        &["--planner", "cannot be used with", "--driver"],
+    );
+}

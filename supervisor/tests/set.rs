@@ -4,10 +4,11 @@ mod common;
 
 use common::{Rig, SECOND, await_state};
 use rustix::process::{Signal, WaitIdOptions};
+use shm_config::config::Keep;
 use shm_config::message::HealthState;
 use shm_config::services::Process;
 use supervisor::set::event::Event;
-use supervisor::set::launch::Resume;
+use supervisor::set::launch::{Program, Resume};
 use supervisor::set::member::{Decision, Phase, READY_LIMIT_NS};
 use supervisor::set::stop::Stop;
 
@@ -103,6 +104,42 @@ fn a_run_is_given_up_after_the_last_restart_allowed() {
 }
 
 #[test]
+fn the_run_goes_on_without_a_recorder_that_died_too_often() {
+    let mut rig = Rig::new("crash", |config| {
+        config.supervisor.restarts_max = 2;
+        config.record.keep = Keep::Everything;
+    });
+    let mut deaths = 0;
+    loop {
+        assert_eq!(
+            rig.set.start_due(rig.now, Resume::default()),
+            Decision::Continue
+        );
+        rig.await_end(Process::Recorder);
+        assert!(rig.set.reap(rig.now));
+        deaths += 1;
+        assert_eq!(rig.set.decide(rig.now), Decision::Continue);
+        match rig.set.next_start() {
+            Some(due) => rig.now = due,
+            None => break,
+        }
+    }
+    assert_eq!(deaths, 3, "two restarts");
+    let events = rig.set.take_events();
+    assert_eq!(
+        events.last().map(ToString::to_string).as_deref(),
+        Some(
+            "recorder: died (exit code 3) and was restarted 2 times already, which is \
+             supervisor.restarts_max; the run goes on without it"
+        )
+    );
+    assert!(events.last().is_some_and(|event| event.is_notable()));
+    // It was never ready, and the others start all the same.
+    rig.set.start_due(rig.now, Resume::default());
+    assert!(rig.pid(Process::Planner).is_some());
+}
+
+#[test]
 fn a_refused_set_up_is_shown_and_never_tried_again() {
     let mut rig = Rig::new("refuse", |_| ());
     rig.set.start_due(rig.now, Resume::default());
@@ -115,11 +152,48 @@ fn a_refused_set_up_is_shown_and_never_tried_again() {
 }
 
 #[test]
+fn a_users_program_that_ends_at_its_start_ends_the_run_with_its_last_lines() {
+    for (script, shown) in [
+        ("crash", "(exit code 3); its log: "),
+        ("done", "(exit code 0); its log is empty: "),
+        (
+            "refuse",
+            "(exit code 2); its last line: vlaps-planner: no such lane",
+        ),
+    ] {
+        let program = |dir: &std::path::Path| {
+            common::replace(dir, "my-planner", script);
+            vec![Program {
+                process: Process::Planner,
+                path: dir.join("my-planner"),
+                script: None,
+            }]
+        };
+        let mut rig = Rig::with_programs("idle", |_| (), program);
+        rig.set.start_due(rig.now, Resume::default());
+        rig.await_end(Process::Planner);
+        rig.set.reap(rig.now);
+        let Decision::GiveUp(text) = rig.set.decide(rig.now) else {
+            panic!("{script}: the run goes on");
+        };
+        let begin = "planner: its program ended before it was ready ";
+        assert!(text.starts_with(begin) && text.contains(shown), "{text}");
+        if script == "crash" {
+            let end = "; its last lines:\n  a first line\n  the ground gave way";
+            assert!(text.ends_with(end), "{text}");
+        }
+        assert_eq!(rig.restarts(Process::Planner), 0);
+        let words = common::arguments(rig.dir.path(), "my-planner").join(" ");
+        assert_eq!(words.contains("--config"), script == "crash", "{words}");
+    }
+}
+
+#[test]
 fn a_set_up_that_was_good_before_is_tried_again() {
     let mut rig = Rig::new("idle", |_| ());
     rig.start_all();
     // A full disk, for example, refuses for a while what was valid before.
-    common::replace(rig.dir.path(), "vlaps-planner", "refuse");
+    common::replace(rig.dir.path(), "vlaps-planner.now", "refuse");
     rig.set.signal(Process::Planner, Signal::KILL);
     for restart in 1..=3 {
         rig.await_end(Process::Planner);
@@ -131,6 +205,27 @@ fn a_set_up_that_was_good_before_is_tried_again() {
             rig.set.start_due(rig.now, Resume::default()),
             Decision::Continue
         );
+    }
+}
+
+#[test]
+fn a_process_is_restarted_by_the_program_that_the_run_began_with() {
+    let mut rig = Rig::new("idle", |_| ());
+    rig.start_all();
+    // As an upgrade does: another file of the same name.
+    common::replace(rig.dir.path(), "vlaps-planner", "refuse");
+    rig.set.signal(Process::Planner, Signal::KILL);
+    rig.await_end(Process::Planner);
+    rig.set.reap(rig.now);
+    assert_eq!(rig.set.decide(rig.now), Decision::Continue);
+    rig.now = rig.set.next_start().expect("a restart is due");
+    rig.set.start_due(rig.now, Resume::default());
+    let pid = rig.pid(Process::Planner).expect("it lives");
+    let command_line = format!("/proc/{pid}/cmdline");
+    // The script that refuses ends at once, the one that idles becomes `sleep`.
+    while !std::fs::read_to_string(&command_line).is_ok_and(|line| line.starts_with("sleep")) {
+        assert!(!rig.set.reap(rig.now), "another program was started");
+        std::thread::yield_now();
     }
 }
 
@@ -193,8 +288,7 @@ fn a_process_that_never_gets_ready_ends_the_start() {
 
 #[test]
 fn the_world_goes_on_with_the_episode_it_died_in() {
-    let mut rig = Rig::new("idle", |_| ());
-    common::replace(rig.dir.path(), "vlaps-world", "crash");
+    let mut rig = Rig::with_others("idle", &[("vlaps-world", "crash")]);
     rig.start_all();
     rig.await_end(Process::World);
     rig.set.reap(rig.now);
@@ -217,9 +311,8 @@ fn the_world_goes_on_with_the_episode_it_died_in() {
 
 #[test]
 fn only_the_worlds_exit_0_ends_the_run() {
-    let mut rig = Rig::new("idle", |_| ());
-    common::replace(rig.dir.path(), "vlaps-planner", "done");
-    common::replace(rig.dir.path(), "vlaps-world", "done");
+    let done = [("vlaps-planner", "done"), ("vlaps-world", "done")];
+    let mut rig = Rig::with_others("idle", &done);
     rig.start_all();
     rig.await_end(Process::Planner);
     rig.set.reap(rig.now);

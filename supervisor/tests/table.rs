@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use shm_config::config::{Config, GateMode, Supervisor};
+use shm_config::config::{Clock, Config, GateMode, Keep, Supervisor};
 use shm_config::services::Process;
 use supervisor::set::backoff::{After, Backoff};
 use supervisor::set::privileges::{CORES_MIN, CORES_SHARED, Privileges};
@@ -115,9 +115,10 @@ fn few_cores_are_shared_and_a_single_core_is_not_assigned() {
 }
 
 #[test]
-fn gate_and_learner_have_a_process_only_when_there_is_work_for_them() {
+fn gate_learner_and_recorder_have_a_process_only_when_there_is_work_for_them() {
     let mut config = Config::default();
     config.learner.enabled = true;
+    config.record.keep = Keep::Everything;
     assert_eq!(rows(&config).count(), TABLE.len());
     config.gate.mode = GateMode::Expert;
     assert!(rows(&config).all(|row| row.process != Process::Gate));
@@ -125,6 +126,10 @@ fn gate_and_learner_have_a_process_only_when_there_is_work_for_them() {
     config.learner.enabled = false;
     assert!(rows(&config).all(|row| row.process != Process::Learner));
     assert_eq!(rows(&config).count(), TABLE.len() - 2);
+    config.record.keep = Keep::Auto;
+    assert_eq!(rows(&config).count(), TABLE.len() - 2);
+    config.run.clock = Clock::Lockstep;
+    assert!(rows(&config).all(|row| row.process != Process::Recorder));
 }
 
 fn limits() -> Supervisor {

@@ -137,6 +137,7 @@ impl Advisor {
     /// The advice in force, about the step that was last asked about.
     pub fn advise(&mut self, now: Instant) -> Advice {
         self.advice.preference = self.dwell.in_force(now).code();
+        self.advice.considered_ns = now.0;
         self.advice
     }
 

@@ -64,10 +64,12 @@ fn open(
     Ok(match config.gate.mode {
         GateMode::Vlm | GateMode::Paper => Box::new(vlm::open(config, evidence, clock)?),
         GateMode::Replay => Box::new(recorded(Path::new(&config.gate.recording))?),
-        // The last three modes run without a gate process.
-        GateMode::Rules | GateMode::Expert | GateMode::Policy | GateMode::Human => {
-            Box::new(Immediate::new(Rules::new(config.vehicle, config.judge)))
-        }
+        // All of these but `rules` run without a gate process.
+        GateMode::Rules
+        | GateMode::Expert
+        | GateMode::Policy
+        | GateMode::Human
+        | GateMode::Takeover => Box::new(Immediate::new(Rules::new(config.vehicle, config.safety))),
     })
 }
 

@@ -1,5 +1,5 @@
 use safety::{Scene, assess};
-use shm_config::config::JudgeLimits;
+use shm_config::config::SafetyLimits;
 use shm_config::message::{Assessment, Judge as JudgeKind, Preference};
 use vehicle::Vehicle;
 
@@ -17,12 +17,12 @@ const NO_PROGRESS_M: f64 = 0.1;
 /// The built-in judge: compares both rollouts by exact geometry.
 pub struct Rules {
     vehicle: Vehicle,
-    limits: JudgeLimits,
+    limits: SafetyLimits,
 }
 
 impl Rules {
     /// A judge for this vehicle.
-    pub fn new(vehicle: Vehicle, limits: JudgeLimits) -> Self {
+    pub fn new(vehicle: Vehicle, limits: SafetyLimits) -> Self {
         Self { vehicle, limits }
     }
 }

@@ -33,6 +33,28 @@ pub struct Settings {
     pub imitation_weight: f32,
     /// Standard deviation of the noise on target actions; TD3 has 0.2.
     pub target_noise: f32,
+    /// How much more an error in steering counts in the imitation than one of the pedal;
+    /// PVP4Real has 1.
+    pub imitation_steer: f32,
+    /// The critics see actions times this; PVP4Real has 1. Beside 259 features of size 1,
+    /// two actions that differ by a tenth are nearly the same input.
+    pub critic_scale: [f32; ACTIONS],
+    /// Whether the policy is the actor's running average, its target network.
+    pub is_averaged: bool,
+}
+
+impl Settings {
+    /// Those of PVP4Real, with this learning rate.
+    pub fn published(rate: f32) -> Self {
+        Self {
+            rate,
+            imitation_weight: 1.0,
+            target_noise: 0.2,
+            imitation_steer: 1.0,
+            critic_scale: [1.0; ACTIONS],
+            is_averaged: false,
+        }
+    }
 }
 
 /// Twin critics and an actor.
@@ -102,7 +124,7 @@ impl Pvp {
             let noise = normal(random).clamp(-TARGET_NOISE_CLIP, TARGET_NOISE_CLIP);
             *action = (*action + self.settings.target_noise * noise).clamp(-1.0, 1.0);
         }
-        join(&batch.nexts, actions, inputs);
+        join(&batch.nexts, actions, self.settings.critic_scale, inputs);
         values.clear();
         values.extend_from_slice(self.critic_targets[0].forward(inputs, threads, tape));
         let second = self.critic_targets[1].forward(inputs, threads, tape);
@@ -126,8 +148,9 @@ impl Pvp {
             ..
         } = &mut self.workspace;
         let share = 1.0 / batch.len() as f32;
-        join(&batch.states, &batch.applied, inputs);
-        join_preferences(batch, judged, bounds);
+        let scale = self.settings.critic_scale;
+        join(&batch.states, &batch.applied, scale, inputs);
+        join_preferences(batch, scale, judged, bounds);
         let mut loss = 0.0;
         for critic in &mut self.critics {
             let taken = critic.network.forward(inputs, threads, tape);
@@ -175,7 +198,8 @@ impl Pvp {
         let share = 1.0 / batch.len() as f32;
         actions.clear();
         actions.extend_from_slice(self.actor.network.forward(&batch.states, threads, tape));
-        join(&batch.states, actions, inputs);
+        let scale = self.settings.critic_scale;
+        join(&batch.states, actions, scale, inputs);
         let critic = &self.critics[0].network;
         let values = critic.forward(inputs, threads, critic_tape);
         let value = values.iter().sum::<f32>() * share;
@@ -190,15 +214,21 @@ impl Pvp {
         );
         delta.clear();
         for row in action_gradient.chunks_exact(FEATURES + ACTIONS) {
-            delta.extend_from_slice(&row[FEATURES..]);
+            delta.extend(
+                row[FEATURES..]
+                    .iter()
+                    .zip(scale)
+                    .map(|(slope, scale)| slope * scale),
+            );
         }
         let preferred = batch.is_preferred.iter().sum::<f32>() + EPSILON;
         let weight = self.settings.imitation_weight / (preferred * ACTIONS as f32);
         let mut imitation = 0.0;
         for (k, (action, expert)) in actions.iter().zip(&batch.expert).enumerate() {
             let error = batch.is_preferred[k / ACTIONS] * (action - expert);
-            imitation += error * error / (preferred * ACTIONS as f32);
-            delta[k] += 2.0 * weight * error;
+            let counts = [self.settings.imitation_steer, 1.0][k % ACTIONS];
+            imitation += counts * error * error / (preferred * ACTIONS as f32);
+            delta[k] += 2.0 * counts * weight * error;
         }
         let pass = (&batch.states[..], &delta[..]);
         let gradient = Some(&mut self.actor.gradient[..]);
@@ -245,23 +275,43 @@ impl Pvp {
         begun.push(("learner.imitation_weight", weight));
         let noise = f64::from(self.settings.target_noise);
         begun.push(("learner.target_noise", noise));
+        let steer = f64::from(self.settings.imitation_steer);
+        begun.push(("learner.imitation_steer", steer));
+        let [steer, pedal] = self.settings.critic_scale.map(f64::from);
+        begun.push(("learner.critic_steer", steer));
+        begun.push(("learner.critic_pedal", pedal));
+        let is_averaged = f64::from(u8::from(self.settings.is_averaged));
+        begun.push(("learner.averaged", is_averaged));
         begun
     }
 
     /// The present policy.
     pub fn policy(&self) -> &Network {
-        &self.actor.network
+        match self.settings.is_averaged {
+            true => &self.actor_target,
+            false => &self.actor.network,
+        }
     }
 }
 
-/// Each row holds a state and an action: `batch x (FEATURES + ACTIONS)`.
-fn join(states: &[f32], actions: &[f32], out: &mut Vec<f32>) {
+/// Each row holds a state and an action times `scale`: `batch x (FEATURES + ACTIONS)`.
+fn join(states: &[f32], actions: &[f32], scale: [f32; ACTIONS], out: &mut Vec<f32>) {
     out.clear();
     let rows = states.chunks_exact(FEATURES);
     for (state, action) in rows.zip(actions.chunks_exact(ACTIONS)) {
-        out.extend_from_slice(state);
-        out.extend_from_slice(action);
+        add(out, state, action, scale);
     }
+}
+
+/// Adds a row of a state and an action times `scale`.
+fn add(out: &mut Vec<f32>, state: &[f32], action: &[f32], scale: [f32; ACTIONS]) {
+    out.extend_from_slice(state);
+    out.extend(
+        action
+            .iter()
+            .zip(scale)
+            .map(|(action, scale)| action * scale),
+    );
 }
 
 /// Whether the applied action is the expert's proposal. While the expert drives it is,
@@ -274,7 +324,12 @@ fn is_experts(batch: &Batch, row: usize) -> bool {
 /// Where the label prefers the expert: each state with the policy's proposal, and with
 /// the expert's proposal unless the applied action, which has its own term, is that
 /// proposal; and the value that each pair should have.
-fn join_preferences(batch: &Batch, out: &mut Vec<f32>, bounds: &mut Vec<f32>) {
+fn join_preferences(
+    batch: &Batch,
+    scale: [f32; ACTIONS],
+    out: &mut Vec<f32>,
+    bounds: &mut Vec<f32>,
+) {
     out.clear();
     bounds.clear();
     for (k, state) in batch.states.chunks_exact(FEATURES).enumerate() {
@@ -282,12 +337,10 @@ fn join_preferences(batch: &Batch, out: &mut Vec<f32>, bounds: &mut Vec<f32>) {
             continue;
         }
         let action = k * ACTIONS..(k + 1) * ACTIONS;
-        out.extend_from_slice(state);
-        out.extend_from_slice(&batch.policy[action.clone()]);
+        add(out, state, &batch.policy[action.clone()], scale);
         bounds.push(-VALUE_BOUND);
         if !is_experts(batch, k) {
-            out.extend_from_slice(state);
-            out.extend_from_slice(&batch.expert[action]);
+            add(out, state, &batch.expert[action], scale);
             bounds.push(VALUE_BOUND);
         }
     }

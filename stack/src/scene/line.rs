@@ -29,6 +29,14 @@ struct Seen {
     road: Road,
     checkpoints: [SeenCheckpoint; 2],
     lidar_max_m: f32,
+    #[serde(default = "circle_rad")]
+    field_of_view_rad: f64,
+    #[serde(default)]
+    scanner_heading_rad: f64,
+    #[serde(default)]
+    scanner_x_body_m: f64,
+    #[serde(default)]
+    scanner_y_body_m: f64,
     ranges_m: Vec<f32>,
 }
 
@@ -51,6 +59,18 @@ struct SeenRoad {
     right_m: f64,
     heading_rad: f64,
     offset_m: f64,
+    #[serde(default = "lane_width_m")]
+    lane_width_m: f64,
+}
+
+/// Of the scenes that do not say it: the experiment's.
+fn lane_width_m() -> f64 {
+    Road::default().lane_width_m
+}
+
+/// The field of view of the scenes that do not say it: the full circle.
+fn circle_rad() -> f64 {
+    Observation::default().field_of_view_rad
 }
 
 #[derive(Clone, Serialize, Deserialize)]
@@ -139,6 +159,10 @@ impl Seen {
                 bend: checkpoint.bend().word().into(),
             }),
             lidar_max_m: observation.lidar_max_m,
+            field_of_view_rad: observation.field_of_view_rad,
+            scanner_heading_rad: observation.scanner_heading_rad,
+            scanner_x_body_m: observation.scanner_x_body_m,
+            scanner_y_body_m: observation.scanner_y_body_m,
             ranges_m: observation.ranges().to_vec(),
         }
     }
@@ -159,6 +183,10 @@ impl Seen {
             road: self.road,
             lidar_max_m: self.lidar_max_m,
             beam_count: count as u32,
+            field_of_view_rad: self.field_of_view_rad,
+            scanner_heading_rad: self.scanner_heading_rad,
+            scanner_x_body_m: self.scanner_x_body_m,
+            scanner_y_body_m: self.scanner_y_body_m,
             ..Observation::default()
         });
         for (to, from) in observation.checkpoints.iter_mut().zip(&self.checkpoints) {

@@ -96,7 +96,7 @@ fn over_episodes(
     done: &mut impl FnMut(),
     mut watch: impl FnMut(u64, &Tick, &Plan),
 ) -> anyhow::Result<()> {
-    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut world = World::new(WorldConfig::from(config))?;
     let mut driver = EpisodeDriver::new(DriverKind::Expert, config, clock)?;
     let period_ns = config.run.period_ns();
     for index in 0..recording.episodes {

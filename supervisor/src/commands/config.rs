@@ -14,11 +14,16 @@ use crate::cli::print::say;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
         ./vlaps config > vlaps.toml       a file to edit\n  \
-        ./vlaps config --check vlaps.toml")]
+        ./vlaps config --check vlaps.toml\n  \
+        ./vlaps config --vehicle vehicles/truck.toml")]
 pub struct ConfigArguments {
     /// Check this file instead; exit code 2 when it is wrong.
     #[arg(long, value_name = "FILE")]
     pub check: Option<PathBuf>,
+    /// Print the configuration of the car of this vehicle file in place of the defaults:
+    /// speeds, distances and gains follow the car where no file gives them.
+    #[arg(long, value_name = "FILE", conflicts_with = "check")]
+    pub vehicle: Option<PathBuf>,
 }
 
 /// The source files of the configuration. The doc comment of each key, written there
@@ -26,8 +31,10 @@ pub struct ConfigArguments {
 const SOURCES: &[&str] = &[
     include_str!("../../../shm-config/src/config/mod.rs"),
     include_str!("../../../shm-config/src/config/run.rs"),
+    include_str!("../../../shm-config/src/config/record.rs"),
     include_str!("../../../shm-config/src/config/deadlines.rs"),
     include_str!("../../../shm-config/src/config/world.rs"),
+    include_str!("../../../shm-config/src/config/programs.rs"),
     include_str!("../../../shm-config/src/settings/planner.rs"),
     include_str!("../../../shm-config/src/settings/informed.rs"),
     include_str!("../../../shm-config/src/settings/kinodynamic.rs"),
@@ -38,6 +45,7 @@ const SOURCES: &[&str] = &[
     include_str!("../../../shm-config/src/config/policy.rs"),
     include_str!("../../../shm-config/src/config/learner.rs"),
     include_str!("../../../vehicle/src/parameters.rs"),
+    include_str!("../../../vehicle/src/scanner.rs"),
 ];
 
 /// A field's doc comment and type, by struct and field.
@@ -53,7 +61,16 @@ pub fn config(arguments: &ConfigArguments) -> Result<(), Failure> {
             config::load(path)?;
             say(format_args!("{}: a valid configuration", path.display()));
         }
-        None => say(documented_defaults()?.trim_end()),
+        None => {
+            let config = match &arguments.vehicle {
+                Some(path) => {
+                    let table = config::vehicle_of(path)?;
+                    config::from_toml(&table.to_string(), &path.display().to_string())?
+                }
+                None => Config::default(),
+            };
+            say(documented(&config)?.trim_end());
+        }
     }
     Ok(())
 }
@@ -63,7 +80,11 @@ pub fn config(arguments: &ConfigArguments) -> Result<(), Failure> {
 /// # Errors
 /// When the defaults cannot be written as TOML.
 pub fn documented_defaults() -> Result<String, Failure> {
-    let defaults = toml::to_string(&Config::default()).map_err(|error| ConfigError::Syntax {
+    documented(&Config::default())
+}
+
+fn documented(config: &Config) -> Result<String, Failure> {
+    let defaults = toml::to_string(config).map_err(|error| ConfigError::Syntax {
         origin: "built-in defaults".into(),
         message: error.to_string(),
     })?;

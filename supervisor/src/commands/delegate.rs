@@ -22,11 +22,15 @@ pub struct Delegated {
     pub words: Vec<OsString>,
 }
 
-/// The program of `eval`, `train`, `sweep` and `draw`. The supervisor does not link it:
-/// it holds the built-in world and all drivers.
+/// The program of `eval`, `train`, `sweep`, `replay`, `fork`, `regress`, `export` and
+/// `draw`. The supervisor does not link it: it holds the built-in world and all drivers.
 pub const LAB: &str = "vlaps-lab";
 /// The program of `bench`.
 pub const BENCH: &str = "vlaps-bench";
+/// The program of `record`.
+pub const RECORDER: &str = "vlaps-recorder";
+/// The program of `view`, with an HTTP server.
+pub const VIEW: &str = "vlaps-view";
 /// The program of `judge`, with an HTTP client and a server.
 pub const JUDGE: &str = "vlaps-judge";
 

@@ -2,6 +2,7 @@
 
 pub mod clean;
 pub mod config;
+pub mod conform;
 pub mod delegate;
 pub mod doctor;
 pub mod down;

@@ -51,7 +51,7 @@ struct RunStatus {
     /// Why the judge was never asked; left out if it was asked.
     #[serde(skip_serializing_if = "Option::is_none")]
     judge_unasked: Option<&'static str>,
-    /// The latest ticks, the latest first.
+    /// The most late ticks, the most late first.
     late_ticks: Vec<LateRow>,
     /// Processes that the run did not start and that sent in place of its own.
     warnings: Vec<String>,
@@ -135,7 +135,7 @@ fn listen(paths: &RunPaths, supervisor: u32, clock: Clock) -> Result<RunStatus, 
             .collect(),
         judge_unasked: judge::unasked(&config, &tally, judge.as_ref()),
         judge,
-        late_ticks: late::latest(&tally),
+        late_ticks: late::most_late(&tally),
         view: View::from_outside(&config, &tally, &restarts::read(paths)),
     })
 }

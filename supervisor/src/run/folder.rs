@@ -43,7 +43,7 @@ pub fn prepare_folder(
 ) -> Result<Folder, Failure> {
     let failed = |what: &Path, error: &dyn std::fmt::Display| {
         Failure::Usage(format!(
-            "{}: cannot keep the run's files: {error}; select_run another folder with \
+            "{}: cannot keep the run's files: {error}; choose another folder with \
              `--set run.folder=DIR`",
             what.display()
         ))
@@ -64,7 +64,7 @@ pub fn prepare_folder(
         Ok(()) => {}
         Err(Errno::WOULDBLOCK) => {
             return Err(Failure::Usage(format!(
-                "{}: another run keeps its files there; `./vlaps status` shows it; select_run another \
+                "{}: another run keeps its files there; `./vlaps status` shows it; choose another \
                  folder with `--set run.folder=DIR`",
                 path.display()
             )));

@@ -34,6 +34,15 @@ pub enum Event {
         /// The limit of restarts.
         restarts_max: u32,
     },
+    /// A process died after its last restart; the run goes on without it.
+    Abandoned {
+        /// The process.
+        process: Process,
+        /// How it ended.
+        exit: Exit,
+        /// The limit of restarts.
+        restarts_max: u32,
+    },
     /// A silent process was killed.
     Silenced {
         /// The process.
@@ -55,7 +64,10 @@ impl Event {
     pub fn is_notable(&self) -> bool {
         match self {
             Self::Started { .. } | Self::Ready { .. } => false,
-            Self::Died { .. } | Self::Silenced { .. } | Self::LogFull { .. } => true,
+            Self::Died { .. }
+            | Self::Abandoned { .. }
+            | Self::Silenced { .. }
+            | Self::LogFull { .. } => true,
         }
     }
 }
@@ -75,6 +87,15 @@ impl fmt::Display for Event {
                 f,
                 "{process}: died ({exit}); restart {restart} of {restarts_max} in {} ms",
                 pause_ns / 1_000_000
+            ),
+            Self::Abandoned {
+                process,
+                exit,
+                restarts_max,
+            } => write!(
+                f,
+                "{process}: died ({exit}) and was restarted {restarts_max} times already, which is \
+                 supervisor.restarts_max; the run goes on without it"
             ),
             Self::Silenced { process, silent_ns } => write!(
                 f,

@@ -9,6 +9,7 @@ use rustix::process::{Pid, Signal};
 use shm_config::secret;
 use shm_config::services::Process;
 
+use crate::machine::programs::Executable;
 use crate::set::exit::Exit;
 use crate::set::log::LogFile;
 use crate::set::mark::{MARK, Mark};
@@ -24,8 +25,8 @@ pub struct Launch {
     pub config: PathBuf,
     /// Priorities and cores that they ask for.
     pub privileges: Privileges,
-    /// The world, when an interpreter runs it.
-    pub world: Option<Script>,
+    /// Those that run in place of programs of the build.
+    pub programs: Vec<Program>,
 }
 
 /// Where a restarted world continues.
@@ -37,33 +38,51 @@ pub struct Resume {
     pub driven_ns: u64,
 }
 
-/// A process that an interpreter runs.
+/// A program in place of one of the build; it takes the same arguments.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Script {
-    /// The interpreter.
-    pub interpreter: PathBuf,
-    /// The file that it runs.
-    pub file: PathBuf,
+pub struct Program {
+    /// The process that it is.
+    pub process: Process,
+    /// The executable file.
+    pub path: PathBuf,
+    /// The file that it runs, when it is an interpreter.
+    pub script: Option<PathBuf>,
+}
+
+/// Whose program a process runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// One of the build.
+    OfTheBuild,
+    /// A script of the repository, which an interpreter runs.
+    Script,
+    /// The user's.
+    OfTheUser,
 }
 
 impl Launch {
     /// The binary of a row.
     pub fn binary(&self, row: &ProcessSpec) -> PathBuf {
-        match self.script(row) {
-            Some(script) => script.interpreter.clone(),
+        match self.program(row) {
+            Some(program) => program.path.clone(),
             None => self.binaries.join(row.binary),
         }
     }
 
-    /// Whether an interpreter runs it.
-    pub fn is_script(&self, row: &ProcessSpec) -> bool {
-        self.script(row).is_some()
+    /// Whose program a row runs.
+    pub fn kind(&self, row: &ProcessSpec) -> Kind {
+        match self.program(row) {
+            None => Kind::OfTheBuild,
+            Some(program) => match program.script {
+                Some(_) => Kind::Script,
+                None => Kind::OfTheUser,
+            },
+        }
     }
 
-    fn script(&self, row: &ProcessSpec) -> Option<&Script> {
-        self.world
-            .as_ref()
-            .filter(|_| row.process == Process::World)
+    fn program(&self, row: &ProcessSpec) -> Option<&Program> {
+        let mut programs = self.programs.iter();
+        programs.find(|program| program.process == row.process)
     }
 
     /// Starts a row. Call it from the main thread only: the parent-death signal of a child
@@ -74,20 +93,25 @@ impl Launch {
     pub fn start(
         &self,
         row: &ProcessSpec,
+        executable: &Executable,
         log: &mut LogFile,
         resume: Resume,
     ) -> io::Result<Running> {
         let output = log.begin()?;
         let errors = output.try_clone()?;
         let mark = Mark::next(row.process);
-        let mut command = Command::new(self.binary(row));
+        let mut command = Command::new(executable.path());
         secret::withhold(&mut command);
         command
-            .args(self.script(row).map(|script| &script.file))
+            .args(
+                self.program(row)
+                    .and_then(|program| program.script.as_ref()),
+            )
             .args(self.arguments(row, resume))
             .env(MARK, mark.text())
             .stdin(match row.process {
-                Process::Gate => secret::lend()?,
+                // The key of the model is for the gate of the build alone.
+                Process::Gate if self.kind(row) == Kind::OfTheBuild => secret::lend()?,
                 _ => Stdio::null(),
             })
             .stdout(output)

@@ -17,8 +17,9 @@ use std::path::{Path, PathBuf};
 
 use shm_config::file::{Access, Entry, Folder};
 
-/// Bytes at the end of a log that are searched for its last line.
-const TAIL_BYTES: u64 = 4096;
+/// Bytes at the end of a log that are searched for its last lines: a backtrace of a
+/// hundred frames.
+const TAIL_BYTES: u64 = 16 << 10;
 /// Bytes copied at a time.
 const COPY_BYTES: usize = 1 << 16;
 
@@ -111,14 +112,31 @@ impl LogFile {
 
     /// The last line written by the newest process; `None` when it wrote none.
     pub fn last_line(&self) -> Option<String> {
-        let end = self.file.metadata().ok()?.len();
-        let start = end.saturating_sub(TAIL_BYTES).max(self.mark.min(end));
+        self.last_lines(1).pop()
+    }
+
+    /// The last lines written by the newest process, at most `count`, in their order; of
+    /// several lines, those from its last panic on, whose backtrace may follow.
+    pub fn last_lines(&self, count: usize) -> Vec<String> {
         let mut tail = [0; TAIL_BYTES as usize];
-        let read = self.file.read_at(&mut tail, start).ok()?;
-        let tail = String::from_utf8_lossy(tail.get(..read)?);
-        let line = tail.lines().map(str::trim).rfind(|line| !line.is_empty())?;
+        let read = self.file.metadata().and_then(|metadata| {
+            let end = metadata.len();
+            let start = end.saturating_sub(TAIL_BYTES).max(self.mark.min(end));
+            self.file.read_at(&mut tail, start)
+        });
+        let tail = String::from_utf8_lossy(tail.get(..read.unwrap_or(0)).unwrap_or_default());
+        let lines = tail.lines().map(str::trim).filter(|line| !line.is_empty());
+        let lines: Vec<&str> = lines.collect();
+        let panic = lines
+            .iter()
+            .rposition(|line| line.contains(" panicked at "));
+        let from = match panic {
+            Some(panic) if count > 1 => panic,
+            _ => lines.len().saturating_sub(count),
+        };
         // A log line is untrusted text: its control characters must not reach the terminal.
-        Some(line.chars().filter(|c| !c.is_control()).collect())
+        let plain = |line: &&str| line.chars().filter(|c| !c.is_control()).collect();
+        lines.iter().skip(from).take(count).map(plain).collect()
     }
 }
 

@@ -6,10 +6,11 @@ use shm_config::config::Supervisor;
 use shm_config::message::HealthState;
 use shm_config::text::printable;
 
+use crate::machine::programs::Executable;
 use crate::set::backoff::{After, Backoff};
 use crate::set::event::Event;
 use crate::set::exit::Exit;
-use crate::set::launch::{Launch, Resume, Running};
+use crate::set::launch::{Kind, Launch, Resume, Running};
 use crate::set::log::LogFile;
 use crate::set::mark::Mark;
 use crate::set::table::{ProcessSpec, Restart};
@@ -21,6 +22,10 @@ pub const READY_LIMIT_NS: u64 = 20_000_000_000;
 /// The same for a process that an interpreter runs, ns: MetaDrive alone loads a
 /// thousand Python modules, 3 s on an idle machine and 20 s under full load.
 pub const SCRIPT_READY_LIMIT_NS: u64 = 60_000_000_000;
+
+/// Lines shown of the log of a user's program that failed: the end of a traceback with
+/// the call that raised it.
+const USERS_LINES: usize = 6;
 
 /// The phase of a process as the supervisor sees it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -57,13 +62,14 @@ pub enum Phase {
 #[derive(Debug)]
 pub struct Member {
     row: &'static ProcessSpec,
+    executable: Executable,
     child: Option<Running>,
     phase: Phase,
     backoff: Backoff,
     silent_ns: u64,
     ever_ready: bool,
     log: LogFile,
-    ready_limit_ns: u64,
+    kind: Kind,
 }
 
 /// What follows for the run.
@@ -79,16 +85,22 @@ pub enum Decision {
 
 impl Member {
     /// A process that has not been started.
-    pub(crate) fn new(row: &'static ProcessSpec, log: LogFile, ready_limit_ns: u64) -> Self {
+    pub(crate) fn new(
+        row: &'static ProcessSpec,
+        executable: Executable,
+        log: LogFile,
+        kind: Kind,
+    ) -> Self {
         Self {
             row,
+            executable,
             child: None,
             phase: Phase::Waiting,
             backoff: Backoff::default(),
             silent_ns: 0,
             ever_ready: false,
             log,
-            ready_limit_ns,
+            kind,
         }
     }
 
@@ -120,6 +132,11 @@ impl Member {
     /// Whether it was ready at least once.
     pub fn was_ready(&self) -> bool {
         self.ever_ready
+    }
+
+    /// Whether those after it may start: it was ready, or the run goes on without it.
+    pub fn lets_others_start(&self) -> bool {
+        self.ever_ready || self.phase == Phase::Gone
     }
 
     /// Whether it runs or is not reaped yet.
@@ -188,7 +205,7 @@ impl Member {
         events: &mut Vec<Event>,
     ) -> Decision {
         let process = self.row.process;
-        match launch.start(self.row, &mut self.log, resume) {
+        match launch.start(self.row, &self.executable, &mut self.log, resume) {
             Ok(child) => {
                 let pid = child.pid();
                 self.child = Some(child);
@@ -230,15 +247,16 @@ impl Member {
     }
 
     fn check_start_time(&mut self, took_ns: u64, events: &mut Vec<Event>) -> Decision {
-        if took_ns <= self.ready_limit_ns {
+        let limit_ns = self.ready_limit_ns();
+        if took_ns <= limit_ns {
             return Decision::Continue;
         }
         if !self.ever_ready {
             return Decision::GiveUp(format!(
                 "{}: not ready {} s after its start{}",
                 self.row.process,
-                self.ready_limit_ns / 1_000_000_000,
-                self.last_line_and_log()
+                limit_ns / 1_000_000_000,
+                self.last_lines_and_log()
             ));
         }
         self.kill_silent(took_ns, events);
@@ -254,8 +272,9 @@ impl Member {
         // If the kernel is slow to end it, the next SIGKILL follows after another whole
         // silence.
         self.silent_ns = 0;
+        let limit_ns = self.ready_limit_ns();
         if let Phase::Starting { since } = &mut self.phase {
-            *since = since.after_ns(self.ready_limit_ns);
+            *since = since.after_ns(limit_ns);
         }
         events.push(Event::Silenced { process, silent_ns });
     }
@@ -271,6 +290,14 @@ impl Member {
         let process = self.row.process;
         self.phase = Phase::Gone;
         match (&exit, self.row.restart) {
+            // A restart is for a program that has worked. This one has an error that its
+            // author should see at once.
+            _ if !self.ever_ready && self.kind == Kind::OfTheUser => {
+                return Decision::GiveUp(format!(
+                    "{process}: its program ended before it was ready ({exit}){}",
+                    self.last_lines_and_log()
+                ));
+            }
             (Exit::Done, Restart::AtEpisode) => return Decision::Finished,
             // A set-up that worked before fails when a disk or shared memory is full, which
             // may pass; one that never worked would fail again.
@@ -304,20 +331,50 @@ impl Member {
                 });
                 Decision::Continue
             }
+            After::GiveUp if self.row.restart == Restart::OrWithout => {
+                events.push(Event::Abandoned {
+                    process,
+                    exit,
+                    restarts_max: limits.restarts_max,
+                });
+                Decision::Continue
+            }
             After::GiveUp => Decision::GiveUp(format!(
                 "{process}: died ({exit}) and was restarted {} times already, which is \
                  supervisor.restarts_max{}",
                 limits.restarts_max,
-                self.last_line_and_log()
+                self.last_lines_and_log()
             )),
         }
     }
 
-    fn last_line_and_log(&self) -> String {
+    fn ready_limit_ns(&self) -> u64 {
+        match self.kind {
+            Kind::OfTheBuild | Kind::OfTheUser => READY_LIMIT_NS,
+            Kind::Script => SCRIPT_READY_LIMIT_NS,
+        }
+    }
+
+    /// The end of its log: one line of a program of the build, which reports an error in
+    /// one line; several of a user's, whose panic or traceback has more.
+    fn last_lines_and_log(&self) -> String {
         let path = self.log.path().display();
-        match self.log.last_line() {
-            Some(line) => format!("; its last line: {}; its log: {path}", printable(&line)),
-            None => format!("; its log is empty: {path}"),
+        let count = match self.kind {
+            Kind::OfTheBuild | Kind::Script => 1,
+            Kind::OfTheUser => USERS_LINES,
+        };
+        let lines = self.log.last_lines(count);
+        match lines.as_slice() {
+            [] => format!("; its log is empty: {path}"),
+            [line] => format!("; its last line: {}; its log: {path}", printable(line)),
+            lines => {
+                let mut text = format!("; its log: {path}; its last lines:");
+                for line in lines {
+                    text.push_str("\n  ");
+                    text.push_str(&printable(line));
+                }
+                text
+            }
         }
     }
 }

@@ -1,5 +1,8 @@
 //! Real-time privileges: the priority and the core that each process asks for.
 
+use shm_config::config::Config;
+
+use crate::machine::cores::own_cores;
 use crate::set::table::{Core, ProcessSpec};
 
 /// From this number of usable cores on, world, planner and controller get one each.
@@ -20,6 +23,15 @@ pub enum Privileges {
 }
 
 impl Privileges {
+    /// The privileges that the processes of a run ask for: none in lockstep, which has no
+    /// deadline and would only block the cores for other programs.
+    pub fn of(config: &Config) -> Self {
+        if !config.supervisor.realtime || config.run.is_lockstep() {
+            return Self::Ordinary;
+        }
+        Self::RealTime(own_cores())
+    }
+
     /// The priority that a process asks for; 0 for none.
     pub fn priority(&self, row: &ProcessSpec) -> u8 {
         match self {

@@ -10,11 +10,12 @@ use shm_config::message::HealthState;
 use shm_config::services::Process;
 
 use crate::cli::failure::Failure;
+use crate::machine::programs::Executable;
 use crate::set::event::Event;
-use crate::set::launch::{Launch, Resume};
+use crate::set::launch::{Kind, Launch, Resume};
 use crate::set::log::LogFile;
 use crate::set::mark::Mark;
-use crate::set::member::{Decision, Member, Phase, READY_LIMIT_NS, SCRIPT_READY_LIMIT_NS};
+use crate::set::member::{Decision, Member, Phase};
 use crate::set::table::rows;
 
 /// The most that one call of [`ProcessSet::decide`] adds to a silence, ns: four periods of
@@ -42,7 +43,7 @@ impl ProcessSet {
         let mut members = Vec::new();
         for row in rows(config) {
             let binary = launch.binary(row);
-            if !binary.is_file() {
+            if launch.kind(row) == Kind::OfTheBuild && !binary.is_file() {
                 return Err(Failure::GivenUp(format!(
                     "{}: missing; build it with `cargo build --release --workspace --bins`",
                     binary.display()
@@ -52,11 +53,15 @@ impl ProcessSet {
                 LogFile::create(log_dir, row.process.word(), limit_bytes).map_err(|error| {
                     Failure::GivenUp(format!("{}: cannot keep a log: {error}", log_dir.display()))
                 })?;
-            let ready_limit_ns = match launch.is_script(row) {
-                true => SCRIPT_READY_LIMIT_NS,
-                false => READY_LIMIT_NS,
+            let kind = launch.kind(row);
+            let executable = match kind {
+                Kind::OfTheBuild => Executable::hold(binary.clone()),
+                Kind::Script | Kind::OfTheUser => Ok(Executable::at(binary.clone())),
             };
-            members.push(Member::new(row, log, ready_limit_ns));
+            let executable = executable.map_err(|error| {
+                Failure::GivenUp(format!("{}: cannot be read: {error}", binary.display()))
+            })?;
+            members.push(Member::new(row, executable, log, kind));
         }
         Ok(Self {
             members,
@@ -126,7 +131,7 @@ impl ProcessSet {
     pub fn start_due(&mut self, now: Instant, resume: Resume) -> Decision {
         for index in 0..self.members.len() {
             let due = match self.members[index].phase() {
-                Phase::Waiting => self.members[..index].iter().all(Member::was_ready),
+                Phase::Waiting => self.members[..index].iter().all(Member::lets_others_start),
                 Phase::Resting { until } => now >= *until,
                 _ => false,
             };

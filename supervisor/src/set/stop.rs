@@ -15,6 +15,10 @@ const NO_CAR_NS: u64 = 1_000_000_000;
 /// updates, which takes seconds on a busy machine, and saves its state.
 const LEARNER_NS: u64 = 60_000_000_000;
 
+/// How long a recorder may take when only it and the learner still live, ns: it writes what
+/// is in memory, and its files' indexes.
+const RECORDER_NS: u64 = 10_000_000_000;
+
 /// The order in which the processes are asked to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
@@ -77,10 +81,12 @@ impl Stop {
             Process::Controller,
             Process::Gate,
         ];
-        let only_learner = !driving.into_iter().any(|process| set.lives(process));
-        let limit_ns = match only_learner && set.lives(Process::Learner) {
-            true => self.limit_ns.max(LEARNER_NS),
-            false => self.limit_ns,
+        let is_driven = driving.into_iter().any(|process| set.lives(process));
+        let lives = |process| !is_driven && set.lives(process);
+        let limit_ns = match (lives(Process::Learner), lives(Process::Recorder)) {
+            (true, _) => self.limit_ns.max(LEARNER_NS),
+            (false, true) => self.limit_ns.max(RECORDER_NS),
+            (false, false) => self.limit_ns,
         };
         if passed_ns >= limit_ns {
             self.kill(set);

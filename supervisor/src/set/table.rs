@@ -1,6 +1,6 @@
 //! The process table: one row for each process of a run.
 
-use shm_config::config::Config;
+use shm_config::config::{Config, Keep};
 use shm_config::services::Process;
 
 /// What follows the death of a process.
@@ -8,6 +8,8 @@ use shm_config::services::Process;
 pub enum Restart {
     /// It is started again as before.
     Again,
+    /// The same; when it died too often, the run goes on without it.
+    OrWithout,
     /// It is started again at its episode: `--first-episode K --driven-ns T`; exit 0
     /// ends the run.
     AtEpisode,
@@ -51,19 +53,31 @@ fn always(_: &Config) -> bool {
 /// The process table, in the order of start.
 pub const TABLE: &[ProcessSpec] = &[
     ProcessSpec {
+        process: Process::Recorder,
+        binary: Process::Recorder.binary(),
+        core: Core::Any,
+        // No tick waits for a disk.
+        priority: 0,
+        // No process needs it.
+        restart: Restart::OrWithout,
+        // First, so that it misses no message of the others.
+        after: None,
+        is_part_of: |config| config.keeps() != Keep::Nothing,
+    },
+    ProcessSpec {
         process: Process::Planner,
-        binary: "vlaps-planner",
+        binary: Process::Planner.binary(),
         core: Core::FromLast(1),
         // Lower than controller and world, which wait for it: a late plan delays one
         // plan, a late command or tick delays the tick.
         priority: 45,
         restart: Restart::Again,
-        after: None,
+        after: Some(Process::Recorder),
         is_part_of: always,
     },
     ProcessSpec {
         process: Process::Controller,
-        binary: "vlaps-controller",
+        binary: Process::Controller.binary(),
         core: Core::FromLast(0),
         // It must answer even while the planner runs.
         priority: 48,
@@ -73,7 +87,7 @@ pub const TABLE: &[ProcessSpec] = &[
     },
     ProcessSpec {
         process: Process::Gate,
-        binary: "vlaps-gate",
+        binary: Process::Gate.binary(),
         core: Core::Any,
         // A slow judge must never delay a tick.
         priority: 0,
@@ -83,7 +97,7 @@ pub const TABLE: &[ProcessSpec] = &[
     },
     ProcessSpec {
         process: Process::Learner,
-        binary: "vlaps-learner",
+        binary: Process::Learner.binary(),
         core: Core::Any,
         // It uses only the processor time that the others leave.
         priority: 0,
@@ -93,7 +107,7 @@ pub const TABLE: &[ProcessSpec] = &[
     },
     ProcessSpec {
         process: Process::World,
-        binary: "vlaps-world",
+        binary: Process::World.binary(),
         core: Core::FromLast(2),
         // Highest: the world brakes when commands are too old, so a controller in an
         // endless loop must not keep it from a core that they share. The kernel's own

@@ -3,9 +3,11 @@
 use std::env;
 use std::path::{Path, PathBuf};
 
+use shm_config::services::Process;
+
 use crate::cli::failure::Failure;
 use crate::machine::programs::own_folder;
-use crate::set::launch::Script;
+use crate::set::launch::Program;
 
 /// The variable that names another folder of the Python environment.
 pub const HOME_VARIABLE: &str = "VLAPS_METADRIVE";
@@ -61,16 +63,19 @@ pub fn python(home: &Path) -> PathBuf {
 ///
 /// # Errors
 /// When it is not set up.
-pub fn world() -> Result<Script, Failure> {
+pub fn world() -> Result<Program, Failure> {
     let home = home()?;
-    let interpreter = python(&home);
+    let path = python(&home);
     // Written last, so an interrupted set-up does not count.
-    if !interpreter.is_file() || !home.join(DONE).is_file() {
+    if !path.is_file() || !home.join(DONE).is_file() {
         return Err(Failure::Usage(format!(
             "{}: MetaDrive is not set up there; run ./vlaps setup metadrive",
             home.display()
         )));
     }
-    let file = sources()?.join("world.py");
-    Ok(Script { interpreter, file })
+    Ok(Program {
+        process: Process::World,
+        path,
+        script: Some(sources()?.join("world.py")),
+    })
 }

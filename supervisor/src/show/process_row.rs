@@ -37,6 +37,8 @@ pub struct ProcessRow {
     pub late: u64,
     /// Ticks in which a part took longer than its budget, by part.
     pub overruns: BTreeMap<&'static str, u64>,
+    /// Messages lost on queues that it reads; of the recorder, all that its recording lacks.
+    pub lost: u64,
     /// Messages that it refused.
     pub refused: u64,
     /// Messages that it refused, by reason.
@@ -158,6 +160,7 @@ impl ProcessRow {
                 .overruns()
                 .map(|(part, count)| (part.word(), count))
                 .collect(),
+            lost: totals.lost,
             refused: totals.refused.total(),
             refusals: totals
                 .refused

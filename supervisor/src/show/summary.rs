@@ -205,7 +205,7 @@ impl Summary {
             command_age_max_ms: tally.command_age_max_ns as f64 / 1e6,
             judge_unasked: judge::unasked(config, tally, judge.as_ref()),
             judge,
-            late_ticks: late::latest(tally),
+            late_ticks: late::most_late(tally),
             cpu_latency: Grant::Unasked.word(),
             processes,
         }

@@ -143,9 +143,17 @@ impl Summary {
             counted(self.braked, "tick"),
             self.command_age_max_ms
         )?;
-        match self.first_command_s {
-            Some(first_s) => writeln!(f, "first command {first_s:.2} s after the start"),
+        if let Some(first_s) = self.first_command_s {
+            writeln!(f, "first command {first_s:.2} s after the start")?;
+        }
+        match self.processes.get(Process::Recorder.word()) {
             None => Ok(()),
+            Some(row) if row.lost == 0 => writeln!(f, "recorded: no message lost"),
+            Some(row) => writeln!(
+                f,
+                "recorded: {} lost; logs/recorder.log names them",
+                counted(row.lost, "message")
+            ),
         }
     }
 

@@ -153,6 +153,10 @@ pub struct Configuration {
     /// Configuration file; vlaps.toml of the current folder is read when present.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Vehicle file: the sections `vehicle` and `scanner` of the car, such as
+    /// vehicles/truck.toml; its keys replace those of the configuration file.
+    #[arg(long, value_name = "FILE")]
+    pub vehicle: Option<PathBuf>,
     /// Override any key of the configuration, such as world.blocks=5; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
@@ -164,7 +168,8 @@ impl Configuration {
     /// # Errors
     /// When the file or an override is wrong; the error names the one that is.
     pub fn resolve(&self) -> Result<Config, Failure> {
-        settings::config(self.config.as_deref(), &self.overrides)
+        let files = [self.config.as_deref(), self.vehicle.as_deref()];
+        settings::config(files, &self.overrides)
     }
 }
 

@@ -50,6 +50,24 @@ pub fn of_set(words: impl IntoIterator<Item = impl Into<OsString>>) -> anyhow::R
     })?)
 }
 
+/// The configuration of a recorded run with overrides; `text` is its own, TOML.
+///
+/// # Errors
+/// When an override is wrong, or the system gives no file.
+pub fn changed(text: &str, overrides: &[String]) -> anyhow::Result<Config> {
+    let file = tempfile::NamedTempFile::new()?;
+    std::fs::write(file.path(), text)?;
+    let mut words = vec![OsString::from("--config"), file.path().into()];
+    for text in overrides {
+        words.extend(["--set".into(), text.into()]);
+    }
+    Ok(of_up(words).map_err(|failure| match failure {
+        // The temporary file is not the user's.
+        Failure::Config(ConfigError::OutOfRange { error, .. }) => Failure::Usage(error.to_string()),
+        other => other,
+    })?)
+}
+
 /// Refuses overrides of keys that a command sets itself. Each key comes with its
 /// option, or with an empty text if it has none.
 ///
@@ -78,21 +96,37 @@ pub fn refuse_own(overrides: &[String], own: &[(&str, &str)]) -> Result<(), Fail
     Ok(())
 }
 
-/// The configuration of `./vlaps up --config FILE --set KEY=VALUE ...`. It uses the
+/// The configuration of `./vlaps up --config FILE --vehicle FILE --set KEY=VALUE ...`; the
+/// files in that order. It uses the
 /// arguments of that command, so that file, defaults and overrides have the same
 /// meaning.
 ///
 /// # Errors
 /// When the file or an override is wrong; the error names the one that is.
-pub fn config(file: Option<&Path>, overrides: &[String]) -> Result<Config, Failure> {
+pub fn config(files: [Option<&Path>; 2], overrides: &[String]) -> Result<Config, Failure> {
     let mut words: Vec<OsString> = Vec::new();
-    if let Some(file) = file {
-        words.extend(["--config".into(), file.into()]);
+    for (option, file) in ["--config", "--vehicle"].into_iter().zip(files) {
+        words.extend(
+            file.into_iter()
+                .flat_map(|file| [option.into(), file.into()]),
+        );
     }
     for text in overrides {
         words.extend(["--set".into(), text.into()]);
     }
     let mut config = of_up(words)?;
+    for (key, program) in [
+        ("programs.world", &config.programs.world),
+        ("programs.planner", &config.programs.planner),
+        ("programs.gate", &config.programs.gate),
+    ] {
+        if !program.is_empty() {
+            return Err(Failure::Usage(format!(
+                "{key} = {program:?}: this command drives with the programs of the build; your \
+                 program drives in ./vlaps up"
+            )));
+        }
+    }
     // The result must not depend on the speed of this machine.
     config.run.clock = Clock::Lockstep;
     let rates = [

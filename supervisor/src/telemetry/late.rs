@@ -1,4 +1,4 @@
-//! The latest ticks of a run, with the part that took longest in each.
+//! The ticks of a run that were most late, with the part that took longest in each.
 
 use std::fmt::Write as _;
 
@@ -26,9 +26,9 @@ pub struct LateRow {
     pub skipped: u64,
 }
 
-/// The latest ticks of all processes over all restarts, the latest first; at most
+/// The most late ticks of all processes over all restarts, the most late first; at most
 /// [`LATE_TICKS`].
-pub fn latest(tally: &Tally) -> Vec<LateRow> {
+pub fn most_late(tally: &Tally) -> Vec<LateRow> {
     let mut rows = Vec::new();
     for process in Process::ALL {
         let Some(counted) = tally.process(*process) else {
@@ -53,7 +53,7 @@ pub fn table(rows: &[LateRow]) -> String {
     if rows.is_empty() {
         return "no tick was late".into();
     }
-    let mut text = String::from("latest ticks     tick      late, ms   skipped  longest part, ms");
+    let mut text = String::from("most late ticks  tick      late, ms   skipped  longest part, ms");
     for row in rows {
         // Writing to a string cannot fail.
         let _ = write!(

@@ -11,7 +11,7 @@ use shm_config::Instant;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::HealthState;
 use shm_config::services::Process;
-use supervisor::set::launch::{Launch, Resume};
+use supervisor::set::launch::{Launch, Program, Resume};
 use supervisor::set::privileges::Privileges;
 use supervisor::set::process_set::ProcessSet;
 use supervisor::set::table::TABLE;
@@ -49,6 +49,26 @@ pub struct Rig {
 
 impl Rig {
     pub fn new(script: &str, change: impl FnOnce(&mut Config)) -> Self {
+        Self::with_programs(script, change, |_| Vec::new())
+    }
+
+    /// As [`Rig::new`], with other scripts for some binaries.
+    pub fn with_others(script: &str, others: &[(&str, &str)]) -> Self {
+        let replaced = |dir: &Path| {
+            for (binary, other) in others {
+                replace(dir, binary, other);
+            }
+            Vec::new()
+        };
+        Self::with_programs(script, |_| (), replaced)
+    }
+
+    /// As [`Rig::new`], with programs of a user, given the folder of the binaries.
+    pub fn with_programs(
+        script: &str,
+        change: impl FnOnce(&mut Config),
+        programs: impl FnOnce(&Path) -> Vec<Program>,
+    ) -> Self {
         let dir = binaries(script);
         let mut config = Config::default();
         config.gate.mode = GateMode::Expert;
@@ -57,7 +77,7 @@ impl Rig {
             binaries: dir.path().into(),
             config: dir.path().join("config.toml"),
             privileges: Privileges::Ordinary,
-            world: None,
+            programs: programs(dir.path()),
         };
         let set = ProcessSet::new(&config, launch, dir.path()).expect("a set");
         let now = Instant(SECOND);

@@ -51,9 +51,10 @@ fn drawn(seed: u64) -> Pvp {
         batch: 32,
     };
     let settings = Settings {
-        rate: 1e-3,
         imitation_weight: 0.7,
-        target_noise: 0.2,
+        imitation_steer: 3.0,
+        critic_scale: [2.0, 1.5],
+        ..Settings::published(1e-3)
     };
     let mut pvp = Pvp::new(settings, size, &mut random);
     replay.sample_evenly(size.batch, &mut random, &mut pvp.workspace.batch);
@@ -160,7 +161,7 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
     replay.push(transition.buffer(), transition);
     replay.sample_evenly(8, &mut random, &mut pvp.workspace.batch);
     let (mut rows, mut bounds) = (Vec::new(), Vec::new());
-    super::join_preferences(&pvp.workspace.batch, &mut rows, &mut bounds);
+    super::join_preferences(&pvp.workspace.batch, [1.0; 2], &mut rows, &mut bounds);
     let pedals = rows
         .chunks_exact(FEATURES + ACTIONS)
         .map(|row| row[FEATURES + 1]);
@@ -171,7 +172,7 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
     let mut tape = crate::network::Tape::default();
     let action = pvp.actor.network.forward(&states[..FEATURES], 1, &mut tape);
     let off = (action[1] + 0.6).powi(2);
-    let steer: f32 = action[0].powi(2);
+    let steer: f32 = pvp.settings.imitation_steer * action[0].powi(2);
     replay.sample_evenly(1, &mut random, &mut pvp.workspace.batch);
     pvp.workspace.batch.states = states[..FEATURES].to_vec();
     let imitation = pvp.actor_loss(1).imitation;

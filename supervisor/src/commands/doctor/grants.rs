@@ -9,7 +9,7 @@ pub const LIMITS: &str = include_str!("../../../grants/limits.conf");
 /// Capabilities of the programs.
 pub const CAPABILITIES: &str = include_str!("../../../grants/capabilities.sh");
 /// The set as a systemd service.
-pub const SERVICE: &str = include_str!("../../../grants/vlaps.service");
+pub const SERVICE: &str = include_str!("../../../../packaging/debian/vlaps.service");
 
 /// Which user may bound the sleep of processors, for udev.
 pub const CPU_LATENCY: &str = include_str!("../../../grants/cpu-latency.rules");
@@ -45,7 +45,7 @@ pub fn lines() -> Vec<String> {
             "  sudo systemd-run --pty --same-dir --uid=$USER {} ./vlaps up",
             properties.join(" ")
         ),
-        "or as a service: supervisor/grants/vlaps.service".into(),
+        "or as a service, by the Debian package: packaging/build deb".into(),
         "in a container: docker run --cap-add=SYS_NICE --ulimit rtprio=95 --ulimit memlock=-1 --shm-size=1g ..."
             .into(),
     ]

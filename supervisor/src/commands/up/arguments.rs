@@ -1,17 +1,21 @@
 //! The arguments of `up`.
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
+use clap::builder::{EnumValueParser, PossibleValue, TypedValueParser};
+use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
+use shm_config::shortened;
 
 use crate::cli::parsers::{Name, whole};
 
 /// Start the process set and drive.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 #[command(
     after_help = "Without --episodes and --duration it drives until it is stopped: \
         Ctrl-C brakes the car to a stand, a second Ctrl-C kills (exit code 130: 128 and the \
@@ -27,7 +31,9 @@ use crate::cli::parsers::{Name, whole};
         ./vlaps up --gate human --policy policy.onnx\n  \
         ./vlaps up --lockstep --episodes 5 --seed 3 --json a.json\n  \
         ./vlaps up --duration 60 --late-ticks\n  \
-        ./vlaps up --rate 20 --run second --set world.traffic_density=0.1"
+        ./vlaps up --lockstep --vehicle vehicles/truck.toml --driver mpc --episodes 1\n  \
+        ./vlaps up --rate 20 --run second --set world.traffic_density=0.1\n  \
+        ./vlaps up --world ./my-robot --planner ./my-planner"
 )]
 pub struct Up {
     /// Seed of the first episode; each further one adds one.
@@ -44,15 +50,22 @@ pub struct Up {
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
     pub lockstep: bool,
-    /// The world simulator; metadrive needs `./vlaps setup metadrive` once.
-    #[arg(long, value_name = "WHICH")]
-    pub world: Option<WorldChoice>,
+    /// The world: sim, the built-in one; metadrive, which needs `./vlaps setup metadrive`
+    /// once; or a program of yours, as a path with a '/'.
+    #[arg(long, value_name = "WHICH|PROGRAM", value_parser = WorldOrProgram)]
+    pub world: Option<UpWorld>,
     /// How the expert plans; the paper's RRT* without it.
     #[arg(long, value_name = "HOW")]
     pub driver: Option<DriverChoice>,
+    /// A program of yours that plans, in place of the planner of the build.
+    #[arg(long, value_name = "PROGRAM", conflicts_with = "driver")]
+    pub planner: Option<PathBuf>,
     /// The gate, which decides between expert and policy.
     #[arg(long, value_name = "WHICH")]
     pub gate: Option<GateChoice>,
+    /// A program of yours that publishes advice, in place of the gate process of the build.
+    #[arg(long, value_name = "PROGRAM")]
+    pub judge: Option<PathBuf>,
     /// Keys of --gate human from this file of at most 1 MiB in place of the terminal.
     #[arg(long, value_name = "FILE")]
     pub keys: Option<PathBuf>,
@@ -65,12 +78,23 @@ pub struct Up {
     /// Configuration file; vlaps.toml of the current folder is read when present.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Vehicle file: the sections `vehicle` and `scanner` of the car, such as
+    /// vehicles/truck.toml; its keys replace those of the configuration file.
+    #[arg(long, value_name = "FILE")]
+    pub vehicle: Option<PathBuf>,
     /// Name of the run; sets of different names do not see each other.
     #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
     /// Write the summary to this file, too; a pipe needs its reader from the start.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    /// Record every message to MCAP files in this folder, or in a new folder in
+    /// run.folder/recording.
+    #[arg(long, value_name = "DIR", num_args = 0..=1)]
+    pub record: Option<Option<PathBuf>>,
+    /// Record nothing.
+    #[arg(long, conflicts_with = "record")]
+    pub no_record: bool,
     /// Override any key of the configuration, such as gate.period_s=5; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
@@ -126,6 +150,9 @@ pub enum GateChoice {
     Policy,
     /// The policy, until a human driver takes over by the keys; no gate process.
     Human,
+    /// The policy, and the expert in each tick in which their proposals differ by much
+    /// (gate.takeover_steer, gate.takeover_pedal); no gate process.
+    Takeover,
 }
 
 impl From<GateChoice> for GateMode {
@@ -138,7 +165,74 @@ impl From<GateChoice> for GateMode {
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,
             GateChoice::Human => Self::Human,
+            GateChoice::Takeover => Self::Takeover,
         }
+    }
+}
+
+/// The world of an `up`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum UpWorld {
+    /// A simulator.
+    Simulator(WorldChoice),
+    /// A user's program.
+    Program(PathBuf),
+}
+
+/// The parser of [`UpWorld`]. A path has a '/', so no file hides a simulator.
+#[derive(Debug, Clone, Copy)]
+pub struct WorldOrProgram;
+
+impl TypedValueParser for WorldOrProgram {
+    type Value = UpWorld;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        option: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<UpWorld, clap::Error> {
+        if value.as_encoded_bytes().contains(&b'/') {
+            return Ok(UpWorld::Program(value.into()));
+        }
+        let simulator = EnumValueParser::<WorldChoice>::new();
+        let simulator = simulator.parse_ref(command, option, value)?;
+        Ok(UpWorld::Simulator(simulator))
+    }
+}
+
+/// The parser of [`WorldChoice`] for commands that drive no program of a user.
+#[derive(Debug, Clone, Copy)]
+pub struct SimulatorAlone;
+
+impl TypedValueParser for SimulatorAlone {
+    type Value = WorldChoice;
+
+    fn parse_ref(
+        &self,
+        command: &clap::Command,
+        option: Option<&clap::Arg>,
+        value: &OsStr,
+    ) -> Result<WorldChoice, clap::Error> {
+        match WorldOrProgram.parse_ref(command, option, value)? {
+            UpWorld::Simulator(choice) => Ok(choice),
+            UpWorld::Program(path) => {
+                let path = shortened(&path.display().to_string());
+                let message = format!(
+                    "--world {path}: this command drives with the programs of the build; your \
+                     program drives in ./vlaps up --world {path}\n"
+                );
+                Err(clap::Error::raw(ErrorKind::ValueValidation, message).with_cmd(command))
+            }
+        }
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(
+            WorldChoice::value_variants()
+                .iter()
+                .filter_map(ValueEnum::to_possible_value),
+        ))
     }
 }
 

@@ -3,16 +3,16 @@
 use std::path::Path;
 
 use shm_config::Instant;
-use shm_config::config::{Config, Simulator};
+use shm_config::config::Config;
 use shm_config::services::Process;
 use shm_config::wire::Wire;
 
 use super::supervision::{End, Run};
 use crate::Clock;
 use crate::cli::failure::Failure;
-use crate::machine::cores::own_cores;
 use crate::machine::idle::IdleBound;
-use crate::machine::programs::own_folder;
+use crate::machine::programs::binaries;
+use crate::machine::service::ServiceManager;
 use crate::machine::signals::Signals;
 use crate::run::journal::Journal;
 use crate::run::place::Place;
@@ -21,7 +21,7 @@ use crate::set::launch::Launch;
 use crate::set::orphans::Orphans;
 use crate::set::privileges::Privileges;
 use crate::set::process_set::ProcessSet;
-use crate::setup::metadrive;
+use crate::setup::own_programs;
 use crate::show::screen::Screen;
 use crate::show::summary::Summary;
 use crate::takeover::input::{KeySource, TakeoverInput, TakeoverPorts};
@@ -29,9 +29,6 @@ use crate::telemetry::foreign::ForeignReports;
 use crate::telemetry::ports::Ports;
 use crate::telemetry::tally::Tally;
 use crate::telemetry::timing;
-
-/// Folder of the children's binaries, for tests of the supervisor alone.
-const BINARIES_VARIABLE: &str = "VLAPS_BIN_DIR";
 
 /// Drives a run to its end: how it ended, what it adds up to, its histograms as CSV, and
 /// the screen, which is still open.
@@ -44,21 +41,14 @@ pub(super) fn drive(
     signals: Signals,
     (clock, started): (Clock, Instant),
 ) -> Result<(End, Summary, String, Screen), Failure> {
-    let binaries = match std::env::var_os(BINARIES_VARIABLE) {
-        Some(folder) => folder.into(),
-        None => own_folder()
-            .map_err(|error| Failure::GivenUp(format!("cannot find the binaries: {error}")))?,
-    };
+    let binaries = binaries()?;
     let launch = Launch {
         binaries,
         // The processes read this copy and not the one in the run's folder, which a
         // user may edit in the meantime.
         config: place.paths().config_file(),
-        privileges: privileges(config),
-        world: match config.world.simulator {
-            Simulator::BuiltIn => None,
-            Simulator::MetaDrive => Some(metadrive::world()?),
-        },
+        privileges: Privileges::of(config),
+        programs: own_programs::of_run(config)?,
     };
     let idle = IdleBound::of(config);
     let logs = folder.join("logs");
@@ -89,6 +79,7 @@ pub(super) fn drive(
         is_warned: false,
         judge_trouble: String::new(),
         orphans: Orphans::adopt(),
+        service: ServiceManager::of_environment(),
         stops_asked: 0,
         ending: None,
     };
@@ -108,13 +99,4 @@ pub(super) fn drive(
     let summary = Summary::of(config, &run.tally, &run.set, ended).with_idle(&idle);
     let timing = timing::csv(&run.tally);
     Ok((end, summary, timing, run.screen))
-}
-
-/// The privileges that the processes ask for: none in lockstep, which has no deadline and
-/// would only block the cores for other programs.
-fn privileges(config: &Config) -> Privileges {
-    if !config.supervisor.realtime || config.run.is_lockstep() {
-        return Privileges::Ordinary;
-    }
-    Privileges::RealTime(own_cores())
 }

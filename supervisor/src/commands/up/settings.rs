@@ -3,12 +3,15 @@
 use std::path::{Path, PathBuf};
 
 use shm_config::config::planner::Method;
-use shm_config::config::{Config, ConfigError, GateMode, Simulator, from_toml, load, text_of};
+use shm_config::config::{
+    Config, ConfigError, GateMode, Simulator, from_toml, load, text_of, vehicle_of, with_vehicle,
+};
 use shm_config::{file, shortened};
 use toml::{Table, Value};
 
 use crate::cli::failure::Failure;
-use crate::commands::up::arguments::{GateChoice, Up};
+use crate::commands::up::arguments::{GateChoice, Up, UpWorld};
+use crate::setup::own_programs;
 
 /// Read from the current folder if it exists and no other file is named.
 pub const DEFAULT_FILE: &str = "vlaps.toml";
@@ -29,6 +32,9 @@ pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
         Some(path) => (read(&path)?, path.display().to_string()),
         None => (Table::new(), "the command line".into()),
     };
+    if let Some(file) = &arguments.vehicle {
+        table = with_vehicle(table, vehicle_of(file)?);
+    }
     let text_at = |table: &Table, key: &str| Some(lookup(table, key)?.as_str()?.to_string());
     // A file printed by `./vlaps config` names both; the folder must still follow the
     // name, or two runs would share one.
@@ -49,7 +55,7 @@ pub fn resolve(arguments: &Up) -> Result<Config, Failure> {
     if let (Some(name), false) = (name, folder_given) {
         insert(&mut table, "run.folder", format!("runs/{name}").into());
     }
-    let named = match overrides.is_empty() {
+    let named = match overrides.is_empty() && arguments.vehicle.is_none() {
         true => origin,
         false => format!("{origin}, with the options given"),
     };
@@ -117,21 +123,13 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     let is_lockstep = arguments.lockstep || arguments.gate == Some(GateChoice::Paper);
     let clock = is_lockstep.then(|| Value::from("lockstep"));
     push("--lockstep", "run.clock", clock);
-    let driver = arguments.driver.map(Method::from).map(Value::try_from);
-    let driver = driver
-        .transpose()
-        .map_err(|error| Failure::Usage(format!("--driver: {error}")))?;
+    let driver = written("--driver", arguments.driver.map(Method::from))?;
     push("--driver", "planner.method", driver);
-    let gate = arguments.gate.map(GateMode::from).map(Value::try_from);
-    let gate = gate
-        .transpose()
-        .map_err(|error| Failure::Usage(format!("--gate: {error}")))?;
+    let gate = written("--gate", arguments.gate.map(GateMode::from))?;
     push("--gate", "gate.mode", gate);
-    let world = arguments.world.map(Simulator::from).map(Value::try_from);
-    let world = world
-        .transpose()
-        .map_err(|error| Failure::Usage(format!("--world: {error}")))?;
-    push("--world", "world.simulator", world);
+    for (option, key, value) in programs_of(arguments)? {
+        push(option, key, Some(value));
+    }
     let policy = arguments.policy.as_deref().map(policy_file).transpose()?;
     push("--policy", "policy.file", policy.map(Value::from));
     push("--rate", "run.rate_hz", arguments.rate.map(Value::Float));
@@ -139,6 +137,9 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     push("--run", "run.name", name);
     let ordinary = arguments.no_realtime.then_some(Value::Boolean(false));
     push("--no-realtime", "supervisor.realtime", ordinary);
+    for (option, key, value) in recording_of(arguments)? {
+        push(option, key, Some(value));
+    }
     for text in &arguments.overrides {
         let Some((key, value)) = text.split_once('=') else {
             return Err(Failure::Usage(format!(
@@ -156,6 +157,50 @@ fn overrides_of(arguments: &Up) -> Result<Vec<Override>, Failure> {
     Ok(overrides)
 }
 
+/// The value of an option as the configuration writes it.
+fn written(option: &str, value: Option<impl serde::Serialize>) -> Result<Option<Value>, Failure> {
+    let value = value.map(Value::try_from).transpose();
+    value.map_err(|error| Failure::Usage(format!("{option}: {error}")))
+}
+
+/// The option, key and value of what the options of world and planner set. An option
+/// also ends what the file says of the other choice.
+fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)>, Failure> {
+    let mut keys = Vec::new();
+    let world = "--world";
+    match &arguments.world {
+        None => {}
+        Some(UpWorld::Simulator(choice)) => {
+            let simulator = written(world, Some(Simulator::from(*choice)))?;
+            keys.extend(simulator.map(|simulator| (world, "world.simulator", simulator)));
+            keys.push((world, "programs.world", "".into()));
+        }
+        Some(UpWorld::Program(path)) => {
+            let path = own_programs::of_option(world, path)?;
+            keys.push((world, "programs.world", path.into()));
+        }
+    }
+    match &arguments.planner {
+        Some(path) => {
+            let path = own_programs::of_option("--planner", path)?;
+            keys.push(("--planner", "programs.planner", path.into()));
+        }
+        None if arguments.driver.is_some() => {
+            keys.push(("--driver", "programs.planner", "".into()));
+        }
+        None => {}
+    }
+    if let Some(path) = &arguments.judge {
+        let path = own_programs::of_option("--judge", path)?;
+        keys.push(("--judge", "programs.gate", path.into()));
+        // The controller takes its advice as that of any judge that answers at once.
+        if arguments.gate.is_none() {
+            keys.push(("--judge", "gate.mode", "rules".into()));
+        }
+    }
+    Ok(keys)
+}
+
 /// The absolute path, because the processes of a run may have different working
 /// folders.
 fn policy_file(path: &Path) -> Result<String, Failure> {
@@ -164,6 +209,29 @@ fn policy_file(path: &Path) -> Result<String, Failure> {
         .canonicalize()
         .map_err(|error| failed(error.to_string()))?;
     file::regular(&whole).map_err(|error| failed(error.to_string()))?;
+    let text = whole.to_str().map(String::from);
+    text.ok_or_else(|| failed("its name is no UTF-8".into()))
+}
+
+/// The option, key and value of what the options of the recording set.
+fn recording_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)>, Failure> {
+    if arguments.no_record {
+        return Ok(vec![("--no-record", "record.keep", "nothing".into())]);
+    }
+    let Some(folder) = &arguments.record else {
+        return Ok(Vec::new());
+    };
+    let mut keys = vec![("--record", "record.keep", "everything".into())];
+    if let Some(folder) = folder {
+        keys.push(("--record", "record.folder", record_folder(folder)?.into()));
+    }
+    Ok(keys)
+}
+
+/// The absolute path, for the same reason; the folder need not exist yet.
+fn record_folder(path: &Path) -> Result<String, Failure> {
+    let failed = |why: String| Failure::Usage(format!("--record {}: {why}", path.display()));
+    let whole = std::path::absolute(path).map_err(|error| failed(error.to_string()))?;
     let text = whole.to_str().map(String::from);
     text.ok_or_else(|| failed("its name is no UTF-8".into()))
 }

@@ -6,11 +6,12 @@ use shm_config::services::Process;
 use shm_config::wire::Wire;
 
 use crate::Clock;
+use crate::machine::service::{ServiceManager, Stage};
 use crate::machine::signals::Signals;
 use crate::run::journal::Journal;
 use crate::run::place::Place;
 use crate::run::roster::RosterPublisher;
-use crate::set::member::{Decision, Phase};
+use crate::set::member::{Decision, Member, Phase};
 use crate::set::orphans::Orphans;
 use crate::set::process_set::ProcessSet;
 use crate::set::stop::Stop;
@@ -22,6 +23,9 @@ use crate::telemetry::tally::Tally;
 
 /// The loop's period, ns: 20 Hz.
 const PERIOD_NS: u64 = 50_000_000;
+/// The period in lockstep, ns: steps come as fast as the processes answer, thousands in a
+/// second, and wait in shared memory until this loop reads them.
+const LOCKSTEP_PERIOD_NS: u64 = 10_000_000;
 /// The period while processes start, ns: each waits for the one before.
 const START_PERIOD_NS: u64 = 5_000_000;
 /// Time between two checks of the run's files, ns.
@@ -54,6 +58,7 @@ pub(super) struct Run<'a> {
     pub(super) is_warned: bool,
     pub(super) judge_trouble: String,
     pub(super) orphans: Orphans,
+    pub(super) service: ServiceManager,
     pub(super) stops_asked: usize,
     pub(super) ending: Option<(End, Stop)>,
 }
@@ -71,6 +76,7 @@ impl Run<'_> {
             };
             self.end_if_due(turn, now);
             self.report(now);
+            self.service.tell(self.stage(), now);
             if let Some((end, stop)) = &mut self.ending {
                 if self.set.is_empty() && !self.orphans.remain() {
                     return end.clone();
@@ -185,6 +191,14 @@ impl Run<'_> {
         self.ending = Some((end, stop));
     }
 
+    fn stage(&self) -> Stage {
+        match self.ending {
+            Some(_) => Stage::Stopping,
+            None if self.set.members().iter().all(Member::lets_others_start) => Stage::Ready,
+            None => Stage::Starting,
+        }
+    }
+
     fn pause_ns(&self, now: Instant) -> u64 {
         let starts = self
             .set
@@ -193,6 +207,7 @@ impl Run<'_> {
             .any(|member| matches!(member.phase(), Phase::Waiting | Phase::Starting { .. }));
         let period_ns = match starts && self.ending.is_none() {
             true => START_PERIOD_NS,
+            false if self.config.run.is_lockstep() => LOCKSTEP_PERIOD_NS,
             false => PERIOD_NS,
         };
         let due_ns = self
