@@ -1,4 +1,4 @@
-//! What charts have in common: their face, colours, words and legends.
+//! Font, colours, text and legends shared by all charts.
 
 use std::sync::OnceLock;
 
@@ -9,23 +9,23 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use crate::sheet::Area;
 
-/// The face that everything is written in; the pictures need no font of the
-/// machine.
+/// The font of all text; it is compiled in, so that pictures do not depend on the
+/// machine's fonts.
 pub const FACE: &str = "sans-serif";
-/// Words.
+/// Colour of text.
 pub const INK: RGBColor = RGBColor(34, 40, 49);
-/// What stands back.
+/// Colour of secondary text and lines.
 pub const FAINT: RGBColor = RGBColor(110, 118, 129);
-/// Lines of the scales.
+/// Colour of grid lines.
 pub const GRID: RGBColor = RGBColor(228, 231, 235);
-/// Length of a legend's line, pixels.
+/// Length of a line in the legend, pixels.
 pub const SWATCH: i32 = 26;
 
-/// Makes the face known.
+/// Registers the font.
 ///
 /// # Errors
-/// When it cannot be read.
-pub(crate) fn know_font() -> anyhow::Result<()> {
+/// If it cannot be read.
+pub(crate) fn register_chart_font() -> anyhow::Result<()> {
     static FONT: OnceLock<bool> = OnceLock::new();
     let known = FONT.get_or_init(|| {
         register_font(FACE, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT).is_ok()
@@ -36,10 +36,10 @@ pub(crate) fn know_font() -> anyhow::Result<()> {
     }
 }
 
-/// Words from their left upper corner.
+/// Draws text; `at` is its upper left corner.
 ///
 /// # Errors
-/// When the picture cannot be drawn on.
+/// If the picture cannot be drawn on.
 pub fn write(
     area: &Area<'_>,
     words: &str,
@@ -53,10 +53,10 @@ pub fn write(
     Ok(())
 }
 
-/// One name of a legend with its line; where the next one begins.
+/// Draws an entry of a legend with its line; returns where the next one begins.
 ///
 /// # Errors
-/// When the picture cannot be drawn on.
+/// If the picture cannot be drawn on.
 pub fn legend_entry(
     area: &Area<'_>,
     name: &str,

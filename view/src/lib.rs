@@ -1,11 +1,12 @@
-//! Pictures: maps, episodes, plans and camera frames for `./vlaps draw`, and the
-//! parts that all charts share.
+//! The live page of `./vlaps view`; pictures for `./vlaps draw`: maps, episodes, plans
+//! and camera frames; and the parts that all charts share.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`draw`] | the commands `draw map`, `episode`, `frame`, `plan` |
-//! | [`chart`] | font, colours, words and legends of charts |
-//! | [`sheet`] | a chart as SVG and as PNG |
+//! | [`live`] | the live page: reader, server, and the page itself |
+//! | [`chart`] | font, colours, text and legends of charts |
+//! | [`sheet`] | writes a chart as SVG and as PNG |
 //!
 //! ```
 //! use sim::{World, WorldConfig};
@@ -18,4 +19,5 @@
 
 pub mod chart;
 pub mod draw;
+pub mod live;
 pub mod sheet;

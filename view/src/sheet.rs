@@ -1,8 +1,8 @@
-//! A chart that is drawn once as SVG and once as PNG by the same code.
+//! Draws a chart as SVG and as PNG with the same code.
 //!
-//! In pixels, words are spaced as their face says: the library's own rasteriser leaves
-//! out the space before each letter and begins each at a whole pixel, so that
-//! "cyclictest" reads "cydictest" and words at an edge lose a part of their letters.
+//! In PNG files, text is spaced by the font's metrics. The rasteriser of the plotting library
+//! ignores the space before each letter and rounds its position to whole pixels, so that
+//! "cyclictest" reads "cydictest" and letters at an edge are cut off.
 
 use std::io;
 use std::path::Path;
@@ -19,29 +19,29 @@ use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingBackend, DrawingErrorKind,
 };
 
-use crate::chart::know_font;
+use crate::chart::register_chart_font;
 
-/// Where the letters stand below the point that words are placed by, as a share of their
-/// size, which is 1.12 em of the face: b and k are 0.78 em high, capitals 0.69.
+/// Distance from the anchor point of a text to its baseline, as a share of the font size
+/// (1.12 em of this font): b and k are 0.78 em high, capitals 0.69 em.
 const BELOW_TOP: f32 = 0.75;
 const BELOW_CENTER: f32 = 0.31;
 const ABOVE_BOTTOM: f32 = 0.22;
 
-/// What a chart is drawn on.
+/// The file format that a chart is drawn in.
 pub enum Sheet<'a> {
-    /// Shapes and words.
+    /// Shapes and text.
     Svg(SVGBackend<'a>),
     /// Pixels.
     Pixels(BitMapBackend<'a>),
 }
 
-/// A part of a sheet; places are pixels from its upper left corner.
+/// A part of a sheet; coordinates are pixels from its upper left corner.
 pub type Area<'a> = DrawingArea<Sheet<'a>, Shift>;
 
 /// Draws `NAME.svg` and `NAME.png` into a folder, `size` pixels wide and high, on white.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn save(
     folder: &Path,
     name: &str,
@@ -61,7 +61,7 @@ pub fn save(
 /// Draws an SVG file, `size` pixels wide and high, on white.
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub fn save_svg(
     path: &Path,
     size: (u32, u32),
@@ -72,7 +72,7 @@ pub fn save_svg(
 }
 
 fn fill(sheet: Sheet<'_>, paint: impl Fn(&Area<'_>) -> anyhow::Result<()>) -> anyhow::Result<()> {
-    know_font()?;
+    register_chart_font()?;
     let area = sheet.into_drawing_area();
     area.fill(&WHITE)?;
     paint(&area)?;
@@ -91,7 +91,7 @@ fn refused<E: std::error::Error + Send + Sync>(error: DrawingErrorKind<E>) -> Re
     }
 }
 
-/// The same call of either library.
+/// Forwards a call to the backend of the file format.
 macro_rules! on {
     ($sheet:expr, $call:ident($($argument:expr),*)) => {
         match $sheet {
@@ -220,7 +220,7 @@ fn draw_words<B: DrawingBackend, S: BackendTextStyle>(
     let mut drawn = Ok(());
     for (letter, begin) in letters {
         let letter = letter.with_scale_and_position(face.scale(), point(left + begin, down));
-        // A space has none.
+        // A space has no glyph.
         let Some(outline) = face.outline_glyph(letter) else {
             continue;
         };
@@ -248,7 +248,7 @@ mod tests {
 
     const SIZE: (u32, u32) = (100, 40);
 
-    /// The columns, or rows, with ink: from the first of each run to its last.
+    /// The columns or rows with ink, as runs from first to last.
     fn runs(pixels: &[u8], lines: u32, at: impl Fn(u32, u32) -> (u32, u32)) -> Vec<(u32, u32)> {
         let (width, height) = SIZE;
         let across = if lines == width { height } else { width };
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_keep_the_room_between_them() {
+    fn letters_keep_their_spacing() {
         let pixels = draw(|root| write(root, "clcl", (4, 4), (24, BLACK)));
         let runs = runs(&pixels, SIZE.0, |x, y| (x, y));
         assert_eq!(runs.len(), 4, "c and l do not make a d: {runs:?}");
@@ -292,7 +292,7 @@ mod tests {
             let style = TextStyle::from(style).pos(at);
             Ok(root.draw_text("bfkl", &style, (0, 20))?)
         });
-        // As tall as upright ones.
+        // As tall as horizontal letters.
         let upright = draw(|root| write(root, "bfkl", (4, 4), (13, BLACK)));
         let height = |runs: Vec<(u32, u32)>| runs[runs.len() - 1].1 - runs[0].0;
         let turned = height(runs(&pixels, SIZE.0, |x, y| (x, y)));

@@ -1,4 +1,4 @@
-//! Title, legend and scale around a map.
+//! Title, legend and scale bar around a map.
 
 use shm_config::message::Driver;
 use sim::World;
@@ -12,24 +12,24 @@ use super::canvas::{Canvas, HEAD_PX, px};
 use super::palette;
 use super::ride::Ride;
 
-/// Margin left and right, px.
+/// Left and right margin, px.
 pub const SIDE_PX: f64 = 28.0;
-/// Height of a row of the legend, px.
+/// Height of a legend row, px.
 pub const ROW_PX: f64 = 30.0;
-/// Room between the legend's entries, px.
+/// Gap between legend entries, px.
 const GAP_PX: f64 = 26.0;
-/// Width of a symbol with its gap, px.
+/// Width of a symbol including its gap, px.
 const SYMBOL_PX: f64 = 32.0;
-/// Room for the scale bar at the right, px.
+/// Width reserved for the scale bar at the right, px.
 const SCALE_PX: f64 = 230.0;
-/// Width of a letter of the legend: on the wide side, fonts differ, px.
+/// Estimated width of a letter in the legend, px; generous, since fonts differ.
 const LETTER_PX: f64 = 7.4;
-/// Lengths that a scale bar may have, m.
+/// Possible lengths of the scale bar, m.
 const SCALES_M: [f64; 7] = [5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0];
-/// It should be about this long, px.
+/// Preferred length of the scale bar, px.
 const SCALE_BAR_PX: f64 = 140.0;
 
-/// How an entry of the legend looks.
+/// Symbol of a legend entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Symbol {
     /// A thick line.
@@ -40,7 +40,7 @@ pub enum Symbol {
     Disc,
     /// A circle.
     Ring,
-    /// A pale area, and a beam with a point at its end.
+    /// A pale area with a beam that ends in a point.
     Scan,
     /// A triangle.
     Triangle,
@@ -56,7 +56,7 @@ pub struct Key {
     text: String,
 }
 
-/// An entry of the legend.
+/// Makes a legend entry.
 pub fn key(symbol: Symbol, color: &'static str, text: &str) -> Key {
     Key {
         symbol,
@@ -65,7 +65,7 @@ pub fn key(symbol: Symbol, color: &'static str, text: &str) -> Key {
     }
 }
 
-/// What a map needs explained; only what is on it.
+/// The legend entries of what the map shows.
 pub fn map_keys(world: &World) -> Vec<Key> {
     let mut keys = vec![
         key(Symbol::Box, palette::EGO, "ego"),
@@ -77,14 +77,14 @@ pub fn map_keys(world: &World) -> Vec<Key> {
     keys
 }
 
-/// The legend of an episode; `who` is the driver.
-pub fn episode_keys(world: &World, ride: &Ride, who: &str) -> Vec<Key> {
+/// The legend of an episode; `driver_name` names the driver.
+pub fn episode_keys(world: &World, ride: &Ride, driver_name: &str) -> Vec<Key> {
     let mut keys: Vec<Key> = ride
         .drivers()
         .map(|(driver, ticks)| {
             let seconds = ticks as f64 * TICK_S;
             let word = match driver {
-                Driver::Expert => format!("{who} drove"),
+                Driver::Expert => format!("{driver_name} drove"),
                 Driver::Policy => "policy drove".into(),
                 Driver::Brake => "braked".into(),
             };
@@ -128,7 +128,7 @@ fn body_keys(world: &World) -> Vec<Key> {
         .collect()
 }
 
-/// Puts title, legend and scale around the map.
+/// Adds title, legend and scale bar to the map.
 pub fn finish(canvas: Canvas, title: &str, facts: &str, keys: &[Key]) -> String {
     let [width_px, map_px] = canvas.size_px();
     let top_px = HEAD_PX + map_px;
@@ -147,7 +147,7 @@ pub fn head(title: &str, facts: &str) -> Group {
         .add(text(facts, [SIDE_PX, 66.0], 14.5).set("fill", palette::FAINT))
 }
 
-/// A legend from its left upper end to a right end, px, and its number of rows.
+/// A legend from its upper left corner to its right end, px, and its number of rows.
 pub fn legend(keys: &[Key], [left, top]: [f64; 2], right: f64) -> (Group, u32) {
     let mut legend = Group::new();
     let (mut x, mut row) = (left, 0);
@@ -166,7 +166,7 @@ pub fn legend(keys: &[Key], [left, top]: [f64; 2], right: f64) -> (Group, u32) {
     (legend, row + 1)
 }
 
-/// A word whose base line begins at a point, px.
+/// Text whose baseline begins at a point, px.
 pub fn text(words: &str, [x, y]: [f64; 2], size_px: f64) -> Text {
     Text::new(words)
         .set("x", px(x))
@@ -226,7 +226,7 @@ fn symbol(key: &Key, [x, y]: [f64; 2]) -> Element {
     }
 }
 
-/// As the scan is drawn on the map, in little.
+/// The symbol of a scan, in the colours of the map.
 fn scan(color: &str, [x, y]: [f64; 2]) -> Element {
     let area = Rectangle::new()
         .set("x", px(x))
@@ -250,7 +250,7 @@ fn scan(color: &str, [x, y]: [f64; 2]) -> Element {
     Group::new().add(area).add(beam).add(end).into()
 }
 
-/// A star of five points around a point, px.
+/// A five-pointed star around a point, px.
 pub fn star([x, y]: [f64; 2], radius_px: f64) -> Polygon {
     let points: Vec<String> = (0..10)
         .map(|k| {
@@ -266,7 +266,7 @@ pub fn star([x, y]: [f64; 2], radius_px: f64) -> Polygon {
     Polygon::new().set("points", points.join(" "))
 }
 
-/// A bar of a round length, right-aligned at a point.
+/// A scale bar of a round length; its right end is at a point.
 fn scale(scale_px_per_m: f64, [right, y]: [f64; 2]) -> Group {
     let off = |length_m: &f64| (length_m * scale_px_per_m - SCALE_BAR_PX).abs();
     let length_m = SCALES_M

@@ -1,15 +1,15 @@
-//! Where words are put so that none stands on another, nor on the ego's path.
+//! Places labels so that they overlap neither each other nor the ego's path.
 
 use vehicle::Point;
 
 use super::canvas::{Canvas, HEAD_PX};
 
-/// Width of a letter by the height of its line: on the wide side, fonts differ.
+/// Estimated width of a letter over the line height; generous, since fonts differ.
 const LETTER: f64 = 0.6;
-/// Half the width of the path's free strip, px.
+/// Half the width of the strip along the path that stays free, px.
 const STRIP_PX: f64 = 3.0;
 
-/// A rectangle on the picture by its ends, px.
+/// A rectangle in the picture by two corners, px.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Patch {
     left: f64,
@@ -19,7 +19,7 @@ struct Patch {
 }
 
 impl Patch {
-    /// What two have in common, px^2.
+    /// Area of the overlap of two rectangles, px^2.
     fn shared_px2(&self, other: &Patch) -> f64 {
         let width = self.right.min(other.right) - self.left.max(other.left);
         let height = self.bottom.min(other.bottom) - self.top.max(other.top);
@@ -31,14 +31,14 @@ impl Patch {
     }
 }
 
-/// What is taken already.
+/// The areas that are taken already.
 pub struct Labels {
     picture: Patch,
     taken: Vec<Patch>,
 }
 
 impl Labels {
-    /// On a picture with these points of paths, and these spots with their radius, m.
+    /// Reserves the path and these circles (centre, radius in m).
     pub fn beside(canvas: &Canvas, path_world: &[Point], spots: &[(Point, f64)]) -> Labels {
         let [width, height] = canvas.size_px();
         let square = |point: &Point, half_px: f64| {
@@ -66,8 +66,8 @@ impl Labels {
         }
     }
 
-    /// Takes the first of some places that is free for a word centred on it, or
-    /// the one that covers least; the word must not be put elsewhere.
+    /// Reserves a place for a text that is centred on it, and returns the place: the one with
+    /// the least overlap, the first of equals. `None` if `places_world` is empty.
     pub fn take(
         &mut self,
         canvas: &Canvas,

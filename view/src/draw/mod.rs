@@ -1,12 +1,14 @@
-//! Pictures from above, as SVG: a map, an episode, or a plan; and what the world's
-//! camera sees, as PNG.
+//! Draws a map, an episode or a plan from above as SVG, and a camera frame as PNG.
 
+pub mod animation;
 mod canvas;
 mod frame;
 mod labels;
+pub mod moment;
 mod palette;
 mod photo;
-mod plan;
+pub(crate) mod plan;
+pub mod raster;
 mod ride;
 mod roads;
 mod tracks;
@@ -46,11 +48,11 @@ supervisor::subcommands! {
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  ./vlaps draw map --seed 1000 --set world.sequence=SCrRXTO")]
 pub struct DrawMap {
-    /// Its seed.
+    /// Seed of the map.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub seed: u64,
-    /// The file to write; without it, map-N.svg.
+    /// Output file; default: map-N.svg.
     #[arg(long, value_name = "FILE.svg", value_parser = ending_in(".svg"))]
     pub out: Option<PathBuf>,
     /// Configuration and overrides.
@@ -65,7 +67,7 @@ impl Subcommand for DrawMap {
 
     fn run(&self, _clock: Clock) -> anyhow::Result<ExitCode> {
         let config = self.configuration.resolve()?;
-        let mut world = World::new(WorldConfig::from(&config.world))?;
+        let mut world = World::new(WorldConfig::from(&config))?;
         world.reset(self.seed)?;
         let file = format!("map-{}.svg", self.seed);
         write(self.out.clone(), &file, &map_svg(&world))?;
@@ -77,14 +79,14 @@ impl Subcommand for DrawMap {
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  ./vlaps draw episode --seed 1007 --driver idm --out drive.svg")]
 pub struct DrawEpisode {
-    /// Its seed.
+    /// Seed of the episode.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub seed: u64,
     /// The driver.
     #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
-    /// The file to write; without it, episode-N-DRIVER.svg.
+    /// Output file; default: episode-N-DRIVER.svg.
     #[arg(long, value_name = "FILE.svg", value_parser = ending_in(".svg"))]
     pub out: Option<PathBuf>,
     /// Configuration and overrides.
@@ -106,8 +108,7 @@ impl Subcommand for DrawEpisode {
     }
 }
 
-/// A picture's file. Its ending says what is in it, and each kind of picture is
-/// of one format.
+/// Parses the name of an output file, whose ending must fit the format of the picture.
 fn ending_in(ending: &'static str) -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(move |path| {
         let name = path.as_os_str().to_string_lossy().to_ascii_lowercase();
@@ -118,7 +119,7 @@ fn ending_in(ending: &'static str) -> impl TypedValueParser<Value = PathBuf> {
     })
 }
 
-/// Draws the failures of an evaluation into a folder, at most this many.
+/// Draws at most this many failures of an evaluation into a folder.
 ///
 /// # Errors
 /// As `map`.
@@ -143,7 +144,7 @@ fn episode_file(seed: u64, driver: DriverKind) -> String {
 
 /// Drives an episode and draws it.
 fn driven(seed: u64, driver: DriverKind, config: &Config, clock: Clock) -> anyhow::Result<String> {
-    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut world = World::new(WorldConfig::from(config))?;
     let mut seated = EpisodeDriver::new(driver, config, clock)?;
     world.reset(seed)?;
     let mut ride = Ride::begin(&world);
@@ -159,7 +160,7 @@ fn write(out: Option<PathBuf>, default: &str, text: &str) -> anyhow::Result<()> 
     Ok(())
 }
 
-/// The picture of a world as it stands now.
+/// The map of a world in its present state.
 pub fn map_svg(world: &World) -> String {
     let map = world.map();
     let letters: Vec<String> = map
@@ -183,8 +184,8 @@ pub fn map_svg(world: &World) -> String {
     frame::finish(canvas, &format!("Map {}", map.seed), &facts, &keys)
 }
 
-/// The picture of an episode that has ended.
-pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> String {
+/// The picture of a finished episode.
+pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, driver_name: &str) -> String {
     let mut seen = Observation::default();
     world.observe(&mut seen);
     let outcome = match episode.outcome() {
@@ -194,7 +195,7 @@ pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> 
         Outcome::MaxStep => "ran out of steps",
         Outcome::Stopped | Outcome::Driving => "stopped",
     };
-    let title = format!("Seed {}: {who} {outcome}", episode.seed);
+    let title = format!("Seed {}: {driver_name} {outcome}", episode.seed);
     let seconds = episode.ticks as f64 * TICK_S;
     let facts = format!(
         "{:.1} % of {:.0} m   ·   {seconds:.1} s   ·   {:.1} m/s   ·   in contact with vehicles {:.1} s, with objects {:.1} s",
@@ -206,13 +207,13 @@ pub fn episode_svg(world: &World, ride: &Ride, episode: &Episode, who: &str) -> 
     );
     let mut canvas = Canvas::around(&world.map().network);
     roads::draw(&mut canvas, world);
-    ride.draw_scan(&mut canvas, &seen);
+    ride::draw_scan(&mut canvas, &seen);
     ride.draw_traffic(&mut canvas);
     ride::draw_bodies(&mut canvas, world);
     let mut labels = ride.labels(&canvas, world);
     ride.draw_path(&mut canvas, &mut labels);
     ride::draw_ego(&mut canvas, world);
     ride.draw_contacts(&mut canvas, &mut labels);
-    let keys = frame::episode_keys(world, ride, who);
+    let keys = frame::episode_keys(world, ride, driver_name);
     frame::finish(canvas, &title, &facts, &keys)
 }

@@ -1,8 +1,11 @@
-//! Every colour, once.
+//! All colours of the pictures.
+
+use std::sync::LazyLock;
 
 use shm_config::message::Driver;
+use shm_config::palette::hex;
 
-/// Paper behind everything.
+/// Background of the picture.
 pub const PAPER: &str = "#f6f4ee";
 /// Ground beside the roads.
 pub const GROUND: &str = "#e8ebe0";
@@ -32,7 +35,7 @@ pub const CONE: &str = "#ff8c37";
 pub const WARNING: &str = "#ffd23f";
 /// The ego.
 pub const EGO: &str = "#ffffff";
-/// What was touched, where.
+/// Contacts.
 pub const CONTACT: &str = "#ff2d78";
 /// The last scan.
 pub const SCAN: &str = "#f7c948";
@@ -43,13 +46,15 @@ pub const FREE: &str = "#ffffff";
 pub const OCCUPIED: &str = "#15181d";
 /// The planned path and its goal.
 pub const PATH: &str = "#1fb35b";
-/// A predicted car, [`PATH`] seen through.
+/// The planned path of a drive, which leaves [`PATH`] to the driver's colour.
+pub const PLAN: &str = "#d3a4ff";
+/// A predicted car: [`PATH`], nearly transparent.
 pub const FOOTPRINT: &str = "#e3f5ea";
 /// The car of a plan.
 pub const CAR: &str = "#8fa3bd";
 
-/// Cost-to-come, from the start's to the greatest; dark enough for white paper,
-/// and without green, which is the path's.
+/// Colour scale of the cost-to-come, from the start to the maximum; dark enough for a white
+/// background, and without green, the colour of the path.
 pub const COSTS: [[u8; 3]; 5] = [
     [0x22, 0x1f, 0x9e],
     [0x7a, 0x1f, 0xb0],
@@ -58,7 +63,7 @@ pub const COSTS: [[u8; 3]; 5] = [
     [0xf9, 0xa8, 0x2b],
 ];
 
-/// The colour of a share of the greatest cost, [0, 1].
+/// The colour of a share of the maximum cost, [0, 1].
 pub fn cost(share: f64) -> String {
     let at = share.clamp(0.0, 1.0) * (COSTS.len() - 1) as f64;
     let below = (at as usize).min(COSTS.len() - 2);
@@ -70,11 +75,38 @@ pub fn cost(share: f64) -> String {
     format!("#{:02x}{:02x}{:02x}", mixed(0), mixed(1), mixed(2))
 }
 
-/// The driver.
+/// The colour of a driver.
 pub fn driver(driver: Driver) -> &'static str {
-    match driver {
-        Driver::Expert => "#37d67a",
-        Driver::Policy => "#4db5ff",
-        Driver::Brake => "#ff5648",
-    }
+    static COLOURS: LazyLock<Vec<String>> = LazyLock::new(|| {
+        let drivers = Driver::ALL.iter();
+        drivers
+            .map(|driver| hex(shm_config::palette::driver(*driver)))
+            .collect()
+    });
+    &COLOURS[driver.code() as usize]
+}
+
+/// The colours of a moving picture, of which its palette begins.
+pub fn drawn() -> Vec<String> {
+    let fixed = [
+        PAPER,
+        GROUND,
+        INK,
+        SIDEWALK,
+        ASPHALT,
+        ROUTE,
+        WHITE_LINE,
+        YELLOW_LINE,
+        CHECKPOINT,
+        TRAFFIC,
+        BROKEN_DOWN,
+        CONE,
+        WARNING,
+        EGO,
+        CONTACT,
+        SCAN,
+        PLAN,
+    ];
+    let drivers = Driver::ALL.iter().map(|of| driver(*of));
+    fixed.into_iter().chain(drivers).map(String::from).collect()
 }

@@ -1,4 +1,4 @@
-//! What the world's camera sees of an episode's tick.
+//! Renders the camera image of a tick of an episode.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -21,35 +21,35 @@ use super::ending_in;
 use stack::Clock;
 use stack::driver::{DriverKind, EpisodeDriver};
 
-/// What the world's camera sees at a tick: the picture that judges are asked with.
+/// A camera image at a tick, as judges receive it.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
         ./vlaps draw frame --seed 1000 --tick 120\n  \
         ./vlaps draw frame --seed 1000 --tick 120 --view ego --width 960 --height 720")]
 pub struct DrawFrame {
-    /// Seed of an episode to drive.
+    /// Seed of the episode.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub seed: u64,
-    /// Its tick, from 0.
+    /// Tick of the episode, from 0.
     #[arg(long, value_name = "T", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub tick: u64,
-    /// From where: top_down or ego.
+    /// Camera: top_down or ego.
     #[arg(long, value_name = "VIEW", default_value = "top_down", value_parser = view)]
     pub view: View,
-    /// Pixels across.
+    /// Width, pixels.
     #[arg(long, value_name = "PX", default_value_t = 480, allow_negative_numbers = true,
           value_parser = side())]
     pub width: u32,
-    /// Pixels down.
+    /// Height, pixels.
     #[arg(long, value_name = "PX", default_value_t = 480, allow_negative_numbers = true,
           value_parser = side())]
     pub height: u32,
     /// The driver.
     #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
-    /// The file to write; without it, frame-N-T-VIEW.png.
+    /// Output file; default: frame-N-T-VIEW.png.
     #[arg(long, value_name = "FILE.png", value_parser = ending_in(".png"))]
     pub out: Option<PathBuf>,
     /// Configuration and overrides.
@@ -86,7 +86,7 @@ impl Subcommand for DrawFrame {
         } = *self;
         if width * height * 3 > FRAME_BYTES_MAX as u32 {
             return Err(anyhow!(
-                "--width {width} --height {height}: a frame holds {} pixels, as 960 x 720 has",
+                "--width {width} --height {height}: a frame has at most {} pixels, such as 960 x 720",
                 FRAME_BYTES_MAX / 3
             ));
         }
@@ -98,7 +98,9 @@ impl Subcommand for DrawFrame {
             size_px: [width, height],
             passed: 0.0,
         };
-        let picture = renderer.draw(&world, &shot).context("no memory")?;
+        let picture = renderer
+            .draw(&world, &shot)
+            .context("no memory for the picture")?;
         let default = || format!("frame-{seed}-{tick}-{view}.png").into();
         let path = self.out.clone().unwrap_or_else(default);
         write_png(&path, &picture).with_context(|| path.display().to_string())?;
@@ -107,11 +109,11 @@ impl Subcommand for DrawFrame {
     }
 }
 
-/// The world as it is observed at the tick.
+/// The world as it is at the tick's observation.
 fn world_at(arguments: &DrawFrame, clock: Clock) -> anyhow::Result<World> {
     let config = arguments.configuration.resolve()?;
     let config = arguments.driver.configure(&config);
-    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut world = World::new(WorldConfig::from(&config))?;
     let (seed, wanted) = (arguments.seed, arguments.tick);
     if wanted == 0 {
         world.reset(seed)?;
@@ -129,8 +131,8 @@ fn world_at(arguments: &DrawFrame, clock: Clock) -> anyhow::Result<World> {
             found = Some(tick.world.clone());
         }
     })?;
-    let who = arguments.driver.word();
-    found.ok_or_else(|| anyhow!("--tick {wanted}: with {who}, seed {seed} ends at {last}"))
+    let driver = arguments.driver.word();
+    found.ok_or_else(|| anyhow!("--tick {wanted}: with {driver}, seed {seed} ends at {last}"))
 }
 
 fn write_png(path: &Path, picture: &Picture) -> anyhow::Result<()> {

@@ -1,6 +1,4 @@
-//! What moved: the ego's path by driver, traffic, contacts, the last scan.
-
-use std::f64::consts::TAU;
+//! Draws what moved: the ego's path by driver, traffic, contacts, and the last scan.
 
 use shm_config::message::{Driver, Observation};
 use sim::World;
@@ -14,17 +12,17 @@ use super::palette;
 use super::tracks::Tracks;
 use stack::episode::Tick;
 
-/// A dot on the ego's path after this many ticks: 5 s.
+/// Ticks between two dots on the ego's path: 5 s.
 const MARK_TICKS: usize = 50;
-/// Every so many dots one has its time written beside it.
+/// Dots per time label.
 const LABEL_MARKS: usize = 2;
 
-/// Contacts nearer than this are one on the picture, m.
+/// Contacts closer than this are drawn as one, m.
 const CONTACTS_APART_M: f64 = 8.0;
 
 /// Radius of the ring around a contact, m.
 const RING_M: f64 = 3.4;
-/// Where the word of a contact may stand, in the order of preference.
+/// Directions from a contact to its label, in the order of preference.
 const LABEL_DIRECTIONS: [[f64; 2]; 8] = [
     [0.0, 1.0],
     [0.0, -1.0],
@@ -36,12 +34,12 @@ const LABEL_DIRECTIONS: [[f64; 2]; 8] = [
     [-1.0, -1.0],
 ];
 
-/// A cone or a triangle is drawn no smaller than this, m.
+/// Minimum size of a cone or a triangle, m.
 const MARK_M: f64 = 1.1;
-/// How far beside the path its times may stand, m.
+/// Possible distances of time labels from the path, m.
 const TIMES_BESIDE_M: [f64; 8] = [3.2, -3.2, 4.6, -4.6, 6.2, -6.2, 8.0, -8.0];
 
-/// What a contact was with.
+/// The body that was touched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum With {
     /// A car.
@@ -54,18 +52,18 @@ pub enum With {
 
 /// The record of an episode.
 pub struct Ride {
-    /// The ego's places; one more than drivers.
+    /// The ego's positions; one more than drivers.
     positions_world: Vec<Point>,
-    /// The driver from each place to the next.
+    /// The driver between consecutive positions.
     drivers: Vec<Driver>,
-    /// Where contacts began.
+    /// Position and body of each contact at its begin.
     contacts: Vec<(Point, With)>,
     touching: [bool; 3],
     tracks: Tracks,
 }
 
 impl Ride {
-    /// At the beginning of an episode.
+    /// Starts recording at the begin of an episode.
     pub fn begin(world: &World) -> Ride {
         let mut tracks = Tracks::default();
         tracks.follow(world.bodies());
@@ -78,7 +76,7 @@ impl Ride {
         }
     }
 
-    /// Adds a tick.
+    /// Records a tick.
     pub fn watch(&mut self, tick: &Tick) {
         let at = tick.world.ego_position();
         self.positions_world.push(at);
@@ -98,7 +96,7 @@ impl Ride {
         self.tracks.follow(tick.world.bodies());
     }
 
-    /// The drivers that drove at least once.
+    /// The drivers that drove, with their number of ticks.
     pub fn drivers(&self) -> impl Iterator<Item = (Driver, usize)> {
         [Driver::Expert, Driver::Policy, Driver::Brake]
             .into_iter()
@@ -121,7 +119,7 @@ impl Ride {
         self.tracks.all().iter().any(|track| track.has_moved())
     }
 
-    /// Words keep off the paths, off contacts, off what stands around, and off each
+    /// Reserves paths, contacts and bodies, so that labels keep clear of them and of each
     /// other.
     pub fn labels(&self, canvas: &Canvas, world: &World) -> Labels {
         let contacts = self.contacts.iter().map(|&(at, _)| (at, RING_M));
@@ -138,7 +136,7 @@ impl Ride {
         Labels::beside(canvas, &paths, &spots)
     }
 
-    /// The ego's path, a colour for each driver, a dot every five seconds.
+    /// Draws the ego's path, one colour per driver, with a dot every five seconds.
     pub fn draw_path(&self, canvas: &mut Canvas, labels: &mut Labels) {
         canvas.line(&self.positions_world, Stroke::solid(palette::INK, 1.5));
         let mut begin = 0;
@@ -152,7 +150,7 @@ impl Ride {
         let marks = self.positions_world.iter().enumerate().step_by(MARK_TICKS);
         let mut last: Option<Point> = None;
         for (count, (tick, &at)) in marks.enumerate().skip(1) {
-            // A car that stands would pile its dots up.
+            // A standing car would draw its dots on top of each other.
             if last.is_some_and(|last| (at - last).norm() < 3.0) {
                 continue;
             }
@@ -180,7 +178,7 @@ impl Ride {
         left.try_normalize(1e-6).unwrap_or(Vector::y())
     }
 
-    /// The ways of the other cars, fainter where they began.
+    /// Draws the paths of the other cars, fainter towards their begin.
     pub fn draw_traffic(&self, canvas: &mut Canvas) {
         for track in self.tracks.all().iter().filter(|track| track.has_moved()) {
             let stroke = Stroke {
@@ -194,7 +192,7 @@ impl Ride {
         }
     }
 
-    /// Where contacts began.
+    /// Draws where contacts began.
     pub fn draw_contacts(&self, canvas: &mut Canvas, labels: &mut Labels) {
         let size_px = (2.6 * canvas.scale_px_per_m()).max(10.0);
         for &(at, _) in &self.contacts {
@@ -207,7 +205,7 @@ impl Ride {
                 With::Object => "object",
                 With::Sidewalk => "sidewalk",
             };
-            // Above and below first, where words are nearest to their ring.
+            // Above and below first, where the text is closest to its ring.
             let places = LABEL_DIRECTIONS.map(|[x, y]| {
                 let wide_m = 0.3 * word.len() as f64 * size_px / canvas.scale_px_per_m();
                 at + Vector::new(x * (4.2 + wide_m), y * 5.6)
@@ -218,37 +216,40 @@ impl Ride {
             }
         }
     }
+}
 
-    /// What the beams of an observation meet.
-    pub fn draw_scan(&self, canvas: &mut Canvas, seen: &Observation) {
-        let ego = &seen.ego;
-        let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
-        let spacing_rad = TAU / seen.ranges().len().max(1) as f64;
-        let ends: Vec<(Point, bool)> = seen
-            .ranges()
-            .iter()
-            .enumerate()
-            .map(|(k, &range_m)| {
-                let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
-                let end_body = Point::new(cos, sin) * f64::from(range_m);
-                (world_from_body * end_body, range_m < seen.lidar_max_m)
-            })
-            .collect();
-        let corners: Vec<Point> = ends.iter().map(|&(end, _)| end).collect();
-        canvas.area(&corners, palette::SCAN, 0.16);
-        let origin = Point::new(ego.x_world_m, ego.y_world_m);
-        for (end, _) in ends.into_iter().filter(|&(_, hit)| hit) {
-            let beam = Stroke {
-                opacity: 0.7,
-                ..Stroke::solid(palette::SCAN, 0.1)
-            };
-            canvas.line(&[origin, end], beam);
-            canvas.disc(end, 0.4, palette::SCAN);
-        }
+/// Draws the lidar returns of an observation.
+pub fn draw_scan(canvas: &mut Canvas, seen: &Observation) {
+    let ego = &seen.ego;
+    let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
+    let fan = seen.fan();
+    let mut ends: Vec<(Point, bool)> = seen
+        .ranges()
+        .iter()
+        .enumerate()
+        .map(|(k, &range_m)| {
+            let end_body = fan.point_body(k, f64::from(range_m));
+            (world_from_body * end_body, range_m < seen.lidar_max_m)
+        })
+        .collect();
+    let origin = world_from_body * fan.mount_body;
+    if !fan.is_circle() {
+        // The area of a partial scan is closed by where its beams begin.
+        ends.push((origin, false));
+    }
+    let corners: Vec<Point> = ends.iter().map(|&(end, _)| end).collect();
+    canvas.area(&corners, palette::SCAN, 0.16);
+    for (end, _) in ends.into_iter().filter(|&(_, hit)| hit) {
+        let beam = Stroke {
+            opacity: 0.7,
+            ..Stroke::solid(palette::SCAN, 0.1)
+        };
+        canvas.line(&[origin, end], beam);
+        canvas.disc(end, 0.4, palette::SCAN);
     }
 }
 
-/// All bodies but the ego, where they are now.
+/// Draws all bodies but the ego at their present positions.
 pub fn draw_bodies(canvas: &mut Canvas, world: &World) {
     for body in world.bodies() {
         match body.kind {
@@ -272,8 +273,8 @@ fn draw_car(canvas: &mut Canvas, body: &Body, color: &str) {
     draw_box(canvas, body.placed.corners_world(), (color, palette::INK));
 }
 
-/// A car with its windscreen, which tells front from back.
-fn draw_box(canvas: &mut Canvas, corners: [Point; 4], (color, rim): (&str, &str)) {
+/// Draws a car with its windscreen, which marks the front.
+pub fn draw_box(canvas: &mut Canvas, corners: [Point; 4], (color, rim): (&str, &str)) {
     canvas.body(&corners, color, rim);
     let [front_left, rear_left, rear_right, front_right] = corners;
     let between = |a: Point, b: Point, share: f64| a + (b - a) * share;
@@ -302,7 +303,7 @@ fn draw_warning(canvas: &mut Canvas, body: &Body) {
     canvas.body(&corners, palette::WARNING, palette::CONTACT);
 }
 
-/// The ego, where it is now.
+/// Draws the ego at its present position.
 pub fn draw_ego(canvas: &mut Canvas, world: &World) {
     let corners = world.ego_seen().corners_world();
     draw_box(canvas, corners, (palette::EGO, palette::INK));

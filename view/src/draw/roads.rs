@@ -1,4 +1,4 @@
-//! The ground: sidewalks, lanes, painted lines, the route and its checkpoints.
+//! Draws the ground: sidewalks, lanes, painted lines, the route and its checkpoints.
 
 use sim::World;
 use sim::lane::{Curve, Lane, LineColor, LineType};
@@ -8,21 +8,21 @@ use vehicle::Point;
 use super::canvas::{Canvas, Stroke};
 use super::palette;
 
-/// Points of an arc lie this far apart at most, m: a chord of a 10 m radius is
-/// then off by 3 cm.
+/// Maximum distance between points of an arc, m: at a radius of 10 m the chord deviates by
+/// 3 cm.
 const ARC_STEP_M: f64 = 1.5;
-/// Dash and gap of a broken line, m.
+/// Lengths of dash and gap of a broken line, m.
 const BROKEN_M: [f64; 2] = [2.0, 4.0];
-/// Widths of painted lines and of a road's edge, m.
+/// Widths of painted lines and of road edges, m.
 const LINE_M: f64 = 0.18;
 const EDGE_M: f64 = 0.3;
-/// Width of the rim that closes the seams between neighbours, m.
+/// Width of the outline that closes the seams between adjacent lanes, m.
 const SEAM_M: f64 = 0.12;
-/// Radius of the disc with a checkpoint's number, m, and the least, px.
+/// Radius of the disc with a checkpoint's number, m, and its minimum, px.
 const MARK_M: f64 = 1.5;
 const MARK_MIN_PX: f64 = 8.5;
 
-/// Points at a lateral offset along a lane, m, right positive.
+/// Points along a lane at a lateral offset, m, positive to the right.
 fn along(lane: &Lane, lateral_m: f64) -> Vec<Point> {
     let steps = match lane.curve {
         Curve::Straight(_) | Curve::Taper(_) => 1,
@@ -33,7 +33,7 @@ fn along(lane: &Lane, lateral_m: f64) -> Vec<Point> {
         .collect()
 }
 
-/// A polygon's corners, the first one again at the end.
+/// The corners of a polygon, with the first one repeated at the end.
 fn closed(corners: &[Point]) -> Vec<Point> {
     corners.iter().chain(corners.first()).copied().collect()
 }
@@ -53,7 +53,7 @@ pub fn draw(canvas: &mut Canvas, world: &World) {
     }
     let surface = |canvas: &mut Canvas, lane: &Lane, color| {
         canvas.area(&outline(lane), color, 1.0);
-        // A hairline of the same colour closes the seams between lanes.
+        // A thin outline of the same colour closes the seams between lanes.
         canvas.line(&closed(&outline(lane)), Stroke::solid(color, SEAM_M));
     };
     for lane in network.lanes() {
@@ -69,7 +69,7 @@ pub fn draw(canvas: &mut Canvas, world: &World) {
     draw_checkpoints(canvas, network, route);
 }
 
-/// A line on the right is only painted for a road's last lane.
+/// Draws the lines of a road's lanes; only the last lane has a line on its right.
 fn draw_lines(canvas: &mut Canvas, lanes: &[Lane]) {
     for (index, lane) in lanes.iter().enumerate() {
         let color = match lane.left_color {
@@ -98,7 +98,7 @@ fn draw_line(canvas: &mut Canvas, lane: &Lane, (line, color): (LineType, &str), 
     canvas.line(&along(lane, lateral_m), stroke);
 }
 
-/// The middle of the end of each road of the route; the last one is the goal.
+/// Draws the end of each road of the route; the last one is the goal.
 fn draw_checkpoints(canvas: &mut Canvas, network: &Network, route: &[RoadId]) {
     for (index, &road) in route.iter().enumerate() {
         let lanes = network.lanes_of(road);
@@ -110,7 +110,7 @@ fn draw_checkpoints(canvas: &mut Canvas, network: &Network, route: &[RoadId]) {
         let is_goal = index + 1 == route.len();
         let width_m = if is_goal { 1.1 } else { 0.35 };
         canvas.line(&[left, right], Stroke::solid(palette::CHECKPOINT, width_m));
-        // Beside the road, where no path is drawn over it; readable at any scale.
+        // Beside the road, where no path covers it; readable at any scale.
         let scale_px_per_m = canvas.scale_px_per_m();
         let radius_m = MARK_M.max(MARK_MIN_PX / scale_px_per_m);
         let beside = right + (right - left).normalize() * (radius_m + 1.1);

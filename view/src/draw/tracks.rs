@@ -1,24 +1,24 @@
-//! Which body of one tick is which of the tick before.
+//! Associates bodies between consecutive ticks.
 
 use sim::world::{Body, BodyKind};
 use vehicle::Point;
 
-/// No car moves further in a tick: 40 m/s.
+/// Maximum distance that a car moves in a tick: 40 m/s.
 const STEP_MAX_M: f64 = 4.0;
-/// A car that has moved less has stood, m.
+/// A car that has moved less than this is standing, m.
 const STOOD_M: f64 = 0.5;
 
-/// Where one car was.
+/// The track of one car.
 #[derive(Clone, Debug)]
 pub struct Track {
     kind: BodyKind,
-    /// Its places, tick by tick.
+    /// Its positions, tick by tick.
     pub positions_world: Vec<Point>,
     present: bool,
 }
 
 impl Track {
-    /// Whether it went anywhere.
+    /// Whether the car has moved.
     pub fn has_moved(&self) -> bool {
         match (self.positions_world.first(), self.positions_world.last()) {
             (Some(first), Some(last)) => (last - first).norm() > STOOD_M,
@@ -27,15 +27,15 @@ impl Track {
     }
 }
 
-/// The cars of an episode. The world lists its bodies in a fixed order, from
-/// which those that leave the road disappear for good.
+/// The tracks of all cars of an episode. The world lists its bodies in a fixed order; those
+/// that leave the road disappear from it permanently.
 #[derive(Clone, Debug, Default)]
 pub struct Tracks {
     tracks: Vec<Track>,
 }
 
 impl Tracks {
-    /// Adds a tick.
+    /// Adds the bodies of a tick.
     pub fn follow(&mut self, bodies: impl Iterator<Item = Body>) {
         let cars = bodies.filter(|body| is_car(body.kind));
         if self.tracks.is_empty() {
@@ -64,7 +64,7 @@ impl Tracks {
         }
     }
 
-    /// All cars.
+    /// The tracks of all cars.
     pub fn all(&self) -> &[Track] {
         &self.tracks
     }

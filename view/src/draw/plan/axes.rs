@@ -1,4 +1,4 @@
-//! Scales around the ground: metres on both axes, costs on a bar.
+//! Axes in metres and the colour bar of the costs.
 
 use svg::node::element::{Group, Line};
 use vehicle::Point;
@@ -9,7 +9,7 @@ use crate::draw::canvas::{HEAD_PX, px};
 use crate::draw::frame::{SIDE_PX, text};
 use crate::draw::palette;
 
-/// The scale of the tree's colours.
+/// The colour bar of the tree's costs.
 pub(super) fn colour_bar(view: &View, greatest_m: f64) -> Group {
     let (left, width) = (LEFT_PX + WIDTH_PX + 34.0, 20.0);
     let (top, height) = (HEAD_PX, view.height_px());
@@ -48,7 +48,7 @@ fn tick([x1, y1]: [f64; 2], [x2, y2]: [f64; 2]) -> Line {
         .set("stroke-width", 1.2)
 }
 
-/// Metres along both edges.
+/// The x and the y axis, in metres.
 pub(super) fn axes(view: &View) -> Group {
     let mut axes = Group::new().add(
         plate([LEFT_PX, HEAD_PX], [WIDTH_PX, view.height_px()])

@@ -1,4 +1,4 @@
-//! The occupied cells of a grid as few rectangles.
+//! Combines the occupied cells of a grid into few rectangles.
 
 use std::fmt::Write;
 
@@ -7,10 +7,10 @@ use planner::{Cell, Grid};
 /// Columns `first..end` of a row.
 type Run = (usize, usize);
 
-/// The occupied cells as the data of a path, one unit a cell: x counts columns,
-/// y counts rows downwards from the leftmost row of the car's view.
+/// The occupied cells as SVG path data, one unit per cell: x counts columns, y counts rows
+/// downwards from the leftmost row in the car's view.
 ///
-/// Runs that begin and end alike in neighbouring rows become one rectangle.
+/// Runs with the same begin and end in neighbouring rows become one rectangle.
 pub(super) fn occupied(grid: &Grid) -> String {
     let mut data = String::new();
     let mut open: Vec<(Run, usize)> = Vec::new();
@@ -23,7 +23,7 @@ pub(super) fn occupied(grid: &Grid) -> String {
             let goes_on = now.contains(&(first, end));
             if !goes_on {
                 let (width, height) = (end - first, line - top);
-                // Writing into a string cannot fail.
+                // Writing to a string cannot fail.
                 let _ = write!(data, "M{first} {top}h{width}v{height}h-{width}z");
             }
             goes_on

@@ -1,5 +1,5 @@
-//! The figure of a plan, in the body frame: x forward to the right, y left
-//! upwards, metres.
+//! The figure of a plan in the body frame, in metres: x (forward) points right, y (left)
+//! points up.
 
 use planner::Grid;
 use shm_config::message::{Observation, Plan};
@@ -7,7 +7,7 @@ use svg::Document;
 use svg::node::element::{
     Circle, ClipPath, Definitions, Group, LinearGradient, Path, Polygon, Rectangle, Stop,
 };
-use vehicle::{Point, Pose, Vehicle, pose};
+use vehicle::{Point, Pose, pose};
 
 use super::axes::{axes, colour_bar};
 use super::view::{AXIS_PX, LEFT_PX, RIGHT_PX, View, WIDTH_PX};
@@ -17,10 +17,10 @@ use crate::draw::frame::{self, ROW_PX, Symbol, key, legend, star};
 use crate::draw::palette;
 use stack::driver::DriverKind;
 
-/// From one predicted footprint to the next, m: they overlap, yet each is seen.
+/// Distance between drawn footprints, m: they overlap, but each is visible.
 const FOOTPRINTS_M: f64 = 1.5;
 
-/// From the ground's edge to the arrow of a goal beyond it, px.
+/// Distance of the arrow to a goal outside the picture from the edge, px.
 const EDGE_PX: f64 = 26.0;
 
 /// The whole picture.
@@ -32,13 +32,13 @@ pub(super) fn svg(planned: &Planned) -> String {
         config,
         ..
     } = planned;
-    // A method without a grid of its own is shown on the paper's.
-    let mut own = Grid::new(&config.planner);
+    // A method without a grid is drawn on the grid of the paper's method.
+    let mut own = Grid::new(&config.planner).of(config.vehicle.footprint());
     own.fill(observation);
     let grid = planner.grid().unwrap_or(&own);
-    // Where the direct way was free nothing was searched, and nothing is shown.
+    // If the direct path was free, no search took place and there is no tree.
     let tree = match plan.actions().is_empty() && plan.iterations > 0 {
-        true => branches::of(planner),
+        true => recorder::standard::branches(planner),
         false => None,
     };
     let view = View::of(grid, plan);
@@ -60,7 +60,7 @@ pub(super) fn svg(planned: &Planned) -> String {
     if plan.actions().is_empty() {
         ground = ground.add(goal_ball(&view, plan, config.planner.goal_radius_m));
     }
-    let footprint = |body: &Pose| Vehicle::default().footprint().corners(body);
+    let footprint = |body: &Pose| config.vehicle.footprint().corners(body);
     if !plan.actions().is_empty() {
         for body in poses(plan) {
             let data = view.data(&footprint(&body), "Z");
@@ -75,8 +75,8 @@ pub(super) fn svg(planned: &Planned) -> String {
     document(&view, ground, around)
 }
 
-/// The goal's star; of a goal beyond the picture an arrow at its edge, with what
-/// is missing to it.
+/// A star at the goal; for a goal outside the picture, an arrow at the edge with the
+/// distance to it.
 fn goal(view: &View, plan: &Plan) -> Group {
     let goal_body = Point::new(plan.goal_x_body_m, plan.goal_y_body_m);
     let look = |element: Polygon| {
@@ -109,7 +109,7 @@ fn goal(view: &View, plan: &Plan) -> Group {
             ),
         );
     let words = frame::text(
-        &format!("goal {missing_m:.1} m on"),
+        &format!("goal {missing_m:.1} m further"),
         [edge[0] - 22.0, edge[1] + 5.0],
         15.0,
     );
@@ -181,7 +181,7 @@ fn facts(planned: &Planned) -> String {
     }
     match plan.actions() {
         [] if plan.iterations == 0 && plan.nodes > 0 => {
-            facts.push("the direct way is free: nothing searched".into());
+            facts.push("the direct path is free: no search".into());
         }
         [] => facts.push(format!(
             "{} nodes of {} iterations",
@@ -221,23 +221,22 @@ fn blocked(view: &View, grid: &Grid) -> Path {
         .set("d", cells::occupied(grid))
         .set("transform", place)
         .set("fill", palette::OCCUPIED)
-        // Cells are not whole pixels: without it their edges would be blurred.
+        // Cells are not whole pixels: without this their edges are blurred.
         .set("shape-rendering", "crispEdges")
 }
 
-/// The lidar's returns that are in view, px.
+/// The visible lidar returns, px.
 fn returns_px<'a>(
     view: &'a View,
     observation: &'a Observation,
 ) -> impl Iterator<Item = [f64; 2]> + 'a {
-    let ranges_m = observation.ranges();
-    let spacing_rad = std::f64::consts::TAU / ranges_m.len().max(1) as f64;
-    ranges_m
+    let fan = observation.fan();
+    observation
+        .ranges()
         .iter()
         .enumerate()
         .filter_map(move |(k, &range_m)| {
-            let (sin, cos) = (k as f64 * spacing_rad).sin_cos();
-            let place = view.at(Point::new(cos, sin) * f64::from(range_m));
+            let place = view.at(fan.point_body(k, f64::from(range_m)));
             (range_m < observation.lidar_max_m && is_in_view(view, place)).then_some(place)
         })
 }
@@ -250,7 +249,7 @@ fn returns(view: &View, observation: &Observation) -> Group {
     group
 }
 
-/// A disc by its middle and radius, px.
+/// A circle by centre and radius, px.
 pub(super) fn disc([x, y]: [f64; 2], radius_px: f64) -> Circle {
     Circle::new()
         .set("cx", px(x))
@@ -293,7 +292,7 @@ fn goal_ball(view: &View, plan: &Plan, radius_m: f64) -> Circle {
         .set("stroke-dasharray", "7 6")
 }
 
-/// The planned path or trajectory, on a light rim.
+/// The planned path or trajectory, with a light outline.
 fn way(view: &View, plan: &Plan) -> Group {
     let points: Vec<Point> = plan.waypoints().iter().map(|w| w.point()).collect();
     let mut group = Group::new();
@@ -317,8 +316,7 @@ fn way(view: &View, plan: &Plan) -> Group {
     group
 }
 
-/// The car at some of the waypoints, heading as the trajectory goes: every
-/// [`FOOTPRINTS_M`], and at the end.
+/// Poses of the car along the trajectory, every [`FOOTPRINTS_M`] and at the end.
 fn poses(plan: &Plan) -> Vec<Pose> {
     let points: Vec<Point> = plan.waypoints().iter().map(|w| w.point()).collect();
     let mut poses = Vec::new();
@@ -327,7 +325,7 @@ fn poses(plan: &Plan) -> Vec<Pose> {
         let step = to - from;
         apart_m += step.norm();
         let is_last = index + 2 == points.len();
-        // A car that stands has no direction of its own.
+        // A standing car has no direction of motion.
         if step.norm() > 1e-3 && (is_last || apart_m >= FOOTPRINTS_M) {
             poses.push(pose(to.x, to.y, step.y.atan2(step.x)));
             apart_m = 0.0;
@@ -345,7 +343,7 @@ fn shape(data: String, color: &str, opacity: f64, rim: &str) -> Path {
         .set("stroke-width", 1.4)
 }
 
-/// Tells the ego's front from its rear.
+/// The windscreen, which marks the car's front.
 fn windscreen(view: &View) -> Path {
     let corners = [(0.95, 0.72), (0.95, -0.72), (0.3, -0.6), (0.3, 0.6)];
     let corners = corners.map(|(x_m, y_m)| Point::new(x_m, y_m));

@@ -1,7 +1,7 @@
-//! One plan, as in the paper's Figure 3: grid, tree, path, goal.
+//! Draws one plan, as in the paper's Figure 3: grid, tree, path and goal.
 
 mod axes;
-mod branches;
+pub(crate) mod branches;
 mod cells;
 mod figure;
 mod source;
@@ -26,38 +26,38 @@ use stack::Clock;
 #[derive(Debug, Args)]
 #[command(
     group = ArgGroup::new("source").required(true).args(["seed", "scene", "run"]),
-    after_help = "From an episode that is driven up to a tick, from a recorded scene, or from a \
-        run that is alive: there the newest observation is planned for again, with the run's \
-        own configuration.\n\n\
+    after_help = "Draws a plan of an episode that is driven up to a tick, of a recorded scene, or of a \
+        running run. For a run, the newest observation is planned for again with the run's \
+        configuration.\n\n\
         Examples:\n  \
         ./vlaps draw plan --seed 1000 --tick 120\n  \
         ./vlaps draw plan --scene stack/scenes/built_in.jsonl.gz --index 17 --driver mpc\n  \
         ./vlaps draw plan --run default"
 )]
 pub struct DrawPlan {
-    /// Seed of an episode to drive.
+    /// Seed of the episode to drive.
     #[arg(long, value_name = "N", requires = "tick", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub seed: Option<u64>,
-    /// Its tick, from 0; of --seed only, a scene is named by --index.
+    /// Tick of the episode, from 0; requires --seed.
     #[arg(long, value_name = "T", requires = "seed", conflicts_with_all = ["scene", "run"],
           allow_negative_numbers = true, value_parser = whole::<u64>(0..=u64::MAX))]
     pub tick: Option<u64>,
-    /// A file of recorded scenes; stack/scenes/README.md describes it.
+    /// File of recorded scenes; stack/scenes/README.md describes it.
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
-    /// Which scene of the file, from 0.
+    /// Index of the scene in the file, from 0.
     #[arg(long, value_name = "I", default_value_t = 0, requires = "scene",
           conflicts_with_all = ["seed", "run"], allow_negative_numbers = true,
           value_parser = whole::<usize>(0..=u64::MAX))]
     pub index: usize,
-    /// Name of a run that is alive; its configuration counts.
+    /// Name of a running run, whose configuration is used.
     #[arg(long, value_name = "NAME", conflicts_with_all = ["driver", "config", "overrides"])]
     pub run: Option<RunName>,
-    /// The driver, whose planner is drawn.
+    /// Driver whose planner is drawn.
     #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
-    /// The file to write; without it, plan-SOURCE.svg.
+    /// Output file; default: plan-SOURCE.svg.
     #[arg(long, value_name = "FILE.svg", value_parser = ending_in(".svg"))]
     pub out: Option<PathBuf>,
     /// Configuration and overrides.
@@ -78,13 +78,13 @@ impl Subcommand for DrawPlan {
     }
 }
 
-/// A plan with everything that it was made from.
+/// A plan with everything that was used to make it.
 pub struct Planned {
-    /// Where the scene is from, as a title.
+    /// Source of the plan, as the title.
     title: String,
-    /// The same, for a file's name.
+    /// Source of the plan, as part of a file name.
     name: String,
-    /// The configuration that it was planned with.
+    /// The configuration of the planner.
     config: Config,
     /// The planner, which still holds its grid and tree.
     planner: Planner,
@@ -100,8 +100,8 @@ mod tests {
     use super::*;
     use stack::scene;
 
-    /// A plan as model-predictive control makes it: one waypoint and one action
-    /// each 0.1 s, on a gentle bend.
+    /// A plan as made by model-predictive control: one waypoint and one action per 0.1 s, on a
+    /// gentle curve.
     fn predicted() -> Planned {
         let scene = scene::checked_in().expect("the scenes").swap_remove(174);
         let config = Config::default();
@@ -139,7 +139,7 @@ mod tests {
         let mut plan = Box::<Plan>::default();
         planner.plan(&scene.observation, &mut plan);
         assert!(plan.nodes > 1, "a tree");
-        let branches = branches::of(&planner).expect("a tree");
+        let branches = recorder::standard::branches(&planner).expect("a tree");
         assert_eq!(branches.len(), plan.nodes as usize);
         let text = figure::svg(&Planned {
             title: "A tree".into(),

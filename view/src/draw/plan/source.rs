@@ -1,4 +1,4 @@
-//! Where the plan that is drawn is from: an episode, a recorded scene, a run.
+//! The source of the plan to draw: an episode, a recorded scene, or a run.
 
 use std::time::Duration;
 
@@ -20,12 +20,12 @@ use stack::driver::EpisodeDriver;
 use stack::episode::drive;
 use stack::scene;
 
-/// How long a run has to take a step, ns; ten periods and more.
+/// Time limit for a run's next step, ns; ten periods and more.
 const LISTEN_NS: u64 = 2_000_000_000;
-/// From look to look.
+/// Polling interval.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// The plan that the command line asks for.
+/// The plan that the command line requests.
 pub(super) fn planned(arguments: &DrawPlan, clock: Clock) -> anyhow::Result<Planned> {
     if let Some(name) = &arguments.run {
         return of_run(name, clock);
@@ -44,26 +44,26 @@ pub(super) fn planned(arguments: &DrawPlan, clock: Clock) -> anyhow::Result<Plan
             );
         }
         let scene = scenes.swap_remove(arguments.index);
-        let mut begun = Begun::new(config)?;
-        scene.prepare(&mut begun.planner, &mut begun.plan);
+        let mut source = SourcePlanner::new(config)?;
+        scene.prepare(&mut source.planner, &mut source.plan);
         let (seed, tick) = (scene.origin.seed, scene.observation.header.tick);
         let title = format!("Scene {}: seed {seed}, tick {tick}", arguments.index);
         let name = format!("scene-{}", arguments.index);
-        return Ok(begun.finish(scene.observation, title, name));
+        return Ok(source.finish(scene.observation, title, name));
     }
     of_episode(arguments, config, clock)
 }
 
-/// A planner under way.
-struct Begun {
+/// A planner with its configuration, before the plan.
+struct SourcePlanner {
     config: Config,
     planner: Planner,
     plan: Box<Plan>,
 }
 
-impl Begun {
-    fn new(config: Config) -> anyhow::Result<Begun> {
-        Ok(Begun {
+impl SourcePlanner {
+    fn new(config: Config) -> anyhow::Result<SourcePlanner> {
+        Ok(SourcePlanner {
             planner: Planner::new(&config)?,
             plan: Box::default(),
             config,
@@ -83,37 +83,37 @@ impl Begun {
     }
 }
 
-/// Drives an episode up to a tick. A planner of its own plans for each tick, so
-/// that one with a memory remembers what the driver's remembers.
+/// Drives an episode up to a tick. A second planner plans at each tick, so that a planner
+/// with memory has the same memory as the driver's.
 fn of_episode(arguments: &DrawPlan, config: Config, clock: Clock) -> anyhow::Result<Planned> {
     let (Some(seed), Some(wanted)) = (arguments.seed, arguments.tick) else {
         bail!("--seed needs a --tick");
     };
-    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut world = World::new(WorldConfig::from(&config))?;
     let mut driver = EpisodeDriver::new(arguments.driver, &config, clock)?;
     let task = (seed, config.run.period_ns());
-    let mut begun = Begun::new(config)?;
+    let mut source = SourcePlanner::new(config)?;
     let mut found = None;
     let mut last = 0;
     drive(&mut world, &mut driver, task, |tick| {
         last = tick.observation.header.tick;
         if last < wanted {
-            begun.planner.plan(tick.observation, &mut begun.plan);
+            source.planner.plan(tick.observation, &mut source.plan);
         } else if last == wanted {
             found = Some(Box::new(*tick.observation));
         }
     })?;
-    let who = arguments.driver.word();
-    let observation =
-        found.ok_or_else(|| anyhow!("--tick {wanted}: with {who}, seed {seed} ends at {last}"))?;
+    let driver = arguments.driver.word();
+    let observation = found
+        .ok_or_else(|| anyhow!("--tick {wanted}: with {driver}, seed {seed} ends at {last}"))?;
     let title = format!("Plan of seed {seed}, tick {wanted}");
-    Ok(begun.finish(observation, title, format!("{seed}-{wanted}")))
+    Ok(source.finish(observation, title, format!("{seed}-{wanted}")))
 }
 
-/// Plans again for what a living run saw last.
+/// Plans again for the newest observation of a running run.
 fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
     let paths = RunPaths::new(name.clone());
-    // A folder of that name that is another user's is refused here, with its owner.
+    // Refuses a folder of another user, with its owner.
     if paths.holder()?.is_none() {
         return Err(Failure::GivenUp(format!(
             "run '{name}' is not running; `./vlaps up --run {name}` starts it"
@@ -125,29 +125,29 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
             "run '{name}' is just starting or ending; try again"
         ))
     })?;
-    let heard = hear(name, clock);
-    // The run may have ended meanwhile; then this process kept its place.
+    let step = newest_step(name, clock);
+    // If the run has ended meanwhile, this process is its last member and removes its files.
     if paths.supervisor_pid().is_none() {
         clean_run(&paths)?;
     }
-    let step = heard?;
+    let step = step?;
     let observation = Box::new(step.observation);
     let title = format!("Run '{name}', tick {}", observation.header.tick);
-    let mut begun = Begun::new(config)?;
-    // A planner with a memory continues from the plan of the step before, which
-    // is not stored; this one begins with this observation.
-    begun.planner.forget();
-    Ok(begun.finish(observation, title, name.to_string()))
+    let mut source = SourcePlanner::new(config)?;
+    // A planner with memory would continue from the previous plan, which is not stored;
+    // this one begins without memory.
+    source.planner.forget();
+    Ok(source.finish(observation, title, name.to_string()))
 }
 
 /// The newest step of a run.
-fn hear(name: &RunName, clock: Clock) -> anyhow::Result<Box<Step>> {
+fn newest_step(name: &RunName, clock: Clock) -> anyhow::Result<Box<Step>> {
     let wire = Wire::join(name, Process::Supervisor)?;
     let mut steps = wire.latest(STEP)?;
-    let begun = clock();
-    while clock().since_ns(begun) < LISTEN_NS {
+    let begin = clock();
+    while clock().since_ns(begin) < LISTEN_NS {
         steps.update_connections();
-        // A step without an observation has never had one.
+        // The first steps may have no observation yet.
         let seen = |step: &Step| step.observation_age_ns != u64::MAX;
         if let Some(step) = steps.newest(Message::check).filter(seen) {
             return Ok(Box::new(step));
@@ -155,7 +155,7 @@ fn hear(name: &RunName, clock: Clock) -> anyhow::Result<Box<Step>> {
         pause(LOOK);
     }
     Err(Failure::GivenUp(format!(
-        "run '{name}' has taken no step within {} s; `./vlaps status` says how it does",
+        "run '{name}' has taken no step within {} s; `./vlaps status` shows its state",
         LISTEN_NS / 1_000_000_000
     ))
     .into())

@@ -1,4 +1,4 @@
-//! From the body frame to the picture.
+//! Maps the body frame to the picture.
 
 use std::fmt::Write;
 
@@ -8,24 +8,24 @@ use vehicle::Point;
 
 use crate::draw::canvas::{HEAD_PX, px};
 
-/// Width of the drawn ground, px.
+/// Width of the ground in the picture, px.
 pub(super) const WIDTH_PX: f64 = 1180.0;
-/// Left of it: the y axis.
+/// Width of the y axis at the left, px.
 pub(super) const LEFT_PX: f64 = 84.0;
-/// Right of it: the colour bar.
+/// Width of the colour bar at the right, px.
 pub(super) const RIGHT_PX: f64 = 150.0;
-/// Below it: the x axis.
+/// Height of the x axis below, px.
 pub(super) const AXIS_PX: f64 = 66.0;
-/// Ground behind the car's middle, m: the rear half of the car fits.
+/// Ground behind the car's centre, m: enough for the rear half of the car.
 const BEHIND_M: f64 = 3.0;
 /// Ground beyond the goal, m.
 const BEYOND_M: f64 = 5.0;
-/// Least ground ahead, m.
+/// Minimum ground ahead, m.
 const AHEAD_MIN_M: f64 = 15.0;
 /// Ground beside the corridor, m.
 const BESIDE_M: f64 = 1.5;
 
-/// Which ground is shown, m, and where on the picture.
+/// The visible part of the ground, m, and its place in the picture.
 pub(super) struct View {
     pub(super) left_m: f64,
     pub(super) right_m: f64,
@@ -35,7 +35,7 @@ pub(super) struct View {
 }
 
 impl View {
-    /// What there is to see: car, corridor, goal.
+    /// A view that contains car, corridor and goal.
     pub(super) fn of(grid: &Grid, plan: &Plan) -> View {
         let corridor = grid.corridor();
         let far_m = plan
@@ -54,7 +54,7 @@ impl View {
         }
     }
 
-    /// Where a point is drawn, px.
+    /// Position of a point in the picture, px.
     pub(super) fn at(&self, point_body: Point) -> [f64; 2] {
         [
             LEFT_PX + (point_body.x - self.x_min_m) * self.px_per_m,
@@ -62,23 +62,23 @@ impl View {
         ]
     }
 
-    /// Height of the drawn ground, px.
+    /// Height of the ground in the picture, px.
     pub(super) fn height_px(&self) -> f64 {
         (self.left_m - self.right_m) * self.px_per_m
     }
 
-    /// Its lower edge, px.
+    /// Lower edge of the ground in the picture, px.
     pub(super) fn bottom_px(&self) -> f64 {
         HEAD_PX + self.height_px()
     }
 
-    /// A line through points as the data of a path.
+    /// SVG path data of a line through points.
     pub(super) fn data(&self, points_body: &[Point], close: &str) -> String {
         let mut data = String::new();
         for (index, point) in points_body.iter().enumerate() {
             let [x, y] = self.at(*point);
             let letter = if index == 0 { 'M' } else { 'L' };
-            // Writing into a string cannot fail.
+            // Writing to a string cannot fail.
             let _ = write!(data, "{letter}{} {}", px(x), px(y));
         }
         data + close

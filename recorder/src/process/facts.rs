@@ -1,0 +1,112 @@
+//! What a recording says about the machine and the programs that ran.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+use shm_config::config::Config;
+use shm_config::services::Process;
+
+use crate::Origin;
+
+/// The origin of a recording of this run, whose supervisor has this process id.
+pub(super) fn origin(config: &Config, supervisor: u32, offset_ns: u64) -> Origin {
+    Origin {
+        run: config.run.name.clone(),
+        session: session(supervisor),
+        is_lockstep: config.run.is_lockstep(),
+        epoch_offset_ns: offset_ns,
+        facts: facts(config),
+    }
+}
+
+/// Distinguishes the supervisor from all others of this machine: its process id, and when
+/// it was started after which boot.
+pub(super) fn session(supervisor: u32) -> String {
+    let stat = fs::read_to_string(format!("/proc/{supervisor}/stat")).unwrap_or_default();
+    // The name before it may have blanks; the start is the 20th field after it.
+    let after_name = stat.rsplit(')').next().unwrap_or_default();
+    let start = after_name.split_whitespace().nth(19).unwrap_or("0");
+    let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    let boot: String = boot.chars().take(8).collect();
+    format!("{boot}-{supervisor}-{start}")
+}
+
+fn facts(config: &Config) -> BTreeMap<String, String> {
+    let mut facts = BTreeMap::new();
+    facts.insert("rate_hz".into(), config.run.rate_hz.to_string());
+    if let Some(processor) = processor() {
+        facts.insert("processor".into(), processor);
+    }
+    let Ok(program) = std::env::current_exe() else {
+        return facts;
+    };
+    let Some(folder) = program.parent() else {
+        return facts;
+    };
+    if let Some(commit) = commit(folder) {
+        facts.insert("commit".into(), commit);
+    }
+    facts.extend(binaries(folder));
+    facts
+}
+
+fn processor() -> Option<String> {
+    let text = fs::read_to_string("/proc/cpuinfo").ok()?;
+    let line = text.lines().find(|line| line.starts_with("model name"))?;
+    Some(line.split_once(':')?.1.trim().to_string())
+}
+
+/// The SHA-256 of each program beside this one.
+fn binaries(folder: &Path) -> impl Iterator<Item = (String, String)> {
+    Process::ALL.iter().filter_map(move |process| {
+        let name = process.binary();
+        let hash = sha256_of_file(&folder.join(name)).ok()?;
+        Some((format!("binary.{name}"), hash))
+    })
+}
+
+fn sha256_of_file(path: &Path) -> io::Result<String> {
+    let mut hash = Sha256::new();
+    io::copy(&mut File::open(path)?, &mut hash)?;
+    Ok(hex(&hash.finalize()))
+}
+
+/// Bytes in hexadecimal.
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The commit that is checked out in the folder above the programs; `None` outside of one.
+fn commit(folder: &Path) -> Option<String> {
+    let git = folder
+        .ancestors()
+        .map(|folder| folder.join(".git"))
+        .find(|git| git.exists())?;
+    let git = match git.is_file() {
+        // A work tree beside the repository names its folder.
+        true => PathBuf::from(
+            fs::read_to_string(&git)
+                .ok()?
+                .strip_prefix("gitdir:")?
+                .trim(),
+        ),
+        false => git,
+    };
+    let head = fs::read_to_string(git.join("HEAD")).ok()?;
+    let Some(branch) = head.trim().strip_prefix("ref: ") else {
+        return Some(head.trim().to_string());
+    };
+    let common = fs::read_to_string(git.join("commondir"));
+    let common = common.map_or(git.clone(), |common| git.join(common.trim()));
+    if let Ok(commit) = fs::read_to_string(common.join(branch)) {
+        return Some(commit.trim().to_string());
+    }
+    let packed = fs::read_to_string(common.join("packed-refs")).ok()?;
+    let line = packed
+        .lines()
+        .find(|line| line.ends_with(&format!(" {branch}")))?;
+    Some(line.split_once(' ')?.0.to_string())
+}
