@@ -1,14 +1,14 @@
-//! The command line of `vlaps-judge`.
+//! Command line of `vlaps-judge`.
 
 use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser as _};
 use clap::{Args, Parser, Subcommand};
-use judge::standin::{Mishap, Options};
+use judge::standin::{Options, ServerFault};
 
 use crate::auditing::{AuditArguments, ReplayArguments};
 
-/// Audit a judge, ask another the same, or serve a stand-in for a model
+/// Audit a judge, ask another model the same questions, or serve a stand-in
 #[derive(Debug, Parser)]
 #[command(name = "vlaps-judge", bin_name = "./vlaps judge", version)]
 pub struct Arguments {
@@ -18,12 +18,12 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Serve a stand-in for a vision-language model; it is no model
+    /// Serve a stand-in for a vision-language model; it is not a model
     ///
-    /// For tests and offline work: it speaks the OpenAI-compatible protocol over
-    /// HTTP, and judges by coloured pixels alone which of the two paths in the
-    /// picture is safer. Set vlm.server to http://127.0.0.1:PORT/v1 to have it
-    /// asked, and vlm.model to vlaps-stand-in to have it counted as what it is.
+    /// For tests and offline work: it speaks the OpenAI-compatible protocol over HTTP
+    /// and decides by the colours of the pixels which of the two paths in the picture is
+    /// safer. To use it, set vlm.server to http://127.0.0.1:PORT/v1 and vlm.model to
+    /// vlaps-stand-in, so that its answers are recorded as those of the stand-in.
     #[command(
         allow_negative_numbers = true,
         after_help = "Examples:\n  \
@@ -31,49 +31,49 @@ pub enum Command {
             ./vlaps judge serve --port 0 --latency 2 --noise 0.1"
     )]
     Serve(ServeArguments),
-    /// Make a page of what a judge was asked in a run, and how right it was
+    /// Write a page with the questions and answers of a run, and their accuracy
     Audit(AuditArguments),
-    /// Ask another model what a judge was asked in a run
+    /// Ask another model the questions of a run
     Replay(ReplayArguments),
 }
 
 /// How the stand-in behaves.
 #[derive(Debug, Args)]
 pub struct ServeArguments {
-    /// Where to listen, on this machine alone; 0 for any free port
+    /// Port on 127.0.0.1; 0 for any free port
     #[arg(long, default_value_t = 8080)]
     pub port: u16,
-    /// Time until it answers, s
+    /// Delay of each answer, s
     #[arg(long, value_name = "S", default_value = "0", value_parser = seconds)]
     pub latency: Duration,
-    /// Up to so much longer, at random, s
+    /// Maximum additional random delay, s
     #[arg(long, value_name = "S", default_value = "0", value_parser = seconds)]
     pub jitter: Duration,
-    /// Share of its answers that are turned round
+    /// Share of answers that are inverted
     #[arg(long, value_name = "P", default_value = "0", value_parser = share)]
     pub noise: f64,
-    /// Share of its answers that are "the first" regardless of the picture
+    /// Share of answers that are "the first" regardless of the picture
     #[arg(long, value_name = "P", default_value = "0", value_parser = share)]
     pub first_bias: f64,
-    /// Share of its answers that are "similar" regardless of the picture
+    /// Share of answers that are "similar" regardless of the picture
     #[arg(long, value_name = "P", default_value = "0", value_parser = share)]
     pub abstain: f64,
-    /// Questions it takes in any minute; beyond that it says 429 with Retry-After
+    /// Questions accepted per minute; further ones get status 429 with Retry-After
     #[arg(long, value_name = "N/MIN", value_parser = clap::value_parser!(u32).range(1..))]
     pub rate_limit: Option<u32>,
-    /// How it breaks
-    #[arg(long, value_name = "NAME", value_parser = mishaps())]
-    pub fault: Option<Mishap>,
-    /// Share of the questions it breaks at
+    /// Fault to inject
+    #[arg(long, value_name = "NAME", value_parser = server_faults())]
+    pub fault: Option<ServerFault>,
+    /// Share of questions with the fault
     #[arg(long, value_name = "P", default_value = "1", requires = "fault", value_parser = share)]
     pub fault_share: f64,
-    /// What is drawn at random
+    /// Seed of all random draws
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
 }
 
 impl ServeArguments {
-    /// As the stand-in takes them.
+    /// The stand-in's options.
     pub fn options(&self) -> Options {
         Options {
             port: self.port,
@@ -83,19 +83,19 @@ impl ServeArguments {
             first_bias: self.first_bias,
             abstain: self.abstain,
             rate_per_minute: self.rate_limit,
-            mishap: self.fault,
-            mishap_share: self.fault_share,
+            injected: self.fault,
+            injected_share: self.fault_share,
             seed: self.seed,
-            eyes: std::sync::Arc::new(judge::eyes::Sighted),
+            rater: std::sync::Arc::new(judge::pixels::PixelRules),
         }
     }
 }
 
-fn mishaps() -> impl clap::builder::TypedValueParser<Value = Mishap> {
-    let words = Mishap::ALL.iter().map(|mishap| mishap.word());
+fn server_faults() -> impl clap::builder::TypedValueParser<Value = ServerFault> {
+    let words = ServerFault::ALL.iter().map(|injected| injected.word());
     PossibleValuesParser::new(words).try_map(|word| {
-        let mut all = Mishap::ALL.iter();
-        all.find(|mishap| mishap.word() == word)
+        let mut all = ServerFault::ALL.iter();
+        all.find(|injected| injected.word() == word)
             .copied()
             .ok_or("no such fault")
     })

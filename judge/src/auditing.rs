@@ -18,54 +18,54 @@ use shm_config::text::printable_json;
 use shm_config::{counted, secret};
 use toml::{Table, Value};
 
-use crate::say;
+use crate::print::say;
 
-/// Pictures that are copied beside a page, bytes: twice what a run keeps unless it
-/// is told otherwise (vlm.record_bytes_max).
+/// Maximum size of the pictures copied beside a page, bytes: twice the default limit of
+/// a run's pictures (vlm.record_bytes_max).
 const COPIED_BYTES_MAX: u64 = 1_000_000_000;
 
-/// Read from the current folder when it is there and no other file is named.
+/// Read from the current folder if it exists and no other file is given.
 const DEFAULT_FILE: &str = "vlaps.toml";
 
-/// Make a page of what a judge was asked in a run, and how right it was.
+/// Write a page with the questions and answers of a run, and their accuracy.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ./vlaps judge audit runs/default\n  \
     ./vlaps judge audit runs/default --out judge.html --pictures 500")]
 pub struct AuditArguments {
-    /// Folder of a run, or of records
+    /// Folder of a run, or of its records
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// The page; without it, audit.html in the folder of the records
+    /// Output page; default: audit.html in the folder of the records
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Pictures to put into the page, those of wrong answers first; the others are
-    /// linked, and copied beside the page where it does not lie with the records
+    /// Number of pictures embedded into the page, those of wrong answers first; the
+    /// others are linked, and copied beside the page if it is elsewhere than the records
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub pictures: usize,
-    /// Write the figures to this file, too
+    /// Also write the figures to this file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
-/// Ask another model what a judge was asked in a run: the same pictures and words.
+/// Ask another model the questions of a run, with the same pictures and words.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Section [vlm] of the configuration names the model. What is said goes into a folder of \
-        its own, to be audited like a run; what is there already is not asked again, so that an \
-        interrupted replay continues.\n\n\
+    after_help = "Section [vlm] of the configuration names the model. The answers go to a folder of \
+        their own, which can be audited like a run. Questions that have an answer there are not asked \
+        again, so that the same command continues an interrupted replay.\n\n\
         Example:\n  \
         ./vlaps judge replay runs/default --set vlm.model=qwen2.5vl:7b \
         --set vlm.server=http://127.0.0.1:11434/v1"
 )]
 pub struct ReplayArguments {
-    /// Folder of a run, or of records
+    /// Folder of a run, or of its records
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// Folder for what is said; without it, replay-MODEL in that of the records
+    /// Folder for the answers; default: replay-MODEL in the folder of the records
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Configuration file; vlaps.toml of the current folder is read when present
+    /// Configuration file; default: vlaps.toml of the current folder if it exists
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Override a key of the configuration, such as vlm.model=NAME; repeatable
@@ -73,10 +73,10 @@ pub struct ReplayArguments {
     pub overrides: Vec<String>,
 }
 
-/// Writes the page and says the most important figures.
+/// Writes the page and prints the main figures.
 ///
 /// # Errors
-/// When there is no record, or the page cannot be written.
+/// If there is no record, or the page cannot be written.
 pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
     let records = read(&arguments.folder)?;
     let out = match &arguments.out {
@@ -91,7 +91,7 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
     }
     std::fs::write(&out, page.html).with_context(|| format!("cannot write {}", out.display()))?;
     let figures = Figures::of(&records.questions);
-    tell(&records, &figures);
+    print_figures(&records, &figures);
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&figures)?;
         let text = printable_json(&text);
@@ -102,9 +102,9 @@ pub fn audit(arguments: &AuditArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The way from a page to the pictures it links: into the folder of records where
-/// that lies below the page, else into a folder of the page's own, so that both
-/// can be moved together.
+/// Path from a page to the pictures that it links: the folder of records if that lies
+/// below the page's folder, otherwise a new folder beside the page, so that both can be
+/// moved together.
 fn link(page: &Path, folder: &Path) -> PathBuf {
     let folder = absolute(folder);
     if let Ok(below) = folder.strip_prefix(home(page)) {
@@ -115,7 +115,7 @@ fn link(page: &Path, folder: &Path) -> PathBuf {
     own.into()
 }
 
-/// The folder that a page lies in.
+/// The folder of a page.
 fn home(page: &Path) -> PathBuf {
     let page = absolute(page);
     page.parent().map_or(page.clone(), Path::to_path_buf)
@@ -125,14 +125,14 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.into())
 }
 
-/// Copies pictures of the records to where the page finds them.
+/// Copies pictures of the records to the folder that the page links.
 fn copy(names: &BTreeSet<String>, from: &Path, to: &Path) -> anyhow::Result<()> {
     let sizes = names.iter().map(|name| std::fs::metadata(from.join(name)));
     let bytes: u64 = sizes.flatten().map(|size| size.len()).sum();
     if bytes > COPIED_BYTES_MAX {
         bail!(
-            "{} of {} MB would have to be copied beside the page; write it into {} or above, or \
-             raise --pictures",
+            "{} of {} MB would be copied beside the page; write the page into {} or above, or raise \
+             --pictures",
             counted(names.len() as u64, "picture"),
             bytes / 1_000_000,
             from.display()
@@ -148,7 +148,7 @@ fn copy(names: &BTreeSet<String>, from: &Path, to: &Path) -> anyhow::Result<()> 
     Ok(())
 }
 
-fn tell(records: &Records, figures: &Figures) {
+fn print_figures(records: &Records, figures: &Figures) {
     let Figures {
         questions,
         expert,
@@ -172,12 +172,12 @@ fn tell(records: &Records, figures: &Figures) {
         say(format_args!("  no answer: {}", faults.join(", ")));
     }
     if records.is_torn {
-        say("the last line is torn and left out: the run was killed while it was written");
+        say("the last line is incomplete and left out: the run was killed while writing it");
     }
     let agreement = &figures.agreement;
     say(format_args!(
-        "the simulator can check {}: similar {}, abstained {}, failed {}; of the preferences \
-         right: {}",
+        "the simulator can check {}: similar {}, abstained {}, failed {}; right preferences: \
+         {}",
         counted(agreement.of_all().trials as u64, "question"),
         agreement.said(Said::Similar),
         agreement.said(Said::Abstained),
@@ -191,11 +191,11 @@ fn tell(records: &Records, figures: &Figures) {
     ));
 }
 
-/// A share with its interval, for people.
+/// A share with its confidence interval, for printing.
 fn share(share: Share) -> String {
     let [low, high] = share.interval().map(|end| 100.0 * end);
     match share.trials {
-        0 => "nothing to count".into(),
+        0 => "none".into(),
         trials => format!(
             "{} of {trials}, {:.1} % ({low:.1} to {high:.1})",
             share.hits,
@@ -207,12 +207,12 @@ fn share(share: Share) -> String {
 /// Asks all questions again and compares both judges.
 ///
 /// # Errors
-/// When there is no record, the configuration is wrong, the model cannot be asked,
-/// or the folder cannot be written.
+/// If there is no record, the configuration is invalid, the model cannot be asked, or the
+/// folder cannot be written.
 pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let records = read(&arguments.folder)?;
     let vlm = config(arguments)?.vlm;
-    // The one that comes from here on is held in memory.
+    // The API key that is read after this line is never written to a core file.
     secret::forbid_dumps().context("cannot keep the key out of core files")?;
     secret::take_named(&vlm.key_env).context("cannot take the key out of the environment")?;
     let out = match &arguments.out {
@@ -247,7 +247,7 @@ pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     }
 }
 
-/// Asks every question that has a picture and no answer yet.
+/// Asks every question whose pictures exist and that has no answer yet.
 fn ask_all(replay: &mut Replay, records: &Records, out: &Path) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -284,13 +284,13 @@ fn ask_all(replay: &mut Replay, records: &Records, out: &Path) -> anyhow::Result
     if gone > 0 {
         let questions = counted(gone, "question");
         say(format_args!(
-            "not asked, since there is no picture of them: {questions}"
+            "not asked, because their pictures are missing: {questions}"
         ));
     }
     Ok(())
 }
 
-/// A question that failed and was asked again has two records: the last one counts.
+/// A question that failed and was asked again has two records: keeps the last one.
 fn keep_last(records: &mut Vec<Record>) {
     let mut seen = HashSet::new();
     records.reverse();
@@ -314,11 +314,11 @@ fn compare(before: &Records, now: &Records) {
         "Cohen's kappa of what both answered: {kappa}\n"
     ));
     for records in [before, now] {
-        tell(records, &Figures::of(&records.questions));
+        print_figures(records, &Figures::of(&records.questions));
     }
 }
 
-/// The configuration of a run, with overrides.
+/// The configuration of the run with overrides.
 fn config(arguments: &ReplayArguments) -> anyhow::Result<Config> {
     let default = PathBuf::from(DEFAULT_FILE);
     let file = arguments
@@ -340,17 +340,17 @@ fn config(arguments: &ReplayArguments) -> anyhow::Result<Config> {
             .with_context(|| format!("--set {text}: must be KEY=VALUE"))?;
         let (section, key) = key
             .split_once('.')
-            .with_context(|| format!("--set {text}: a key has a section, as vlm.model"))?;
+            .with_context(|| format!("--set {text}: KEY must have a section, such as vlm.model"))?;
         let section = table
             .entry(section)
             .or_insert_with(|| Value::Table(Table::new()));
-        let section = section.as_table_mut().context("a section is no value")?;
+        let section = section.as_table_mut().context("a section is not a value")?;
         section.insert(key.into(), parsed(value));
     }
     Ok(from_toml(&table.to_string(), &origin)?)
 }
 
-/// A TOML value; what is none is a string, so that names need no quotes.
+/// Parses a TOML value; other text is a string, so that names need no quotes.
 fn parsed(text: &str) -> Value {
     let line: Result<Table, _> = format!("value = {text}").parse();
     line.ok()
@@ -358,7 +358,7 @@ fn parsed(text: &str) -> Value {
         .unwrap_or_else(|| text.into())
 }
 
-/// A name that can be part of a file's.
+/// A name with all characters replaced that cannot be part of a file name.
 fn file_word(name: &str) -> String {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
     name.chars()

@@ -1,6 +1,7 @@
-//! The offline tools behind `./vlaps judge`: what a judge was asked and said in a run,
-//! audited ([`audit`]) or asked again of another model ([`replay`]), and a server for
-//! tests and offline work that speaks a model's protocol ([`standin`]). It is no model.
+//! The offline tools behind `./vlaps judge`. They audit the questions and answers of a
+//! judge in a run ([`audit`]), ask another model the same questions ([`replay`]), and
+//! serve a stand-in that speaks a model's protocol for tests and offline work
+//! ([`standin`]). The stand-in is not a model.
 //!
 //! ```
 //! // Two judges that agree on 18 of 20 pairs.
@@ -9,7 +10,7 @@
 //! ```
 
 pub mod audit;
-pub mod eyes;
+pub mod pixels;
 pub mod replay;
 pub mod standin;
 pub mod statistics;

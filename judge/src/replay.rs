@@ -1,4 +1,4 @@
-//! The questions of a record, asked again of the configured model.
+//! Asks the configured model the questions of a record again.
 
 use shm_config::message::Preference;
 use std::collections::BTreeSet;
@@ -16,41 +16,40 @@ use gate::presentation::{Prompt, Reply, Showing, combine};
 use gate::record::store::{Records, Store, read};
 use gate::record::{Asking, Record};
 
-/// How long is waited when the own limit of requests per minute is reached.
+/// Pause when the configured limit of requests per minute is reached.
 const PACE: Duration = Duration::from_secs(1);
 
-/// Asks again, question by question, and keeps what is said in a folder of its own.
+/// Asks question by question and records the answers in a folder of its own.
 pub struct Replay {
     vlm: Vlm,
     asker: Asker,
     store: Store,
-    /// Those that an earlier replay into this folder has asked.
+    /// Questions that an earlier replay into this folder has asked.
     done: BTreeSet<Key>,
 }
 
-/// What tells questions apart: episode, tick, when it was taken.
+/// Identifies a question: episode, tick, and the observation's time.
 type Key = (u32, u64, u64);
 
-/// What became of one question.
+/// Result of one question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
-    /// It was asked, and what was said is kept.
+    /// It was asked, and the answer is recorded.
     Asked,
     /// It had been asked before.
     Before,
-    /// A picture of it is not kept any more, or its preset is none that is known:
-    /// nothing was asked.
+    /// Not asked: a picture of it is missing, or its preset is unknown.
     Gone,
-    /// The model cannot be asked any more, for this reason; nothing was kept.
+    /// The model cannot be asked any more, for this reason; nothing was recorded.
     Closed(Fault),
 }
 
 impl Replay {
-    /// Asks as `vlm` says through `asker`; continues where a replay into this folder
-    /// ended.
+    /// Asks with the settings of `vlm` through `asker`; continues an earlier replay into the
+    /// same folder.
     ///
     /// # Errors
-    /// When the folder cannot be written.
+    /// If the folder cannot be written.
     pub fn new(
         vlm: &Vlm,
         asker: Asker,
@@ -62,7 +61,7 @@ impl Replay {
             vlm: vlm.clone(),
             asker,
             store,
-            // What failed is asked again.
+            // Failed questions are asked again.
             done: done
                 .iter()
                 .filter(|record| record.preference.is_some())
@@ -71,7 +70,7 @@ impl Replay {
         })
     }
 
-    /// Asks one question of a record again: the same pictures and the same words.
+    /// Asks one question of a record again, with the same pictures and words.
     pub async fn ask(&mut self, records: &Records, record: &Record) -> Step {
         if self.done.contains(&key(record)) {
             return Step::Before;
@@ -127,7 +126,7 @@ impl Replay {
         loop {
             let asked = self.asker.ask(&prompt, picture, deadline).await;
             match asked.reply {
-                // Offline, there is time.
+                // An offline replay has no deadline.
                 Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
                 Err(Fault::Budget) => return Err(Fault::Budget),
                 Err(fault) if fault.is_permanent() => return Err(fault),
@@ -136,12 +135,12 @@ impl Replay {
         }
     }
 
-    /// What all of it has cost, US dollars.
+    /// Total cost so far, US dollars.
     pub fn spent_usd(&self) -> f64 {
         self.asker.spent_usd()
     }
 
-    /// What could not be kept.
+    /// Records that could not be written.
     pub fn lost(&self) -> &gate::record::store::Lost {
         self.store.lost()
     }
@@ -169,7 +168,7 @@ fn kept(folder: &Path, name: &str) -> Option<Picture> {
     })
 }
 
-/// What askings say together; without a reply to each there is no answer.
+/// The combined preference of the replies; `None` unless each request has a reply.
 pub fn preference_of(askings: &[Asking]) -> Option<Preference> {
     let replies: Option<Vec<(Showing, Reply)>> = askings
         .iter()
@@ -178,7 +177,7 @@ pub fn preference_of(askings: &[Asking]) -> Option<Preference> {
     replies.map(|replies| combine(&replies))
 }
 
-/// How two judges of the same questions agree: rows the one, columns the other;
+/// Agreement of two judges on the same questions. Rows: one judge, columns: the other;
 /// expert, policy, abstained, failed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Comparison {
@@ -187,11 +186,11 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Of the questions that both have been asked.
+    /// Counts the questions that both were asked.
     pub fn of(one: &Records, other: &Records) -> Self {
         let mut counts = [[0; 4]; 4];
         for record in &one.questions {
-            // A question that failed and was asked again has two records: the last counts.
+            // A question that failed and was asked again has two records: the last one counts.
             let mut same = other.questions.iter().rev();
             if let Some(again) = same.find(|again| key(again) == key(record)) {
                 counts[place(record.preference)][place(again.preference)] += 1;

@@ -1,19 +1,19 @@
-//! Shares with their intervals, and agreement beyond chance.
+//! Shares with confidence intervals, and Cohen's kappa.
 
 /// The two-sided 95 % quantile of the normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
 
-/// So many hits of so many trials.
+/// Number of hits among trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Share {
-    /// How many hit.
+    /// Number of hits.
     pub hits: usize,
-    /// Of how many.
+    /// Number of trials.
     pub trials: usize,
 }
 
 impl Share {
-    /// Counts those that hit.
+    /// Counts the trials that are true.
     pub fn of(trials: impl IntoIterator<Item = bool>) -> Self {
         let mut share = Self::default();
         for hit in trials {
@@ -23,13 +23,13 @@ impl Share {
         share
     }
 
-    /// The share, [0, 1]; NaN of nothing.
+    /// The share, [0, 1]; NaN without trials.
     pub fn mean(self) -> f64 {
         self.hits as f64 / self.trials as f64
     }
 
-    /// Wilson's 95 % score interval, which stays within [0, 1] and is honest at
-    /// shares of 0 and 1; of nothing, all is possible.
+    /// Wilson's 95 % score interval. It lies within [0, 1] and holds at shares of 0 and 1,
+    /// too; without trials it is [0, 1].
     pub fn interval(self) -> [f64; 2] {
         if self.trials == 0 {
             return [0.0, 1.0];
@@ -50,9 +50,9 @@ impl Share {
     }
 }
 
-/// Cohen's kappa of a square table of counts (rows: one judge, columns: the
-/// other): 1 when they always agree, 0 when as often as chance would have it.
-/// `None` where chance alone would agree always, or nothing was counted.
+/// Cohen's kappa of a square table of counts (rows: one judge, columns: the other): 1 if
+/// they always agree, 0 if they agree as often as by chance. `None` if chance alone
+/// agrees always, or the table is empty.
 pub fn kappa<const N: usize>(counts: &[[usize; N]; N]) -> Option<f64> {
     let total: usize = counts.iter().flatten().sum();
     let n = total as f64;
@@ -68,7 +68,7 @@ pub fn kappa<const N: usize>(counts: &[[usize; N]; N]) -> Option<f64> {
     kappa.is_finite().then_some(kappa)
 }
 
-/// The value below which this share of all lies; `None` of nothing.
+/// The quantile of sorted values; `None` without values.
 pub fn quantile(values: &[f64], share: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

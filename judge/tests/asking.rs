@@ -1,4 +1,4 @@
-//! Questions over real HTTP, and the limits on them.
+//! Questions over HTTP, and their limits: rate, concurrency, budget, circuit breaker.
 
 #[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
@@ -9,7 +9,7 @@ use std::time::Duration;
 use gate::model::{Asked, Asker, Fault};
 use gate::presentation::{Hue, Prompt, Reply};
 use image::ImageFormat;
-use judge::standin::{Mishap, Options, Server};
+use judge::standin::{Options, Server, ServerFault};
 use shared::{PATIENCE_S, SHOWING, ask, asker, picture, prompt, red_ahead, runtime, vlm};
 use shm_config::config::{PromptPreset, View, Vlm};
 
@@ -84,7 +84,7 @@ fn a_picture_without_the_paths_is_no_question() {
     assert_eq!((asked.attempts, asker.closed()), (1, None));
 }
 
-/// Asks `count` questions at once.
+/// Sends `count` questions concurrently.
 fn at_once(asker: Asker, count: usize) -> Vec<Asked> {
     let asker = Arc::new(asker);
     runtime().block_on(async {
@@ -140,7 +140,7 @@ fn no_minute_has_more_requests_than_allowed() {
 }
 
 #[test]
-fn a_spent_budget_asks_nobody() {
+fn a_spent_budget_sends_no_request() {
     let server = start(Options::default());
     let dear = Vlm {
         price_in_usd: 1000.0,
@@ -173,9 +173,9 @@ fn a_spent_budget_asks_nobody() {
 }
 
 #[test]
-fn a_server_that_is_down_is_left_alone_and_tried_again() {
+fn a_server_that_is_down_is_asked_again_after_a_pause() {
     let server = start(Options {
-        mishap: Some(Mishap::ServerError),
+        injected: Some(ServerFault::ServerError),
         ..Options::default()
     });
     let asker = asker(&Vlm {
@@ -201,9 +201,9 @@ fn a_server_that_is_down_is_left_alone_and_tried_again() {
 }
 
 #[test]
-fn a_question_is_one_breakdown_however_many_attempts_it_took() {
+fn a_question_counts_as_one_failure_however_many_attempts_it_took() {
     let server = start(Options {
-        mishap: Some(Mishap::ServerError),
+        injected: Some(ServerFault::ServerError),
         ..Options::default()
     });
     let asker = asker(&Vlm {
@@ -231,17 +231,17 @@ fn a_question_is_one_breakdown_however_many_attempts_it_took() {
 }
 
 #[test]
-fn a_question_that_gets_no_answer_as_it_is_put_is_told_once_with_the_servers_words() {
-    for (mishap, word, parts) in [
+fn a_refused_question_is_reported_once_with_the_servers_words() {
+    for (injected, word, parts) in [
         (
-            Mishap::BadRequest,
+            ServerFault::BadRequest,
             "http_400",
             ["vlm.model", "it says: the stand-in was told to say 400"],
         ),
-        (Mishap::Length, "length", ["cut off", "vlm.tokens_max"]),
+        (ServerFault::Length, "length", ["cut off", "vlm.tokens_max"]),
     ] {
         let server = start(Options {
-            mishap: Some(mishap),
+            injected: Some(injected),
             ..Options::default()
         });
         let asker = asker(&vlm(server.url()));
@@ -257,14 +257,14 @@ fn a_question_that_gets_no_answer_as_it_is_put_is_told_once_with_the_servers_wor
 }
 
 #[test]
-fn who_is_not_asked_any_more_is_told_with_what_to_do() {
-    for (mishap, word, hint) in [
-        (Mishap::Unauthorized, "http_401", "vlm.key_file"),
-        (Mishap::Quota, "quota", "top up"),
-        (Mishap::NotFound, "http_404", "vlm.model"),
+fn a_permanent_fault_is_reported_with_what_to_do() {
+    for (injected, word, hint) in [
+        (ServerFault::Unauthorized, "http_401", "vlm.key_file"),
+        (ServerFault::Quota, "quota", "top up"),
+        (ServerFault::NotFound, "http_404", "vlm.model"),
     ] {
         let server = start(Options {
-            mishap: Some(mishap),
+            injected: Some(injected),
             ..Options::default()
         });
         let asker = asker(&vlm(server.url()));
@@ -340,7 +340,7 @@ fn flaws_have_the_share_they_were_given() {
         near(similar, 0.4) && second == 0,
         "{first} {second} {similar}"
     );
-    // Eyes that see the second path as the safer one.
+    // PathRater that see the second path as the safer one.
     let [first, second, similar] = counts(Options {
         noise: 1.0,
         first_bias: 0.72,
@@ -356,8 +356,8 @@ fn flaws_have_the_share_they_were_given() {
 #[test]
 fn it_breaks_at_its_share_of_the_questions() {
     let server = start(Options {
-        mishap: Some(Mishap::Refusal),
-        mishap_share: 0.5,
+        injected: Some(ServerFault::Refusal),
+        injected_share: 0.5,
         seed: 4,
         ..Options::default()
     });
@@ -383,7 +383,7 @@ fn it_breaks_at_its_share_of_the_questions() {
 #[test]
 fn it_says_that_it_is_no_model_and_ends_when_it_is_dropped() {
     let server = start(Options {
-        mishap: Some(Mishap::Hang),
+        injected: Some(ServerFault::Hang),
         ..Options::default()
     });
     let root = server.url().replace("/v1", "");

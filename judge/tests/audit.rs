@@ -1,4 +1,4 @@
-//! The audit: what it counts, and that nothing a model said becomes markup.
+//! The audit's figures and page; text of a model must not become markup.
 
 #[path = "../../gate/tests/records/mod.rs"]
 mod records;
@@ -115,12 +115,12 @@ fn similar_is_an_answer_that_is_neither_right_nor_wrong_on_the_page() {
     assert!(html.contains("badge similar"), "{html}");
     assert!(html.contains("right: 0 of 0 preferences, in 1 question "));
     assert!(!html.contains("✓ right") && !html.contains("✗ wrong"));
-    assert!(html.contains("(nothing to count)") && !html.contains("0.0 to 100.0 %"));
-    assert!(html.contains("No asking preferred a path."), "and no chart");
+    assert!(html.contains("(none)") && !html.contains("0.0 to 100.0 %"));
+    assert!(html.contains("No reply preferred a path."), "and no chart");
 }
 
 #[test]
-fn what_a_model_said_stays_text() {
+fn text_of_a_model_is_escaped() {
     let evil = "</pre><script>alert(1)</script><img src=x onerror=alert(2)>\"'";
     let mut record = pair(
         [Reply::First, Reply::Second],
@@ -178,11 +178,11 @@ fn pictures_are_embedded_up_to_the_limit_and_linked_beyond() {
     assert!(!html.contains("href=\"judge/pictures/000003-a.png"));
     std::fs::remove_dir_all(folder.path().join("pictures")).expect("removed");
     let html = page(&records, 2, Path::new("judge")).html;
-    assert_eq!(html.matches("not kept any more").count(), 6);
+    assert_eq!(html.matches("picture is missing").count(), 6);
 }
 
 #[test]
-fn a_page_that_is_written_elsewhere_has_its_pictures_beside_it() {
+fn a_page_elsewhere_has_its_pictures_beside_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let judge = folder.path().join("run/judge");
     let mut store = Store::open(&judge, 1 << 20).expect("opens");

@@ -1,6 +1,6 @@
-//! Every way in which a server can break, over real HTTP: no reply, one reason,
-//! so many requests, and after a permanent one no more. A row for each mishap of
-//! the stand-in is enforced by the compiler.
+//! Every server fault over HTTP: no reply, one reason, a fixed number of requests, and
+//! none after a permanent fault. The compiler enforces a row for each fault of the
+//! stand-in.
 
 #[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
@@ -8,115 +8,116 @@ mod shared;
 use std::net::TcpListener;
 
 use gate::model::{Asker, Fault};
-use judge::standin::{Mishap, Options, Server};
+use judge::standin::{Options, Server, ServerFault};
 use shared::{PATIENCE_S, ask, asker, prompt, red_ahead, vlm};
 use shm_config::config::{PromptPreset, Vlm};
 
-/// What becomes of a mishap; `None` where the answer is good all the same.
-fn expected(mishap: Mishap, preset: PromptPreset) -> Option<Fault> {
+/// The expected result of a server fault; `None` where the answer is valid all the same.
+fn expected(injected: ServerFault, preset: PromptPreset) -> Option<Fault> {
     let is_blind = preset == PromptPreset::Blind;
-    Some(match mishap {
-        Mishap::Hang => Fault::Timeout,
-        Mishap::SlowDrip => Fault::SlowBody,
-        Mishap::Reset | Mishap::ResetMidBody | Mishap::ShortBody => Fault::ConnectionReset,
-        Mishap::Garbage => Fault::Protocol,
-        Mishap::Redirect => Fault::Redirect,
-        Mishap::BadRequest => Fault::BadRequest,
-        Mishap::Unauthorized => Fault::Unauthorized,
-        Mishap::Forbidden => Fault::Forbidden,
-        Mishap::NotFound => Fault::NotFound,
-        Mishap::RequestTimeout => Fault::RequestTimeout,
-        Mishap::Conflict => Fault::Conflict,
-        Mishap::RateLimited
-        | Mishap::RetryAfter
-        | Mishap::RetryAfterMs
-        | Mishap::RetryAfterDate
-        | Mishap::RetryAfterLong => Fault::RateLimited,
-        Mishap::Quota => Fault::Quota,
-        Mishap::ServerError => Fault::ServerError,
-        Mishap::BadGateway => Fault::BadGateway,
-        Mishap::ServiceUnavailable => Fault::ServiceUnavailable,
-        Mishap::GatewayTimeout => Fault::GatewayTimeout,
-        Mishap::Overloaded => Fault::Overloaded,
-        Mishap::EmptyBody => Fault::EmptyBody,
-        Mishap::Truncated => Fault::Truncated,
-        Mishap::CodeFence => Fault::CodeFence,
-        Mishap::LeadingText => Fault::LeadingText,
-        Mishap::TrailingText if is_blind => Fault::TrailingText,
-        // The paper's prompt asks for a sentence there.
-        Mishap::TrailingText => return None,
-        // To the blind prompt, "1" is the name of a path that is not there, and
-        // 2 is no name.
-        Mishap::TypeString if is_blind => Fault::OutOfRange,
-        Mishap::Two if !is_blind => Fault::OutOfRange,
-        Mishap::TypeString
-        | Mishap::TypeTrue
-        | Mishap::TypeFloat
-        | Mishap::TypeNull
-        | Mishap::Two => Fault::WrongType,
-        Mishap::BothAnswers => Fault::BothAnswers,
-        Mishap::ExtraField => Fault::ExtraField,
-        Mishap::DuplicateKeys => Fault::DuplicateKeys,
-        Mishap::DeepNesting => Fault::TooDeep,
-        Mishap::Refusal => Fault::Refused,
-        Mishap::Length => Fault::Length,
-        Mishap::ContentFilter => Fault::ContentFilter,
-        Mishap::NoChoices => Fault::NoChoices,
-        Mishap::NullContent => Fault::NoContent,
-        Mishap::ContentType => Fault::ContentType,
-        Mishap::InvalidUtf8 => Fault::InvalidUtf8,
-        Mishap::HugeBody | Mishap::HugeLength => Fault::TooLarge,
+    Some(match injected {
+        ServerFault::Hang => Fault::Timeout,
+        ServerFault::SlowDrip => Fault::SlowBody,
+        ServerFault::Reset | ServerFault::ResetMidBody | ServerFault::ShortBody => {
+            Fault::ConnectionReset
+        }
+        ServerFault::Garbage => Fault::Protocol,
+        ServerFault::Redirect => Fault::Redirect,
+        ServerFault::BadRequest => Fault::BadRequest,
+        ServerFault::Unauthorized => Fault::Unauthorized,
+        ServerFault::Forbidden => Fault::Forbidden,
+        ServerFault::NotFound => Fault::NotFound,
+        ServerFault::RequestTimeout => Fault::RequestTimeout,
+        ServerFault::Conflict => Fault::Conflict,
+        ServerFault::RateLimited
+        | ServerFault::RetryAfter
+        | ServerFault::RetryAfterMs
+        | ServerFault::RetryAfterDate
+        | ServerFault::RetryAfterLong => Fault::RateLimited,
+        ServerFault::Quota => Fault::Quota,
+        ServerFault::ServerError => Fault::ServerError,
+        ServerFault::BadGateway => Fault::BadGateway,
+        ServerFault::ServiceUnavailable => Fault::ServiceUnavailable,
+        ServerFault::GatewayTimeout => Fault::GatewayTimeout,
+        ServerFault::Overloaded => Fault::Overloaded,
+        ServerFault::EmptyBody => Fault::EmptyBody,
+        ServerFault::Truncated => Fault::Truncated,
+        ServerFault::CodeFence => Fault::CodeFence,
+        ServerFault::LeadingText => Fault::LeadingText,
+        ServerFault::TrailingText if is_blind => Fault::TrailingText,
+        // The paper's prompt asks for a sentence after the answer.
+        ServerFault::TrailingText => return None,
+        // For the blind prompt, "1" names a path that does not exist, and 2 is not a name.
+        ServerFault::TypeString if is_blind => Fault::OutOfRange,
+        ServerFault::Two if !is_blind => Fault::OutOfRange,
+        ServerFault::TypeString
+        | ServerFault::TypeTrue
+        | ServerFault::TypeFloat
+        | ServerFault::TypeNull
+        | ServerFault::Two => Fault::WrongType,
+        ServerFault::BothAnswers => Fault::BothAnswers,
+        ServerFault::ExtraField => Fault::ExtraField,
+        ServerFault::DuplicateKeys => Fault::DuplicateKeys,
+        ServerFault::DeepNesting => Fault::TooDeep,
+        ServerFault::Refusal => Fault::Refused,
+        ServerFault::Length => Fault::Length,
+        ServerFault::ContentFilter => Fault::ContentFilter,
+        ServerFault::NoChoices => Fault::NoChoices,
+        ServerFault::NullContent => Fault::NoContent,
+        ServerFault::ContentType => Fault::ContentType,
+        ServerFault::InvalidUtf8 => Fault::InvalidUtf8,
+        ServerFault::HugeBody | ServerFault::HugeLength => Fault::TooLarge,
     })
 }
 
-/// The server is asked a second time.
-fn is_retried(mishap: Mishap) -> bool {
+/// Whether the request is sent a second time.
+fn is_retried(injected: ServerFault) -> bool {
     matches!(
-        mishap,
-        Mishap::Hang
-            | Mishap::SlowDrip
-            | Mishap::Reset
-            | Mishap::ResetMidBody
-            | Mishap::ShortBody
-            | Mishap::RequestTimeout
-            | Mishap::Conflict
-            | Mishap::RateLimited
-            | Mishap::RetryAfter
-            | Mishap::RetryAfterMs
-            | Mishap::RetryAfterDate
-            | Mishap::ServerError
-            | Mishap::BadGateway
-            | Mishap::ServiceUnavailable
-            | Mishap::GatewayTimeout
-            | Mishap::Overloaded
+        injected,
+        ServerFault::Hang
+            | ServerFault::SlowDrip
+            | ServerFault::Reset
+            | ServerFault::ResetMidBody
+            | ServerFault::ShortBody
+            | ServerFault::RequestTimeout
+            | ServerFault::Conflict
+            | ServerFault::RateLimited
+            | ServerFault::RetryAfter
+            | ServerFault::RetryAfterMs
+            | ServerFault::RetryAfterDate
+            | ServerFault::ServerError
+            | ServerFault::BadGateway
+            | ServerFault::ServiceUnavailable
+            | ServerFault::GatewayTimeout
+            | ServerFault::Overloaded
     )
 }
 
-/// Short where nothing else ends the attempt; the dripping server needs time to
-/// begin on a busy machine, and drips for many times as long.
-fn attempt_s(mishap: Mishap) -> f64 {
-    match mishap {
-        Mishap::Hang => 0.15,
-        Mishap::SlowDrip => 1.0,
+/// Time limit of an attempt, s: short where nothing else ends it. `SlowDrip` needs time to
+/// begin on a busy machine, and lasts many times as long.
+fn attempt_s(injected: ServerFault) -> f64 {
+    match injected {
+        ServerFault::Hang => 0.15,
+        ServerFault::SlowDrip => 1.0,
         _ => PATIENCE_S,
     }
 }
 
-fn broken(mishap: Mishap) -> Server {
+fn broken(injected: ServerFault) -> Server {
     let options = Options {
-        mishap: Some(mishap),
+        injected: Some(injected),
         ..Options::default()
     };
     Server::start(options).expect("started")
 }
 
-fn check(mishap: Mishap, preset: PromptPreset) {
-    let at = format!("{} {}", mishap.word(), preset.word());
-    let fault = expected(mishap, preset);
-    let attempts = if is_retried(mishap) { 2 } else { 1 };
-    let server = broken(mishap);
+fn check(injected: ServerFault, preset: PromptPreset) {
+    let at = format!("{} {}", injected.word(), preset.word());
+    let fault = expected(injected, preset);
+    let attempts = if is_retried(injected) { 2 } else { 1 };
+    let server = broken(injected);
     let asker = asker(&Vlm {
-        attempt_s: attempt_s(mishap),
+        attempt_s: attempt_s(injected),
         ..vlm(server.url())
     });
     let (prompt, picture) = (prompt(preset), red_ahead());
@@ -134,35 +135,35 @@ fn check(mishap: Mishap, preset: PromptPreset) {
 }
 
 #[test]
-fn every_mishap_is_its_own_fault_and_no_reply() {
-    for mishap in Mishap::ALL {
-        check(*mishap, PromptPreset::Paper);
+fn every_server_fault_is_its_own_fault_and_no_reply() {
+    for injected in ServerFault::ALL {
+        check(*injected, PromptPreset::Paper);
     }
 }
 
 #[test]
 fn the_blind_prompt_is_as_strict() {
     let about_words = [
-        Mishap::CodeFence,
-        Mishap::LeadingText,
-        Mishap::TrailingText,
-        Mishap::TypeString,
-        Mishap::TypeTrue,
-        Mishap::TypeFloat,
-        Mishap::TypeNull,
-        Mishap::Two,
-        Mishap::BothAnswers,
-        Mishap::ExtraField,
-        Mishap::DuplicateKeys,
-        Mishap::DeepNesting,
-        Mishap::Refusal,
-        Mishap::Length,
-        Mishap::ContentFilter,
-        Mishap::NoChoices,
-        Mishap::NullContent,
+        ServerFault::CodeFence,
+        ServerFault::LeadingText,
+        ServerFault::TrailingText,
+        ServerFault::TypeString,
+        ServerFault::TypeTrue,
+        ServerFault::TypeFloat,
+        ServerFault::TypeNull,
+        ServerFault::Two,
+        ServerFault::BothAnswers,
+        ServerFault::ExtraField,
+        ServerFault::DuplicateKeys,
+        ServerFault::DeepNesting,
+        ServerFault::Refusal,
+        ServerFault::Length,
+        ServerFault::ContentFilter,
+        ServerFault::NoChoices,
+        ServerFault::NullContent,
     ];
-    for mishap in about_words {
-        check(mishap, PromptPreset::Blind);
+    for injected in about_words {
+        check(injected, PromptPreset::Blind);
     }
 }
 
@@ -178,7 +179,7 @@ fn ask_at(server: String) -> (Asker, gate::model::Asked) {
 }
 
 #[test]
-fn nobody_listens() {
+fn a_port_without_a_server_is_one_fault() {
     let port = TcpListener::bind("127.0.0.1:0")
         .and_then(|listener| listener.local_addr())
         .expect("a port that is free again")
@@ -191,21 +192,21 @@ fn nobody_listens() {
 
 #[test]
 fn an_encrypted_connection_to_a_server_that_has_none() {
-    for mishap in [None, Some(Mishap::Garbage)] {
+    for injected in [None, Some(ServerFault::Garbage)] {
         let server = Server::start(Options {
-            mishap,
+            injected,
             ..Options::default()
         })
         .expect("started");
         let (asker, asked) = ask_at(server.url().replace("http:", "https:"));
-        assert_eq!(asked.reply, Err(Fault::Tls), "{mishap:?}");
-        assert_eq!((asked.attempts, asker.closed()), (1, None), "{mishap:?}");
+        assert_eq!(asked.reply, Err(Fault::Tls), "{injected:?}");
+        assert_eq!((asked.attempts, asker.closed()), (1, None), "{injected:?}");
     }
 }
 
 #[test]
 fn a_gigabyte_is_not_read() {
-    let server = broken(Mishap::HugeBody);
+    let server = broken(ServerFault::HugeBody);
     let (_, asked) = ask_at(server.url());
     assert_eq!(asked.reply, Err(Fault::TooLarge));
     // What was read, and what the kernel's buffers between both have taken.
@@ -214,14 +215,14 @@ fn a_gigabyte_is_not_read() {
         sent < 50_000_000,
         "{sent} bytes were taken of 1,000,000,000"
     );
-    let server = broken(Mishap::HugeLength);
+    let server = broken(ServerFault::HugeLength);
     let (_, asked) = ask_at(server.url());
     assert_eq!(asked.reply, Err(Fault::TooLarge));
 }
 
 #[test]
-fn a_server_that_wants_an_hour_of_peace_has_it() {
-    let server = broken(Mishap::RetryAfterLong);
+fn a_retry_after_of_an_hour_is_obeyed() {
+    let server = broken(ServerFault::RetryAfterLong);
     let (asker, asked) = ask_at(server.url());
     assert_eq!((asked.reply, asked.attempts), (Err(Fault::RateLimited), 1));
     let again = ask(&asker, &prompt(PromptPreset::Blind), &red_ahead(), 1.0);
@@ -236,7 +237,7 @@ fn every_fault_has_a_word_of_its_own_and_is_never_an_answer() {
     assert_eq!(words.len(), Fault::ALL.len());
     for fault in Fault::ALL {
         assert!(!fault.is_permanent() || !fault.is_retryable(), "{fault:?}");
-        // Whatever it is, the gate is told of a failure.
+        // Every fault: the gate counts it as a failure.
         let _: gate::query::Failure = fault.failure();
     }
 }

@@ -1,5 +1,5 @@
-//! A server behind HTTPS with a private authority: the authority is trusted when
-//! `vlm.ca_file` names it, and not otherwise.
+//! HTTPS with a private certificate authority: it is trusted if and only if `vlm.ca_file`
+//! names it.
 
 #[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
@@ -24,13 +24,13 @@ use tempfile::tempdir;
 use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::TlsAcceptor;
 
-/// A private authority, and a certificate for 127.0.0.1 that it has signed, with
-/// its key; `https/make.sh` makes them.
+/// A private authority, and a certificate for 127.0.0.1 that it has signed, with its
+/// key; `https/make.sh` makes them.
 const AUTHORITY: &str = include_str!("https/authority.pem");
 const CERTIFICATE: &str = include_str!("https/server.pem");
 const KEY: &str = include_str!("https/server-key.pem");
 
-/// Puts HTTPS before a server, until the test ends.
+/// Puts an HTTPS proxy before a server until the test ends.
 fn encrypt(server: SocketAddr) -> SocketAddr {
     let _ = rustls::crypto::ring::default_provider().install_default();
     let certificate = CertificateDer::from_pem_slice(CERTIFICATE.as_bytes());

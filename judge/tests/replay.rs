@@ -1,4 +1,4 @@
-//! A record's questions, asked again of the stand-in over HTTP.
+//! The stand-in is asked the questions of a record again over HTTP.
 
 #[path = "../../gate/tests/records/mod.rs"]
 mod records;
@@ -11,7 +11,7 @@ use gate::presentation::picture::{Photo, Picture, Proposals, Style, picture};
 use gate::presentation::{Party, Prompt, Reply, Showing};
 use gate::record::Record;
 use gate::record::store::{Store, read};
-use judge::eyes::Sighted;
+use judge::pixels::PixelRules;
 use judge::replay::{Comparison, Replay, Step};
 use judge::standin::{Options, Server};
 use records::{SHOWING, asking, record};
@@ -22,8 +22,8 @@ use vehicle::{Action, Vehicle};
 
 const SIZE: [u32; 2] = [480, 480];
 
-/// A road of 12 m with ground on both sides; the expert goes straight on, the
-/// policy off to the right.
+/// A road of 12 m with ground on both sides; the expert's path goes straight on, the
+/// policy's to the right.
 fn shown(showing: Showing) -> Picture {
     let [width, height] = SIZE;
     let row = (0..width).flat_map(|x| match (192..288).contains(&x) {
@@ -47,7 +47,7 @@ fn shown(showing: Showing) -> Picture {
     picture(photo, &proposals, showing, &Style::default()).expect("a picture")
 }
 
-/// A question that was answered wrongly, both times.
+/// A question with the wrong answer both times.
 fn mistaken(tick: u64) -> Record {
     let showings = [SHOWING, SHOWING.swapped()];
     let replies = [Reply::Second, Reply::First];
@@ -64,7 +64,7 @@ fn mistaken(tick: u64) -> Record {
 }
 
 #[test]
-fn another_judge_is_asked_the_same_once_and_goes_on_where_it_ended() {
+fn another_judge_is_asked_the_same_questions_once_and_a_replay_continues() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut store = Store::open(folder.path(), 1 << 24).expect("opens");
     let pictures = [SHOWING, SHOWING.swapped()].map(shown);
@@ -76,7 +76,7 @@ fn another_judge_is_asked_the_same_once_and_goes_on_where_it_ended() {
     std::fs::remove_file(folder.path().join(&records.questions[1].askings[0].picture))
         .expect("removed");
     let server = Server::start(Options {
-        eyes: Arc::new(Sighted),
+        rater: Arc::new(PixelRules),
         ..Options::default()
     })
     .expect("started");

@@ -1,4 +1,4 @@
-//! The key travels in one header and shows up nowhere else.
+//! The API key is sent in one header and appears nowhere else.
 
 #[path = "../../gate/tests/shared/mod.rs"]
 mod shared;
@@ -7,7 +7,7 @@ use std::io::Write;
 use std::sync::{Arc, Mutex};
 
 use gate::model::{Asker, Fault};
-use judge::standin::{Mishap, Options, Server};
+use judge::standin::{Options, Server, ServerFault};
 use shared::{PATIENCE_S, ask, prompt, red_ahead, vlm};
 use shm_config::config::PromptPreset;
 use tracing_subscriber::fmt::MakeWriter;
@@ -45,7 +45,7 @@ fn no_log_line_and_no_record_holds_the_key() {
     let seen = tracing::subscriber::with_default(subscriber, || {
         // The stand-in repeats the header it was sent.
         let server = Server::start(Options {
-            mishap: Some(Mishap::Unauthorized),
+            injected: Some(ServerFault::Unauthorized),
             ..Options::default()
         })
         .expect("started");
@@ -78,7 +78,7 @@ fn no_log_line_and_no_record_holds_the_key() {
 #[test]
 fn the_key_does_not_follow_a_redirect() {
     let server = Server::start(Options {
-        mishap: Some(Mishap::Redirect),
+        injected: Some(ServerFault::Redirect),
         ..Options::default()
     })
     .expect("started");

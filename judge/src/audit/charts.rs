@@ -1,4 +1,4 @@
-//! The charts of the page, as SVG whose colours are the page's own.
+//! The charts of the page, as SVG with the colours of the page's style.
 
 use maud::{Markup, html};
 
@@ -6,13 +6,13 @@ use super::figures::{BINS, Bin};
 use crate::statistics::Share;
 use gate::record::{Record, Said};
 
-/// Bars of the histogram of latencies.
+/// Number of bins of the latency histogram.
 const BARS: usize = 28;
-/// Whole, half and fifth decades: where a logarithmic axis has its marks.
+/// Positions of the axis ticks within a decade.
 const MARKS: [f64; 3] = [1.0, 2.0, 5.0];
 
-/// Shares with their intervals on one axis from 0 to 1, one row each, beside the
-/// share that has no bias.
+/// Shares with their confidence intervals on one axis from 0 to 1, one row each; a line
+/// marks one half, which is no bias.
 pub fn shares(rows: &[(String, Share)]) -> Markup {
     const LEFT: f64 = 120.0;
     const WIDE: f64 = 330.0;
@@ -41,7 +41,7 @@ pub fn shares(rows: &[(String, Share)]) -> Markup {
     }
 }
 
-/// Share of right answers by the confidence that was said.
+/// Share of right replies by stated confidence.
 pub fn calibration(bins: &[Bin; BINS]) -> Markup {
     const LEFT: f64 = 56.0;
     const SIDE: f64 = 300.0;
@@ -74,21 +74,21 @@ pub fn calibration(bins: &[Bin; BINS]) -> Markup {
                     title { (format!("{} of {} right", bin.right.hits, bin.right.trials)) }
                 }
             }
-            text class="tick" x=(px(x(0.5))) y="366" text-anchor="middle" { "confidence it said" }
+            text class="tick" x=(px(x(0.5))) y="366" text-anchor="middle" { "stated confidence" }
             text class="tick" transform=(format!("translate(14 {}) rotate(-90)", px(y(0.5))))
-                text-anchor="middle" { "share that was right" }
+                text-anchor="middle" { "share of right replies" }
         }
     }
 }
 
-/// How many answers took how long; the axis is logarithmic.
+/// Histogram of the latencies; the axis is logarithmic.
 pub fn latencies(latencies_s: &[f64]) -> Markup {
     const LEFT: f64 = 44.0;
     const WIDE: f64 = 700.0;
     const HIGH: f64 = 150.0;
     let shortest_s = latencies_s.iter().copied().fold(f64::INFINITY, f64::min);
     let longest_s = latencies_s.iter().copied().fold(0.0, f64::max);
-    // A tenth of a decade around, so that equal latencies are a bar and not a line.
+    // Widen the range by a tenth of a decade on each side, so that equal latencies show as a bar.
     let low = shortest_s.max(1e-4).log10() - 0.1;
     let high = longest_s.max(1e-4).log10() + 0.1;
     let share = |latency_s: f64| (latency_s.max(1e-4).log10() - low) / (high - low);
@@ -119,7 +119,7 @@ pub fn latencies(latencies_s: &[f64]) -> Markup {
     }
 }
 
-/// Every question of the run where it was asked, a row for each thing to say.
+/// Every question at its time in the run, one row per answer.
 pub fn timeline(records: &[Record]) -> Markup {
     const LEFT: f64 = 84.0;
     const WIDE: f64 = 850.0;
@@ -154,7 +154,7 @@ pub fn timeline(records: &[Record]) -> Markup {
     }
 }
 
-/// A duration in a unit that needs few digits.
+/// A duration in the unit that needs fewest digits.
 pub fn seconds(value_s: f64) -> String {
     if value_s < 0.999_5 {
         let value_ms = value_s * 1e3;

@@ -1,4 +1,4 @@
-//! What the records of a judge say, in numbers.
+//! Figures computed from the records of a judge.
 
 use shm_config::message::Preference;
 use std::collections::BTreeMap;
@@ -9,24 +9,24 @@ use crate::statistics::{Share, kappa, quantile};
 use gate::presentation::{Hue, Party, Reply};
 use gate::record::{Asking, Record, Said};
 
-/// Bins of the calibration, of equal width over [0, 1].
+/// Number of calibration bins, of equal width over [0, 1].
 pub const BINS: usize = 10;
 
-/// Which driver is safer by the simulator, where it knows.
+/// Which driver is safer by the simulator, if it knows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Truth {
-    /// Held, one proposal ends in an accident and the other, this party's, not.
+    /// Held, this driver's proposal ends well and the other one in an accident.
     Safer(Party),
-    /// Both end well.
+    /// Both proposals end well.
     BothSafe,
-    /// Both end in an accident.
+    /// Both proposals end in an accident.
     NeitherSafe,
-    /// There is no look-ahead.
+    /// The simulator has no prediction.
     Unknown,
 }
 
 impl Truth {
-    /// What the simulator said of a question.
+    /// The simulator's prediction for a question.
     pub fn of(record: &Record) -> Self {
         let Some(outlooks) = &record.foresight else {
             return Self::Unknown;
@@ -45,8 +45,8 @@ impl Truth {
     }
 }
 
-/// Answers against the simulator. Rows: which driver is safer (expert, policy);
-/// columns: what was said, as in [`Said::ALL`].
+/// Confusion matrix of the answers. Rows: which driver is safer by the simulator
+/// (expert, policy); columns: the answer, as in [`Said::ALL`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Agreement {
     /// The counts.
@@ -54,7 +54,7 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// Counts one question, or one asking.
+    /// Counts one answer or one reply.
     pub fn count(&mut self, safer: Party, said: Said) {
         let row = match safer {
             Party::Expert => 0,
@@ -63,13 +63,13 @@ impl Agreement {
         self.counts[row][said as usize] += 1;
     }
 
-    /// How often this was the answer, whichever driver is safer.
+    /// Count of one answer, whichever driver is safer.
     pub fn said(&self, said: Said) -> usize {
         self.counts.iter().map(|row| row[said as usize]).sum()
     }
 
-    /// Right ones, of the preferences. "Similar" prefers neither: it must not count
-    /// as right where the policy happens to be safer.
+    /// Share of the preferences that are right. "Similar" is not a preference: it must not
+    /// count as right where the policy happens to be safer.
     pub fn of_preferences(&self) -> Share {
         let [expert, policy] = self.counts;
         Share {
@@ -78,7 +78,7 @@ impl Agreement {
         }
     }
 
-    /// Right preferences, of all that was asked.
+    /// Share of all questions with a right preference.
     pub fn of_all(&self) -> Share {
         Share {
             trials: self.counts.iter().flatten().sum(),
@@ -93,12 +93,12 @@ impl Agreement {
     }
 }
 
-/// What two askings of one question, the paths swapped, said together.
+/// How the two replies to one question, asked with the paths swapped, relate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Flips {
-    /// The same party both times, or similar both times.
+    /// The same driver both times, or similar both times.
     pub consistent: usize,
-    /// The same place both times, whosever path was there.
+    /// The same position both times, whichever driver's path was there.
     pub place: usize,
     /// Anything else, such as a preference once and similar once.
     pub mixed: usize,
@@ -107,62 +107,62 @@ pub struct Flips {
 /// One bin of the calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Bin {
-    /// Right answers of those with this confidence.
+    /// Share of right replies among those with this confidence.
     pub right: Share,
-    /// Sum of the confidences said.
+    /// Sum of the stated confidences.
     pub confidence_sum: f64,
 }
 
-/// All figures of a folder of records; the object of `--json`.
+/// All figures of a folder of records; the JSON object of `--json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figures {
-    /// Questions.
+    /// Number of questions.
     pub questions: usize,
-    /// Answered for the expert.
+    /// Answers for the expert.
     pub expert: usize,
-    /// Answered for the policy, "similar" among them.
+    /// Answers for the policy, including "similar".
     pub policy: usize,
-    /// Of those for the policy: the answer is "similar", which prefers neither.
+    /// Answers "similar", which prefer neither driver but let the policy drive.
     pub similar: usize,
-    /// Without an answer that counts: the askings disagree.
+    /// Abstentions: the replies disagree.
     pub abstained: usize,
-    /// Without an answer.
+    /// Questions without an answer.
     pub failed: usize,
-    /// Why these questions failed, by the word of the fault.
+    /// Count of each fault of the failed questions, by its keyword.
     pub faults: BTreeMap<String, usize>,
-    /// Seconds from question to answer, of those answered, in order.
+    /// Sorted latencies of the answered questions, s.
     pub latencies_s: Vec<f64>,
-    /// Their median.
+    /// Median latency, s.
     pub latency_median_s: Option<f64>,
-    /// 99 % are below.
+    /// 99 % quantile of the latency, s.
     pub latency_p99_s: Option<f64>,
-    /// US dollars, all of them.
+    /// Total cost, US dollars.
     pub cost_usd: f64,
-    /// US dollars a question.
+    /// Cost per question, US dollars.
     pub cost_per_question_usd: f64,
-    /// HTTP requests.
+    /// Number of HTTP requests.
     pub requests: u64,
-    /// Questions with exactly one accident ahead: answers against the simulator.
+    /// Answers to questions in which exactly one proposal ends in an accident.
     pub agreement: Agreement,
-    /// Questions whose paths both end well, both in an accident, and those of
-    /// which is unknown.
+    /// Number of other questions: both proposals end well, both end in an accident,
+    /// unknown.
     pub undecided: [usize; 3],
-    /// The same for each asking on its own.
+    /// The same for each reply alone.
     pub asking_agreement: Agreement,
-    /// Askings that preferred the first path, of those with a preference.
+    /// Share of the replies with a preference that prefer the first path.
     pub first_place: Share,
-    /// How often the path of a hue was preferred, of the preferences about it.
+    /// For each colour, the share of preferences for its path where it was shown.
     pub hues: BTreeMap<&'static str, Share>,
-    /// Askings in pairs.
+    /// Relation of the two replies to each question.
     pub flips: Flips,
-    /// Confidence against being right.
+    /// Share of right replies by stated confidence.
     pub calibration: [Bin; BINS],
-    /// Mean distance between confidence and share of right answers, weighted.
+    /// Expected calibration error: weighted mean of |confidence - share of right replies|.
     pub calibration_error: Option<f64>,
 }
 
 impl Figures {
-    /// Sums records up.
+    /// Computes the figures of records.
     pub fn of(records: &[Record]) -> Self {
         let count = |preference: Option<Preference>| {
             let with = records
@@ -216,7 +216,7 @@ impl Figures {
     }
 }
 
-/// What one asking says on its own.
+/// The answer of one reply alone.
 fn said(asking: &Asking) -> Said {
     let preferred = match asking.reply {
         None => return Said::Failed,
@@ -230,7 +230,7 @@ fn said(asking: &Asking) -> Said {
     }
 }
 
-/// Whose path a reply prefers.
+/// The driver whose path a reply prefers.
 fn preferred(asking: &Asking) -> Option<Party> {
     said(asking).preference()
 }

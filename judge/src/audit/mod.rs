@@ -1,4 +1,4 @@
-//! The audit of a judge: its records as figures and as one page to look at.
+//! The audit of a judge: the figures of its records, and a page that shows them.
 
 mod charts;
 mod figures;
@@ -18,42 +18,41 @@ use shm_config::text::printable_lines;
 use gate::record::Record;
 use gate::record::store::Records;
 
-/// A picture larger than this is linked and not embedded, bytes.
+/// Larger pictures are linked instead of embedded, bytes.
 const PICTURE_BYTES_MAX: u64 = 4 << 20;
 
-/// The page, and what it needs beside it.
+/// The page, and the pictures that it needs beside it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Page {
-    /// The page itself.
+    /// HTML of the page.
     pub html: String,
-    /// Names of the pictures that it links.
+    /// Names of the linked pictures.
     pub linked: BTreeSet<String>,
 }
 
-/// The page of a folder of records, self-contained but for pictures beyond the
-/// first `pictures_max`, which it links as `link` says: from the page's folder to
-/// that of the pictures. All text of a model is escaped, and the page forbids
-/// scripts.
+/// Makes the page of a folder of records. It embeds the first `pictures_max` pictures
+/// and links the others; `link` is the path from the page's folder to that of the
+/// pictures. All text of a model is escaped, and the page forbids scripts.
 pub fn page(records: &Records, pictures_max: usize, link: &Path) -> Page {
     let pictures = Pictures::of(records, pictures_max, link);
     let html = page::page(records, &Figures::of(&records.questions), &pictures).into_string();
     Page {
-        // Any part of it may be from a model, a server or a path.
+        // Any part of the text may come from a model, a server or a path.
         html: printable_lines(&html).into_owned(),
         linked: pictures.linked,
     }
 }
 
-/// The pictures that the page shows, and where the others are.
+/// The pictures of the page, embedded or linked.
 struct Pictures {
-    /// Data URLs by name.
+    /// Data URLs by picture name.
     embedded: BTreeMap<String, String>,
-    /// Names of those that are there and not embedded.
+    /// Names of the existing pictures that are not embedded.
     linked: BTreeSet<String>,
     link: PathBuf,
 }
 
-/// How a picture gets onto the page.
+/// How the page shows a picture.
 enum Shown<'a> {
     Embedded(&'a str),
     Linked(String),
@@ -61,7 +60,7 @@ enum Shown<'a> {
 }
 
 impl Pictures {
-    /// Embeds those of wrong answers first: they are what one looks for.
+    /// Embeds pictures of wrong answers first, since they matter most.
     fn of(records: &Records, most: usize, link: &Path) -> Self {
         let mut order: Vec<&Record> = records.questions.iter().collect();
         order.sort_by_key(|record| (rank(record), record.question));
@@ -106,7 +105,7 @@ fn rank(record: &Record) -> u8 {
     }
 }
 
-/// Records may come from anywhere: a name must not lead out of their folder.
+/// Whether a name stays within the records' folder: records may be untrusted.
 fn is_inside(name: &str) -> bool {
     !name.is_empty()
         && Path::new(name)

@@ -1,4 +1,4 @@
-//! The page as a whole: tiles, agreement, bias, calibration, time.
+//! The whole page: key figures, agreement, bias, calibration and latency.
 
 use std::collections::BTreeSet;
 
@@ -14,7 +14,7 @@ use gate::record::Said;
 use gate::record::store::Records;
 
 const STYLE: &str = include_str!("page.css");
-/// No scripts, no connections, no pictures but those in the page.
+/// No scripts, no connections, and only embedded pictures.
 const POLICY: &str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'";
 
 pub fn page(records: &Records, figures: &Figures, pictures: &Pictures) -> Markup {
@@ -37,8 +37,8 @@ pub fn page(records: &Records, figures: &Figures, pictures: &Pictures) -> Markup
                 (times(records, figures))
                 h2 { "Questions" }
                 p class="note" {
-                    "Each with what was shown and asked, what came back, what the simulator \
-                     says would have happened, and what did happen in the 3 s after."
+                    "Each with the picture and the prompt, the reply, the simulator's prediction, \
+                     and the next 3 s of the drive."
                 }
                 @for record in questions { (questions::question(record, pictures)) }
             } }
@@ -47,7 +47,7 @@ pub fn page(records: &Records, figures: &Figures, pictures: &Pictures) -> Markup
 }
 
 fn head(records: &Records, figures: &Figures) -> Markup {
-    // A question that the end of the run cut short was not asked.
+    // A question that the end of the run cancelled was not asked.
     let mut asked = records
         .questions
         .iter()
@@ -71,10 +71,10 @@ fn head(records: &Records, figures: &Figures) -> Markup {
                 names => { ", served " b { (names.join(", ")) } }
             }
             " · prompt " b { (preset) }
-            @if mixed { " (and others: not all questions are alike)" }
+            @if mixed { " (and others: the questions use different prompts)" }
             " · " (counted(figures.questions as u64, "question"))
             ", " (counted(figures.requests, "request"))
-            @if records.is_torn { " · the last line is torn and left out" }
+            @if records.is_torn { " · the last line is incomplete and left out" }
         }
     }
 }
@@ -110,10 +110,16 @@ fn tiles(figures: &Figures) -> Markup {
             ),
         ),
         (latency(figures.latency_median_s), "median latency".into()),
-        (latency(figures.latency_p99_s), "99 % answer within".into()),
+        (
+            latency(figures.latency_p99_s),
+            "99 % of latencies below".into(),
+        ),
         (
             format!("${:.4}", figures.cost_usd),
-            format!("in all, ${:.6} a question", figures.cost_per_question_usd),
+            format!(
+                "in total, ${:.6} per question",
+                figures.cost_per_question_usd
+            ),
         ),
     ];
     html! {
@@ -142,15 +148,15 @@ fn agreement(figures: &Figures) -> Markup {
         section class="card" {
             h2 { "Against the simulator" }
             p class="note" {
-                "Questions where one proposal, held for the horizon, hits something or leaves \
-                 the road and the other does not. Besides: both end well " (both_safe)
+                "Questions in which one proposal, held for the horizon, hits something or leaves \
+                 the road and the other does not. Other questions: both end well " (both_safe)
                 ", both in an accident " (neither_safe) ", unknown " (unknown) ". "
                 i { "Similar" } " is an answer that lets the policy drive; it prefers neither driver, and \
                  is neither right nor wrong."
             }
             div class="two" {
                 (matrix("Each question", &figures.agreement))
-                (matrix("Each asking on its own", &figures.asking_agreement))
+                (matrix("Each request alone", &figures.asking_agreement))
             }
         }
     }
@@ -199,20 +205,20 @@ fn slots(figures: &Figures) -> Markup {
     let flips = figures.flips;
     html! {
         section class="card" {
-            h2 { "Place and colour" }
+            h2 { "Position and colour" }
             p class="note" {
-                "How often an asking preferred the first path, and the path of each colour \
-                 where it was shown, with 95 % intervals; shown at random, each is half."
+                "How often a reply preferred the first path, and the path of each colour where it \
+                 was shown, with 95 % intervals. Positions and colours are random: without bias each is half."
             }
             @if figures.first_place.trials > 0 {
                 (charts::shares(&rows))
             } @else {
-                p { "No asking preferred a path." }
+                p { "No reply preferred a path." }
             }
             p {
-                "Asked twice, the paths swapped: " b { (flips.consistent) } " agree, "
-                b { (flips.place) } " chose the same place both times, " b { (flips.mixed) }
-                " a path once and similar once."
+                "Asked twice with the paths swapped: " b { (flips.consistent) } " agree, "
+                b { (flips.place) } " chose the same position both times, " b { (flips.mixed) }
+                " one path once and similar once."
             }
         }
     }
@@ -224,8 +230,8 @@ fn calibration(figures: &Figures) -> Markup {
             h2 { "Confidence" }
             @if let Some(error) = figures.calibration_error {
                 p class="note" {
-                    "Share of right preferences by the confidence said; on the line it means \
-                     what it says. Expected calibration error " (format!("{error:.3}")) "."
+                    "Share of right preferences by stated confidence; on the line the confidence is \
+                     exact. Expected calibration error " (format!("{error:.3}")) "."
                 }
                 (charts::calibration(&figures.calibration))
             } @else {
@@ -243,14 +249,14 @@ fn times(records: &Records, figures: &Figures) -> Markup {
         }
         @if !figures.latencies_s.is_empty() {
             section class="card" {
-                h2 { "From question to answer" }
+                h2 { "Latency" }
                 (charts::latencies(&figures.latencies_s))
             }
         }
     }
 }
 
-/// A share in per cent; a dash of nothing.
+/// A share in per cent; "–" if nothing was counted.
 pub fn percent(share: Share) -> String {
     match share.trials {
         0 => "–".into(),
@@ -258,11 +264,11 @@ pub fn percent(share: Share) -> String {
     }
 }
 
-/// Its 95 % interval in words; of nothing there is none.
+/// The 95 % confidence interval of a share, in words.
 pub fn interval(share: Share) -> String {
     let [low, high] = share.interval().map(|end| 100.0 * end);
     match share.trials {
-        0 => "(nothing to count)".into(),
+        0 => "(none)".into(),
         trials => format!("({low:.1} to {high:.1} %, {} of {trials})", share.hits),
     }
 }

@@ -34,8 +34,7 @@ pub fn question(record: &Record, pictures: &Pictures) -> Markup {
     }
 }
 
-/// What each juror said.
-/// Right or wrong, where that is known.
+/// Whether the answer is right, where that is known.
 fn mark(record: &Record) -> Markup {
     let Truth::Safer(party) = Truth::of(record) else {
         return html! {};
@@ -53,7 +52,7 @@ fn one_asking(asking: &Asking, pictures: &Pictures) -> Markup {
             @match pictures.shown(&asking.picture) {
                 Shown::Embedded(url) => { img src=(url) alt="what the judge was shown"; }
                 Shown::Linked(link) => { p { a href=(link) { "picture: " (asking.picture) } } }
-                Shown::Nowhere => { p class="note" { "The picture is not kept any more." } }
+                Shown::Nowhere => { p class="note" { "The picture is missing." } }
             }
             p {
                 @for party in [asking.showing.first, asking.showing.first.other()] {
@@ -90,7 +89,7 @@ fn swatch(hue: Hue) -> Markup {
     html! { span class="swatch" style=(style) {} }
 }
 
-/// What an asking came to, in words.
+/// A reply in words.
 fn reply(asking: &Asking) -> String {
     let Showing { first, .. } = asking.showing;
     let [a, b] = Showing::LETTERS;
@@ -103,8 +102,8 @@ fn reply(asking: &Asking) -> String {
     }
 }
 
-/// Both proposals: what they are, what exact geometry measured, and what the
-/// simulator foresaw.
+/// Both proposals: the actions, the safety check's measurements, and the simulator's
+/// prediction.
 fn proposals(record: &Record) -> Markup {
     let both = [
         (Party::Expert, record.expert),
@@ -114,7 +113,7 @@ fn proposals(record: &Record) -> Markup {
         table {
             tr {
                 th {} th { "steering" } th { "pedal" } th { "clearance" } th { "safe for" }
-                th { "judge in the tick" } th { "simulator, action held" }
+                th { "safety check" } th { "simulator, action held" }
             }
             @for (party, proposed) in both {
                 tr {
@@ -160,10 +159,10 @@ fn foreseen(record: &Record, party: Party) -> String {
 
 fn aftermath(aftermath: Option<&Aftermath>) -> String {
     let Some(after) = aftermath else {
-        return "What happened next is not known: the run ended.".into();
+        return "The following seconds are unknown: the run ended.".into();
     };
     let mut text = format!(
-        "In the {} after: expert {}, policy {}, brake {}; vetoed in {}; least distance \
+        "In the following {}: expert {}, policy {}, brake {}; vetoed in {}; smallest clearance \
          {:.1} m.",
         counted(after.ticks, "tick"),
         after.expert,
@@ -188,8 +187,8 @@ fn word(party: Party) -> &'static str {
 fn occasion(occasion: Occasion) -> &'static str {
     match occasion {
         Occasion::Episode => "an episode began",
-        Occasion::Period => "the period was over",
+        Occasion::Period => "the period elapsed",
         Occasion::Differ => "the proposals differ",
-        Occasion::Clearance => "little clearance",
+        Occasion::Clearance => "small clearance",
     }
 }

@@ -1,15 +1,14 @@
-//! A server that stands in for one with a vision-language model: for tests, and
-//! for work without a network. **It is no model.** It speaks the same protocol
-//! over real HTTP, decodes the picture it is sent, and judges by coloured pixels
-//! alone which of the two paths that the prompt names is safer; how it sees is
-//! up to its [`Eyes`]. On purpose it can be slow, wrong, biased, busy, or break
-//! in any way that a server can ([`Mishap`]).
+//! A server that stands in for a vision-language model, for tests and for work without a
+//! network. **It is not a model.** It speaks the same protocol over real HTTP, decodes
+//! the picture, and decides by the colours of its pixels which of the two paths in the
+//! prompt is safer; its [`PathRater`] make that decision. It can inject delay, label noise,
+//! bias, abstention, rate limits and every server fault ([`ServerFault`]).
 
-mod door;
-mod eyes;
-mod mishap;
+mod injector;
 mod question;
+mod rater;
 mod routes;
+mod server_fault;
 
 use std::fmt;
 use std::io;
@@ -24,39 +23,39 @@ use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-pub use eyes::{Eyes, Middle, Sighting};
-pub use mishap::Mishap;
+pub use rater::{MiddleRule, PathRater, Rating};
+pub use server_fault::ServerFault;
 
 use gate::model::Rate;
 
-/// What the stand-in calls itself, wherever a model would say its name.
+/// The name that the stand-in reports as its model.
 pub use shm_config::config::STAND_IN as NAME;
 
-/// How a stand-in is.
+/// Options of a stand-in.
 #[derive(Clone)]
 pub struct Options {
-    /// Where it listens, on this machine alone; 0 for any free port.
+    /// Port on 127.0.0.1; 0 for any free port.
     pub port: u16,
-    /// Time until it answers.
+    /// Delay of each answer.
     pub latency: Duration,
-    /// Up to so much longer, at random.
+    /// Maximum additional random delay.
     pub jitter: Duration,
-    /// Share of its answers that are turned round.
+    /// Share of answers that are inverted.
     pub noise: f64,
-    /// Share of its answers that are "the first" regardless of the picture.
+    /// Share of answers that are "the first" regardless of the picture.
     pub first_bias: f64,
-    /// Share of its answers that are "similar" regardless of the picture.
+    /// Share of answers that are "similar" regardless of the picture.
     pub abstain: f64,
-    /// Requests in any 60 s; beyond that, 429 with Retry-After.
+    /// Maximum number of requests in any 60 s; further ones get 429 with Retry-After.
     pub rate_per_minute: Option<u32>,
-    /// How it breaks.
-    pub mishap: Option<Mishap>,
-    /// Share of the requests it breaks at.
-    pub mishap_share: f64,
-    /// Which requests those are, and all else that is drawn.
+    /// Fault to inject.
+    pub injected: Option<ServerFault>,
+    /// Share of the requests with the fault.
+    pub injected_share: f64,
+    /// Seed of all random draws.
     pub seed: u64,
-    /// How it sees.
-    pub eyes: Arc<dyn Eyes>,
+    /// The rules that compare the paths.
+    pub rater: Arc<dyn PathRater>,
 }
 
 impl Default for Options {
@@ -69,10 +68,10 @@ impl Default for Options {
             first_bias: 0.0,
             abstain: 0.0,
             rate_per_minute: None,
-            mishap: None,
-            mishap_share: 1.0,
+            injected: None,
+            injected_share: 1.0,
             seed: 0,
-            eyes: Arc::new(Middle),
+            rater: Arc::new(MiddleRule),
         }
     }
 }
@@ -82,13 +81,13 @@ impl fmt::Debug for Options {
         formatter
             .debug_struct("Options")
             .field("port", &self.port)
-            .field("mishap", &self.mishap)
+            .field("injected", &self.injected)
             .field("seed", &self.seed)
             .finish_non_exhaustive()
     }
 }
 
-/// What all connections share.
+/// State shared by all connections.
 struct Shared {
     options: Options,
     random: Mutex<Xoshiro256PlusPlus>,
@@ -112,15 +111,15 @@ impl Shared {
         }
     }
 
-    /// An even draw from [0, 1).
+    /// A uniform draw from [0, 1).
     fn draw(&self) -> f64 {
         let mut random = self.random.lock().unwrap_or_else(PoisonError::into_inner);
-        // 53 bits make a double.
+        // A double has 53 bits of precision.
         (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
 
-/// A stand-in that runs in a thread of its own. Stops when it is dropped.
+/// A stand-in that runs in its own thread; dropping it stops it.
 pub struct Server {
     address: SocketAddr,
     shared: Arc<Shared>,
@@ -129,10 +128,10 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts one. Many may run at once.
+    /// Starts a stand-in. Several may run at once.
     ///
     /// # Errors
-    /// When the port is taken or no thread can be had.
+    /// If the port is taken or no thread can be started.
     pub fn start(options: Options) -> io::Result<Self> {
         let listener = std::net::TcpListener::bind((Ipv4Addr::LOCALHOST, options.port))?;
         listener.set_nonblocking(true)?;
@@ -148,11 +147,11 @@ impl Server {
             .spawn(move || {
                 runtime.block_on(async {
                     let serving = tokio::spawn(serve(listener, served));
-                    // Ends when the handle is dropped, whichever way.
+                    // Ends when the handle is dropped.
                     let _ = stopped.await;
                     serving.abort();
                 });
-                // A picture that is still examined has no request waiting for it.
+                // No request waits for pictures that are still being examined.
                 runtime.shutdown_background();
             })?;
         Ok(Self {
@@ -163,22 +162,22 @@ impl Server {
         })
     }
 
-    /// Where it listens.
+    /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// What `vlm.server` must be to reach it.
+    /// The value of `vlm.server` for this stand-in.
     pub fn url(&self) -> String {
         format!("http://{}/v1", self.address)
     }
 
-    /// Questions it was asked, those that it broke at among them.
+    /// Number of requests so far, including those with a fault.
     pub fn requests(&self) -> u64 {
         self.shared.requests.load(Ordering::Relaxed)
     }
 
-    /// Bytes it has handed to the kernel while it broke.
+    /// Bytes that faults have sent so far.
     pub fn bytes_sent(&self) -> u64 {
         self.shared.bytes_sent.load(Ordering::Relaxed)
     }
@@ -188,7 +187,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
-            // It panicked: the connection of its client is closed.
+            // The thread panicked: its clients' connections are closed.
             let _ = thread.join();
         }
     }
@@ -198,7 +197,7 @@ async fn serve(listener: std::net::TcpListener, shared: Arc<Shared>) {
     let Ok(listener) = tokio::net::TcpListener::from_std(listener) else {
         return;
     };
-    let door = door::open(listener, shared.clone());
-    // Ends only when the runtime does.
+    let door = injector::open(listener, shared.clone());
+    // Runs until the runtime ends.
     let _ = axum::serve(door, routes::router(shared)).await;
 }

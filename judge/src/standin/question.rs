@@ -1,5 +1,5 @@
-//! What a request asks. Only what any OpenAI-compatible server would see is
-//! looked at: the words and the picture.
+//! Parses a request. It uses only what any OpenAI-compatible server receives: the words
+//! and the picture.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -10,16 +10,16 @@ use shm_config::config::{PromptPreset, View};
 use gate::presentation::Hue;
 use gate::presentation::{PAPER_FORM, view_words};
 
-/// Largest picture that is decoded, pixels along a side.
+/// Maximum side length of a picture, pixels.
 const SIDE_MAX: u32 = 8192;
 
-/// A request that was understood.
+/// A parsed request.
 pub struct Question {
-    /// The form of answer.
+    /// The requested form of answer.
     pub preset: PromptPreset,
-    /// Where the picture is seen from.
+    /// Camera of the picture.
     pub view: View,
-    /// The colours of the first path and the second.
+    /// The colours of the first and the second path.
     pub hues: [Hue; 2],
     /// The picture.
     pub picture: RgbImage,
@@ -28,10 +28,10 @@ pub struct Question {
 }
 
 impl Question {
-    /// Understands a request.
+    /// Parses a request.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// A description of what is invalid.
     pub fn read(body: &[u8]) -> Result<Self, String> {
         let body: Value = serde_json::from_slice(body).map_err(|error| error.to_string())?;
         let text = words(&body);
@@ -42,7 +42,7 @@ impl Question {
         }
         let [first, second] = named[..] else {
             return Err(format!(
-                "the words name {} colours of paths, not two",
+                "the words name {} colours of paths instead of two",
                 named.len()
             ));
         };
@@ -82,7 +82,7 @@ fn parts(body: &Value) -> impl Iterator<Item = &Value> {
         .flatten()
 }
 
-/// All that is said, in its order.
+/// The words of all messages, in order.
 fn words(body: &Value) -> String {
     let whole = messages(body).filter_map(|message| message.get("content")?.as_str());
     let in_parts = parts(body).filter_map(|part| part.get("text")?.as_str());

@@ -1,4 +1,4 @@
-//! The polite part of the stand-in: what it does when it does not break.
+//! The HTTP routes of the stand-in, without faults.
 
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
@@ -14,15 +14,15 @@ use serde_json::{Value, json};
 use shm_config::config::PromptPreset;
 
 use super::question::Question;
-use super::{NAME, Shared, Sighting};
+use super::{NAME, Rating, Shared};
 use gate::presentation::Reply;
 use gate::presentation::{LETTERS, SIMILAR};
 
-/// Longest request that is read.
+/// Maximum length of a request, bytes.
 const REQUEST_BYTES_MAX: usize = 64 << 20;
 
-/// Printed where it may be taken for a model.
-const NOTE: &str = "a stand-in for tests: it judges coloured pixels, there is no model";
+/// Shown in each place where a client could mistake the stand-in for a model.
+const NOTE: &str = "a stand-in for tests: it judges by the colours of pixels, there is no model";
 
 pub fn router(shared: Arc<Shared>) -> Router {
     Router::new()
@@ -47,8 +47,8 @@ async fn complete(State(shared): State<Arc<Shared>>, body: Bytes) -> impl IntoRe
     let jitter = shared.options.jitter.mul_f64(shared.draw());
     let answer_at = tokio::time::Instant::now() + shared.options.latency + jitter;
     let mut headers = HeaderMap::new();
-    if shared.options.mishap.is_some() {
-        // Whether it breaks is drawn for each connection.
+    if shared.options.injected.is_some() {
+        // Faults are drawn per connection, so each request needs its own.
         headers.insert(CONNECTION, HeaderValue::from_static("close"));
     }
     if let Some(wait_s) = wait_s(&shared) {
@@ -58,9 +58,9 @@ async fn complete(State(shared): State<Arc<Shared>>, body: Bytes) -> impl IntoRe
         let error = error("too many requests", "rate_limit_exceeded");
         return (StatusCode::TOO_MANY_REQUESTS, headers, json_of(error));
     }
-    // Pictures are looked at beside the connections, not in their way.
-    let eyes = shared.clone();
-    let seen = tokio::task::spawn_blocking(move || answer(&eyes, &body)).await;
+    // Pictures are examined in another thread, so that connections are not blocked.
+    let state = shared.clone();
+    let seen = tokio::task::spawn_blocking(move || answer(&state, &body)).await;
     let (status, said) = match seen {
         Ok(Ok(said)) => (StatusCode::OK, said),
         Ok(Err(why)) => (
@@ -69,14 +69,14 @@ async fn complete(State(shared): State<Arc<Shared>>, body: Bytes) -> impl IntoRe
         ),
         Err(_) => (
             StatusCode::INTERNAL_SERVER_ERROR,
-            error("the eyes broke down", "server_error"),
+            error("the picture's examination failed", "server_error"),
         ),
     };
     tokio::time::sleep_until(answer_at).await;
     (status, headers, json_of(said))
 }
 
-/// How long to wait before the next request; `None` when this one may be made.
+/// Time until the next request is allowed, s; `None` if this one is.
 fn wait_s(shared: &Shared) -> Option<f64> {
     let rate = shared.rate.as_ref()?;
     let mut rate = rate.lock().unwrap_or_else(PoisonError::into_inner);
@@ -88,9 +88,9 @@ fn answer(shared: &Shared, body: &[u8]) -> Result<Value, String> {
     let question = Question::read(body)?;
     let options = &shared.options;
     let seen = options
-        .eyes
-        .look(&question.picture, question.hues, question.view);
-    // Always drawn, so that one flaw does not change what another hits.
+        .rater
+        .rate(&question.picture, question.hues, question.view);
+    // Always drawn, so that one option does not change the draws of another.
     let [turned, first, abstains] =
         [options.noise, options.first_bias, options.abstain].map(|share| shared.draw() < share);
     let reply = match seen.reply {
@@ -101,14 +101,14 @@ fn answer(shared: &Shared, body: &[u8]) -> Result<Value, String> {
         reply => reply,
     };
     let confidence = (seen.confidence * 100.0).round() / 100.0;
-    let said = worded(question.preset, Sighting { reply, confidence });
+    let said = worded(question.preset, Rating { reply, confidence });
     let pixels = u64::from(question.picture.width()) * u64::from(question.picture.height());
     Ok(completion(&said, question.words as u64 / 4 + pixels / 784))
 }
 
-/// An answer as a model should give it, in the form that a preset asks for. The
-/// first path is the one that the prompt names first, the paper's expert.
-pub fn worded(preset: PromptPreset, seen: Sighting) -> String {
+/// A valid answer in the form of a preset. The first path is the one that the prompt names
+/// first; in the paper's prompt that is the expert's.
+pub fn worded(preset: PromptPreset, seen: Rating) -> String {
     match preset {
         PromptPreset::Blind => {
             let response = match seen.reply {
@@ -118,7 +118,7 @@ pub fn worded(preset: PromptPreset, seen: Sighting) -> String {
             };
             let reason = match seen.reply {
                 Reply::Similar => "Neither path is clearly safer.".into(),
-                _ => format!("Path {response} keeps clear of what the other one meets."),
+                _ => format!("Path {response} avoids the obstacle that the other path meets."),
             };
             let confidence = seen.confidence;
             format!(
@@ -128,7 +128,7 @@ pub fn worded(preset: PromptPreset, seen: Sighting) -> String {
         }
         PromptPreset::Paper => {
             let response = u8::from(seen.reply == Reply::First);
-            format!("{{\"response\": {response}}}\nBy what the picture shows.")
+            format!("{{\"response\": {response}}}\nAccording to the picture.")
         }
     }
 }
@@ -154,7 +154,7 @@ pub fn completion(said: &str, tokens_in: u64) -> Value {
     })
 }
 
-/// An error, as OpenAI words them.
+/// An error in OpenAI's format.
 pub fn error(message: &str, code: &str) -> Value {
     json!({"error": {"message": message, "type": code, "param": null, "code": code}})
 }

@@ -1,29 +1,29 @@
-//! How a server breaks. Each mishap is a script of raw bytes and pauses: a proper
-//! HTTP library is too polite for most of them.
+//! Server faults. Each fault is a script of raw bytes and pauses, because an HTTP library
+//! refuses to produce most of them.
 
 use std::time::Duration;
 
 use serde_json::{Value, json};
 use shm_config::config::PromptPreset;
 
-use super::Sighting;
+use super::Rating;
 use super::routes::{completion, error, worded};
 use gate::presentation::Reply;
 
-/// Declares the closed list: each mishap with its name.
-macro_rules! mishaps {
+/// Declares the closed list of faults with their names.
+macro_rules! server_faults {
     ($($(#[$doc:meta])* $name:ident => $word:literal,)*) => {
-        /// A way for a server to break.
+        /// A fault of a server.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        pub enum Mishap {
+        pub enum ServerFault {
             $($(#[$doc])* $name,)*
         }
 
-        impl Mishap {
-            /// All of them.
+        impl ServerFault {
+            /// All faults.
             pub const ALL: &[Self] = &[$(Self::$name,)*];
 
-            /// Its name on the command line.
+            /// The name on the command line.
             pub fn word(self) -> &'static str {
                 match self {
                     $(Self::$name => $word,)*
@@ -33,22 +33,22 @@ macro_rules! mishaps {
     };
 }
 
-mishaps! {
-    /// Takes the question and never answers.
+server_faults! {
+    /// Reads the question and never answers.
     Hang => "hang",
-    /// Breaks the connection before it answers.
+    /// Resets the connection before the answer.
     Reset => "reset",
-    /// Breaks the connection in the middle of its answer.
+    /// Resets the connection in the middle of the answer.
     ResetMidBody => "reset_mid_body",
-    /// Ends in the middle of its answer, in good order.
+    /// Closes the connection in order in the middle of the answer.
     ShortBody => "short_body",
     /// Answers with bytes that are neither HTTP nor TLS.
     Garbage => "garbage",
-    /// Points elsewhere.
+    /// Redirects to another address.
     Redirect => "redirect",
     /// 400.
     BadRequest => "400",
-    /// 401, repeating the key it was shown.
+    /// 401; the message repeats the key.
     Unauthorized => "401",
     /// 403.
     Forbidden => "403",
@@ -58,21 +58,21 @@ mishaps! {
     RequestTimeout => "408",
     /// 409.
     Conflict => "409",
-    /// 429 without a word about when to come back.
+    /// 429 without Retry-After.
     RateLimited => "429",
-    /// 429, in seconds.
+    /// 429 with a delay in seconds.
     RetryAfter => "429_retry_after",
-    /// 429, in milliseconds.
+    /// 429 with a delay in milliseconds.
     RetryAfterMs => "429_retry_after_ms",
-    /// 429, at a date.
+    /// 429 with a date.
     RetryAfterDate => "429_retry_after_date",
-    /// 429, in an hour.
+    /// 429 with a delay of an hour.
     RetryAfterLong => "429_retry_after_long",
-    /// 429, as OpenAI says that the account is spent.
+    /// 429 with OpenAI's error for an exhausted quota.
     Quota => "429_quota",
     /// 500.
     ServerError => "500",
-    /// 502, as a proxy says it, in HTML.
+    /// 502 with an HTML body, as from a proxy.
     BadGateway => "502",
     /// 503.
     ServiceUnavailable => "503",
@@ -80,15 +80,15 @@ mishaps! {
     GatewayTimeout => "504",
     /// 529.
     Overloaded => "529",
-    /// 200 without a byte.
+    /// 200 with an empty body.
     EmptyBody => "empty_body",
-    /// JSON that ends in the middle.
+    /// JSON that is cut off.
     Truncated => "truncated",
-    /// An answer in a code fence.
+    /// The answer is in a code fence.
     CodeFence => "code_fence",
-    /// Talk before the answer.
+    /// Text before the answer.
     LeadingText => "leading_text",
-    /// Talk after the answer.
+    /// Text after the answer.
     TrailingText => "trailing_text",
     /// The answer is the string "1".
     TypeString => "type_string",
@@ -100,64 +100,64 @@ mishaps! {
     TypeNull => "type_null",
     /// The answer is 2.
     Two => "two",
-    /// One answer, then the other.
+    /// Both answers, one after the other.
     BothAnswers => "both_answers",
     /// An unexpected field.
     ExtraField => "extra_field",
     /// The key "response" twice.
     DuplicateKeys => "duplicate_keys",
-    /// A thousand brackets.
+    /// A thousand nested brackets.
     DeepNesting => "deep_nesting",
-    /// The model will not say.
+    /// The model refuses to answer.
     Refusal => "refusal",
-    /// The model reached its limit of tokens.
+    /// The model reached its token limit.
     Length => "length",
-    /// A filter cut the answer off.
+    /// A content filter cut the answer off.
     ContentFilter => "content_filter",
-    /// No choices.
+    /// An empty list of choices.
     NoChoices => "no_choices",
-    /// A choice that says nothing.
+    /// A choice without content.
     NullContent => "null_content",
-    /// A good answer, said to be HTML.
+    /// A valid answer declared as HTML.
     ContentType => "content_type",
-    /// Bytes that are no UTF-8.
+    /// Bytes that are not UTF-8.
     InvalidUtf8 => "invalid_utf8",
-    /// A body of 1 GB, without its length.
+    /// A body of 1 GB without a declared length.
     HugeBody => "huge_body",
-    /// A body of 10 MB, with its length.
+    /// A body of 10 MB with a declared length.
     HugeLength => "huge_length",
-    /// A good answer, one byte at a time.
+    /// A valid answer, one byte at a time.
     SlowDrip => "slow_drip",
 }
 
-/// What to do with a connection, in turn. After the last it is closed.
+/// One step of a script; the connection is closed after the last one.
 pub enum Step {
-    /// Hands bytes over.
+    /// Sends bytes.
     Send(Vec<u8>),
-    /// Hands bytes over one by one, with so long between them.
+    /// Sends bytes one by one at this interval.
     Drip(Vec<u8>, Duration),
-    /// Hands over so many spaces, in chunks of HTTP.
+    /// Sends this number of spaces, in HTTP chunks.
     Flood(u64),
     /// Waits for ever.
     Hang,
-    /// Breaks the connection off at once.
+    /// Resets the connection.
     Reset,
 }
 
-/// Between the bytes of [`Mishap::SlowDrip`].
+/// Interval between the bytes of [`ServerFault::SlowDrip`].
 const DRIP_EVERY: Duration = Duration::from_millis(20);
 
-/// Length of [`Mishap::HugeBody`], bytes.
+/// Length of [`ServerFault::HugeBody`], bytes.
 const HUGE_BYTES: u64 = 1_000_000_000;
 
-impl Mishap {
-    /// Breaks at connections that are not even HTTP.
+impl ServerFault {
+    /// Whether the fault happens before any HTTP is read.
     pub(super) fn ignores_request(self) -> bool {
         self == Self::Garbage
     }
 
-    /// What to do about a request that asks for an answer in this form, and was
-    /// made with this `Authorization`.
+    /// The steps for a request that asks for an answer in this form with this
+    /// `Authorization` header.
     pub(super) fn script(self, preset: PromptPreset, authorization: &str) -> Vec<Step> {
         if let Some(steps) = self.of_connection() {
             return steps;
@@ -174,7 +174,7 @@ impl Mishap {
             .as_bytes()))]
     }
 
-    /// Those that are below HTTP, or about its body's bytes.
+    /// Faults below HTTP, or of the body's bytes.
     fn of_connection(self) -> Option<Vec<Step>> {
         let good = completion(&good(PromptPreset::Blind), 100).to_string();
         let good = good.as_bytes();
@@ -217,7 +217,7 @@ impl Mishap {
         })
     }
 
-    /// Those that are a status of their own.
+    /// Faults that are an HTTP status.
     fn of_status(self, authorization: &str) -> Option<Vec<u8>> {
         let plain = |status: &str, headers: &str, code: &str| {
             let headers = format!("content-type: application/json\r\n{headers}");
@@ -267,7 +267,7 @@ impl Mishap {
         }
     }
 
-    /// Those that are about what stands around the model's words.
+    /// Faults of the JSON object around the model's words.
     fn of_envelope(self, preset: PromptPreset) -> Option<Value> {
         let mut body = completion(&good(preset), 100);
         let choice = &mut body["choices"][0];
@@ -285,10 +285,10 @@ impl Mishap {
         Some(body)
     }
 
-    /// Those that are in the model's words.
+    /// Faults in the model's words.
     fn content(self, preset: PromptPreset) -> String {
         let good = good(preset);
-        // The answer's value, as it is written in a good one.
+        // The answer's value as a valid reply writes it.
         let value = match preset {
             PromptPreset::Blind => "\"A\"",
             PromptPreset::Paper => "1",
@@ -313,9 +313,9 @@ impl Mishap {
     }
 }
 
-/// What a model should say.
+/// A valid reply of a model.
 fn good(preset: PromptPreset) -> String {
-    let seen = Sighting {
+    let seen = Rating {
         reply: Reply::First,
         confidence: 0.9,
     };

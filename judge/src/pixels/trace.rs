@@ -1,4 +1,4 @@
-//! Following a coloured line from the car outward.
+//! Follows a coloured line in a picture from the car outward.
 
 use std::collections::VecDeque;
 
@@ -11,25 +11,25 @@ use vehicle::{Point, Vector};
 use gate::presentation::Hue;
 use gate::presentation::picture::LINE;
 
-/// A pixel is of a hue when its colour is this near: half of what the hues are
-/// apart, less a little; JPEG shifts the colours of thin lines.
+/// Maximum distance of a pixel's colour from the hue: a little less than half the distance
+/// between two hues; JPEG shifts the colours of thin lines.
 const HUE_TOLERANCE: f64 = 52.0;
-/// Points of a line on the ground lie this far apart, m.
+/// Distance between points of a line on the ground, m.
 const SPACING_M: f64 = 0.5;
-/// A line begins no further from the car than this share of the picture.
+/// Maximum distance of a line's begin from the car, as a share of the picture's size.
 const BEGIN_SHARE: f64 = 0.3;
 
-/// A path as it was followed.
+/// A path that was followed in the picture.
 #[derive(Debug, Default)]
 pub struct Line {
-    /// Where it leads on the ground, from the car outward, in the body frame; empty
-    /// when it is not to be found.
+    /// Points on the ground from the car outward, m, in the body frame; empty if no path
+    /// was found.
     pub points_body: Vec<Point>,
-    /// It ends at the left or right edge of the picture: it is not visible where it leads.
+    /// Whether it ends at the left or right edge of the picture, so that its rest is unknown.
     pub leaves_view: bool,
 }
 
-/// Follows a hue's path from the car outward.
+/// Follows the path of a hue from the car outward.
 pub fn trace(image: &RgbImage, hue: Hue, camera: &Camera) -> Line {
     let Some(body_from_pixel) = ground_from_pixel(camera) else {
         return Line::default();
@@ -43,7 +43,7 @@ pub fn trace(image: &RgbImage, hue: Hue, camera: &Camera) -> Line {
     let places = layers.into_iter().filter_map(|[u, v]| {
         let at = body_from_pixel * Vector3::new(u, v, 1.0);
         let place = Point::new(at.x / at.z, at.y / at.z);
-        // Above the horizon there is no ground.
+        // A pixel above the horizon shows no ground.
         (at.z.abs() > 1e-12 && camera.is_ahead([place.x, place.y, 0.0])).then_some(place)
     });
     Line {
@@ -57,15 +57,15 @@ pub fn length_m(line: &[Point]) -> f64 {
     line.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
 }
 
-/// The map from pixels to points of the ground in the body frame, homogeneous;
-/// none for a camera that looks along the ground.
+/// The homography from pixels to ground points in the body frame; `None` for a camera
+/// whose view is parallel to the ground.
 fn ground_from_pixel(camera: &Camera) -> Option<Matrix3<f64>> {
     let at = |row: usize, column: usize| camera.pixel_from_body[row * 4 + column];
     Matrix3::from_fn(|row, column| at(row, if column == 2 { 3 } else { column })).try_inverse()
 }
 
-/// The pixel where a path begins: the car's own, or, where that is not in view,
-/// the middle of the lower rim.
+/// The pixel at which a path begins: that of the car, or, if that is not in view, the
+/// middle of the lower edge.
 fn begin(image: &RgbImage, camera: &Camera) -> [f64; 2] {
     let (width, height) = (f64::from(image.width()), f64::from(image.height()));
     match camera.project([0.0, 0.0, 0.0]) {
@@ -74,9 +74,9 @@ fn begin(image: &RgbImage, camera: &Camera) -> [f64; 2] {
     }
 }
 
-/// Pixels that are well inside a line of the hue, row by row. The car's outline at
-/// the end of a path has its colour, too; its strokes are half as wide, and nothing
-/// is left of them without their rim.
+/// Pixels well inside a line of the hue, row by row. The outline of the car at the end
+/// of a path has its colour, too; its strokes are half as wide and vanish when their
+/// edges are removed.
 fn mask(image: &RgbImage, hue: Hue) -> Vec<bool> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let all: Vec<bool> = image
@@ -92,12 +92,12 @@ fn mask(image: &RgbImage, hue: Hue) -> Vec<bool> {
     let inner: Vec<bool> = (0..width * height)
         .map(|at| all[at] && inside(at % width, at / width))
         .collect();
-    // Lines of small pictures are rim through and through.
+    // In small pictures lines consist of edge pixels only.
     if inner.contains(&true) { inner } else { all }
 }
 
-/// The middles of the line's cross-sections, one pixel further each: pixels of
-/// the hue by how many steps they are from the one nearest to the car.
+/// Centres of the line's cross-sections: pixels of the hue grouped by the number of
+/// steps from the pixel nearest to the car.
 fn layers(image: &RgbImage, hue: Hue, [begin_u, begin_v]: [f64; 2]) -> Vec<[f64; 2]> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let mask = mask(image, hue);
@@ -147,7 +147,7 @@ fn layers(image: &RgbImage, hue: Hue, [begin_u, begin_v]: [f64; 2]) -> Vec<[f64;
     sums.into_iter().map(|[u, v, n]| [u / n, v / n]).collect()
 }
 
-/// Points at a spacing along a line that is full of small steps.
+/// Resamples a line with many small steps at equal spacing.
 fn thin(places: impl Iterator<Item = Point>) -> Vec<Point> {
     let mut line: Vec<Point> = Vec::new();
     for place in places {
@@ -159,13 +159,13 @@ fn thin(places: impl Iterator<Item = Point>) -> Vec<Point> {
     line
 }
 
-/// Points every `step_m` along a line with the direction there.
+/// Points every `step_m` along a line, with its length so far and its direction.
 pub fn stations(line: &[Point], step_m: f64) -> Vec<(f64, Point, Vector)> {
     let mut stations = Vec::new();
     let mut behind_m = 0.0;
     for (at, pair) in line.windows(2).enumerate() {
         let length_m = (pair[1] - pair[0]).norm();
-        // The direction of a longer piece: single points waver by a pixel.
+        // Use the direction of a longer piece: single points are off by up to a pixel.
         let from = line[at.saturating_sub(2)];
         let to = line[(at + 3).min(line.len() - 1)];
         let along = (to - from).try_normalize(1e-9).unwrap_or(Vector::x());

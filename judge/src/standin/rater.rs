@@ -3,48 +3,50 @@ use shm_config::config::View;
 
 use gate::presentation::{Hue, Reply};
 
-/// What eyes made of a picture.
+/// Rating of the two paths of a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
-    /// Which of the two paths is safer, in the order the prompt names them.
+pub struct Rating {
+    /// The safer path; first and second as the prompt names them.
     pub reply: Reply,
-    /// How sure they are, 0 to 1.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
 }
 
-/// Compares two coloured paths in a picture, by its pixels alone.
-pub trait Eyes: Send + Sync {
+/// Compares two coloured paths in a picture by its pixels.
+pub trait PathRater: Send + Sync {
     /// Compares the paths of the two colours.
-    fn look(&self, picture: &RgbImage, hues: [Hue; 2], view: View) -> Sighting;
+    fn rate(&self, picture: &RgbImage, hues: [Hue; 2], view: View) -> Rating;
 }
 
-impl<F> Eyes for F
+impl<F> PathRater for F
 where
-    F: Fn(&RgbImage, [Hue; 2], View) -> Sighting + Send + Sync,
+    F: Fn(&RgbImage, [Hue; 2], View) -> Rating + Send + Sync,
 {
-    fn look(&self, picture: &RgbImage, hues: [Hue; 2], view: View) -> Sighting {
+    fn rate(&self, picture: &RgbImage, hues: [Hue; 2], view: View) -> Rating {
         self(picture, hues, view)
     }
 }
 
-/// Eyes that know nothing of roads: they prefer the path whose far end, the
-/// topmost of its pixels, is nearer to the middle of the picture's width. Enough
-/// to test everything around them.
+/// A minimal rule for tests, without knowledge of roads: it prefers the path whose far
+/// end, its topmost pixel, is nearer to the middle of the picture's width.
 #[derive(Debug, Clone, Copy)]
-pub struct Middle;
+pub struct MiddleRule;
 
-/// How far a channel may be from the colour that was drawn: JPEG and smooth
-/// edges move it, and no two hues are this close.
+/// Maximum distance of a colour channel from the drawn colour: JPEG and smooth edges shift
+/// it, and no two hues are this close.
 const CHANNEL_APART_MAX: u8 = 60;
 
-/// Ends this much of the width apart, as seen from the middle, are alike.
-const ALIKE: f64 = 0.03;
+/// Paths are similar if the distances of their ends from the middle differ by less than
+/// this share of the width.
+const SIMILAR_MAX: f64 = 0.03;
 
-impl Eyes for Middle {
-    fn look(&self, picture: &RgbImage, hues: [Hue; 2], _: View) -> Sighting {
+impl PathRater for MiddleRule {
+    fn rate(&self, picture: &RgbImage, hues: [Hue; 2], _: View) -> Rating {
         let [first, second] = hues.map(|hue| off_middle(picture, hue));
         let (reply, confidence) = match (first, second) {
-            (Some(first), Some(second)) if (first - second).abs() < ALIKE => (Reply::Similar, 0.5),
+            (Some(first), Some(second)) if (first - second).abs() < SIMILAR_MAX => {
+                (Reply::Similar, 0.5)
+            }
             (Some(first), Some(second)) => {
                 let reply = match first < second {
                     true => Reply::First,
@@ -52,15 +54,15 @@ impl Eyes for Middle {
                 };
                 (reply, (0.5 + (first - second).abs()).min(1.0))
             }
-            // A path that is not there cannot be compared.
+            // A missing path cannot be compared.
             _ => (Reply::Similar, 0.0),
         };
-        Sighting { reply, confidence }
+        Rating { reply, confidence }
     }
 }
 
-/// How far the topmost pixels of a colour are from the middle, as a share of the
-/// width; `None` where there are none.
+/// Distance of a colour's topmost pixels from the middle, as a share of the width; `None`
+/// without such pixels.
 fn off_middle(picture: &RgbImage, hue: Hue) -> Option<f64> {
     let width = f64::from(picture.width());
     let is_near = |pixel: &image::Rgb<u8>| {

@@ -1,5 +1,5 @@
-//! What lies under a path: classes of pixels by the palette, and a car's
-//! rectangle that is moved over them.
+//! Classifies the pixels of a picture by the palette and moves a car's rectangle along
+//! a path over them.
 
 use image::RgbImage;
 use shm_config::message::{Camera, View};
@@ -8,33 +8,33 @@ use vehicle::{Footprint, Point, Vector};
 
 use super::trace::stations;
 
-/// A pixel is of a class when its colour is this near: less than half of what
-/// the palette's colours are apart.
+/// Maximum distance of a pixel's colour from that of its class: less than half the
+/// distance between two colours of the palette.
 const TOLERANCE: f64 = 17.0;
-/// Bodies' sides are drawn darker; down to this share of their light.
-const DARKEST: f64 = 0.5;
+/// Sides of bodies are drawn darker, down to this share of the colour.
+const SHADE_MIN: f64 = 0.5;
 /// The car that is moved along a path.
 const CAR: Footprint = Footprint {
     length_m: 4.5,
     width_m: 1.85,
 };
-/// It is moved by this much, and looked under at points this far apart, m.
+/// Step along the path, and spacing of the tested points under the car, m.
 const STEP_M: f64 = 0.25;
-/// Points of a class under the car that count: one may be a blended rim.
+/// Number of points under the car that make an obstacle; a single one may be a blended edge.
 const BODY_POINTS: usize = 2;
 const SIDEWALK_POINTS: usize = 2;
-/// Share of what is known under the car that lies beside the road when it has
-/// left it with its middle.
+/// The car has left the road with its centre if this share of the known points under it
+/// lies beside the road.
 const BESIDE_SHARE: f64 = 0.5;
-/// Just beside a drawn path, from its middle, m.
+/// Distances from the centre of a drawn path to the points tested beside it, m.
 const MIDDLE_M: [f64; 3] = [0.55, 0.7, 0.85];
-/// A centre line is followed within this distance of the path, m.
+/// A centre line is tracked within this distance of the path, m.
 const LINE_REACH_M: f64 = 1.5;
 
-/// What a pixel shows.
+/// Class of a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Class {
-    /// A path, a label, a blend of two colours.
+    /// A path, a label, or a blend of two colours.
     Unknown,
     Road,
     CentreLine,
@@ -43,25 +43,25 @@ enum Class {
     Body,
 }
 
-/// What stands in the way.
+/// Kind of an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// A vehicle or an object.
     Body,
-    /// The end of the road, or the line to the other direction.
+    /// The edge of the road, or the line between the directions.
     Edge,
 }
 
-/// The first trouble on a path.
+/// The first obstacle on a path.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Trouble {
-    /// What it is.
+pub struct Obstacle {
+    /// Kind.
     pub kind: Kind,
-    /// How far along the path, m.
+    /// Distance along the path, m.
     pub at_m: f64,
 }
 
-/// The classes of a picture's pixels.
+/// The class of each pixel of a picture.
 pub struct Ground {
     width: usize,
     height: usize,
@@ -69,7 +69,7 @@ pub struct Ground {
 }
 
 impl Ground {
-    /// Those of a picture.
+    /// Classifies a picture.
     pub fn of(image: &RgbImage, view: View) -> Self {
         let (width, height) = (image.width() as usize, image.height() as usize);
         let raw: Vec<Class> = image.pixels().map(|pixel| class(pixel.0, view)).collect();
@@ -78,10 +78,10 @@ impl Ground {
             height,
             classes: raw,
         };
-        ground.drop_specks(view);
+        ground.drop_isolated(view);
         match view {
             View::TopDown => {}
-            View::Ego => ground.keep_feet(),
+            View::Ego => ground.keep_lowest(),
         }
         ground
     }
@@ -93,12 +93,12 @@ impl Ground {
         }
     }
 
-    /// Rims of painted lines are blends that may look like anything; bodies are
-    /// more than a pixel wide, and sidewalks and the ground beside them more than
+    /// Removes isolated pixels. Edges of painted lines are blends that may match any class;
+    /// bodies are wider than a pixel, and sidewalks and the ground beside them wider than
     /// two.
-    fn drop_specks(&mut self, view: View) {
-        // Of nine; from above a painted line is a blend of two pixels' width, from
-        // the seat strips far away are three pixels high.
+    fn drop_isolated(&mut self, view: View) {
+        // Counted in a neighbourhood of nine. From above, a painted line is a blend two pixels
+        // wide; from the car, distant strips are three pixels high.
         let strip = match view {
             View::TopDown => 7,
             View::Ego => 6,
@@ -124,9 +124,9 @@ impl Ground {
         self.classes = kept;
     }
 
-    /// Seen from the side a body hides the ground behind it: only where it
-    /// stands is it in the way, which is its lowest pixel of each column.
-    fn keep_feet(&mut self) {
+    /// From the car's view a body hides the ground behind it. It obstructs only where it
+    /// stands: at its lowest pixel in each column.
+    fn keep_lowest(&mut self) {
         for x in 0..self.width {
             let mut below = Class::Unknown;
             for y in (0..self.height).rev() {
@@ -135,7 +135,7 @@ impl Ground {
                 let stands = matches!(below, Class::Road | Class::Sidewalk | Class::Beside);
                 if class == Class::Body && !stands {
                     self.classes[at] = Class::Unknown;
-                    // All of the body above is hidden ground, too.
+                    // The pixels of the body above hide ground as well.
                     below = Class::Unknown;
                 } else {
                     below = class;
@@ -144,8 +144,13 @@ impl Ground {
         }
     }
 
-    /// What comes first on a path, with some room around the car, m.
-    pub fn first_trouble(&self, line: &[Point], camera: &Camera, room_m: f64) -> Option<Trouble> {
+    /// The first obstacle on a path, with a safety margin around the car, m.
+    pub fn first_obstacle(
+        &self,
+        line: &[Point],
+        camera: &Camera,
+        margin_m: f64,
+    ) -> Option<Obstacle> {
         let mut side = LineSide::default();
         let own = Place {
             middle: Point::origin(),
@@ -155,7 +160,7 @@ impl Ground {
             .into_iter()
             .find_map(|(at_m, middle, along)| {
                 let place = Place { middle, along };
-                let under = self.under(camera, &place, &own, room_m);
+                let under = self.under(camera, &place, &own, margin_m);
                 let crossed = side.crosses(|offset_m| {
                     self.look(camera, place.point(0.0, offset_m)) == Class::CentreLine
                 });
@@ -167,12 +172,12 @@ impl Ground {
                 } else {
                     return None;
                 };
-                Some(Trouble { kind, at_m })
+                Some(Obstacle { kind, at_m })
             })
     }
 
-    /// Whether the car's middle is beside the road: the path hides what is under it,
-    /// but on both sides of it there is no road.
+    /// Whether the car's centre is beside the road: the drawn path hides the pixels under it,
+    /// but there is no road on either side of it.
     fn is_middle_beside(&self, camera: &Camera, place: &Place) -> bool {
         [1.0, -1.0].into_iter().all(|side| {
             let seen = MIDDLE_M.map(|left_m| self.look(camera, place.point(0.0, side * left_m)));
@@ -188,11 +193,11 @@ impl Ground {
         }
     }
 
-    /// Counts what is under the car at a place; what it stands on now does not
-    /// count, since no driver proposed that.
-    fn under(&self, camera: &Camera, place: &Place, own: &Place, room_m: f64) -> Under {
-        let half_x_m = CAR.length_m / 2.0 + room_m;
-        let half_y_m = CAR.width_m / 2.0 + room_m;
+    /// Counts the classes under the car at a place. What the car stands on at the begin is
+    /// left out, since neither proposal can change it.
+    fn under(&self, camera: &Camera, place: &Place, own: &Place, margin_m: f64) -> Under {
+        let half_x_m = CAR.length_m / 2.0 + margin_m;
+        let half_y_m = CAR.width_m / 2.0 + margin_m;
         let across = (2.0 * half_y_m / STEP_M).ceil();
         let along = (2.0 * half_x_m / STEP_M).ceil();
         let mut under = Under::default();
@@ -217,7 +222,7 @@ impl Ground {
     }
 }
 
-/// How many points under the car are what.
+/// Number of points of each class under the car.
 #[derive(Default)]
 struct Under {
     bodies: usize,
@@ -233,14 +238,14 @@ impl Under {
     }
 }
 
-/// Where the car is on a path.
+/// The car's pose on a path.
 struct Place {
     middle: Point,
     along: Vector,
 }
 
 impl Place {
-    /// A point ahead and to the left of the car's middle.
+    /// A point `ahead_m` ahead and `left_m` to the left of the car's centre.
     fn point(&self, ahead_m: f64, left_m: f64) -> Point {
         let left = Vector::new(-self.along.y, self.along.x);
         self.middle + self.along * ahead_m + left * left_m
@@ -254,18 +259,18 @@ impl Place {
     }
 }
 
-/// On which side of the path the line between the directions is.
+/// The side of the path on which the line between the directions lies.
 #[derive(Default)]
 struct LineSide {
     left: Option<bool>,
 }
 
 impl LineSide {
-    /// Whether the path's middle has come to the line's other side.
+    /// Whether the path's centre has crossed the line.
     fn crosses(&mut self, is_line: impl Fn(f64) -> bool) -> bool {
         let count = (LINE_REACH_M / 0.1) as i32;
         let mut offsets = (-count..=count).map(|k| f64::from(k) * 0.1);
-        // The path itself hides what is under it.
+        // The drawn path hides the pixels under it.
         let Some(offset_m) = offsets.find(|&offset_m| is_line(offset_m)) else {
             return false;
         };
@@ -305,14 +310,14 @@ fn class(pixel: [u8; 3], view: View) -> Class {
     }
 }
 
-/// Whether a pixel is of the line between the directions, blended with the road
-/// or not: the line is about a pixel wide.
+/// Whether a pixel belongs to the line between the directions, possibly blended with the
+/// road: the line is about a pixel wide.
 fn is_yellow([red, green, blue]: [u8; 3]) -> bool {
     let [red, green, blue] = [red, green, blue].map(i32::from);
     (red - green).abs() <= 26 && red - blue >= 26 && green - blue >= 20 && red >= 85
 }
 
-/// Whether a pixel is a colour in less light.
+/// Whether a pixel is a darker shade of a colour.
 fn is_shade(pixel: [u8; 3], color: palette::Rgb) -> bool {
     let dot = |a: [u8; 3], b: [u8; 3]| -> f64 {
         a.iter()
@@ -321,6 +326,6 @@ fn is_shade(pixel: [u8; 3], color: palette::Rgb) -> bool {
             .sum()
     };
     let light = dot(pixel, color) / dot(color, color);
-    (DARKEST..1.0).contains(&light)
+    (SHADE_MIN..1.0).contains(&light)
         && palette::distance(pixel, palette::shaded(color, light)) < TOLERANCE / 2.0
 }

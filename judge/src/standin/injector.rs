@@ -1,5 +1,5 @@
-//! Which requests are answered, and which meet a mishap. That is decided for
-//! each connection before any HTTP library sees it.
+//! Injects faults: decides for each connection, before the HTTP library sees it, whether
+//! it gets a fault.
 
 use std::io;
 use std::net::SocketAddr;
@@ -12,20 +12,20 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::mpsc;
 
-use super::mishap::{Mishap, Step};
+use super::server_fault::{ServerFault, Step};
 use super::{Shared, question};
 
-/// Longest request that a mishap reads before it happens.
+/// Maximum length of a request that is read before a fault, bytes.
 const REQUEST_BYTES_MAX: usize = 64 << 20;
 
-/// A listener that passes on the connections that meet no mishap.
-pub struct Door {
+/// A listener that passes on the connections without a fault.
+pub struct FaultInjector {
     guests: mpsc::Receiver<(TcpStream, SocketAddr)>,
     address: SocketAddr,
 }
 
-/// Begins to receive connections.
-pub fn open(listener: TcpListener, shared: Arc<Shared>) -> Door {
+/// Begins to accept connections.
+pub fn open(listener: TcpListener, shared: Arc<Shared>) -> FaultInjector {
     let unknown = SocketAddr::from(([127, 0, 0, 1], 0));
     let address = listener.local_addr().unwrap_or(unknown);
     let (pass, guests) = mpsc::channel(64);
@@ -35,15 +35,15 @@ pub fn open(listener: TcpListener, shared: Arc<Shared>) -> Door {
                 Ok((stream, from)) => {
                     tokio::spawn(receive(stream, from, shared.clone(), pass.clone()));
                 }
-                // Out of file handles, most likely: some will come back.
+                // Most likely out of file descriptors: retry until some are closed.
                 Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
             }
         }
     });
-    Door { guests, address }
+    FaultInjector { guests, address }
 }
 
-impl axum::serve::Listener for Door {
+impl axum::serve::Listener for FaultInjector {
     type Io = TcpStream;
     type Addr = SocketAddr;
 
@@ -65,38 +65,38 @@ async fn receive(
     shared: Arc<Shared>,
     pass: mpsc::Sender<(TcpStream, SocketAddr)>,
 ) {
-    let mishap = match shared.options.mishap {
-        Some(mishap) if mishap.ignores_request() || is_question(&stream).await => {
-            (shared.draw() < shared.options.mishap_share).then_some(mishap)
+    let injected = match shared.options.injected {
+        Some(injected) if injected.ignores_request() || is_question(&stream).await => {
+            (shared.draw() < shared.options.injected_share).then_some(injected)
         }
         _ => None,
     };
-    match mishap {
-        // The polite part has gone with the server.
+    match injected {
+        // The HTTP server has ended.
         None => drop(pass.send((stream, from)).await),
-        Some(mishap) => {
+        Some(injected) => {
             shared.requests.fetch_add(1, Ordering::Relaxed);
-            // The other side has had enough, which is the point.
-            let _ = happen(mishap, stream, &shared).await;
+            // The client has closed the connection, as a fault makes it do.
+            let _ = inject(injected, stream, &shared).await;
         }
     }
 }
 
-/// Only questions meet mishaps: `/health` always answers.
+/// Whether the request is a POST: only questions get faults, `/health` always answers.
 async fn is_question(stream: &TcpStream) -> bool {
     let mut begin = [0; 4];
     let seen = stream.peek(&mut begin).await;
     seen.is_ok_and(|count| begin[..count] == *b"POST")
 }
 
-async fn happen(mishap: Mishap, mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
-    let (head, body) = match mishap.ignores_request() {
+async fn inject(injected: ServerFault, mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
+    let (head, body) = match injected.ignores_request() {
         true => (String::new(), Vec::new()),
         false => read_request(&mut stream).await?,
     };
     let body: Value = serde_json::from_slice(&body).unwrap_or_default();
     let authorization = header(&head, "authorization").unwrap_or("none");
-    for step in mishap.script(question::preset(&body), authorization) {
+    for step in injected.script(question::preset(&body), authorization) {
         match step {
             Step::Send(bytes) => send(&mut stream, &bytes, shared).await?,
             Step::Drip(bytes, every) => {
@@ -113,12 +113,12 @@ async fn happen(mishap: Mishap, mut stream: TcpStream, shared: &Shared) -> io::R
                 }
                 send(&mut stream, b"0\r\n\r\n", shared).await?;
             }
-            // Until the other side gives up.
+            // Until the client closes the connection.
             Step::Hang => while stream.read(&mut [0; 1024]).await? > 0 {},
             Step::Reset => return reset(stream),
         }
     }
-    // What is not read by then would turn the end into a reset.
+    // Unread input would turn the close into a reset.
     stream.shutdown().await?;
     while stream.read(&mut [0; 1024]).await? > 0 {}
     Ok(())
@@ -132,14 +132,14 @@ async fn send(stream: &mut TcpStream, bytes: &[u8], shared: &Shared) -> io::Resu
     Ok(())
 }
 
-/// Without time to linger the kernel breaks the connection off.
+/// Closes with a linger time of 0, which makes the kernel reset the connection.
 fn reset(stream: TcpStream) -> io::Result<()> {
     rustix::net::sockopt::set_socket_linger(&stream, Some(Duration::ZERO))?;
     drop(stream);
     Ok(())
 }
 
-/// Head and body of one request.
+/// Reads head and body of one request.
 async fn read_request(stream: &mut TcpStream) -> io::Result<(String, Vec<u8>)> {
     let mut bytes = Vec::new();
     let mut buffer = vec![0; 65_536];
