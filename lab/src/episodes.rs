@@ -1,4 +1,5 @@
-//! Many episodes, judged as the experiment judges and strictly.
+//! Drives many episodes and classifies their outcomes by the paper's metric and by the
+//! strict one.
 
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,33 +18,34 @@ use stack::driver::{DriverKind, EpisodeDriver, planning_histogram};
 use stack::episode::drive;
 use supervisor::commands::up::arguments::WorldChoice;
 
-/// Which episodes, and their driver.
+/// The episodes to drive, and their driver.
 #[derive(Clone, Debug)]
 pub struct Task {
     /// The driver.
     pub driver: DriverKind,
-    /// In which world.
+    /// World.
     pub world: WorldChoice,
-    /// Seed of the first episode; each further one adds one.
+    /// Seed of the first episode; each following episode adds one.
     pub first_seed: u64,
-    /// How many.
+    /// Number of episodes.
     pub episodes: u64,
-    /// On how many threads; no result depends on it.
+    /// Number of threads; the results do not depend on it.
     pub threads: NonZeroUsize,
 }
 
-/// What came of them.
+/// Results of the episodes.
 pub struct Drives {
-    /// The episodes, by seed.
+    /// The episodes, sorted by seed.
     pub episodes: Vec<Episode>,
-    /// How long each plan took, us.
+    /// Time of each plan, us.
     pub planning_us: Histogram<u64>,
 }
 
-/// Drives all episodes in the task's world; `done` is called with each one as it ends, in any order.
+/// Drives all episodes in the task's world; calls `done` with each finished episode, in
+/// any order.
 ///
 /// # Errors
-/// When the configuration is out of range, a seed has no map, or
+/// If the configuration is out of range, a seed has no map, or
 /// [`outside::evaluate`] fails.
 pub fn evaluate(
     task: &Task,
@@ -57,11 +59,11 @@ pub fn evaluate(
     }
 }
 
-/// The same in the built-in world, regardless of the task's. When it is asked to
-/// stop, no other episode is begun: then fewer come back than there are.
+/// The same in the built-in world, whichever world the task names. After a stop request
+/// no further episode begins, so that fewer episodes are returned.
 ///
 /// # Errors
-/// When the configuration is out of range or a seed has no map.
+/// If the configuration is out of range or a seed has no map.
 pub fn evaluate_inside(
     task: &Task,
     config: &Config,
@@ -100,14 +102,14 @@ pub fn evaluate_inside(
     })
 }
 
-/// Drives the next episode until there is none.
+/// Drives episodes until none is left.
 fn work(
     (task, config): (&Task, &Config),
     (clock, stop): (Clock, &Stop),
     next: &AtomicU64,
     send: &mpsc::Sender<Episode>,
 ) -> anyhow::Result<Histogram<u64>> {
-    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut world = World::new(WorldConfig::from(config))?;
     let mut driver = EpisodeDriver::new(task.driver, config, clock)?;
     let period_ns = config.run.period_ns();
     loop {
@@ -124,23 +126,23 @@ fn work(
     }
 }
 
-/// Why an episode is not a strict success.
+/// The reason why an episode is not a strict success.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Cause {
-    /// It left the road.
+    /// The car left the road.
     OutOfRoad,
-    /// It ran out of steps.
+    /// The episode reached its maximum number of steps.
     MaxStep,
-    /// It was stopped.
+    /// A stop was requested.
     Stopped,
-    /// It arrived, but touched a vehicle on the way.
+    /// The car arrived, but touched a vehicle on the way.
     TouchedVehicle,
-    /// It arrived, but touched an object on the way.
+    /// The car arrived, but touched an object on the way.
     TouchedObject,
 }
 
 impl Cause {
-    /// All of them, the paper's failures first.
+    /// All causes, the paper's failures first.
     pub const ALL: [Cause; 5] = [
         Cause::OutOfRoad,
         Cause::MaxStep,
@@ -149,8 +151,8 @@ impl Cause {
         Cause::TouchedObject,
     ];
 
-    /// The cause of an episode's failure; `None` for a strict success. One that
-    /// touched both counts under the vehicle.
+    /// The cause of an episode's failure; `None` for a strict success. If the car touched
+    /// both a vehicle and an object, the vehicle counts.
     pub fn of(episode: &Episode) -> Option<Cause> {
         match episode.outcome() {
             Outcome::OutOfRoad => Some(Cause::OutOfRoad),
@@ -162,7 +164,7 @@ impl Cause {
         }
     }
 
-    /// In words.
+    /// Description in the table.
     pub fn words(self) -> &'static str {
         match self {
             Cause::OutOfRoad => "out of road",

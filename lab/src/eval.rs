@@ -10,7 +10,7 @@ use shm_config::counted;
 use stack::Clock;
 use stack::driver::DriverKind;
 use supervisor::cli::parsers::whole;
-use supervisor::commands::up::arguments::WorldChoice;
+use supervisor::commands::up::arguments::{SimulatorAlone, WorldChoice};
 use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
 use view::draw::failures;
 
@@ -22,10 +22,10 @@ use crate::progress::left;
 /// Drive many episodes and print success, contacts and completion.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Every episode depends on its seed alone: the figures are the same on any \
-        number of threads. The expert is the very planner and controller of \
-        `./vlaps up --lockstep --gate expert`, and gives the same commands; rrt-star, \
-        informed, kinodynamic and mpc are the expert with that planner.method.\n\n\
+    after_help = "Each episode depends only on its seed: the figures do not depend on the number of \
+        threads. The expert consists of the same planner and controller as in \
+        `./vlaps up --lockstep --gate expert` and gives the same commands; rrt-star, informed, \
+        kinodynamic and mpc are the expert with that planner.method.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
         ./vlaps eval --driver mpc --episodes 200\n  \
@@ -34,34 +34,35 @@ use crate::progress::left;
         ./vlaps eval --driver expert --world metadrive --episodes 50"
 )]
 pub struct Eval {
-    /// The driver: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or
-    /// the policy of a file, FILE.onnx, alone.
+    /// Driver: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or a policy file
+    /// (FILE.onnx), which then drives alone.
     #[arg(long, value_name = "DRIVER", default_value = "expert")]
     pub driver: DriverKind,
-    /// How many episodes.
+    /// Number of episodes.
     #[arg(long, value_name = "N", default_value_t = 1000,
           allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=1_000_000))]
     pub episodes: u64,
-    /// Seed of the first episode; each further one adds one.
+    /// Seed of the first episode; each following episode adds one.
     #[arg(long, value_name = "N", default_value_t = 1000, allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub first_seed: u64,
-    /// In which world.
-    #[arg(long, value_name = "WORLD", default_value = "sim")]
+    /// World to drive in.
+    #[arg(long, value_name = "WORLD", default_value = "sim",
+          value_parser = SimulatorAlone)]
     pub world: WorldChoice,
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Threads; without it, as many as there are cores. Each has a MetaDrive of
-    /// its own.
+    /// Number of threads; default: the number of cores. In MetaDrive, each thread runs
+    /// a simulator of its own.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub threads: Option<NonZeroUsize>,
-    /// Draw the failures into this folder, at most 50, as they go in the built-in
-    /// world.
+    /// Draw failed episodes into this folder, at most 50; they are driven again in the
+    /// built-in world.
     #[arg(long, value_name = "DIR")]
     pub draw: Option<PathBuf>,
-    /// Write the figures to this file, too.
+    /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -77,7 +78,7 @@ impl Subcommand for Eval {
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
         let config = self.configuration.resolve()?;
         let cores = std::thread::available_parallelism()?;
-        // More would wait for a core or for an episode.
+        // Further threads would wait for a core or have no episode.
         let of_use = cores.min(NonZeroUsize::try_from(self.episodes as usize)?);
         let asked = self.threads.unwrap_or(of_use);
         let task = Task {
@@ -106,7 +107,7 @@ impl Subcommand for Eval {
         ));
         if asked > of_use {
             say(format_args!(
-                "--threads {asked}: with {} and {} no more than {of_use} are of use",
+                "--threads {asked}: with {} and {} only {of_use} can run",
                 counted(cores.get() as u64, "core"),
                 counted(task.episodes, "episode")
             ));
@@ -131,5 +132,5 @@ impl Subcommand for Eval {
     }
 }
 
-/// Most failures of an evaluation that are drawn.
+/// Maximum number of failures that are drawn.
 const DRAWN_MAX: usize = 50;

@@ -1,4 +1,4 @@
-//! The figures of an evaluation: the paper's metric and the strict one, side by side.
+//! The figures of an evaluation, by the paper's metric and by the strict one.
 
 use comfy_table::Table;
 use serde::Serialize;
@@ -15,40 +15,39 @@ use crate::statistics::Estimate;
 pub struct Evaluation {
     /// The driver.
     pub driver: &'static str,
-    /// In which world.
+    /// World.
     pub world: &'static str,
-    /// How many episodes.
+    /// Number of episodes.
     pub episodes: usize,
-    /// Seed of the first one.
+    /// Seed of the first episode.
     pub first_seed: u64,
-    /// Arrived, contacts or not: the paper's metric.
+    /// Share of episodes that arrived, with or without contacts: the paper's metric.
     pub success: Estimate,
-    /// Arrived without having touched anything.
+    /// Share of episodes that arrived without any contact.
     pub strict_success: Estimate,
-    /// Touched a vehicle or an object at any tick.
+    /// Share of episodes with a contact with a vehicle or an object at any tick.
     pub contact: Estimate,
-    /// Touched a vehicle.
+    /// Share of episodes with a contact with a vehicle.
     pub contact_vehicle: Estimate,
-    /// Touched an object.
+    /// Share of episodes with a contact with an object.
     pub contact_object: Estimate,
-    /// Touching something at the last tick: the paper's crash.
+    /// Share of episodes with a contact at the last tick: the paper's crash.
     pub crash_last_step: Estimate,
-    /// Left the road.
+    /// Share of episodes that left the road.
     pub out_of_road: Estimate,
-    /// Ran out of steps.
+    /// Share of episodes that reached the maximum number of steps.
     pub max_step: Estimate,
-    /// Share of the route driven.
+    /// Mean share of the route that was driven.
     pub completion: Estimate,
-    /// Ticks of an episode, mean.
+    /// Mean number of ticks of an episode.
     pub mean_length: f64,
-    /// Its 95 % interval.
+    /// 95 % confidence interval of the mean number of ticks.
     pub mean_length_interval: [f64; 2],
-    /// Length driven by time, m/s, mean over episodes.
+    /// Driven length over time, m/s, mean over episodes.
     pub mean_speed_mps: f64,
-    /// Its 95 % interval.
+    /// 95 % confidence interval of the mean speed.
     pub mean_speed_mps_interval: [f64; 2],
-    /// Below this lie 99 % of all planning times, us; none for drivers that do
-    /// not plan.
+    /// 99 % quantile of the planning time, us; `None` for drivers that do not plan.
     pub planning_p99_us: Option<u64>,
     /// Failures by the strict metric.
     pub failures: Vec<Failure>,
@@ -57,18 +56,18 @@ pub struct Evaluation {
 /// One failed episode.
 #[derive(Clone, Debug, Serialize)]
 pub struct Failure {
-    /// Its seed.
+    /// Seed of the episode.
     pub seed: u64,
-    /// Why it failed.
+    /// Cause of the failure.
     pub cause: &'static str,
-    /// How far it came.
+    /// Driven share of the route.
     pub completion: f64,
-    /// After how many ticks it ended.
+    /// Number of ticks until the end.
     pub ticks: u64,
 }
 
 impl Evaluation {
-    /// Sums the episodes up.
+    /// Computes the figures of episodes.
     pub fn new(task: &Task, drives: &Drives) -> Evaluation {
         let episodes = &drives.episodes;
         let share = |hit: fn(&Episode) -> bool| {
@@ -89,7 +88,7 @@ impl Evaluation {
             first_seed: task.first_seed,
             success: share(|episode| episode.outcome() == Outcome::Arrived),
             strict_success: share(Episode::is_strict_success),
-            contact: share(|episode| episode.vehicle_contacts + episode.object_contacts > 0),
+            contact: share(|episode| episode.contacts() > 0),
             contact_vehicle: share(|episode| episode.vehicle_contacts > 0),
             contact_object: share(|episode| episode.object_contacts > 0),
             crash_last_step: share(|episode| episode.crash_last_step != 0),
@@ -140,7 +139,7 @@ impl Evaluation {
         }
     }
 
-    /// The failures by cause, each with its seeds; `None` when there is none.
+    /// The failures by cause, with their seeds; `None` without failures.
     pub fn failure_table(&self) -> Option<Table> {
         if self.failures.is_empty() {
             return None;

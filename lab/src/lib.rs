@@ -1,17 +1,21 @@
-//! Training, evaluation, sweeps and parity: the program `vlaps-lab`, to which
-//! `./vlaps eval`, `train`, `sweep` and `draw` hand over.
+//! The program `vlaps-lab`: training, evaluation, sweeps, parity and recorded runs.
+//! `./vlaps eval`, `train`, `sweep`, `replay`, `fork`, `regress`, `export` and `draw` start it.
 //!
 //! | module | holds |
 //! |---|---|
-//! | [`eval`], [`episodes`], [`evaluation`] | the command, many episodes, and their table |
-//! | [`outside`] | the same in the real MetaDrive |
+//! | [`eval`], [`episodes`], [`evaluation`] | `./vlaps eval`, many episodes, and their table |
+//! | [`outside`] | evaluation in the real MetaDrive |
 //! | [`train`] | the paper's experiment, its curves and tables |
-//! | [`sweep`] | the cost of a judge that is wrong, silent or late |
-//! | [`parity`] | the built-in world against recordings of MetaDrive |
+//! | [`sweep`] | trainings under a judge with label noise, abstention or delay |
+//! | [`parity`] | comparison of the built-in world with recordings of MetaDrive |
+//! | [`replay`] | a recorded run, recomputed and compared bit by bit |
+//! | [`fork`] | a recorded run, driven on from a tick |
+//! | [`regress`] | the events of many recordings, driven again by another policy |
+//! | [`export`] | a recording as an animation, tables or a dataset |
 //! | [`metric`] | keys and names of the figures |
-//! | [`statistics`] | means with 95 % intervals, quantiles |
-//! | [`report`] | tables, and the machine that figures are from |
-//! | [`progress`], [`stop`] | a progress bar, and Ctrl-C |
+//! | [`statistics`] | means with 95 % confidence intervals, quantiles |
+//! | [`report`] | tables, and the description of the machine |
+//! | [`progress`], [`stop`] | progress bar, and stop requests (Ctrl-C) |
 //!
 //! ```
 //! use lab::statistics::Estimate;
@@ -23,10 +27,14 @@
 pub mod episodes;
 pub mod eval;
 pub mod evaluation;
+pub mod export;
+pub mod fork;
 pub mod metric;
 pub mod outside;
 pub mod parity;
 pub mod progress;
+pub mod regress;
+pub mod replay;
 pub mod report;
 pub mod statistics;
 pub mod stop;
@@ -34,6 +42,10 @@ pub mod sweep;
 pub mod train;
 
 use eval::Eval;
+use export::Export;
+use fork::Fork;
+use regress::Regress;
+use replay::command::Replay;
 use sweep::Sweep;
 use train::arguments::Train;
 use view::draw::Draw;
@@ -44,6 +56,10 @@ supervisor::subcommands! {
         Eval(Eval),
         Train(Train),
         Sweep(Sweep),
+        Replay(Replay),
+        Fork(Fork),
+        Regress(Regress),
+        Export(Export),
         /// Draw a map, an episode or a plan from above as SVG, or a camera frame as PNG.
         #[command(subcommand, arg_required_else_help = true)]
         Draw(Draw),

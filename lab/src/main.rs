@@ -7,7 +7,7 @@ use shm_config::time::monotonic;
 use supervisor::subcommand;
 
 fn main() -> ExitCode {
-    // A process entry point: the clock is read nowhere else.
+    // A process entry point: only entry points read the clock.
     #[allow(clippy::disallowed_methods)]
     subcommand::main::<Command>(monotonic)
 }

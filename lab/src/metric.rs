@@ -1,35 +1,35 @@
-//! The figures of an evaluation: one key and one name for each in all tables,
-//! files and pictures.
+//! The figures of an evaluation: one key and one name for each, used in all tables,
+//! files and plots.
 
 /// A figure of an evaluation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Metric {
-    /// Arrived, contacts or not: the paper's.
+    /// Arrived, with or without contacts: the paper's metric.
     Success,
-    /// Arrived without having touched a vehicle or an object.
+    /// Arrived without a contact with a vehicle or an object.
     StrictSuccess,
-    /// The simulator's crash flag at the last step: the paper's.
+    /// The simulator's crash flag at the last step: the paper's metric.
     CrashLastStep,
-    /// Touched a vehicle or an object at any step.
+    /// Contact with a vehicle or an object at any step.
     Contact,
     /// Left the road.
     OutOfRoad,
-    /// Ran out of steps.
+    /// Reached the maximum number of steps.
     MaxStep,
     /// Share of the route driven.
     Completion,
-    /// Steps of an episode.
+    /// Number of steps of an episode.
     MeanLength,
-    /// Length driven by time.
+    /// Driven length over time.
     MeanSpeed,
 }
 
-/// Why one of two figures of touching may be the larger one.
+/// Note below tables that contain both figures of contacts.
 pub const FOOTNOTE: &str = "crash at the last step is MetaDrive's flag, which counts sidewalks, \
     too; contact counts vehicles and objects, at any step: either may be the larger one.";
 
 impl Metric {
-    /// All of them, in the order of tables.
+    /// All figures, in the order of the tables.
     pub const ALL: [Metric; 9] = [
         Metric::Success,
         Metric::StrictSuccess,
@@ -42,7 +42,7 @@ impl Metric {
         Metric::MeanSpeed,
     ];
 
-    /// In CSV and JSON.
+    /// The key in CSV and JSON.
     pub fn key(self) -> &'static str {
         match self {
             Metric::Success => "success",
@@ -57,7 +57,7 @@ impl Metric {
         }
     }
 
-    /// In tables and pictures, with the unit.
+    /// The name in tables and plots, with the unit.
     pub fn name(self) -> &'static str {
         match self {
             Metric::Success => "success",
@@ -72,7 +72,7 @@ impl Metric {
         }
     }
 
-    /// What it cannot exceed: shares have a limit.
+    /// Upper limit of the figure: 1 for shares, infinity otherwise.
     pub fn most(self) -> f64 {
         match self {
             Metric::MeanLength | Metric::MeanSpeed => f64::INFINITY,
@@ -80,7 +80,7 @@ impl Metric {
         }
     }
 
-    /// Digits behind the point that mean anything.
+    /// Number of significant digits after the point.
     pub fn digits(self) -> usize {
         match self {
             Metric::MeanLength => 0,

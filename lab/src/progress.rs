@@ -1,4 +1,4 @@
-//! How far a training is: a bar in a terminal, a line for each block elsewhere.
+//! Progress of a long computation: a bar in a terminal, otherwise occasional lines.
 
 use std::fmt;
 use std::io::{IsTerminal, Write};
@@ -9,10 +9,10 @@ use shm_config::Instant;
 
 use stack::Clock;
 
-/// From frame to frame of the bar.
+/// Interval between two frames of the bar.
 const FRAME: Duration = Duration::from_millis(200);
 
-/// How far it is, on standard error.
+/// Progress on standard error.
 pub struct Progress {
     bar: Option<ProgressBar>,
     name: String,
@@ -20,17 +20,17 @@ pub struct Progress {
     total: u64,
     clock: Clock,
     begun: Instant,
-    /// What was done before it began says nothing about how fast it goes.
+    /// Number done before it began; left out of the estimate of the remaining time.
     first: u64,
     said: u64,
     note: String,
 }
 
 impl Progress {
-    /// Of something with a name that has come this far already.
+    /// Begins the progress of a named computation; some of it may be done already.
     ///
     /// # Errors
-    /// When the bar's template is wrong.
+    /// If the bar's template is invalid.
     pub fn begin(
         name: String,
         unit: &'static str,
@@ -65,7 +65,7 @@ impl Progress {
         })
     }
 
-    /// It has come this far; what is no news is not said again.
+    /// Sets the number done; an unchanged number prints nothing.
     pub fn at(&mut self, done: u64) {
         if let Some(bar) = &self.bar {
             bar.set_position(done);
@@ -89,7 +89,7 @@ impl Progress {
         write_line(&line);
     }
 
-    /// What else there is to say; it stands beside the next figure.
+    /// Sets the note that is printed with the next number.
     pub fn note(&mut self, note: String) {
         if let Some(bar) = &self.bar {
             bar.set_message(note);
@@ -98,7 +98,7 @@ impl Progress {
         }
     }
 
-    /// Something is not as it should be; said at once, and it stays there.
+    /// Prints a warning immediately; it stays on the screen.
     pub fn warn(&self, what: &str) {
         let line = format!("{}: warning: {what}", self.name);
         match &self.bar {
@@ -107,7 +107,7 @@ impl Progress {
         }
     }
 
-    /// Something that takes a while begins; said at once.
+    /// Reports immediately that a longer phase begins.
     pub fn now(&mut self, what: &str) {
         match &self.bar {
             Some(bar) => bar.set_message(what.to_string()),
@@ -115,7 +115,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn end(self) {
         if let Some(bar) = self.bar {
             bar.finish_and_clear();
@@ -123,8 +123,8 @@ impl Progress {
     }
 }
 
-/// How much time is left, as the key of a bar's template; before anything is done there
-/// is nothing to tell it by.
+/// The remaining time, as a key of a bar's template; before anything is done there is no
+/// estimate.
 pub fn left(first: u64) -> impl Fn(&ProgressState, &mut dyn fmt::Write) + Clone {
     move |state, out| {
         // Writing to a string cannot fail.
@@ -136,6 +136,6 @@ pub fn left(first: u64) -> impl Fn(&ProgressState, &mut dyn fmt::Write) + Clone 
 }
 
 fn write_line(line: &str) {
-    // The terminal may be closed.
+    // Standard error may be closed.
     let _ = writeln!(std::io::stderr(), "{line}");
 }

@@ -1,16 +1,16 @@
-//! Rows, on the screen and as JSON.
+//! Tables on the screen, and the description of the machine.
 
 use comfy_table::{CellAlignment, ContentArrangement, LineStyle, Table, TableStyle};
 use rustix::termios::tcgetwinsize;
 use serde::Serialize;
 
-/// A line below the header and one below the table; rows stand close.
+/// One line below the header and one below the table, without lines between rows.
 const STYLE: TableStyle = TableStyle::new()
     .header_separator(LineStyle::new('─', '─', '─', '─'))
     .bottom_border(LineStyle::new('─', '─', '─', '─'));
 
-/// An empty table in the given style, as wide as the terminal at most; without a
-/// terminal, as wide as its rows.
+/// An empty table in the given style, at most as wide as the terminal; without a terminal
+/// as wide as its rows.
 pub fn fitted(style: TableStyle) -> Table {
     let mut table = Table::new();
     table
@@ -24,7 +24,7 @@ pub fn fitted(style: TableStyle) -> Table {
     table
 }
 
-/// An empty table in the style of this program; columns from the second on are
+/// An empty table in the style of this program; all columns but the first are
 /// right-aligned.
 pub fn table(header: &[&str]) -> Table {
     let mut table = fitted(STYLE);
@@ -35,23 +35,23 @@ pub fn table(header: &[&str]) -> Table {
     table
 }
 
-/// The machine that figures are from.
+/// The machine of a measurement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Machine {
-    /// What the processor calls itself, where the system tells.
+    /// The processor's name, if the system provides it.
     pub processor: Option<String>,
-    /// Its cores.
+    /// Number of cores.
     pub cores: usize,
-    /// Runnable threads of the whole machine, averaged over the last minute,
-    /// before the run: over 0, the run competes with other work.
+    /// Load average of the last minute before the run; above 0 the run competes with other
+    /// work.
     pub load: Option<f64>,
 }
 
 impl Machine {
-    /// This machine, now.
+    /// Describes this machine as it is now.
     ///
     /// # Errors
-    /// When the system does not tell how many cores there are.
+    /// If the number of cores is unknown.
     pub fn here() -> anyhow::Result<Machine> {
         let processors = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let named = processors.lines().find_map(|line| {

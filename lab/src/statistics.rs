@@ -1,30 +1,30 @@
-//! Means with 95 % intervals.
+//! Means with 95 % confidence intervals.
 
 use judge::statistics::Share;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 
-/// Resamples of a bootstrap: the ends of its interval then move by about a
-/// fortieth of its width from one seed to another.
+/// Number of bootstrap resamples: the ends of the interval then vary by about a fortieth of
+/// its width between seeds.
 const RESAMPLES: usize = 4000;
-/// Any number will do; a fixed one makes a table the same each time.
+/// An arbitrary fixed seed, so that the same values give the same interval.
 const BOOTSTRAP_SEED: u64 = 95;
 
-/// A mean and its 95 % interval.
+/// A mean with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// The mean.
     pub mean: f64,
-    /// Lower end.
+    /// Lower end of the interval.
     pub low: f64,
-    /// Upper end.
+    /// Upper end of the interval.
     pub high: f64,
 }
 
 impl Estimate {
-    /// A share with Wilson's score interval, which stays within [0, 1] and is
-    /// honest at shares of 0 and 1; of nothing, all is possible.
+    /// A share with Wilson's score interval. It lies within [0, 1] and holds at shares of 0 and
+    /// 1, too; without trials it is [0, 1].
     pub fn of_share(hits: usize, trials: usize) -> Estimate {
         let share = Share { hits, trials };
         let [low, high] = share.interval();
@@ -35,9 +35,9 @@ impl Estimate {
         }
     }
 
-    /// A mean with the percentile interval of a bootstrap: completions pile up
-    /// at 0.98, for which no normal interval is right. One value has no
-    /// interval, none has no mean: NaN.
+    /// A mean with the percentile interval of a bootstrap: completions cluster at 0.98, which
+    /// is far from a normal distribution. A single value has no interval; without values the
+    /// mean is NaN.
     pub fn of_mean(values: &[f64]) -> Estimate {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         if values.len() < 2 {
@@ -49,7 +49,7 @@ impl Estimate {
         }
         let mut stream = Xoshiro256PlusPlus::seed_from_u64(BOOTSTRAP_SEED);
         let count = values.len() as u128;
-        // The upper half of a product: uniform up to 1 in 2^64.
+        // The upper half of the product is uniform within 1 in 2^64.
         let mut draw = || values[((u128::from(stream.next_u64()) * count) >> 64) as usize];
         let mut means: Vec<f64> = (0..RESAMPLES)
             .map(|_| (0..values.len()).map(|_| draw()).sum::<f64>() / values.len() as f64)
@@ -63,7 +63,7 @@ impl Estimate {
     }
 }
 
-/// As [`judge::statistics::quantile`] has it; NaN of nothing.
+/// As [`judge::statistics::quantile`]; NaN without values.
 pub fn quantile(values: &[f64], share: f64) -> f64 {
     judge::statistics::quantile(values, share).unwrap_or(f64::NAN)
 }

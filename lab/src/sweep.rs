@@ -1,5 +1,5 @@
-//! `sweep`: what a judge that is wrong, silent or late costs the policy
-//! that learns from it, and the car meanwhile.
+//! `sweep`: trains policies under a judge with label noise, abstention or delay and
+//! measures the effect on the policy and on the training drives.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,44 +25,46 @@ use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_
 use view::chart::FACE;
 use view::sheet::{Area, save_svg};
 
-/// Train under a judge with one flaw at a time: label noise, abstention, delay.
+/// Train under a judge with one defect at a time: label noise, abstention, delay.
 #[derive(Debug, Args)]
-#[command(after_help = "Each row is a training of its own (./vlaps train) with \
-        faulty_judge.noise, faulty_judge.abstention or faulty_judge.delay_s set; all rows share the first, without a flaw. What is \
-        done is kept in --out: a stopped sweep continues. Sweeps of other seeds, made \
-        elsewhere, are put together by moving their seed-N folders into one sweep's and \
+#[command(
+    after_help = "Each row is a training (./vlaps train) with faulty_judge.noise, \
+        faulty_judge.abstention or faulty_judge.delay_s set; all rows are compared with one training \
+        without a defect. Results are kept in --out: the same command continues a stopped sweep. To \
+        combine sweeps of other seeds, move their seed-N folders into one sweep's folders and run \
         --report.\n\n\
         Examples:\n  \
         ./vlaps sweep --seeds 5\n  \
         ./vlaps sweep --algorithm pvp --steps 20000 --seeds 3 --out runs/sweep-pvp\n  \
-        ./vlaps sweep --out runs/sweep-pvp --report")]
+        ./vlaps sweep --out runs/sweep-pvp --report"
+)]
 pub struct Sweep {
-    /// How it learns: pvp, ppl, bc, hg-dagger or dagger.
+    /// Algorithm: pvp, ppl, bc, hg-dagger or dagger.
     #[arg(long, value_name = "HOW", default_value = "hg-dagger", value_parser = algorithm)]
     pub algorithm: Algorithm,
-    /// Steps of each training.
+    /// Steps per training.
     #[arg(long, value_name = "N", default_value_t = 6000, value_parser = whole::<u64>(200..=100_000_000))]
     pub steps: u64,
     /// Seed of the first training of each row.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = whole::<u64>(0..=1_000_000_000))]
     pub seed: u64,
-    /// Trainings for each row, each with the next seed.
+    /// Number of trainings per row, with consecutive seeds.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = whole::<u32>(1..=100))]
     pub seeds: u32,
-    /// Episodes that the last policy of each is evaluated on.
+    /// Number of episodes on which each last policy is evaluated.
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = whole::<u64>(1..=1_000_000))]
     pub final_episodes: u64,
-    /// Folder of all trainings, table and plot.
+    /// Folder for all trainings, the table and the plot.
     #[arg(long, value_name = "DIR", default_value = "runs/sweep")]
     pub out: PathBuf,
-    /// Train nothing: print and draw anew what the folder holds.
+    /// Do not train: print and draw the results in the folder.
     #[arg(long, conflicts_with_all = ["algorithm", "steps", "seed", "seeds", "final_episodes",
           "overrides"])]
     pub report: bool,
     /// Override any key of the configuration; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -95,7 +97,7 @@ impl Subcommand for Sweep {
         }
         let experiment = common.with_context(|| {
             let out = self.out.display();
-            format!("{out}: holds no finished training of a sweep; look at --out")
+            format!("{out}: contains no finished training of a sweep; check --out")
         })?;
         let swept = Swept {
             rows,
@@ -120,15 +122,15 @@ impl Subcommand for Sweep {
     }
 }
 
-/// One flaw of a judge.
+/// A defect of the judge.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 enum Flaw {
-    /// Share of the answers that are turned round.
+    /// Share of answers that are inverted.
     Noise,
-    /// Share of the answers that are withheld.
+    /// Share of answers that are withheld.
     Abstention,
-    /// From question to answer, s.
+    /// Delay of each answer, s.
     Delay,
 }
 
@@ -143,21 +145,21 @@ impl Flaw {
 
     fn words(self) -> &'static str {
         match self {
-            Self::Noise => "share of answers turned round",
+            Self::Noise => "share of answers inverted",
             Self::Abstention => "share of answers withheld",
-            Self::Delay => "answers late by, s",
+            Self::Delay => "delay of answers, s",
         }
     }
 }
 
-/// What is swept; each begins at 0, the training without a flaw.
+/// The values of each defect; 0 is the training without a defect.
 const SWEPT: [(Flaw, &[f64]); 3] = [
     (Flaw::Noise, &[0.1, 0.2, 0.3]),
     (Flaw::Abstention, &[0.25, 0.5]),
     (Flaw::Delay, &[1.0, 10.0, 30.0]),
 ];
 
-/// Trainings with one flaw.
+/// The trainings with one value of a defect.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     flaw: Option<Flaw>,
@@ -166,30 +168,29 @@ struct Row {
 }
 
 impl Row {
-    /// A figure of each training.
+    /// One figure of each training.
     fn each(&self, of: fn(&Training) -> f64) -> Vec<f64> {
         self.trainings.iter().map(of).collect()
     }
 }
 
-/// What came of one training.
+/// Results of one training.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Training {
     seed: u64,
-    /// Of the last policy, on the evaluation's episodes.
+    /// Share of successes of the last policy on the evaluation's episodes.
     success: f64,
     strict_success: f64,
     out_of_road: f64,
-    /// Of the episodes driven while training: those that touched something or
-    /// left the road.
+    /// Share of the training episodes with a contact, or in which the car left the road.
     unsafe_episodes: f64,
-    /// Of the steps while training: those the policy drove.
+    /// Share of the training steps that the policy drove.
     policy_share: f64,
-    /// Of the steps while training: those the judge in the tick vetoed.
+    /// Share of the training steps that the safety check vetoed.
     vetoed_share: f64,
 }
 
-/// All rows, and what all their trainings have in common.
+/// All rows, and the settings of all trainings.
 #[derive(Debug, Serialize)]
 struct Swept {
     rows: Vec<Row>,
@@ -199,7 +200,7 @@ struct Swept {
     conditions: Machine,
 }
 
-/// A row's folder.
+/// Name of a row's folder.
 fn name(flawed: Option<(Flaw, f64)>) -> String {
     match flawed {
         None => "flawless".to_string(),
@@ -209,7 +210,7 @@ fn name(flawed: Option<(Flaw, f64)>) -> String {
     }
 }
 
-/// Makes the trainings of a row that are missing.
+/// Runs the missing trainings of a row.
 fn drive(
     arguments: &Sweep,
     flawed: Option<(Flaw, f64)>,
@@ -225,8 +226,8 @@ fn drive(
         &Train {
             algorithm: Some(arguments.algorithm),
             steps: Some(arguments.steps),
-            // The last policy is evaluated on many; those before need no more
-            // than a curve.
+            // Only the last policy is evaluated on many episodes; the earlier ones only
+            // contribute to the learning curve.
             eval_episodes: Some(10),
             final_episodes: Some(arguments.final_episodes),
             seed: Some(arguments.seed),
@@ -238,6 +239,7 @@ fn drive(
             report: false,
             configuration: Configuration {
                 config: None,
+                vehicle: None,
                 overrides,
             },
             json: None,
@@ -246,7 +248,7 @@ fn drive(
     )
 }
 
-/// The finished trainings of a row.
+/// Reads the finished trainings of a row.
 fn read(out: &Path, flawed: Option<(Flaw, f64)>) -> anyhow::Result<Row> {
     let mut trainings = Vec::new();
     for seed in &Results::read(out)?.seeds {
@@ -273,7 +275,7 @@ fn read(out: &Path, flawed: Option<(Flaw, f64)>) -> anyhow::Result<Row> {
     })
 }
 
-/// What happened while training, over all sets that a training started.
+/// Counts over all runs of a training's process set.
 #[derive(Default)]
 struct Driven {
     episodes: u64,
@@ -298,7 +300,7 @@ impl Driven {
 
     fn add(&mut self, summary: &serde_json::Value) {
         for episode in summary["episodes"].as_array().into_iter().flatten() {
-            // One that was stopped has not had its chance.
+            // A stopped episode has no outcome.
             let outcome = episode["outcome"].as_str().unwrap_or_default();
             if outcome == "stopped" {
                 continue;
@@ -321,7 +323,7 @@ impl Driven {
     }
 }
 
-/// A column: its name and figure.
+/// A column of the table: name and figure.
 type Column = (&'static str, fn(&Training) -> f64);
 const COLUMNS: [Column; 6] = [
     ("success", |training| training.success),
@@ -340,7 +342,7 @@ fn print(rows: &[Row]) {
     let mut table = table(&header);
     for row in rows {
         let judge = match row.flaw {
-            None => "without a flaw".into(),
+            None => "without a defect".into(),
             Some(flaw) => format!("{} {}", flaw.words(), row.value),
         };
         let mut cells = vec![judge, row.trainings.len().to_string()];
@@ -351,7 +353,7 @@ fn print(rows: &[Row]) {
 }
 
 const SIZE: (u32, u32) = (1360, 460);
-/// Name, colour and height.
+/// A curve: name, colour and figure.
 type Curve = (&'static str, RGBColor, fn(&Training) -> f64);
 const CURVES: [Curve; 3] = [
     (
@@ -371,14 +373,14 @@ const CURVES: [Curve; 3] = [
     ),
 ];
 
-/// A curve through the means of the rows, and a small dot for each training.
+/// Draws a curve through the means of the rows, and a small dot for each training.
 fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
     save_svg(path, SIZE, |root| picture(swept, root))
 }
 
 fn picture(swept: &Swept, root: &Area<'_>) -> anyhow::Result<()> {
     let title = format!(
-        "{}, {}: what a flawed judge costs (means; a dot for each training)",
+        "{}, {}: effect of the judge's defects (means; a dot for each training)",
         swept.algorithm,
         counted(swept.steps, "step")
     );
@@ -452,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn the_plot_has_a_dot_for_each_training_and_needs_no_training_before() {
+    fn the_plot_has_a_dot_for_each_training() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("sweep.svg");
         let swept = Swept {
@@ -464,13 +466,13 @@ mod tests {
         };
         draw(&swept, &path).expect("drawn");
         let drawn = fs::read_to_string(&path).expect("an SVG");
-        // Without a flaw in each of the charts, with noise in one.
+        // The training without a defect is in each chart, that with noise in one.
         let dots = CURVES.len() * (3 * SWEPT.len() + 2);
         assert_eq!(drawn.matches("<circle").count(), dots);
     }
 
     #[test]
-    fn each_row_has_a_folder_of_its_own() {
+    fn each_row_has_its_own_folder() {
         assert_eq!(name(None), "flawless");
         assert_eq!(name(Some((Flaw::Noise, 0.1))), "noise-0.1");
         assert_eq!(name(Some((Flaw::Delay, 30.0))), "delay_s-30");

@@ -1,4 +1,4 @@
-//! The program as users call it.
+//! The program as users run it.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

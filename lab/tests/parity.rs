@@ -1,5 +1,5 @@
-//! The recordings, where they are at hand: the folder named by `VLAPS_GOLDEN`,
-//! else `shared/data` beside the repository.
+//! Comparison with the recordings, if available: in the folder named by `VLAPS_GOLDEN`,
+//! otherwise in `shared/data` beside the repository.
 
 use std::path::{Path, PathBuf};
 

@@ -26,7 +26,7 @@ fn scenes() -> String {
     path.display().to_string()
 }
 
-/// Draws, and returns the picture after a look at its form.
+/// Draws a plan and checks that the SVG is well formed; returns its text.
 fn picture(name: &str, words: &[&str]) -> String {
     let path = scratch(name);
     let file = path.display().to_string();
@@ -38,7 +38,7 @@ fn picture(name: &str, words: &[&str]) -> String {
     text
 }
 
-/// Every element is closed, in the order of their opening.
+/// Checks that all elements are closed in the right order.
 fn assert_well_formed(text: &str) {
     let mut open = Vec::new();
     for tag in text.split('<').skip(1) {
@@ -109,7 +109,7 @@ fn mistakes_are_named() {
     }
 }
 
-/// Draws what the camera sees; width, height and pixels of the file.
+/// Draws a camera frame; returns width, height and pixels of the file.
 fn frame(name: &str, words: &[&str]) -> (u32, u32, Vec<u8>) {
     let path = scratch(name);
     let file = path.display().to_string();

@@ -1,4 +1,4 @@
-//! `train --report`: what a folder of an experiment holds, drawn and printed.
+//! `train --report`: draws and prints the results in a folder.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use tempfile::TempDir;
 
-/// A training of so many blocks, whose success grows; steps are lost from the
+/// Writes a training with `blocks` blocks and growing success; steps are lost from the
 /// second block on.
 fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
     let folder = out.join(format!("seed-{number}"));
@@ -63,7 +63,7 @@ fn report(out: &Path) -> Output {
     train(out, &["--report"])
 }
 
-/// All files of a folder with what they hold.
+/// All files of a folder with their contents.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let entries = fs::read_dir(folder).expect("the folder");
     let paths = entries.map(|entry| entry.expect("an entry").path());
@@ -88,7 +88,7 @@ fn a_folder_is_reported_with_one_name_for_each_figure() {
         "ours, 2000 steps",
         "crash at the last step",
         "which counts sidewalks",
-        "seed 1: 7 of 2000 steps were driven while its learner was away",
+        "seed 1: 7 of 2000 steps were driven while its learner was not running",
     ] {
         assert!(said.contains(words), "{words}: {said}");
     }
@@ -137,14 +137,14 @@ fn a_short_training_has_no_empty_column_and_an_old_final_is_not_shown() {
     assert!(said.contains("last policy, 1 seed x 50 episodes"), "{said}");
 }
 
-/// A line of the table that is printed, by its first words.
+/// The printed line of a table that begins with these words.
 fn row(said: &str, name: &str) -> String {
     let line = said.lines().find(|line| line.trim().starts_with(name));
     line.unwrap_or_else(|| panic!("{name}: {said}")).into()
 }
 
 #[test]
-fn a_mean_has_no_interval_that_cannot_be() {
+fn an_interval_stays_within_the_range_of_its_figure() {
     let out = TempDir::new().expect("a folder");
     for (number, blocks) in [(0, 10), (1, 2), (2, 5)] {
         seed(out.path(), number, blocks, 0);
@@ -163,7 +163,7 @@ fn a_mean_has_no_interval_that_cannot_be() {
 }
 
 #[test]
-fn it_is_told_which_policies_there_are_and_what_the_early_column_is() {
+fn the_report_names_the_policies_and_explains_the_early_column() {
     let out = TempDir::new().expect("a folder");
     seed(out.path(), 3, 10, 0);
     // The fourth block is the best one; later blocks do not change that.
@@ -190,7 +190,7 @@ fn it_is_told_which_policies_there_are_and_what_the_early_column_is() {
 }
 
 #[test]
-fn blocks_that_taught_nothing_are_told() {
+fn blocks_that_taught_nothing_are_reported() {
     let out = TempDir::new().expect("a folder");
     seed(out.path(), 0, 3, 0);
     let path = out.path().join("seed-0/learner/blocks.csv");
@@ -226,7 +226,7 @@ fn each_seed_is_numbered_at_the_end_of_its_curves() {
 }
 
 #[test]
-fn a_folder_that_holds_other_files_is_refused_and_left_alone() {
+fn a_folder_with_other_files_is_refused_and_unchanged() {
     let out = TempDir::new().expect("a folder");
     fs::write(out.path().join("policy.onnx"), b"mine").expect("written");
     let before = files(out.path());
@@ -234,7 +234,7 @@ fn a_folder_that_holds_other_files_is_refused_and_left_alone() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(2), "{said}");
     assert!(
-        said.contains("holds policy.onnx and no experiment"),
+        said.contains("contains policy.onnx, but no experiment"),
         "{said}"
     );
     assert!(said.contains("name a new or an empty folder"), "{said}");
@@ -242,7 +242,7 @@ fn a_folder_that_holds_other_files_is_refused_and_left_alone() {
 }
 
 #[test]
-fn a_folder_that_is_trained_in_is_refused_and_left_alone() {
+fn a_folder_with_a_running_training_is_refused_and_unchanged() {
     let out = TempDir::new().expect("a folder");
     seed(out.path(), 0, 2, 0);
     fs::write(out.path().join("seed-0/drive.log"), b"drives").expect("written");
@@ -259,7 +259,7 @@ fn a_folder_that_is_trained_in_is_refused_and_left_alone() {
 }
 
 #[test]
-fn what_a_training_sets_itself_is_refused_before_anything_is_made() {
+fn overrides_of_the_trainings_own_keys_are_refused_before_any_file_is_made() {
     let place = TempDir::new().expect("a folder");
     let out = place.path().join("out");
     for (words, hint) in [
@@ -288,5 +288,8 @@ fn an_empty_folder_is_told() {
     let output = report(out.path());
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains("no block is trained there yet"), "{said}");
+    assert!(
+        said.contains("no block has been trained there yet"),
+        "{said}"
+    );
 }

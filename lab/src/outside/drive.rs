@@ -1,4 +1,4 @@
-//! The wheel of one world process: a command for every observation.
+//! Answers each observation of one world process with a command.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
@@ -12,19 +12,19 @@ use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
 use supervisor::run::place::Place;
 use supervisor::run::roster::RosterPublisher;
 use supervisor::run::shared_memory::{Need, check_shared_memory, shared_memory};
-use supervisor::set::launch::Script;
+use supervisor::set::launch::Program;
 
 use super::world::WorldProcess;
 use stack::Clock;
 use stack::driver::{DriverKind, EpisodeDriver};
 
-/// How long to sleep at most before looking for the world's end and for a stop.
+/// Maximum sleep between two checks for the world's end and for a stop request.
 const NAP: Duration = Duration::from_millis(20);
-/// A world that says nothing for this long has hung: many times what its start
-/// and its longest reset take, ns.
+/// A world that sends nothing for this time has hung: many times longer than its start
+/// and its longest reset, ns.
 const SILENCE_NS: u64 = 180_000_000_000;
 
-/// The controller's end of the run.
+/// The controller's ports of the run.
 struct Ports {
     bell: Doorbell,
     observations: Subscriber<Observation>,
@@ -42,7 +42,7 @@ impl Ports {
         })
     }
 
-    /// Connects to the world that came, between ticks.
+    /// Connects to a world that has joined, between two ticks.
     fn update_connections(&mut self) {
         self.observations.update_connections();
         self.episodes.update_connections();
@@ -50,25 +50,25 @@ impl Ports {
     }
 }
 
-/// Drives the episodes of one world, until they are done or `stop` is set.
+/// Drives the episodes of one world until they are done or `stop` is set.
 ///
 /// # Errors
-/// When the run cannot be made, or the world ends or falls silent before.
+/// If the run cannot be created, or the world ends early or sends nothing.
 pub fn drive(
     kind: DriverKind,
-    (config, script): (&Config, &Script),
+    (config, program): (&Config, &Program),
     clock: Clock,
     stop: &AtomicBool,
     send: &Sender<Episode>,
 ) -> anyhow::Result<Histogram<u64>> {
-    // Dropped in the reverse order: the place is left empty when all have gone.
+    // Dropped in reverse order: the run's files are removed after all ports are closed.
     let (place, _) = Place::take(config.run.name.parse()?)?;
     check_shared_memory(shared_memory()?.0, &Need::of(config))?;
     let wire = Wire::join(place.paths().name(), Process::Controller)?;
     let mut roster = RosterPublisher::open(&wire)?;
     roster.name(&wire, Process::Controller, std::process::id());
     let mut ports = Ports::open(&wire)?;
-    let mut world = WorldProcess::start(script, config, &place.paths().dir())?;
+    let mut world = WorldProcess::start(program, config, &place.paths().dir())?;
     roster.name(&wire, Process::World, world.pid());
     let mut wheel = Wheel {
         driver: EpisodeDriver::new(kind, config, clock)?,
@@ -78,7 +78,7 @@ pub fn drive(
     let mut left = config.run.episodes;
     let mut heard = clock();
     while left > 0 && !stop.load(Ordering::Relaxed) {
-        // Looked at first: what it said before it ended is all there by then.
+        // Checked before reading: all messages that the world sent before its end are there.
         let exit = world.ended()?;
         while let Some(episode) = ports.episodes.receive() {
             left = left.saturating_sub(1);
@@ -92,7 +92,7 @@ pub fn drive(
         } else if let (Some(exit), true) = (exit, left > 0) {
             return Err(world.lost(&exit).into());
         } else if clock().since_ns(heard) > SILENCE_NS {
-            return Err(world.lost(&"silent for minutes").into());
+            return Err(world.lost(&"no message for minutes").into());
         } else {
             ports.bell.wait(NAP);
         }
@@ -102,18 +102,18 @@ pub fn drive(
     Ok(wheel.driver.planning_us().clone())
 }
 
-/// A driver that starts anew with every episode.
+/// A driver that is reset at the begin of each episode.
 struct Wheel {
     driver: EpisodeDriver,
-    /// Header of the episode's first observation.
+    /// Header of the first observation of the episode.
     begun: Option<Header>,
     /// Seed of the run's first episode.
     first_seed: u64,
 }
 
 impl Wheel {
-    /// The command for an observation. The driver sees the headers of a run of
-    /// this episode alone, as in the built-in world; the world gets its own.
+    /// The command for an observation. The driver sees headers as if the run began with this
+    /// episode, as in the built-in world; the command has the world's own header.
     fn command(&mut self, mut observation: Observation) -> Command {
         let header = observation.header;
         let first = match self.begun {

@@ -1,7 +1,7 @@
-//! Many episodes in a world that is a process of its own: the real MetaDrive.
+//! Drives many episodes in a world that is a separate process: the real MetaDrive.
 //!
-//! Each thread starts one world for its share of the seeds, in a run of its own,
-//! and answers every observation in lockstep, as the controller would.
+//! Each thread starts one world for its share of the seeds, as a run of its own, and
+//! answers every observation in lockstep, as the controller does.
 
 mod drive;
 mod world;
@@ -21,25 +21,25 @@ use crate::episodes::{Drives, Task};
 use stack::Clock;
 use stack::driver::{DriverKind, planning_histogram};
 
-/// How long the collector sleeps at most before it looks for a signal.
+/// Maximum sleep between two checks for a signal.
 const LOOK: Duration = Duration::from_millis(50);
-/// How long a world waits for a command, s: longer than any plan takes on a
-/// machine that is busy, since a car that brakes meanwhile would be judged.
+/// Time limit of a world for a command, s: longer than any plan takes on a busy machine,
+/// since a world that brakes meanwhile would distort the result.
 const PATIENCE_S: f64 = 60.0;
 
-/// The seeds of one world: first and how many.
+/// The seeds of one world: the first, and their number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Share {
     first_seed: u64,
     episodes: u64,
 }
 
-/// Drives all episodes in the real MetaDrive; `done` is called with each one as it
-/// ends, in any order. A signal to stop ends all worlds.
+/// Drives all episodes in the real MetaDrive; calls `done` with each finished episode, in
+/// any order. A signal to stop ends all worlds.
 ///
 /// # Errors
-/// When the driver needs the built-in world, MetaDrive is not set up, a world
-/// ends early, or a stop is requested.
+/// If the driver needs the built-in world, MetaDrive is not set up, a world ends early,
+/// or a stop is requested.
 pub fn evaluate(
     task: &Task,
     config: &Config,
@@ -47,22 +47,22 @@ pub fn evaluate(
     mut done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
     if task.driver == DriverKind::Idm {
-        let line = "--driver idm: it looks into the built-in world; with --world metadrive \
+        let line = "--driver idm: it needs the built-in world; with --world metadrive \
             use expert or lane";
         return Err(Failure::Usage(line.into()).into());
     }
-    let script = supervisor::setup::metadrive::world()?;
-    let mut signals = Signals::install().context("cannot take over signals")?;
+    let program = supervisor::setup::metadrive::world()?;
+    let mut signals = Signals::install().context("cannot handle signals")?;
     let (send, ended) = mpsc::channel();
     let stop = AtomicBool::new(false);
     std::thread::scope(|scope| {
         let workers: Vec<_> = (shares(task).into_iter().enumerate())
             .map(|(index, share)| {
-                let (script, stop, send) = (&script, &stop, send.clone());
+                let (program, stop, send) = (&program, &stop, send.clone());
                 let config = resolved(config, index, share);
                 scope.spawn(move || {
-                    let driven = drive::drive(task.driver, (&config?, script), clock, stop, &send);
-                    // The others' figures would be thrown away.
+                    let driven = drive::drive(task.driver, (&config?, program), clock, stop, &send);
+                    // Without this world's figures, those of the others are useless.
                     stop.fetch_or(driven.is_err(), Ordering::Relaxed);
                     driven
                 })
@@ -100,7 +100,7 @@ pub fn evaluate(
     })
 }
 
-/// The seeds, cut into one piece for each thread; none is empty.
+/// Splits the seeds into one non-empty part per thread.
 fn shares(task: &Task) -> Vec<Share> {
     let worlds = (task.threads.get() as u64).clamp(1, task.episodes.max(1));
     let from = |world: u64| task.episodes * world / worlds;
@@ -112,7 +112,7 @@ fn shares(task: &Task) -> Vec<Share> {
         .collect()
 }
 
-/// The configuration of one world's run.
+/// The configuration for the run of one world.
 fn resolved(config: &Config, index: usize, share: Share) -> anyhow::Result<Config> {
     let mut config = config.clone();
     config.run.name = format!("eval-{}-{index}", std::process::id());
@@ -123,7 +123,8 @@ fn resolved(config: &Config, index: usize, share: Share) -> anyhow::Result<Confi
     config.limits.lockstep_wait_s = PATIENCE_S;
     config.world.simulator = Simulator::MetaDrive;
     config.gate.mode = GateMode::Expert;
-    Ok(config)
+    // MetaDrive refuses another car than its own.
+    Ok(config.validated()?)
 }
 
 #[cfg(test)]

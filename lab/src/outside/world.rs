@@ -1,4 +1,4 @@
-//! One world process: started, watched, and ended with the value.
+//! A world process: starts it, observes it, and kills it on drop.
 
 use std::fs::File;
 use std::os::unix::process::CommandExt;
@@ -9,28 +9,32 @@ use anyhow::Context;
 use shm_config::config::Config;
 use supervisor::cli::failure::Failure;
 use supervisor::set::exit::Exit;
-use supervisor::set::launch::Script;
+use supervisor::set::launch::Program;
 
-/// A world that drives. Dropping it kills it.
+/// A running world. Dropping it kills it.
 pub struct WorldProcess {
     child: Child,
     log: PathBuf,
 }
 
 impl WorldProcess {
-    /// Starts it as the supervisor would; its configuration and its log lie in
-    /// the run's folder and go with it. It dies with the calling thread.
+    /// Starts it as the supervisor does. Its configuration and its log are in the run's folder
+    /// and are removed with it. The process dies with the calling thread.
     ///
     /// # Errors
-    /// When its files cannot be written or its Python does not start.
-    pub fn start(script: &Script, config: &Config, folder: &Path) -> anyhow::Result<WorldProcess> {
+    /// If its files cannot be written or its Python does not start.
+    pub fn start(
+        program: &Program,
+        config: &Config,
+        folder: &Path,
+    ) -> anyhow::Result<WorldProcess> {
         let (path, log) = (folder.join("config.toml"), folder.join("world.log"));
         let text = toml::to_string(config).context("the world's configuration")?;
         std::fs::write(&path, text).with_context(|| path.display().to_string())?;
         let output = File::create(&log).with_context(|| log.display().to_string())?;
         let errors = output.try_clone()?;
-        let child = Command::new(&script.interpreter)
-            .arg(&script.file)
+        let child = Command::new(&program.path)
+            .args(&program.script)
             .arg("--config")
             .arg(&path)
             .stdin(Stdio::null())
@@ -39,38 +43,37 @@ impl WorldProcess {
             // Its own group: Ctrl-C in the terminal reaches this program only.
             .process_group(0)
             .spawn()
-            .with_context(|| script.interpreter.display().to_string())?;
+            .with_context(|| program.path.display().to_string())?;
         Ok(WorldProcess { child, log })
     }
 
-    /// Its process id.
+    /// The process id.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// How it ended; `None` while it has not. Never waits.
+    /// The exit status; `None` while it runs. Never waits.
     ///
     /// # Errors
-    /// When the system does not tell.
+    /// If the system does not provide the status.
     pub fn ended(&mut self) -> anyhow::Result<Option<Exit>> {
         Ok(self.child.try_wait()?.map(Exit::from))
     }
 
-    /// What to say when it is not there any more although it should be, or does
-    /// nothing: its own last line.
+    /// The error for a world that has ended early or hung: its last line of output.
     pub fn lost(&self, how: &dyn std::fmt::Display) -> Failure {
         let text = std::fs::read(&self.log).unwrap_or_default();
         let text = String::from_utf8_lossy(&text);
         let mut lines = text.lines().rev().map(str::trim);
         let last = lines.find(|line| !line.is_empty());
-        let last = last.unwrap_or("it said nothing");
+        let last = last.unwrap_or("no output");
         Failure::GivenUp(format!("MetaDrive's world ended early, {how}: {last}"))
     }
 }
 
 impl Drop for WorldProcess {
     fn drop(&mut self) {
-        // Fails only when it has ended already.
+        // This fails only if the process has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

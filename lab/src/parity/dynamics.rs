@@ -1,5 +1,5 @@
-//! The car alone: step responses on a straight road, and windows of recorded
-//! drives, at any speed, each begun where the record was.
+//! Compares the car's dynamics: step responses on a straight road, and windows of recorded
+//! drives at any speed, each starting from the recorded state.
 
 use std::path::Path;
 
@@ -11,17 +11,17 @@ use vehicle::{Action, Vector, pose};
 use super::record::{Rollout, step_responses};
 use super::{LOOKS, Row, Unit};
 
-/// So far the step responses are compared, ticks, and how far the median of
-/// their rows may be off, m.
+/// Number of ticks over which step responses are compared, and the limit of the median
+/// position error of their rows, m.
 const RESPONSE: (usize, f64) = LOOKS[1];
-/// A window begins every second, has driven for one before it counts, so that
-/// the springs are as they were, and lasts as long as the last look.
+/// A window begins every second. Its first second is warm-up, so that the suspension
+/// reaches its recorded state; it lasts as long as the last comparison, ticks.
 const EVERY: usize = 10;
 const WARM_UP: usize = 10;
 const WINDOW: usize = LOOKS[2].0;
 
-/// Each response from its start, every recorded row of the first 3 s; no rows
-/// when none is recorded. Cars that slide are the worst of them.
+/// Compares every recorded row of the first 3 s of each step response; no rows without
+/// a recording. Cars that slide have the largest errors.
 pub(super) fn response_rows(folder: &Path) -> anyhow::Result<Vec<Row>> {
     let Some(record) = step_responses(folder)? else {
         return Ok(Vec::new());
@@ -53,8 +53,8 @@ pub(super) fn response_rows(folder: &Path) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// `steer_0.1_v15.0`, `brake_-0.5_from20`, `throttle_0.2`, `coast_20`: the
-/// action, and the speed at the beginning, m/s.
+/// The held action and the initial speed, m/s, from a name such as `steer_0.1_v15.0`,
+/// `brake_-0.5_from20`, `throttle_0.2` or `coast_20`.
 fn meaning(name: &str) -> anyhow::Result<(Action, f64)> {
     let mut words = name.split('_');
     let kind = words.next().unwrap_or_default();
@@ -74,7 +74,7 @@ fn meaning(name: &str) -> anyhow::Result<(Action, f64)> {
     Ok((Action { steer, pedal }, speed_mps))
 }
 
-/// All windows of all drives of a kind; `forces` are those of a seed's ego.
+/// Compares all windows of all drives of a kind; `forces` returns those of a seed's car.
 pub(super) fn window_rows(
     kind: &str,
     rollouts: &[Rollout],
@@ -105,7 +105,7 @@ fn replay(car: &Car, rollout: &Rollout, errors_m: &mut [Vec<f64>; 3]) {
         let [steer, pedal] = rollout.actions[tick];
         Action { steer, pedal }
     };
-    // What is recorded is the pose of one sub-step before.
+    // The recorded pose is that of one sub-step before.
     let place = |tick: usize| {
         let ego = &rollout.ego[tick];
         let velocity = Vector::new(ego.velocity[0], ego.velocity[1]);

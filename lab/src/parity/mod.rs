@@ -1,9 +1,11 @@
-//! The built-in world against recordings of MetaDrive: maps, spawns, first
-//! observations, recorded actions driven again, recorded poses judged again.
+//! Compares the built-in world with recordings of MetaDrive: maps, spawns and first
+//! observations; recorded actions are driven again, and recorded poses are evaluated by
+//! our rules.
 //!
-//! Each row compares one thing over all recorded seeds, with its bar beside it.
+//! Each row compares one aspect over all recorded seeds, with the limit beside it.
 
 mod dynamics;
+mod npz;
 pub mod record;
 mod replay;
 mod rules;
@@ -27,47 +29,47 @@ use crate::statistics::quantile;
 use record::{Golden, Rollout};
 use supervisor::subcommand::{Output, Subcommand, say, write_json_option};
 
-/// After how many ticks to look at a drive, and how far from the record the
-/// median one may be by then, m.
+/// Ticks after which a replayed drive is compared, and the limits of the median position
+/// error, m.
 const LOOKS: [(usize, f64); 3] = [(10, 0.1), (30, 0.5), (50, 1.5)];
 
-/// What a row measures, and in what.
+/// Unit of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unit {
     /// Metres.
     M,
-    /// A feature of the policy's input, which lies in [0, 1].
+    /// A feature of the policy's input, in [0, 1].
     Feature,
-    /// Things that differ.
+    /// Number of differing items.
     Count,
 }
 
 /// One comparison.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// What is compared.
+    /// The compared aspect.
     pub what: String,
-    /// How many of them.
+    /// Number of compared items.
     pub compared: usize,
-    /// How many of them differ by more than the bar, or cannot be compared.
+    /// Number of items that exceed the limit or cannot be compared.
     pub different: usize,
-    /// The first seed of which one differs, where seeds are compared.
+    /// The first seed with a differing item, where seeds are compared.
     pub first_seed: Option<u64>,
-    /// The largest or typical error, as `figure` says.
+    /// The error; `figure` says which one.
     pub error: f64,
     /// Its unit.
     pub unit: Unit,
-    /// Which error it is: `largest`, `median`, `p90`.
+    /// Which error: `largest`, `median` or `p90`.
     pub figure: &'static str,
-    /// The error may not exceed this; without one, the row only informs.
+    /// Limit of the error; `None` if the row only informs.
     pub bar: Option<f64>,
-    /// Whether the bar is met.
+    /// Whether the error is within the limit.
     pub met: Option<bool>,
 }
 
 impl Row {
-    /// A row whose bar every single item has to meet.
+    /// A row whose limit every item has to meet.
     fn largest(what: &str, tally: Tally, unit: Unit, bar: f64) -> Row {
         let Tally {
             compared,
@@ -106,28 +108,28 @@ impl Row {
             unit,
             figure: if share == 0.5 { "median" } else { "p90" },
             bar,
-            // NaN, of no drives at all, meets nothing.
+            // NaN, without any drive, is not within the limit.
             met: bar.map(|bar| error <= bar),
         }
     }
 }
 
-/// Items compared one by one.
+/// Counts of items compared one by one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tally {
-    /// How many.
+    /// Number of compared items.
     pub compared: usize,
-    /// How many differ.
+    /// Number of differing items.
     pub different: usize,
-    /// The largest error among those that could be measured.
+    /// The largest measurable error.
     pub largest: f64,
-    /// The first seed of which one differs.
+    /// The first seed with a differing item.
     pub first_seed: Option<u64>,
 }
 
 impl Tally {
-    /// Counts an item: its error, or `None` when the two are not the same kind
-    /// of thing at all. NaN counts as different.
+    /// Counts an item by its error; `None` if the two items are of different kinds. NaN counts
+    /// as different.
     fn count(&mut self, error: Option<f64>, bar: f64) {
         self.compared += 1;
         match error {
@@ -140,38 +142,38 @@ impl Tally {
         }
     }
 
-    /// Remembers a seed whose items have been counted if it is the first of
-    /// which one differs.
+    /// Records `seed`, whose items have just been counted, if it is the first with a differing
+    /// item.
     fn end_of(&mut self, seed: u64) {
         if self.different > 0 {
             self.first_seed.get_or_insert(seed);
         }
     }
 
-    /// Counts items that have no counterpart.
+    /// Counts items without a counterpart.
     fn missing(&mut self, count: usize) {
         self.compared += count;
         self.different += count;
     }
 }
 
-/// All comparisons of a record.
+/// All comparisons with a set of recordings.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
-    /// The table's rows.
+    /// The rows of the table.
     pub rows: Vec<Row>,
-    /// What was compared with what.
+    /// The recordings that were used.
     pub conditions: Conditions,
 }
 
-/// What was compared with what.
+/// The recordings that were used.
 #[derive(Clone, Debug, Serialize)]
 pub struct Conditions {
-    /// Recorded seeds.
+    /// Number of recorded seeds.
     pub seeds: usize,
-    /// Recorded drives, all kinds together.
+    /// Number of recorded drives of all kinds.
     pub drives: usize,
-    /// Drives that had touched something before a row's instant are not in it.
+    /// Whether drives are left out after their first contact.
     pub away_from_contacts: bool,
 }
 
@@ -179,8 +181,7 @@ impl Comparison {
     /// Compares everything that is recorded in a folder.
     ///
     /// # Errors
-    /// When a file is missing or not what it should be, or a recorded seed has
-    /// no map here.
+    /// If a file is missing or invalid, or a recorded seed has no map here.
     pub fn of(folder: &Path) -> anyhow::Result<Comparison> {
         let golden = Golden::read(folder)?;
         let mut rows = scenario::rows(&golden)?;
@@ -211,7 +212,7 @@ impl Comparison {
         })
     }
 
-    /// Whether no bar is missed.
+    /// Whether every row is within its limit.
     pub fn is_met(&self) -> bool {
         self.rows.iter().all(|row| row.met != Some(false))
     }
@@ -263,7 +264,7 @@ pub struct Parity {
     /// Folder with golden_*.json.gz, rollouts/KIND/seedN.npz and dynamics.json.
     #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -281,13 +282,13 @@ impl Subcommand for Parity {
 /// `./vlaps bench parity`.
 ///
 /// # Errors
-/// When the record cannot be read.
+/// If the recordings cannot be read.
 fn bench(arguments: &Parity) -> anyhow::Result<ExitCode> {
     let comparison = Comparison::of(&arguments.data)?;
     let Conditions { seeds, drives, .. } = comparison.conditions;
     say(format_args!(
-        "the built-in world against MetaDrive: {}, {}; replayed without any \
-         correction, up to the first contact",
+        "the built-in world against MetaDrive: {}, {}; replayed open loop, up to the first \
+         contact",
         counted(seeds, "seed"),
         counted(drives, "recorded drive")
     ));

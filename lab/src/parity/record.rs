@@ -1,4 +1,4 @@
-//! What was recorded of MetaDrive, read from files.
+//! Reads recordings of MetaDrive from files.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -7,16 +7,16 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use flate2::read::GzDecoder;
-use npyz::NpyFile;
 use serde::Deserialize;
-use zip::ZipArchive;
 
-/// Begin and end of the name of a file of scenarios.
+use super::npz::Npz;
+
+/// Prefix and suffix of the name of a scenario file.
 const GOLDEN: (&str, &str) = ("golden_", ".json.gz");
-/// Columns of a recorded drive that are read here.
+/// Number of columns of the recorded ego states and flags.
 const EGO_COLUMNS: usize = 11;
 const FLAG_COLUMNS: usize = 6;
-/// Columns of a recorded step response.
+/// Number of columns of a recorded step response.
 const RESPONSE_COLUMNS: usize = 8;
 
 /// Every recorded scenario, by seed.
@@ -28,19 +28,19 @@ pub struct Golden {
 /// One recorded scenario. Points are (x, y), m; angles rad, counter-clockwise.
 #[derive(Debug, Deserialize)]
 pub struct Scenario {
-    /// The settings it was made with, where they are not the paper's.
+    /// The settings that differ from the paper's.
     pub config: Option<Config>,
-    /// The blocks of its map, in the order of their making.
+    /// The blocks of the map, in the order of their creation.
     pub blocks: Vec<Block>,
-    /// Lanes by road, `from|to`.
+    /// Lanes by road; keys are `from|to`.
     pub net: BTreeMap<String, Vec<Lane>>,
-    /// The ego.
+    /// The ego car.
     pub ego: Car,
-    /// The nodes of its route.
+    /// The nodes of the route.
     pub ckpt: Vec<String>,
-    /// The route's length, m.
+    /// Length of the route, m.
     pub route_len: f64,
-    /// What stands in the way.
+    /// Static obstacles.
     pub objects: Vec<Object>,
     /// Traffic by block, the last block first.
     pub traffic: Vec<Group>,
@@ -51,11 +51,11 @@ pub struct Scenario {
 /// Settings of a scenario.
 #[derive(Debug, Default, Deserialize)]
 pub struct Config {
-    /// A number of blocks or their letters.
+    /// The number of blocks, or their letters.
     pub map: Option<serde_json::Value>,
-    /// Lanes in one direction.
+    /// Number of lanes per direction.
     pub lane_count: Option<usize>,
-    /// Their width, m.
+    /// Lane width, m.
     pub lane_width_m: Option<f64>,
     /// Vehicles per ten metres.
     pub traffic_density: Option<f64>,
@@ -66,107 +66,107 @@ pub struct Config {
 /// One block of a map.
 #[derive(Debug, Deserialize)]
 pub struct Block {
-    /// The letter of its kind.
+    /// Letter of its kind.
     #[serde(rename = "ID")]
     pub letter: String,
-    /// Seed of its own stream.
+    /// Seed of its random stream.
     pub seed: u64,
-    /// How many samples it took.
+    /// Number of attempts to place it.
     pub trials: u32,
-    /// What it is attached to, such as `0I-socket0`; none of the first.
+    /// The socket that it is attached to, such as `0I-socket0`; `None` for the first block.
     pub pre_socket: Option<String>,
-    /// Its measures, by name.
+    /// Its parameters, by name.
     pub cfg: BTreeMap<String, serde_json::Value>,
 }
 
 /// One lane.
 #[derive(Debug, Deserialize)]
 pub struct Lane {
-    /// Its class.
+    /// Class of the lane.
     #[serde(rename = "type")]
     pub class: String,
-    /// Its width, m.
+    /// Width, m.
     pub width: f64,
-    /// Its length, m.
+    /// Length, m.
     pub length: f64,
-    /// Where its centre line begins.
+    /// Begin of the centre line.
     pub start: [f64; 2],
-    /// Where it ends.
+    /// End of the centre line.
     pub end: [f64; 2],
-    /// The lines on its left and right.
+    /// Types of the left and the right line.
     pub lines: [String; 2],
-    /// Their colours.
+    /// Colours of the left and the right line.
     pub colors: [String; 2],
-    /// The circle, if it is an arc.
+    /// The circle of an arc.
     #[serde(flatten)]
     pub arc: Option<Arc>,
 }
 
-/// The circle of a lane that bends.
+/// The circle of a curved lane.
 #[derive(Debug, Deserialize)]
 pub struct Arc {
-    /// Its centre.
+    /// Centre.
     pub center: [f64; 2],
-    /// Its radius, m.
+    /// Radius, m.
     pub radius: f64,
-    /// Direction from the centre to where the lane begins.
+    /// Direction from the centre to the begin of the lane.
     pub start_phase: f64,
-    /// The angle that the lane sweeps.
+    /// Angle swept by the lane.
     pub angle: f64,
-    /// Whether it bends to the right.
+    /// Whether the lane turns right.
     pub clockwise: bool,
 }
 
-/// The ego or a car of the traffic.
+/// The ego car or a car of the traffic.
 #[derive(Debug, Deserialize)]
 pub struct Car {
-    /// Its class; none for the ego.
+    /// Class; `None` for the ego car.
     #[serde(default)]
     pub cls: Option<String>,
-    /// From node, to node, number.
+    /// Lane: from node, to node, number.
     pub lane: (String, String, u16),
-    /// Its place.
+    /// Position.
     pub pos: [f64; 2],
-    /// Its heading.
+    /// Heading.
     pub heading: f64,
-    /// Its place along the lane, m; not of the ego.
+    /// Position along the lane, m; `None` for the ego car.
     #[serde(default)]
     pub long: Option<f64>,
-    /// Its length and width, m; not of the ego.
+    /// Length and width, m; `None` for the ego car.
     #[serde(default)]
     pub size: Option<[f64; 2]>,
-    /// Its mass, kg; not of the ego.
+    /// Mass, kg; `None` for the ego car.
     #[serde(default)]
     pub mass: Option<f64>,
     /// Engine force per wheel, N.
     pub engine: f64,
     /// Brake force.
     pub brake: f64,
-    /// Where its lane-change timer begins.
+    /// Initial value of the lane-change timer.
     #[serde(default)]
     pub overtake_timer: Option<u32>,
-    /// The nodes of its route.
+    /// The nodes of the route.
     #[serde(default)]
     pub ckpt: Vec<String>,
 }
 
-/// A thing in the way.
+/// A static obstacle.
 #[derive(Debug, Deserialize)]
 pub struct Object {
-    /// Its class.
+    /// Class.
     pub cls: String,
-    /// Its place.
+    /// Position.
     pub pos: [f64; 2],
-    /// Its heading.
+    /// Heading.
     pub heading: f64,
 }
 
 /// The traffic of one block.
 #[derive(Debug, Deserialize)]
 pub struct Group {
-    /// The road on which the ego starts it.
+    /// The road on which the ego car triggers it.
     pub trigger: Vec<String>,
-    /// Its cars.
+    /// The cars.
     pub vehicles: Vec<Car>,
 }
 
@@ -185,7 +185,7 @@ impl Golden {
     /// Reads every `golden_*.json.gz` of a folder.
     ///
     /// # Errors
-    /// When there is none, or one is not what it should be.
+    /// If there is none, or one is invalid.
     pub fn read(folder: &Path) -> anyhow::Result<Golden> {
         let mut seeds = BTreeMap::new();
         for name in names(folder)? {
@@ -210,10 +210,10 @@ impl Golden {
     }
 }
 
-/// The recorded step responses, where there are any: `dynamics.json`.
+/// Reads the recorded step responses from `dynamics.json`; `None` without that file.
 ///
 /// # Errors
-/// When the file is there but not what it should be.
+/// If the file is invalid.
 pub fn step_responses(folder: &Path) -> anyhow::Result<Option<StepResponses>> {
     let path = folder.join("dynamics.json");
     if !path.exists() {
@@ -223,17 +223,17 @@ pub fn step_responses(folder: &Path) -> anyhow::Result<Option<StepResponses>> {
     read().with_context(|| path.display().to_string()).map(Some)
 }
 
-/// What a car on a straight road does when one action is held.
+/// Responses of a car on a straight road to a held action.
 #[derive(Debug, Deserialize)]
 pub struct StepResponses {
-    /// The car's engine and brake.
+    /// Engine and brake forces of the car.
     pub params: Vec<Forces>,
-    /// x, y, heading, speed tick by tick, by the name of the action.
+    /// x, y, heading and speed per tick, by the name of the action.
     #[serde(flatten)]
     pub responses: BTreeMap<String, Vec<[f64; RESPONSE_COLUMNS]>>,
 }
 
-/// A car's engine and brake.
+/// Engine and brake forces of a car.
 #[derive(Debug, Deserialize)]
 pub struct Forces {
     /// Engine force per wheel, N.
@@ -242,29 +242,29 @@ pub struct Forces {
     pub max_brake_force: f64,
 }
 
-/// The kinds of recorded drives in a folder: the folders in `rollouts`.
+/// The kinds of recorded drives: the folders in `rollouts`.
 ///
 /// # Errors
-/// When there is no such folder.
+/// If there is no such folder.
 pub fn rollout_kinds(folder: &Path) -> anyhow::Result<Vec<String>> {
     names(&folder.join("rollouts"))
 }
 
-/// One recorded drive; row t is what was before action t.
+/// One recorded drive; row t is the state before action t.
 pub struct Rollout {
-    /// Its seed.
+    /// Seed of the drive.
     pub seed: u64,
-    /// Features; all rows have the same number.
+    /// Features; all rows have the same length.
     pub features: Vec<Vec<f32>>,
-    /// Steer and pedal.
+    /// Steering and pedal.
     pub actions: Vec<[f64; 2]>,
-    /// The ego.
+    /// States of the ego car.
     pub ego: Vec<Ego>,
-    /// What action t brought.
+    /// Flags after action t.
     pub judged: Vec<Judged>,
 }
 
-/// The ego at one instant of a drive.
+/// State of the ego car at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct Ego {
     /// Position, m.
@@ -273,30 +273,30 @@ pub struct Ego {
     pub heading_rad: f64,
     /// Velocity, m/s.
     pub velocity: [f64; 2],
-    /// How fast it turns, rad/s, counter-clockwise.
+    /// Yaw rate, rad/s, counter-clockwise.
     pub yaw_rate_radps: f64,
     /// Distances to the road's left and right edge, m.
     pub edges_m: [f64; 2],
-    /// Share of the route driven.
+    /// Driven share of the route.
     pub completion: f64,
-    /// How many roads of the route lie behind.
+    /// Number of completed roads of the route.
     pub roads_done: usize,
-    /// Whether a lane is under it.
+    /// Whether a lane lies under the car.
     pub on_lane: bool,
 }
 
-/// How the simulator judged one tick.
+/// The simulator's flags of one tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Judged {
-    /// A vehicle was touched.
+    /// Contact with a vehicle.
     pub vehicle: bool,
-    /// A cone, a triangle or a barrier was touched.
+    /// Contact with a cone, a triangle or a barrier.
     pub object: bool,
-    /// The ego was on a sidewalk.
+    /// The ego car was on a sidewalk.
     pub sidewalk: bool,
-    /// The ego was out of the road.
+    /// The ego car was off the road.
     pub out_of_road: bool,
-    /// The ego had arrived.
+    /// The ego car had arrived.
     pub arrived: bool,
 }
 
@@ -342,17 +342,17 @@ impl From<&[bool; FLAG_COLUMNS]> for Judged {
 }
 
 impl Judged {
-    /// Whether anything was touched that moves or stands in the way.
+    /// Whether a vehicle or an object was touched.
     pub fn touched(&self) -> bool {
         self.vehicle || self.object
     }
 }
 
 impl Rollout {
-    /// Reads every drive of a kind, by name.
+    /// Reads every drive of a kind, sorted by name.
     ///
     /// # Errors
-    /// When a file is not what it should be.
+    /// If a file is invalid.
     pub fn read_all(folder: &Path, kind: &str) -> anyhow::Result<Vec<Rollout>> {
         let folder = folder.join("rollouts").join(kind);
         let mut rollouts = Vec::new();
@@ -371,13 +371,13 @@ impl Rollout {
     }
 
     fn read(path: &Path, seed: u64) -> anyhow::Result<Rollout> {
-        let mut archive = ZipArchive::new(BufReader::new(File::open(path)?))?;
-        let (width, features) = array::<f32>(&mut archive, "obs")?;
-        let (columns, actions) = array::<f64>(&mut archive, "act")?;
+        let archive = Npz::open(path)?;
+        let (width, features) = archive.matrix::<f32>("obs")?;
+        let (columns, actions) = archive.matrix::<f64>("act")?;
         ensure!(columns == 2, "act has {columns} columns");
-        let (columns, ego) = array::<f64>(&mut archive, "ego")?;
+        let (columns, ego) = archive.matrix::<f64>("ego")?;
         ensure!(columns == EGO_COLUMNS, "ego has {columns} columns");
-        let (columns, flags) = array::<bool>(&mut archive, "flags")?;
+        let (columns, flags) = archive.matrix::<bool>("flags")?;
         ensure!(columns == FLAG_COLUMNS, "flags has {columns} columns");
         let rollout = Rollout {
             seed,
@@ -393,18 +393,4 @@ impl Rollout {
         }
         Ok(rollout)
     }
-}
-
-/// The columns and the values of a matrix.
-fn array<T: npyz::Deserialize>(
-    archive: &mut ZipArchive<BufReader<File>>,
-    name: &str,
-) -> anyhow::Result<(usize, Vec<T>)> {
-    let entry = archive.by_name(&format!("{name}.npy"));
-    let file = NpyFile::new(entry.with_context(|| format!("no array '{name}'"))?)?;
-    let columns = match file.shape() {
-        [_, columns] if *columns > 0 => *columns as usize,
-        shape => bail!("array '{name}' has the shape {shape:?}: not a matrix"),
-    };
-    Ok((columns, file.into_vec()?))
 }

@@ -1,5 +1,5 @@
-//! Recorded actions driven again, open loop: how far the car then is from
-//! where it was, and how different what it sees.
+//! Drives recorded actions again, open loop, and compares the car's position and the
+//! observations with the recording.
 
 use anyhow::{Context, ensure};
 use shm_config::message::{BEAMS_MAX, Observation};
@@ -9,17 +9,17 @@ use vehicle::Action;
 use super::record::Rollout;
 use super::{LOOKS, Row, Unit};
 
-/// So far the observations are compared, ticks.
+/// Number of ticks over which observations are compared.
 const TICKS: usize = LOOKS[2].0;
 
-/// Errors over all drives of a kind.
+/// Errors of all drives of a kind.
 #[derive(Default)]
 struct Errors {
-    /// At each of [`LOOKS`], m.
+    /// Position errors at each of [`LOOKS`], m.
     away_m: [Vec<f64>; 3],
     /// The largest feature error of each tick.
     feature: Vec<f64>,
-    /// The same without the beams.
+    /// The same without the lidar beams.
     own_feature: Vec<f64>,
 }
 
@@ -51,8 +51,8 @@ pub(super) fn rows(
     Ok(rows)
 }
 
-/// Drives one record up to the first contact, the record's or ours: what
-/// follows one is a matter of luck on both sides.
+/// Replays one recording up to the first contact in either world: what follows a contact
+/// is chaotic in both.
 fn replay(world: &mut World, rollout: &Rollout, errors: &mut Errors) -> anyhow::Result<()> {
     world.reset(rollout.seed)?;
     let mut observation = Observation::default();

@@ -1,5 +1,5 @@
-//! Route, road edges, sidewalks and arrival, fed with recorded poses: every
-//! tick of every recorded drive must be judged as it was.
+//! Compares route, road edges, sidewalks and arrival: our rules evaluate every tick of
+//! every recorded drive at the recorded pose.
 
 use sim::World;
 use sim::contact::{Placed, Shape};
@@ -10,10 +10,10 @@ use vehicle::{Footprint, Point, Vector};
 use super::record::{Judged, Rollout};
 use super::{Row, Tally, Unit};
 
-/// Bar of distances, m.
+/// Limit of distance errors, m.
 const BAR_M: f64 = 1e-3;
 
-/// Judges all drives of a kind.
+/// Compares all drives of a kind.
 pub(super) fn rows(
     kind: &str,
     rollouts: &[Rollout],
@@ -74,7 +74,7 @@ fn judge(world: &World, rollout: &Rollout, ways: &mut Tally, verdicts: &mut Tall
                 sidewalk,
                 out_of_road: !navigator.is_on_lane() || sidewalk || edges.is_outside(),
                 arrived: has_arrived(network, &navigator, position),
-                // A pose alone does not say what else was there.
+                // A pose alone does not determine the contacts.
                 ..recorded
             };
             same &= ours == recorded;

@@ -1,4 +1,4 @@
-//! Where episodes begin: lanes, checkpoints, objects, vehicles, and the first
+//! Compares the begin of episodes: lanes, checkpoints, objects, vehicles, and the first
 //! observation.
 
 use std::f64::consts::TAU;
@@ -16,9 +16,9 @@ use vehicle::Point;
 use super::record::{self, Golden};
 use super::{Row, Tally, Unit};
 
-/// Bar of positions and lengths, m, and of angles, rad.
+/// Limit of position and length errors, m, and of angle errors, rad.
 const BAR_M: f64 = 1e-3;
-/// Bar of a feature.
+/// Limit of feature errors.
 const BAR_FEATURE: f64 = 1e-3;
 
 #[derive(Default)]
@@ -96,7 +96,7 @@ pub(super) fn rows(golden: &Golden) -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// The world that a scenario was recorded in.
+/// The configuration of the world in which a scenario was recorded.
 fn config(recorded: &record::Scenario) -> anyhow::Result<WorldConfig> {
     let mut config = WorldConfig::default();
     let Some(given) = &recorded.config else {
@@ -144,7 +144,7 @@ fn compare(
     tallies
         .vehicles
         .missing(recorded.traffic.len().abs_diff(ours.traffic.len()));
-    // Recorded with the last block first: the simulator pops from the end.
+    // Recorded with the last block first, since the simulator pops from the end.
     for (theirs, ours) in recorded.traffic.iter().rev().zip(&ours.traffic) {
         let same_trigger = theirs.trigger.join("|") == network.road_name(ours.trigger);
         pair(
@@ -176,7 +176,7 @@ fn compare(
     Ok(())
 }
 
-/// Compares two lists item by item; what only one of them has, differs.
+/// Compares two lists item by item; items without a counterpart count as different.
 fn pair<A, B>(
     theirs: &[A],
     ours: &[B],
@@ -190,7 +190,7 @@ fn pair<A, B>(
 }
 
 fn compare_blocks(theirs: &[record::Block], ours: &[Block], tally: &mut Tally) {
-    // What a block is attached to is named by the block before.
+    // The recording names a socket by the block before.
     let sockets: Vec<Option<String>> = (ours.iter().enumerate())
         .map(|(index, block)| {
             let (before, entry) = (index.checked_sub(1)?, block.entry?);
@@ -213,7 +213,7 @@ fn compare_blocks(theirs: &[record::Block], ours: &[Block], tally: &mut Tally) {
     });
 }
 
-/// A block's measures by the simulator's names: m, degrees and numbers.
+/// A block's parameters by the simulator's names: m, degrees and numbers.
 fn measures(parameters: &Parameters) -> Vec<(&'static str, f64)> {
     match *parameters {
         Parameters::Fixed => vec![],
@@ -281,7 +281,7 @@ fn lane_error(theirs: &record::Lane, ours: &Lane) -> Option<f64> {
         LineType::Continuous => "ROAD_LINE_SOLID_SINGLE_WHITE",
         LineType::Side => "ROAD_EDGE_BOUNDARY",
     });
-    // A yellow's recorded text is cut short; white's is whole.
+    // The recorded text of yellow is cut off; that of white is complete.
     let color = match theirs.colors[0].as_str() {
         "(1, 1, 1, 1)" => LineColor::White,
         _ => LineColor::Yellow,
@@ -321,7 +321,7 @@ fn object_error(theirs: &record::Object, ours: &Obstacle) -> Option<f64> {
 
 fn car_error(network: &Network, theirs: &record::Car, ours: &Spawn) -> Option<f64> {
     let model = ours.kind.model();
-    // Of the ego no kind is recorded.
+    // The recording has no class for the ego car.
     let same_kind = theirs.cls.as_ref().is_none_or(|class| class == model.name);
     let Place {
         lane,
@@ -331,7 +331,7 @@ fn car_error(network: &Network, theirs: &record::Car, ours: &Spawn) -> Option<f6
     } = ours.place;
     let (from, to, number) = &theirs.lane;
     let same_lane = format!("{from}|{to}|{number}") == lane_name(network, lane);
-    // Forces are hundreds of newtons: the record has them in single precision.
+    // Forces are hundreds of newtons and recorded in single precision.
     let same_forces = (theirs.engine - ours.forces.engine_n).abs() < BAR_M
         && (theirs.brake - ours.forces.brake).abs() < BAR_M;
     let same_body = theirs.size.is_none_or(|[length_m, width_m]| {

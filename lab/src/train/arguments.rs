@@ -1,4 +1,4 @@
-//! `./vlaps train` on the command line.
+//! Command line of `./vlaps train`.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -9,7 +9,7 @@ use shm_config::config::Algorithm;
 use supervisor::cli::parsers::whole;
 
 use stack::Clock;
-use supervisor::commands::up::arguments::WorldChoice;
+use supervisor::commands::up::arguments::{SimulatorAlone, WorldChoice};
 use supervisor::subcommand::{Configuration, Output, Subcommand};
 
 use super::experiment::folder;
@@ -18,13 +18,13 @@ use super::train;
 /// Train a policy while the process set drives: the paper's experiment.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "The process set drives in lockstep on seeds 100 to 149; after every 200 steps \
-        the learner updates the policy, which is adopted at the next tick and evaluated on seeds \
-        1000 to 1049 without intervention (Sec. 5). The same seed gives the same policies. \
-        Ctrl-C stops (exit code 1), --resume continues; what is not given then is as it was \
-        begun.\n\n\
-        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; docs/learning.md compares \
-        them.\n\n\
+    after_help = "The process set drives in lockstep on seeds 100 to 149. After every 200 steps the \
+        learner updates the policy; it is adopted at the next tick and evaluated on seeds 1000 to \
+        1049 without intervention (Sec. 5). The same seed gives the same policies. Ctrl-C stops \
+        (exit code 1), --resume continues with the options of the beginning unless they are \
+        given again.\n\n\
+        Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; results/learning.md \
+        compares them.\n\n\
         Examples:\n  \
         ./vlaps train --algorithm dagger --steps 10000\n  \
         ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
@@ -33,49 +33,49 @@ use super::train;
         ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
 )]
 pub struct Train {
-    /// How it learns: pvp, ppl, bc, hg-dagger or dagger; without it pvp.
+    /// Algorithm: pvp, ppl, bc, hg-dagger or dagger; default: pvp.
     #[arg(long, value_name = "HOW", value_parser = algorithm)]
     pub algorithm: Option<Algorithm>,
-    /// Steps to train for; without it 50000.
+    /// Number of training steps; default: 50000.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=100_000_000))]
     pub steps: Option<u64>,
-    /// Episodes of the evaluation after every block; without it 50.
+    /// Number of evaluation episodes after every block; default: 50.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=100_000))]
     pub eval_episodes: Option<u64>,
-    /// Episodes of the evaluation of the last policy, 0 for none; without it 1000.
+    /// Number of evaluation episodes of the last policy, 0 for none; default: 1000.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=1_000_000))]
     pub final_episodes: Option<u64>,
-    /// Seed of networks, replay and the order of episodes; without it 0.
+    /// Seed of networks, replay and the order of episodes; default: 0.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=1_000_000_000))]
     pub seed: Option<u64>,
-    /// Train this many times, each with the next seed; without it once.
+    /// Number of trainings, with consecutive seeds; default: 1.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
           value_parser = whole::<u32>(1..=1000))]
     pub seeds: Option<u32>,
-    /// The expert that is learnt from; without it mpc.
+    /// Expert to learn from; default: mpc.
     #[arg(long, value_name = "DRIVER")]
     pub expert: Option<ExpertChoice>,
-    /// In which world is trained; without it sim.
-    #[arg(long, value_name = "WORLD")]
+    /// World to train in; default: sim.
+    #[arg(long, value_name = "WORLD", value_parser = SimulatorAlone)]
     pub world: Option<WorldChoice>,
-    /// Folder of the experiment; without it, runs/train-HOW.
+    /// Folder of the experiment; default: runs/train-HOW.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Go on with the experiment that the folder holds.
+    /// Continue the experiment in the folder.
     #[arg(long)]
     pub resume: bool,
-    /// Neither train nor evaluate: draw and print anew what the folder holds.
+    /// Neither train nor evaluate: draw and print the results in the folder.
     #[arg(long, conflicts_with_all = ["resume", "steps", "seed", "seeds", "eval_episodes",
-          "final_episodes", "expert", "world", "config", "overrides"])]
+          "final_episodes", "expert", "world", "config", "vehicle", "overrides"])]
     pub report: bool,
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Write the figures to this file, too.
+    /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -95,22 +95,22 @@ impl Subcommand for Train {
     }
 }
 
-/// The experts that can be learnt from.
+/// The experts to learn from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExpertChoice {
-    /// The paper's RRT* and PD.
+    /// The paper's RRT* with PD controller.
     RrtStar,
-    /// RRT* that remembers its last path, and PD.
+    /// RRT* that reuses its previous path, with PD controller.
     Informed,
-    /// RRT* over curves the car can drive, and PD.
+    /// RRT* over curves that the car can drive, with PD controller.
     Kinodynamic,
     /// Model-predictive control.
     Mpc,
 }
 
 impl ExpertChoice {
-    /// As `planner.method` has it.
+    /// The value of `planner.method`.
     pub fn key(self) -> &'static str {
         match self {
             ExpertChoice::RrtStar => "rrt_star",

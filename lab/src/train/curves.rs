@@ -1,4 +1,4 @@
-//! Figure 4: learning curves, the same chart as SVG and as PNG.
+//! Figure 4: learning curves, as SVG and PNG.
 
 use std::path::Path;
 
@@ -13,22 +13,23 @@ use view::sheet::{Area, Sheet, save};
 
 /// Size of the picture, pixels.
 const SIZE: (u32, u32) = (1360, 960);
-/// Room above the panels for title and explanation, pixels.
+/// Height of the header with title and explanation, pixels.
 const HEAD: u32 = 92;
-/// Room above a panel's axes for its name and legend, pixels.
+/// Height of a panel's name and legend, pixels.
 const PANEL_HEAD: u32 = 72;
-/// From a panel to its neighbours, pixels.
+/// Gap between panels, pixels.
 const GAP: u32 = 14;
-/// Width of a panel's scale, pixels; its legend begins where its axes do.
+/// Width of a panel's y axis labels, pixels; the legend begins at the axis.
 const SCALE: u32 = 62;
-/// Most seeds that are numbered at their ends; two curves of more fill a panel's side.
+/// Maximum number of seeds with numbers at their curves' ends; two curves per seed fill
+/// the side of a panel.
 const NUMBERED_MAX: usize = 10;
-/// From one number at a curve's end to the next, pixels.
+/// Distance between two numbers, pixels.
 const NUMBER_PITCH: i32 = 13;
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
 
-/// Steps and a value.
+/// Number of steps, and a value.
 type Point = (f64, f64);
 
 /// One curve of a panel.
@@ -42,16 +43,16 @@ struct Curve {
 struct Panel {
     title: &'static str,
     curves: Vec<Curve>,
-    /// Upper end of the scale; none for as high as the curves go.
+    /// Upper end of the y axis; `None` for the maximum of the curves.
     top: Option<f64>,
-    /// What the paper has at its end (Table 1).
+    /// The paper's final value (Table 1).
     paper: Option<f64>,
 }
 
 /// Draws `curves.svg` and `curves.png` into the folder.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn draw(results: &Results, out: &Path) -> anyhow::Result<()> {
     save(out, "curves", SIZE, |root| picture(results, root))
 }
@@ -61,14 +62,16 @@ fn panels(results: &Results) -> [Panel; 4] {
         name: metric.name(),
         colour,
         seeds: each(results, |seed| {
-            let exams = seed.exams.iter();
-            exams
-                .map(|exam| (exam.steps as f64, exam.of(metric)))
+            let block_evaluations = seed.block_evaluations.iter();
+            block_evaluations
+                .map(|block_evaluation| {
+                    (block_evaluation.steps as f64, block_evaluation.of(metric))
+                })
                 .collect()
         }),
     };
     let interventions = Curve {
-        name: "steps that the policy did not drive",
+        name: "steps not driven by the policy",
         colour: BLUE,
         seeds: each(results, |seed| {
             let blocks = seed.blocks.iter();
@@ -101,7 +104,7 @@ fn panels(results: &Results) -> [Panel; 4] {
             Some(0.0),
         ),
         panel(
-            "Other ends",
+            "Other outcomes",
             vec![
                 share(Metric::OutOfRoad, BLUE),
                 share(Metric::MaxStep, ORANGE),
@@ -109,7 +112,7 @@ fn panels(results: &Results) -> [Panel; 4] {
             None,
         ),
         Panel {
-            title: "Interventions so far",
+            title: "Cumulative interventions",
             curves: vec![interventions],
             top: None,
             paper: None,
@@ -127,11 +130,11 @@ fn picture(results: &Results, root: &Area<'_>) -> anyhow::Result<()> {
         1 => "evaluated without intervention after every block",
         2..=NUMBERED_MAX => {
             "evaluated without intervention after every block; thin: each seed, numbered at its \
-             end; thick: their mean where all have come"
+             end; thick: mean over all seeds, where all were evaluated"
         }
         _ => {
-            "evaluated without intervention after every block; thin: each seed, thick: their mean \
-             where all have come"
+            "evaluated without intervention after every block; thin: each seed; thick: mean over all \
+             seeds, where all were evaluated"
         }
     };
     write(&head, explained, (left, 60), (17, FAINT))?;
@@ -153,7 +156,7 @@ fn draw_panel(area: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
     };
     let end = all().map(|point| point.0).fold(1.0, f64::max);
     let highest = all().map(|point| point.1).fold(1.0, f64::max);
-    // A line along the upper end is seen whole.
+    // Keeps a line along the upper end fully visible.
     let top = 1.03 * panel.top.unwrap_or(highest);
     let mut chart = ChartBuilder::on(&body)
         .margin_right(24)
@@ -187,8 +190,8 @@ fn draw_panel(area: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
     number_seeds(&body, chart.plotting_area(), &panel.curves)
 }
 
-/// Each seed's number behind the end of its curves: one below the other where curves
-/// end in the same place.
+/// Writes each seed's number at the end of its curves, one below the other where curves
+/// end at the same value.
 fn number_seeds(
     body: &Area<'_>,
     axes: &DrawingArea<Sheet<'_>, Cartesian2d<RangedCoordf64, RangedCoordf64>>,
@@ -213,7 +216,7 @@ fn number_seeds(
         number.0 = number.0.max(free);
         free = number.0 + NUMBER_PITCH;
     }
-    // Those that were moved below the axis go up again.
+    // Numbers below the axis are moved up again.
     let mut free = axes.get_pixel_range().1.end - top;
     for number in numbers.iter_mut().rev() {
         number.0 = number.0.min(free);
@@ -237,14 +240,14 @@ fn draw_curve(
     }
     let mean = mean(&curve.seeds);
     chart.draw_series(LineSeries::new(mean.clone(), curve.colour.stroke_width(3)))?;
-    // One evaluation makes no line.
+    // A single evaluation makes no line.
     if let [only] = mean[..] {
         chart.draw_series([Circle::new(only, 4, curve.colour.filled())])?;
     }
     Ok(())
 }
 
-/// Names of the curves above the axes, where they cover none.
+/// Draws the legend above the axes, where it covers no curve.
 fn legend(head: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
     let (mut x, y) = (SCALE as i32, 50);
     let mut entries: Vec<(String, ShapeStyle)> = panel
@@ -254,7 +257,7 @@ fn legend(head: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
         .collect();
     if let Some(paper) = panel.paper {
         entries.push((
-            format!("paper, at its end: {paper:.2}"),
+            format!("paper, final value: {paper:.2}"),
             FAINT.stroke_width(1),
         ));
     }
@@ -269,7 +272,7 @@ fn each(results: &Results, of: impl Fn(&Seed) -> Vec<Point>) -> Vec<(u64, Vec<Po
     seeds.filter(|(_, points)| !points.is_empty()).collect()
 }
 
-/// The mean over the seeds at the steps that all of them were looked at.
+/// The mean over the seeds at the steps at which all of them were evaluated.
 fn mean(seeds: &[(u64, Vec<Point>)]) -> Vec<Point> {
     let Some(((_, first), others)) = seeds.split_first() else {
         return Vec::new();

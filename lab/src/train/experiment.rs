@@ -1,4 +1,4 @@
-//! Which experiment a folder holds: the options it was begun with.
+//! The options of an experiment, stored in its folder.
 
 use std::fs::{self, File, TryLockError};
 use std::ops::Range;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
-use shm_config::config::{Algorithm, text_of};
+use shm_config::config::{Algorithm, text_of, vehicle_of};
 use shm_config::file::read_text;
 use supervisor::cli::failure::Failure;
 use supervisor::commands::up::settings::DEFAULT_FILE;
@@ -16,35 +16,35 @@ use super::results::seed_folders;
 use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::subcommand::settings::key;
 
-/// The folder's own note of its experiment.
+/// File with the options of the experiment.
 const FILE: &str = "experiment.toml";
-/// Largest such file, bytes: a hundred times one with every option.
+/// Maximum size of that file, bytes: a hundred times that of a file with every option.
 const BYTES_MAX: u64 = 1 << 20;
-/// The configuration file as it was when the experiment began; empty without one.
+/// Copy of the configuration file at the begin of the experiment; empty without one.
 const CONFIG: &str = "config.toml";
-/// Locked by the process that trains in the folder; the kernel drops the lock.
+/// Locked by the process that trains in the folder; the kernel releases the lock.
 const LOCK: &str = ".lock";
 
-/// What all trainings of an experiment share. What the note of an older version
-/// lacks is as by default, and has to be given again.
+/// Options shared by all trainings of an experiment. Options that are missing in the file
+/// of an older version get their defaults and must be given again.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Experiment {
     /// The first seed.
     pub seed: u64,
-    /// How many seeds.
+    /// Number of seeds.
     pub seeds: u32,
-    /// Steps of each training.
+    /// Steps per training.
     pub steps: u64,
     /// Episodes of the evaluation after each block.
     pub eval_episodes: u64,
     /// Episodes of the evaluation of each last policy; 0 for none.
     pub final_episodes: u64,
-    /// How it learns.
+    /// Algorithm.
     pub algorithm: Algorithm,
-    /// Whom it learns from.
+    /// The expert to learn from.
     pub expert: ExpertChoice,
-    /// In which world it is trained.
+    /// The world to train in.
     pub world: WorldChoice,
     /// Overrides of the configuration, `KEY=VALUE`.
     pub set: Vec<String>,
@@ -54,8 +54,8 @@ pub struct Experiment {
 }
 
 impl Default for Experiment {
-    /// The paper's numbers (Sec. 5), but for the last policy, which it evaluates no
-    /// further, and the expert.
+    /// The paper's numbers (Sec. 5), except for the expert and for the final evaluation, which
+    /// the paper does not have.
     fn default() -> Experiment {
         Experiment {
             seed: 0,
@@ -73,40 +73,43 @@ impl Default for Experiment {
 }
 
 impl Experiment {
-    /// The experiment that is asked for, and its folder, of which nothing is
-    /// touched. With `--resume` it is the one in the folder; it may become longer or
-    /// get more seeds, anything else would be another one.
+    /// The requested experiment and its folder; no file is changed. With `--resume` it is the
+    /// experiment in the folder; it may get more steps or seeds, but no other changes.
     ///
     /// # Errors
-    /// When the folder holds another experiment or other files, or none where
-    /// one is gone on with, or cannot be read.
+    /// If the folder contains another experiment or other files, contains no experiment
+    /// to resume, or cannot be read.
     pub fn open(arguments: &Train) -> anyhow::Result<(Experiment, PathBuf)> {
         let out = folder(arguments);
         let begun = Experiment::read(&out)?;
         match (&begun, arguments.resume) {
             (Some(_), false) => bail!(
-                "{}: holds an experiment; --resume continues it, --out DIR begins another",
+                "{}: contains an experiment; --resume continues it, --out DIR begins another",
                 out.display()
             ),
             (None, true) => bail!(
-                "{}: there is nothing to go on with; without --resume an experiment begins there",
+                "{}: contains no experiment to resume; without --resume one begins there",
                 out.display()
             ),
             (None, false) => check_free(&out)?,
             (Some(_), true) => {}
         }
-        let asked = begun.clone().unwrap_or_default().with(arguments, &out);
+        let given = overrides(arguments)?;
+        let asked = begun
+            .clone()
+            .unwrap_or_default()
+            .with(arguments, &given, &out);
         if let Some(begun) = begun {
-            begun.check_goes_on(&asked, &out)?;
+            begun.check_extends(&asked, &out)?;
         }
         Ok((asked, out))
     }
 
-    /// What a folder holds; `None` when it holds no experiment. A folder with
-    /// seeds and no note holds these seeds.
+    /// The experiment in a folder; `None` without one. Seeds in a folder without an options
+    /// file count as an experiment with these seeds.
     ///
     /// # Errors
-    /// When the folder or its note cannot be read.
+    /// If the folder or the options file cannot be read.
     pub fn read(out: &Path) -> anyhow::Result<Option<Experiment>> {
         let file = out.join(FILE);
         if file.exists() {
@@ -125,10 +128,10 @@ impl Experiment {
         }))
     }
 
-    /// Notes it in its folder, which is held.
+    /// Writes the options to the folder, which must be locked.
     ///
     /// # Errors
-    /// When the folder cannot be written.
+    /// If the folder cannot be written.
     pub fn write(&self, out: &Path) -> anyhow::Result<()> {
         let config = self.config.as_deref().map(text_of).transpose()?;
         let note = toml::to_string(self)?;
@@ -139,20 +142,19 @@ impl Experiment {
         Ok(())
     }
 
-    /// Its seeds.
+    /// The seeds of the trainings.
     pub fn all_seeds(&self) -> Range<u64> {
         self.seed..self.seed.saturating_add(u64::from(self.seeds))
     }
 
-    /// With what the command line says; the rest stays.
-    fn with(self, arguments: &Train, out: &Path) -> Experiment {
+    /// Replaces the options that the command line gives.
+    fn with(self, arguments: &Train, given: &[String], out: &Path) -> Experiment {
         let chosen = &arguments.configuration;
-        let given = &chosen.overrides;
         let is_given = |held: &String| given.iter().any(|text| key(text) == key(held));
         let mut set = self.set;
         set.retain(|held| !is_given(held));
         set.extend(given.iter().cloned());
-        // An experiment continues with its own file, not with one of the current folder.
+        // A resumed experiment uses its own copy, not a file of the current folder.
         let others = [out.join(CONFIG), DEFAULT_FILE.into()].into_iter();
         let other = || others.clone().find(|file| file.symlink_metadata().is_ok());
         Experiment {
@@ -169,18 +171,18 @@ impl Experiment {
         }
     }
 
-    /// Of what decides what is learnt, each training's own configuration tells
-    /// (`Protocol::new`).
-    fn check_goes_on(&self, asked: &Experiment, out: &Path) -> anyhow::Result<()> {
+    /// Checks that `asked` extends this experiment. The configuration of each training is
+    /// checked by `Protocol::new`.
+    fn check_extends(&self, asked: &Experiment, out: &Path) -> anyhow::Result<()> {
         let is_same = asked.seed == self.seed
             && asked.seeds >= self.seeds
             && asked.steps >= self.steps
             && asked.eval_episodes == self.eval_episodes;
         if !is_same {
             bail!(
-                "{}: holds --seed {} --seeds {} --steps {} --eval-episodes {}; it can only get \
-                 more seeds or steps; leave the options out to go on as begun, --out DIR begins \
-                 another experiment",
+                "{}: contains --seed {} --seeds {} --steps {} --eval-episodes {}; only more seeds or \
+                 more steps are possible; leave the options out to continue unchanged; --out DIR \
+                 begins another experiment",
                 out.display(),
                 self.seed,
                 self.seeds,
@@ -192,7 +194,20 @@ impl Experiment {
     }
 }
 
-/// The folder that is meant.
+/// The overrides that the command line gives: the keys of the vehicle file, so that an
+/// experiment is resumed with the car that it began with, then those of `--set`.
+fn overrides(arguments: &Train) -> anyhow::Result<Vec<String>> {
+    let chosen = &arguments.configuration;
+    let vehicle = chosen.vehicle.as_deref().map(vehicle_of).transpose();
+    let vehicle = vehicle.map_err(Failure::from)?.unwrap_or_default();
+    let keys = vehicle.iter().flat_map(|(section, keys)| {
+        let keys = keys.as_table().into_iter().flatten();
+        keys.map(move |(key, value)| format!("{section}.{key}={value}"))
+    });
+    Ok(keys.chain(chosen.overrides.iter().cloned()).collect())
+}
+
+/// The folder that the command line names.
 pub fn folder(arguments: &Train) -> PathBuf {
     arguments.out.clone().unwrap_or_else(|| {
         let default = Experiment::default().algorithm;
@@ -201,12 +216,12 @@ pub fn folder(arguments: &Train) -> PathBuf {
     })
 }
 
-/// Makes the folder if it is missing, and holds it until the file is dropped or the
-/// process ends, in any way: no other process trains there meanwhile.
+/// Creates the folder if it is missing and locks it until the file is dropped or the process
+/// ends: no other process can train there meanwhile.
 ///
 /// # Errors
-/// When another process does, or the folder cannot be made.
-pub fn hold(out: &Path) -> anyhow::Result<File> {
+/// If another process holds the lock, or the folder cannot be created.
+pub fn lock(out: &Path) -> anyhow::Result<File> {
     fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let path = out.join(LOCK);
     let named = || path.display().to_string();
@@ -216,17 +231,17 @@ pub fn hold(out: &Path) -> anyhow::Result<File> {
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => bail!(
-            "{}: is being trained in by another ./vlaps train; stop that first, or train \
-             elsewhere with --out DIR",
+            "{}: is being trained in by another ./vlaps train; stop that one first, or choose \
+             another folder with --out DIR",
             out.display()
         ),
         Err(TryLockError::Error(error)) => Err(error).with_context(named),
     }
 }
 
-/// An experiment may begin in a folder that is missing or empty: in any other it
-/// would replace files of the same names. A lock alone is of one that was killed
-/// before it had begun.
+/// Checks that an experiment may begin in a folder: it is missing or empty. In any other
+/// folder it might replace files. A lock file alone is left by a process that was killed
+/// at its begin.
 fn check_free(out: &Path) -> anyhow::Result<()> {
     let entries = match fs::read_dir(out) {
         Ok(entries) => entries,
@@ -237,8 +252,8 @@ fn check_free(out: &Path) -> anyhow::Result<()> {
         let name = entry?.file_name();
         if name != LOCK {
             let message = format!(
-                "--out {}: holds {} and no experiment, whose files might replace what is there; \
-                 name a new or an empty folder",
+                "--out {}: contains {}, but no experiment; a training might replace files there; name \
+                 a new or an empty folder",
                 out.display(),
                 name.display()
             );
@@ -267,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_given_with_resume_is_as_it_was_begun() {
+    fn resume_keeps_the_options_that_are_not_given() {
         let place = tempfile::tempdir().expect("a folder");
         let (out, file) = (place.path().join("out"), place.path().join("own.toml"));
         fs::write(&file, "[learner]\nbatch = 64\n").expect("a file");
@@ -276,9 +291,9 @@ mod tests {
         let mut words: Vec<&str> = words.split_whitespace().collect();
         words.push(file.to_str().expect("UTF-8"));
         let begun = open(&out, &words).expect("an experiment");
-        let _held = hold(&out).expect("the folder");
+        let _lock = lock(&out).expect("the folder");
         begun.write(&out).expect("a note");
-        // The user's file may change; the experiment has its own.
+        // The user's file may change; the experiment uses its own copy.
         fs::write(&file, "[learner]\nbatch = 128\n").expect("a file");
         let own = fs::read_to_string(out.join(CONFIG)).expect("its own");
         assert!(own.contains("batch = 64"), "{own}");
@@ -292,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn an_older_note_is_completed_with_what_is_given() {
+    fn an_older_options_file_is_completed_by_the_command_line() {
         let out = tempfile::tempdir().expect("a folder");
         let note = "seed = 3\nseeds = 2\nsteps = 400\neval_episodes = 2\n";
         fs::write(out.path().join(FILE), note).expect("a note");

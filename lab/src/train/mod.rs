@@ -3,30 +3,29 @@
 //! | module | holds |
 //! |---|---|
 //! | [`arguments`] | the command line |
-//! | [`experiment`] | with which options a folder was begun, and which process trains in it |
+//! | [`experiment`] | the stored options of a folder, and the lock of the training process |
 //! | [`protocol`] | the experiment's numbers, as configuration |
-//! | [`student`] | one training: the process set in lockstep, watched |
-//! | [`examiner`] | 50 episodes without intervention after every block |
-//! | [`results`] | what the folders hold, read back |
-//! | [`doubts`] | blocks that taught nothing, or whose policy did not drive |
+//! | [`training`] | one training: runs the process set in lockstep |
+//! | [`evaluator`] | evaluates 50 episodes without intervention after every block |
+//! | [`results`] | reads the results from the folders |
+//! | [`warnings`] | warnings about blocks that taught nothing, or whose policy did not drive |
 //! | [`curves`] | Figure 4, as SVG and PNG |
 //! | [`table`] | Table 1, and the mean over seeds |
 //! | [`tensorboard`] | the same numbers as an event file |
 //!
-//! Everything is in the folder, and everything printed is computed from it: an
-//! interrupted experiment continues with `--resume`, a finished one is only
-//! reported again.
+//! All results are in the folder, and everything printed is computed from them: `--resume`
+//! continues an interrupted experiment and only reports a finished one.
 
 pub mod arguments;
 pub mod curves;
-pub mod doubts;
-pub mod examiner;
+pub mod evaluator;
 pub mod experiment;
 pub mod protocol;
 pub mod results;
-pub mod student;
 pub mod table;
 pub mod tensorboard;
+pub mod training;
+pub mod warnings;
 
 use std::fs;
 use std::path::Path;
@@ -39,17 +38,17 @@ use experiment::Experiment;
 use protocol::Protocol;
 use results::Results;
 use stack::Clock;
-use student::End;
 use supervisor::subcommand::{say, write_json_option};
+use training::End;
 
-/// Trains with every seed asked for, and reports.
+/// Trains with every requested seed and reports the results.
 ///
 /// # Errors
-/// When the configuration is wrong, a folder holds another experiment, the
-/// process set gives up, or a stop is requested.
+/// If the configuration is invalid, a folder contains another experiment, the process
+/// set fails, or a stop is requested.
 pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     if arguments.report {
-        return tell(arguments, &experiment::folder(arguments));
+        return report_folder(arguments, &experiment::folder(arguments));
     }
     let stop = Stop::listen()?;
     let (experiment, out) = Experiment::open(arguments)?;
@@ -57,11 +56,11 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
         .all_seeds()
         .map(|seed| Protocol::new(&experiment, (seed, &out)))
         .collect::<anyhow::Result<_>>()?;
-    let _held = experiment::hold(&out)?;
-    // Not before all options are known to be right: --resume would go on with them.
+    let _lock = experiment::lock(&out)?;
+    // Stored only after all options are checked, since --resume reuses them.
     experiment.write(&out)?;
     for protocol in &protocols {
-        let end = student::train(protocol, &stop, clock)?;
+        let end = training::train(protocol, &stop, clock)?;
         report(&out)?;
         if let End::Stopped { steps } = end {
             bail!(
@@ -74,22 +73,22 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     }
     let results = Results::read(&out)?;
     let watch = (clock, &stop);
-    let end = examiner::examine_finals(&experiment, &results, &out, watch)?;
-    tell(arguments, &out)?;
+    let end = evaluator::evaluate_finals(&experiment, &results, &out, watch)?;
+    report_folder(arguments, &out)?;
     match end {
         End::Complete => Ok(()),
         End::Stopped { .. } => bail!(
-            "stopped in the evaluation of a last policy; all is trained, the same command with \
-             --resume continues"
+            "stopped during the evaluation of a last policy; training is complete; the same command \
+             with --resume continues"
         ),
     }
 }
 
-/// Draws, prints and writes what a folder holds.
-fn tell(arguments: &Train, out: &Path) -> anyhow::Result<()> {
+/// Draws, prints and writes the results of a folder.
+fn report_folder(arguments: &Train, out: &Path) -> anyhow::Result<()> {
     let results = report(out)?;
     if results.seeds.is_empty() {
-        bail!("{}: no block is trained there yet", out.display());
+        bail!("{}: no block has been trained there yet", out.display());
     }
     say(table::blocks(&results));
     if let Some(finals) = table::finals(&results) {
@@ -106,7 +105,7 @@ fn tell(arguments: &Train, out: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Pictures, tables and the best policy, from what the folders hold.
+/// Makes plots, tables and the best policy from the results in the folders.
 fn report(out: &Path) -> anyhow::Result<Results> {
     let results = Results::read(out)?;
     if results.seeds.is_empty() {

@@ -1,4 +1,4 @@
-//! The experiment's numbers, as configuration of a run.
+//! The experiment's numbers, as the configuration of a run.
 
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
@@ -14,42 +14,42 @@ use super::results::CONFIG;
 use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::subcommand::settings;
 
-/// Seeds that are trained on: 100 to 149.
+/// First training seed; the seeds are 100 to 149.
 const TRAINING_SEED: u64 = 100;
-/// How many of them.
+/// Number of training seeds.
 const TRAINING_SEEDS: u32 = 50;
-/// First seed that is evaluated on: 1000 to 1049.
+/// First evaluation seed; the seeds are 1000 to 1049.
 pub const EVALUATION_SEED: u64 = 1000;
-/// Length of a step, s.
+/// Duration of a step, s.
 pub const STEP_S: f64 = 0.1;
 
 /// One training of the experiment.
 #[derive(Clone, Debug)]
 pub struct Protocol {
-    /// Its seed.
+    /// Seed of the training.
     pub seed: u64,
-    /// Its folder.
+    /// Folder of the training.
     pub folder: PathBuf,
-    /// Steps to train for.
+    /// Number of training steps.
     pub steps: u64,
-    /// Episodes after each block.
+    /// Number of evaluation episodes after each block.
     pub episodes: u64,
-    /// The run's configuration, without its length.
+    /// Configuration of the run, without its duration.
     pub config: Config,
 }
 
 impl Protocol {
-    /// The training of this seed.
+    /// The training of a seed.
     ///
     /// # Errors
-    /// When the configuration or an override is wrong.
+    /// If the configuration or an override is invalid.
     pub fn new(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Protocol> {
         check_own(&experiment.set)?;
         let folder = out.join(format!("seed-{seed}"));
         let mut overrides = preset(experiment, seed);
         overrides.push(format!("run.name={}", run_name(out, seed)));
         overrides.extend(experiment.set.iter().cloned());
-        let mut config = settings::config(experiment.config.as_deref(), &overrides)?;
+        let mut config = settings::config([experiment.config.as_deref(), None], &overrides)?;
         config.run.folder = folder.display().to_string();
         let block_steps = u64::from(config.learner.block_steps);
         if !experiment.steps.is_multiple_of(block_steps) {
@@ -70,13 +70,13 @@ impl Protocol {
         Ok(protocol)
     }
 
-    /// The file that a training's process set is configured with.
+    /// The configuration file of the training's process set.
     pub fn file(&self) -> PathBuf {
         self.folder.join(CONFIG)
     }
 
-    /// A training that is gone on with has the configuration that it began with,
-    /// as far as it decides what is learnt.
+    /// Checks that a resumed training has the configuration with which it began, as far as that
+    /// affects learning.
     fn check_same(&self) -> anyhow::Result<()> {
         let file = self.file();
         if !file.exists() {
@@ -95,8 +95,8 @@ impl Protocol {
         }
         if !differences.is_empty() {
             bail!(
-                "{}: the training was begun otherwise: {}; leave these options out, or give \
-                 those it was begun with; --out DIR begins another experiment",
+                "{}: the training began with other options: {}; leave these out, or give the \
+                 same values; --out DIR begins another experiment",
                 file.display(),
                 differences.join(", ")
             );
@@ -105,9 +105,10 @@ impl Protocol {
     }
 }
 
-/// The sections of the configuration that decide what is learnt.
-const SAME: [&str; 11] = [
+/// The sections of the configuration that affect learning.
+const SAME: [&str; 12] = [
     "vehicle",
+    "scanner",
     "world",
     "planner",
     "informed",
@@ -120,7 +121,7 @@ const SAME: [&str; 11] = [
     "learner",
 ];
 
-/// Collects the keys with other values, as `key = begun, not now`.
+/// Collects the keys with different values, as `key = begun, not now`.
 fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<String>) {
     if let (Some(Value::Table(begun)), Some(Value::Table(now))) = (begun, now) {
         for (inner, value) in now {
@@ -136,8 +137,7 @@ fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<
     }
 }
 
-/// Keys that an experiment sets by itself, and what to do
-/// in place of that.
+/// Keys that a training sets itself, with the reason or the option to use instead.
 const OWN: [(&str, &str); 6] = [
     ("run.clock", "a training drives in lockstep"),
     ("run.duration_s", "--steps says how long it drives"),
@@ -147,21 +147,21 @@ const OWN: [(&str, &str); 6] = [
     ("learner.seed", "--seed and --seeds say it"),
 ];
 
-/// No override is of a key that would be passed over, or give all seeds the same. In
-/// a configuration file these keys are for other commands.
+/// Refuses overrides of keys that a training sets itself. A configuration file may contain
+/// them for other commands.
 fn check_own(overrides: &[String]) -> Result<(), Failure> {
     for text in overrides {
         if let Some((_, instead)) = OWN.iter().find(|(own, _)| *own == settings::key(text)) {
             return Err(Failure::Usage(format!(
-                "--set {text}: is not for ./vlaps train to choose: {instead}"
+                "--set {text}: ./vlaps train sets this key itself: {instead}"
             )));
         }
     }
     Ok(())
 }
 
-/// The folder's name, as much of it as a run's name may hold, a sum of its whole path,
-/// and the seed: experiments run side by side, independent of the names of their folders.
+/// A run name made of the folder's name (shortened), a checksum of its whole path, and the
+/// seed: experiments in folders of the same name can run at the same time.
 fn run_name(out: &Path, seed: u64) -> String {
     let out = whole(out);
     let folder = out.file_name().unwrap_or_default().to_string_lossy();
@@ -169,61 +169,79 @@ fn run_name(out: &Path, seed: u64) -> String {
         true => c,
         false => '-',
     });
-    // Six digits: one pair of folders in 17 million has the same.
+    // Six hexadecimal digits: two folders collide with a probability of 1 in 17 million.
     let sum = crc32c::crc32c(out.as_os_str().as_bytes()) & 0xff_ffff;
     let end = format!("-{sum:06x}-{seed}");
     let letters = name_max().saturating_sub(end.len());
     name.take(letters).chain(end.chars()).collect()
 }
 
-/// A folder's path without links and detours, the same before and after it is made.
+/// A folder's canonical path; the same before and after the folder is created.
 fn whole(folder: &Path) -> PathBuf {
     let path = std::path::absolute(folder).unwrap_or_else(|_| folder.into());
     let found = path.ancestors().find_map(|there| {
         let rest = path.strip_prefix(there).ok()?;
         Some(there.canonicalize().ok()?.join(rest))
     });
-    // Without the slash behind a folder that is there.
+    // Without a trailing slash.
     found.unwrap_or(path).components().collect()
 }
 
-/// What the experiment sets, before the user's own overrides.
+/// What `pvp` has beyond PVP4Real's settings; results/learning.md shows what each brings.
+/// Batch and updates are PVP4Real's.
+const PVP: [&str; 8] = [
+    "learner.batch=1024",
+    "learner.updates=200",
+    "learner.critic_steer=5",
+    "learner.critic_pedal=2",
+    "learner.target_noise=0.05",
+    "learner.imitation_weight=10",
+    "learner.imitation_steer=10",
+    "learner.averaged=true",
+];
+
+/// The experiment's settings; the user's overrides follow them.
 fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
-    // Of an expert's own driving nothing but the expert's own driving is learnt.
     let gate = match experiment.algorithm {
+        // Behaviour cloning learns from the expert's driving alone.
         Algorithm::Bc => "expert",
-        Algorithm::Pvp | Algorithm::Ppl | Algorithm::HgDagger | Algorithm::Dagger => "rules",
+        // As in PVP4Real, on whose experiment the paper builds: a label every 10 s, which the
+        // paper's text names, does not teach it (results/learning.md).
+        Algorithm::Pvp => "takeover",
+        Algorithm::Ppl | Algorithm::HgDagger | Algorithm::Dagger => "rules",
     };
     let mut keys = vec![
         format!("run.seed={TRAINING_SEED}"),
         format!("run.seeds={TRAINING_SEEDS}"),
-        // 0 is no order at all.
+        // 0 means no shuffling.
         format!("run.shuffle={}", seed + 1),
         format!("gate.mode={gate}"),
         "learner.enabled=true".into(),
         format!("learner.algorithm={}", experiment.algorithm.word()),
         format!("learner.seed={seed}"),
-        // A policy that learns may fail; the judge in the tick protects the car.
+        // A policy in training may fail; the safety check protects the car.
         "policy.shadow_ticks=0".into(),
         "policy.watch_ticks=0".into(),
-        // The paper's cadence, and its answers at once.
+        // The paper's interval of questions, answered immediately.
         "gate.when=period".into(),
         "gate.dwell_s=0".into(),
         "gate.record=false".into(),
-        // A process that waits for the controller waits for the learner with it.
+        // Processes that wait for the controller thereby wait for the learner, too.
         "limits.lockstep_wait_s=150.0".into(),
-        // No tick waits on the wall: a learner that gets no processor on a busy
-        // machine is late, not dead.
+        // In lockstep a silent process is slow, not dead: the learner may get no processor
+        // time on a busy machine.
         "supervisor.silence_s=60.0".into(),
         format!("planner.method={}", experiment.expert.key()),
-        // A teacher keeps more distance than a driver must, because a pupil does
-        // not repeat it to the decimetre (results/learning.md): 0.6 m and 1.2 m are
-        // what they drive with alone.
+        // The teacher keeps a larger distance than it does alone (0.6 m and 1.2 m), because the
+        // policy reproduces it with an error of decimetres (results/learning.md).
         "mpc.clearance_m=1.2".into(),
         "mpc.speed_mps=5.0".into(),
         "mpc.steps=8".into(),
         "informed.inflation_m=2.0".into(),
     ];
+    if experiment.algorithm == Algorithm::Pvp {
+        keys.extend(PVP.map(String::from));
+    }
     if experiment.world == WorldChoice::Metadrive {
         keys.push("world.simulator=metadrive".into());
     }

@@ -1,4 +1,4 @@
-//! What an experiment's folders hold.
+//! Reads and writes the results in an experiment's folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,36 +9,36 @@ use serde::{Deserialize, Serialize};
 
 use crate::metric::Metric;
 
-/// What a training's process set is configured with, in its folder.
+/// Configuration file of a training's process set, in its folder.
 pub const CONFIG: &str = "train.toml";
 
-/// An evaluation after a block: shares and means over its episodes.
+/// Evaluation after a block: shares and means over its episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Exam {
-    /// Steps trained for.
+pub struct BlockEvaluation {
+    /// Number of training steps.
     pub steps: u64,
-    /// Arrived, contacts or not.
+    /// Share of episodes that arrived, with or without contacts.
     pub success: f64,
-    /// Arrived without having touched anything.
+    /// Share of episodes that arrived without any contact.
     pub strict_success: f64,
-    /// Touched a vehicle or an object at any tick.
+    /// Share of episodes with a contact at any tick.
     pub contact: f64,
-    /// Touching something at the last tick: the paper's crash.
+    /// Share of episodes with a contact at the last tick: the paper's crash.
     pub crash_last_step: f64,
-    /// Left the road.
+    /// Share of episodes that left the road.
     pub out_of_road: f64,
-    /// Ran out of steps.
+    /// Share of episodes that reached the maximum number of steps.
     pub max_step: f64,
-    /// Share of the route driven.
+    /// Mean share of the route that was driven.
     pub completion: f64,
-    /// Ticks of an episode.
+    /// Mean number of ticks of an episode.
     pub mean_length: f64,
-    /// Length driven by time, m/s.
+    /// Driven length over time, m/s.
     pub mean_speed_mps: f64,
 }
 
-impl Exam {
-    /// One of its figures.
+impl BlockEvaluation {
+    /// The value of a metric.
     pub fn of(&self, metric: Metric) -> f64 {
         match metric {
             Metric::Success => self.success,
@@ -54,18 +54,18 @@ impl Exam {
     }
 }
 
-/// A block, as the learner has written it down.
+/// A block, as recorded by the learner.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 pub struct Block {
-    /// Steps trained for.
+    /// Number of training steps at its end.
     pub steps: u64,
-    /// Updates made.
+    /// Number of updates in it.
     pub updates: u64,
-    /// Steps at which the policy did not drive, from the start.
+    /// Steps since the start at which the policy did not drive.
     pub interventions: u64,
-    /// Steps whose label prefers the expert, from the start.
+    /// Steps since the start whose label prefers the expert.
     pub labels_expert: u64,
-    /// Steps whose label prefers the policy, from the start.
+    /// Steps since the start whose label prefers the policy.
     pub labels_policy: u64,
     /// Loss of the actor.
     pub actor_loss: f64,
@@ -73,36 +73,36 @@ pub struct Block {
     pub imitation_loss: f64,
     /// Loss of the critics.
     pub critic_loss: f64,
-    /// Steps that were driven while the learner was away.
+    /// Steps that were driven while the learner was not running.
     pub lost: u64,
 }
 
-/// The last policy on many episodes.
+/// Evaluation of the last policy on many episodes.
 #[derive(Clone, Debug)]
 pub struct Final {
-    /// Steps it was trained for.
+    /// Number of steps that the policy was trained for.
     pub steps: u64,
-    /// As `./vlaps eval --json` has it.
+    /// The JSON object of `./vlaps eval --json`.
     pub evaluation: serde_json::Value,
 }
 
 /// One training.
 #[derive(Clone, Debug)]
 pub struct Seed {
-    /// Its seed.
+    /// Seed of the training.
     pub seed: u64,
-    /// Its folder.
+    /// Folder of the training.
     pub folder: PathBuf,
-    /// Its blocks.
+    /// The blocks.
     pub blocks: Vec<Block>,
-    /// Their evaluations.
-    pub exams: Vec<Exam>,
-    /// The last policy, if it was evaluated on many episodes.
+    /// The evaluations after the blocks.
+    pub block_evaluations: Vec<BlockEvaluation>,
+    /// The evaluation of the last policy on many episodes, if there is one.
     pub last: Option<Final>,
 }
 
 impl Seed {
-    /// What its process set is configured with.
+    /// The configuration file of the process set.
     pub fn config_file(&self) -> PathBuf {
         self.folder.join(CONFIG)
     }
@@ -111,23 +111,25 @@ impl Seed {
 /// The best of all evaluations.
 #[derive(Clone, Copy, Debug)]
 pub struct Best<'a> {
-    /// Of which training.
+    /// The training.
     pub seed: &'a Seed,
-    /// Its figures.
-    pub exam: &'a Exam,
+    /// The evaluation.
+    pub block_evaluation: &'a BlockEvaluation,
 }
 
 impl Best<'_> {
-    /// The file of its policy.
+    /// The policy file.
     pub fn policy(&self) -> PathBuf {
-        self.seed.folder.join(policy_file(self.exam.steps))
+        self.seed
+            .folder
+            .join(policy_file(self.block_evaluation.steps))
     }
 }
 
 /// All trainings of an experiment.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// By seed.
+    /// The trainings, sorted by seed.
     pub seeds: Vec<Seed>,
 }
 
@@ -135,14 +137,14 @@ impl Results {
     /// Reads an experiment's folder; trainings without a block are left out.
     ///
     /// # Errors
-    /// When a file cannot be read.
+    /// If a file cannot be read.
     pub fn read(out: &Path) -> anyhow::Result<Results> {
         let mut seeds = Vec::new();
         for (seed, folder) in seed_folders(out)? {
             let seed = Seed {
                 seed,
                 blocks: blocks(&folder)?,
-                exams: exams(&folder)?,
+                block_evaluations: block_evaluations(&folder)?,
                 last: last(&folder)?,
                 folder,
             };
@@ -153,7 +155,7 @@ impl Results {
         Ok(Results { seeds })
     }
 
-    /// What learnt, by the configuration of the first seed.
+    /// The algorithm in the configuration of the first seed.
     pub fn algorithm(&self) -> String {
         let file = self.seeds.first().map(Seed::config_file);
         let text = file.and_then(|file| fs::read_to_string(file).ok());
@@ -163,19 +165,29 @@ impl Results {
         word.unwrap_or_else(|| "unknown algorithm".into())
     }
 
-    /// The best evaluation: the most untouched arrivals, then the most arrivals, then
-    /// the farthest completion, then the latest.
+    /// The best evaluation: by strict successes, then successes, then completion, then
+    /// steps.
     pub fn best(&self) -> Option<Best<'_>> {
-        let all = self
-            .seeds
-            .iter()
-            .flat_map(|seed| seed.exams.iter().map(move |exam| Best { seed, exam }));
+        let all = self.seeds.iter().flat_map(|seed| {
+            seed.block_evaluations
+                .iter()
+                .map(move |block_evaluation| Best {
+                    seed,
+                    block_evaluation,
+                })
+        });
         all.max_by(|a, b| {
-            let key = |exam: &Exam| (exam.strict_success, exam.success, exam.completion);
-            let by_figures = key(a.exam).partial_cmp(&key(b.exam));
+            let key = |block_evaluation: &BlockEvaluation| {
+                (
+                    block_evaluation.strict_success,
+                    block_evaluation.success,
+                    block_evaluation.completion,
+                )
+            };
+            let by_figures = key(a.block_evaluation).partial_cmp(&key(b.block_evaluation));
             by_figures
                 .unwrap_or(std::cmp::Ordering::Equal)
-                .then(a.exam.steps.cmp(&b.exam.steps))
+                .then(a.block_evaluation.steps.cmp(&b.block_evaluation.steps))
         })
     }
 
@@ -187,7 +199,7 @@ impl Results {
                 "steps": seed.blocks.last().map(|block| block.steps),
                 "interventions": seed.blocks.last().map(|block| block.interventions),
                 "lost": seed.blocks.last().map(|block| block.lost),
-                "last_exam": seed.exams.last(),
+                "last_evaluation": seed.block_evaluations.last(),
                 "final": seed.last.as_ref().map(|last| &last.evaluation),
             })
         });
@@ -195,11 +207,11 @@ impl Results {
     }
 }
 
-/// An experiment's trainings by seed, begun or not; none of a folder that is not
-/// there.
+/// Folders of an experiment's trainings by seed, begun or not; none if the folder does
+/// not exist.
 ///
 /// # Errors
-/// When the folder cannot be read.
+/// If the folder cannot be read.
 pub fn seed_folders(out: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
     let entries = match fs::read_dir(out) {
         Ok(entries) => entries,
@@ -218,27 +230,27 @@ pub fn seed_folders(out: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
     Ok(found)
 }
 
-/// Steps at the end of a training's last block; 0 before its first one.
+/// Number of steps at the end of a training's last block; 0 without a block.
 ///
 /// # Errors
-/// When the file cannot be read.
+/// If the file cannot be read.
 pub fn steps(folder: &Path) -> anyhow::Result<u64> {
     Ok(blocks(folder)?.last().map_or(0, |block| block.steps))
 }
 
-/// A training's blocks.
+/// The blocks of a training.
 ///
 /// # Errors
-/// When the file cannot be read.
+/// If the file cannot be read.
 pub fn blocks(folder: &Path) -> anyhow::Result<Vec<Block>> {
     rows(&blocks_path(folder))
 }
 
-/// Steps that a training has driven and that its learner knows of, after the last
-/// block, too.
+/// Number of driven steps that the learner has received, including those after the last
+/// block.
 ///
 /// # Errors
-/// When the replay cannot be read.
+/// If the replay file cannot be read.
 pub fn driven(folder: &Path) -> anyhow::Result<u64> {
     let replay = folder.join("learner").join("replay.bin");
     let mark = last_mark(&replay).with_context(|| replay.display().to_string())?;
@@ -246,10 +258,11 @@ pub fn driven(folder: &Path) -> anyhow::Result<u64> {
     Ok(counted.max(steps(folder)?))
 }
 
-/// A training's policies with their steps, the first ones first.
+/// The policies of a training with their steps, in ascending order; none if the folder does
+/// not exist yet.
 ///
 /// # Errors
-/// When the folder cannot be read; one that is not there yet is empty.
+/// If the folder cannot be read.
 pub fn policies(folder: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
     let path = folder.join("learner").join("policies");
     let entries = match fs::read_dir(&path) {
@@ -270,7 +283,7 @@ pub fn policies(folder: &Path) -> anyhow::Result<Vec<(u64, PathBuf)>> {
     Ok(found)
 }
 
-/// A block's policy within the folder of its training.
+/// Path of a block's policy within the folder of its training.
 pub fn policy_file(steps: u64) -> String {
     format!("learner/policies/{steps:08}.onnx")
 }
@@ -279,24 +292,27 @@ fn blocks_path(folder: &Path) -> PathBuf {
     folder.join("learner").join("blocks.csv")
 }
 
-fn exams_path(folder: &Path) -> PathBuf {
+fn block_evaluations_path(folder: &Path) -> PathBuf {
     folder.join("evaluations.csv")
 }
 
-/// The evaluations after a training's blocks.
+/// The evaluations after the blocks of a training.
 ///
 /// # Errors
-/// When the file cannot be read.
-pub fn exams(folder: &Path) -> anyhow::Result<Vec<Exam>> {
-    rows(&exams_path(folder))
+/// If the file cannot be read.
+pub fn block_evaluations(folder: &Path) -> anyhow::Result<Vec<BlockEvaluation>> {
+    rows(&block_evaluations_path(folder))
 }
 
 /// Appends an evaluation.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn append_exam(folder: &Path, exam: &Exam) -> anyhow::Result<()> {
-    let path = exams_path(folder);
+/// If the file cannot be written.
+pub fn append_block_evaluation(
+    folder: &Path,
+    block_evaluation: &BlockEvaluation,
+) -> anyhow::Result<()> {
+    let path = block_evaluations_path(folder);
     let named = || path.display().to_string();
     let is_new = !path.exists();
     let file = fs::OpenOptions::new()
@@ -307,12 +323,12 @@ pub fn append_exam(folder: &Path, exam: &Exam) -> anyhow::Result<()> {
     let mut writer = csv::WriterBuilder::new()
         .has_headers(is_new)
         .from_writer(file);
-    writer.serialize(exam).with_context(named)?;
+    writer.serialize(block_evaluation).with_context(named)?;
     writer.flush().with_context(named)
 }
 
-/// The rows of a CSV file; none of one that is not there. A last row that is
-/// being written is left out.
+/// The rows of a CSV file; none if it does not exist. An incomplete last row, which is being
+/// written, is left out.
 fn rows<T: for<'de> Deserialize<'de>>(path: &Path) -> anyhow::Result<Vec<T>> {
     let text = match fs::read_to_string(path) {
         Ok(text) => text,
@@ -334,7 +350,7 @@ fn last(folder: &Path) -> anyhow::Result<Option<Final>> {
     let evaluation: serde_json::Value =
         serde_json::from_str(&text).with_context(|| path.display().to_string())?;
     let steps = evaluation["steps"].as_u64().unwrap_or_default();
-    // Trained further since: it says nothing of the last policy any more.
+    // The training has continued since: this is not the last policy any more.
     let is_last = policies(folder)?
         .last()
         .is_some_and(|(last, _)| *last == steps);

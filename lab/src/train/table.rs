@@ -1,4 +1,4 @@
-//! Table 1 of the paper with ours beside it, and the mean over seeds.
+//! Table 1 of the paper beside our results, and the mean over seeds.
 
 use std::fmt::Write;
 
@@ -6,13 +6,13 @@ use comfy_table::Table;
 use shm_config::config::load;
 use shm_config::counted;
 
-use super::doubts::{Doubt, doubts};
-use super::results::{Exam, Results, Seed, policy_file};
+use super::results::{BlockEvaluation, Results, Seed, policy_file};
+use super::warnings::{BlockWarning, warnings};
 use crate::metric::{FOOTNOTE, Metric};
 use crate::report::table;
 
-/// Table 1 (Sec. 6): the paper's figure and PVP4Real's, as the paper reads it from
-/// its curves; nothing where it does not report any.
+/// Table 1 (Sec. 6): the figures of the paper and of PVP4Real, as the paper reads them from
+/// its curves; empty if it does not report a figure.
 fn reported(metric: Metric) -> [&'static str; 2] {
     match metric {
         Metric::Success => ["0.86", "~0.90"],
@@ -24,11 +24,11 @@ fn reported(metric: Metric) -> [&'static str; 2] {
     }
 }
 
-/// Two-sided 95 % quantiles of Student's distribution, by degrees of freedom
-/// from 2: the one before is 12.7, an interval as wide as all that is possible.
+/// Two-sided 95 % quantiles of Student's distribution for 2 and more degrees of freedom;
+/// that for 1 is 12.7, too wide to be useful.
 const STUDENT: [f64; 8] = [4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
 
-/// Mean over seeds, and half its 95 % interval of three or more.
+/// Mean over seeds, and half of its 95 % interval for three or more seeds.
 pub(crate) fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
@@ -37,13 +37,13 @@ pub(crate) fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
         .map(|value| (value - mean).powi(2))
         .sum::<f64>();
     let half = (values.len() > 2).then(|| {
-        let student = STUDENT.get(values.len() - 3).copied().unwrap_or(1.96);
-        student * (spread / (n - 1.0)).sqrt() / n.sqrt()
+        let quantile = STUDENT.get(values.len() - 3).copied().unwrap_or(1.96);
+        quantile * (spread / (n - 1.0)).sqrt() / n.sqrt()
     });
     (mean, half)
 }
 
-/// What [`INTERVALS`] says, of a figure that is at least 0 and at most this.
+/// A cell as [`INTERVALS`] explains it, for a figure between 0 and `most`.
 pub(crate) fn cell(values: &[f64], digits: usize, most: f64) -> String {
     let (mean, half) = over_seeds(values);
     match (values, half) {
@@ -57,29 +57,32 @@ pub(crate) fn cell(values: &[f64], digits: usize, most: f64) -> String {
     }
 }
 
-/// What stands in brackets behind a mean.
-pub(crate) const INTERVALS: &str = "In brackets: the 95 % interval of the mean over seeds (Student), as far \
-    as the figure can go; of two seeds, which make no interval, both.";
+/// Explains the brackets behind a mean.
+pub(crate) const INTERVALS: &str = "In brackets: the 95 % interval of the mean over seeds (Student), \
+    limited to the figure's range; with two seeds, the two values.";
 
-/// A column of ours: its name and what it is of.
+/// A column of our results: its name and its evaluations.
 struct Column<'a> {
     name: String,
-    of: Vec<(&'a Seed, Exam)>,
+    of: Vec<(&'a Seed, BlockEvaluation)>,
 }
 
-/// The evaluation after the last block within a fifth of the steps so far.
-fn early(seed: &Seed) -> Option<Exam> {
-    let end = seed.exams.last()?.steps / 5;
-    let before = seed.exams.iter().rev().find(|exam| exam.steps <= end);
+/// The evaluation after the last block within the first fifth of the steps.
+fn early(seed: &Seed) -> Option<BlockEvaluation> {
+    let end = seed.block_evaluations.last()?.steps / 5;
+    let before = seed
+        .block_evaluations
+        .iter()
+        .rev()
+        .find(|block_evaluation| block_evaluation.steps <= end);
     before.copied()
 }
 
-/// Table 1: the evaluation after the last block, and an early one, where there was
-/// one.
+/// Table 1: the evaluation after the last block, and an early one if there is one.
 pub fn blocks(results: &Results) -> Table {
     let columns: Vec<Column> = [
         column(results, early),
-        column(results, |seed| seed.exams.last().copied()),
+        column(results, |seed| seed.block_evaluations.last().copied()),
     ]
     .into_iter()
     .flatten()
@@ -91,7 +94,11 @@ pub fn blocks(results: &Results) -> Table {
         let mut row = vec![metric.name().to_string()];
         row.extend(reported(metric).map(String::from));
         row.extend(columns.iter().map(|column| {
-            let values: Vec<f64> = column.of.iter().map(|(_, exam)| exam.of(metric)).collect();
+            let values: Vec<f64> = column
+                .of
+                .iter()
+                .map(|(_, block_evaluation)| block_evaluation.of(metric))
+                .collect();
             cell(&values, metric.digits(), metric.most())
         }));
         table.add_row(row);
@@ -102,8 +109,11 @@ pub fn blocks(results: &Results) -> Table {
         String::new(),
     ];
     row.extend(columns.iter().map(|column| {
-        let at = column.of.iter().filter_map(|(seed, exam)| {
-            let block = seed.blocks.iter().find(|block| block.steps == exam.steps)?;
+        let at = column.of.iter().filter_map(|(seed, block_evaluation)| {
+            let block = seed
+                .blocks
+                .iter()
+                .find(|block| block.steps == block_evaluation.steps)?;
             Some(block.interventions as f64)
         });
         cell(&at.collect::<Vec<_>>(), 0, f64::INFINITY)
@@ -112,11 +122,14 @@ pub fn blocks(results: &Results) -> Table {
     table
 }
 
-/// One evaluation of each seed that has it; none when none has.
-fn column(results: &Results, of: impl Fn(&Seed) -> Option<Exam>) -> Option<Column<'_>> {
+/// One evaluation of each seed that has it; `None` if no seed has it.
+fn column(results: &Results, of: impl Fn(&Seed) -> Option<BlockEvaluation>) -> Option<Column<'_>> {
     let seeds = results.seeds.iter();
-    let of: Vec<(&Seed, Exam)> = seeds.filter_map(|seed| Some((seed, of(seed)?))).collect();
-    let steps = of.iter().map(|(_, exam)| exam.steps);
+    let of: Vec<(&Seed, BlockEvaluation)> =
+        seeds.filter_map(|seed| Some((seed, of(seed)?))).collect();
+    let steps = of
+        .iter()
+        .map(|(_, block_evaluation)| block_evaluation.steps);
     let (least, most) = (steps.clone().min()?, steps.max()?);
     let mut name = match least == most {
         true => format!("ours, {}", counted(least, "step")),
@@ -133,8 +146,7 @@ fn column(results: &Results, of: impl Fn(&Seed) -> Option<Exam>) -> Option<Colum
     Some(Column { name, of })
 }
 
-/// The last policies on many episodes, mean over seeds; none before they are
-/// evaluated.
+/// The last policies on many episodes, mean over seeds; `None` before their evaluation.
 pub fn finals(results: &Results) -> Option<Table> {
     let lasts: Vec<_> = results
         .seeds
@@ -180,7 +192,7 @@ pub fn finals(results: &Results) -> Option<Table> {
     Some(table)
 }
 
-/// Which policies there are to take away.
+/// Describes the policy files.
 fn policies(results: &Results) -> Option<String> {
     let best = results.best()?;
     let lasts = results.seeds.iter().filter_map(|seed| {
@@ -188,16 +200,16 @@ fn policies(results: &Results) -> Option<String> {
         Some(format!("seed-{}/{}", seed.seed, policy_file(steps)))
     });
     Some(format!(
-        "policy.onnx is the policy of seed {} after step {}: of all evaluated blocks the one with \
-         the most strict successes, among these with the most successes, then the farthest \
-         completion, then the most steps. After the last block: {}.",
+        "policy.onnx is the policy of seed {} after step {}: of all evaluated blocks, the one with \
+         the most strict successes; ties are resolved by successes, completion and steps. After the \
+         last block: {}.",
         best.seed.seed,
-        best.exam.steps,
+        best.block_evaluation.steps,
         lasts.collect::<Vec<_>>().join(", ")
     ))
 }
 
-/// What has to be known to read the tables.
+/// Notes that explain the tables.
 pub fn notes(results: &Results) -> Vec<String> {
     let mut notes = vec![FOOTNOTE.to_string()];
     if let Some(Column { name, .. }) = column(results, early) {
@@ -213,27 +225,27 @@ pub fn notes(results: &Results) -> Vec<String> {
     for seed in &results.seeds {
         if let Some(block) = seed.blocks.last().filter(|block| block.lost > 0) {
             notes.push(format!(
-                "seed {}: {} of {} steps were driven while its learner was away, and not learnt \
-                 from.",
+                "seed {}: {} of {} steps were driven while its learner was not running, and were not \
+                 learnt from.",
                 seed.seed, block.lost, block.steps
             ));
         }
-        notes.extend(doubtful(seed));
+        notes.extend(warnings_of(seed));
     }
     notes
 }
 
-/// Blocks listed one by one.
+/// Maximum number of blocks that are listed.
 const BLOCKS_SHOWN: usize = 10;
 
-/// Each doubt of a training, with the blocks that it is of.
-fn doubtful(seed: &Seed) -> Vec<String> {
+/// The warnings about a training, each with its blocks.
+fn warnings_of(seed: &Seed) -> Vec<String> {
     let Ok(config) = load(&seed.config_file()) else {
         return Vec::new();
     };
-    let found = doubts(&seed.blocks, &config);
-    let of = |doubt: Doubt| {
-        let ends = found.iter().filter(|(_, other)| *other == doubt);
+    let found = warnings(&seed.blocks, &config);
+    let of = |warning: BlockWarning| {
+        let ends = found.iter().filter(|(_, other)| *other == warning);
         let ends: Vec<String> = ends.map(|(steps, _)| steps.to_string()).collect();
         let more = match ends.len().saturating_sub(BLOCKS_SHOWN) {
             0 => String::new(),
@@ -244,12 +256,12 @@ fn doubtful(seed: &Seed) -> Vec<String> {
                 "seed {}: in {} {} (ending at step {}{more}).",
                 seed.seed,
                 counted(ends.len(), "block"),
-                doubt.words(),
+                warning.words(),
                 ends[..ends.len().min(BLOCKS_SHOWN)].join(", ")
             )
         })
     };
-    Doubt::ALL.into_iter().filter_map(of).collect()
+    BlockWarning::ALL.into_iter().filter_map(of).collect()
 }
 
 /// Both tables as Markdown.

@@ -1,4 +1,4 @@
-//! The experiment's numbers as TensorBoard reads them: one event file a seed.
+//! The experiment's numbers for TensorBoard: one event file per seed.
 //!
 //! The format is TensorFlow's record file (length, masked CRC-32C of it, record,
 //! masked CRC-32C of that) of `Event` messages, of which a scalar needs three.
@@ -41,15 +41,16 @@ struct Value {
     simple_value: f32,
 }
 
-/// Writes `seed-N/tensorboard/events.out.tfevents.0.vlaps` for every seed, anew.
+/// Writes `seed-N/tensorboard/events.out.tfevents.0.vlaps` for every seed; replaces older
+/// files.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn write(results: &Results, out: &Path) -> anyhow::Result<()> {
     for seed in &results.seeds {
         let folder = seed.folder.join("tensorboard");
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        // The same name each time: TensorBoard would add up two files.
+        // A fixed name: TensorBoard would merge two files.
         let file = folder.join("events.out.tfevents.0.vlaps");
         fs::write(&file, records(seed)).with_context(|| file.display().to_string())?;
     }
@@ -64,10 +65,15 @@ fn records(seed: &Seed) -> Vec<u8> {
         ..Event::default()
     };
     record(&head, &mut bytes);
-    for exam in &seed.exams {
-        let tags = Metric::ALL.map(|metric| (format!("eval/{}", metric.key()), exam.of(metric)));
+    for block_evaluation in &seed.block_evaluations {
+        let tags = Metric::ALL.map(|metric| {
+            (
+                format!("eval/{}", metric.key()),
+                block_evaluation.of(metric),
+            )
+        });
         let scalars: Vec<(&str, f64)> = tags.iter().map(|(tag, value)| (&**tag, *value)).collect();
-        record(&event(exam.steps, &scalars), &mut bytes);
+        record(&event(block_evaluation.steps, &scalars), &mut bytes);
     }
     for block in &seed.blocks {
         let scalars = [
@@ -88,7 +94,7 @@ fn event(steps: u64, scalars: &[(&str, f64)]) -> Event {
         simple_value: value as f32,
     });
     Event {
-        // Steps are the time that matters; a clock would make every file differ.
+        // Only the steps matter as time; the wall clock would make every file differ.
         wall_time: steps as f64,
         step: steps as i64,
         file_version: None,
@@ -107,8 +113,8 @@ fn record(event: &Event, bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&masked(&body).to_le_bytes());
 }
 
-/// A checksum of a record that holds checksums itself would be weak; so
-/// TensorFlow rotates it and adds a number.
+/// TensorFlow masks its checksums, by rotation and addition, because a CRC of data that
+/// contains CRCs is weak.
 fn masked(bytes: &[u8]) -> u32 {
     crc32c::crc32c(bytes)
         .rotate_right(15)

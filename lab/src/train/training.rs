@@ -1,4 +1,4 @@
-//! One training: the process set in lockstep, as `./vlaps up` starts it.
+//! One training: runs the process set in lockstep, as `./vlaps up` does.
 
 use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
@@ -10,52 +10,52 @@ use anyhow::{Context, bail};
 use shm_config::secret;
 use supervisor::machine::signals::pause;
 
-use super::doubts::doubts;
-use super::examiner::Examiner;
+use super::evaluator::Evaluator;
 use super::protocol::{Protocol, STEP_S};
-use super::results::{self, Exam};
+use super::results::{self, BlockEvaluation};
+use super::warnings::warnings;
 use crate::progress::Progress;
 use crate::stop::Stop;
 use stack::Clock;
 
-/// From look to look at how far the training is.
+/// Polling interval of the training's progress.
 const LOOK: Duration = Duration::from_millis(200);
 
 /// How a training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// After all its steps.
+    /// All steps are trained.
     Complete,
-    /// A stop was asked for.
+    /// A stop was requested.
     Stopped {
-        /// After this many steps.
+        /// Number of trained steps.
         steps: u64,
     },
 }
 
-/// Trains for the steps that are missing, and evaluates every block.
+/// Trains for the missing steps and evaluates every block.
 ///
 /// # Errors
-/// When the process set cannot be started or gives up, the learner does not come
-/// to its last block, or the folder cannot be written.
+/// If the process set cannot be started or fails, the learner does not reach its last
+/// block, or the folder cannot be written.
 pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<End> {
     let folder = &protocol.folder;
     shm_config::file::make_folders(folder).with_context(|| folder.display().to_string())?;
     let from_to = (results::steps(folder)?, protocol.steps);
     let name = format!("seed {}", protocol.seed);
     let mut progress = Progress::begin(name, "steps", from_to, clock)?;
-    let mut examiner = Examiner::start(protocol, clock)?;
-    let end = drive_all(protocol, stop, (&mut examiner, &mut progress))?;
+    let mut evaluator = Evaluator::start(protocol, clock)?;
+    let end = drive_all(protocol, stop, (&mut evaluator, &mut progress))?;
     let end = match end {
         End::Stopped { .. } => {
-            examiner.stop()?;
+            evaluator.stop()?;
             end
         }
         End::Complete => {
             progress.now("evaluating the last blocks");
-            let end = examiner.finish(stop)?;
-            if let Some(exam) = results::exams(folder)?.last() {
-                progress.now(&success(exam));
+            let end = evaluator.finish(stop)?;
+            if let Some(block_evaluation) = results::block_evaluations(folder)?.last() {
+                progress.now(&success(block_evaluation));
             }
             end
         }
@@ -64,17 +64,20 @@ pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<E
     Ok(end)
 }
 
-/// With its block: training does not wait for evaluations, and may be ahead of it.
-fn success(exam: &Exam) -> String {
-    format!("success {:.2} after step {}", exam.success, exam.steps)
+/// Names the evaluated step: training does not wait for evaluations and may be ahead.
+fn success(block_evaluation: &BlockEvaluation) -> String {
+    format!(
+        "success {:.2} after step {}",
+        block_evaluation.success, block_evaluation.steps
+    )
 }
 
-/// Drives process sets until the last block is learnt. One is enough unless the
-/// learner dies so late that the last steps never reach it.
+/// Runs process sets until the last block is trained. More than one is needed only if the
+/// learner dies so late that it never receives the last steps.
 fn drive_all(
     protocol: &Protocol,
     stop: &Stop,
-    (examiner, progress): (&mut Examiner, &mut Progress),
+    (evaluator, progress): (&mut Evaluator, &mut Progress),
 ) -> anyhow::Result<End> {
     let folder = &protocol.folder;
     let mut tried = None;
@@ -91,19 +94,19 @@ fn drive_all(
         }
         tried = Some((steps, driven));
         let mut set = ProcessSet::start(protocol, driven)?;
-        let is_well = watch(&mut set, protocol, stop, (examiner, progress))?;
+        let is_well = watch(&mut set, protocol, stop, (evaluator, progress))?;
         let steps = results::steps(folder)?;
         if stop.is_asked() || (is_well && set.was_stopped()) {
             return Ok(End::Stopped { steps });
         }
         if !is_well {
-            bail!("{}", set.last_words(steps));
+            bail!("{}", set.failure_message(steps));
         }
     }
 }
 
-/// Two process sets in a row, and no block more: what stands in the way is in the
-/// learner's log.
+/// The error after two process sets in a row without a new block; the learner's log has
+/// the cause.
 fn without_progress(protocol: &Protocol, (steps, driven): (u64, u64)) -> String {
     let log = protocol.folder.join("logs/learner.log");
     format!(
@@ -116,32 +119,32 @@ fn without_progress(protocol: &Protocol, (steps, driven): (u64, u64)) -> String 
     )
 }
 
-/// The last line of a log that says something.
+/// The last non-empty line of a log.
 fn last_line(log: &Path) -> String {
     let text = fs::read_to_string(log).unwrap_or_default();
     let last = text.lines().rev().find(|line| !line.trim().is_empty());
-    last.unwrap_or("its log is empty").into()
+    last.unwrap_or("empty log").into()
 }
 
-/// Looks at a process set until it has ended; whether it did so well.
+/// Watches a process set until it has ended; returns whether it succeeded.
 fn watch(
     set: &mut ProcessSet,
     protocol: &Protocol,
     stop: &Stop,
-    (examiner, progress): (&mut Examiner, &mut Progress),
+    (evaluator, progress): (&mut Evaluator, &mut Progress),
 ) -> anyhow::Result<bool> {
     let mut said = results::steps(&protocol.folder)?;
     loop {
         pause(LOOK);
-        if let Some(exam) = examiner.news()? {
-            progress.note(success(&exam));
+        if let Some(block_evaluation) = evaluator.news()? {
+            progress.note(success(&block_evaluation));
         }
         let blocks = results::blocks(&protocol.folder)?;
-        for (steps, doubt) in doubts(&blocks, &protocol.config) {
+        for (steps, warning) in warnings(&blocks, &protocol.config) {
             if steps > said {
                 progress.warn(&format!(
                     "in the block up to step {steps} {}",
-                    doubt.words()
+                    warning.words()
                 ));
             }
         }
@@ -156,10 +159,10 @@ fn watch(
     }
 }
 
-/// What the process set prints.
+/// File for the output of the process set.
 const DRIVE_LOG: &str = "drive.log";
 
-/// `./vlaps up`, as a child.
+/// A running `./vlaps up`.
 struct ProcessSet {
     child: Child,
     folder: PathBuf,
@@ -168,18 +171,18 @@ struct ProcessSet {
 }
 
 impl ProcessSet {
-    /// For the steps that are missing when so many are driven. Without any the
-    /// learner was killed in the updates of its last block: it makes up for them
-    /// when it is started, and no set drives less than a step.
+    /// Starts a set for the missing steps; `begun` are driven. If all are driven, the learner
+    /// was killed during the updates of its last block; it makes them up at its start, and the
+    /// set drives one step, the minimum.
     fn start(protocol: &Protocol, begun: u64) -> anyhow::Result<ProcessSet> {
         let mut config = protocol.config.clone();
         config.run.duration_s = protocol.steps.saturating_sub(begun).max(1) as f64 * STEP_S;
-        // Another order of the training seeds, not the same first ones again.
+        // Begin with another part of the shuffled training seeds, not with the same ones again.
         config.run.shuffle = config.run.shuffle.wrapping_add(begun);
         let file = protocol.file();
         fs::write(&file, toml::to_string(&config)?).with_context(|| file.display().to_string())?;
         let log = protocol.folder.join(DRIVE_LOG);
-        // Behind what the sets before have said.
+        // Append to the output of earlier sets.
         let mut options = File::options();
         let output = options.create(true).append(true).open(&log);
         let output = output.with_context(|| log.display().to_string())?;
@@ -188,15 +191,15 @@ impl ProcessSet {
             .arg("up")
             .arg("--json")
             .arg(&summary)
-            // The set ends when this process is killed.
+            // The set ends if this process is killed.
             .args(["--parent", &std::process::id().to_string()])
             .arg("--config")
             .arg(&file)
-            // Its gate may need a key.
+            // The gate may need an API key from the environment.
             .stdin(secret::lend()?)
             .stdout(output.try_clone()?)
             .stderr(output)
-            // Ctrl-C in the terminal is ours to pass on: twice would kill.
+            // Ctrl-C is forwarded once; a second signal would kill the set.
             .process_group(0)
             .spawn()
             .context("the process set")?;
@@ -208,7 +211,7 @@ impl ProcessSet {
         })
     }
 
-    /// Asks it to end in order, once: a second time would kill.
+    /// Requests a stop once; a second request would kill the set.
     fn stop(&mut self) {
         if !self.is_stopping {
             self.is_stopping = true;
@@ -220,15 +223,15 @@ impl ProcessSet {
         }
     }
 
-    /// Another command stopped it, such as `./vlaps down`.
+    /// Whether another command stopped it, such as `./vlaps down`.
     fn was_stopped(&self) -> bool {
         let text = fs::read_to_string(&self.summary).unwrap_or_default();
         let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
         summary["ended"] == "stopped"
     }
 
-    /// Why it gave up.
-    fn last_words(&self, steps: u64) -> String {
+    /// The error of a set that failed.
+    fn failure_message(&self, steps: u64) -> String {
         let log = self.folder.join(DRIVE_LOG);
         format!(
             "the process set ended after {steps} steps: {} ({})",
@@ -237,7 +240,7 @@ impl ProcessSet {
         )
     }
 
-    /// Whether it ended well, once it has ended.
+    /// Whether it succeeded, once it has ended.
     fn ended(&mut self) -> anyhow::Result<Option<bool>> {
         Ok(self.child.try_wait()?.map(|status| status.success()))
     }
@@ -245,15 +248,15 @@ impl ProcessSet {
 
 impl Drop for ProcessSet {
     fn drop(&mut self) {
-        // Only when training ends by an error: nothing is left to drive.
+        // Reached only if training fails: the set has nothing left to drive.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// The supervisor stands beside this program.
+/// Path of the supervisor, which is beside this program.
 fn supervisor_path() -> anyhow::Result<PathBuf> {
-    let own = std::env::current_exe().context("the program's own place")?;
+    let own = std::env::current_exe().context("the path of this program")?;
     let path = own
         .parent()
         .unwrap_or(Path::new("."))

@@ -1,36 +1,38 @@
-//! Suspicious blocks of a training: it continues, but learns or shows less than
-//! it seems to.
+//! Warnings about blocks of a training that taught the policy nothing, or in which it did
+//! not drive.
 
 use shm_config::config::{Algorithm, Config, GateMode};
 
 use super::results::Block;
 
-/// What is doubtful about a block.
+/// A warning about a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Doubt {
-    /// None of its steps got a label.
+pub enum BlockWarning {
+    /// None of its steps has a label.
     Unlabelled,
-    /// There was a policy, and it drove none of its steps.
+    /// A policy existed, but drove none of its steps.
     Undriven,
 }
 
-impl Doubt {
-    /// All of them.
-    pub const ALL: [Doubt; 2] = [Doubt::Unlabelled, Doubt::Undriven];
+impl BlockWarning {
+    /// All warnings.
+    pub const ALL: [BlockWarning; 2] = [BlockWarning::Unlabelled, BlockWarning::Undriven];
 
-    /// Of one block, as a sentence.
+    /// Description, as part of a sentence.
     pub fn words(self) -> &'static str {
         match self {
-            Doubt::Unlabelled => "no step got a label: nothing new was learnt from the judge",
-            Doubt::Undriven => "the policy drove no step, though there was one",
+            BlockWarning::Unlabelled => {
+                "no step got a label: nothing new was learnt from the judge"
+            }
+            BlockWarning::Undriven => "the policy drove no step, though there was one",
         }
     }
 }
 
-/// The doubts of blocks that follow one another, by the steps at their ends; those of
-/// the first one are not reported: it has no policy that could drive or be preferred.
-pub fn doubts(blocks: &[Block], config: &Config) -> Vec<(u64, Doubt)> {
-    // `dagger` imitates the expert at every step, regardless of the judge.
+/// Warnings about consecutive blocks, with the step at the end of each. The first block
+/// gets none: it has no policy that could drive or be preferred.
+pub fn warnings(blocks: &[Block], config: &Config) -> Vec<(u64, BlockWarning)> {
+    // `dagger` imitates the expert at every step and needs no labels of the judge.
     let needs_labels = config.learner.algorithm != Algorithm::Dagger;
     let may_drive = config.gate.mode != GateMode::Expert;
     let mut found = Vec::new();
@@ -38,12 +40,12 @@ pub fn doubts(blocks: &[Block], config: &Config) -> Vec<(u64, Doubt)> {
         let [before, block] = [pair[0], pair[1]];
         let labels = |block: Block| block.labels_expert + block.labels_policy;
         if needs_labels && labels(block) <= labels(before) {
-            found.push((block.steps, Doubt::Unlabelled));
+            found.push((block.steps, BlockWarning::Unlabelled));
         }
         let seen = |block: Block| block.steps.saturating_sub(block.lost);
         let driven_by_others = block.interventions.saturating_sub(before.interventions);
         if may_drive && driven_by_others >= seen(block).saturating_sub(seen(before)) {
-            found.push((block.steps, Doubt::Undriven));
+            found.push((block.steps, BlockWarning::Undriven));
         }
     }
     found
@@ -75,28 +77,31 @@ mod tests {
     }
 
     #[test]
-    fn a_block_without_labels_or_without_the_policy_is_doubted() {
+    fn a_block_without_labels_or_without_the_policy_gets_a_warning() {
         let blocks = [
             block(200, 200, 0),
             block(400, 300, 150),
             block(600, 400, 150),
             block(800, 600, 151),
         ];
-        let all = [(600, Doubt::Unlabelled), (800, Doubt::Undriven)];
-        let of = |algorithm, mode| doubts(&blocks, &config(algorithm, mode));
+        let all = [
+            (600, BlockWarning::Unlabelled),
+            (800, BlockWarning::Undriven),
+        ];
+        let of = |algorithm, mode| warnings(&blocks, &config(algorithm, mode));
         assert_eq!(of(Algorithm::Pvp, GateMode::Rules), all);
         assert_eq!(of(Algorithm::Dagger, GateMode::Rules), all[1..]);
         assert_eq!(of(Algorithm::Bc, GateMode::Expert), all[..1]);
-        assert_eq!(doubts(&blocks[..1], &Config::default()), []);
+        assert_eq!(warnings(&blocks[..1], &Config::default()), []);
     }
 
     #[test]
-    fn lost_steps_were_driven_by_nobody_known() {
+    fn lost_steps_have_an_unknown_driver() {
         let mut blocks = [block(200, 200, 0), block(400, 300, 150)];
         blocks[1].lost = 100;
         let config = config(Algorithm::Pvp, GateMode::Rules);
-        assert_eq!(doubts(&blocks, &config), [(400, Doubt::Undriven)]);
+        assert_eq!(warnings(&blocks, &config), [(400, BlockWarning::Undriven)]);
         blocks[1].lost = 99;
-        assert_eq!(doubts(&blocks, &config), []);
+        assert_eq!(warnings(&blocks, &config), []);
     }
 }

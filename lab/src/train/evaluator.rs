@@ -1,4 +1,4 @@
-//! Episodes without intervention after every block, beside the training.
+//! Evaluates policies without intervention after every block, beside the training.
 
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -13,8 +13,10 @@ use shm_config::config::Config;
 
 use super::experiment::Experiment;
 use super::protocol::{EVALUATION_SEED, Protocol};
-use super::results::{Exam, Results, append_exam, exams, policies};
-use super::student::End;
+use super::results::{
+    BlockEvaluation, Results, append_block_evaluation, block_evaluations, policies,
+};
+use super::training::End;
 use crate::episodes::{Task, evaluate_inside};
 use crate::evaluation::Evaluation;
 use crate::progress::Progress;
@@ -25,45 +27,45 @@ use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::machine::signals::pause;
 use supervisor::subcommand::write_json;
 
-/// From look to look at new policies.
+/// Polling interval for new policies.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// Words about the last policy's evaluation.
+/// Number of progress lines of a last policy's evaluation.
 const PARTS: u64 = 20;
 
-/// Policies come on.
+/// More policies will come.
 const WATCH: u8 = 0;
-/// No more come; those that are there are evaluated.
+/// No more policies will come; the remaining ones are evaluated.
 const FINISH: u8 = 1;
 
-/// A thread that evaluates each policy that appears.
-pub struct Examiner {
+/// A thread that evaluates each new policy.
+pub struct Evaluator {
     order: Arc<AtomicU8>,
-    /// Its own: training continues to its orderly end when a stop is requested.
+    /// Separate from the training's: a stop request lets the training end in order first.
     stop: Stop,
     protocol: Protocol,
-    news: Receiver<Exam>,
+    news: Receiver<BlockEvaluation>,
     thread: Option<JoinHandle<anyhow::Result<()>>>,
 }
 
-impl Examiner {
-    /// Begins with the first policy that was not evaluated yet.
+impl Evaluator {
+    /// Starts with the first policy that has not been evaluated.
     ///
     /// # Errors
-    /// When what was evaluated before cannot be read.
-    pub fn start(protocol: &Protocol, clock: Clock) -> anyhow::Result<Examiner> {
+    /// If the earlier evaluations cannot be read.
+    pub fn start(protocol: &Protocol, clock: Clock) -> anyhow::Result<Evaluator> {
         let (order, stop) = (Arc::new(AtomicU8::new(WATCH)), Stop::default());
         let (send, news) = channel();
         let thread = {
             let (order, stop, protocol) = (Arc::clone(&order), stop.clone(), protocol.clone());
             std::thread::spawn(move || {
-                watch(&protocol, clock, (&order, &stop), |exam| {
-                    // The receiver may be gone.
-                    let _ = send.send(exam);
+                watch(&protocol, clock, (&order, &stop), |block_evaluation| {
+                    // The receiver may have been dropped.
+                    let _ = send.send(block_evaluation);
                 })
             })
         };
-        Ok(Examiner {
+        Ok(Evaluator {
             order,
             stop,
             protocol: protocol.clone(),
@@ -72,21 +74,21 @@ impl Examiner {
         })
     }
 
-    /// The newest evaluation, when there is a new one.
+    /// The newest evaluation that has not been returned yet.
     ///
     /// # Errors
-    /// When the thread has failed.
-    pub fn news(&mut self) -> anyhow::Result<Option<Exam>> {
+    /// If the thread has failed.
+    pub fn news(&mut self) -> anyhow::Result<Option<BlockEvaluation>> {
         if self.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             self.join()?;
         }
         Ok(self.news.try_iter().last())
     }
 
-    /// Waits until every policy is evaluated, or a stop is requested.
+    /// Waits until every policy is evaluated or a stop is requested.
     ///
     /// # Errors
-    /// When the thread has failed.
+    /// If the thread has failed.
     pub fn finish(mut self, stop: &Stop) -> anyhow::Result<End> {
         self.order.store(FINISH, Ordering::Relaxed);
         while !self.thread.as_ref().is_none_or(JoinHandle::is_finished) {
@@ -101,11 +103,11 @@ impl Examiner {
         Ok(End::Complete)
     }
 
-    /// Waits for the episodes at hand only; their evaluation is begun anew next
-    /// time.
+    /// Waits only for the current episodes; their evaluation begins anew at the next
+    /// start.
     ///
     /// # Errors
-    /// When the thread has failed.
+    /// If the thread has failed.
     pub fn stop(mut self) -> anyhow::Result<()> {
         self.stop.ask();
         self.join()
@@ -115,7 +117,7 @@ impl Examiner {
         match self.thread.take().map(JoinHandle::join) {
             None => Ok(()),
             Some(Ok(result)) => result,
-            Some(Err(_)) => Err(anyhow!("the evaluation's thread panicked")),
+            Some(Err(_)) => Err(anyhow!("the evaluation thread panicked")),
         }
     }
 }
@@ -124,9 +126,11 @@ fn watch(
     protocol: &Protocol,
     clock: Clock,
     (order, stop): (&AtomicU8, &Stop),
-    mut tell: impl FnMut(Exam),
+    mut send: impl FnMut(BlockEvaluation),
 ) -> anyhow::Result<()> {
-    let done = exams(&protocol.folder)?.last().map_or(0, |exam| exam.steps);
+    let done = block_evaluations(&protocol.folder)?
+        .last()
+        .map_or(0, |block_evaluation| block_evaluation.steps);
     let mut done = done;
     loop {
         let now = order.load(Ordering::Relaxed);
@@ -143,7 +147,7 @@ fn watch(
             pause(LOOK);
             continue;
         };
-        // While it drives, the other cores are the training's.
+        // While the set drives, the other cores belong to it.
         let threads = match now {
             FINISH => std::thread::available_parallelism()?,
             _ => NonZeroUsize::MIN,
@@ -155,26 +159,28 @@ fn watch(
             episodes: protocol.episodes,
             threads,
         };
-        let Some(exam) = exam((&task, steps), &protocol.config, (clock, stop))? else {
+        let Some(block_evaluation) =
+            evaluate_block((&task, steps), &protocol.config, (clock, stop))?
+        else {
             return Ok(());
         };
-        append_exam(&protocol.folder, &exam)?;
-        tell(exam);
+        append_block_evaluation(&protocol.folder, &block_evaluation)?;
+        send(block_evaluation);
         done = steps;
     }
 }
 
-/// Evaluates in the built-in world, whichever the training is in; `None` when
-/// stopped before the end.
-fn exam(
+/// Evaluates a policy in the built-in world, whichever world the training uses; `None` if
+/// stopped early.
+fn evaluate_block(
     (task, steps): (&Task, u64),
     config: &Config,
     watch: (Clock, &Stop),
-) -> anyhow::Result<Option<Exam>> {
+) -> anyhow::Result<Option<BlockEvaluation>> {
     let Some(evaluation) = evaluated(task, config, watch, |_| {})? else {
         return Ok(None);
     };
-    Ok(Some(Exam {
+    Ok(Some(BlockEvaluation {
         steps,
         success: evaluation.success.mean,
         strict_success: evaluation.strict_success.mean,
@@ -208,8 +214,8 @@ fn evaluated(
 /// Evaluates the last policy of each seed on many episodes, once.
 ///
 /// # Errors
-/// When a policy cannot be read or a file not written.
-pub fn examine_finals(
+/// If a policy cannot be read or a file cannot be written.
+pub fn evaluate_finals(
     experiment: &Experiment,
     results: &Results,
     out: &Path,
