@@ -1,4 +1,4 @@
-"""Drives the real MetaDrive as fast as it goes, on one core, and says how fast.
+"""Drives the real MetaDrive as fast as possible on one core and prints its speed.
 
 Called by `./vlaps bench sim` with the folder of the world's Python files as
 the first argument and the task, as JSON, as the second. Prints one JSON object.
@@ -10,20 +10,20 @@ import os
 import sys
 import time
 
-# One core, like the row it stands beside.
+# One core, as in the row of the built-in world.
 os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", SDL_VIDEODRIVER="dummy")
 
 sys.path.insert(0, sys.argv[1])
 import environment  # noqa: E402  (found through the argument)
 
-# Range of the features that are read back, as the simulator scales them.
+# Ranges by which the simulator scales the features that are used below.
 SPEED_MAX_KMH = 81.0
 OFFSET_RANGE_M = 4.5
 
 
 def keep_lane(features):
-    """Steers along the lane at 8 m/s, from features alone."""
+    """Keeps the lane at 8 m/s, using only the observation's features."""
     heading_rad = math.asin(min(max(1.0 - 2.0 * features[2], -1.0), 1.0))
     speed_mps = (features[3] * SPEED_MAX_KMH - 1.0) / 3.6
     offset_m = (0.5 - features[8]) * OFFSET_RANGE_M
@@ -35,7 +35,7 @@ def keep_lane(features):
 def main():
     task = json.loads(sys.argv[2])
     world = environment.World(task["world"])
-    # The first reset makes the engine: not part of the measurement.
+    # The first reset creates the engine and is not measured.
     world.reset(task["first_seed"])
     steps, resets_s = 0, []
     begun, core_begun = time.monotonic(), time.process_time()

@@ -1,10 +1,10 @@
-/* Back and forth over Cyclone DDS, as `vlaps bench ipc` does it over shared memory.
+/* Round trips over Cyclone DDS, as `vlaps bench ipc` makes them over shared memory.
  *
  * latency MESSAGE spin|bell PERIOD_NS WARM COUNT CORE_PING CORE_ECHO
  *
- * Forks the process that answers, and prints half of each counted round trip, ns, a
- * line each. Cores below 0 are none. Both ends take the newest of a queue of one,
- * best effort, volatile: what the stack's `latest value wins` is in DDS.
+ * Forks the answering process and prints half of each counted round trip, ns, one per
+ * line. A negative core means no pinning. Both ends read from a queue of one message,
+ * best effort, volatile: the stack's `latest value wins` in terms of DDS.
  */
 #define _GNU_SOURCE
 #include <sched.h>
@@ -21,7 +21,7 @@
 #include "block.h"
 #include "dds/dds.h"
 
-/* A message that does not come within this is lost. */
+/* A message counts as lost after this time. */
 #define LOST_NS 5000000000LL
 
 static void fail(const char *what, dds_return_t code) {
@@ -152,14 +152,14 @@ int main(int count, char **words) {
       await_message(&end, bytes);
       send(&end, bytes);
     }
-    // The last answer is on its way.
+    // Wait until the last answer has been sent.
     dds_sleepfor(DDS_MSECS(200));
     return 0;
   }
   stay_on(atoi(words[6]));
   struct end end = open_end(message, sleeps, 1);
   await_peer(&end);
-  // Discovery has two sides: the other one may still be at it.
+  // The other participant may not have discovered this one yet.
   dds_sleepfor(DDS_MSECS(300));
   int64_t begun = now_ns();
   for (long k = 0; k < warm + counted; k++) {

@@ -42,7 +42,7 @@ public:
         return inside(at) && !any(cell(at.y, layout_.rows), cell(at.x, layout_.columns), cell(at.x, layout_.columns));
     }
 
-    // Whether no cell that the straight line touches is occupied; exact.
+    // Whether all cells that the straight line touches are free; exact.
     bool isSegmentFree(Point from_body, Point to_body) const
     {
         Point from = cells(from_body), to = cells(to_body);
@@ -52,7 +52,7 @@ public:
             std::swap(from, to);
         const double low = std::min(from.x, to.x), high = std::max(from.x, to.x);
         const std::size_t first_row = cell(from.y - TOUCH, layout_.rows), last_row = cell(to.y + TOUCH, layout_.rows);
-        // Most lines are in the open: the rectangle around them is looked at first.
+        // Most lines are far from obstacles: check their bounding rectangle first.
         if (isRectangleFree(first_row, last_row, cell(low - TOUCH, layout_.columns), cell(high + TOUCH, layout_.columns)))
             return true;
         const double rise = to.y - from.y;
@@ -71,7 +71,7 @@ public:
     }
 
 private:
-    // How near a line must come to a cell to touch it, in cells.
+    // Maximum distance at which a line touches a cell, in cells.
     static constexpr double TOUCH = 1e-9;
     static constexpr std::uint64_t ALL = ~std::uint64_t(0);
 
@@ -105,7 +105,7 @@ private:
         return (words[head] & fromColumn(first)) || (words[tail] & toColumn(last));
     }
 
-    // May say no when it is wider than two words.
+    // May return false for a free rectangle that is wider than two words.
     bool isRectangleFree(std::size_t first_row, std::size_t last_row, std::size_t first, std::size_t last) const
     {
         const std::size_t head = first / 64, tail = last / 64;

@@ -1,5 +1,5 @@
-// OMPL's RRTstar on the scenes of `./vlaps bench planner --ompl`; README.md says
-// what is asked and answered.
+// OMPL's RRTstar on the scenes of `./vlaps bench planner --ompl`; README.md describes
+// the protocol.
 
 #include <chrono>
 #include <cstdio>
@@ -66,7 +66,7 @@ namespace
             return grid_.isSegmentFree(point(from), point(to));
         }
 
-        // The variant that says how far the way is free; RRTstar never asks.
+        // The variant that returns how far the path is free; RRTstar never calls it.
         bool checkMotion(const ob::State *from, const ob::State *to, std::pair<ob::State *, double> &) const override
         {
             return checkMotion(from, to);
@@ -76,7 +76,7 @@ namespace
         Grid grid_;
     };
 
-    // Everything of a scene that need not be made anew for each plan.
+    // Everything of a scene that all plans share.
     struct Problem
     {
         ob::SpaceInformationPtr space;
@@ -128,7 +128,7 @@ namespace
         planner.setup();
         ob::IterationTerminationCondition limit(iterations);
         const ob::PlannerTerminationCondition stop = limit;
-        // The search alone: what is made before and freed after is not timed.
+        // Only the search is timed, not its setup and cleanup.
         const auto begun = std::chrono::steady_clock::now();
         const ob::PlannerStatus status = planner.solve(stop);
         const auto time = std::chrono::steady_clock::now() - begun;
@@ -154,8 +154,8 @@ try
         problems.emplace_back(layout, scene);
     std::printf("ready %zu\n", scenes.size());
     std::fflush(stdout);
-    // A block of questions, closed by an empty line, is answered at once, so
-    // that nobody waits on a pipe while the clock runs.
+    // The answers to a block of questions, which ends with an empty line, are written
+    // together, so that no process waits for a pipe during a measurement.
     std::vector<Answer> answers;
     for (std::string line; std::getline(std::cin, line);)
     {

@@ -15,12 +15,12 @@ use supervisor::machine::signals::pause;
 use supervisor::run::leftovers::{Cleaned, clean_run};
 pub use supervisor::telemetry::quantiles::Quantiles;
 
-/// Looks until a run's last process has let go of it, and from one to the next.
+/// Attempts to remove a run's files until its last process has ended, and their interval.
 const CLEANINGS: u32 = 100;
 const LOOK: Duration = Duration::from_millis(20);
 
-/// A running set. It is killed should anything fail before it has ended; what its run
-/// has left is removed with this value; an observer of the run is dropped before it.
+/// A running set. If the measurement fails, dropping this value kills the set; it also
+/// removes the run's files. Drop observers of the run before it.
 pub struct Driven {
     child: Child,
     name: String,
@@ -29,11 +29,11 @@ pub struct Driven {
 }
 
 impl Driven {
-    /// Starts `vlaps-supervisor up`, of this program's own build, with a run of
-    /// its own in a folder of its own.
+    /// Starts `vlaps-supervisor up` from this program's folder, as a new run in a
+    /// temporary folder.
     ///
     /// # Errors
-    /// When it cannot be started.
+    /// If it cannot be started.
     pub fn start(
         run: &str,
         arguments: impl IntoIterator<Item = impl Into<OsString>>,
@@ -45,15 +45,15 @@ impl Driven {
         let child = Command::new(&supervisor)
             .args(["up", "--run", &name])
             .args(arguments.into_iter().map(Into::into))
-            // The set ends with this process, even when that is killed.
+            // The set ends with this process, even if this process is killed.
             .args(["--parent", &std::process::id().to_string()])
             .arg("--json")
             .arg(&json)
             .current_dir(folder.path())
-            // Its gate may need a key.
+            // The gate may need an API key from the environment.
             .stdin(secret::lend()?)
             .stdout(Stdio::null())
-            // This program passes Ctrl-C on: a second one from the terminal would kill.
+            // This program forwards Ctrl-C; a second signal from the terminal would kill the set.
             .process_group(0)
             .spawn()
             .with_context(|| supervisor.display().to_string())?;
@@ -70,7 +70,7 @@ impl Driven {
         &self.name
     }
 
-    /// The run's own folder, such as of its logs. It is gone with this value.
+    /// The run's folder, with its logs; removed when this value is dropped.
     pub fn run_folder(&self) -> PathBuf {
         self.folder.path().join("runs").join(&self.name)
     }
@@ -80,33 +80,33 @@ impl Driven {
         self.child.id()
     }
 
-    /// The run has ended, well or not.
+    /// Whether the run has ended, successfully or not.
     ///
     /// # Errors
-    /// When the system does not tell.
+    /// If the process state cannot be read.
     pub fn has_ended(&mut self) -> anyhow::Result<bool> {
         Ok(self.child.try_wait()?.is_some())
     }
 
-    /// Asks it to stop, as Ctrl-C does: the car is braked to a stand first.
+    /// Requests a stop, as Ctrl-C does: the car brakes to a stand first.
     pub fn stop(&self) {
         if let Some(pid) = rustix::process::Pid::from_raw(self.child.id() as i32) {
             let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
         }
     }
 
-    /// Waits for the end; what `up --json` wrote.
+    /// Waits for the end; returns the JSON object of `up --json`.
     ///
     /// # Errors
-    /// When the run failed.
+    /// If the run failed.
     pub fn finish(mut self) -> anyhow::Result<Value> {
         self.summary()
     }
 
-    /// The same, and the run's folder stays for as long as this value.
+    /// As [`Driven::finish`], but keeps the run's folder until this value is dropped.
     ///
     /// # Errors
-    /// When the run failed.
+    /// If the run failed.
     pub fn summary(&mut self) -> anyhow::Result<Value> {
         if !self.child.wait()?.success() {
             bail!("run '{}' failed; its errors are above", self.name);
@@ -123,12 +123,12 @@ impl Drop for Driven {
         let Ok(name) = self.name.parse() else {
             return;
         };
-        // An open observer keeps a run alive, as does a process that is being killed.
+        // An open observer, or a process that is still being killed, keeps the run alive.
         remove(&RunPaths::new(name));
     }
 }
 
-/// Removes what a run has left, once its last process has let go of it.
+/// Removes a run's files as soon as its last process has ended.
 pub fn remove(paths: &RunPaths) {
     for _ in 0..CLEANINGS {
         match clean_run(paths) {
@@ -138,41 +138,41 @@ pub fn remove(paths: &RunPaths) {
     }
 }
 
-/// As `up --json` has them under a key of a process, which lacks what the process
-/// does not measure.
+/// The quantiles under `key` in a process's row of `up --json`; `None` if the process
+/// does not measure them.
 pub fn quantiles(row: &Value, key: &str) -> Option<Quantiles> {
     Quantiles::deserialize(&row[key]).ok()
 }
 
-/// How punctual a process of a finished run was. A measure that it does not have is
-/// left out.
+/// Punctuality of a process in a finished run. Measures that the process does not
+/// have are left out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Punctuality {
-    /// Ticks.
+    /// Ticks begun.
     pub ticks: u64,
-    /// Ticks of the grid skipped.
+    /// Ticks of the grid that were skipped.
     pub skipped: u64,
-    /// Ticks done after their deadline.
+    /// Ticks that ended after their deadline.
     pub late: u64,
-    /// Ticks missed: skipped, or done after their deadline.
+    /// Missed ticks: skipped or late.
     pub missed: u64,
-    /// From the first tick due to the next one due, s; 0 of what keeps no grid.
+    /// From the first tick due to the next one due, s; 0 for a process without a grid.
     pub elapsed_s: f64,
-    /// Begin of the tick after its instant, us.
+    /// Release lateness: from the scheduled instant to the begin of the tick, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lateness_us: Option<Quantiles>,
-    /// Begin of the tick after the event that released it, us.
+    /// Wake-up: from the event that released the tick to its begin, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wake_up_us: Option<Quantiles>,
-    /// From begin to end of the tick, us.
+    /// From the begin to the end of the tick, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub execution_us: Option<Quantiles>,
-    /// What the kernel granted it: real-time priority.
+    /// Real-time priority as the kernel granted it: granted, refused or not asked.
     pub priority: String,
 }
 
 impl Punctuality {
-    /// As the run's summary has it.
+    /// Reads the row of `process` from the run's summary.
     pub fn of(summary: &Value, process: &str) -> Self {
         let row = &summary["processes"][process];
         let count = |key: &str| row[key].as_u64().unwrap_or(0);
@@ -183,8 +183,8 @@ impl Punctuality {
             skipped,
             late,
             missed: match process {
-                // Its instants that are late are those that it misses, at a rate of
-                // its own; the skipped ticks of the run are among them.
+                // The world's late instants are those that it misses, at its own rate; they
+                // include the run's skipped ticks.
                 "world" => late.max(skipped),
                 _ => skipped + late,
             },

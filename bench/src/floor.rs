@@ -1,8 +1,8 @@
-//! The machine's own floor: a thread that does nothing but wake up.
+//! The machine's floor: the wake-up lateness of a thread that does nothing else.
 //!
-//! What `cyclictest` measures, in the same minutes as the row beside it: absolute
-//! sleeps of the row's period at the controller's priority. No
-//! program on this machine can avoid the lateness that it has.
+//! This is what `cyclictest` measures: absolute sleeps of the row's period at the
+//! controller's priority, in the same minutes as the row beside it. No program on
+//! this machine can be less late.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,26 +20,26 @@ use supervisor::set::table::{ProcessSpec, TABLE};
 use crate::driven::{Punctuality, Quantiles};
 use stack::Clock;
 
-/// Whether the floor asks for the controller's real-time priority.
+/// Whether a thread requests the controller's real-time priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Priority {
-    /// It does, as the controller.
+    /// It requests it, as the controller does.
     Asked,
-    /// It does not, as a set with `--no-realtime`.
+    /// It does not, as in a set with `--no-realtime`.
     Ordinary,
 }
 
-/// A thread that wakes up on a grid, and notes how late.
+/// A thread that wakes up on a grid and records its lateness.
 pub struct Floor {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<anyhow::Result<Noted>>,
 }
 
-/// What a floor's thread noted.
+/// What the floor's thread measured.
 pub struct Noted {
-    /// Ticks, and how late they were.
+    /// Ticks and quantiles of their lateness.
     pub punctuality: Punctuality,
-    /// Each lateness, those of missed instants too.
+    /// Every lateness, missed instants included.
     pub lateness: Box<Histogram>,
 }
 
@@ -49,11 +49,11 @@ pub fn controller() -> Option<&'static ProcessSpec> {
 }
 
 impl Floor {
-    /// Starts it at the controller's real-time priority, or without where that
-    /// is not asked for or not granted.
+    /// Starts the thread at the controller's real-time priority, or without it where it
+    /// is not requested or not granted.
     ///
     /// # Errors
-    /// When the system gives no thread.
+    /// If the thread cannot be started.
     pub fn start(rate_hz: f64, priority: Priority, clock: Clock) -> anyhow::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let asked = stop.clone();
@@ -64,10 +64,10 @@ impl Floor {
         Ok(Self { stop, thread })
     }
 
-    /// Ends it; what it noted.
+    /// Stops the thread and returns its measurement.
     ///
     /// # Errors
-    /// When its numbers cannot be counted.
+    /// If its counts do not fit into the histogram.
     pub fn finish(self) -> anyhow::Result<Noted> {
         self.stop.store(true, Ordering::Relaxed);
         match self.thread.join() {
@@ -77,20 +77,20 @@ impl Floor {
     }
 }
 
-/// The core that a set's controller asks for on this machine; `None` for none.
+/// The core that a set's controller requests on this machine; `None` without a core.
 pub fn controllers_core() -> Option<usize> {
     controller().and_then(|row| Privileges::RealTime(own_cores()).core(row))
 }
 
-/// Keeps the calling thread on a core. Refused, it is only noisier.
+/// Pins the calling thread to a core. If that is refused, the measurement is noisier.
 pub fn stay_on(core: usize) {
     let mut cores = CpuSet::new();
     cores.set(core);
     let _ = sched_setaffinity(None, &cores);
 }
 
-/// Asks for the controller's real-time priority for the calling thread; the word
-/// for what became of it, as the processes say it.
+/// Requests the controller's real-time priority for the calling thread. Returns the
+/// result in the words of the run's summary: granted, refused or not asked.
 pub fn claim(priority: Priority) -> &'static str {
     match priority {
         Priority::Ordinary => "not asked",
@@ -104,9 +104,9 @@ pub fn claim(priority: Priority) -> &'static str {
     }
 }
 
-/// Wakes up on a grid from that instant on, until `stop` is set; passes each
-/// instant it slept to, and how late it woke, ns. Instants that pass meanwhile are
-/// skipped. Returns the last instant of the grid that is past.
+/// Wakes up on a grid that begins at `from`, until `stop` is set. Calls back with each
+/// scheduled instant and its lateness, ns. Instants that pass during a late wake-up
+/// are skipped. Returns the last instant of the grid that has passed.
 pub fn wake(
     begun: Instant,
     period_ns: u64,
@@ -141,8 +141,8 @@ fn note(
     let begun = clock();
     let last = wake(begun, period_ns, clock, stop, |_, late_ns| {
         ticks += 1;
-        // Instants that passed meanwhile are missed, as a tick's would be, and as
-        // late as they are.
+        // Instants that passed during a late wake-up count as missed, as the ticks of a
+        // controller do, each with its own lateness.
         let passed = late_ns / period_ns;
         lateness.record_series(late_ns % period_ns, period_ns, passed + 1);
         missed += passed;

@@ -1,4 +1,4 @@
-//! What a measurement reads of this program: time, processor time, memory.
+//! Measurements of this program itself: time, processor time, memory.
 
 use std::time::Duration;
 
@@ -7,8 +7,8 @@ use shm_config::Instant;
 use stack::Clock;
 use stats_alloc::INSTRUMENTED_SYSTEM;
 
-/// The gauges. Those of memory count where the program's allocator is
-/// [`INSTRUMENTED_SYSTEM`], as in `vlaps-bench`; they are 0 elsewhere.
+/// Reads the clock and the counters. The memory counters are those of the program's
+/// allocator, [`INSTRUMENTED_SYSTEM`], as in `vlaps-bench`; elsewhere they are 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Gauges {
     clock: Clock,

@@ -1,4 +1,4 @@
-//! `bench policy`: how long the net of a policy takes to answer, by back end.
+//! `bench policy`: inference time of a policy's network, by back end.
 
 use crate::gauges::Gauges;
 use clap::Args;
@@ -20,28 +20,28 @@ use lab::report::{Machine, table};
 use stack::Clock;
 use supervisor::subcommand::{say, write_json_option};
 
-/// Measure how long the policy's net takes to answer, by back end.
+/// Measure the inference time of a policy's network, by back end.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Rows: the bare product of the same size (the limit), the native runtime, ONNX \
-        Runtime (after ./vlaps setup onnxruntime), and PyTorch where the Python has it.\n\n\
+    after_help = "Rows: the bare matrix products of the same size (the lower limit), the native \
+        runtime, ONNX Runtime (after ./vlaps setup onnxruntime), and PyTorch if the Python has it.\n\n\
         Examples:\n  \
         ./vlaps bench policy\n  \
         ./vlaps bench policy --python torch/bin/python --json policy.json"
 )]
 pub struct BenchPolicy {
-    /// Answers to measure of each.
+    /// Number of measured inferences per back end.
     #[arg(long, value_name = "N", default_value_t = 20_000,
           allow_negative_numbers = true,
           value_parser = whole::<u32>(1..=10_000_000))]
     pub runs: u32,
-    /// libonnxruntime.so or its folder, if not that of ./vlaps setup onnxruntime.
+    /// libonnxruntime.so or its folder; default: that of ./vlaps setup onnxruntime.
     #[arg(long, value_name = "FILE")]
     pub onnxruntime: Option<PathBuf>,
-    /// A Python with PyTorch; without it, python3.
+    /// A Python with PyTorch; default: python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -71,58 +71,58 @@ impl Subcommand for BenchPolicy {
         let mut rows = vec![bare(&mlp, &meter), native(&mlp, &meter)];
         rows.extend(onnx_runtime(self, &bytes, &mlp, &meter)?);
         rows.push(pytorch(self, &meter));
-        let inferred = Inferred {
+        let results = PolicyResults {
             rows,
             net: "259-256-256-2, ReLU, tanh at the end",
             runs: self.runs,
             conditions,
         };
-        print(&inferred);
-        write_json_option(&self.json, &inferred)?;
+        print(&results);
+        write_json_option(&self.json, &results)?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
 /// Width of the two hidden layers: that of the experiment's actor.
 const HIDDEN: usize = 256;
-/// Runs before those that are measured.
+/// Inferences before the measurement.
 const WARM_UP: u32 = 1000;
-/// Outputs whose sums the bare product keeps in registers.
+/// Number of outputs whose sums the bare product keeps in registers.
 const BLOCK: usize = 64;
-/// How long ONNX Runtime in its own thread is waited for: longer than any tick.
+/// Time limit for ONNX Runtime in its own thread: longer than any tick.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// What one back end takes.
+/// Inference time of one back end.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Which.
+    /// Name of the back end.
     pub backend: &'static str,
-    /// Median of an answer, us.
+    /// Median time, us.
     pub infer_p50_us: Option<f64>,
-    /// 99 % of the answers took no longer, us.
+    /// 99 % quantile, us.
     pub infer_p99_us: Option<f64>,
-    /// The longest, us.
+    /// Maximum, us.
     pub infer_max_us: Option<f64>,
-    /// Allocations of Rust in a call; what C and C++ allocate is not seen.
+    /// Allocations by Rust code per call; those by C and C++ are not counted.
     pub allocations_per_call: Option<f64>,
-    /// Why there are no figures.
+    /// Reason for missing figures.
     pub note: Option<String>,
 }
 
-/// All rows of a run.
+/// All rows.
 #[derive(Clone, Debug, Serialize)]
-pub struct Inferred {
-    /// A row for each back end.
+pub struct PolicyResults {
+    /// One row per back end.
     pub rows: Vec<Row>,
     /// The net's layers.
     pub net: &'static str,
-    /// Answers measured of each.
+    /// Measured inferences per back end.
     pub runs: u32,
-    /// Where.
+    /// The machine.
     pub conditions: Machine,
 }
 
-/// A net of the experiment's size, out of a seed.
+/// A random network of the experiment's size.
 ///
 /// # Panics
 /// Never: the shapes are constants that fit.
@@ -183,7 +183,7 @@ impl Meter {
 }
 
 fn histogram() -> Histogram<u64> {
-    // Constants that the library accepts.
+    // These constant bounds are valid.
     Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("valid bounds")
 }
 
@@ -205,8 +205,8 @@ fn native(mlp: &Mlp, meter: &Meter) -> Row {
     })
 }
 
-/// The products alone, fused where the processor can: no bias, no activation, no
-/// checks, and the weights in the order they are read in. The limit.
+/// The matrix products alone, with fused multiply-add where the processor has it: no bias,
+/// no activation, no checks, and weights stored in reading order. A lower limit.
 fn bare(mlp: &Mlp, meter: &Meter) -> Row {
     let arch = pulp::Arch::new();
     let layers: Vec<_> = mlp.layers().iter().map(Blocks::new).collect();
@@ -269,7 +269,7 @@ impl pulp::NullaryFnOnce for Bare<'_> {
     }
 }
 
-/// ONNX Runtime called straight, and as the tick would: over a thread of its own.
+/// ONNX Runtime, called directly and, as in the tick, through its own thread.
 fn onnx_runtime(
     arguments: &BenchPolicy,
     bytes: &[u8],
@@ -306,7 +306,7 @@ fn onnx_runtime(
     Ok(vec![straight, in_tick])
 }
 
-/// The same net in PyTorch, one thread, on one input.
+/// The same network in PyTorch: one thread, batch of one.
 const SCRIPT: &str = r#"
 import sys, time
 import torch
@@ -357,9 +357,9 @@ fn pytorch(arguments: &BenchPolicy, meter: &Meter) -> Row {
     }
 }
 
-fn print(inferred: &Inferred) {
+fn print(results: &PolicyResults) {
     let mut table = table(&["", "p50 us", "p99 us", "max us", "allocations a call"]);
-    for row in &inferred.rows {
+    for row in &results.rows {
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
         let name = match &row.note {
             Some(note) => format!("{} ({note})", row.backend),
@@ -376,6 +376,6 @@ fn print(inferred: &Inferred) {
     say(table);
     say(format_args!(
         "{}; {} answers each, one thread, no real-time priority, {}",
-        inferred.net, inferred.runs, inferred.conditions
+        results.net, results.runs, results.conditions
     ));
 }

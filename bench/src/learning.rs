@@ -15,7 +15,7 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use shm_config::message::{FEATURES, Preference};
 
-use crate::products::{Pass, Room};
+use crate::products::{Buffers, Pass};
 use lab::report::{Machine, table};
 use stack::Clock;
 use supervisor::subcommand::{say, write_json_option};
@@ -23,9 +23,9 @@ use supervisor::subcommand::{say, write_json_option};
 /// Measure gradient steps per second, beside PyTorch.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "The update of pvp (twin critics, the actor every second time, Adam, target \
-        networks) and that of the imitations, 2 x 256 neurons, on one thread and two; \
-        PyTorch makes the same updates, alternating, where the Python has it.\n\n\
+    after_help = "Measures the update of pvp (twin critics, the actor every second time, Adam, target \
+        networks) and that of imitation learning, with 2 x 256 neurons, on one thread and two. If the \
+        Python has PyTorch, it makes the same updates, alternating.\n\n\
         Examples:\n  \
         ./vlaps bench learner\n  \
         ./vlaps bench learner --python torch/bin/python --json learner.json"
@@ -35,10 +35,10 @@ pub struct BenchLearner {
     #[arg(long, value_name = "S", default_value_t = 6.0, allow_negative_numbers = true,
           value_parser = seconds)]
     pub seconds: f64,
-    /// A Python with PyTorch; without it, python3.
+    /// A Python with PyTorch; default: python3.
     #[arg(long, value_name = "FILE")]
     pub python: Option<PathBuf>,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -72,51 +72,51 @@ impl Subcommand for BenchLearner {
         };
         let judged = |row: &&Row| row.case.kind == Kind::Pvp && row.case.batch == BATCHES[0];
         let ratios: Option<Vec<f64>> = rows.iter().filter(judged).map(|row| row.ratio).collect();
-        let learnt = Learnt {
+        let results = LearnerResults {
             is_met: ratios.map(|ratios| ratios.iter().all(|&ratio| ratio >= BAR)),
             rows,
             torch,
             seconds: self.seconds,
             conditions,
         };
-        print(&learnt);
-        write_json_option(&self.json, &learnt)?;
+        print(&results);
+        write_json_option(&self.json, &results)?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
-/// Neurons of each of the two hidden layers: those of the experiment.
+/// Neurons per hidden layer, as in the experiment.
 const HIDDEN: usize = 256;
-/// Transitions of an update: that of the configuration, and PVP4Real's.
+/// Batch sizes: that of the configuration, and PVP4Real's.
 const BATCHES: [usize; 2] = [256, 1024];
-/// Threads of the matrix products.
+/// Numbers of threads of the matrix products.
 const THREADS: [usize; 2] = [1, 2];
-/// Transitions in each ring that batches are drawn from.
+/// Transitions in each replay buffer.
 const HELD: usize = 20_000;
-/// Ours and PyTorch's alternate this often, so that both meet the same load.
+/// Number of alternating turns of each side, so that both meet the same load.
 const TURNS: u32 = 6;
-/// At least this many updates a turn, those before the first one not counted.
+/// Minimum number of updates per turn; updates before the first turn are not counted.
 const STEPS_MIN: u32 = 5;
-/// How many times as fast as PyTorch PVP has to be at the first batch size.
+/// Target: PVP is this many times as fast as PyTorch at the first batch size.
 const BAR: f64 = 1.5;
-/// Learning rate; it does not matter here.
+/// Learning rate; it does not affect the time.
 const RATE: f32 = 1e-4;
 
 /// The same update in PyTorch.
 const SCRIPT: &str = include_str!("../torch/td3_update.py");
 
-/// What is updated.
+/// The kind of update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Kind {
-    /// Twin critics, an actor every second time, target networks.
+    /// Twin critics, the actor every second update, target networks.
     Pvp,
     /// The actor alone.
     Regression,
 }
 
 impl Kind {
-    /// Updates after which the same passes come again.
+    /// Number of updates after which the sequence of passes repeats.
     fn period(self) -> u32 {
         match self {
             Kind::Pvp => 2,
@@ -132,7 +132,7 @@ impl Kind {
     }
 }
 
-/// One kind of update at one size.
+/// A kind of update with its sizes.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct Case {
     kind: Kind,
@@ -141,7 +141,7 @@ struct Case {
 }
 
 impl Case {
-    /// The passes of as many updates as [`Kind::period`] says.
+    /// The passes of one [`Kind::period`] of updates.
     fn passes(self) -> Vec<Pass> {
         let actor = Pass {
             sizes: [FEATURES, HIDDEN, HIDDEN, ACTIONS],
@@ -181,35 +181,35 @@ impl Case {
     }
 }
 
-/// How fast it is.
+/// Speed of one case.
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     #[serde(flatten)]
     case: Case,
-    /// Gradient steps per second of the matrix products alone: the limit.
+    /// Gradient steps per second of the matrix products alone: the upper limit.
     products_per_s: f64,
-    /// Gradient steps per second, ours; drawing the batch included.
+    /// Our gradient steps per second, including the sampling of the batch.
     steps_per_s: f64,
-    /// PyTorch's; none where there is none.
+    /// PyTorch's gradient steps per second; `None` without PyTorch.
     torch_steps_per_s: Option<f64>,
-    /// How many times as fast ours is.
+    /// Our steps per second over PyTorch's.
     ratio: Option<f64>,
 }
 
-/// All rows of a run.
+/// All rows.
 #[derive(Clone, Debug, Serialize)]
-struct Learnt {
+struct LearnerResults {
     rows: Vec<Row>,
-    /// Version of PyTorch, or why there is none.
+    /// Version of PyTorch, or the reason why it is missing.
     torch: String,
-    /// Seconds measured of each side of a row.
+    /// Seconds measured per side of a row.
     seconds: f64,
-    /// The bar at the first batch size; none without PyTorch.
+    /// Whether the target at the first batch size is met; `None` without PyTorch.
     is_met: Option<bool>,
     conditions: Machine,
 }
 
-/// Full rings of transitions that mean nothing.
+/// Full replay buffers of arbitrary transitions.
 fn replay(held: usize) -> Replay {
     let mut dice = Xoshiro256PlusPlus::seed_from_u64(1);
     let mut unit = move || (dice.next_u64() >> 40) as f32 / (1_u64 << 24) as f32;
@@ -245,11 +245,7 @@ fn row(
     };
     let mut student = match case.kind {
         Kind::Pvp => {
-            let settings = pvp::Settings {
-                rate: RATE,
-                imitation_weight: 1.0,
-                target_noise: 0.2,
-            };
+            let settings = pvp::Settings::published(RATE);
             Student::Pvp(Box::new(Pvp::new(settings, size, &mut random)))
         }
         Kind::Regression => {
@@ -257,12 +253,12 @@ fn row(
         }
     };
     let passes = case.passes();
-    let mut room = Room::new(&passes);
+    let mut buffers = Buffers::new(&passes);
     let turn_s = seconds / f64::from(TURNS);
     let [mut bare, mut ours, mut theirs] = [Pace::default(); 3];
-    // The first turn warms up: memory is touched, kernels are chosen.
+    // The first turn warms up: memory is touched, kernels are selected.
     for turn in 0..=TURNS {
-        let bare_pace = Pace::of((turn_s, clock), || room.multiply(&passes, case.threads));
+        let bare_pace = Pace::of((turn_s, clock), || buffers.multiply(&passes, case.threads));
         let pace = Pace::of((turn_s, clock), || {
             student.update(replay, &mut random, case.threads);
         });
@@ -289,7 +285,7 @@ fn row(
     })
 }
 
-/// Updates, and how long they took together.
+/// Number of updates and their total time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Pace {
     steps: u32,
@@ -297,7 +293,7 @@ struct Pace {
 }
 
 impl Pace {
-    /// How often this is done in a turn.
+    /// Repeats `work` for one turn.
     fn of((turn_s, clock): (f64, Clock), mut work: impl FnMut()) -> Pace {
         let mut pace = Pace::default();
         let begun = clock();
@@ -319,7 +315,7 @@ impl Pace {
     }
 }
 
-/// A Python that waits for its turn.
+/// A Python process that measures on request.
 struct Torch {
     child: Child,
     turns: ChildStdin,
@@ -328,7 +324,7 @@ struct Torch {
 }
 
 impl Torch {
-    /// Why there is none is a note below the table.
+    /// On failure returns the note that the table prints.
     fn start(arguments: &BenchLearner) -> Result<Torch, String> {
         let python = arguments.python.clone();
         let python = python.unwrap_or_else(|| PathBuf::from("python3"));
@@ -389,13 +385,13 @@ impl Torch {
 
 impl Drop for Torch {
     fn drop(&mut self) {
-        // It holds nothing that is worth an orderly end.
+        // The process holds nothing that needs an orderly end.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-fn print(learnt: &Learnt) {
+fn print(results: &LearnerResults) {
     let header = [
         "",
         "batch",
@@ -406,7 +402,7 @@ fn print(learnt: &Learnt) {
         "ratio",
     ];
     let mut table = table(&header);
-    for row in &learnt.rows {
+    for row in &results.rows {
         let number = |value: Option<f64>, digits: usize| {
             value.map_or("-".into(), |value| format!("{value:.digits$}"))
         };
@@ -422,7 +418,7 @@ fn print(learnt: &Learnt) {
     }
     say(table);
     let batch = BATCHES[0];
-    match learnt.is_met {
+    match results.is_met {
         Some(true) => say(format_args!(
             "bar met: pvp at batch {batch} is at least {BAR} times as fast as PyTorch"
         )),
@@ -432,7 +428,7 @@ fn print(learnt: &Learnt) {
         None => {}
     }
     say(format_args!(
-        "2 x {HIDDEN} neurons, {} s each, alternating after a warm-up, no real-time priority, {}, {}; products alone: the matrix products of such an update and nothing else, which no program on this library can pass",
-        learnt.seconds, learnt.torch, learnt.conditions
+        "2 x {HIDDEN} neurons, {} s each, alternating after a warm-up, no real-time priority, {}, {}; products alone: only the matrix products of such an update, an upper limit for every program that uses this library",
+        results.seconds, results.torch, results.conditions
     ));
 }

@@ -1,27 +1,40 @@
-//! Measurements, and comparisons with other systems: the program `vlaps-bench`, to
-//! which `./vlaps bench` hands over.
+//! The program `vlaps-bench`: it measures the stack and compares it with other
+//! systems. `./vlaps bench` starts it.
 //!
 //! | module | measures |
 //! |---|---|
-//! | [`speed`], [`metadrive`], [`photography`] | ticks per second of the built-in world, beside MetaDrive; cost of its frames |
+//! | [`speed`], [`batches`], [`metadrive`], [`photography`] | ticks per second of the built-in world, alone, in batches and beside MetaDrive; rendering time of its camera images |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
-//! | [`mpc`] | the model-predictive expert, disturbed for long |
-//! | [`inference`] | time of a policy's answer, by back end |
+//! | [`mpc`] | the model-predictive expert over long, disturbed drives |
+//! | [`inference`] | inference time of a policy, by back end |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`swapping`] | a running set whose weights are swapped |
-//! | [`judging`] | share of right answers of a judge where the simulator knows |
-//! | [`latency`] | punctuality of the set under load |
-//! | [`ipc`] | the wire beside bare iceoryx2, Cyclone DDS and Zenoh |
-//! | [`faults`] | live sets under faults |
-//! | [`soak`] | growth of a set over millions of ticks |
+//! | [`judging`] | accuracy of a judge on scenes whose answer the simulator knows |
+//! | [`latency`] | punctuality of a running set under load |
+//! | [`ipc`] | message latency beside bare iceoryx2, Cyclone DDS and Zenoh |
+//! | [`replaying`] | replays and forks of recordings |
+//! | [`faults`] | running sets under injected faults |
+//! | [`soak`] | memory growth of a set over millions of ticks |
 //!
 //! | module | shared by them |
 //! |---|---|
 //! | [`driven`] | a whole process set, driven for a measurement |
-//! | [`floor`] | lateness of a thread on this machine that does nothing else |
-//! | [`stalls`] | instants at which the machine stood still, core by core |
+//! | [`floor`] | wake-up lateness of an idle thread on this machine |
+//! | [`stalls`] | stalls of the machine, measured on each core |
 //! | [`gauges`] | time, processor time, memory |
+//!
+//! ```
+//! use bench::stalls::Stalls;
+//! use shm_config::Instant;
+//!
+//! // A wake-up that was due at 1 s came 30 ms late.
+//! let mut stalls = Stalls::from(Instant(0));
+//! stalls.note(Instant(1_000_000_000), 30_000_000);
+//! let tick = Instant(1_050_000_000);
+//! assert_eq!(stalls.near(tick, 100_000_000), 30_000_000);
+//! ```
 
+pub mod batches;
 pub mod driven;
 pub mod faults;
 pub mod floor;
@@ -36,6 +49,7 @@ pub mod mpc;
 pub mod photography;
 pub mod planning;
 mod products;
+pub mod replaying;
 pub mod soak;
 pub mod speed;
 pub mod stalls;
@@ -56,6 +70,7 @@ supervisor::subcommands! {
         Ipc(ipc::BenchIpc),
         #[command(hide = true)]
         IpcEcho(ipc::IpcEcho),
+        Replay(replaying::BenchReplay),
         Faults(faults::BenchFaults),
         Soak(soak::BenchSoak),
     }

@@ -13,7 +13,7 @@ use supervisor::subcommand;
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 fn main() -> ExitCode {
-    // A process entry point: the clock is read nowhere else.
+    // A process entry point: only entry points read the clock.
     #[allow(clippy::disallowed_methods)]
     subcommand::main::<Command>(monotonic)
 }

@@ -1,4 +1,4 @@
-//! The real MetaDrive on one core, for the row beside ours.
+//! The real MetaDrive on one core, as a row beside the built-in world.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -8,7 +8,7 @@ use serde::Deserialize;
 use shm_config::config::Config;
 use supervisor::setup::metadrive::{home, python, sources};
 
-/// Drives it and prints how fast it was.
+/// Drives MetaDrive and prints its speed as JSON.
 const SCRIPT: &str = include_str!("../metadrive_speed.py");
 
 /// What the script measured.
@@ -16,31 +16,31 @@ const SCRIPT: &str = include_str!("../metadrive_speed.py");
 pub struct Measured {
     /// Ticks driven.
     pub steps: u64,
-    /// Episodes.
+    /// Episodes driven.
     pub episodes: u64,
-    /// Time that took, s.
+    /// Wall-clock time, s.
     pub seconds: f64,
-    /// Processor time that took, s.
+    /// Processor time, s.
     pub core_s: f64,
-    /// Mean of a reset, us.
+    /// Mean time of a reset, us.
     pub reset_mean_us: f64,
     /// The longest reset, us.
     pub reset_worst_us: f64,
 }
 
-/// What became of the attempt.
+/// Result of the attempt.
 #[derive(Debug)]
 pub enum Attempt {
-    /// It ran.
+    /// MetaDrive ran.
     Measured(Measured),
-    /// It is not there, and why.
+    /// MetaDrive is not installed; the reason.
     Absent(String),
 }
 
-/// Drives MetaDrive for about this many seconds.
+/// Drives MetaDrive for about `seconds`.
 ///
 /// # Errors
-/// When it is there but does not run.
+/// If it is installed but fails.
 pub fn measure(
     environment: Option<&Path>,
     config: &Config,
@@ -71,13 +71,13 @@ pub fn measure(
         .with_context(|| interpreter.display().to_string())?;
     if !output.status.success() {
         let text = String::from_utf8_lossy(&output.stderr);
-        let last = text.lines().last().unwrap_or("it said nothing");
+        let last = text.lines().last().unwrap_or("no error message");
         bail!("MetaDrive in {}: {}: {last}", home.display(), output.status);
     }
-    // It may print before the object: only the last line counts.
+    // MetaDrive may print before the JSON object: only the last line counts.
     let text = String::from_utf8_lossy(&output.stdout);
     let last = text.lines().last().unwrap_or_default();
     let measured =
-        serde_json::from_str(last).with_context(|| format!("MetaDrive said {last:?}"))?;
+        serde_json::from_str(last).with_context(|| format!("MetaDrive printed {last:?}"))?;
     Ok(Attempt::Measured(measured))
 }

@@ -1,5 +1,6 @@
-//! The model-predictive expert driven for long, over roads that get blocked and
-//! with a hand that grabs the wheel: does it always have an answer, and in time?
+//! A long, disturbed drive of the model-predictive expert: walls block the road and
+//! random commands replace the planned ones. It checks that every problem is solved,
+//! and in time.
 
 use crate::gauges::Gauges;
 use clap::Args;
@@ -17,23 +18,23 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use supervisor::cli::parsers::whole;
 use supervisor::subcommand::{Configuration, Output, Subcommand};
-use vehicle::{Action, Point, Pose, pose};
+use vehicle::{Action, Pose, pose};
 
 use lab::report::{Machine, table};
 use stack::driver::planning_histogram;
 use supervisor::subcommand::{say, write_json_option};
 
-/// Drive the model-predictive expert for long, disturbed: does it answer in time?
+/// Drive the model-predictive expert under disturbances and measure its solve time.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "A third of the time the road is free, a third a wall stands across it, a \
-        third random commands are obeyed in place of the plan's.\n\n\
+    after_help = "A third of the time the road is free, a third of the time a wall blocks it, and a \
+        third of the time random commands replace those of the plan.\n\n\
         Examples:\n  \
         ./vlaps bench mpc --json mpc.json\n  \
         ./vlaps bench mpc --ticks 2000 --set mpc.steps=16"
 )]
 pub struct BenchMpc {
-    /// How many ticks.
+    /// Number of ticks.
     #[arg(long, value_name = "N", default_value_t = 100_000,
           allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=100_000_000))]
@@ -45,7 +46,7 @@ pub struct BenchMpc {
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Write the figures to this file, too.
+    /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -59,13 +60,13 @@ impl Subcommand for BenchMpc {
         let gauges = Gauges::new(clock);
         let config = self.configuration.resolve()?;
         let period_ns = config.run.period_ns();
-        let mut world = World::new(WorldConfig::from(&config.world))?;
-        let mut drive = Soaking {
+        let mut world = World::new(WorldConfig::from(&config))?;
+        let mut drive = DisturbedDrive {
             planner: Mpc::new(&config),
             plan: Plan::default(),
             dice: Xoshiro256PlusPlus::seed_from_u64(self.first_seed),
             wall_world: None,
-            tallies: Spell::ALL.map(|_| Tally::new()),
+            tallies: Condition::ALL.map(|_| Tally::new()),
             gauges,
             period_ns,
         };
@@ -74,7 +75,7 @@ impl Subcommand for BenchMpc {
             "{elapsed_precise} {wide_bar} {pos}/{len} ticks, {eta} left",
         )?);
         let mut observation = Box::<Observation>::default();
-        let (mut spell, mut seed) = (Spell::Free, self.first_seed);
+        let (mut condition, mut seed) = (Condition::Free, self.first_seed);
         world.reset(seed)?;
         let mut episode_tick = 0;
         for tick in 0..self.ticks {
@@ -90,17 +91,17 @@ impl Subcommand for BenchMpc {
                 taken_ns: episode_tick * period_ns,
                 ..Header::default()
             };
-            if tick % SPELL_TICKS == 0 {
-                spell = Spell::ALL[drive.below(Spell::ALL.len() as u64) as usize];
-                drive.begin(spell, world.world_from_ego());
+            if tick % CONDITION_TICKS == 0 {
+                condition = Condition::ALL[drive.below(Condition::ALL.len() as u64) as usize];
+                drive.begin(condition, world.world_from_ego());
             }
-            let action = drive.tick(spell, tick % SPELL_TICKS, &world, &mut observation);
+            let action = drive.tick(condition, tick % CONDITION_TICKS, &world, &mut observation);
             world.step(action);
             episode_tick += 1;
             bar.inc(1);
         }
         bar.finish_and_clear();
-        let soaked = Soaked {
+        let results = MpcResults {
             rows: drive.rows(),
             conditions: Conditions {
                 first_seed: self.first_seed,
@@ -109,90 +110,90 @@ impl Subcommand for BenchMpc {
                 load: Machine::here()?.load,
             },
         };
-        print(&soaked);
-        write_json_option(&self.json, &soaked)?;
+        print(&results);
+        write_json_option(&self.json, &results)?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
-/// Ticks that a condition lasts.
-const SPELL_TICKS: u64 = 50;
-/// Ticks of a spell in which the hand grabs the wheel.
-const GRABBED_TICKS: u64 = 5;
-/// How far ahead a wall is put up, m.
+/// Duration of a condition, ticks.
+const CONDITION_TICKS: u64 = 50;
+/// Ticks of random commands within the condition.
+const RANDOM_TICKS: u64 = 5;
+/// Range of the distance to a wall when it appears, m.
 const WALL_M: (f64, f64) = (3.0, 30.0);
-/// Half its width, m: more than the road's.
+/// Half the width of a wall, m: more than the road's.
 const WALL_SIDE_M: f64 = 15.0;
 
-/// What the car has to cope with for a while.
+/// The condition that the car drives under for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Spell {
-    /// Nothing but what the map holds.
+enum Condition {
+    /// No disturbance.
     Free,
     /// A wall across the road.
     Blocked,
-    /// Random commands now and then.
-    Grabbed,
+    /// Random commands for some ticks.
+    Random,
 }
 
-impl Spell {
-    const ALL: [Spell; 3] = [Spell::Free, Spell::Blocked, Spell::Grabbed];
+impl Condition {
+    const ALL: [Condition; 3] = [Condition::Free, Condition::Blocked, Condition::Random];
 
     fn words(self) -> &'static str {
         match self {
-            Spell::Free => "free",
-            Spell::Blocked => "road blocked by a wall",
-            Spell::Grabbed => "random commands",
+            Condition::Free => "free",
+            Condition::Blocked => "road blocked by a wall",
+            Condition::Random => "random commands",
         }
     }
 }
 
-/// What was measured under one condition.
+/// Measurements under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Under which.
+    /// The condition.
     pub condition: &'static str,
     /// Plans made.
     pub ticks: u64,
     /// Processor time of a whole plan, us: tracking, path, speed and solver.
     pub plan_cpu_p50_us: u64,
-    /// 99 % of the plans took no more, us.
+    /// 99 % quantile, us.
     pub plan_cpu_p99_us: u64,
-    /// The most, us.
+    /// Maximum, us.
     pub plan_cpu_max_us: u64,
-    /// Whole plans by the wall clock, other processes included, us.
+    /// Wall-clock time of a whole plan, including preemption, us.
     pub plan_p50_us: u64,
-    /// 99 % of the plans took no longer, us.
+    /// 99 % quantile, us.
     pub plan_p99_us: u64,
-    /// The longest, us.
+    /// Maximum, us.
     pub plan_max_us: u64,
-    /// Most iterations of the solver.
+    /// Maximum number of solver iterations.
     pub iterations_max: u32,
-    /// Problems without an answer.
+    /// Problems without a solution.
     pub infeasible: u64,
     /// Plans that took longer than a period.
     pub missed: u64,
 }
 
-/// All measurements of a run.
+/// All measurements.
 #[derive(Clone, Debug, Serialize)]
-pub struct Soaked {
-    /// A row for each condition, and one for all.
+pub struct MpcResults {
+    /// One row per condition, and one for all.
     pub rows: Vec<Row>,
-    /// How it was measured.
+    /// Conditions of the measurement.
     pub conditions: Conditions,
 }
 
-/// How it was measured.
+/// Conditions of the measurement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Conditions {
-    /// First seed of the episodes.
+    /// Seed of the first episode.
     pub first_seed: u64,
     /// Episodes begun.
     pub episodes: u64,
     /// Steps of the horizon.
     pub steps: u32,
-    /// Runnable threads of the whole machine over the last minute, at the end.
+    /// Load average of the last minute, at the end.
     pub load: Option<f64>,
 }
 
@@ -204,29 +205,29 @@ struct Tally {
     missed: u64,
 }
 
-struct Soaking {
+struct DisturbedDrive {
     planner: Mpc,
     plan: Plan,
     dice: Xoshiro256PlusPlus,
-    /// The wall's frame: it stands along y.
+    /// The wall's frame; the wall extends along its y axis.
     wall_world: Option<Pose>,
     tallies: [Tally; 3],
     gauges: Gauges,
     period_ns: u64,
 }
 
-impl Soaking {
-    fn begin(&mut self, spell: Spell, world_from_ego: Pose) {
+impl DisturbedDrive {
+    fn begin(&mut self, condition: Condition, world_from_ego: Pose) {
         let ahead_m = self.between(WALL_M.0, WALL_M.1);
         self.wall_world =
-            (spell == Spell::Blocked).then(|| world_from_ego * pose(ahead_m, 0.0, 0.0));
+            (condition == Condition::Blocked).then(|| world_from_ego * pose(ahead_m, 0.0, 0.0));
     }
 
-    /// One plan, measured; the action to obey.
+    /// Measures one plan; returns the action to drive.
     fn tick(
         &mut self,
-        spell: Spell,
-        spell_tick: u64,
+        condition: Condition,
+        condition_tick: u64,
         world: &World,
         observation: &mut Observation,
     ) -> Action {
@@ -241,13 +242,13 @@ impl Soaking {
         let plan_ns = self.gauges.now().since_ns(begun);
         let core = self.gauges.core() - core;
         let effort = self.planner.effort();
-        let tally = &mut self.tallies[spell as usize];
+        let tally = &mut self.tallies[condition as usize];
         tally.plan_cpu_us.saturating_record(core.as_micros() as u64);
         tally.plan_us.saturating_record(plan_ns.div_ceil(1000));
         tally.iterations_max = tally.iterations_max.max(effort.iterations);
         tally.infeasible += u64::from(!effort.is_solved);
         tally.missed += u64::from(plan_ns > self.period_ns);
-        match spell == Spell::Grabbed && spell_tick < GRABBED_TICKS {
+        match condition == Condition::Random && condition_tick < RANDOM_TICKS {
             true => Action {
                 steer: self.between(-1.0, 1.0),
                 pedal: self.between(-1.0, 1.0),
@@ -261,7 +262,10 @@ impl Soaking {
         for tally in &self.tallies {
             all.add(tally);
         }
-        let rows = Spell::ALL.into_iter().map(Spell::words).zip(&self.tallies);
+        let rows = Condition::ALL
+            .into_iter()
+            .map(Condition::words)
+            .zip(&self.tallies);
         rows.chain([("all", &all)])
             .map(|(condition, tally)| tally.row(condition))
             .collect()
@@ -277,15 +281,13 @@ impl Soaking {
     }
 }
 
-/// Shortens the beams that meet a wall.
+/// Shortens the lidar beams that hit a wall.
 fn put_wall(observation: &mut Observation, body_from_wall: &Pose) {
-    let count = observation.beam_count as usize;
+    let (count, fan) = (observation.beam_count as usize, observation.fan());
     let wall_from_body = body_from_wall.inverse();
-    let from = wall_from_body * Point::origin();
+    let from = wall_from_body * fan.mount_body;
     for (beam, range_m) in observation.ranges_m[..count].iter_mut().enumerate() {
-        let angle_rad = std::f64::consts::TAU * beam as f64 / count as f64;
-        let (sin, cos) = angle_rad.sin_cos();
-        let along = wall_from_body.rotation * vehicle::Vector::new(cos, sin);
+        let along = wall_from_body.rotation * fan.direction_body(beam);
         let to_wall_m = -from.x / along.x;
         let side_m = from.y + along.y * to_wall_m;
         if to_wall_m > 0.0 && side_m.abs() < WALL_SIDE_M {
@@ -310,7 +312,7 @@ impl Tally {
             (&mut self.plan_cpu_us, &other.plan_cpu_us),
             (&mut self.plan_us, &other.plan_us),
         ] {
-            // Of one kind, so they always fit.
+            // The histograms have equal bounds, so that adding them cannot fail.
             let _ = mine.add(theirs);
         }
         self.iterations_max = self.iterations_max.max(other.iterations_max);
@@ -335,7 +337,7 @@ impl Tally {
     }
 }
 
-fn print(soaked: &Soaked) {
+fn print(results: &MpcResults) {
     let mut table = table(&[
         "",
         "ticks",
@@ -349,7 +351,7 @@ fn print(soaked: &Soaked) {
         "infeasible",
         "missed",
     ]);
-    for row in &soaked.rows {
+    for row in &results.rows {
         let numbers = [
             row.ticks,
             row.plan_cpu_p50_us,
@@ -366,7 +368,7 @@ fn print(soaked: &Soaked) {
         table.add_row([row.condition.to_string()].into_iter().chain(cells));
     }
     say(table);
-    let conditions = &soaked.conditions;
+    let conditions = &results.conditions;
     say(format_args!(
         "{}, one thread, {} from seed {}, load {}; times are of whole plans: \
          \"core\" by processor time, \"wall\" by the clock",

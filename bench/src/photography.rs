@@ -1,4 +1,4 @@
-//! What a picture of the world costs.
+//! Rendering time of the world's camera images.
 
 use std::fmt;
 
@@ -11,35 +11,35 @@ use crate::gauges::Gauges;
 use lab::report::table;
 use stack::lane_keeper::keep_lane;
 
-/// Pictures of each kind, and ticks from one to the next.
+/// Images of each kind, and ticks between two of them.
 const PICTURES: usize = 200;
 const APART_TICKS: usize = 10;
-/// Sizes that are measured, pixels: what judges are asked with, and the largest.
+/// Measured sizes, pixels: that of a judge's questions, and the largest.
 const SIZES_PX: [[u32; 2]; 2] = [[480, 480], [960, 720]];
 
-/// The cost of one kind of picture, of the calling thread's processor time.
+/// Processor time of the calling thread for one kind of image.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// From where.
+    /// Camera: from the car or from above.
     pub view: &'static str,
-    /// Pixels across.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels down.
+    /// Height, pixels.
     pub height: u32,
-    /// Pictures taken.
+    /// Images rendered.
     pub pictures: usize,
     /// Mean, ms.
     pub mean_ms: f64,
-    /// 99 of 100 are faster, ms.
+    /// 99 % quantile, ms.
     pub p99_ms: f64,
-    /// The slowest, ms.
+    /// Maximum, ms.
     pub worst_ms: f64,
 }
 
-/// Takes pictures of episodes from this seed on, each kind of the same instants.
+/// Renders images of episodes from `first_seed` on, each kind at the same instants.
 ///
 /// # Errors
-/// When a world cannot be made, or memory is short.
+/// If a world cannot be made or an image buffer cannot be allocated.
 pub fn measure(config: &WorldConfig, first_seed: u64, gauges: Gauges) -> anyhow::Result<Vec<Row>> {
     let views = [View::TopDown, View::Ego];
     let kinds = views.into_iter().flat_map(|view| {
@@ -74,7 +74,7 @@ fn one(config: &WorldConfig, first_seed: u64, shot: &Shot, gauges: Gauges) -> an
         }
         let begun = gauges.core();
         let picture = renderer.draw(&world, shot);
-        let picture = picture.ok_or_else(|| anyhow::anyhow!("no memory for a picture"))?;
+        let picture = picture.ok_or_else(|| anyhow::anyhow!("no memory for an image"))?;
         std::hint::black_box(picture.rgb);
         costs_ms.push((gauges.core() - begun).as_secs_f64() * 1e3);
     }
@@ -91,9 +91,9 @@ fn one(config: &WorldConfig, first_seed: u64, shot: &Shot, gauges: Gauges) -> an
     })
 }
 
-/// The rows as they are printed.
+/// The table of the rows.
 pub fn printed(rows: &[Row]) -> impl fmt::Display + use<> {
-    let mut table = table(&["a picture", "pixels", "mean, ms", "p99", "worst"]);
+    let mut table = table(&["camera image", "pixels", "mean, ms", "p99", "max"]);
     for row in rows {
         table.add_row([
             row.view.to_string(),

@@ -1,44 +1,45 @@
-//! The matrix products of an update and nothing else: the limit of what any
-//! program that uses the same library can reach.
+//! The matrix products of an update and nothing else: an upper limit for every
+//! program that uses the same library.
 
 use learner::matrix::{Old, View, product};
 use learner::network::ROWS;
 use learner::share::share;
 
-/// One pass of a batch through a network, and what goes back.
+/// Forward pass of a batch through a network, and its backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct Pass {
     /// Numbers in and out of each layer: `sizes[k]` to `sizes[k + 1]`.
     pub sizes: [usize; 4],
     /// Rows of the batch.
     pub rows: usize,
-    /// The slopes of the weights are wanted.
+    /// The backward pass computes the gradient of the weights.
     pub weights: bool,
-    /// The slopes of the inputs are wanted.
+    /// The backward pass computes the gradient of the inputs.
     pub inputs: bool,
 }
 
-/// Memory for the products, kept from one update to the next. No number in it
-/// matters, so every product reads the same operands.
-pub struct Room {
+/// Buffers for the products, reused by every update. The values do not affect the
+/// time, so every product reads the same operands.
+pub struct Buffers {
     operands: Vec<f32>,
-    /// One for each part of a batch.
+    /// One buffer for each part of a batch.
     results: Vec<Vec<f32>>,
 }
 
-impl Room {
-    /// Room for these passes.
-    pub fn new(passes: &[Pass]) -> Room {
+impl Buffers {
+    /// Allocates buffers for these passes.
+    pub fn new(passes: &[Pass]) -> Buffers {
         let rows = passes.iter().map(|pass| pass.rows).max().unwrap_or(0);
         let widest = passes.iter().flat_map(|pass| pass.sizes).max().unwrap_or(0);
         let most = widest * widest.max(ROWS);
-        Room {
+        Buffers {
             operands: vec![0.5; most],
             results: vec![vec![0.0; most]; rows.div_ceil(ROWS)],
         }
     }
 
-    /// Makes the products of all passes, their rows shared as a network shares them.
+    /// Computes the products of all passes; the rows are split among threads as a network
+    /// splits them.
     pub fn multiply(&mut self, passes: &[Pass], threads: usize) {
         let operands = &self.operands[..];
         for pass in passes {

@@ -4,6 +4,7 @@
 use crate::gauges::Gauges;
 use clap::Args;
 use stack::Clock;
+use std::collections::BTreeSet;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,6 +17,7 @@ use shm_config::message::Observation;
 use sim::{AfterEnd, Batch, BatchConfig, World, WorldConfig};
 use vehicle::Action;
 
+use crate::batches;
 use crate::metadrive::{Attempt, Measured, measure};
 use crate::photography;
 use lab::report::{Machine, table};
@@ -56,12 +58,12 @@ impl Subcommand for Sim {
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
         let gauges = Gauges::new(clock);
         let config = Config::default();
-        let world = WorldConfig::from(&config.world);
+        let world = WorldConfig::from(&config);
         let machine = Machine::here()?;
         let cores = std::thread::available_parallelism()?;
         let conditions = Conditions {
             seconds: self.seconds,
-            beams: config.world.beams,
+            beams: config.scanner.beams,
             machine,
         };
         let first_seed = self.first_seed;
@@ -77,10 +79,16 @@ impl Subcommand for Sim {
             times_metadrive = Some(one_per_s / row.ego_steps_per_s);
             rows.push(row);
         }
+        rows.insert(1, without_driver(&world, task, gauges)?);
         rows.push(all_cores(&world, task, cores, gauges)?);
-        rows.push(batch(&world, task, cores, gauges)?);
+        for worlds in BATCHES {
+            for threads in BTreeSet::from([NonZeroUsize::MIN, cores]) {
+                rows.push(batch(&world, task, (worlds, threads), gauges)?);
+            }
+        }
         let speed = Speed {
             rows,
+            shared: batches::measure(&world, task, gauges)?,
             frames: photography::measure(&world, first_seed, gauges)?,
             bytes_per_world,
             times_metadrive,
@@ -97,8 +105,13 @@ impl Subcommand for Sim {
 
 /// Seeds are used again after this many.
 const SEEDS: u64 = 1000;
-/// Worlds of a batch for each thread.
-const WORLDS_PER_THREAD: usize = 32;
+/// Worlds of a batch.
+const BATCHES: [NonZeroUsize; 2] = [
+    NonZeroUsize::new(64).unwrap(),
+    NonZeroUsize::new(256).unwrap(),
+];
+/// Episodes whose actions are recorded, to be driven again without a driver.
+const RECORDED: u64 = 40;
 /// Episodes over which the memory of a world is watched.
 const MEMORY_EPISODES: u64 = 200;
 /// The project's bars: on one core, and as a multiple of MetaDrive's.
@@ -114,7 +127,8 @@ pub struct Row {
     pub threads: usize,
     /// Ticks of one ego, by the wall clock.
     pub ego_steps_per_s: f64,
-    /// Ticks by processor time: what a core does when nothing shares it.
+    /// Ticks by processor time: what a core does when nothing shares it. In a batch, by
+    /// the time of its calls and by thread, without the driver, which the caller is.
     pub ego_steps_per_s_per_core: Option<f64>,
     /// Mean of a reset, us.
     pub reset_mean_us: Option<f64>,
@@ -131,6 +145,8 @@ pub struct Speed {
     pub rows: Vec<Row>,
     /// Bytes that one world holds with its observation.
     pub bytes_per_world: BytesPerWorld,
+    /// What worlds lose in a batch.
+    pub shared: Vec<batches::Row>,
     /// What a picture costs.
     pub frames: Vec<photography::Row>,
     /// Ours on one core over MetaDrive's on one core; none when it was absent.
@@ -199,6 +215,7 @@ fn print(speed: &Speed) {
         ]);
     }
     say(table);
+    say(batches::printed(&speed.shared));
     let BytesPerWorld { mean, worst } = speed.bytes_per_world;
     let word = |met: bool| if met { "met" } else { "MISSED" };
     if let Some(ours) = speed.rows.first() {
@@ -222,6 +239,19 @@ fn print(speed: &Speed) {
     say(photography::printed(&speed.frames));
 }
 
+impl Work {
+    /// Begins an episode, and measures how long that takes.
+    fn reset(&mut self, world: &mut World, seed: u64, gauges: Gauges) -> anyhow::Result<()> {
+        let before = gauges.core();
+        world.reset(seed)?;
+        let reset_s = (gauges.core() - before).as_secs_f64();
+        self.reset_s += reset_s;
+        self.reset_worst_s = self.reset_worst_s.max(reset_s);
+        self.episodes += 1;
+        Ok(())
+    }
+}
+
 /// Drives episodes on this thread until the time is up.
 fn drive(
     config: &WorldConfig,
@@ -234,12 +264,7 @@ fn drive(
     let begun = gauges.now();
     let core_begun = gauges.core();
     while (gauges.now().since_ns(begun) as f64) < seconds * 1e9 {
-        let before = gauges.core();
-        world.reset(first_seed + work.episodes % SEEDS)?;
-        let reset_s = (gauges.core() - before).as_secs_f64();
-        work.reset_s += reset_s;
-        work.reset_worst_s = work.reset_worst_s.max(reset_s);
-        work.episodes += 1;
+        work.reset(&mut world, first_seed + work.episodes % SEEDS, gauges)?;
         world.observe(&mut observation);
         while !world.last_step().has_ended() {
             world.step(keep_lane(&observation));
@@ -299,40 +324,92 @@ fn all_cores(
     Ok(row(what, cores.get(), &works?, elapsed_s))
 }
 
+/// The actions of the lane keeper in the first episodes.
+fn recorded(config: &WorldConfig, first_seed: u64) -> anyhow::Result<Vec<Vec<Action>>> {
+    let mut world = World::new(config.clone())?;
+    let mut observation = Box::<Observation>::default();
+    let mut episodes = Vec::new();
+    for seed in first_seed..first_seed + RECORDED {
+        let mut actions = Vec::new();
+        world.reset(seed)?;
+        while !world.last_step().has_ended() {
+            world.observe(&mut observation);
+            let action = keep_lane(&observation);
+            actions.push(action);
+            world.step(action);
+        }
+        episodes.push(actions);
+    }
+    Ok(episodes)
+}
+
+/// The same episodes again and again, on this thread: resets, ticks and observations.
+/// What a batch does in its calls, so the two compare.
+fn without_driver(
+    config: &WorldConfig,
+    (first_seed, seconds): (u64, f64),
+    gauges: Gauges,
+) -> anyhow::Result<Row> {
+    let episodes = recorded(config, first_seed)?;
+    let mut world = World::new(config.clone())?;
+    let mut observation = Box::<Observation>::default();
+    let mut work = Work::default();
+    let begun = gauges.now();
+    let core_begun = gauges.core();
+    while (gauges.now().since_ns(begun) as f64) < seconds * 1e9 {
+        let episode = work.episodes % RECORDED;
+        work.reset(&mut world, first_seed + episode, gauges)?;
+        for &action in &episodes[episode as usize] {
+            world.step(action);
+            world.observe(&mut observation);
+            work.ticks += 1;
+        }
+    }
+    work.core_s = (gauges.core() - core_begun).as_secs_f64();
+    let elapsed_s = gauges.now().since_ns(begun) as f64 * 1e-9;
+    Ok(row(
+        "VLAPS, one core, without its driver".into(),
+        1,
+        &[work],
+        elapsed_s,
+    ))
+}
+
 /// Worlds in step, as a learner drives them; actions are chosen by the caller.
 fn batch(
     config: &WorldConfig,
     (first_seed, seconds): (u64, f64),
-    cores: NonZeroUsize,
+    (worlds, threads): (NonZeroUsize, NonZeroUsize),
     gauges: Gauges,
 ) -> anyhow::Result<Row> {
-    let per_thread = NonZeroUsize::new(WORLDS_PER_THREAD).unwrap_or(NonZeroUsize::MIN);
-    let worlds = cores.saturating_mul(per_thread);
     let stride = worlds.get() as u64;
     let settings = BatchConfig {
         worlds,
-        threads: cores,
+        threads,
         after_end: AfterEnd::Restart { stride },
     };
     let mut batch = Batch::new(config, settings, first_seed)?;
     let mut actions = vec![Action::default(); batch.len()];
     let (mut ticks, mut episodes) = (0_u64, stride);
     let begun = gauges.now();
-    let mut elapsed_s = 0.0;
+    let (mut elapsed_s, mut calls_s) = (0.0, 0.0);
     while elapsed_s < seconds {
         batch.visit(|k, report| {
             actions[k] = keep_lane(report.observation);
             episodes += u64::from(report.outcome.has_ended());
         });
+        let called = gauges.now();
         batch.step(&actions)?;
+        calls_s += gauges.now().since_ns(called) as f64 * 1e-9;
         ticks += stride;
         elapsed_s = gauges.now().since_ns(begun) as f64 * 1e-9;
     }
+    let ticks = ticks as f64;
     Ok(Row {
-        what: format!("VLAPS, batch of {worlds}, {cores} threads"),
-        threads: cores.get(),
-        ego_steps_per_s: ticks as f64 / elapsed_s,
-        ego_steps_per_s_per_core: None,
+        what: format!("VLAPS, batch of {worlds}, {threads} threads"),
+        threads: threads.get(),
+        ego_steps_per_s: ticks / elapsed_s,
+        ego_steps_per_s_per_core: Some(ticks / calls_s / threads.get() as f64),
         reset_mean_us: None,
         reset_worst_us: None,
         episodes,

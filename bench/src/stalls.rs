@@ -1,9 +1,9 @@
-//! When the machine stood still: on each core a thread that only wakes up.
+//! Stalls of the machine, measured by one thread per core that only wakes up.
 //!
-//! On a virtual machine the host takes one core away at a time. A thread that may
-//! run anywhere is woken on the other one and sees nothing of it; what was bound
-//! or already running there waits all the same. So each core has a thread of its
-//! own, above every priority of the set: only the machine can make it late.
+//! On a virtual machine the host takes one core away at a time. A thread without
+//! core affinity is woken on another core and does not see the stall; a thread that
+//! is bound to the core, or was running on it, waits. Therefore each core has its
+//! own thread with a priority above all of the set: only the machine can make it late.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,14 +17,14 @@ use supervisor::set::table::TABLE;
 use crate::floor::{Priority, stay_on, wake};
 use stack::Clock;
 
-/// Width of a moment for which the largest lateness is kept, ns.
-pub const MOMENT_NS: u64 = 100_000_000;
-/// Moments that are kept: an hour, and what a start takes.
-const MOMENTS_MAX: usize = 40_000;
-/// From wake-up to wake-up, ns.
+/// Width of one time bucket, ns; the largest lateness of each bucket is kept.
+pub const BUCKET_NS: u64 = 100_000_000;
+/// Number of buckets: one hour plus the time that a start takes.
+const BUCKETS_MAX: usize = 40_000;
+/// Wake-up period, ns.
 const PERIOD_NS: u64 = 1_000_000;
 
-/// The largest lateness of each tenth of a second.
+/// The largest lateness in each bucket of 0.1 s.
 #[derive(Clone, Debug)]
 pub struct Stalls {
     begun: Instant,
@@ -32,55 +32,55 @@ pub struct Stalls {
 }
 
 impl Stalls {
-    /// None yet; the memory for all of them is there.
+    /// Starts without stalls; allocates memory for all buckets.
     pub fn from(begun: Instant) -> Self {
         Self {
             begun,
-            late_ns: Vec::with_capacity(MOMENTS_MAX),
+            late_ns: Vec::with_capacity(BUCKETS_MAX),
         }
     }
 
-    /// A wake-up due then came so late: every moment from the instant that was
-    /// due to the wake-up had a stall of that length.
+    /// Records a wake-up that was due at `due` and came `late_ns` late: every bucket
+    /// from `due` to the wake-up gets at least this lateness.
     pub fn note(&mut self, due: Instant, late_ns: u64) {
-        let first = (due.since_ns(self.begun) / MOMENT_NS) as usize;
-        let last = ((due.since_ns(self.begun) + late_ns) / MOMENT_NS) as usize;
-        if first >= MOMENTS_MAX {
+        let first = (due.since_ns(self.begun) / BUCKET_NS) as usize;
+        let last = ((due.since_ns(self.begun) + late_ns) / BUCKET_NS) as usize;
+        if first >= BUCKETS_MAX {
             return;
         }
-        let last = last.min(MOMENTS_MAX - 1);
+        let last = last.min(BUCKETS_MAX - 1);
         if self.late_ns.len() <= last {
             self.late_ns.resize(last + 1, 0);
         }
-        for moment in &mut self.late_ns[first..=last] {
-            *moment = (*moment).max(late_ns);
+        for bucket in &mut self.late_ns[first..=last] {
+            *bucket = (*bucket).max(late_ns);
         }
     }
 
-    /// The largest lateness within so long of an instant, ns.
+    /// The largest lateness within `within_ns` of an instant, ns.
     pub fn near(&self, at: Instant, within_ns: u64) -> u64 {
-        let from = (at.0.saturating_sub(within_ns)).saturating_sub(self.begun.0) / MOMENT_NS;
-        let to = at.after_ns(within_ns).since_ns(self.begun) / MOMENT_NS;
-        let moments = self.late_ns.iter().skip(from as usize);
-        let moments = moments.take((to - from + 1) as usize);
-        moments.copied().max().unwrap_or(0)
+        let from = (at.0.saturating_sub(within_ns)).saturating_sub(self.begun.0) / BUCKET_NS;
+        let to = at.after_ns(within_ns).since_ns(self.begun) / BUCKET_NS;
+        let buckets = self.late_ns.iter().skip(from as usize);
+        let buckets = buckets.take((to - from + 1) as usize);
+        buckets.copied().max().unwrap_or(0)
     }
 
-    /// Those of two places, as of one: of each moment the larger.
-    pub fn or(mut self, other: &Self) -> Self {
+    /// The larger lateness of both, bucket by bucket.
+    pub fn max_with(mut self, other: &Self) -> Self {
         let count = self.late_ns.len().max(other.late_ns.len());
         self.late_ns.resize(count, 0);
-        for (moment, &late_ns) in self.late_ns.iter_mut().zip(&other.late_ns) {
-            *moment = (*moment).max(late_ns);
+        for (bucket, &late_ns) in self.late_ns.iter_mut().zip(&other.late_ns) {
+            *bucket = (*bucket).max(late_ns);
         }
         self
     }
 
-    /// The largest few, each with the instant its moment begins at.
+    /// The `count` largest, each with the instant at which its bucket begins.
     pub fn largest(&self, count: usize) -> Vec<(Instant, u64)> {
-        let moments = self.late_ns.iter().enumerate();
-        let mut all: Vec<_> = moments
-            .map(|(k, &late_ns)| (self.begun.after_ns(k as u64 * MOMENT_NS), late_ns))
+        let buckets = self.late_ns.iter().enumerate();
+        let mut all: Vec<_> = buckets
+            .map(|(k, &late_ns)| (self.begun.after_ns(k as u64 * BUCKET_NS), late_ns))
             .filter(|&(_, late_ns)| late_ns > 0)
             .collect();
         all.sort_by_key(|&(at, late_ns)| (std::cmp::Reverse(late_ns), at));
@@ -89,18 +89,18 @@ impl Stalls {
     }
 }
 
-/// A thread on each core that notes when it is late.
+/// One thread per core that records its wake-up lateness.
 pub struct StallWatch {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<Stalls>>,
 }
 
 impl StallWatch {
-    /// Starts them on all cores that this process may use; at real-time priority
-    /// where that is asked for and granted.
+    /// Starts a thread on every core that this process may use; at real-time priority
+    /// where that is requested and granted.
     ///
     /// # Errors
-    /// When the system gives no thread.
+    /// If a thread cannot be started.
     pub fn start(priority: Priority, clock: Clock) -> anyhow::Result<Self> {
         let allowed = sched_getaffinity(None).context("the cores of this process")?;
         let stop = Arc::new(AtomicBool::new(false));
@@ -120,10 +120,10 @@ impl StallWatch {
         Ok(watch)
     }
 
-    /// Ends them; the stalls of any core.
+    /// Stops the threads and returns the largest stall of any core per bucket.
     ///
     /// # Errors
-    /// When one of them died.
+    /// If one of the threads has died.
     pub fn finish(mut self) -> anyhow::Result<Stalls> {
         self.stop.store(true, Ordering::Relaxed);
         let mut all = None::<Stalls>;
@@ -132,7 +132,7 @@ impl StallWatch {
                 anyhow::bail!("a thread that notes stalls died");
             };
             all = Some(match all {
-                Some(all) => all.or(&of_core),
+                Some(all) => all.max_with(&of_core),
                 None => of_core,
             });
         }
@@ -153,11 +153,11 @@ fn note(
     clock: Clock,
     stop: &AtomicBool,
 ) -> Stalls {
-    // A core that is gone since is noted from wherever this runs.
+    // If the core has gone offline meanwhile, the thread runs on any core.
     stay_on(core);
     if priority == Priority::Asked {
         let of_set = TABLE.iter().map(|row| row.priority).max();
-        // Refused, stalls of the set's own threads are in what it notes.
+        // Without the priority, waiting behind the set's own threads is recorded as stall, too.
         let _ = runtime::set_fifo(u32::from(of_set.unwrap_or(0)) + 1);
     }
     let mut stalls = Stalls::from(begun);
@@ -182,11 +182,11 @@ mod tests {
         stalls.note(begun.after_ns(2_050 * MS), 120 * MS);
         let near = |ms: u64| stalls.near(begun.after_ns(ms * MS), 50 * MS);
         assert_eq!([near(120), near(400)], [7 * MS, 0]);
-        // A long one is in every moment that it lasted.
+        // A long stall is in every bucket that it covers.
         assert_eq!([near(2_010), near(2_190)], [120 * MS; 2]);
         let mut elsewhere = Stalls::from(begun);
         elsewhere.note(begun.after_ns(400 * MS), 9 * MS);
-        let both = elsewhere.or(&stalls);
+        let both = elsewhere.max_with(&stalls);
         assert_eq!(both.near(begun.after_ns(400 * MS), 0), 9 * MS);
         assert_eq!(both.near(begun.after_ns(2_190 * MS), 0), 120 * MS);
         let largest = stalls.largest(3);

@@ -1,4 +1,4 @@
-//! `bench swap`: does a running set notice that its weights are swapped?
+//! `bench swap`: measures whether swapping weights delays the ticks of a running set.
 
 use clap::Args;
 use std::path::PathBuf;
@@ -23,22 +23,22 @@ use lab::report::{Machine, table};
 use stack::Clock;
 use supervisor::subcommand::{say, write_json_option};
 
-/// Measure whether a running set notices that its weights are swapped.
+/// Measure whether swapping weights delays the ticks of a running set.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "For each rate the whole set drives twice: without swaps, and with new weights \
-        every second.\n\n\
+    after_help = "At each rate the whole set drives twice: without swaps, and with new weights every \
+        second.\n\n\
         Examples:\n  \
         ./vlaps bench swap\n  \
         ./vlaps bench swap --seconds 300 --rate 10,100 --json swap.json"
 )]
 pub struct BenchSwap {
-    /// Seconds for each row, 5 at least: nothing is swapped in the first and the
-    /// last two.
+    /// Seconds per row, 5 at least: there are no swaps in the first and the last two
+    /// seconds.
     #[arg(long, value_name = "S", default_value_t = 30.0, allow_negative_numbers = true,
           value_parser = seconds)]
     pub seconds: f64,
-    /// Ticks per second, one or more.
+    /// Tick rates, one or more.
     #[arg(
         long,
         value_name = "HZ",
@@ -50,7 +50,7 @@ pub struct BenchSwap {
     /// Override any key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -81,50 +81,50 @@ impl Subcommand for BenchSwap {
                 rows.push(drive(self, row, clock)?);
             }
         }
-        let swapped = Swapped {
+        let results = SwapResults {
             rows,
             seconds: self.seconds,
             conditions,
         };
-        print(&swapped);
-        write_json_option(&self.json, &swapped)?;
+        print(&results);
+        write_json_option(&self.json, &results)?;
         Ok(ExitCode::SUCCESS)
     }
 }
 
-/// From offer to offer, s.
+/// Interval between two offers of weights, s.
 const EVERY_S: f64 = 1.0;
-/// How long the set may take to start, ns.
+/// Time limit for the set to start, ns.
 const START_NS: u64 = 20_000_000_000;
-/// How long an offer may take, ns.
+/// Time limit for the answer to an offer, ns.
 const ANSWER_NS: u64 = 5_000_000_000;
-/// Before the first offer and after the last, s.
+/// Time before the first offer and after the last, s.
 const MARGIN_S: f64 = 2.0;
 const LOOK: Duration = Duration::from_millis(2);
 
 /// One run of the set.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
-    /// Ticks a second asked for.
+    /// Requested tick rate, Hz.
     pub rate_hz: f64,
-    /// From offer to offer, s; `None` without swaps.
+    /// Interval between two offers, s; `None` without swaps.
     pub every_s: Option<f64>,
     /// Weights offered.
     pub offered: u64,
     /// Of those, adopted.
     pub adopted: u64,
-    /// From offering to knowing that it is adopted, median, ms.
+    /// From an offer to the report that it is adopted, median, ms.
     pub adopted_after_p50_ms: Option<f64>,
-    /// The longest, ms.
+    /// The same, maximum, ms.
     pub adopted_after_max_ms: Option<f64>,
-    /// The controller.
+    /// Punctuality of the controller.
     pub controller: Punctuality,
-    /// A thread beside it that only wakes up, at the same rate and priority.
+    /// Punctuality of a thread that only wakes up, at the same rate and priority.
     pub floor: Punctuality,
 }
 
 impl Row {
-    /// By what was asked for, not by what was measured.
+    /// Names the row by the requested swaps, whether or not they were adopted.
     fn name(&self) -> String {
         match self.every_s {
             None => format!("{} Hz, no swaps", self.rate_hz),
@@ -135,21 +135,21 @@ impl Row {
 
 /// All rows.
 #[derive(Clone, Debug, Serialize)]
-pub struct Swapped {
-    /// Without and with swaps, for each rate.
+pub struct SwapResults {
+    /// For each rate, a row without and a row with swaps.
     pub rows: Vec<Row>,
-    /// Seconds driven for each.
+    /// Seconds driven per row.
     pub seconds: f64,
-    /// Where.
+    /// The machine.
     pub conditions: Machine,
 }
 
-/// How many offers fit into a row of so many seconds.
+/// Number of offers in a row of `seconds`.
 fn offers(seconds: f64) -> u64 {
     ((seconds - 2.0 * MARGIN_S).max(0.0) / EVERY_S) as u64
 }
 
-/// Drives the row that was asked for, and fills it in.
+/// Drives a row and fills in its results.
 fn drive(arguments: &BenchSwap, mut row: Row, clock: Clock) -> anyhow::Result<Row> {
     let rate_hz = row.rate_hz;
     let mut up: Vec<String> = ["--gate", "expert", "--seed", "3", "--rate"]
@@ -158,7 +158,7 @@ fn drive(arguments: &BenchSwap, mut row: Row, clock: Clock) -> anyhow::Result<Ro
     up.extend([rate_hz.to_string(), "--duration".into()]);
     up.push(arguments.seconds.to_string());
     let stay = [
-        // The nets are active at once and stay, whichever actions they propose.
+        // The networks become active at once and stay active, whichever actions they propose.
         "policy.shadow_ticks=0",
         "policy.veto_rate_max=1.0",
         "policy.jump_max=2.0",
@@ -176,7 +176,7 @@ fn drive(arguments: &BenchSwap, mut row: Row, clock: Clock) -> anyhow::Result<Ro
     Ok(row)
 }
 
-/// New weights on an absolute grid, so many times.
+/// Offers new weights `count` times, on an absolute time grid.
 fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<()> {
     let name = name.parse()?;
     let paths = RunPaths::new(name);
@@ -204,7 +204,7 @@ fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<
         match offers.answer(version, &bytes, clock, ANSWER_NS)? {
             Answer::Adopted { .. } | Answer::Ready { .. } => row.adopted += 1,
             Answer::Refused(reason) => bail!("refused: {reason}"),
-            Answer::Overtaken(by) => bail!("overtaken by version {by}"),
+            Answer::Overtaken(by) => bail!("replaced by version {by}"),
         }
         after_ms.saturating_record(clock().since_ns(published) / 1000);
     }
@@ -213,7 +213,7 @@ fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<
     Ok(())
 }
 
-fn print(swapped: &Swapped) {
+fn print(results: &SwapResults) {
     let mut table = table(&[
         "",
         "ticks",
@@ -227,7 +227,7 @@ fn print(swapped: &Swapped) {
         "after p50 ms",
         "max ms",
     ]);
-    for row in &swapped.rows {
+    for row in &results.rows {
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
         let adopted = match row.every_s {
             None => "-".into(),
@@ -248,12 +248,12 @@ fn print(swapped: &Swapped) {
         ]);
     }
     say(table);
-    let first = swapped.rows.first();
+    let first = results.rows.first();
     let priority = first.map_or("unknown", |row| &row.controller.priority);
     say(format_args!(
         "259-256-256-2, {} s each, whole process set, real-time priority {priority}, {}; floor: a \
          thread that only wakes up, at the same rate and priority in the same seconds",
-        swapped.seconds, swapped.conditions
+        results.seconds, results.conditions
     ));
 }
 
@@ -269,7 +269,7 @@ mod tests {
             ..Row::default()
         };
         assert_eq!(row(None).name(), "10 Hz, no swaps");
-        // Nothing was offered in it.
+        // No offer was made in it.
         assert_eq!(row(Some(1.0)).name(), "10 Hz, a swap a second");
     }
 

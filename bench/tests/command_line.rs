@@ -72,7 +72,7 @@ fn a_judge_that_answers_nothing_is_an_error_that_says_why() {
 }
 
 #[test]
-fn an_address_that_may_hold_a_key_is_not_told() {
+fn an_address_with_a_key_is_not_printed() {
     let words = [
         "bench",
         "judge",

@@ -1,4 +1,4 @@
-//! A short campaign of faults on a real set.
+//! A short campaign of faults on a running set.
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -32,7 +32,7 @@ fn is_built() -> bool {
         None => true,
         Some(name) => {
             use std::io::Write;
-            // Past the capture of test output: a skipped test must not look passed.
+            // Bypasses the capture of test output: a skipped test must not look passed.
             let _ = writeln!(std::io::stderr(), "skipped: vlaps-{name} is not built");
             false
         }
@@ -40,7 +40,7 @@ fn is_built() -> bool {
 }
 
 #[test]
-fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
+fn a_short_campaign_writes_a_row_for_each_fault_and_resumes() {
     if !is_built() {
         return;
     }
@@ -81,7 +81,7 @@ fn a_short_campaign_leaves_a_row_for_each_fault_and_goes_on_where_it_was() {
 }
 
 #[test]
-fn a_fault_that_ctrl_c_cuts_short_is_made_anew() {
+fn a_fault_interrupted_by_ctrl_c_is_repeated() {
     if !is_built() {
         return;
     }
@@ -97,27 +97,32 @@ fn a_fault_that_ctrl_c_cuts_short_is_made_anew() {
         "--out",
         &out,
     ];
-    let child = Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
+    let mut child = Command::new(env!("CARGO_BIN_EXE_vlaps-bench"))
         .args(["bench", "faults"])
         .args(words)
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
-        // As a terminal starts it: Ctrl-C is a signal to everybody in the group.
+        // As in a terminal: Ctrl-C signals every process of the group.
         .process_group(0)
         .spawn()
         .expect("the program starts");
     let file = Path::new(&out).join("faults.csv");
     let rows = || std::fs::read_to_string(&file).unwrap_or_default();
     while rows().lines().count() < 2 {
+        let ended = child.try_wait().expect("its state");
+        assert!(
+            ended.is_none(),
+            "it ended before the first fault: {ended:?}"
+        );
         pause(Duration::from_millis(1));
     }
     kill_process_group(Pid::from_child(&child), Signal::INT).expect("a signal");
     let stopped = child.wait_with_output().expect("its end");
-    let told = String::from_utf8_lossy(&stopped.stderr);
-    assert_eq!(stopped.status.code(), Some(1), "{told}");
+    let message = String::from_utf8_lossy(&stopped.stderr);
+    assert_eq!(stopped.status.code(), Some(1), "{message}");
     assert!(
-        told.contains("faults are left; --resume continues"),
-        "{told}"
+        message.contains("faults are left; --resume continues"),
+        "{message}"
     );
     for row in rows().lines().skip(1) {
         assert!(row.ends_with(",ok"), "{row}");

@@ -1,5 +1,5 @@
-//! The stand-in over HTTP: it sees who is safer, and asking twice takes a
-//! preference for the first place from it.
+//! The stand-in over HTTP: it recognises the safer driver, and asking twice reduces a
+//! bias towards the first path.
 
 use bench::judging::measure;
 use bench::{Bench, Command};
@@ -14,7 +14,7 @@ fn no_clock() -> Instant {
 }
 
 #[test]
-fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
+fn the_stand_in_is_right_and_asking_twice_reduces_its_bias() {
     let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("judging");
     let _ = std::fs::remove_dir_all(&folder);
     let words = format!(
@@ -34,13 +34,13 @@ fn the_stand_in_is_right_and_asking_twice_mends_a_biased_one() {
         assert_eq!((asked, row.failed), (30, 0), "{row:?}");
     }
     for name in ["top_down-stand-in", "top_down-stand-in-bias-0.72"] {
-        assert!(folder.join(name).is_dir(), "a folder of each judge: {name}");
+        assert!(folder.join(name).is_dir(), "one folder per judge: {name}");
     }
-    let share = |row: &bench::judging::court::Row| row.right_of_preferences.mean();
+    let share = |row: &bench::judging::evaluation::Row| row.right_of_preferences.mean();
     assert!(share(once) >= 0.9 && share(twice) >= 0.9, "{rows:#?}");
     assert!(share(biased) < share(once), "a bias shows: {rows:#?}");
     assert!(share(mended) > share(biased), "and is mended: {rows:#?}");
-    let off = |row: &bench::judging::court::Row| (row.first_place.mean() - 0.5).abs();
+    let off = |row: &bench::judging::evaluation::Row| (row.first_place.mean() - 0.5).abs();
     assert!(off(mended) < off(biased), "{rows:#?}");
     assert!(
         mended.abstained > twice.abstained,

@@ -1,6 +1,6 @@
-"""The updates of `learner/src/algorithm` in PyTorch, timed on demand.
+"""Times the updates of `learner/src/algorithm` in PyTorch.
 
-Reads lines `KIND HIDDEN BATCH THREADS SECONDS STEPS_MIN`, answers each with
+Reads lines `KIND HIDDEN BATCH THREADS SECONDS STEPS_MIN` and answers each with
 `STEPS SECONDS`. `./vlaps bench learner` runs it.
 """
 
@@ -32,7 +32,7 @@ def follow(target, network, share):
 
 
 class Replay:
-    """Two rings in tensors; half of a batch comes from each."""
+    """Two replay buffers in tensors; half of a batch comes from each."""
 
     def __init__(self):
         self.states = torch.rand(2 * HELD, FEATURES)
@@ -48,7 +48,7 @@ class Replay:
 
 
 class Pvp:
-    """TD3 without rewards: twin critics, proxy values, an actor every second time."""
+    """TD3 without rewards: twin critics, proxy values, an actor update every second step."""
 
     def __init__(self, hidden):
         critic = [FEATURES + ACTIONS, 1]
@@ -70,7 +70,7 @@ class Pvp:
             inputs = torch.cat([nexts, actions], 1)
             values = torch.minimum(*(target(inputs) for target in self.critic_targets))
             values = GAMMA * goes_on * values
-        # The first half of the batch is from the ring of those that are preferred.
+        # The first half of the batch is from the buffer of preferred transitions.
         half = batch // 2
         taken, refused = torch.cat([states, applied], 1), torch.cat([states[:half], policy[:half]], 1)
         loss = 0.0
@@ -95,7 +95,7 @@ class Pvp:
 
 
 class Regression:
-    """The squared distance to the expert's action, and an average of the actors."""
+    """Minimises the squared distance to the expert's action; averages the actors."""
 
     def __init__(self, hidden):
         self.actor = net(FEATURES, hidden, ACTIONS, nn.Tanh())

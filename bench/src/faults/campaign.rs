@@ -1,4 +1,4 @@
-//! A campaign: fault after fault on a set that keeps running, set after set.
+//! A campaign: a series of faults on one running set, then on the next set.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -7,100 +7,100 @@ use anyhow::Context;
 use shm_config::services::Process;
 use supervisor::cli::failure::Failure;
 
-use super::room::Room;
-use super::rows::{Row, append};
-use super::stage::{End, Scene, Stage};
-use super::strike::{Blow, Came, await_recovery, came, strike};
-use super::trouble::{Kind, Trouble};
+use super::inject::{Effect, Outcome, await_recovery, inject, outcome_of};
+use super::planned::{Kind, PlannedFault};
+use super::results::{Row, append};
+use super::sandbox::Sandbox;
+use super::tested_set::{End, SetOptions, TestedSet};
 use super::{BenchFaults, kinds};
 use lab::progress::Progress;
 use lab::stop::Stop;
 use stack::Clock;
 use supervisor::subcommand::settings;
 
-/// Faults of one set before the next begins.
-const OF_A_SET: u64 = 50;
-/// One set in so many drives at the paper's rate.
+/// Faults per set.
+const FAULTS_PER_SET: u64 = 50;
+/// One in this many sets drives at the lower rate, that of the paper.
 const SLOW_SETS: u64 = 8;
-/// Ticks a second of most sets, and of those.
+/// Tick rate of most sets, and the lower rate, Hz.
 const RATES_HZ: (f64, f64) = (100.0, 10.0);
-/// How long a set may take until it drives again before the next fault, ns.
+/// Time limit for a set to drive again before the next fault, ns.
 const SETTLE_NS: u64 = 20_000_000_000;
 
 /// A campaign in progress.
 pub struct Campaign<'a> {
     arguments: &'a BenchFaults,
-    room: &'a Room,
+    sandbox: &'a Sandbox,
     clock: Clock,
-    stage: Option<Stage>,
-    /// What the account of the set was after the fault before.
+    set: Option<TestedSet>,
+    /// The counts of the set's ledger at the end of the previous fault.
     counted: [u64; 6],
     skipped: BTreeMap<String, u64>,
 }
 
 impl<'a> Campaign<'a> {
-    /// Nothing has happened yet.
-    pub fn new(arguments: &'a BenchFaults, room: &'a Room, clock: Clock) -> Self {
+    /// A campaign before its first fault.
+    pub fn new(arguments: &'a BenchFaults, sandbox: &'a Sandbox, clock: Clock) -> Self {
         Self {
             arguments,
-            room,
+            sandbox,
             clock,
-            stage: None,
+            set: None,
             counted: [0; 6],
             skipped: BTreeMap::new(),
         }
     }
 
-    /// What was skipped, and why.
+    /// The reasons for skipped faults, with counts.
     pub fn skipped(&self) -> Vec<String> {
-        let told = |(reason, count): (&String, &u64)| format!("{count} x {reason}");
-        self.skipped.iter().map(told).collect()
+        let message = |(reason, count): (&String, &u64)| format!("{count} x {reason}");
+        self.skipped.iter().map(message).collect()
     }
 
-    /// Everything that can be known before the first fault.
+    /// Checks everything that can be known before the first fault.
     ///
     /// # Errors
-    /// When no set can be configured so, or this machine allows none of the kinds.
+    /// If a set's configuration is invalid, or this machine allows none of the kinds.
     pub fn check(&self) -> anyhow::Result<()> {
-        // The first set, and the first of the slow ones.
-        for number in [0, OF_A_SET] {
-            settings::of_set(self.scene(number).words())?;
+        // The first set, and the first of the lower rate.
+        for number in [0, FAULTS_PER_SET] {
+            settings::of_set(self.options(number).arguments())?;
         }
         let kinds = kinds(self.arguments);
-        let reasons: Vec<String> = kinds.iter().filter_map(|k| self.hindrance(*k)).collect();
+        let reasons: Vec<String> = kinds.iter().filter_map(|k| self.refusal(*k)).collect();
         if reasons.len() == kinds.len() {
-            let told = format!("--kinds: nothing can be tested: {}", reasons.join("; "));
-            return Err(Failure::Usage(told).into());
+            let message = format!("--kinds: nothing can be tested: {}", reasons.join("; "));
+            return Err(Failure::Usage(message).into());
         }
         Ok(())
     }
 
-    /// Rows of the folder are of this campaign.
+    /// Checks that the rows of the folder belong to this campaign.
     ///
     /// # Errors
-    /// The first that is not, and what to do.
+    /// The first row that does not, and what to do.
     pub fn check_same(&self, done: &[Row]) -> anyhow::Result<()> {
-        let refused = |told: String| {
-            let told = format!("--resume: {told}, or another --out");
-            Err(Failure::Usage(told).into())
+        let refused = |message: String| {
+            let message = format!("--resume: {message}, or another --out");
+            Err(Failure::Usage(message).into())
         };
         for row in done {
             if row.seed != self.arguments.seed {
                 let seed = row.seed;
                 return refused(format!(
-                    "the folder's campaign has seed {seed}; give it with --seed"
+                    "the campaign in the folder has seed {seed}; give --seed {seed}"
                 ));
             }
-            let trouble = Trouble::draw(row.seed, row.number, kinds(self.arguments));
+            let planned = PlannedFault::draw(row.seed, row.number, kinds(self.arguments));
             let drawn = (
-                trouble.kind.word(),
-                trouble.whom(),
+                planned.kind.word(),
+                planned.target_name(),
                 self.rate_hz(row.number),
             );
             if (row.kind.as_str(), row.target.as_str(), row.rate_hz) != drawn {
                 let (kind, target, rate_hz) = drawn;
                 return refused(format!(
-                    "fault {} of the folder is '{} {}' at {} Hz, and would be '{kind} {target}' at \
+                    "fault {} in the folder is '{} {}' at {} Hz, but would be '{kind} {target}' at \
                      {rate_hz} Hz; give the same --kinds and --rate",
                     row.number, row.kind, row.target, row.rate_hz
                 ));
@@ -109,7 +109,7 @@ impl<'a> Campaign<'a> {
         Ok(())
     }
 
-    /// Numbers of the faults that are not done.
+    /// Numbers of the faults that are not in `done`.
     pub fn left(&self, done: &[Row]) -> Vec<u64> {
         let numbers = match self.arguments.only {
             Some(number) => number..number + 1,
@@ -119,12 +119,12 @@ impl<'a> Campaign<'a> {
         numbers.filter(|number| !known.contains(number)).collect()
     }
 
-    /// Makes all faults that are not done, until a stop is requested; the one that is
-    /// in progress then is made anew another time.
+    /// Injects all faults that are not in `done`, until a stop is requested; the fault in
+    /// progress then is repeated by a later run.
     ///
     /// # Errors
-    /// When a set does not start, or a row cannot be kept. The rows until then are
-    /// there, the one that could not be kept among them.
+    /// If a set does not start, or a row cannot be written. `rows` then holds all rows
+    /// until then, including the one that could not be written.
     pub fn run(
         &mut self,
         rows: &mut Vec<Row>,
@@ -142,10 +142,10 @@ impl<'a> Campaign<'a> {
             let next = left.get(index + 1);
             let rate_hz = self.rate_hz(number);
             let is_last = next.is_none_or(|&next| {
-                next / OF_A_SET != number / OF_A_SET || self.rate_hz(next) != rate_hz
+                next / FAULTS_PER_SET != number / FAULTS_PER_SET || self.rate_hz(next) != rate_hz
             });
-            if is_last && let Some(stage) = self.stage.take() {
-                note(&mut row, stage.end()?);
+            if is_last && let Some(set) = self.set.take() {
+                note(&mut row, set.end()?);
             }
             let kept = file.map_or(Ok(()), |file| append(file, &row));
             rows.push(row);
@@ -161,107 +161,107 @@ impl<'a> Campaign<'a> {
             }
         }
         progress.end();
-        self.stage.take().map_or(Ok(()), Stage::give_up)
+        self.set.take().map_or(Ok(()), TestedSet::give_up)
     }
 
     fn rate_hz(&self, number: u64) -> f64 {
-        let is_slow = number / OF_A_SET % SLOW_SETS == 1;
+        let is_slow = number / FAULTS_PER_SET % SLOW_SETS == 1;
         self.arguments.rate.unwrap_or(match is_slow {
             true => RATES_HZ.1,
             false => RATES_HZ.0,
         })
     }
 
-    /// One fault, from a set that drives to one that does again.
+    /// Injects one fault into a driving set and waits until the set drives again.
     fn fault(&mut self, number: u64, stop: &Stop) -> anyhow::Result<Row> {
         let clock = self.clock;
-        let mut trouble = Trouble::draw(self.arguments.seed, number, kinds(self.arguments));
+        let mut planned = PlannedFault::draw(self.arguments.seed, number, kinds(self.arguments));
         let mut row = Row {
             seed: self.arguments.seed,
             number,
             rate_hz: self.rate_hz(number),
-            kind: trouble.kind.word().into(),
-            target: trouble.whom().into(),
+            kind: planned.kind.word().into(),
+            target: planned.target_name().into(),
             verdict: "ok".into(),
             ..Row::default()
         };
-        if let Some(reason) = self.hindrance(trouble.kind) {
+        if let Some(reason) = self.refusal(planned.kind) {
             *self.skipped.entry(reason).or_default() += 1;
             row.verdict = "skipped".into();
             return Ok(row);
         }
-        let mut stage = match self.stage.take() {
-            Some(stage) => stage,
+        let mut set = match self.set.take() {
+            Some(set) => set,
             None => self.begin(number)?,
         };
-        if !stage.settle(SETTLE_NS) {
-            row.verdict = "the set did not drive before it".into();
-            self.give_up(stage, &mut row)?;
+        if !set.settle(SETTLE_NS) {
+            row.verdict = "the set did not drive before the fault".into();
+            self.give_up(set, &mut row)?;
             return Ok(row);
         }
-        let old_pid = trouble.target.and_then(|target| stage.pid(target));
-        let blow = strike(&mut stage, &mut trouble, clock)
+        let old_pid = planned.target.and_then(|target| set.pid(target));
+        let effect = inject(&mut set, &mut planned, clock)
             .with_context(|| format!("fault {number}, {} {}", row.kind, row.target))?;
-        row.struck_ns = stage.watch().trial().map_or(0, |trial| trial.struck.0);
-        match blow {
-            Blow::Skipped(reason) => {
+        row.struck_ns = set.monitor().trial().map_or(0, |trial| trial.injected.0);
+        match effect {
+            Effect::Skipped(reason) => {
                 *self.skipped.entry(reason).or_default() += 1;
                 row.verdict = "skipped".into();
-                self.stage = Some(stage);
+                self.set = Some(set);
             }
-            Blow::Goes { detail } => {
+            Effect::Continues { detail } => {
                 row.detail = detail;
-                let came = await_recovery(&mut stage, &trouble, old_pid, (clock, stop));
-                tell(&mut row, &came);
-                self.count(&mut stage, &mut row);
-                if came.recovered_ns.is_none() && !stop.is_asked() {
-                    row.verdict = "did not come back".into();
-                    self.give_up(stage, &mut row)?;
+                let outcome = await_recovery(&mut set, &planned, old_pid, (clock, stop));
+                record_outcome(&mut row, &outcome);
+                self.count(&mut set, &mut row);
+                if outcome.recovered_ns.is_none() && !stop.is_asked() {
+                    row.verdict = "did not recover".into();
+                    self.give_up(set, &mut row)?;
                 } else {
-                    self.stage = Some(stage);
+                    self.set = Some(set);
                 }
             }
-            Blow::Ended => self.end_early(stage, &mut row, Stage::bury)?,
-            Blow::Resigns => self.end_early(stage, &mut row, Stage::resign)?,
+            Effect::Ended => self.end_early(set, &mut row, TestedSet::end_killed)?,
+            Effect::GivesUp => self.end_early(set, &mut row, TestedSet::end_failed)?,
         }
         Ok(row)
     }
 
-    /// Why a kind cannot be had here; `None` when it can.
-    fn hindrance(&self, kind: Kind) -> Option<String> {
+    /// The reason why this machine does not allow a kind; `None` if it does.
+    fn refusal(&self, kind: Kind) -> Option<String> {
         let word = kind.word();
         match kind {
-            Kind::Disk | Kind::Shm | Kind::Files if !self.room.is_private => Some(format!(
-                "{word}: this machine grants no mount namespace (unshare -m), and the disks of \
-                 others are not filled"
+            Kind::Disk | Kind::Shm | Kind::Files if !self.sandbox.is_private => Some(format!(
+                "{word}: this machine grants no mount namespace (unshare -m), and only private file \
+                 systems are filled"
             )),
             Kind::Clock if !self.arguments.step_clock => Some(format!(
-                "{word}: the wall clock has no namespace, all on this machine would see it jump; \
-                 --step-clock on a machine of your own"
+                "{word}: the wall clock is shared by all programs on this machine; --step-clock allows \
+                 the jump"
             )),
             _ => None,
         }
     }
 
-    fn begin(&mut self, number: u64) -> anyhow::Result<Stage> {
+    fn begin(&mut self, number: u64) -> anyhow::Result<TestedSet> {
         self.counted = [0; 6];
-        Stage::start(self.scene(number), self.clock)
+        TestedSet::start(self.options(number), self.clock)
     }
 
-    fn scene(&self, number: u64) -> Scene {
-        Scene {
-            // The dead run's name again: its successor clears away what it left.
+    fn options(&self, number: u64) -> SetOptions {
+        SetOptions {
+            // The same name for every set: the next start cleans up after a killed one.
             run: format!("faults-{}", std::process::id()),
-            folder: self.room.folder.join("set"),
+            folder: self.sandbox.folder.join("set"),
             rate_hz: self.rate_hz(number),
             seed: 1000 + number,
             overrides: self.arguments.overrides.clone(),
         }
     }
 
-    /// What the account has come to since the fault before.
-    fn count(&mut self, stage: &mut Stage, row: &mut Row) {
-        let ledger = &mut stage.watch().ledger;
+    /// Fills in the row from the ledger's counts since the previous fault.
+    fn count(&mut self, set: &mut TestedSet, row: &mut Row) {
+        let ledger = &mut set.monitor().ledger;
         let now = [
             ledger.violations,
             ledger.steps,
@@ -284,48 +284,48 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// The set of a dead supervisor is buried, and one that is beyond help resigns;
-    /// the next begins at once, and that is the recovery.
+    /// Ends a set whose supervisor is dead or gave up; the next set starts at once, and
+    /// that is the recovery.
     fn end_early(
         &mut self,
-        mut stage: Stage,
+        mut set: TestedSet,
         row: &mut Row,
-        end: fn(Stage) -> anyhow::Result<End>,
+        end: fn(TestedSet) -> anyhow::Result<End>,
     ) -> anyhow::Result<()> {
-        let limits = stage.watch().limits;
-        // What was on its way when it struck has come by now.
-        stage.watch_for(4 * limits.period_ns);
-        self.count(&mut stage, row);
-        let trial = stage.watch().take_trial().context("a trial")?;
-        note(row, end(stage)?);
+        let limits = set.monitor().limits;
+        // By now, everything that was in flight at the fault has arrived.
+        set.watch_for(4 * limits.period_ns);
+        self.count(&mut set, row);
+        let trial = set.monitor().take_trial().context("a trial")?;
+        note(row, end(set)?);
         let mut next = self.begin(row.number + 1)?;
         let drives = next.settle(SETTLE_NS).then(self.clock);
-        tell(row, &came(&trial, &limits, drives));
-        self.stage = Some(next);
+        record_outcome(row, &outcome_of(&trial, &limits, drives));
+        self.set = Some(next);
         Ok(())
     }
 
     /// Ends a set that does not drive any more.
-    fn give_up(&mut self, mut stage: Stage, row: &mut Row) -> anyhow::Result<()> {
-        stage.signal(Process::Supervisor, rustix::process::Signal::KILL);
-        let end = stage.bury()?;
+    fn give_up(&mut self, mut set: TestedSet, row: &mut Row) -> anyhow::Result<()> {
+        set.signal(Process::Supervisor, rustix::process::Signal::KILL);
+        let end = set.end_killed()?;
         note(row, end);
         Ok(())
     }
 }
 
-fn tell(row: &mut Row, came: &Came) {
+fn record_outcome(row: &mut Row, outcome: &Outcome) {
     let ms = |ns: Option<u64>| ns.map(|ns| ns as f64 / 1e6);
-    row.safe_ms = ms(came.safe_ns);
-    row.by = came.by.into();
-    row.command_ms = ms(came.command_ns);
-    row.recovered_ms = ms(came.recovered_ns);
+    row.safe_ms = ms(outcome.safe_ns);
+    row.by = outcome.by.into();
+    row.command_ms = ms(outcome.command_ns);
+    row.recovered_ms = ms(outcome.recovered_ns);
 }
 
-/// Notes in the row of a set's last fault how it ended.
+/// Adds the end of a set to the row of its last fault.
 fn note(row: &mut Row, end: End) {
     row.leftovers += end.leftovers.len() as u64;
-    let words: Vec<String> = end.leftovers.into_iter().chain(end.wrongs).collect();
+    let words: Vec<String> = end.leftovers.into_iter().chain(end.errors).collect();
     if !words.is_empty() {
         row.verdict = format!("{}; {}", row.verdict, words.join("; "));
     }

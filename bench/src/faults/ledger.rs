@@ -1,30 +1,30 @@
-//! What the set says, checked as a vehicle would check it: no command beyond its
-//! limits, none on old inputs, every tick of the grid accounted for.
+//! Checks the set's messages as a vehicle would: no command beyond its limits, none on
+//! stale inputs, and every tick of the grid accounted for.
 
 use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::message::{Command, Driver, Message, Reason, Step};
 
-use super::strangers::trace_in;
+use super::foreign::forgery_in;
 
-/// Descriptions kept of violations; the rest is only counted.
+/// Number of violations that are described; all are counted.
 const KEPT: usize = 20;
 
-/// The limits of a run, ns.
+/// Limits of a run, ns.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// From tick to tick.
+    /// Tick period.
     pub period_ns: u64,
-    /// Older commands are not obeyed.
+    /// Commands older than this are not obeyed.
     pub command_age_ns: u64,
-    /// Older observations are not driven on.
+    /// Observations older than this are not driven on.
     pub observation_age_ns: u64,
-    /// Older plans are not followed.
+    /// Plans older than this are not followed.
     pub plan_age_ns: u64,
 }
 
 impl Limits {
-    /// Of a configuration.
+    /// The limits of a configuration.
     pub fn of(config: &Config) -> Self {
         Self {
             period_ns: config.run.period_ns(),
@@ -34,46 +34,46 @@ impl Limits {
         }
     }
 
-    /// The first instant of the vehicle's grid at which it brakes by itself when no
-    /// command comes after the one given at `taken`; the grid has an instant at
-    /// `anchor`, before that.
+    /// The first instant of the vehicle's grid at which it brakes by itself if no command
+    /// follows the one that was given at `taken`. The grid has an instant at `anchor`, which
+    /// is before `taken`.
     pub fn own_brake(&self, taken: Instant, anchor: Instant) -> Instant {
-        // The first age that is over the limit.
+        // The first age beyond the limit.
         let expiry = taken.after_ns(self.command_age_ns + 1);
         let passed = expiry.since_ns(anchor).div_ceil(self.period_ns);
         anchor.after_ns(passed * self.period_ns)
     }
 }
 
-/// The account of a run, over all restarts of its processes.
+/// Counts ticks and violations of a run across all restarts of its processes.
 #[derive(Debug)]
 pub struct Ledger {
     limits: Limits,
-    /// The process that lies; what it sends may never be driven on.
-    stranger: u32,
+    /// Process id of the forging process; no step may be based on its messages.
+    foreign: u32,
     last: Option<Box<Step>>,
     /// Steps read.
     pub steps: u64,
-    /// Steps that the reader did not get, by their numbers.
+    /// Steps that were not read, by gaps in their numbers.
     pub lost: u64,
-    /// Ticks that the controller said it skipped.
+    /// Ticks that the controller reported as skipped.
     pub skipped: u64,
-    /// Ticks of the grid without a controller, between two that lived.
+    /// Ticks of the grid without a controller, between two controllers.
     pub unmanned: u64,
-    /// Ticks of the grid that are neither step nor skipped nor unmanned.
+    /// Ticks of the grid that are neither step, skipped nor without a controller.
     pub unaccounted: u64,
     /// Commands that violate a limit.
     pub violations: u64,
-    /// The first of them, in words.
+    /// Descriptions of the first violations.
     pub words: Vec<String>,
 }
 
 impl Ledger {
-    /// Nothing has been read; `stranger` is the process that lies.
-    pub fn new(limits: Limits, stranger: u32) -> Self {
+    /// An empty ledger; `foreign` is the process id of the forging process.
+    pub fn new(limits: Limits, foreign: u32) -> Self {
         Self {
             limits,
-            stranger,
+            foreign,
             last: None,
             steps: 0,
             lost: 0,
@@ -85,8 +85,8 @@ impl Ledger {
         }
     }
 
-    /// Takes a step in; whether its command is safe: within its limits, and the
-    /// brake or an answer to inputs that are young enough.
+    /// Counts a step. Returns whether its command is safe: within its limits, and either
+    /// braking or based on inputs that are fresh enough.
     pub fn step(&mut self, step: &Step) -> bool {
         self.steps += 1;
         let before = self.violations;
@@ -99,14 +99,14 @@ impl Ledger {
         before == self.violations
     }
 
-    /// Takes a command in as the vehicle gets it.
+    /// Checks a command as the vehicle receives it.
     pub fn command(&mut self, command: &Command, now: Instant) {
         if let Err(refusal) = command.admit(now, u64::MAX) {
             self.note(format!("tick {}: command: {refusal}", command.header.tick));
         }
     }
 
-    /// The world said how old the oldest command is that it obeyed.
+    /// Checks the age of the oldest command that the world reports to have obeyed.
     pub fn obeyed(&mut self, oldest_ns: u64) {
         if oldest_ns > self.limits.command_age_ns {
             self.note(format!("the world obeyed a command {oldest_ns} ns old"));
@@ -119,7 +119,7 @@ impl Ledger {
     }
 
     fn check_inputs(&mut self, step: &Step) {
-        if let Some(trace) = trace_in(step, self.stranger) {
+        if let Some(trace) = forgery_in(step, self.foreign) {
             self.violated(step, trace);
         }
         if step.driver() == Driver::Brake {
@@ -131,23 +131,23 @@ impl Ledger {
         let now = step.command.header.taken();
         let age_ns = now.since_ns(step.observation.header.taken());
         if age_ns > self.limits.observation_age_ns {
-            self.violated(step, &format!("driven on an observation {age_ns} ns old"));
+            self.violated(step, &format!("based on an observation {age_ns} ns old"));
         }
         let needs_plan = step.driver() == Driver::Expert && step.reason() != Some(Reason::Takeover);
         let age_ns = now.since_ns(step.plan.header.taken());
         if needs_plan && age_ns > self.limits.plan_age_ns {
-            self.violated(step, &format!("driven on a plan {age_ns} ns old"));
+            self.violated(step, &format!("based on a plan {age_ns} ns old"));
         }
     }
 
-    /// Order and completeness against the step before.
+    /// Checks order and completeness against the previous step.
     fn follow(&mut self, step: &Step) {
         let Some(last) = self.last.take() else {
             return;
         };
         let period_ns = self.limits.period_ns;
         let (from, to) = (last.timings.scheduled_ns, step.timings.scheduled_ns);
-        // Another world's grid may be shifted: round to whole periods, as the
+        // The grid of a restarted world may be shifted: round to whole periods, as the
         // controller does.
         let passed = (to.saturating_sub(from) + period_ns / 2) / period_ns;
         let same_controller = last.header.producer == step.header.producer;
@@ -156,7 +156,7 @@ impl Ledger {
             return;
         }
         if step.header.sequence <= last.header.sequence {
-            self.violated(step, "its number does not follow the one before");
+            self.violated(step, "its number does not follow the previous one");
             return;
         }
         let same_world = last.observation.header.producer == step.observation.header.producer;
@@ -164,7 +164,7 @@ impl Ledger {
             self.violated(step, &format!("its tick follows tick {}", last.header.tick));
         }
         if step.command.header.taken() < last.command.header.taken() {
-            self.violated(step, "given before the one before");
+            self.violated(step, "its time is before that of the previous step");
         }
         let ticks = step.header.sequence - last.header.sequence;
         let skipped = step.skipped.saturating_sub(last.skipped);
@@ -189,8 +189,8 @@ impl Ledger {
     }
 }
 
-/// The step was decided on inputs that came after an instant: the set drives,
-/// regardless of what it decided.
+/// Whether the step is based on inputs newer than `after`, which shows that
+/// the set drives; a brake counts, too.
 pub fn is_fresh(step: &Step, after: Instant) -> bool {
     let starved = matches!(
         step.reason(),
@@ -201,7 +201,7 @@ pub fn is_fresh(step: &Step, after: Instant) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::strangers::STRANGE_STEER;
+    use super::super::foreign::FORGED_STEER;
     use super::*;
 
     const LIMITS: Limits = Limits {
@@ -211,7 +211,7 @@ mod tests {
         plan_age_ns: 250,
     };
 
-    const STRANGER: u32 = 666;
+    const FOREIGN: u32 = 666;
 
     fn step(number: u64) -> Step {
         let mut step = Step::default();
@@ -230,10 +230,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_in_order_is_no_violation_and_every_tick_is_accounted_for() {
-        let mut ledger = Ledger::new(LIMITS, STRANGER);
+    fn valid_steps_are_no_violation_and_every_tick_is_accounted_for() {
+        let mut ledger = Ledger::new(LIMITS, FOREIGN);
         let mut skipping = step(5);
-        // Two ticks of the grid were skipped: numbers 3 and 4 never were.
+        // Two ticks of the grid were skipped: steps 3 and 4 do not exist.
         (skipping.header.sequence, skipping.skipped) = (3, 2);
         for step in [step(1), step(2), skipping] {
             assert!(ledger.step(&step), "{:?}", ledger.words);
@@ -246,8 +246,8 @@ mod tests {
     }
 
     #[test]
-    fn a_tick_that_nobody_owns_up_to_is_seen() {
-        let mut ledger = Ledger::new(LIMITS, STRANGER);
+    fn an_unaccounted_tick_is_counted() {
+        let mut ledger = Ledger::new(LIMITS, FOREIGN);
         ledger.step(&step(1));
         let mut gap = step(4);
         gap.header.sequence = 2;
@@ -256,11 +256,11 @@ mod tests {
     }
 
     #[test]
-    fn each_limit_is_seen_when_it_is_violated() {
+    fn each_violated_limit_is_detected() {
         let spoils: [fn(&mut Step); 11] = [
-            |s| s.observation.header.producer = STRANGER,
-            |s| s.plan.header.producer = STRANGER,
-            |s| s.observation.ego.steer = STRANGE_STEER,
+            |s| s.observation.header.producer = FOREIGN,
+            |s| s.plan.header.producer = FOREIGN,
+            |s| s.observation.ego.steer = FORGED_STEER,
             |s| s.command.steer = f64::NAN,
             |s| s.command.pedal = 1.5,
             |s| s.command.reason = 99,
@@ -271,27 +271,30 @@ mod tests {
             |s| (s.command.driver, s.command.pedal) = (Driver::Brake.code(), -0.5),
         ];
         for (which, spoil) in spoils.into_iter().enumerate() {
-            let mut ledger = Ledger::new(LIMITS, STRANGER);
+            let mut ledger = Ledger::new(LIMITS, FOREIGN);
             ledger.step(&step(11));
             let mut bad = step(12);
             spoil(&mut bad);
             assert!(!ledger.step(&bad), "limit {which}");
             assert_eq!(ledger.violations, 1, "limit {which}: {:?}", ledger.words);
         }
-        let mut ledger = Ledger::new(LIMITS, STRANGER);
+        let mut ledger = Ledger::new(LIMITS, FOREIGN);
         ledger.obeyed(150);
         assert_eq!(ledger.violations, 0);
         ledger.obeyed(151);
         let mut command = step(1).command;
         command.header.taken_ns = 2_000_000;
         ledger.command(&command, Instant(5));
-        assert_eq!(ledger.violations, 2, "an old one obeyed, one of the future");
+        assert_eq!(
+            ledger.violations, 2,
+            "an old command obeyed, and one of the future"
+        );
     }
 
     #[test]
     fn the_vehicle_brakes_at_its_first_instant_after_the_limit() {
         let brakes = |taken| LIMITS.own_brake(Instant(taken), Instant(300));
-        // Taken at 325, 150 old at 475: still obeyed then, so 500.
+        // Taken at 325. At 475 its age is 150: still obeyed. The brake follows at 500.
         assert_eq!(brakes(325), Instant(500));
         assert_eq!(brakes(350), Instant(600));
     }

@@ -1,17 +1,17 @@
-//! `bench faults`: a campaign of faults on live sets. Is the car always safe, does
-//! the set come back, is anything left?
+//! `bench faults`: a campaign of faults on running sets. It checks that the car is
+//! always safe, that the set recovers, and that nothing is left behind.
 
 mod campaign;
+pub mod foreign;
+mod inject;
 mod ledger;
-mod lies;
+mod malformed;
+mod monitor;
 mod picture;
-mod room;
-mod rows;
-mod stage;
-pub mod strangers;
-mod strike;
-mod trouble;
-mod watch;
+mod planned;
+mod results;
+mod sandbox;
+mod tested_set;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,28 +26,28 @@ use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 
 use crate::floor::Priority;
-use crate::stalls::{MOMENT_NS, StallWatch};
+use crate::stalls::{BUCKET_NS, StallWatch};
 use campaign::Campaign;
 use lab::report::Machine;
 use lab::stop::Stop;
-use room::Room;
-use rows::{Bars, Line, Row};
+use planned::Kind;
+use results::{Criteria, Row, Summary};
+use sandbox::Sandbox;
 use stack::Clock;
 use supervisor::subcommand::settings;
 use supervisor::subcommand::{say, write_json_option};
-use trouble::Kind;
 
-/// Strike a running set with faults and measure how it takes them
+/// Inject faults into a running set and measure how it recovers
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Sets drive at 100 Hz, one in eight at 10 Hz, and are watched from outside as a \
-        vehicle would watch them. Safe is a command within its limits that is the brake or answers \
-        inputs within their age limits; or, when that comes first, the vehicle's own brake: it obeys \
-        no command older than one and a half periods. Disk and shared memory are filled in a mount \
-        namespace of the campaign's own.\n\n\
+    after_help = "Sets drive at 100 Hz, one in eight at 10 Hz. The campaign watches them from outside, \
+        as a vehicle does. The car is safe when the next command is within its limits and either \
+        brakes or answers inputs within their age limits; or, if that comes first, when the vehicle \
+        brakes by itself: it obeys no command older than one and a half periods. Disk and shared \
+        memory are filled in a mount namespace of the campaign's own.\n\n\
         Exit code 1 when a command violates a limit, something is left behind, a tick is not \
-        accounted for, a set does not come back, or no fault could be made. After Ctrl-C, \
-        --resume continues; the fault in progress is made anew.\n\n\
+        accounted for, a set does not recover, or no fault could be injected. After Ctrl-C, \
+        --resume continues; the fault in progress is repeated.\n\n\
         Examples:\n  \
         ./vlaps bench faults --faults 30 --seed 1\n  \
         ./vlaps bench faults --faults 2000 --out campaign --json faults.json\n  \
@@ -55,7 +55,7 @@ use trouble::Kind;
         ./vlaps bench faults --seed 1 --only 417"
 )]
 pub struct BenchFaults {
-    /// How many faults.
+    /// Number of faults.
     #[arg(long, value_name = "N", default_value_t = 200, allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=1_000_000))]
     pub faults: u64,
@@ -63,37 +63,37 @@ pub struct BenchFaults {
     #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=u64::MAX))]
     pub seed: u64,
-    /// Which kinds; without it, all.
+    /// Kinds of faults; default: all.
     #[arg(long, value_name = "KIND", value_delimiter = ',')]
     pub kinds: Vec<Kind>,
-    /// Repeat this fault alone, by its number.
+    /// Repeat only the fault of this number.
     #[arg(long, value_name = "K")]
     pub only: Option<u64>,
-    /// Ticks per second of all sets, in place of 100 and 10.
+    /// Tick rate of all sets, instead of 100 and 10.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// Let the wall clock of this machine jump by an hour and back, for everybody
-    /// on it; without this, such faults are skipped.
+    /// Set the wall clock of this machine forward by an hour and back, for all programs
+    /// on it; without this option, such faults are skipped.
     #[arg(long)]
     pub step_clock: bool,
     /// Override a key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Keep a row for each fault and the histogram in this folder.
+    /// Write a row for each fault, and the histogram, into this folder.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Go on with the campaign of the folder.
+    /// Continue the campaign in the folder.
     #[arg(long, requires = "out", conflicts_with = "fresh")]
     pub resume: bool,
-    /// Make the campaign of the folder anew.
+    /// Delete the campaign in the folder and begin anew.
     #[arg(long, requires = "out")]
     pub fresh: bool,
-    /// Write the figures to this file, too.
+    /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
-/// Keys that each set has from the campaign, and the option that says them.
+/// Keys that the campaign sets for each set, and the option that changes them.
 const OWN_KEYS: [(&str, &str); 10] = [
     ("run.name", ""),
     ("run.folder", ""),
@@ -103,28 +103,28 @@ const OWN_KEYS: [(&str, &str); 10] = [
     ("run.duration_s", ""),
     ("run.rate_hz", "--rate"),
     ("run.faults", ""),
-    // Faults befall all processes there are.
+    // The gate and the learner always run, so that they can be faulted, too.
     ("gate.mode", ""),
     ("learner.enabled", ""),
 ];
 
-/// A campaign in figures.
+/// The results of a campaign.
 #[derive(Debug, Serialize)]
 struct Figures {
-    rows: Vec<Line>,
-    bars: Bars,
-    /// Kinds that this machine does not allow, with the reason.
+    rows: Vec<Summary>,
+    bars: Criteria,
+    /// Faults that this machine does not allow, with the reason.
     skipped: Vec<String>,
-    /// Each fault that broke a bar, with the command that repeats it.
+    /// Each fault that violated a criterion, with the command that repeats it.
     exceptions: Vec<String>,
     seed: u64,
     elapsed_s: f64,
     conditions: Machine,
 }
 
-/// How far from a fault a stall of the machine is reported beside it, ns: a moment of the
-/// watch before and after.
-const STALL_NEAR_NS: u64 = MOMENT_NS;
+/// A stall of the machine within this time of a fault is reported with it, ns: one
+/// bucket of the stall record before and after.
+const STALL_NEAR_NS: u64 = BUCKET_NS;
 
 impl Subcommand for BenchFaults {
     fn outputs(&self) -> Vec<Output> {
@@ -142,21 +142,21 @@ impl Subcommand for BenchFaults {
 /// `./vlaps bench faults`.
 ///
 /// # Errors
-/// When a set does not start, or a file cannot be written; what was made until then is
+/// If a set does not start, or a file cannot be written; the results until then are
 /// printed all the same.
 fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
     settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
-    let room = Room::enter()?;
+    let sandbox = Sandbox::enter()?;
     let stop = Stop::listen()?;
     let conditions = Machine::here()?;
-    let mut campaign = Campaign::new(arguments, &room, clock);
+    let mut campaign = Campaign::new(arguments, &sandbox, clock);
     campaign.check()?;
     let file = match &arguments.out {
         Some(folder) => Some(begin_file(folder, arguments)?),
         None => None,
     };
     let mut rows = match &file {
-        Some(file) => rows::read(file)?,
+        Some(file) => results::read(file)?,
         None => Vec::new(),
     };
     campaign.check_same(&rows)?;
@@ -165,12 +165,12 @@ fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
     let done = campaign.run(&mut rows, file.as_deref(), &stop);
     let stalls = noting.finish()?;
     let stall_ns = |row: &Row| {
-        let struck = Instant(row.struck_ns);
-        (struck >= begun).then(|| stalls.near(struck, STALL_NEAR_NS))
+        let injected = Instant(row.struck_ns);
+        (injected >= begun).then(|| stalls.near(injected, STALL_NEAR_NS))
     };
     let figures = Figures {
-        rows: rows::lines(&rows),
-        bars: Bars::of(&rows),
+        rows: results::lines(&rows),
+        bars: Criteria::of(&rows),
         skipped: campaign.skipped(),
         exceptions: exceptions(&rows, arguments, stall_ns),
         seed: arguments.seed,
@@ -185,7 +185,7 @@ fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
         picture::draw(&rows, folder)?;
     }
     write_json_option(&arguments.json, &figures)?;
-    match (campaign.left(&rows).len(), figures.bars.hold()) {
+    match (campaign.left(&rows).len(), figures.bars.are_met()) {
         (0, true) => Ok(ExitCode::SUCCESS),
         (0, false) => Ok(ExitCode::FAILURE),
         (left, _) if arguments.out.is_some() => {
@@ -195,7 +195,7 @@ fn bench(arguments: &BenchFaults, clock: Clock) -> anyhow::Result<ExitCode> {
     }
 }
 
-/// The kinds wished for.
+/// The requested kinds.
 fn kinds(arguments: &BenchFaults) -> &[Kind] {
     match arguments.kinds.is_empty() {
         true => Kind::value_variants(),
@@ -210,17 +210,17 @@ fn begin_file(folder: &Path, arguments: &BenchFaults) -> anyhow::Result<PathBuf>
         fs::remove_file(&file).with_context(|| file.display().to_string())?;
     }
     if !arguments.resume && file.exists() {
-        let told = format!(
-            "--out {}: holds a campaign; go on with it with --resume, make it anew with --fresh, or \
+        let message = format!(
+            "--out {}: holds a campaign already; continue it with --resume, replace it with --fresh, or \
              give another folder",
             folder.display()
         );
-        return Err(Failure::Usage(told).into());
+        return Err(Failure::Usage(message).into());
     }
     Ok(file)
 }
 
-/// Every row that breaks a bar, and every death that took more than two periods.
+/// Every row that violates a criterion, and every death that took more than two periods.
 fn exceptions(
     rows: &[Row],
     arguments: &BenchFaults,
@@ -237,11 +237,11 @@ fn exceptions(
             || row.violations + row.leftovers + row.unaccounted > 0
             || (row.is_death() && !row.is_safe_within(2.0))
     };
-    let told = |row: &Row| {
+    let message = |row: &Row| {
         let safe = row
             .safe_ms
             .map_or("never".into(), |ms| format!("after {ms:.1} ms"));
-        // A virtual machine may be away for longer than two periods.
+        // A virtual machine may stall for longer than two periods.
         let stall = stall_ns(row).map_or(String::new(), |ns| {
             format!(
                 "the machine stalled for {:.1} ms beside it, ",
@@ -264,11 +264,11 @@ fn exceptions(
             row.rate_hz,
         )
     };
-    rows.iter().filter(breaks).map(told).collect()
+    rows.iter().filter(breaks).map(message).collect()
 }
 
 fn print(figures: &Figures) {
-    rows::print(&figures.rows);
+    results::print(&figures.rows);
     let bars = &figures.bars;
     for reason in &figures.skipped {
         say(format_args!("skipped: {reason}"));
@@ -277,7 +277,7 @@ fn print(figures: &Figures) {
         say(format_args!("exception: {exception}"));
     }
     say(format_args!(
-        "{} in {:.0} s, {} skipped; {} beyond a limit; {} of {} safe within 2 periods; {}; {} that did not come back as they should",
+        "{} in {:.0} s, {} skipped; {} beyond a limit; {} of {} safe within 2 periods; {}; {} that did not recover as expected",
         counted(bars.faults, "fault"),
         figures.elapsed_s,
         bars.skipped,
@@ -288,7 +288,7 @@ fn print(figures: &Figures) {
         counted(bars.wrong, "set")
     ));
     say(format_args!(
-        "{} read, {} lost before they were read; of the grid's ticks {} skipped, {} without a \
+        "{} read, {} lost before they were read; ticks of the grid: {} skipped, {} without a \
          controller, {} unaccounted for; {}",
         counted(bars.steps, "step"),
         bars.lost,

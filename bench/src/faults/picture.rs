@@ -1,41 +1,41 @@
-//! The histogram: how long until the car was safe, by kind, as SVG and as PNG.
+//! Histogram of the time to safety by kind of fault, as SVG and as PNG.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use plotters::prelude::*;
 
-use super::rows::Row;
+use super::results::Row;
 use view::chart::{FACE, FAINT, INK};
 use view::sheet::{Area, save};
 
-/// Width, and height of one kind's row, pixels.
+/// Width of the picture and height of a row, pixels.
 const WIDTH: u32 = 1000;
 const ROW: u32 = 86;
-/// Room above the rows, pixels.
+/// Height of the header, pixels.
 const HEAD: u32 = 70;
-/// Bars of a row, over so many periods.
+/// Bins of a histogram, and the periods that they cover.
 const BARS: usize = 60;
 const PERIODS: f64 = 3.0;
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
 
-/// Faults of one kind by the time to safety, in bars: by a command, by the
-/// vehicle's own brake.
+/// Faults of one kind in bins of time to safety; by a command, and by the vehicle's
+/// own brake.
 type Bars = [[u32; 2]; BARS];
 
 /// Draws `faults.svg` and `faults.png` into the folder.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn draw(rows: &[Row], folder: &Path) -> anyhow::Result<()> {
     let kinds = bars(rows);
     let size = (WIDTH, HEAD + ROW * kinds.len().max(1) as u32);
     save(folder, "faults", size, |root| picture(&kinds, root))
 }
 
-/// Times in periods: those of sets at different rates are comparable. What takes
-/// longer than the scale is in its last bar.
+/// Times are in periods, so that sets at different rates compare. Longer times are in
+/// the last bin.
 fn bars(rows: &[Row]) -> BTreeMap<&str, Bars> {
     let mut kinds: BTreeMap<&str, Bars> = BTreeMap::new();
     for row in rows.iter().filter(|row| !row.is_skipped()) {
@@ -56,7 +56,7 @@ fn picture(kinds: &BTreeMap<&str, Bars>, root: &Area<'_>) -> anyhow::Result<()> 
     let title = "From the fault to safety, periods";
     head.draw_text(title, &text(26, INK), (70, 12))?;
     head.draw_text("by the next safe command", &text(16, BLUE), (70, 46))?;
-    let own = "by the vehicle's own brake, no command being young enough";
+    let own = "by the vehicle's own brake: no command was fresh enough";
     head.draw_text(own, &text(16, ORANGE), (290, 46))?;
     for (area, (kind, bars)) in body.split_evenly((kinds.len().max(1), 1)).iter().zip(kinds) {
         let highest = bars.iter().map(|bar| bar[0] + bar[1]).max().unwrap_or(1);

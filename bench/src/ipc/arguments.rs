@@ -1,24 +1,25 @@
-//! The command line of `bench ipc`.
+//! Command line of `bench ipc`.
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
-/// Measure how long a message takes from process to process, beside bare iceoryx2
+/// Measure message latency between processes, and compare with bare iceoryx2
 #[derive(Debug, Args)]
 #[command(
     after_help = "The method is that of iceoryx2's own benchmark: two participants on two cores send \
         a message back and forth, and half of a round trip is the time of one way. Here they are two \
-        processes, each round trip is measured by itself, and messages are those of the stack. The \
-        first compared is our port: numbered, written, received as the newest, admitted at the door. \
-        Beside it bare iceoryx2, which writes and copies out the same bytes and does nothing else, in \
-        alternating blocks, so that other work of the machine meets both; and bare iceoryx2 with 8 \
-        bytes, which is its own benchmark: no payload is touched there.\n\n\
-        The receiver spins (as in that benchmark), sleeps until the doorbell rings (bell), or looks \
-        on an absolute grid of 0.1 ms (grid). Messages go flat out (rate 0) or at a rate.\n\n\
+        processes, each round trip is timed separately, and messages are those of the stack. Four \
+        sides alternate in blocks, so that other work of the machine affects all of them alike: the \
+        stack's port (numbered, written, received as the newest, checked on receipt); the port \
+        without that check; bare iceoryx2, which only writes and copies out the same bytes; and bare \
+        iceoryx2 with 8 bytes, which is its own benchmark.\n\n\
+        The receiver spins (as in that benchmark), sleeps until the doorbell rings (bell), or polls \
+        on an absolute grid of 0.1 ms (grid). Rate 0 sends the next message as soon as the answer \
+        arrives.\n\n\
         --dds builds bench/cyclone with Cyclone DDS where it is installed (Debian's cyclonedds-dev) \
         and measures the same sizes over its loopback; --zenoh builds bench/zenoh from the package \
-        registry, some minutes the first time, and does the same.\n\n\
+        registry, which takes some minutes the first time, and measures the same.\n\n\
         Ctrl-C ends it with the rows that are done.\n\n\
         Examples:\n  \
         ./vlaps bench ipc\n  \
@@ -26,7 +27,7 @@ use clap::{Args, ValueEnum};
         ./vlaps bench ipc --message step --rate 0 --wake spin --seconds 10"
 )]
 pub struct BenchIpc {
-    /// Which messages, one or more.
+    /// Messages, one or more.
     #[arg(
         long,
         value_name = "WHICH",
@@ -34,7 +35,7 @@ pub struct BenchIpc {
         default_value = "observation,plan,command,step,advice"
     )]
     pub message: Vec<MessageChoice>,
-    /// Messages a second, one or more; 0 for as fast as they are answered.
+    /// Messages per second, one or more; 0 for as fast as they are answered.
     #[arg(
         long,
         value_name = "HZ",
@@ -43,7 +44,7 @@ pub struct BenchIpc {
         value_parser = rate
     )]
     pub rate: Vec<u32>,
-    /// What the receiver does meanwhile, one or more.
+    /// How the receiver waits, one or more.
     #[arg(
         long,
         value_name = "HOW",
@@ -54,27 +55,27 @@ pub struct BenchIpc {
     /// Seconds for each side of a row.
     #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = supervisor::subcommand::seconds)]
     pub seconds: f64,
-    /// Compare with Cyclone DDS, too.
+    /// Also compare with Cyclone DDS.
     #[arg(long)]
     pub dds: bool,
-    /// Compare with Zenoh, too.
+    /// Also compare with Zenoh.
     #[arg(long)]
     pub zenoh: bool,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
-/// The other end of `bench ipc`.
+/// The answering process of `bench ipc`.
 #[derive(Debug, Args)]
 pub struct IpcEcho {
     /// Name of the run.
     pub run: shm_config::run::RunName,
-    /// The core to stay on.
+    /// Core to pin it to.
     pub core: Option<usize>,
 }
 
-/// Messages that are measured.
+/// Messages to measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum MessageChoice {
     /// World to planner and controller.
@@ -89,19 +90,19 @@ pub enum MessageChoice {
     Advice,
 }
 
-/// What a receiver does until a message comes.
+/// How a receiver waits for a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Wake {
-    /// It looks again at once.
+    /// Polls without pause.
     Spin,
-    /// It sleeps until its doorbell rings.
+    /// Sleeps until its doorbell rings.
     Bell,
-    /// It sleeps until the next instant of a grid of 0.1 ms.
+    /// Sleeps until the next instant of a grid of 0.1 ms.
     Grid,
 }
 
 impl Wake {
-    /// In one word.
+    /// The name on the command line.
     pub fn word(self) -> &'static str {
         match self {
             Self::Spin => "spin",

@@ -1,5 +1,5 @@
-//! Bare iceoryx2, as its own benchmark sets it up: the one file beside the wire that
-//! names the library, since it is what the wire is compared with.
+//! Bare iceoryx2, set up as in its own benchmark. Apart from the wire crate this is the
+//! only file that uses the library, since the wire is compared with it.
 #![allow(clippy::disallowed_types)]
 
 use std::mem::MaybeUninit;
@@ -21,26 +21,26 @@ use super::port::End;
 
 type Ipc = ipc::Service;
 
-/// How long one wait for an event lasts at most.
-const NAP: Duration = Duration::from_millis(500);
+/// Time limit of one wait for an event.
+const WAIT_MAX: Duration = Duration::from_millis(500);
 
-/// One end over the library alone.
+/// One end of a connection through bare iceoryx2.
 pub struct Bare<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> {
     publisher: Publisher<Ipc, M, ()>,
     subscriber: Subscriber<Ipc, M, ()>,
-    room: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
+    loan: Option<SampleMutUninit<Ipc, MaybeUninit<M>, ()>>,
     events: Option<(Notifier<Ipc>, Listener<Ipc>)>,
     message: M,
     _node: Node<Ipc>,
 }
 
 impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Bare<M> {
-    /// Opens both directions: a queue of one that overflows, no history, one
-    /// publisher and one subscriber; names begin with `prefix`. Its files are among
-    /// those of the run, so that they go with it.
+    /// Opens both directions: an overflowing queue of one, no history, one publisher and one
+    /// subscriber; service names begin with `prefix`. Its files are among the run's, so that
+    /// they are removed with it.
     ///
     /// # Errors
-    /// When the library refuses.
+    /// If the library refuses.
     pub fn open(
         run: &RunName,
         prefix: &str,
@@ -86,7 +86,7 @@ impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Bare<M> {
         };
         let publisher = publisher.map_err(|error| failed(&error))?;
         Ok(Self {
-            room: publisher.loan_uninit().ok(),
+            loan: publisher.loan_uninit().ok(),
             publisher,
             subscriber: subscriber.map_err(|error| failed(&error))?,
             events,
@@ -114,11 +114,11 @@ fn name(prefix: &str, place: &str) -> anyhow::Result<ServiceName> {
 
 impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Link for Bare<M> {
     fn send(&mut self) -> bool {
-        let room = self
-            .room
+        let loan = self
+            .loan
             .take()
             .or_else(|| self.publisher.loan_uninit().ok());
-        let sent = room.is_some_and(|room| room.write_payload(self.message).send().is_ok());
+        let sent = loan.is_some_and(|loan| loan.write_payload(self.message).send().is_ok());
         if let Some((notifier, _)) = &self.events {
             let _ = notifier.notify();
         }
@@ -137,12 +137,12 @@ impl<M: ZeroCopySend + Copy + std::fmt::Debug + 'static> Link for Bare<M> {
     }
 
     fn update_connections(&mut self) {
-        self.room = self.publisher.loan_uninit().ok();
+        self.loan = self.publisher.loan_uninit().ok();
     }
 
     fn wait(&self) {
         if let Some((_, listener)) = &self.events {
-            let _ = listener.timed_wait(|_| {}, NAP);
+            let _ = listener.timed_wait(|_| {}, WAIT_MAX);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Back and forth over one connection: what is the same for all that are compared.
+//! The round trips of one connection, equal for all sides.
 
 use anyhow::bail;
 use hdrhistogram::Histogram;
@@ -8,75 +8,75 @@ use shm_config::Instant;
 use super::arguments::Wake;
 use stack::Clock;
 
-/// Instants at which a receiver with [`Wake::Grid`] looks, ns apart.
+/// Polling grid of a receiver with [`Wake::Grid`], ns.
 const GRID_NS: u64 = 100_000;
-/// A message that does not come within this is lost, ns: on a machine with much
-/// other work, a spinning thread is descheduled for seconds.
+/// A message counts as lost after this time, ns: on a busy machine, a spinning thread
+/// may be descheduled for seconds.
 pub const LOST_NS: u64 = 30_000_000_000;
-/// Looks without a message between two looks at the clock.
+/// Polls without a message between two readings of the clock.
 const LOOKS: u32 = 1 << 14;
-/// Longest time that the histogram resolves, ns.
+/// Longest time in the histogram, ns.
 const LONGEST_NS: u64 = 10_000_000_000;
 
 /// One end of a connection in both directions.
 pub trait Link {
-    /// Publishes the next message; the receiver's bell rings where it has one.
+    /// Publishes the next message and rings the receiver's doorbell if it has one.
     fn send(&mut self) -> bool;
 
-    /// Takes the newest message; whether there was one.
+    /// Takes the newest message; returns whether there was one.
     ///
     /// # Errors
-    /// When it was not admitted.
+    /// If it was refused.
     fn receive(&mut self) -> anyhow::Result<bool>;
 
-    /// What is done between two messages: room for the next one.
+    /// Work between two messages: loans memory for the next one.
     fn update_connections(&mut self);
 
-    /// Sleeps until the bell rings, or a moment has passed.
+    /// Sleeps until the doorbell rings or a time limit has passed.
     fn wait(&self);
 }
 
-/// How the two ends take turns.
+/// Parameters of a block of round trips.
 #[derive(Clone, Copy, Debug)]
-pub struct Turns {
-    /// What the receivers do.
+pub struct RoundTrips {
+    /// How the receivers wait.
     pub wake: Wake,
-    /// From message to message, ns; 0 for flat out.
+    /// Interval between messages, ns; 0 for as fast as they are answered.
     pub period_ns: u64,
-    /// Round trips that are not counted, then those that are.
+    /// Number of round trips that are not counted, and of those that are.
     pub counts: [u64; 2],
 }
 
 /// An empty histogram of one-way times.
 ///
 /// # Errors
-/// Never with these bounds.
+/// Never: the bounds are valid.
 pub fn histogram() -> anyhow::Result<Histogram<u64>> {
     Ok(Histogram::new_with_bounds(1, LONGEST_NS, 3)?)
 }
 
-/// Sends, waits for the answer, and counts half of each round trip.
+/// Sends messages, waits for each answer, and records half of each round trip.
 ///
 /// # Errors
-/// When a message is lost or refused.
+/// If a message is lost or refused.
 pub fn ping(
     link: &mut impl Link,
-    turns: Turns,
+    trips: RoundTrips,
     clock: Clock,
     into: &mut Histogram<u64>,
 ) -> anyhow::Result<()> {
-    let [warm, counted] = turns.counts;
+    let [warm, counted] = trips.counts;
     let begun = clock();
     for k in 0..warm + counted {
-        if turns.period_ns > 0 {
-            sleep_until(begun.after_ns(k * turns.period_ns));
+        if trips.period_ns > 0 {
+            sleep_until(begun.after_ns(k * trips.period_ns));
         }
         let sent = clock();
         if !link.send() {
             bail!("a message could not be sent: no shared memory");
         }
         link.update_connections();
-        await_message(link, turns.wake, clock)?;
+        await_message(link, trips.wake, clock)?;
         let round_ns = clock().since_ns(sent);
         if k >= warm {
             into.saturating_record(round_ns / 2);
@@ -85,13 +85,13 @@ pub fn ping(
     Ok(())
 }
 
-/// Answers each message with one.
+/// Answers each message.
 ///
 /// # Errors
-/// When a message is lost or refused.
-pub fn echo(link: &mut impl Link, turns: Turns, clock: Clock) -> anyhow::Result<()> {
-    for _ in 0..turns.counts.iter().sum() {
-        await_message(link, turns.wake, clock)?;
+/// If a message is lost or refused.
+pub fn echo(link: &mut impl Link, trips: RoundTrips, clock: Clock) -> anyhow::Result<()> {
+    for _ in 0..trips.counts.iter().sum() {
+        await_message(link, trips.wake, clock)?;
         if !link.send() {
             bail!("a message could not be sent: no shared memory");
         }

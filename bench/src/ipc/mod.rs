@@ -1,4 +1,4 @@
-//! `bench ipc`: what does the wire add to the library beneath it?
+//! `bench ipc`: measures what the stack's ports add to the latency of bare iceoryx2.
 
 pub mod arguments;
 mod bare;
@@ -23,72 +23,72 @@ use arguments::{MessageChoice, Wake};
 use lab::progress::Progress;
 use lab::report::{Machine, table};
 use lab::stop::Stop;
-use link::{Turns, histogram, ping};
+use link::{RoundTrips, histogram, ping};
 use others::{Other, Program};
 use peer::{Echo, Ends, Side, claim_for};
-use port::{Door, End, Measured};
+use port::{Check, End, Measured};
 use stack::Clock;
 use supervisor::subcommand::{say, write_json_option};
 
-/// Alternating blocks of each side.
+/// Number of alternating blocks of each side.
 const BLOCKS: u64 = 10;
-/// Round trips of a block flat out, before time is looked at: what is measured is
-/// known by then.
+/// Round trips after which the rate is known well enough to choose the number of round
+/// trips of a block.
 const PROBE: u64 = 200;
-/// A row that takes so many times its sides' seconds ends early: on a machine with
-/// much other work, whose figures say little.
+/// A row ends early after this many times its sides' seconds, as on a machine with much
+/// other work.
 const PATIENCE: f64 = 12.0;
-/// Round trips that are not counted at the begin of a block, one in so many.
+/// One in this many round trips at the begin of a block is not counted.
 const WARM: u64 = 20;
-/// The published bar: what the port adds to the median.
+/// Published target: the port's median over that of bare iceoryx2.
 const RATIO_MAX: f64 = 1.1;
 
-/// One message, rate and kind of receiver.
+/// One message at one rate with one kind of receiver.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     /// The message.
     pub message: &'static str,
     /// Its size, bytes.
     pub bytes: usize,
-    /// Messages a second; 0 for flat out.
+    /// Messages per second; 0 for as fast as they are answered.
     pub rate_hz: u32,
-    /// What the receiver does.
+    /// How the receiver waits.
     pub wake: &'static str,
-    /// Real-time priority of both ends.
+    /// Real-time priority of both processes.
     pub priority: &'static str,
-    /// Each side.
+    /// All sides.
     pub sides: Vec<OneWay>,
     /// Median of the port over that of bare iceoryx2.
     pub ratio: f64,
 }
 
-/// One way of one side, ns.
+/// One-way times of one side, ns.
 #[derive(Clone, Debug, Serialize)]
 pub struct OneWay {
-    /// What was measured.
+    /// Name of the side.
     pub side: String,
     /// Round trips.
     pub count: u64,
     /// Median.
     pub p50_ns: u64,
-    /// 99 %.
+    /// 99 % quantile.
     pub p99_ns: u64,
-    /// 99.9 %.
+    /// 99.9 % quantile.
     pub p999_ns: u64,
-    /// The largest.
+    /// Maximum.
     pub max_ns: u64,
 }
 
 /// All rows.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measurement {
-    /// In the order in which they were measured.
+    /// In the order of measurement.
     pub rows: Vec<Row>,
-    /// The cores of the two processes; empty where there are not two.
+    /// The cores of the two processes; empty if they have no core each.
     pub cores: Vec<usize>,
-    /// What was measured beside it.
+    /// The other transports that were measured.
     pub others: Vec<Other>,
-    /// Where.
+    /// The machine.
     pub conditions: Machine,
 }
 
@@ -105,7 +105,7 @@ impl OneWay {
     }
 }
 
-struct Session<'a> {
+struct IpcBench<'a> {
     arguments: &'a BenchIpc,
     wire: Wire,
     run: RunName,
@@ -114,7 +114,7 @@ struct Session<'a> {
     clock: Clock,
 }
 
-/// All rows that are asked for.
+/// Number of requested rows.
 fn total(arguments: &BenchIpc) -> usize {
     let paced = arguments
         .rate
@@ -148,7 +148,7 @@ impl Subcommand for BenchIpc {
         let stop = Stop::listen()?;
         let mut rows = Vec::new();
         let done = measure(self, (&run, &cores), &programs, (clock, &stop), &mut rows);
-        // The two are its only members, and both have left it.
+        // Only these two processes were members of the run, and both have left it.
         let _ = clean_run(&paths);
         let measurement = Measurement {
             rows,
@@ -168,7 +168,7 @@ impl Subcommand for BenchIpc {
     }
 }
 
-/// Adds all rows, until a stop is requested.
+/// Measures all rows, until a stop is requested.
 fn measure(
     arguments: &BenchIpc,
     (run, cores): (&RunName, &[usize]),
@@ -176,7 +176,7 @@ fn measure(
     (clock, stop): (Clock, &Stop),
     rows: &mut Vec<Row>,
 ) -> anyhow::Result<()> {
-    let mut session = Session {
+    let mut bench = IpcBench {
         arguments,
         wire: Wire::join(run, End::Ping.process())?,
         run: run.clone(),
@@ -184,7 +184,7 @@ fn measure(
         stop,
         clock,
     };
-    // Spinning comes first: priority is not given back.
+    // Spinning comes first: real-time priority is not given back afterwards.
     let mut wakes = arguments.wake.clone();
     wakes.sort_by_key(|wake| *wake != Wake::Spin);
     let total = total(arguments) as u64;
@@ -192,14 +192,14 @@ fn measure(
     for wake in wakes {
         for &message in &arguments.message {
             let more = match message {
-                MessageChoice::Observation => session.rows::<Observation>(wake),
-                MessageChoice::Plan => session.rows::<Plan>(wake),
-                MessageChoice::Command => session.rows::<Command>(wake),
-                MessageChoice::Step => session.rows::<Step>(wake),
-                MessageChoice::Advice => session.rows::<Advice>(wake),
+                MessageChoice::Observation => bench.rows::<Observation>(wake),
+                MessageChoice::Plan => bench.rows::<Plan>(wake),
+                MessageChoice::Command => bench.rows::<Command>(wake),
+                MessageChoice::Step => bench.rows::<Step>(wake),
+                MessageChoice::Advice => bench.rows::<Advice>(wake),
             };
             for mut row in more? {
-                // They have no grid to look at.
+                // The other transports have no polling receiver.
                 let beside = programs.iter().filter(|_| wake != Wake::Grid);
                 for program in beside {
                     let all = program.measure(&row, cores, arguments.seconds)?;
@@ -217,9 +217,9 @@ fn measure(
     Ok(())
 }
 
-impl Session<'_> {
-    /// All rates of one message and receiver, until a stop is requested; flat out on a grid
-    /// says where on the grid an answer falls, and nothing else.
+impl IpcBench<'_> {
+    /// Measures all rates of one message and receiver, until a stop is requested. Rate 0 is
+    /// left out on a grid: it would only measure where on the grid an answer falls.
     fn rows<M: Measured>(&mut self, wake: Wake) -> anyhow::Result<Vec<Row>> {
         let priority = claim_for(wake);
         let mut ends = Ends::<M>::open(&self.wire, &self.run, End::Ping, wake)?;
@@ -232,7 +232,7 @@ impl Session<'_> {
                 continue;
             }
             let row = self.row(&mut ends, (wake, rate_hz, priority))?;
-            // It may have been cut short.
+            // The row may have been interrupted.
             if self.stop.is_asked() {
                 break;
             }
@@ -263,15 +263,15 @@ impl Session<'_> {
                 break;
             }
             for ((side, &count), into) in sides.into_iter().zip(&counts).zip(&mut all) {
-                let turns = Turns {
+                let trips = RoundTrips {
                     wake,
                     period_ns: period_ns(rate_hz),
                     counts: [count / WARM, count],
                 };
-                self.block(ends, side, turns, into)?;
+                self.block(ends, side, trips, into)?;
             }
         }
-        let names = ["port", "bare iceoryx2", "port, no door", "bare, 8 bytes"];
+        let names = ["port", "bare iceoryx2", "port, no check", "bare, 8 bytes"];
         let sides: Vec<OneWay> = names
             .iter()
             .zip(&all)
@@ -288,7 +288,7 @@ impl Session<'_> {
         })
     }
 
-    /// Round trips of a block that fill its share of the time.
+    /// The number of round trips that fill a block's share of the time.
     fn count<M: Measured>(
         &mut self,
         ends: &mut Ends<M>,
@@ -299,15 +299,15 @@ impl Session<'_> {
         if rate_hz > 0 {
             return Ok(((seconds * f64::from(rate_hz)).ceil() as u64).max(1));
         }
-        let turns = Turns {
+        let trips = RoundTrips {
             wake,
             period_ns: 0,
             counts: [PROBE, PROBE],
         };
-        // By the clock, not the median: where the two share their cores with others,
-        // most of the time goes by between two messages.
+        // By the clock, not the median: where the two processes share their cores with
+        // others, most of the time passes between two messages.
         let begun = (self.clock)();
-        self.block(ends, side, turns, &mut histogram()?)?;
+        self.block(ends, side, trips, &mut histogram()?)?;
         let took_s = (self.clock)().since_ns(begun) as f64 * 1e-9;
         let round_s = took_s / (2 * PROBE) as f64;
         Ok(((seconds / round_s) as u64).max(1))
@@ -317,10 +317,10 @@ impl Session<'_> {
         &mut self,
         ends: &mut Ends<M>,
         side: Side,
-        turns: Turns,
+        trips: RoundTrips,
         into: &mut Histogram<u64>,
     ) -> anyhow::Result<()> {
-        let count: u64 = turns.counts.iter().sum();
+        let count: u64 = trips.counts.iter().sum();
         let word = match side {
             Side::Port => "port",
             Side::Open => "open",
@@ -331,15 +331,15 @@ impl Session<'_> {
         self.echo.await_ready()?;
         match side {
             Side::Port => {
-                ends.port.door = Door::Admit;
-                ping(&mut ends.port, turns, self.clock, into)
+                ends.port.check = Check::Admit;
+                ping(&mut ends.port, trips, self.clock, into)
             }
             Side::Open => {
-                ends.port.door = Door::Open;
-                ping(&mut ends.port, turns, self.clock, into)
+                ends.port.check = Check::Skip;
+                ping(&mut ends.port, trips, self.clock, into)
             }
-            Side::Bare => ping(&mut ends.bare, turns, self.clock, into),
-            Side::Tiny => ping(&mut ends.tiny, turns, self.clock, into),
+            Side::Bare => ping(&mut ends.bare, trips, self.clock, into),
+            Side::Tiny => ping(&mut ends.tiny, trips, self.clock, into),
         }
     }
 }

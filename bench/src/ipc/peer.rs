@@ -1,4 +1,4 @@
-//! The two processes: one asks, one answers; and the messages between them.
+//! The asking and the answering process, and the protocol between them.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::CommandExt;
@@ -14,18 +14,18 @@ use shm_config::wire::Wire;
 
 use super::arguments::{IpcEcho, MessageChoice, Wake};
 use super::bare::Bare;
-use super::link::{Turns, echo};
-use super::port::{Door, End, Measured, Port};
+use super::link::{RoundTrips, echo};
+use super::port::{Check, End, Measured, Port};
 use crate::floor::{Priority, claim, stay_on};
 use stack::Clock;
 use supervisor::subcommand::say;
 
-/// What is compared.
+/// The sides of the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Side {
     /// The stack's port.
     Port,
-    /// The same without the door.
+    /// The stack's port without the check on receipt.
     Open,
     /// Bare iceoryx2 with the same bytes.
     Bare,
@@ -33,21 +33,21 @@ pub enum Side {
     Tiny,
 }
 
-/// All connections of one message, one end of each.
+/// One end of all connections for one message type.
 pub struct Ends<M: Measured> {
-    /// The stack's.
+    /// Through the stack's port.
     pub port: Port<M>,
-    /// The library's.
+    /// Through bare iceoryx2.
     pub bare: Bare<M>,
-    /// The library's with 8 bytes.
+    /// Through bare iceoryx2, with 8 bytes.
     pub tiny: Bare<u64>,
 }
 
 impl<M: Measured> Ends<M> {
-    /// Opens them.
+    /// Opens all connections.
     ///
     /// # Errors
-    /// When shared memory refuses.
+    /// If shared memory refuses.
     pub fn open(wire: &Wire, run: &RunName, end: End, wake: Wake) -> anyhow::Result<Self> {
         let bare = format!("bare/{}/{}", M::WORD, wake.word());
         let tiny = format!("{bare}/tiny");
@@ -59,8 +59,8 @@ impl<M: Measured> Ends<M> {
     }
 }
 
-/// Spinning at a real-time priority would be throttled by the kernel; sleepers ask
-/// for it as the stack's processes do.
+/// Requests real-time priority for a sleeping receiver, as the stack's processes do. A
+/// spinning one gets none: the kernel would throttle it.
 pub fn claim_for(wake: Wake) -> &'static str {
     match wake {
         Wake::Spin => claim(Priority::Ordinary),
@@ -68,7 +68,7 @@ pub fn claim_for(wake: Wake) -> &'static str {
     }
 }
 
-/// The process that answers, seen from the one that asks.
+/// The answering process, as seen by the asking one.
 pub struct Echo {
     child: Child,
     orders: Option<ChildStdin>,
@@ -79,7 +79,7 @@ impl Echo {
     /// Starts it.
     ///
     /// # Errors
-    /// When this program cannot be started once more.
+    /// If this program cannot be started a second time.
     pub fn start(run: &RunName, core: Option<usize>) -> anyhow::Result<Self> {
         let program = std::env::current_exe()?;
         let mut child = Command::new(&program)
@@ -87,7 +87,7 @@ impl Echo {
             .args(core.map(|core| core.to_string()))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            // Ctrl-C in the terminal is for the one that asks.
+            // Ctrl-C in the terminal is handled by the asking process.
             .process_group(0)
             .spawn()
             .with_context(|| program.display().to_string())?;
@@ -99,34 +99,34 @@ impl Echo {
         })
     }
 
-    /// Gives it one order.
+    /// Sends it one order.
     ///
     /// # Errors
-    /// When it has ended.
+    /// If it has ended.
     pub fn order(&mut self, order: &str) -> anyhow::Result<()> {
         let orders = self.orders.as_mut().context("no pipe")?;
-        writeln!(orders, "{order}").context("the other end has ended")?;
+        writeln!(orders, "{order}").context("the answering process has ended")?;
         Ok(())
     }
 
-    /// Waits until it says that it is ready.
+    /// Waits until it reports that it is ready.
     ///
     /// # Errors
-    /// When it says something else, or has ended.
+    /// If it reports something else or has ended.
     pub fn await_ready(&mut self) -> anyhow::Result<()> {
         let mut line = String::new();
         self.answers.read_line(&mut line)?;
         match line.trim_end() {
             "ready" => Ok(()),
-            "" => bail!("the other end has ended; its error is above"),
-            other => bail!("the other end says {other:?}"),
+            "" => bail!("the answering process has ended; its error is above"),
+            other => bail!("unexpected answer {other:?} of the answering process"),
         }
     }
 }
 
 impl Drop for Echo {
     fn drop(&mut self) {
-        // The end of its orders is its end.
+        // The process ends at the end of its input.
         self.orders = None;
         let _ = self.child.wait();
     }
@@ -143,10 +143,10 @@ impl Subcommand for IpcEcho {
     }
 }
 
-/// `bench ipc-echo`: answers until its orders end.
+/// `bench ipc-echo`: answers until its input ends.
 ///
 /// # Errors
-/// When a message is lost or refused, or an order makes no sense.
+/// If a message is lost or refused, or an order is invalid.
 fn answer(arguments: &IpcEcho, clock: Clock) -> anyhow::Result<()> {
     if let Some(core) = arguments.core {
         stay_on(core);
@@ -157,7 +157,7 @@ fn answer(arguments: &IpcEcho, clock: Clock) -> anyhow::Result<()> {
         let order = order?;
         let words: Vec<&str> = order.split(' ').collect();
         let ["open", message, wake] = words[..] else {
-            bail!("no order: {order:?}");
+            bail!("invalid order {order:?}");
         };
         let message = MessageChoice::from_str(message, true).map_err(|error| anyhow!(error))?;
         let wake = Wake::from_str(wake, true).map_err(|error| anyhow!(error))?;
@@ -190,26 +190,26 @@ fn serve<M: Measured>(
         let (side, count) = match words[..] {
             ["go", side, count] => (side, count.parse()?),
             ["close"] => return Ok(()),
-            _ => bail!("no order: {order:?}"),
+            _ => bail!("invalid order {order:?}"),
         };
-        let turns = Turns {
+        let trips = RoundTrips {
             wake,
             period_ns: 0,
             counts: [0, count],
         };
-        // Both ends have a block before them now.
+        // Both processes now begin the same block.
         say("ready");
         match Side::from_str(side, true).map_err(|error| anyhow!(error))? {
             Side::Port => {
-                ends.port.door = Door::Admit;
-                echo(&mut ends.port, turns, clock)
+                ends.port.check = Check::Admit;
+                echo(&mut ends.port, trips, clock)
             }
             Side::Open => {
-                ends.port.door = Door::Open;
-                echo(&mut ends.port, turns, clock)
+                ends.port.check = Check::Skip;
+                echo(&mut ends.port, trips, clock)
             }
-            Side::Bare => echo(&mut ends.bare, turns, clock),
-            Side::Tiny => echo(&mut ends.tiny, turns, clock),
+            Side::Bare => echo(&mut ends.bare, trips, clock),
+            Side::Tiny => echo(&mut ends.tiny, trips, clock),
         }?;
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! The stack's own ports: numbered, newest first, admitted at the door.
+//! Connection through the stack's ports: numbered, newest first, checked on receipt.
 
 use std::time::Duration;
 
@@ -11,17 +11,17 @@ use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire};
 use super::arguments::Wake;
 use super::link::{LOST_NS, Link};
 
-/// How long one wait for the bell lasts at most.
-const NAP: Duration = Duration::from_millis(500);
+/// Time limit of one wait for the doorbell.
+const WAIT_MAX: Duration = Duration::from_millis(500);
 
-/// A message that is measured.
+/// A message type that is measured.
 pub trait Measured: Message {
-    /// Its name.
+    /// Name on the command line.
     const WORD: &'static str;
-    /// From the asking process to the answering one, and back.
+    /// Services from the asking process to the answering one, and back.
     const SERVICES: [&'static str; 2];
 
-    /// As full as in a drive.
+    /// A message as full as in a drive.
     fn full() -> Self;
 }
 
@@ -65,17 +65,17 @@ measured!(
 );
 measured!(Advice, "advice", Advice::default());
 
-/// Which end.
+/// The end of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The process that asks.
+    /// In the asking process.
     Ping,
-    /// The process that answers.
+    /// In the answering process.
     Echo,
 }
 
 impl End {
-    /// The processes that the two ends stand for.
+    /// The stack's process whose place it takes.
     pub fn process(self) -> Process {
         match self {
             Self::Ping => Process::World,
@@ -83,7 +83,7 @@ impl End {
         }
     }
 
-    /// Places of what it publishes and what it reads.
+    /// Slot numbers of what it publishes and what it reads.
     pub fn places(self) -> [usize; 2] {
         match self {
             Self::Ping => [0, 1],
@@ -92,34 +92,34 @@ impl End {
     }
 }
 
-/// Whether messages are looked at before they are trusted.
+/// Whether received messages are checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Door {
-    /// As every reader of the stack does.
+pub enum Check {
+    /// As by every reader of the stack.
     Admit,
-    /// For what the door costs.
-    Open,
+    /// Not checked, to measure the cost of the check.
+    Skip,
 }
 
-/// One end over the stack's ports.
+/// One end of a connection through the stack's ports.
 pub struct Port<M: Message> {
     publisher: Publisher<M>,
     subscriber: Subscriber<M>,
     bell: Option<Doorbell>,
-    /// The last one received goes back.
+    /// The last received message, which is sent back.
     message: Option<M>,
-    /// Set between two blocks.
-    pub door: Door,
+    /// Changed between two blocks.
+    pub check: Check,
 }
 
 impl<M: Measured> Port<M> {
-    /// Opens both ports, and the bell of a receiver that sleeps on it.
+    /// Opens both ports, and the doorbell of a receiver that sleeps.
     ///
     /// # Errors
-    /// When shared memory refuses.
+    /// If shared memory refuses.
     pub fn open(wire: &Wire, end: End, wake: Wake) -> anyhow::Result<Self> {
         let [ours, theirs] = end.places().map(|place| {
-            // The reader of this place is woken by what is published in it.
+            // Publishing at this place wakes its reader.
             let woken: &'static [Process] = match (wake, place) {
                 (Wake::Spin | Wake::Grid, _) => &[],
                 (Wake::Bell, 0) => &[Process::Controller],
@@ -136,7 +136,7 @@ impl<M: Measured> Port<M> {
                 Wake::Spin | Wake::Grid => None,
             },
             message: Some(M::full()),
-            door: Door::Admit,
+            check: Check::Admit,
         })
     }
 }
@@ -148,11 +148,11 @@ impl<M: Measured> Link for Port<M> {
     }
 
     fn receive(&mut self) -> anyhow::Result<bool> {
-        let door = self.door;
+        let check = self.check;
         let mut refused = None;
         let came = self.subscriber.newest_into(&mut self.message, |message| {
-            if door == Door::Admit {
-                // A tick has read its clock before the message comes.
+            if check == Check::Admit {
+                // As in a tick, the clock is read before the message is received.
                 let admitted = message.admit(message.header().taken(), LOST_NS);
                 refused = admitted.err();
                 return admitted;
@@ -172,7 +172,7 @@ impl<M: Measured> Link for Port<M> {
 
     fn wait(&self) {
         if let Some(bell) = &self.bell {
-            bell.wait(NAP);
+            bell.wait(WAIT_MAX);
         }
     }
 }

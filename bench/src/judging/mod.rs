@@ -1,9 +1,9 @@
-//! How often a judge is right, over HTTP, on scenes where the simulator knows;
-//! what a preference for the first place does to it, and what asking twice does
-//! against that.
+//! Accuracy of a judge, over HTTP, on scenes whose answer the simulator knows; the
+//! effect of a bias towards the first path, and how asking twice with swapped paths
+//! reduces it.
 
 mod arguments;
-pub mod court;
+pub mod evaluation;
 pub mod scenes;
 
 use std::process::ExitCode;
@@ -21,7 +21,7 @@ use shm_config::config::{Config, STAND_IN, View, Vlm};
 use shm_config::counted;
 
 pub use arguments::{BenchJudge, Views};
-use court::{Court, ONCE, Row};
+use evaluation::{Evaluation, ONCE, Row};
 use lab::report::{Machine, table};
 use scenes::{Search, search};
 use stack::Clock;
@@ -55,11 +55,14 @@ impl Subcommand for BenchJudge {
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
         let chosen = &self.configuration;
-        // Checked like any other address.
+        // Checked as every other address of the configuration.
         let server = self.server.iter();
         let server = server.map(|url| format!("vlm.server={url}"));
         let overrides: Vec<_> = chosen.overrides.iter().cloned().chain(server).collect();
-        let config = settings::config(chosen.config.as_deref(), &overrides)?;
+        let config = settings::config(
+            [chosen.config.as_deref(), chosen.vehicle.as_deref()],
+            &overrides,
+        )?;
         let machine = Machine::here()?;
         let bar = ProgressBar::new(u64::from(self.scenes));
         let style = "{elapsed_precise} {wide_bar} {pos}/{len} scenes, {eta} left";
@@ -75,7 +78,7 @@ impl Subcommand for BenchJudge {
         }
         print(&rows);
         if self.server.is_none() {
-            say("The stand-in is no model: it judges from coloured pixels.");
+            say("The stand-in is not a model: it judges by the colours of the pixels.");
         }
         let Some(path) = &self.json else {
             return Ok(ExitCode::SUCCESS);
@@ -99,7 +102,7 @@ impl Subcommand for BenchJudge {
     }
 }
 
-/// The rows of the table: for each view and server, asked once and twice.
+/// Measures the rows of the table: for each view and server, asked once and twice.
 ///
 /// # Errors
 /// As [`bench`].
@@ -114,24 +117,24 @@ pub fn measure(
         Views::TopDown => &[View::TopDown],
         Views::Both => &[View::TopDown, View::Ego],
     };
-    let panel = panel(arguments)?;
-    let names = &panel.names;
-    let mut courts = Vec::new();
+    let judges = judges(arguments)?;
+    let names = &judges.names;
+    let mut evaluations = Vec::new();
     for (number, &view) in views.iter().enumerate() {
         for (name, url) in names {
-            // One folder holds one judge's record.
+            // Each folder holds the record of one judge.
             let record = arguments.record.as_ref();
             let folder = record.map(|folder| match (views.len(), names.len()) {
                 (1, 1) => folder.clone(),
                 _ => folder.join(format!(
                     "{}-{}",
-                    court::view_word(view),
+                    evaluation::view_word(view),
                     name.replace(", ", "-").replace(' ', "-")
                 )),
             });
             let vlm = vlm(arguments, config, url, view);
             let bounds = (number, folder.as_deref());
-            courts.push(Court::open((name, vlm), config.vehicle, bounds)?);
+            evaluations.push(Evaluation::open((name, vlm), config.vehicle, bounds)?);
         }
     }
     let wanted = Search {
@@ -140,33 +143,33 @@ pub fn measure(
         views: &views.iter().map(|&view| view.into()).collect::<Vec<_>>(),
         size_px: [config.vlm.width_px, config.vlm.height_px],
     };
-    // The same places and colours for all servers.
+    // All servers see the same path order and colours.
     let mut chance = Xoshiro256PlusPlus::seed_from_u64(arguments.first_seed);
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()?;
     search(&wanted, config, clock, |scene| {
-        let showing = court::showing(&mut chance);
-        for court in &mut courts {
-            runtime.block_on(court.hear(&scene, showing))?;
+        let showing = evaluation::showing(&mut chance);
+        for evaluation in &mut evaluations {
+            runtime.block_on(evaluation.ask(&scene, showing))?;
         }
         asked();
         Ok(())
     })?;
-    Ok(courts.into_iter().flat_map(Court::rows).collect())
+    Ok(evaluations.into_iter().flat_map(Evaluation::rows).collect())
 }
 
-/// Whom to ask.
-struct Panel {
-    /// Those that run here, as long as this lives.
+/// The servers to ask.
+struct Judges {
+    /// Built-in servers; they run until this value is dropped.
     _servers: Vec<Server>,
-    /// All of them: name and address.
+    /// Name and address of each server.
     names: Vec<(String, String)>,
 }
 
-fn panel(arguments: &BenchJudge) -> anyhow::Result<Panel> {
+fn judges(arguments: &BenchJudge) -> anyhow::Result<Judges> {
     if let Some(url) = &arguments.server {
-        return Ok(Panel {
+        return Ok(Judges {
             _servers: Vec::new(),
             names: vec![("server".into(), url.clone())],
         });
@@ -174,12 +177,12 @@ fn panel(arguments: &BenchJudge) -> anyhow::Result<Panel> {
     let mut servers = Vec::new();
     let mut names = Vec::new();
     for share in [0.5, arguments.bias] {
-        // So many answers are "the first" regardless; of the others half are.
+        // A fixed share of the answers is "the first"; of the others, half are.
         let first_bias = 2.0 * share - 1.0;
         let options = Options {
             first_bias,
             seed: arguments.first_seed,
-            eyes: Arc::new(judge::eyes::Sighted),
+            rater: Arc::new(judge::pixels::PixelRules),
             ..Options::default()
         };
         let server = Server::start(options).context("no port for the stand-in")?;
@@ -190,13 +193,13 @@ fn panel(arguments: &BenchJudge) -> anyhow::Result<Panel> {
         names.push((name, server.url()));
         servers.push(server);
     }
-    Ok(Panel {
+    Ok(Judges {
         _servers: servers,
         names,
     })
 }
 
-/// The configuration that a server is asked by.
+/// The configuration for asking one server.
 fn vlm(arguments: &BenchJudge, config: &Config, url: &str, view: View) -> Vlm {
     let mut vlm = Vlm {
         server: url.into(),
@@ -204,7 +207,7 @@ fn vlm(arguments: &BenchJudge, config: &Config, url: &str, view: View) -> Vlm {
         ..config.vlm.clone()
     };
     if arguments.server.is_none() {
-        // A stand-in charges nothing and serves this program alone.
+        // A stand-in is free and serves this program alone.
         vlm.model = STAND_IN.into();
         vlm.per_minute_max = 10_000;
         (vlm.price_in_usd, vlm.price_out_usd) = (0.0, 0.0);
@@ -229,7 +232,7 @@ fn print(rows: &[Row]) {
     for row in rows {
         table.add_row([
             row.view.to_string(),
-            row.who.clone(),
+            row.judge.clone(),
             row.asked.to_string(),
             percent(row.right_of_preferences),
             interval(row.right_of_preferences),
@@ -243,7 +246,7 @@ fn print(rows: &[Row]) {
     say(table);
 }
 
-/// Why there are no answers, as each view was asked once.
+/// The reasons for missing answers, from the rows that were asked once.
 fn reasons(rows: &[Row]) -> String {
     let once = rows.iter().filter(|row| row.asked == ONCE);
     let texts = once.map(|row| {
@@ -256,7 +259,7 @@ fn reasons(rows: &[Row]) -> String {
     texts.collect()
 }
 
-/// In per cent; a dash of nothing.
+/// In per cent; "-" if nothing was counted.
 fn percent(share: Share) -> String {
     match share.trials {
         0 => "-".into(),
@@ -264,7 +267,7 @@ fn percent(share: Share) -> String {
     }
 }
 
-/// Its 95 % interval; a dash of nothing.
+/// The 95 % confidence interval in per cent; "-" if nothing was counted.
 fn interval(share: Share) -> String {
     let [low, high] = share.interval().map(|end| 100.0 * end);
     match share.trials {

@@ -1,4 +1,4 @@
-//! Scenes for a judge, with what the simulator knows of them.
+//! Scenes for a judge, with the ground truth from the simulator.
 
 use anyhow::{Context, anyhow};
 use gate::presentation::Party;
@@ -17,36 +17,36 @@ use vehicle::{Action, Vehicle};
 use stack::Clock;
 use stack::driver::{DriverKind, EpisodeDriver};
 
-/// Ticks from one scene that is looked at to the next are drawn up to this.
+/// Largest number of ticks between two examined ticks; the number is drawn at random.
 const TICKS_BETWEEN: u64 = 40;
-/// Scenes taken of one episode at most, so that many maps count.
+/// Maximum number of scenes per episode, so that many maps are covered.
 const SCENES_OF_EPISODE: usize = 6;
-/// Policies that are tried at one tick, in search of one that fares otherwise than
-/// the expert.
+/// Policy actions tried at one tick, to find one whose outcome differs from that of
+/// the expert's action.
 const TRIES: usize = 4;
-/// Episodes without a scene after which something is wrong.
+/// Number of episodes without a scene after which the search fails.
 const BARREN_MAX: u64 = 200;
 
-/// A moment of a drive, with what was proposed and what would come of it.
+/// A moment of a drive with two proposals and their simulated outcomes.
 pub struct Scene {
-    /// The episode.
+    /// Seed of the episode.
     pub seed: u64,
-    /// Its tick.
+    /// Tick of the episode.
     pub tick: u64,
     /// Speed of the car, m/s.
     pub speed_mps: f64,
-    /// What the expert proposed, and what a policy might have, with what the judge
-    /// in the tick measures of them.
+    /// The expert's action and a possible action of a policy, with the safety check's
+    /// measurements of both.
     pub proposed: [Proposed; 2],
-    /// What comes of holding each, the expert's first.
+    /// Outcome of holding each action, the expert's first.
     pub outlooks: [Outlook; 2],
-    /// The pictures, one for each view that was asked for.
+    /// One picture per requested view.
     pub shots: Vec<Taken>,
 }
 
 /// A picture of the world.
 pub struct Taken {
-    /// From where.
+    /// Camera.
     pub view: View,
     camera: Camera,
     size_px: [u32; 2],
@@ -54,7 +54,7 @@ pub struct Taken {
 }
 
 impl Taken {
-    /// To be drawn into.
+    /// The picture as a buffer to draw into.
     pub fn photo(&self) -> Photo<'_> {
         let [width, height] = self.size_px;
         Photo {
@@ -67,7 +67,7 @@ impl Taken {
 }
 
 impl Scene {
-    /// What is to be drawn.
+    /// The proposals to draw.
     pub fn proposals<'a>(&self, vehicle: &'a Vehicle) -> Proposals<'a> {
         Proposals {
             vehicle,
@@ -77,7 +77,7 @@ impl Scene {
         }
     }
 
-    /// Whose proposal ends well where the other's does not.
+    /// The driver whose action ends well while the other's does not.
     pub fn safer(&self) -> Party {
         match self.outlooks[0].is_accident() {
             true => Party::Policy,
@@ -93,33 +93,33 @@ fn action(proposed: &Proposed) -> Action {
     }
 }
 
-/// From where scenes are taken, and what is taken of them.
+/// Parameters of the search for scenes.
 #[derive(Debug, Clone, Copy)]
 pub struct Search<'a> {
-    /// How many.
+    /// Number of scenes.
     pub scenes: usize,
-    /// Seed of the first episode, and of what is drawn at random.
+    /// Seed of the first episode and of all random draws.
     pub first_seed: u64,
-    /// The pictures of each scene.
+    /// Cameras of each scene.
     pub views: &'a [View],
-    /// Their width and height, pixels.
+    /// Width and height of the pictures, pixels.
     pub size_px: [u32; 2],
 }
 
-/// Drives episodes with the expert, looks at ticks drawn at random, and hands over
-/// those scenes where exactly one of both proposals, held, ends in an accident. The
-/// same search finds the same scenes.
+/// Drives episodes with the expert, examines ticks drawn at random, and calls `found`
+/// with each scene in which exactly one of both proposals, held, ends in an accident.
+/// The same search yields the same scenes.
 ///
 /// # Errors
-/// When the configuration is wrong, a map cannot be made, hardly any scene is
-/// found, or `found` fails.
+/// If the configuration is invalid, a map cannot be made, too few scenes are found, or
+/// `found` fails.
 pub fn search(
     search: &Search,
     config: &Config,
     clock: Clock,
     mut found: impl FnMut(Scene) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let mut world = World::new(WorldConfig::from(&config.world))?;
+    let mut world = World::new(WorldConfig::from(config))?;
     let mut driver = EpisodeDriver::new(DriverKind::Expert, config, clock)?;
     let mut photos = Photos {
         renderer: Renderer::default(),
@@ -133,7 +133,7 @@ pub fn search(
             break;
         }
         if seed - search.first_seed > BARREN_MAX + search.scenes as u64 {
-            return Err(anyhow!("hardly any scene in {BARREN_MAX} episodes"));
+            return Err(anyhow!("too few scenes in {BARREN_MAX} episodes"));
         }
         let most = wanted.min(SCENES_OF_EPISODE);
         let mut drive = Drive {
@@ -155,7 +155,7 @@ struct Drive<'a> {
 }
 
 impl Drive<'_> {
-    /// Drives one episode; returns how many scenes it gave.
+    /// Drives one episode; returns the number of scenes found.
     fn episode(
         &mut self,
         (seed, most): (u64, usize),
@@ -188,14 +188,14 @@ impl Drive<'_> {
         Ok(count)
     }
 
-    /// The scene of this tick, if some policy fares otherwise than the expert.
+    /// The scene of this tick, if some policy action has another outcome than the expert's.
     fn scene(
         &mut self,
         (seed, tick): (u64, u64),
         expert: Action,
         observation: &Observation,
     ) -> Option<Scene> {
-        let (vehicle, limits) = (&self.config.vehicle, &self.config.judge);
+        let (vehicle, limits) = (&self.config.vehicle, &self.config.safety);
         let speed_mps = observation.ego.speed_mps;
         let reach_m = safety::Scene::reach_m(vehicle, limits, speed_mps);
         let seen = safety::Scene::new(observation, reach_m);
@@ -225,9 +225,9 @@ impl Drive<'_> {
     }
 }
 
-/// What comes of holding an action. `None` where the rules of the episode say other
-/// than what a picture can show: leaving the route's road on another one ends an
-/// episode, too, but no picture shows the route.
+/// Outcome of holding an action. `None` where the rules of the episode differ from
+/// what a picture shows: leaving the route for another road ends an episode, too,
+/// but no picture shows the route.
 fn outlook_of(world: &World, party: Party, action: Action) -> Option<Outlook> {
     let by_rule = outlook(world, action);
     let seen = Outlook {
@@ -240,7 +240,7 @@ fn outlook_of(world: &World, party: Party, action: Action) -> Option<Outlook> {
     (!is_out || leaves_pavement(world, action)).then_some(seen)
 }
 
-/// Whether the car comes off all lanes or onto a sidewalk when an action is held.
+/// Whether the car leaves all lanes or enters a sidewalk when it holds an action.
 fn leaves_pavement(world: &World, action: Action) -> bool {
     let mut world = world.clone();
     let ticks = (HORIZON_S / TICK_S).round() as u64;
@@ -250,7 +250,7 @@ fn leaves_pavement(world: &World, action: Action) -> bool {
     })
 }
 
-/// No lane is under the car's middle.
+/// Whether no lane lies under the car's centre.
 fn is_off_lanes(world: &World) -> bool {
     !world.navigator().is_on_lane()
 }
@@ -282,27 +282,27 @@ impl Photos<'_> {
     }
 }
 
-/// What is drawn at random.
+/// Source of random draws.
 struct Chance(Xoshiro256PlusPlus);
 
 impl Chance {
-    /// [0, 1)
+    /// Uniform in [0, 1).
     fn share(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 * 2f64.powi(-53)
     }
 
-    /// [-1, 1)
+    /// Uniform in [-1, 1).
     fn signed(&mut self) -> f64 {
         2.0 * self.share() - 1.0
     }
 
-    /// Less than `end`.
+    /// Uniform in 0..`end`.
     fn below(&mut self, end: u64) -> u64 {
         (self.share() * end as f64) as u64
     }
 
-    /// What a policy might propose where the expert proposes this: a little off,
-    /// far off, straight on, or anything.
+    /// A possible policy action where the expert proposes `expert`: slightly different,
+    /// very different, straight on, or arbitrary.
     fn policy(&mut self, expert: Action) -> Action {
         match self.below(4) {
             0 => Action {

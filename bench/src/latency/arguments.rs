@@ -1,36 +1,38 @@
-//! The command line of `bench latency`, and the rows it asks for.
+//! Command line of `bench latency`, and the rows that it requests.
 
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
-use super::judges::Conduct;
+use super::judges::JudgeBehaviour;
+use super::viewers::Viewers;
 use crate::floor::Priority;
 
-/// Measure how punctual a running set is, by what happens beside it
+/// Measure the punctuality of a running set under load
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Each row is a whole process set that drives in real time while something happens \
-        beside it: nothing; work for every core (cpu), for the memory (memory) or for the disk \
-        (disk), by stress-ng where it is installed; a judge over HTTP that answers in 1 s (gate); a \
-        learner that trains and swaps the weights (learner); all of these at once (all). judges is \
-        one row for each thing a judge can do: answer at once or late, hang, refuse, send 10 MB, \
-        die; the row without a judge comes first and last there, and what differs between these \
-        two is the machine's noise.\n\n\
-        Beside each row, in the same seconds, the machine's own floor is measured by cyclictest at \
-        the same priority and period (where it is not installed, by a thread that does the same), \
-        and a thread on each core, which wakes up 1,000 times a second, notes when the machine stalled.\n\n\
-        With --out each row is kept as it is done: after Ctrl-C, the same command with the same \
-        settings continues; other settings are refused; --fresh measures all rows anew. All rows of the defaults take \
-        about 20 minutes.\n\n\
+    after_help = "Each row is a whole process set that drives in real time under a load: none; work on \
+        every core (cpu), in memory (memory) or on the disk (disk), by stress-ng where it is \
+        installed; a judge over HTTP that answers in 1 s (gate); a learner that trains and swaps \
+        the weights (learner); all of these at once (all); the recorder, the live page with one \
+        browser (view) or with ten, one of which reads nothing (browsers). judges is one row for each behaviour of \
+        a judge: answer at once or late, hang, refuse, send 10 MB, die; its first and its last row \
+        have no judge, and the difference between these two is the machine's noise.\n\n\
+        During each row the machine's own floor is measured by cyclictest at the same priority and \
+        period (where it is not installed, by a thread of this program), and one thread per core, \
+        which wakes up 1,000 times a second, records the machine's stalls.\n\n\
+        With --out each row is kept as soon as it is done: after Ctrl-C, the same command with the \
+        same settings continues; other settings are refused; --fresh measures all rows again. The \
+        default rows take about 20 minutes.\n\n\
         Examples:\n  \
         ./vlaps bench latency --out latency\n  \
         ./vlaps bench latency --load none,all --rate 1000 --priority granted --seconds 60\n  \
+        ./vlaps bench latency --load view,browsers --rate 100 --pairs 3 --seconds 5\n  \
         ./vlaps bench latency --load judges --rate 10,100 --priority granted --json judges.json"
 )]
 pub struct BenchLatency {
-    /// What happens beside the set.
+    /// Load on the machine during a row.
     #[arg(
         long,
         value_name = "WHAT",
@@ -38,11 +40,11 @@ pub struct BenchLatency {
         default_value = "none,cpu,memory,disk,gate,learner,all"
     )]
     pub load: Vec<Load>,
-    /// Seconds for each row.
+    /// Seconds per row.
     #[arg(long, value_name = "S", default_value_t = 20.0, allow_negative_numbers = true,
           value_parser = supervisor::subcommand::seconds)]
     pub seconds: f64,
-    /// Ticks per second, one or more.
+    /// Tick rates, one or more.
     #[arg(
         long,
         value_name = "HZ",
@@ -51,40 +53,45 @@ pub struct BenchLatency {
         default_value = "10,100,1000"
     )]
     pub rate: Vec<f64>,
-    /// Rows with real-time priority asked for (granted), not asked for (refused),
-    /// or both. Each row holds what the kernel granted.
+    /// Rows that request real-time priority (granted), that do not (refused), or both.
+    /// Each row reports what the kernel granted.
     #[arg(long, value_name = "WHICH", default_value = "both")]
     pub priority: PriorityChoice,
-    /// The program that makes the load of cpu, memory and disk.
+    /// Measure each load this many times, each time after a row without load, and print the
+    /// ratio of both with its interval.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+          value_parser = supervisor::cli::parsers::whole::<u32>(2..=100))]
+    pub pairs: Option<u32>,
+    /// Program that produces the load of cpu, memory and disk.
     #[arg(long, value_name = "PROGRAM", default_value = "auto")]
     pub stress: StressChoice,
-    /// The program that measures the machine's floor.
+    /// Program that measures the machine's floor.
     #[arg(long, value_name = "PROGRAM", default_value = "auto")]
     pub floor: FloorChoice,
     /// Override a key of the configuration, such as planner.rate_hz=10; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Write rows, histograms (CSV) and pictures (SVG, PNG) into this folder.
+    /// Write rows, histograms (CSV) and plots (SVG, PNG) into this folder.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Measure the rows that --out holds already once more.
+    /// Measure rows again that --out holds already.
     #[arg(long, requires = "out")]
     pub fresh: bool,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
-/// What happens beside the set, as on the command line.
+/// Load on the machine, as on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Load {
-    /// Nothing.
+    /// No load.
     None,
-    /// Work for every core.
+    /// Work on every core.
     Cpu,
-    /// Work for the memory.
+    /// Work in memory.
     Memory,
-    /// Work for the disk.
+    /// Work on the disk.
     Disk,
     /// A judge that answers in 1 s.
     Gate,
@@ -92,25 +99,34 @@ pub enum Load {
     Learner,
     /// All of these at once.
     All,
-    /// A row for each thing a judge can do.
+    /// The recorder, which writes every message; beside all of these with --set
+    /// record.keep=everything.
+    Recorder,
+    /// The live page with one browser.
+    View,
+    /// The live page with ten browsers, one of which reads nothing.
+    Browsers,
+    /// Recorder and page with one browser.
+    RecorderView,
+    /// One row for each behaviour of a judge.
     Judges,
 }
 
-/// Whether real-time priority is asked for.
+/// Whether real-time priority is requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PriorityChoice {
-    /// It is.
+    /// It is requested.
     Granted,
-    /// It is not, as on a machine that refuses it.
+    /// It is not requested, as on a machine that refuses it.
     Refused,
-    /// A row of either.
+    /// Rows of both.
     Both,
 }
 
-/// The program that makes the load.
+/// The program that produces the load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum StressChoice {
-    /// stress-ng where it is installed, else this program.
+    /// stress-ng where it is installed, otherwise this program.
     Auto,
     /// stress-ng.
     StressNg,
@@ -121,7 +137,7 @@ pub enum StressChoice {
 /// The program that measures the floor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum FloorChoice {
-    /// cyclictest where it is installed, else this program.
+    /// cyclictest where it is installed, otherwise this program.
     Auto,
     /// cyclictest.
     Cyclictest,
@@ -129,21 +145,25 @@ pub enum FloorChoice {
     Own,
 }
 
-/// What happens beside one row.
+/// Load during one row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beside {
-    /// In one word, or some for a judge.
+    /// Name in tables and files.
     pub name: &'static str,
-    /// Work for every core.
+    /// Work on every core.
     pub cpu: bool,
-    /// Work for the memory.
+    /// Work in memory.
     pub memory: bool,
-    /// Work for the disk.
+    /// Work on the disk.
     pub disk: bool,
-    /// The learner trains.
+    /// Whether the learner trains.
     pub learner: bool,
-    /// The judge.
-    pub judge: Conduct,
+    /// Whether the recorder records everything.
+    pub recorder: bool,
+    /// Browsers that show the set.
+    pub viewers: Viewers,
+    /// Behaviour of the judge.
+    pub judge: JudgeBehaviour,
 }
 
 const NOTHING: Beside = Beside {
@@ -152,12 +172,17 @@ const NOTHING: Beside = Beside {
     memory: false,
     disk: false,
     learner: false,
-    judge: Conduct::Absent,
+    recorder: false,
+    viewers: Viewers::Absent,
+    judge: JudgeBehaviour::Absent,
 };
-const JUDGE: Conduct = Conduct::Answers { after_s: 1.0 };
+const JUDGE: JudgeBehaviour = JudgeBehaviour::Answers { after_s: 1.0 };
 
 impl Load {
-    /// The rows that it stands for.
+    /// The row without any load.
+    pub const NOTHING: Beside = NOTHING;
+
+    /// The rows of this choice.
     pub fn rows(self) -> Vec<Beside> {
         let one = |name| Beside { name, ..NOTHING };
         vec![match self {
@@ -183,27 +208,44 @@ impl Load {
                 ..one("learner")
             },
             Self::All => Beside {
-                name: "all",
                 cpu: true,
                 memory: true,
                 disk: true,
                 learner: true,
                 judge: JUDGE,
+                ..one("all")
+            },
+            Self::Recorder => Beside {
+                recorder: true,
+                ..one("recorder")
+            },
+            Self::View => Beside {
+                viewers: Viewers::One,
+                ..one("view")
+            },
+            Self::Browsers => Beside {
+                viewers: Viewers::Ten,
+                ..one("browsers")
+            },
+            Self::RecorderView => Beside {
+                recorder: true,
+                viewers: Viewers::One,
+                ..one("recorder-view")
             },
             Self::Judges => return judged(),
         }]
     }
 }
 
-/// A row for each conduct; without a judge first, and last once more.
+/// One row per behaviour; the first and the last row have no judge.
 fn judged() -> Vec<Beside> {
-    let row = |judge: Conduct| Beside {
+    let row = |judge: JudgeBehaviour| Beside {
         name: judge.words(),
         judge,
         ..NOTHING
     };
-    let mut rows = vec![row(Conduct::Absent)];
-    rows.extend(Conduct::BAD.map(row));
+    let mut rows = vec![row(JudgeBehaviour::Absent)];
+    rows.extend(JudgeBehaviour::BAD.map(row));
     rows.push(Beside {
         name: "no judge, again",
         ..NOTHING
@@ -211,33 +253,35 @@ fn judged() -> Vec<Beside> {
     rows
 }
 
-/// One row to drive.
+/// One row to measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
     /// Ticks per second.
     pub rate_hz: f64,
-    /// Whether real-time priority is asked for.
+    /// Whether real-time priority is requested.
     pub priority: Priority,
-    /// What happens beside it.
+    /// Load during the row.
     pub beside: Beside,
+    /// The number of its pair from 0; `None` without pairs.
+    pub pair: Option<u32>,
 }
 
-/// What a row is measured with: a row of other settings is another row.
+/// Settings of a measurement: rows of different settings are not mixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// Seconds driven.
+    /// Seconds per row.
     pub seconds: f64,
-    /// The way of measuring.
+    /// Version of the measuring method.
     pub method: u32,
-    /// Keys that were set.
+    /// Configuration keys that were overridden.
     pub overrides: Vec<String>,
-    /// The program that makes the load.
+    /// The program that produces the load.
     pub stress: String,
     /// The program that measures the floor.
     pub floor: String,
 }
 
-/// Keys that each row sets, and the option that says them.
+/// Keys that each row sets, and the option that changes them.
 pub const OWN_KEYS: [(&str, &str); 11] = [
     ("run.name", ""),
     ("run.folder", ""),
@@ -253,21 +297,23 @@ pub const OWN_KEYS: [(&str, &str); 11] = [
 ];
 
 impl BenchLatency {
-    /// The rows in the order in which they are driven, each once.
+    /// The rows in order, each once.
     pub fn cases(&self) -> Vec<Case> {
         let priorities: &[Priority] = match self.priority {
             PriorityChoice::Granted => &[Priority::Asked],
             PriorityChoice::Refused => &[Priority::Ordinary],
             PriorityChoice::Both => &[Priority::Asked, Priority::Ordinary],
         };
+        let loads: Vec<Beside> = self.load.iter().flat_map(|load| load.rows()).collect();
         let mut cases: Vec<Case> = Vec::new();
         for &rate_hz in &self.rate {
             for &priority in priorities {
-                for beside in self.load.iter().flat_map(|load| load.rows()) {
+                for (beside, pair) in self.in_pairs(&loads) {
                     let case = Case {
                         rate_hz,
                         priority,
                         beside,
+                        pair,
                     };
                     if !cases.contains(&case) {
                         cases.push(case);
@@ -277,11 +323,21 @@ impl BenchLatency {
         }
         cases
     }
+
+    /// The rows of one rate and priority; with pairs, each round begins without a load.
+    fn in_pairs(&self, loads: &[Beside]) -> Vec<(Beside, Option<u32>)> {
+        let Some(pairs) = self.pairs else {
+            return loads.iter().map(|load| (*load, None)).collect();
+        };
+        let round = || std::iter::once(&NOTHING).chain(loads);
+        let rounds = (0..pairs).flat_map(|pair| round().map(move |load| (*load, Some(pair))));
+        rounds.collect()
+    }
 }
 
 impl Settings {
-    /// What differs from what is asked for, in words; empty when nothing does.
-    pub fn unlike(&self, asked: &Self) -> String {
+    /// The settings that differ from the requested ones, in words; empty if none does.
+    pub fn differences(&self, asked: &Self) -> String {
         let set = |overrides: &[String]| match overrides {
             [] => "nothing".to_string(),
             some => some.join(" "),
@@ -304,8 +360,17 @@ impl Settings {
 }
 
 impl Case {
-    /// For a progress bar.
+    /// Description for the progress bar.
     pub fn words(&self) -> String {
+        let words = self.words_without_pair();
+        match self.pair {
+            Some(pair) => format!("{words}, pair {}", pair + 1),
+            None => words,
+        }
+    }
+
+    /// The same for all pairs.
+    pub fn words_without_pair(&self) -> String {
         format!(
             "{} Hz, {}, {}",
             self.rate_hz,
@@ -314,7 +379,7 @@ impl Case {
         )
     }
 
-    /// In one word.
+    /// The word for the priority in tables and files.
     pub fn priority_word(&self) -> &'static str {
         match self.priority {
             Priority::Asked => "real-time",
@@ -322,7 +387,7 @@ impl Case {
         }
     }
 
-    /// The name of its files.
+    /// Stem of its file names.
     pub fn slug(&self) -> String {
         let name: String = self.words().to_lowercase();
         let words = name
@@ -346,6 +411,7 @@ mod tests {
             stress: StressChoice::Auto,
             floor: FloorChoice::Auto,
             overrides: Vec::new(),
+            pairs: None,
             out: None,
             fresh: false,
             json: None,
@@ -353,11 +419,18 @@ mod tests {
         let cases = arguments.cases();
         let slugs: std::collections::BTreeSet<_> = cases.iter().map(Case::slug).collect();
         assert_eq!(slugs.len(), cases.len(), "{slugs:?}");
-        assert_eq!(cases.len(), (7 + 10) * 3 * 2);
+        assert_eq!(cases.len(), (11 + 10) * 3 * 2);
         assert!(slugs.contains("100-hz-judge-answers-in-0.1-s-real-time"));
-        // A row that is asked for twice is measured once.
+        // A row that is requested twice is measured once.
         arguments.rate.push(100.0);
         arguments.load.push(Load::Cpu);
         assert_eq!(arguments.cases(), cases);
+        (arguments.rate, arguments.load) = (vec![100.0], vec![Load::View]);
+        (arguments.priority, arguments.pairs) = (PriorityChoice::Granted, Some(2));
+        let words: Vec<_> = arguments.cases().iter().map(Case::words).collect();
+        let expected = [("none", 1), ("view", 1), ("none", 2), ("view", 2)];
+        let expected =
+            expected.map(|(load, pair)| format!("100 Hz, {load}, real-time, pair {pair}"));
+        assert_eq!(words, expected);
     }
 }

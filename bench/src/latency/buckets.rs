@@ -1,4 +1,4 @@
-//! A histogram as it is written to a file: buckets with counts, nothing left out.
+//! A histogram in a file: all buckets with a count above 0.
 
 use std::path::Path;
 
@@ -8,29 +8,29 @@ use shm_config::message::Histogram;
 
 use crate::driven::Quantiles;
 
-/// Durations from `from_ns` up to, but not including, `below_ns`.
+/// Number of durations from `from_ns` up to, but not including, `below_ns`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bucket {
-    /// The shortest, ns.
+    /// Lower bound, ns.
     pub from_ns: u64,
-    /// The next bucket's shortest, ns.
+    /// Upper bound, ns; the lower bound of the next bucket.
     pub below_ns: u64,
-    /// How many.
+    /// Number of durations.
     pub count: u64,
 }
 
-/// One measure of one process or floor: a histogram with its names.
+/// Histogram of one measure of one process or floor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Series {
-    /// Such as controller, cyclictest.
+    /// Process or floor, such as controller or cyclictest.
     pub of: String,
-    /// Such as `release_lateness`.
+    /// Measure, such as `release_lateness`.
     pub measure: String,
-    /// In order; empty ones are left out.
+    /// Buckets in ascending order; empty ones are left out.
     pub buckets: Vec<Bucket>,
 }
 
-/// One line of a file of them.
+/// One line of a file of series.
 #[derive(Serialize, Deserialize)]
 struct Line {
     process: String,
@@ -41,7 +41,7 @@ struct Line {
 }
 
 impl Series {
-    /// Of a histogram as the processes have them.
+    /// Converts a histogram of the processes.
     pub fn of_histogram(of: &str, measure: &str, histogram: &Histogram) -> Self {
         let buckets = histogram.filled().map(|(from_ns, below_ns, count)| Bucket {
             from_ns,
@@ -55,13 +55,13 @@ impl Series {
         }
     }
 
-    /// How many durations.
+    /// Total number of durations.
     pub fn count(&self) -> u64 {
         self.buckets.iter().map(|bucket| bucket.count).sum()
     }
 
-    /// Quantiles, us: the middle of the bucket that holds it. `max_us` is the exact
-    /// maximum, which nothing exceeds. `None` when nothing was counted.
+    /// Quantiles, us: the middle of the bucket of each quantile, limited to the exact maximum
+    /// `max_us`. `None` if nothing was counted.
     pub fn quantiles(&self, max_us: f64) -> Option<Quantiles> {
         let total = self.count();
         let at = |quantile: f64| {
@@ -86,7 +86,7 @@ impl Series {
 /// Reads a file with the columns process, measure, `from_ns`, `below_ns`, count.
 ///
 /// # Errors
-/// When it is not there, or is not of that form.
+/// If it does not exist or has another form.
 pub fn read(path: &Path) -> anyhow::Result<Vec<Series>> {
     let mut all: Vec<Series> = Vec::new();
     let mut reader = csv::Reader::from_path(path).with_context(|| path.display().to_string())?;
@@ -111,10 +111,10 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Series>> {
     Ok(all)
 }
 
-/// Writes such a file.
+/// Writes a file for [`read`].
 ///
 /// # Errors
-/// When it cannot be written.
+/// If it cannot be written.
 pub fn write(path: &Path, all: &[Series]) -> anyhow::Result<()> {
     let named = || path.display().to_string();
     let mut writer = csv::Writer::from_path(path).with_context(named)?;
@@ -137,9 +137,9 @@ pub fn write(path: &Path, all: &[Series]) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    /// /dev/full refuses each byte: no space left.
+    /// /dev/full refuses every byte: no space left.
     #[test]
-    fn a_full_disk_is_told_with_the_file() {
+    fn a_full_disk_is_reported_with_the_file() {
         let bucket = |from_ns| Bucket {
             from_ns,
             below_ns: from_ns + 1,
@@ -150,14 +150,14 @@ mod tests {
             measure: "execution".into(),
             buckets: Vec::new(),
         };
-        // In the buffer until its end, and over it.
+        // Smaller than the write buffer, and larger.
         for count in [1, 10_000] {
             series.buckets = (0..count).map(bucket).collect();
             let error = write(Path::new("/dev/full"), std::slice::from_ref(&series));
-            let told = format!("{:#}", error.expect_err("it is full"));
+            let message = format!("{:#}", error.expect_err("it is full"));
             assert!(
-                told.starts_with("/dev/full: ") && told.contains("No space"),
-                "{told}"
+                message.starts_with("/dev/full: ") && message.contains("No space"),
+                "{message}"
             );
         }
     }

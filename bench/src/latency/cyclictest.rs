@@ -1,4 +1,4 @@
-//! The machine's floor by `cyclictest`, of the rt-tests.
+//! Measures the machine's floor with `cyclictest` of rt-tests.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,13 +13,13 @@ use super::stress::SPARE_S;
 use crate::driven::Punctuality;
 use crate::floor::{Priority, controller, controllers_core};
 
-/// Longest lateness that its histogram tells apart, us: 1 s, which it holds 8 MB
-/// for. Longer ones are counted and keep their maximum.
+/// Range of its histogram, us: 1 s, which takes 8 MB. Longer latencies are counted as
+/// overflow, and their maximum is reported.
 const LONGEST_US: u64 = 1_000_000;
 
-/// Whether it is on PATH.
+/// Whether cyclictest is on PATH.
 pub fn is_there() -> bool {
-    // It has no option that does nothing but succeed.
+    // --help is the only option that succeeds without measuring.
     super::answers("cyclictest", &["--help"])
 }
 
@@ -32,18 +32,18 @@ pub struct Cyclictest {
 }
 
 impl Cyclictest {
-    /// Starts it: one thread at the controller's priority, core and period, memory
-    /// locked, absolute sleeps on the monotonic clock (its defaults).
+    /// Starts one thread at the controller's priority, core and period, with locked memory
+    /// and absolute sleeps on the monotonic clock (cyclictest's defaults).
     ///
     /// # Errors
-    /// When it cannot be started.
+    /// If it cannot be started.
     pub fn start(rate_hz: f64, priority: Priority, seconds: f64) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
         let mut command = super::beside("cyclictest");
         let period_us = (1e6 / rate_hz).round() as u64;
         command.args(["--quiet", "--threads=1", "--default-system"]);
         command.arg(format!("--interval={period_us}"));
-        // It ends by itself, even when this program is killed.
+        // It ends by itself, even if this program is killed.
         let end_s = (seconds + SPARE_S).ceil();
         command.arg(format!("--duration={end_s}"));
         command.arg(format!("--histogram={LONGEST_US}"));
@@ -71,18 +71,18 @@ impl Cyclictest {
         })
     }
 
-    /// Ends it; what it counted.
+    /// Stops it and returns its measurement.
     ///
     /// # Errors
-    /// When it refused to run, or wrote nothing that can be read.
+    /// If it refused to run or its output cannot be read.
     pub fn finish(mut self) -> anyhow::Result<(Punctuality, Series)> {
         self.end(Signal::INT);
         let status = self.child.wait()?;
         let path = file(self.folder.path());
         let text = std::fs::read_to_string(&path).with_context(|| {
             format!(
-                "cyclictest ended ({status}) and wrote nothing: it may not have the priority it \
-                 asks for (`./vlaps doctor`); --floor own measures without it"
+                "cyclictest ended ({status}) without output: it may not be allowed to use real-time \
+                 priority (`./vlaps doctor`); --floor own measures without it"
             )
         })?;
         read(&text, self.period_ns, self.priority)
@@ -108,7 +108,7 @@ fn file(folder: &Path) -> std::path::PathBuf {
     folder.join("cyclictest.json")
 }
 
-/// Its JSON of one thread.
+/// Parses its JSON output with one thread.
 fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punctuality, Series)> {
     let value: Value = serde_json::from_str(text).context("cyclictest's JSON")?;
     let thread = &value["thread"]["0"];
@@ -148,7 +148,7 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
         ticks,
         skipped: missed,
         missed,
-        // By its own count, as the processes' grids have it.
+        // From cyclictest's own count of cycles, as the processes count their grids.
         elapsed_s: ((ticks + missed) * period_ns) as f64 / 1e9,
         lateness_us,
         priority: match priority {
@@ -160,9 +160,9 @@ fn read(text: &str, period_ns: u64, priority: Priority) -> anyhow::Result<(Punct
     Ok((punctuality, series))
 }
 
-/// It continues from the instant it woke at, and says nothing of those it slept
-/// through: those that fit into each lateness. They are as late as the set's skipped
-/// ticks, each from itself until that wake-up. Returns how many there were.
+/// Adds the instants that cyclictest slept through, which it does not report: as many
+/// as fit into each lateness. Each is as late as from its own instant to that wake-up,
+/// like the skipped ticks of a set. Returns their number.
 fn add_missed(series: &mut Series, period_ns: u64) -> u64 {
     let mut all: BTreeMap<(u64, u64), u64> = BTreeMap::new();
     let mut missed = 0;
@@ -195,7 +195,7 @@ mod tests {
             "cycles": 100, "min": 9, "max": 2500000, "avg": 10.0, "cpu": 0
         }}}"#;
         let (floor, series) = read(text, 10_000_000, Priority::Asked).expect("its JSON");
-        // Two ticks slept through by each of the 25 ms, 100 by the longest.
+        // Each latency of 25 ms slept through two ticks, the longest one through 100.
         assert_eq!((floor.ticks, floor.missed), (100, 2 * 2 + 100));
         assert_eq!(floor.elapsed_s, 2.04);
         assert_eq!(series.count(), 204);

@@ -1,4 +1,4 @@
-//! One row: a set, what happens beside it, the floor, and a look at its steps.
+//! Measures one row: a set under load, the machine's floor, and the set's steps.
 
 use std::path::Path;
 use std::time::Duration;
@@ -13,21 +13,22 @@ use super::cyclictest::Cyclictest;
 use super::judges::RowJudge;
 use super::row::{Row, planner};
 use super::stress::Stress;
+use super::viewers::RowPage;
 use super::watch::{Watch, is_up};
 use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Priority, claim};
 use crate::stalls::{StallWatch, Stalls};
 use supervisor::subcommand::settings;
 
-/// How long a set may take to drive, ns.
+/// Time limit for a set to start driving, ns.
 const START_NS: u64 = 60_000_000_000;
-/// From look to look at the steps: far within their queue.
+/// Polling interval of the steps: short enough that their queue does not overflow.
 const LOOK: Duration = Duration::from_millis(20);
-/// Seconds from block to block of the learner.
+/// Seconds between two updates by the learner.
 const BLOCK_S: f64 = 2.0;
 
-/// Drives it; `None` when a stop is requested meanwhile.
-/// It is the k-th: each has a run of its own, independent of what the one before left.
+/// Drives one row; `None` if a stop is requested meanwhile. `k` makes the run's name
+/// unique, so that a row does not depend on what an earlier one left.
 pub fn drive(
     bench: &Bench<'_>,
     case: &Case,
@@ -44,15 +45,18 @@ pub fn drive(
     let seconds = bench.settings.seconds;
     let places = (bench.scratch, bench.disk);
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), places)?;
+    let place = (driven.name(), bench.scratch);
+    let page = RowPage::start(case.beside.viewers, place, bench.clock)?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
     let counted = follow(bench, case, (&mut driven, &mut watch, &mut judge))?;
-    // A row that was cut short is discarded, even when the set has ended meanwhile.
+    // An interrupted row is discarded, even if the set has ended by itself.
     if bench.stop.is_asked() {
         return Ok(None);
     }
     stress.check()?;
     drop(stress);
     let stalls = noting.finish()?;
+    page.map(RowPage::finish).transpose()?;
     watch.look();
     let seen = watch.finish();
     let summary = driven.summary()?;
@@ -88,13 +92,13 @@ pub fn drive(
     Ok(Some((row, series)))
 }
 
-/// Waits until the set's processes are up; `None` when a stop is requested first.
+/// Waits until the set's processes are up; `None` if a stop is requested first.
 fn await_start(bench: &Bench<'_>, driven: &mut Driven) -> anyhow::Result<Option<Watch>> {
     let name = driven.name().parse()?;
     let until = (bench.clock)().after_ns(START_NS);
     while !is_up(&name) {
-        // Nothing drives yet. A signal to the whole group may also have met the set
-        // on its way into a group of its own.
+        // Nothing drives yet. A signal to the whole process group may have reached the
+        // set, too, before it moved to a group of its own.
         if bench.stop.is_asked() {
             return Ok(None);
         }
@@ -107,13 +111,13 @@ fn await_start(bench: &Bench<'_>, driven: &mut Driven) -> anyhow::Result<Option<
     Watch::begin(&name).map(Some)
 }
 
-/// Watches the set to its end, and measures the floor in the seconds in which it
-/// drives; `None` when it never drives.
+/// Watches the set until it ends, and measures the floor while it drives; `None` if it
+/// never drove.
 fn follow(
     bench: &Bench<'_>,
     case: &Case,
     (driven, watch, judge): (&mut Driven, &mut Watch, &mut RowJudge),
-) -> anyhow::Result<Option<Counted>> {
+) -> anyhow::Result<Option<FloorResult>> {
     let seconds = bench.settings.seconds;
     let (mut floors, mut counted) = (None, None);
     let (mut until, mut stopping) = (None, false);
@@ -122,19 +126,19 @@ fn follow(
         let now = (bench.clock)();
         if watch.has_begun() && until.is_none() {
             until = Some(now.after_ns((seconds * 1e9) as u64));
-            floors = Some(Floors::start(bench, case)?);
+            floors = Some(FloorMeasurement::start(bench, case)?);
         }
         if until.is_some_and(|until| until.since_ns(now) < (seconds * 0.5e9) as u64) {
             judge.half_way();
         }
-        // Not while processes end: the row has none of that, either.
+        // Stopped before the processes end: the row does not include their end, either.
         if until.is_some_and(|until| now > until)
             && let Some(floors) = floors.take()
         {
             counted = Some(floors.finish(bench)?);
         }
         if bench.stop.is_asked() && !stopping {
-            // Once: a second time would kill it.
+            // Only once: a second signal would kill the set.
             driven.stop();
             stopping = true;
         }
@@ -146,21 +150,21 @@ fn follow(
     Ok(counted)
 }
 
-/// The floor of one row, by the programs that can measure it.
-struct Floors {
+/// The floor measurements of one row, by every available program.
+struct FloorMeasurement {
     cyclictest: Option<Cyclictest>,
     own: Floor,
 }
 
-/// What it came to.
-struct Counted {
+/// Result of the floor measurements.
+struct FloorResult {
     by: &'static str,
     floor: Punctuality,
     own: Punctuality,
     series: Vec<Series>,
 }
 
-impl Floors {
+impl FloorMeasurement {
     fn start(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Self> {
         let (rate_hz, seconds) = (case.rate_hz, bench.settings.seconds);
         let cyclictest = match bench.cyclictest {
@@ -171,9 +175,9 @@ impl Floors {
         Ok(Self { cyclictest, own })
     }
 
-    fn finish(self, bench: &Bench<'_>) -> anyhow::Result<Counted> {
+    fn finish(self, bench: &Bench<'_>) -> anyhow::Result<FloorResult> {
         let counted = match self.cyclictest.map(Cyclictest::finish) {
-            // Where it may not run, the own thread replaces it.
+            // If cyclictest fails, the thread of this program replaces it.
             Some(Err(_)) if !bench.insist => None,
             counted => counted.transpose()?,
         };
@@ -187,7 +191,7 @@ impl Floors {
             }
             None => ("own thread", own.punctuality.clone()),
         };
-        Ok(Counted {
+        Ok(FloorResult {
             by,
             floor,
             own: own.punctuality,
@@ -201,7 +205,7 @@ fn longest(stalls: &Stalls) -> Vec<f64> {
     largest.iter().map(|&(_, ns)| ns as f64 / 1e3).collect()
 }
 
-/// Asked for where it is granted: cyclictest would end where it is not.
+/// Requests the priority only where it is granted: cyclictest fails without it.
 fn granted(priority: Priority) -> Priority {
     let asked = std::thread::spawn(move || claim(priority)).join();
     match asked {
@@ -213,7 +217,7 @@ fn granted(priority: Priority) -> Priority {
 /// The configuration of a row's set.
 ///
 /// # Errors
-/// When no set could drive with it.
+/// If it is invalid.
 pub fn configuration(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Config> {
     let mut up = case.beside.judge.arguments();
     up.extend(arguments(bench, case));
@@ -222,7 +226,7 @@ pub fn configuration(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Config> {
 
 fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
     let mut up: Vec<String> = vec!["--seed".into(), "3".into()];
-    // A policy offered at the start is newer than a learner's first weights.
+    // A policy that is offered at the start would replace a learner's first weights.
     if !case.beside.learner {
         up.extend(["--policy".into(), bench.policy.display().to_string()]);
     }
@@ -232,6 +236,9 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
         up.push("--no-realtime".into());
     }
     let mut keys = Vec::new();
+    if case.beside.recorder {
+        up.push("--record".into());
+    }
     if case.beside.learner {
         let block = (case.rate_hz * BLOCK_S).round();
         keys.extend([
@@ -239,7 +246,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
             "learner.algorithm=dagger".into(),
             format!("learner.block_steps={block}"),
             "learner.updates=50".into(),
-            // Its weights are adopted and stay, whichever actions they propose.
+            // Its weights are adopted and stay active, whichever actions they propose.
             "policy.shadow_ticks=0".into(),
             "policy.veto_rate_max=1.0".into(),
             "policy.jump_max=2.0".into(),
@@ -251,7 +258,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
     up
 }
 
-/// The histograms of all processes, as the run wrote them.
+/// The histograms of all processes, from the run's file.
 fn of_run(folder: &Path) -> anyhow::Result<Vec<Series>> {
     let path = folder.join("timing.csv");
     match path.exists() {

@@ -1,33 +1,33 @@
-//! What a judge can do to a run: each row of `--load judges`.
+//! The rows of `--load judges`: behaviours of a judge.
 
 use std::net::{Ipv4Addr, TcpListener};
 use std::time::Duration;
 
 use anyhow::Context;
-use judge::standin::{Mishap, Options, Server};
+use judge::standin::{Options, Server, ServerFault};
 
 /// How a judge behaves.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Conduct {
-    /// There is none: the expert drives, no gate process.
+pub enum JudgeBehaviour {
+    /// There is no judge: the expert drives, without a gate process.
     Absent,
-    /// Answers after so long.
+    /// Answers after a delay.
     Answers {
-        /// Seconds.
+        /// Delay, s.
         after_s: f64,
     },
-    /// Takes the question and never answers.
+    /// Accepts the question and never answers.
     Hangs,
     /// No server listens.
     Refuses,
     /// Answers with 10 MB.
     Floods,
-    /// Dies half way through the run.
+    /// Ends half way through the run.
     Dies,
 }
 
-impl Conduct {
-    /// All but the first.
+impl JudgeBehaviour {
+    /// All behaviours but `Absent`.
     pub const BAD: [Self; 8] = [
         Self::Answers { after_s: 0.1 },
         Self::Answers { after_s: 1.0 },
@@ -39,7 +39,7 @@ impl Conduct {
         Self::Dies,
     ];
 
-    /// For the table.
+    /// Description in the table.
     pub fn words(self) -> &'static str {
         match self {
             Self::Absent => "no judge",
@@ -54,7 +54,7 @@ impl Conduct {
         }
     }
 
-    /// What a run beside it is started with; its address is not known yet.
+    /// Arguments of `./vlaps up`, with a placeholder for the judge's address.
     pub fn arguments(self) -> Vec<String> {
         match self {
             Self::Absent => words(None),
@@ -62,10 +62,10 @@ impl Conduct {
         }
     }
 
-    /// The judge, ready to be asked.
+    /// Starts the judge.
     ///
     /// # Errors
-    /// When no port can be had.
+    /// If it cannot bind a port.
     pub fn begin(self) -> anyhow::Result<RowJudge> {
         let options = match self {
             Self::Absent => None,
@@ -73,8 +73,8 @@ impl Conduct {
                 latency: Duration::from_secs_f64(after_s),
                 ..Options::default()
             }),
-            Self::Hangs => Some(broken(Mishap::Hang)),
-            Self::Floods => Some(broken(Mishap::HugeLength)),
+            Self::Hangs => Some(broken(ServerFault::Hang)),
+            Self::Floods => Some(broken(ServerFault::HugeLength)),
             Self::Refuses => None,
             Self::Dies => Some(Options::default()),
         };
@@ -94,14 +94,14 @@ impl Conduct {
     }
 }
 
-fn broken(mishap: Mishap) -> Options {
+fn broken(injected: ServerFault) -> Options {
     Options {
-        mishap: Some(mishap),
+        injected: Some(injected),
         ..Options::default()
     }
 }
 
-/// The words of a run with a judge at this address, or without one.
+/// Arguments of `./vlaps up` for a judge at this address, or without a judge.
 fn words(url: Option<&str>) -> Vec<String> {
     let Some(url) = url else {
         return vec!["--gate".into(), "expert".into()];
@@ -109,7 +109,7 @@ fn words(url: Option<&str>) -> Vec<String> {
     let mut words = vec!["--gate".into(), "vlm".into()];
     for text in [
         format!("vlm.server={url}"),
-        // Every question is asked, however many there are and fail.
+        // Every question is asked, however many there are and however many fail.
         "vlm.deadline_s=60".into(),
         "vlm.attempt_s=50".into(),
         "vlm.per_minute_max=10000".into(),
@@ -123,36 +123,36 @@ fn words(url: Option<&str>) -> Vec<String> {
     words
 }
 
-/// An address without a server: it was free a moment ago.
+/// The address of a port that was free a moment ago.
 fn unused_address() -> anyhow::Result<String> {
     let address = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?.local_addr()?;
     Ok(format!("http://{address}/v1"))
 }
 
-/// A judge beside a run.
+/// A judge that serves one row.
 pub struct RowJudge {
-    conduct: Conduct,
+    conduct: JudgeBehaviour,
     server: Option<Server>,
     url: Option<String>,
     questions: u64,
 }
 
 impl RowJudge {
-    /// What the run is started with.
+    /// Arguments of `./vlaps up`.
     pub fn arguments(&self) -> Vec<String> {
         words(self.url.as_deref())
     }
 
-    /// Half of the run is over: a judge that dies ends now.
+    /// Called at half of the run: a judge of `Dies` ends.
     pub fn half_way(&mut self) {
-        if self.conduct == Conduct::Dies
+        if self.conduct == JudgeBehaviour::Dies
             && let Some(server) = self.server.take()
         {
             self.questions = server.requests();
         }
     }
 
-    /// Requests that it had.
+    /// Number of requests so far.
     pub fn questions(&self) -> u64 {
         let now = self.server.as_ref().map_or(0, Server::requests);
         self.questions + now

@@ -1,15 +1,17 @@
-//! `bench latency`: is the set punctual under each load beside it?
+//! `bench latency`: measures the punctuality of a running set under load.
 
 pub mod arguments;
 pub mod buckets;
 mod cyclictest;
 mod drive;
 mod judges;
+pub mod pairs;
 mod pictures;
 pub mod row;
-mod shelf;
+mod row_store;
 mod stress;
 mod tables;
+mod viewers;
 mod watch;
 
 use std::os::unix::process::CommandExt;
@@ -30,7 +32,7 @@ use lab::progress::Progress;
 use lab::report::Machine;
 use lab::stop::Stop;
 use row::{METHOD, Row};
-use shelf::Shelf;
+use row_store::RowStore;
 use stack::Clock;
 use stress::Maker;
 use supervisor::subcommand::settings;
@@ -39,25 +41,28 @@ use supervisor::subcommand::{say, write_json, write_json_option};
 /// All rows.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// In the order in which they were asked for.
+    /// In the requested order.
     pub rows: Vec<Row>,
-    /// Rows that were asked for and not driven, since a stop was requested.
+    /// Number of requested rows that were not driven because of a stop request.
     pub left: usize,
-    /// Where.
+    /// Comparisons of rows with a load and rows without; empty without pairs.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub paired: Vec<pairs::Paired>,
+    /// The machine.
     pub conditions: Machine,
 }
 
-/// What all rows have in common.
+/// Settings that all rows share.
 struct Bench<'a> {
     settings: Settings,
     maker: Maker,
     cyclictest: bool,
-    /// The floor must be by cyclictest: the user said so.
+    /// Whether the user requires cyclictest, so that its failure is an error.
     insist: bool,
     policy: &'a Path,
-    /// Folder of what goes with the benchmark.
+    /// Folder for temporary files.
     scratch: &'a Path,
-    /// The disk that is loaded: the one that results go to.
+    /// Folder on the disk that is loaded: that of the results.
     disk: &'a Path,
     stop: Stop,
     clock: Clock,
@@ -75,7 +80,7 @@ impl Subcommand for BenchLatency {
         settings::refuse_own(&self.overrides, &OWN_KEYS)?;
         let conditions = Machine::here()?;
         let folder = tempfile::tempdir()?;
-        // Without a policy there is nothing to judge; its actions do not matter.
+        // Without a policy there is no proposal to judge; its actions do not matter.
         let policy = folder.path().join("policy.onnx");
         let bytes = encode(&net(256, 0), &Provenance::default(), &[vec![0.5; 259]]);
         std::fs::write(&policy, bytes).with_context(|| policy.display().to_string())?;
@@ -104,28 +109,30 @@ impl Subcommand for BenchLatency {
             clock,
         };
         let cases = self.cases();
-        // All of them before the first: an impossible row is an error at once.
+        // All configurations are checked before the first row.
         for case in &cases {
             drive::configuration(&bench, case).with_context(|| case.words())?;
         }
-        let shelf = Shelf::open(self.out.as_deref())?;
+        let store = RowStore::open(self.out.as_deref())?;
         stress::remove_stale(bench.disk);
         if self.fresh {
-            cases.iter().for_each(|case| shelf.forget(case));
+            cases.iter().for_each(|case| store.forget(case));
         }
         let mut rows = Vec::new();
-        let done = measure(&bench, &cases, &shelf, &mut rows);
+        let done = measure(&bench, &cases, &store, &mut rows);
         let measured = Measured {
             left: cases.len() - rows.len(),
+            paired: pairs::of(&cases, &rows),
             rows,
             conditions,
         };
         tables::print(&measured, self.seconds);
+        pairs::print(&measured.paired);
         done?;
         write(
             self,
             &measured,
-            &shelf.series(&cases[..measured.rows.len()])?,
+            &store.series(&cases[..measured.rows.len()])?,
         )?;
         match measured.left {
             0 => Ok(ExitCode::SUCCESS),
@@ -153,18 +160,18 @@ fn is_by_cyclictest(choice: FloorChoice) -> anyhow::Result<bool> {
     }
 }
 
-/// Adds a row for each case, kept or driven, until a stop is requested.
+/// Adds a row for each case, kept or measured, until a stop is requested.
 ///
 /// # Errors
-/// When one cannot be driven or kept. The rows until then are there, the one that could
-/// not be kept among them.
+/// If a row cannot be measured or kept. `rows` then holds all rows until then,
+/// including the one that could not be kept.
 fn measure(
     bench: &Bench<'_>,
     cases: &[Case],
-    shelf: &Shelf,
+    store: &RowStore,
     rows: &mut Vec<Row>,
 ) -> anyhow::Result<()> {
-    let kept = cases.iter().map(|case| shelf.kept(case, &bench.settings));
+    let kept = cases.iter().map(|case| store.kept(case, &bench.settings));
     let kept = kept.collect::<Result<Vec<_>, _>>()?;
     let total = cases.len() as u64;
     let mut progress = Progress::begin("latency".into(), "rows", (0, total), bench.clock)?;
@@ -177,7 +184,7 @@ fn measure(
             let Some((row, series)) = driven else {
                 break;
             };
-            let kept = shelf.keep(case, &row, &series);
+            let kept = store.keep(case, &row, &series);
             rows.push(row);
             kept?;
         }
@@ -187,7 +194,7 @@ fn measure(
     Ok(())
 }
 
-/// Writes what the options ask for; nothing of no rows.
+/// Writes the requested files; nothing if there are no rows.
 fn write(
     arguments: &BenchLatency,
     measured: &Measured,
@@ -200,16 +207,16 @@ fn write(
         pictures::draw(&measured.rows, series, out)?;
         write_json(&out.join("latency.json"), measured)?;
         say(format_args!(
-            "rows, histograms and pictures: {}",
+            "rows, histograms and plots: {}",
             out.display()
         ));
     }
     write_json_option(&arguments.json, measured)
 }
 
-/// A program beside a set. The kernel ends it when this one has ended, however it did,
-/// where setpriv(1) is there to ask for that; Ctrl-C in the terminal does not reach it,
-/// since what is measured beside it is given up first.
+/// A command for a program that runs beside a set. Where setpriv(1) is installed, the
+/// kernel ends the program with this one, even after a kill. Ctrl-C in the terminal does
+/// not reach it, since the row is discarded first.
 fn beside(program: &str) -> Command {
     let tie = ["--pdeathsig", "TERM"];
     let mut tied = Command::new("setpriv");
@@ -224,7 +231,7 @@ fn beside(program: &str) -> Command {
     command
 }
 
-/// A program is on PATH and answers.
+/// Whether a program is on PATH and succeeds with these arguments.
 fn answers(program: &str, words: &[&str]) -> bool {
     let mut command = Command::new(program);
     command.args(words).stdin(Stdio::null());

@@ -1,5 +1,5 @@
-//! Histograms of lateness and response: a panel for each rate and load, both
-//! scales logarithmic, nothing cut off.
+//! Plots histograms of lateness and response: one panel per rate and load, both scales
+//! logarithmic, all samples shown.
 
 use std::path::Path;
 
@@ -12,11 +12,11 @@ use view::sheet::{Area, save};
 
 /// Size of a panel, pixels.
 const PANEL: (u32, u32) = (460, 240);
-/// Room above the panels, pixels.
+/// Height of the header, pixels.
 const HEAD: u32 = 104;
-/// Room that the longest entry of the legend takes, pixels.
+/// Width of the longest legend entry, pixels.
 const ENTRY: u32 = 210;
-/// Bins of a picture in each factor of ten.
+/// Histogram bins per factor of ten.
 const BINS_PER_DECADE: f64 = 12.0;
 
 const BLUE: RGBColor = RGBColor(31, 105, 178);
@@ -25,7 +25,7 @@ const LIGHT_BLUE: RGBColor = RGBColor(140, 190, 235);
 const LIGHT_ORANGE: RGBColor = RGBColor(245, 180, 120);
 const GREEN: RGBColor = RGBColor(30, 132, 73);
 
-/// One line of a panel.
+/// One curve of a panel.
 struct Line {
     name: &'static str,
     colour: RGBColor,
@@ -33,7 +33,7 @@ struct Line {
     measure: &'static str,
 }
 
-/// One picture.
+/// One plot file.
 struct Picture {
     file: String,
     title: String,
@@ -43,7 +43,7 @@ struct Picture {
 /// Draws `lateness-PRIORITY` and `response-PRIORITY`, each as SVG and PNG.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn draw(rows: &[Row], series: &[Vec<Series>], out: &Path) -> anyhow::Result<()> {
     for priority in ["real-time", "ordinary"] {
         let of: Vec<(&Row, &[Series])> = rows
@@ -96,7 +96,7 @@ fn pictures(priority: &str) -> [Picture; 2] {
     ]
 }
 
-/// Columns are rates, rows are what happened beside them.
+/// The columns (rates) and rows (loads) of a plot.
 fn grid(of: &[(&Row, &[Series])]) -> (Vec<f64>, Vec<String>) {
     let (mut rates, mut loads) = (Vec::new(), Vec::new());
     for (row, _) in of {
@@ -112,7 +112,7 @@ fn grid(of: &[(&Row, &[Series])]) -> (Vec<f64>, Vec<String>) {
 
 fn size(of: &[(&Row, &[Series])]) -> (u32, u32) {
     let (rates, loads) = grid(of);
-    // The title needs the room of two.
+    // The title is as wide as two panels.
     let columns = (rates.len() as u32).max(2);
     (PANEL.0 * columns, HEAD + PANEL.1 * loads.len() as u32)
 }
@@ -158,8 +158,8 @@ fn find<'a>(all: &'a [Series], line: &Line) -> Option<&'a Series> {
     all.find(|series| series.of == line.of && series.measure == line.measure)
 }
 
-/// From the shortest to the longest of all panels, as powers of ten of
-/// microseconds: panels are compared by eye.
+/// The common range of all panels, from the shortest to the longest duration, as powers
+/// of ten of microseconds: panels can be compared by eye.
 fn span(picture: &Picture, of: &[(&Row, &[Series])]) -> (f64, f64) {
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     for (_, all) in of {
@@ -176,14 +176,14 @@ fn span(picture: &Picture, of: &[(&Row, &[Series])]) -> (f64, f64) {
     }
 }
 
-/// Counts in bins of equal width on a logarithmic scale, as the corners of steps:
-/// the power of ten of microseconds, and that of the count; 0.5 stands for none.
+/// The outline of a histogram with bins of equal width on a logarithmic scale: (power of
+/// ten of microseconds, power of ten of the count). An empty bin has [`NONE`].
 fn steps(series: &Series, (low, high): (f64, f64)) -> Vec<(f64, f64)> {
     let count = ((high - low) * BINS_PER_DECADE).round() as usize;
     let mut bins = vec![0_u64; count.max(1)];
     for bucket in &series.buckets {
-        // Buckets are narrower than bins, so that each falls into the one of its
-        // middle; below a microsecond some bins stay empty.
+        // Buckets are narrower than bins, so each counts for the bin of its middle; below
+        // one microsecond some bins stay empty.
         let middle_us = (bucket.from_ns + bucket.below_ns) as f64 / 2e3;
         let place = (middle_us.max(0.1).log10() - low) * BINS_PER_DECADE;
         let last = bins.len() - 1;
@@ -199,7 +199,7 @@ fn steps(series: &Series, (low, high): (f64, f64)) -> Vec<(f64, f64)> {
     corners
 }
 
-/// Where an empty bin is drawn: below one.
+/// Height of an empty bin: below a count of one.
 const NONE: f64 = 0.5;
 
 fn panel(
@@ -244,7 +244,7 @@ fn panel(
     Ok(())
 }
 
-/// Whole powers of ten alone are written.
+/// Label of an axis tick; empty between powers of ten.
 fn power(exponent: f64) -> String {
     if (exponent - exponent.round()).abs() > 1e-6 {
         return String::new();

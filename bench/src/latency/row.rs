@@ -1,4 +1,4 @@
-//! What one row came to, and whether it holds together.
+//! Results of one row, and their consistency check.
 
 use anyhow::bail;
 use serde::{Deserialize, Serialize};
@@ -8,72 +8,72 @@ use super::arguments::Settings;
 use super::watch::Beside;
 use crate::driven::{Punctuality, Quantiles};
 
-/// How a row is measured, as a number, to be raised with it: rows of another are
-/// measured anew. 2: skipped ticks are in the lateness, and wake-ups are there.
-/// 3: stalls are noted on each core, and processors do not sleep where that is
-/// granted.
+/// Version of the measuring method; raise it with every change: rows of another version
+/// are measured again. 2: skipped ticks count in the lateness, and wake-ups are
+/// measured. 3: stalls are recorded on each core, and processors are kept from sleeping
+/// where that is granted.
 pub const METHOD: u32 = 3;
-/// The published bar of release lateness: the 99.9 % quantile of controller and
-/// planner over that of the floor.
+/// Published target of release lateness and wake-up: the 99.9 % quantile of controller
+/// and planner over that of the floor.
 pub const FLOOR_RATIO_MAX: f64 = 1.3;
-/// The published bars of observation to command, 99 % quantile, us: beside
-/// nothing, and beside anything.
+/// Published targets of the response, from observation to command, 99 % quantile, us:
+/// without load, and under any load.
 pub const RESPONSE_MAX_US: [f64; 2] = [1_500.0, 5_000.0];
-/// Samples under which a 99.9 % quantile is the maximum or near it.
+/// With fewer samples, a 99.9 % quantile is close to the maximum.
 pub const SAMPLES_FEW: u64 = 10_000;
 
-/// One run of the set.
+/// Results of one run of the set.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Ticks a second asked for.
+    /// Requested tick rate, Hz.
     pub rate_hz: f64,
-    /// What happened beside it.
+    /// Load during the row.
     pub beside: String,
-    /// Real-time priority asked for: real-time or ordinary.
+    /// Requested priority: real-time or ordinary.
     pub priority: String,
-    /// What it was measured with.
+    /// Settings of the measurement.
     pub settings: Settings,
-    /// Questions that the judge had.
+    /// Questions that the judge received.
     pub questions: u64,
-    /// Weights that proposed: the row's own, or those that the learner brought.
+    /// Number of weights that proposed actions: the row's own, or those of the learner.
     pub weights: u64,
-    /// Processes that were restarted.
+    /// Restarts of processes.
     pub restarts: u64,
-    /// Plans a second asked for.
+    /// Requested plan rate, Hz.
     pub plan_rate_hz: f64,
-    /// The world.
+    /// Punctuality of the world.
     pub world: Punctuality,
-    /// The planner; missed are plans that were due and not made, or made late.
+    /// Punctuality of the planner; missed plans were due and not made, or made late.
     pub planner: Punctuality,
-    /// The controller.
+    /// Punctuality of the controller.
     pub controller: Punctuality,
-    /// From the world's release to the command, us.
+    /// From the release of the observation to the command, us.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub response_us: Option<Quantiles>,
-    /// Whether the processors were kept from sleeping, for the floor, too.
+    /// Whether the processors were kept from sleeping; this holds for the floor, too.
     pub cpu_latency: String,
     /// The program that measured the floor.
     pub floor_by: String,
-    /// The machine's floor, in the same seconds.
+    /// The machine's floor during the same seconds.
     pub floor: Punctuality,
-    /// The same by a thread of this program.
+    /// The floor as measured by a thread of this program.
     pub own_floor: Punctuality,
-    /// Ticks that were missed, each beside the machine's stall in its second.
+    /// Missed ticks, each with the machine's stall in the same second.
     pub misses: Vec<Beside>,
-    /// The latest ticks of the controller, likewise.
+    /// The most late ticks of the controller, with the same.
     pub latest: Vec<Beside>,
     /// The machine's longest stalls, on any core, us.
     pub stalls_us: Vec<f64>,
 }
 
 impl Row {
-    /// 99.9 % of a process's lateness or wake-up over the floor's lateness, which is
-    /// both, where there are such.
+    /// A process's 99.9 % quantile of lateness or wake-up over that of the floor's lateness
+    /// (which is also its wake-up); `None` if either is missing.
     pub fn to_floor(&self, process_us: Option<Quantiles>) -> Option<f64> {
         Some(process_us?.p999 / self.floor.lateness_us?.p999)
     }
 
-    /// Whether controller and planner are near enough to the floor.
+    /// Whether controller and planner are within the target ratio to the floor.
     fn are_near_floor(&self, of: impl Fn(&Punctuality) -> Option<Quantiles>) -> bool {
         [&self.controller, &self.planner].iter().all(|process| {
             let ratio = self.to_floor(of(process));
@@ -81,7 +81,7 @@ impl Row {
         })
     }
 
-    /// Each process accounts for every instant of its grid.
+    /// Checks that each process accounts for every instant of its grid.
     ///
     /// # Errors
     /// The process that does not, with its numbers.
@@ -92,7 +92,7 @@ impl Row {
             ("planner", &self.planner),
         ];
         for (name, process) in all {
-            // The planner has no grid of its own at every rate.
+            // At a rate below the run's, the planner has no grid of its own.
             if name == "planner" && process.elapsed_s == 0.0 {
                 continue;
             }
@@ -114,7 +114,7 @@ impl Row {
         Ok(())
     }
 
-    /// Against the published bars, in a few words.
+    /// Comparison with the published targets, in a few words.
     pub fn verdict(&self) -> String {
         let beside_nothing = self.beside == "none";
         let response_max_us = RESPONSE_MAX_US[usize::from(!beside_nothing)];
@@ -134,8 +134,8 @@ impl Row {
     }
 }
 
-/// The planner. At a rate below the run's it begins its grid anew with each episode
-/// and accounts for none: what it owed is then counted on the controller's.
+/// Punctuality of the planner. At a rate below the run's its grid begins anew with each
+/// episode and cannot be checked: the plans due are then counted on the controller's grid.
 pub fn planner(summary: &Value, controller: &Punctuality, plan_rate_hz: f64) -> Punctuality {
     let planner = Punctuality::of(summary, "planner");
     if planner.elapsed_s > 0.0 {
@@ -208,7 +208,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn an_instant_that_nobody_accounts_for_is_an_error() {
+    fn an_unaccounted_instant_is_an_error() {
         let mut lost = row();
         lost.check_accounts().expect("1998 + 2 = 2000");
         lost.controller.skipped = 1;
@@ -237,7 +237,7 @@ pub(crate) mod tests {
         assert!(row.verdict().contains("wake-up over"));
         row.beside = "all".into();
         assert!(row.verdict().contains("response holds"));
-        // A judge without an answer meets no bar.
+        // Without a response, the target is not met.
         row.response_us = None;
         assert!(row.verdict().contains("response over"));
     }

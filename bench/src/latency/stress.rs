@@ -1,4 +1,4 @@
-//! Work beside a set: `stress-ng` where it is installed, else threads of this
+//! Load beside a set: by `stress-ng` where it is installed, otherwise by threads of this
 //! program.
 
 use std::fs::File;
@@ -14,21 +14,21 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::arguments::{Beside, StressChoice};
 
-/// Bytes that each thread of `memory` copies: over what caches hold.
+/// Bytes that each thread of `memory` copies: more than caches hold.
 const MEMORY_BYTES: usize = 64 << 20;
-/// From one touched byte to the next: a cache line.
+/// Distance between touched bytes: a cache line.
 const LINE: usize = 64;
 /// Bytes written between two syncs of `disk`.
 const CHUNK: usize = 1 << 20;
-/// Chunks of the file, which is then written anew.
+/// Chunks per file; then the file is written again from its begin.
 const CHUNKS: u64 = 64;
-/// Seconds after a row's end at which stress-ng ends by itself, should this program be
-/// killed without ending it.
+/// Seconds after a row's end after which stress-ng ends by itself, in case this program
+/// is killed before it ends it.
 pub const SPARE_S: f64 = 90.0;
-/// Folder of the files that load the disk, within the one of `--out`.
+/// Folder of the disk load's files, within that of `--out`.
 const FILES: &str = ".load";
 
-/// The program that makes the load.
+/// The program that produces the load.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Maker {
     /// stress-ng.
@@ -38,10 +38,10 @@ pub enum Maker {
 }
 
 impl Maker {
-    /// The one to use.
+    /// The program of a choice.
     ///
     /// # Errors
-    /// When stress-ng is asked for and is not installed.
+    /// If stress-ng is requested but not installed.
     pub fn of(choice: StressChoice) -> anyhow::Result<Self> {
         let is_there = || super::answers("stress-ng", &["--version"]);
         match choice {
@@ -55,7 +55,7 @@ impl Maker {
         }
     }
 
-    /// In one word.
+    /// Name of the program.
     pub fn word(self) -> &'static str {
         match self {
             Self::StressNg => "stress-ng",
@@ -64,7 +64,7 @@ impl Maker {
     }
 }
 
-/// Load that lasts as long as this value.
+/// A load that ends when this value is dropped.
 pub struct Stress {
     child: Option<Child>,
     threads: Vec<JoinHandle<()>>,
@@ -74,11 +74,11 @@ pub struct Stress {
 }
 
 impl Stress {
-    /// Begins what a row asks for; files that load the disk are written in a folder of
-    /// their own within `disk`, what else a program writes within `scratch`.
+    /// Starts the load of a row. The disk load writes its files into a folder within `disk`;
+    /// other temporary files go to `scratch`.
     ///
     /// # Errors
-    /// When a program, thread or file cannot be had.
+    /// If a program or thread cannot be started, or a file cannot be created.
     pub fn begin(
         beside: &Beside,
         (maker, seconds): (Maker, f64),
@@ -86,7 +86,7 @@ impl Stress {
     ) -> anyhow::Result<Self> {
         let place = if beside.disk { disk } else { scratch };
         let mut folder = tempfile::Builder::new();
-        // One name, so that what a killed benchmark leaves is found by the next.
+        // A fixed name, so that a later run finds what a killed benchmark left.
         let folder = folder.prefix(FILES).rand_bytes(0).tempdir_in(place);
         let folder = folder.with_context(|| place.join(FILES).display().to_string())?;
         let mut stress = Self {
@@ -138,21 +138,21 @@ impl Stress {
         Ok(())
     }
 
-    /// What ran and is to be said beside the figures is still at work.
+    /// Checks that the load is still running.
     ///
     /// # Errors
-    /// When the load ended by itself: the row was measured without it.
+    /// If it ended by itself: the row was measured without it.
     pub fn check(&mut self) -> anyhow::Result<()> {
         if let Some(child) = &mut self.child
             && let Some(status) = child.try_wait()?
         {
             anyhow::bail!(
                 "stress-ng ended early ({status}): the row has no load; run it by hand to see \
-                 why, or use --stress own"
+                 the reason, or use --stress own"
             );
         }
         if !self.threads.is_empty() && self.done.load(Ordering::Relaxed) == 0 {
-            anyhow::bail!("the load's threads did nothing: the row has no load");
+            anyhow::bail!("the load's threads have done nothing: the row has no load");
         }
         Ok(())
     }
@@ -162,7 +162,7 @@ impl Drop for Stress {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(child) = &mut self.child {
-            // Its children end with it.
+            // Its child processes end with it.
             if let Some(pid) = Pid::from_raw(child.id() as i32) {
                 let _ = kill_process(pid, Signal::TERM);
             }
@@ -174,9 +174,9 @@ impl Drop for Stress {
     }
 }
 
-/// Removes the files that a killed benchmark has left on the disk it loaded.
+/// Removes load files that a killed benchmark left on the disk.
 pub fn remove_stale(disk: &Path) {
-    // The next row reports what cannot be removed.
+    // A failed removal is reported when the next row starts its load.
     let _ = std::fs::remove_dir_all(disk.join(FILES));
 }
 
@@ -202,7 +202,7 @@ fn stress_ng(beside: &Beside, seconds: f64, folder: &Path) -> anyhow::Result<Chi
         .context("stress-ng")
 }
 
-/// Arithmetic that no compiler can leave out.
+/// Arithmetic that the compiler cannot remove.
 fn spin(stop: &AtomicBool, done: &AtomicU64) {
     let mut number = 1.0_f64;
     while !stop.load(Ordering::Relaxed) {
@@ -213,8 +213,8 @@ fn spin(stop: &AtomicBool, done: &AtomicU64) {
     }
 }
 
-/// Copies from one half of a buffer to the other, a byte of each cache line and
-/// then all of it.
+/// Copies between the halves of a buffer: first one byte of each cache line, then all
+/// bytes.
 fn copy(stop: &AtomicBool, done: &AtomicU64) {
     let mut buffer = vec![1_u8; MEMORY_BYTES];
     while !stop.load(Ordering::Relaxed) {
@@ -228,7 +228,7 @@ fn copy(stop: &AtomicBool, done: &AtomicU64) {
     }
 }
 
-/// Writes a file again and again, and has each chunk put on the disk.
+/// Writes a file repeatedly and syncs each chunk to the disk.
 fn write(mut file: &File, stop: &AtomicBool, done: &AtomicU64) {
     use std::io::{Seek, SeekFrom};
     let chunk = vec![7_u8; CHUNK];
@@ -237,7 +237,7 @@ fn write(mut file: &File, stop: &AtomicBool, done: &AtomicU64) {
         if chunks.is_multiple_of(CHUNKS) && file.seek(SeekFrom::Start(0)).is_err() {
             return;
         }
-        // A full disk ends the load; that nothing was done is found by `check`.
+        // A full disk ends the load; `check` reports that nothing was done.
         if file.write_all(&chunk).is_err() || file.sync_data().is_err() {
             return;
         }
@@ -261,7 +261,7 @@ mod tests {
         let is_on_disk = disk.path().join(FILES).exists();
         assert_eq!(is_on_disk, row.disk, "files are where the disk is loaded");
         let mut looks = 0;
-        // Its first pass may take a moment on a machine that is busy.
+        // The first pass may take a while on a busy machine.
         while stress.check().is_err() && maker == Maker::Own && looks < 600 {
             supervisor::machine::signals::pause(Duration::from_millis(100));
             looks += 1;

@@ -1,4 +1,4 @@
-//! The rows on the screen.
+//! Prints the rows.
 
 use super::Measured;
 use super::row::{FLOOR_RATIO_MAX, RESPONSE_MAX_US, Row, SAMPLES_FEW};
@@ -7,17 +7,17 @@ use crate::driven::Quantiles;
 use lab::report::table;
 use supervisor::subcommand::say;
 
-/// Misses that are listed for one row; the JSON has all.
+/// Maximum number of misses listed per row; the JSON has all of them.
 const LISTED_MAX: usize = 5;
-/// What the figures alone do not say.
-const READING: &str = "ticks go on until the set has stopped, so there are some more than seconds x \
-    rate; a row's own policy counts as one of its weights, a learner's each; beside cyclictest a \
-    thread of this program measures the floor, too ('floor: own thread' in the pictures, own_floor \
-    in the JSON), to show that both agree";
-/// The columns of [`four`].
+/// Explanations below the tables.
+const READING: &str = "a set drives until it has stopped, so it has a few more ticks than seconds x \
+    rate; weights counts a row's own policy and each of a learner's; beside cyclictest a thread of \
+    this program measures the floor, too ('floor: own thread' in the plots, own_floor in the JSON), \
+    to show that both agree";
+/// The column names of [`four`].
 const FOUR: [&str; 4] = ["p50", "p99", "p99.9", "max"];
 
-/// Prints all of it; nothing of no rows.
+/// Prints all tables; nothing if there are no rows.
 pub fn print(measured: &Measured, seconds: f64) {
     let rows = &measured.rows;
     if rows.is_empty() {
@@ -27,9 +27,9 @@ pub fn print(measured: &Measured, seconds: f64) {
     say(lateness(rows));
     say("\nwake-up, us: from the event that released the tick to its begin");
     say(wake_ups(rows));
-    say("\ntime of a tick, and from the world's release to the command (response), us");
+    say("\nduration of a tick, and response (from the observation's release to the command), us");
     say(times(rows));
-    say("\nbeside the floor, and against the bars");
+    say("\nratio to the floor, and comparison with the bars");
     say(bars(rows));
     for row in rows {
         events(row);
@@ -52,7 +52,7 @@ fn us(quantiles: &[f64]) -> impl Iterator<Item = String> + '_ {
     quantiles.iter().map(|us| format!("{us:.0}"))
 }
 
-/// Median, 99 %, 99.9 % and maximum of what was measured.
+/// Median, 99 %, 99.9 % and maximum; "-" if not measured.
 fn four(all: Option<Quantiles>) -> [String; 4] {
     match all {
         Some(all) => [all.p50, all.p99, all.p999, all.max].map(|us| format!("{us:.0}")),
@@ -64,7 +64,7 @@ fn times_floor(ratio: Option<f64>) -> String {
     ratio.map_or("-".into(), |ratio| format!("{ratio:.2}"))
 }
 
-/// A table with a group of columns for each name, which the first of them bears.
+/// A table with one group of columns per name; the first column of a group has the name.
 fn headed(groups: &[(&str, &[&str])]) -> comfy_table::Table {
     let mut columns = vec![String::new()];
     for (name, quantiles) in groups {
@@ -88,7 +88,7 @@ fn lateness(rows: &[Row]) -> comfy_table::Table {
     table
 }
 
-/// Those of the world are its lateness: a timer releases it, as it does the floor.
+/// The world has no columns here: a timer releases it, so its wake-up is its lateness.
 fn wake_ups(rows: &[Row]) -> comfy_table::Table {
     let processes = ["controller", "planner", "floor"];
     let mut table = headed(&processes.map(|name| (name, &FOUR[..])));
@@ -165,8 +165,8 @@ fn bars(rows: &[Row]) -> comfy_table::Table {
     table
 }
 
-/// The table of `results/latency.md`: rows of one priority, the floor first, then
-/// the set in the order in which an observation goes through it.
+/// The table of `results/latency.md`: rows of one priority; first the floor, then the
+/// processes in the order in which an observation passes through them.
 fn markdown(rows: &[&Row]) -> String {
     let columns = [
         "ticks",
@@ -320,7 +320,7 @@ mod tests {
         );
         let cells: Vec<&str> = lines[2].iter().map(|cell| cell.trim()).collect();
         assert_eq!(cells[1..4], ["100 Hz, none", "1998", "2, 2, 2"]);
-        // Controller: 99.9 % of lateness is the floor's, of wake-up two thirds.
+        // Controller: the 99.9 % lateness equals the floor's, the wake-up is two thirds of it.
         assert_eq!([cells[12], cells[17]], ["1.00", "0.67"]);
         assert_eq!(cells[20..22], ["-", "-"]);
     }

@@ -1,5 +1,5 @@
-//! What is seen of a set while it drives: when which process missed a tick, and
-//! which ticks of the controller were latest.
+//! Observes a driving set: which process missed a tick and when, and the most late ticks
+//! of the controller.
 
 use std::cmp::Reverse;
 
@@ -12,25 +12,25 @@ use shm_config::wire::{Subscriber, Wire};
 
 use crate::stalls::Stalls;
 
-/// Misses that are kept one by one; all are counted.
+/// Maximum number of misses that are recorded one by one; all are counted.
 const MISSES_MAX: usize = 10_000;
-/// Latest ticks that are kept.
+/// Number of most late ticks that are recorded.
 const LATEST_MAX: usize = 5;
-/// The same second: so long before an instant and after it, ns.
+/// Half the width of "the same second", ns.
 const SECOND_NS: u64 = 500_000_000;
 
-/// Something that came late, beside what the machine itself did in that second.
+/// A missed or late tick, with the machine's stall in the same second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Beside {
     /// The process.
     pub process: String,
-    /// Ticks that were missed; 0 for one that was only late.
+    /// Number of missed ticks; 0 for a tick that was only late.
     pub missed: u64,
-    /// Since the first step of the run, s.
+    /// Time since the first step of the run, s.
     pub at_s: f64,
-    /// How late its tick began, us; none where only the count is known.
+    /// Lateness of the tick's begin, us; `None` if only the count is known.
     pub late_us: Option<f64>,
-    /// The longest stall of the machine within half a second, on any core, us.
+    /// The machine's longest stall within half a second, on any core, us.
     pub stall_us: f64,
 }
 
@@ -42,40 +42,40 @@ struct Event {
     late_ns: Option<u64>,
 }
 
-/// Looks at a running set.
+/// Subscribes to a running set.
 pub struct Watch {
     _wire: Wire,
     steps: Subscriber<Step>,
     accounts: Vec<Account>,
-    seen: Seen,
+    seen: Observed,
 }
 
-/// What a process that publishes no steps says of itself.
+/// Reports of a process that publishes no steps.
 struct Account {
     process: Process,
     port: Subscriber<Health>,
-    /// Process id and ticks missed, when it last said so.
+    /// Process id and number of missed ticks of its last report.
     before: Option<(u32, u64)>,
 }
 
-/// What was seen.
+/// The observations of a run.
 #[derive(Default)]
-pub struct Seen {
+pub struct Observed {
     begun: Option<Instant>,
     skipped: Option<(u32, u64)>,
     weights_version: u64,
-    /// Weights that came to propose, the first ones included.
+    /// Number of weights that proposed actions, including the first.
     pub weights: u64,
     misses: Vec<Event>,
-    /// The largest first.
+    /// Sorted by lateness, the latest first.
     latest: Vec<Event>,
 }
 
 impl Watch {
-    /// Begins to look, once the set's supervisor is there.
+    /// Subscribes as soon as the set's supervisor is running.
     ///
     /// # Errors
-    /// When shared memory refuses.
+    /// If shared memory refuses.
     pub fn begin(name: &RunName) -> anyhow::Result<Self> {
         let wire = Wire::join(name, Process::Supervisor)?;
         let steps = wire.subscriber(STEP)?;
@@ -91,12 +91,12 @@ impl Watch {
             _wire: wire,
             steps,
             accounts,
-            seen: Seen::default(),
+            seen: Observed::default(),
         })
     }
 
-    /// Takes in what came since the last look. Often enough for the queue of
-    /// steps.
+    /// Reads what has arrived since the last call. Call it often enough that the queue of
+    /// steps does not overflow.
     pub fn look(&mut self) {
         self.steps.update_connections();
         let seen = &mut self.seen;
@@ -108,7 +108,7 @@ impl Watch {
             };
             let missed = health.skipped.max(health.late);
             let pid = health.header.producer;
-            // A restarted process counts from 0.
+            // A restarted process counts from 0 again.
             let last = account.before.filter(|(last, _)| *last == pid);
             let more = missed.saturating_sub(last.map_or(0, |(_, count)| count));
             account.before = Some((pid, missed));
@@ -123,18 +123,18 @@ impl Watch {
         }
     }
 
-    /// The set drives.
+    /// Whether the set drives.
     pub fn has_begun(&self) -> bool {
         self.seen.begun.is_some()
     }
 
-    /// Leaves the run; what was seen.
-    pub fn finish(self) -> Seen {
+    /// Disconnects from the run and returns the observations.
+    pub fn finish(self) -> Observed {
         self.seen
     }
 }
 
-impl Seen {
+impl Observed {
     fn step(&mut self, step: &Step) {
         let times = &step.timings;
         let scheduled = Instant(times.scheduled_ns);
@@ -160,7 +160,7 @@ impl Seen {
         if missed > 0 {
             self.miss(Event { missed, ..event });
         }
-        // Without an observation it waits for one on purpose.
+        // A tick without an observation is late because it waits for one.
         let waited = times.released_ns == 0;
         let is_among = self.latest.len() < LATEST_MAX
             || self
@@ -181,8 +181,8 @@ impl Seen {
         }
     }
 
-    /// Each miss, and each of the latest ticks, beside the machine's stall in the
-    /// same second.
+    /// Each miss, and each of the most late ticks, with the machine's stall in the same
+    /// second.
     pub fn beside(&self, stalls: &Stalls) -> (Vec<Beside>, Vec<Beside>) {
         let begun = self.begun.unwrap_or_default();
         let beside = |event: &Event| Beside {
@@ -197,7 +197,7 @@ impl Seen {
     }
 }
 
-/// The set's supervisor is there, so that its run can be joined.
+/// Whether the set's supervisor is running, so that its run can be joined.
 pub fn is_up(name: &RunName) -> bool {
     RunPaths::new(name.clone()).supervisor_pid().is_some()
 }
@@ -211,7 +211,7 @@ mod tests {
         let begun = Instant(1_000_000_000);
         let mut stalls = Stalls::from(begun);
         stalls.note(begun.after_ns(2_000_000_000), 9_000_000);
-        let mut seen = Seen::default();
+        let mut seen = Observed::default();
         let mut step = Step::default();
         step.header.producer = 7;
         for (tick, late_ns, skipped) in [(0, 10_000, 0), (20, 12_000_000, 1), (40, 20_000, 1)] {

@@ -1,5 +1,5 @@
-//! The paper's planner beside OMPL's RRTstar: the same scenes, the same core,
-//! alternating in the same run.
+//! The paper's planner beside OMPL's RRTstar: both plan for the same scenes on the
+//! same core, alternating within one run.
 
 use anyhow::Context;
 use planner::{Grid, Planner, RrtStar};
@@ -8,86 +8,86 @@ use shm_config::config::{Config, Planner as PlannerConfig};
 use shm_config::message::{Plan, PlanOutcome};
 
 use super::met;
-use super::ompl::{Program, Session, Task};
+use super::ompl::{OmplProcess, Program, Task};
 use lab::report::table;
 use lab::statistics::quantile;
 use stack::Clock;
 use stack::scene::Scene;
 use supervisor::subcommand::say;
 
-/// Iterations of the curve of path cost over time.
+/// Iterations at which path cost and time are measured.
 const BUDGETS: [u32; 6] = [50, 100, 200, 400, 800, 1600];
-/// The paper's iterations; its index in [`BUDGETS`].
+/// Index of the paper's iterations in [`BUDGETS`].
 const PAPER: usize = 2;
-/// Scenes planned for before it is the other's turn: few enough that both meet
-/// the same load of the machine, many enough that the change of turns (cold
-/// caches) is a small part.
+/// Scenes that one planner plans for before the other does: few enough that both meet
+/// the same load of the machine, many enough that the cold caches after each change
+/// matter little.
 const TURN: usize = 25;
-/// Rounds of the comparison at equal iterations, at most.
+/// Maximum number of rounds at equal iterations.
 const ROUNDS_MAX: u32 = 5;
-/// Seed of our samples on the curve; the rounds have 1 to [`ROUNDS_MAX`]. None is
-/// the default 0 that scenes are recorded with: those that are recorded because
-/// the goal was not reached would be unlucky for us alone.
+/// Seed of our samples in the curve; the rounds have seeds 1 to [`ROUNDS_MAX`]. Scenes
+/// are recorded with the default seed 0. No comparison uses it: scenes recorded because
+/// the goal was not reached would bias the result against our planner.
 const CURVE_SEED: u64 = ROUNDS_MAX as u64 + 1;
-/// Every so many scenes is one of the curve.
+/// One scene in this many is in the curve.
 const CURVE_EVERY: usize = 3;
-/// The project's bars.
+/// The project's targets: speed-up and path cost over OMPL's.
 const BAR_TIMES: f64 = 5.0;
 const BAR_COST: f64 = 1.01;
 
-/// Both, side by side.
+/// Both planners, side by side.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     /// OMPL's version.
     pub version: String,
-    /// Iterations of both.
+    /// Iterations of each planner.
     pub iterations: u32,
-    /// Plans of each.
+    /// Plans of each planner.
     pub plans: usize,
-    /// Ours: observation to plan.
+    /// Ours, from observation to plan.
     pub ours: Side,
-    /// Ours, less the grid, which OMPL gets ready-made: goal, search, path.
+    /// Ours without the grid, which OMPL receives ready-made: goal, search and path.
     pub ours_search_p50_us: f64,
-    /// OMPL's search alone.
+    /// OMPL, search only.
     pub ompl: Side,
-    /// OMPL's median time over ours, of the whole plan.
+    /// OMPL's median time over ours, whole plan.
     pub times_faster: f64,
-    /// OMPL's median time over ours, of the search.
+    /// OMPL's median time over ours, search only.
     pub times_faster_search: f64,
-    /// Our cost over OMPL's, median over the plans that both find.
+    /// Our cost over OMPL's, median over the plans that both solve.
     pub cost_ratio_median: f64,
-    /// Plans that both find.
+    /// Number of plans that both solve.
     pub both: usize,
-    /// Cost over time.
+    /// Path cost over time.
     pub curve: Vec<Point>,
-    /// Time that we need for the cost OMPL has after [`Comparison::iterations`],
-    /// us; none when no budget is as good.
+    /// Time that our planner needs for OMPL's cost after [`Comparison::iterations`], us;
+    /// `None` if no budget reaches that cost.
     pub ours_at_equal_cost_us: Option<f64>,
     /// OMPL's time over ours at that cost.
     pub times_faster_at_equal_cost: Option<f64>,
 }
 
-/// One of them.
+/// Results of one planner.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Side {
     /// Median time, us.
     pub p50_us: f64,
-    /// 99 % of the times lie below it, us.
+    /// 99 % quantile of the time, us.
     pub p99_us: f64,
-    /// Share of the plans that reach the goal.
+    /// Share of plans that reach the goal.
     pub reached: f64,
-    /// Length of the path, m, median over the plans that both find.
+    /// Path length, m, median over the plans that both solve.
     pub cost_median_m: f64,
 }
 
-/// Both at one budget.
+/// Both planners at one number of iterations.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Point {
     /// Iterations.
     pub iterations: u32,
-    /// Our median time, us, grid included.
+    /// Our median time, us, including the grid.
     pub ours_p50_us: f64,
-    /// Our median cost over the curve's scenes, m; those not solved count as
+    /// Our median cost over the scenes of the curve, m; unsolved scenes count as
     /// infinite.
     pub ours_cost_median_m: f64,
     /// OMPL's median time, us.
@@ -96,7 +96,7 @@ pub struct Point {
     pub ompl_cost_median_m: f64,
 }
 
-/// One plan of ours.
+/// One plan of our planner.
 #[derive(Clone, Copy)]
 struct Ours {
     plan_ns: u64,
@@ -104,7 +104,7 @@ struct Ours {
     cost_m: Option<f64>,
 }
 
-/// One plan of each.
+/// One plan of each planner.
 #[derive(Clone, Copy)]
 struct Pair {
     ours: Ours,
@@ -112,14 +112,14 @@ struct Pair {
     ompl_cost_m: Option<f64>,
 }
 
-/// How many plans of both [`compare`] makes.
+/// Number of plan pairs that [`compare`] makes.
 pub(super) fn turns(scenes: &[Scene], rounds: u32) -> u64 {
     let equal = scenes.len() as u64 * u64::from(rounds.min(ROUNDS_MAX));
     let curve = scenes.len().div_ceil(CURVE_EVERY) * BUDGETS.len();
     equal + curve as u64
 }
 
-/// Plans for all scenes with both.
+/// Plans for all scenes with both planners.
 pub(super) fn compare(
     program: &Program,
     scenes: &[Scene],
@@ -129,32 +129,36 @@ pub(super) fn compare(
 ) -> anyhow::Result<Comparison> {
     let rounds = rounds.min(ROUNDS_MAX);
     let all: Vec<&Scene> = scenes.iter().collect();
-    let mut match_up = Match::begin(program, all, clock)?;
+    let mut both = SideBySide::begin(program, all, clock)?;
     let mut pairs = Vec::new();
     for round in 1..=rounds {
-        pairs.extend(match_up.play(BUDGETS[PAPER], round.into(), &mut done)?);
+        pairs.extend(both.plan_all(BUDGETS[PAPER], round.into(), &mut done)?);
     }
     let some: Vec<&Scene> = scenes.iter().step_by(CURVE_EVERY).collect();
-    let mut match_up = Match::begin(program, some, clock)?;
+    let mut both = SideBySide::begin(program, some, clock)?;
     let mut budgets = Vec::new();
     for iterations in BUDGETS {
-        budgets.push(match_up.play(iterations, CURVE_SEED, &mut done)?);
+        budgets.push(both.plan_all(iterations, CURVE_SEED, &mut done)?);
     }
     let curve = curve(&budgets);
     let (ours_at, times) = at_equal_cost(&curve).unzip();
     Ok(equal(&pairs, program, (curve, ours_at, times)))
 }
 
-/// Both on some scenes.
-struct Match<'a> {
+/// Both planners with some scenes loaded.
+struct SideBySide<'a> {
     scenes: Vec<&'a Scene>,
-    session: Session,
+    ompl: OmplProcess,
     clock: Clock,
     grid: Grid,
 }
 
-impl<'a> Match<'a> {
-    fn begin(program: &Program, scenes: Vec<&'a Scene>, clock: Clock) -> anyhow::Result<Match<'a>> {
+impl<'a> SideBySide<'a> {
+    fn begin(
+        program: &Program,
+        scenes: Vec<&'a Scene>,
+        clock: Clock,
+    ) -> anyhow::Result<SideBySide<'a>> {
         let config = PlannerConfig::default();
         let mut planner = RrtStar::new(config)?;
         let mut plan = Box::<Plan>::default();
@@ -166,16 +170,16 @@ impl<'a> Match<'a> {
             })
             .collect();
         let grid = Grid::new(&config);
-        Ok(Match {
-            session: program.start(&tasks, &grid, &config)?,
+        Ok(SideBySide {
+            ompl: program.start(&tasks, &grid, &config)?,
             scenes,
             clock,
             grid,
         })
     }
 
-    /// Both plan for every scene once, alternating.
-    fn play(
+    /// Both plan once for every scene, alternating.
+    fn plan_all(
         &mut self,
         iterations: u32,
         seed: u64,
@@ -197,7 +201,7 @@ impl<'a> Match<'a> {
                 .clone()
                 .map(|scene| self.plan(&mut planner, scene))
                 .collect();
-            let answers = self.session.plan(turn.clone(), iterations);
+            let answers = self.ompl.plan(turn.clone(), iterations);
             let answers = answers.with_context(|| format!("{iterations} iterations"))?;
             pairs.extend(ours.into_iter().zip(answers).map(|(ours, answer)| Pair {
                 ours,
@@ -232,7 +236,7 @@ fn time_us(pairs: &[Pair], share: f64, of: fn(&Pair) -> u64) -> f64 {
     quantile(&times, share)
 }
 
-/// The comparison at equal iterations, with the curve beside it.
+/// The comparison at equal iterations, together with the curve.
 fn equal(
     pairs: &[Pair],
     program: &Program,
@@ -282,7 +286,7 @@ fn equal(
     }
 }
 
-/// Cost over time, over the scenes that both solve with the paper's budget.
+/// Path cost over time, for the scenes that both solve with the paper's iterations.
 fn curve(budgets: &[Vec<Pair>]) -> Vec<Point> {
     let is_of_it: Vec<bool> = budgets[PAPER]
         .iter()
@@ -309,9 +313,9 @@ fn curve(budgets: &[Vec<Pair>]) -> Vec<Point> {
     budgets.iter().zip(BUDGETS).map(point).collect()
 }
 
-/// Our time, us, for the cost that OMPL has with the paper's budget, and how
-/// many times longer OMPL takes: between two budgets the time's logarithm is
-/// linear in the cost. Already with the smallest budget as good: its time.
+/// Our time, us, for the cost that OMPL reaches with the paper's iterations, and OMPL's
+/// time over it. Between two budgets, the logarithm of the time is linear in the
+/// cost. If the smallest budget is good enough, its time.
 fn at_equal_cost(curve: &[Point]) -> Option<(f64, f64)> {
     let ompl = curve.get(PAPER)?;
     let wanted_m = ompl.ompl_cost_median_m;
@@ -325,7 +329,7 @@ fn at_equal_cost(curve: &[Point]) -> Option<(f64, f64)> {
         let span_m = worse.ours_cost_median_m - better.ours_cost_median_m;
         let share = match span_m.is_finite() {
             true => (worse.ours_cost_median_m - wanted_m) / span_m,
-            // Nothing is between a budget that fails and one that does not.
+            // A budget without a finite cost cannot be interpolated.
             false => 1.0,
         };
         worse.ours_p50_us * (better.ours_p50_us / worse.ours_p50_us).powf(share)
@@ -334,7 +338,7 @@ fn at_equal_cost(curve: &[Point]) -> Option<(f64, f64)> {
 }
 
 impl Comparison {
-    /// Prints tables and bars.
+    /// Prints the tables and the targets.
     pub fn print(&self) {
         let Comparison {
             version,
@@ -402,7 +406,7 @@ impl Comparison {
                  times faster",
                 self.iterations
             )),
-            _ => say("equal path cost: not reached with any budget"),
+            _ => say("equal path cost: not reached within the largest budget"),
         }
     }
 }

@@ -1,5 +1,5 @@
-//! How long a plan takes and how good it is, on recorded scenes and one core;
-//! beside OMPL on request.
+//! Planning time and path cost on recorded scenes and one core; compared with OMPL on
+//! request.
 
 mod compare;
 mod ompl;
@@ -26,12 +26,12 @@ use supervisor::subcommand::{say, write_json_option};
 pub use compare::{Comparison, Point, Side};
 pub use timing::{Row, Times};
 
-/// Measure how long plans take and how good they are, beside OMPL.
+/// Measure planning time and path cost, and compare with OMPL.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Scenes are what the car saw in real episodes of the built-in world; \
-        stack/scenes/README.md describes their file, so that others can be fed in. \
-        RRT* always has the paper's numbers, the others those of the configuration. \
+    after_help = "A scene is an observation from a real episode of the built-in world; \
+        stack/scenes/README.md describes the file format, so that you can provide your own. \
+        RRT* always uses the paper's parameters, the other planners those of the configuration. \
         --ompl builds bench/ompl with g++ and libompl-dev.\n\n\
         Examples:\n  \
         ./vlaps bench planner --json planner.json\n  \
@@ -40,30 +40,30 @@ pub use timing::{Row, Times};
         ./vlaps bench planner --scenes scenes.jsonl.gz"
 )]
 pub struct BenchPlanner {
-    /// The scenes to plan for; without it, the checked-in ones.
+    /// Scenes to plan for; default: the checked-in ones.
     #[arg(long, value_name = "FILE")]
     pub scenes: Option<PathBuf>,
-    /// How often each scene is planned for.
+    /// Number of plans for each scene.
     #[arg(long, value_name = "N", default_value_t = 10,
           allow_negative_numbers = true,
           value_parser = whole::<u32>(1..=10_000))]
     pub rounds: u32,
-    /// Compare the paper's planner with OMPL's RRTstar, too.
+    /// Also compare the paper's planner with OMPL's RRTstar.
     #[arg(long)]
     pub ompl: bool,
-    /// Measure nothing; drive episodes and record scenes into this file.
+    /// Instead of measuring, drive episodes and record scenes into this file.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["scenes", "rounds", "ompl", "json"])]
     pub record: Option<PathBuf>,
-    /// Seed of the first episode to record; each further one adds one.
+    /// Seed of the first recorded episode; each following episode adds one.
     #[arg(long, value_name = "N", default_value_t = 100, requires = "record",
           allow_negative_numbers = true, value_parser = whole::<u64>(0..=u64::MAX))]
     pub first_seed: u64,
-    /// How many episodes to record.
+    /// Number of episodes to record.
     #[arg(long, value_name = "N", default_value_t = 50, requires = "record",
           allow_negative_numbers = true,
           value_parser = whole::<u64>(1..=100_000))]
     pub episodes: u64,
-    /// How many scenes to keep of them.
+    /// Number of scenes to keep.
     #[arg(long, value_name = "N", default_value_t = 600, requires = "record",
           allow_negative_numbers = true,
           value_parser = whole::<u32>(1..=1_000_000))]
@@ -71,7 +71,7 @@ pub struct BenchPlanner {
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Write the rows to this file, too.
+    /// Also write the rows to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
@@ -104,7 +104,7 @@ impl Subcommand for BenchPlanner {
             Some(path) => (path.display().to_string(), scene::read(path)?),
             None => (scene::CHECKED_IN_NAME.into(), scene::checked_in()?),
         };
-        // Before anything is measured: what is missing is said at once.
+        // Checked before the measurement, so that a missing program is reported at once.
         let ompl = self.ompl.then(ompl::build).transpose()?;
         let conditions = Conditions {
             scene_file,
@@ -136,30 +136,30 @@ impl Subcommand for BenchPlanner {
     }
 }
 
-/// The project's bar for the whole plan of the paper's method, p99.
+/// The project's target for a whole plan of the paper's method, 99 % quantile.
 const BAR_PLAN_US: f64 = 250.0;
 
-/// All measurements of a run; the JSON object of `--json`.
+/// All measurements; the JSON object of `--json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Planning {
-    /// One for each planner.
+    /// One row per planner.
     pub rows: Vec<Row>,
-    /// The paper's planner beside OMPL's; none unless asked for.
+    /// The paper's planner beside OMPL's; `None` unless requested.
     pub ompl: Option<Comparison>,
-    /// How it was measured.
+    /// Conditions of the measurement.
     pub conditions: Conditions,
 }
 
-/// How it was measured.
+/// Conditions of the measurement.
 #[derive(Clone, Debug, Serialize)]
 pub struct Conditions {
-    /// The file the scenes are from.
+    /// File of the scenes.
     pub scene_file: String,
-    /// How many scenes.
+    /// Number of scenes.
     pub scenes: usize,
-    /// How often each is planned for.
+    /// Plans per scene.
     pub rounds: u32,
-    /// The core that everything ran on.
+    /// The core of all planners.
     pub core: usize,
     /// The machine.
     #[serde(flatten)]
@@ -176,7 +176,7 @@ fn time_all(
     let rows = timing::measure(scenes, config, rounds, gauges, |count| bar.inc(count))?;
     bar.finish_and_clear();
     say(timing::table(&rows));
-    say("p50 / p99 / p99.9 / max; all times of all rounds are in it, the first ones too");
+    say("p50 / p99 / p99.9 / max; all rounds are counted, including the first");
     if let Some(paper) = rows.first() {
         say(format_args!(
             "{}: whole plan p99 {:.0} us, bar {BAR_PLAN_US}: {}; {:.0} us by processor time",
@@ -211,7 +211,7 @@ fn progress(length: u64, what: &str) -> anyhow::Result<ProgressBar> {
     Ok(bar)
 }
 
-/// A bar's word.
+/// The word for a target that is met or missed.
 fn met(met: bool) -> &'static str {
     match met {
         true => "met",
@@ -219,18 +219,18 @@ fn met(met: bool) -> &'static str {
     }
 }
 
-/// Keeps this thread, and the programs it starts, on the last core it may use;
-/// the first one answers most interrupts.
+/// Pins this thread, and the programs that it starts, to the last core that it may
+/// use: the first core handles most interrupts.
 fn stay_on_one_core() -> anyhow::Result<usize> {
     let allowed = sched_getaffinity(None).context("the cores of this process")?;
     let Some(core) = (0..CpuSet::MAX_CPU)
         .rev()
         .find(|&core| allowed.is_set(core))
     else {
-        bail!("this process may use no core");
+        bail!("this process may not use any core");
     };
     let mut cores = CpuSet::new();
     cores.set(core);
-    sched_setaffinity(None, &cores).with_context(|| format!("staying on core {core}"))?;
+    sched_setaffinity(None, &cores).with_context(|| format!("pinning to core {core}"))?;
     Ok(core)
 }

@@ -1,5 +1,5 @@
-//! OMPL's RRTstar as a program of its own: built on request from `bench/ompl`,
-//! asked through pipes. `bench/ompl/README.md` describes file and questions.
+//! Builds OMPL's RRTstar from `bench/ompl` on request and talks to it through pipes.
+//! `bench/ompl/README.md` describes the scene file and the protocol.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -16,15 +16,15 @@ const SOURCES: [(&str, &str); 2] = [
     ("rrt_star.cpp", include_str!("../../ompl/rrt_star.cpp")),
     ("grid.hpp", include_str!("../../ompl/grid.hpp")),
 ];
-/// What a scene file begins with.
+/// First bytes of a scene file.
 const MAGIC: &[u8; 8] = b"VLAPSRRT";
-/// How OMPL looks for neighbours. At 200 nodes passing over all of them takes a
-/// tenth less time than its default, a GNAT: the faster one is compared with.
+/// OMPL's nearest-neighbour search. With 200 nodes, linear search takes a tenth less
+/// time than OMPL's default, a GNAT; the comparison uses the faster one.
 const NEIGHBOURS: &str = "linear";
-/// Cells in a word of the file.
+/// Cells per word of the file.
 const WORD: usize = u64::BITS as usize;
 
-/// The built program; its folder disappears with it.
+/// The built program; its folder is removed when this value is dropped.
 pub(super) struct Program {
     folder: TempDir,
     /// The library's version.
@@ -34,7 +34,7 @@ pub(super) struct Program {
 /// Builds the program.
 ///
 /// # Errors
-/// When the compiler or the library is missing, with what to install.
+/// If the compiler or the library is missing; the message says what to install.
 pub(super) fn build() -> anyhow::Result<Program> {
     let missing = |what: &str| {
         Failure::GivenUp(format!(
@@ -59,7 +59,7 @@ pub(super) fn build() -> anyhow::Result<Program> {
         .current_dir(folder.path())
         .arg("-O3")
         .args(flags.split_whitespace())
-        // Of the library's own list only itself is needed.
+        // Link the library itself, not all dependencies that pkg-config lists.
         .args(["rrt_star.cpp", "-o", "rrt_star", "-lompl"])
         .output()
         .map_err(|_| missing("g++ is missing"))?;
@@ -70,20 +70,20 @@ pub(super) fn build() -> anyhow::Result<Program> {
     Ok(Program { folder, version })
 }
 
-/// A scene as OMPL gets it.
+/// A planning problem in OMPL's form.
 pub(super) struct Task {
     numbers: [f64; 5],
     words: Vec<u64>,
 }
 
 impl Task {
-    /// The grid and the goal of a plan.
+    /// Takes the grid and the goal of a plan.
     pub(super) fn new(grid: &Grid, plan: &Plan) -> Task {
         let corridor = grid.corridor();
         let per_row = grid.columns().div_ceil(WORD);
         let mut words = vec![0; per_row * grid.rows()];
         for row in 0..grid.rows() {
-            // The bits beyond the last column are occupied, too.
+            // The bits beyond the last column are marked as occupied.
             for column in 0..per_row * WORD {
                 let occupied = grid.is_occupied(Cell { column, row });
                 words[row * per_row + column / WORD] |= u64::from(occupied) << (column % WORD);
@@ -103,29 +103,29 @@ impl Task {
     }
 }
 
-/// One answer.
+/// The program's result for one scene.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answer {
     pub(super) time_ns: u64,
-    /// Length of the path, m; none when the goal is not reached.
+    /// Length of the path, m; `None` if the goal is not reached.
     pub(super) cost_m: Option<f64>,
 }
 
 /// The running program.
-pub(super) struct Session {
+pub(super) struct OmplProcess {
     child: Child,
     questions: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
 }
 
 impl Program {
-    /// Starts it on these scenes, on the cores of the calling thread.
+    /// Starts it with these scenes, pinned to the cores of the calling thread.
     pub(super) fn start(
         &self,
         tasks: &[Task],
         grid: &Grid,
         config: &PlannerConfig,
-    ) -> anyhow::Result<Session> {
+    ) -> anyhow::Result<OmplProcess> {
         let file = self.folder.path().join("scenes");
         write(&file, tasks, grid, config).context("--ompl: the scene file")?;
         let mut child = Command::new(self.path())
@@ -137,16 +137,16 @@ impl Program {
             .context("--ompl: the program")?;
         let (questions, answers) = (child.stdin.take(), child.stdout.take());
         let answers = answers.ok_or_else(|| anyhow!("--ompl: no pipe from the program"))?;
-        let mut session = Session {
+        let mut process = OmplProcess {
             child,
             questions,
             answers: BufReader::new(answers),
         };
-        let ready = session.line()?;
+        let ready = process.line()?;
         if ready != format!("ready {}", tasks.len()) {
-            bail!("--ompl: the program is not ready, it says {ready:?}");
+            bail!("--ompl: the program is not ready; it printed {ready:?}");
         }
-        Ok(session)
+        Ok(process)
     }
 
     fn path(&self) -> PathBuf {
@@ -154,8 +154,8 @@ impl Program {
     }
 }
 
-impl Session {
-    /// Plans for some scenes, one after the other.
+impl OmplProcess {
+    /// Plans for some scenes in order.
     pub(super) fn plan(
         &mut self,
         scenes: std::ops::Range<usize>,
@@ -170,21 +170,21 @@ impl Session {
             questions
                 .write_all(text.as_bytes())
                 .and_then(|()| questions.flush())
-                .context("--ompl: the program does not listen")?;
+                .context("--ompl: the program does not read its input")?;
         }
         scenes.map(|_| self.answer(iterations)).collect()
     }
 
     fn answer(&mut self, iterations: u32) -> anyhow::Result<Answer> {
         let line = self.line()?;
-        let wrong = || anyhow!("--ompl: the program answers {line:?}");
+        let wrong = || anyhow!("--ompl: unexpected answer of the program: {line:?}");
         let words: Vec<&str> = line.split(' ').collect();
         let [time_ns, cost_m, solved, done] = words[..] else {
             return Err(wrong());
         };
         let cost_m: f64 = cost_m.parse().map_err(|_| wrong())?;
         if done.parse() != Ok(iterations) {
-            bail!("--ompl: asked for {iterations} iterations, the program did {done}");
+            bail!("--ompl: requested {iterations} iterations, the program did {done}");
         }
         Ok(Answer {
             time_ns: time_ns.parse().map_err(|_| wrong())?,
@@ -203,9 +203,9 @@ impl Session {
     }
 }
 
-impl Drop for Session {
+impl Drop for OmplProcess {
     fn drop(&mut self) {
-        // The end of its questions is the end of the program.
+        // The program ends at the end of its input.
         self.questions = None;
         let _ = self.child.wait();
     }

@@ -1,4 +1,4 @@
-//! Each planner on each scene, several times.
+//! Times every planner on every scene, several times.
 
 use anyhow::Context;
 use comfy_table::Table;
@@ -15,40 +15,40 @@ use lab::statistics::quantile;
 use stack::driver::DriverKind;
 use stack::scene::Scene;
 
-/// Every method, the paper's first.
+/// All methods, the paper's first.
 const METHODS: [Method; 4] = [
     Method::RrtStar,
     Method::Informed,
     Method::Kinodynamic,
     Method::Mpc,
 ];
-/// Longest time that the histogram resolves, ns: ten seconds.
+/// Longest time in the histogram, ns: ten seconds.
 const LONGEST_NS: u64 = 10_000_000_000;
 
-/// One planner.
+/// Results of one planner.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// As `--driver` calls it.
+    /// Name as in `--driver`.
     pub planner: &'static str,
-    /// Building the occupancy grid.
+    /// Time to build the occupancy grid.
     #[serde(flatten, serialize_with = "grid_keys")]
     pub grid: Times,
-    /// The whole plan less a grid of the same observation: goal, search, path.
+    /// Time of the whole plan without the grid: goal, search and path.
     #[serde(flatten, serialize_with = "search_keys")]
     pub search: Times,
-    /// Observation to plan.
+    /// Time from observation to plan.
     #[serde(flatten, serialize_with = "plan_keys")]
     pub plan: Times,
-    /// Observation to plan by processor time: without what other work of the
-    /// machine took in between.
+    /// Processor time from observation to plan: excludes preemption by other work of the
+    /// machine.
     #[serde(flatten, serialize_with = "core_keys")]
     pub core: Times,
-    /// Cost of the path, m, median of the scenes whose goal is reached; none
-    /// when no goal is.
+    /// Path cost, m, median over the scenes whose goal is reached; `None` without such a
+    /// scene.
     pub cost_median_m: Option<f64>,
-    /// Share of the scenes whose goal is reached.
+    /// Share of scenes whose goal is reached.
     pub reached: f64,
-    /// Share of the scenes with a path that ends before the goal.
+    /// Share of scenes with a path that ends before the goal.
     pub partial: f64,
 }
 
@@ -57,15 +57,15 @@ pub struct Row {
 pub struct Times {
     /// Median.
     pub p50_us: f64,
-    /// 99 % lie below it.
+    /// 99 % quantile.
     pub p99_us: f64,
-    /// 99.9 % lie below it.
+    /// 99.9 % quantile.
     pub p999_us: f64,
-    /// The longest.
+    /// Maximum.
     pub max_us: f64,
 }
 
-/// The keys of one phase: the unit ends each name.
+/// Serialises the quantiles of one phase under the given keys.
 macro_rules! keys {
     ($function:ident, $p50:literal, $p99:literal, $p999:literal, $max:literal) => {
         fn $function<S: serde::Serializer>(
@@ -133,8 +133,8 @@ impl Times {
     }
 }
 
-/// One planner under way.
-struct Course {
+/// One planner with its measurements so far.
+struct TimedPlanner {
     method: Method,
     planner: Planner,
     plan: Box<Plan>,
@@ -143,12 +143,12 @@ struct Course {
     search_ns: Histogram<u64>,
     plan_ns: Histogram<u64>,
     core_ns: Histogram<u64>,
-    /// What was found for each scene, and its cost, m.
+    /// Outcome and path cost, m, for each scene.
     found: Vec<(PlanOutcome, f64)>,
 }
 
-/// The configuration of one method: the run's, but for RRT* always the paper's
-/// numbers.
+/// The configuration for one method: that of the run, except that RRT* always uses the
+/// paper's parameters.
 fn configuration(method: Method, config: &Config) -> Config {
     let mut config = DriverKind::of_method(method).configure(config);
     if method == Method::RrtStar {
@@ -160,13 +160,13 @@ fn configuration(method: Method, config: &Config) -> Config {
     config
 }
 
-/// How many plans [`measure`] times.
+/// Number of plans that [`measure`] times.
 pub(super) fn turns(scenes: &[Scene], rounds: u32) -> u64 {
     METHODS.len() as u64 * scenes.len() as u64 * u64::from(rounds)
 }
 
-/// Times every method. In each round each method has its turn, so that other
-/// work of the machine falls on all alike.
+/// Times every method. The methods alternate in each round, so that other work of the
+/// machine affects all of them alike.
 pub(super) fn measure(
     scenes: &[Scene],
     config: &Config,
@@ -174,31 +174,31 @@ pub(super) fn measure(
     gauges: Gauges,
     mut done: impl FnMut(u64),
 ) -> anyhow::Result<Vec<Row>> {
-    let mut courses = Vec::new();
+    let mut planners = Vec::new();
     for method in METHODS {
-        courses.push(Course::new(method, config)?);
+        planners.push(TimedPlanner::new(method, config)?);
     }
     for round in 0..rounds {
-        for course in &mut courses {
+        for planner in &mut planners {
             for scene in scenes {
-                course.run(scene, gauges);
+                planner.run(scene, gauges);
                 if round == 0 {
-                    let plan = &course.plan;
-                    course.found.push((plan.outcome(), plan.cost_m));
+                    let plan = &planner.plan;
+                    planner.found.push((plan.outcome(), plan.cost_m));
                 }
             }
             done(scenes.len() as u64);
         }
     }
-    Ok(courses.iter().map(Course::row).collect())
+    Ok(planners.iter().map(TimedPlanner::row).collect())
 }
 
-impl Course {
-    fn new(method: Method, config: &Config) -> anyhow::Result<Course> {
+impl TimedPlanner {
+    fn new(method: Method, config: &Config) -> anyhow::Result<TimedPlanner> {
         let config = configuration(method, config);
-        // The bounds are constants that the library accepts.
+        // These constant bounds are valid.
         let histogram = || Histogram::new_with_bounds(1, LONGEST_NS, 3).context("a histogram");
-        Ok(Course {
+        Ok(TimedPlanner {
             method,
             planner: Planner::new(&config)?,
             plan: Box::default(),
@@ -211,8 +211,8 @@ impl Course {
         })
     }
 
-    /// One scene. The plan comes first, so that no grid of the same observation
-    /// has warmed its memory up.
+    /// Plans for one scene. The plan comes before the grid is timed, so that the cache is
+    /// cold for the plan.
     fn run(&mut self, scene: &Scene, gauges: Gauges) {
         scene.prepare(&mut self.planner, &mut self.plan);
         let core_begun = gauges.core();
@@ -254,7 +254,7 @@ impl Course {
     }
 }
 
-/// One row for each planner.
+/// The table of all planners.
 pub(super) fn table(rows: &[Row]) -> Table {
     let mut table = report::table(&[
         "",

@@ -1,11 +1,11 @@
-//! Memory over ticks, a panel for each process.
+//! Plots memory over ticks, one panel per process.
 
 use std::path::Path;
 
 use plotters::prelude::*;
 use shm_config::counted;
 
-use super::Soaked;
+use super::SoakResults;
 use super::sample::Sample;
 use view::chart::FACE;
 use view::sheet::{Area, save};
@@ -17,23 +17,27 @@ const LINE: RGBColor = RGBColor(31, 105, 178);
 /// Draws `memory.svg` and `memory.png`.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn draw(samples: &[Sample], soaked: &Soaked, out: &Path) -> anyhow::Result<()> {
-    let lines = soaked.rows.len().div_ceil(COLUMNS).max(1);
+/// If a file cannot be written.
+pub fn draw(samples: &[Sample], results: &SoakResults, out: &Path) -> anyhow::Result<()> {
+    let lines = results.rows.len().div_ceil(COLUMNS).max(1);
     let size = (PANEL.0 * COLUMNS as u32, 40 + PANEL.1 * lines as u32);
-    save(out, "memory", size, |root| panels(samples, soaked, root))
+    save(out, "memory", size, |root| panels(samples, results, root))
 }
 
-fn panels(samples: &[Sample], soaked: &Soaked, root: &Area<'_>) -> anyhow::Result<()> {
+fn panels(samples: &[Sample], results: &SoakResults, root: &Area<'_>) -> anyhow::Result<()> {
     let title = format!(
         "{} in lockstep{}: {}",
-        counted(soaked.ticks, "tick"),
-        if soaked.was_stopped { ", stopped" } else { "" },
-        if soaked.is_flat { "flat" } else { "not flat" }
+        counted(results.ticks, "tick"),
+        if results.was_stopped { ", stopped" } else { "" },
+        if results.is_flat { "flat" } else { "not flat" }
     );
     let body = root.titled(&title, (FACE, 22))?;
-    let lines = soaked.rows.len().div_ceil(COLUMNS).max(1);
-    for (area, row) in body.split_evenly((lines, COLUMNS)).iter().zip(&soaked.rows) {
+    let lines = results.rows.len().div_ceil(COLUMNS).max(1);
+    for (area, row) in body
+        .split_evenly((lines, COLUMNS))
+        .iter()
+        .zip(&results.rows)
+    {
         let points: Vec<(f64, f64)> = samples
             .iter()
             .flat_map(|sample| sample.held.iter().map(|held| (sample.tick, held)))
@@ -41,7 +45,7 @@ fn panels(samples: &[Sample], soaked: &Soaked, root: &Area<'_>) -> anyhow::Resul
             .map(|(tick, held)| (tick as f64 * 1e-6, held.memory_kb as f64 / 1024.0))
             .collect();
         let top = row.memory_max_kb as f64 / 1024.0 * 1.15 + 0.1;
-        let end = soaked.ticks as f64 * 1e-6;
+        let end = results.ticks as f64 * 1e-6;
         let name = format!(
             "{}: {:+.2} kB per million",
             row.name, row.slope_kb_per_million

@@ -1,5 +1,5 @@
-//! `bench soak`: a real process set in lockstep for millions of ticks. Does any
-//! process grow?
+//! `bench soak`: drives a process set in lockstep for millions of ticks and checks
+//! whether any process grows.
 
 mod figure;
 mod sample;
@@ -31,24 +31,24 @@ use supervisor::subcommand::settings;
 use supervisor::subcommand::write_json_option;
 use verdict::{Flatness, Rule};
 
-/// Drive a set in lockstep for millions of ticks: does any process grow?
+/// Drive a set in lockstep for millions of ticks and check whether any process grows
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Every process of the set is looked at again and again: memory (anonymous and \
-        resident), open files, threads; of the run, its files in shared memory. The first fifth, \
-        and 60,000 ticks at least, is for warming up. Flat means: over the rest, the Theil-Sen slope of the anonymous memory is \
-        within the limit, the median of the last tenth is not above that of the first by more than \
-        another limit, no process holds more files or threads at the end than at the begin, and none \
-        was restarted. The supervisor may grow by its list of episodes. samples.csv, memory.svg and \
-        memory.png go to --out; exit 1 when it is not flat, or was stopped: Ctrl-C ends a soak with \
-        the verdict on its samples so far.\n\n\
+    after_help = "Every process of the set is sampled: memory (anonymous and resident), open files \
+        and threads; of the run, its files in shared memory. The first fifth of the ticks, and \
+        60,000 ticks at least, is warm-up. A process is flat if, over the remaining ticks, the \
+        Theil-Sen slope of its anonymous memory is within the limit, the median of the last tenth \
+        exceeds that of the first by no more than another limit, it holds no more files or threads \
+        at the end than at the begin, and it was not restarted. The supervisor may grow by its list \
+        of episodes. samples.csv, memory.svg and memory.png go to --out. Exit code 1 when a process \
+        is not flat or the soak was stopped: after Ctrl-C the verdict covers the samples so far.\n\n\
         Examples:\n  \
         ./vlaps bench soak --ticks 100000\n  \
         ./vlaps bench soak --ticks 10000000 --out soak --json soak.json\n  \
         ./vlaps bench soak --ticks 1000000 --set learner.enabled=true"
 )]
 pub struct BenchSoak {
-    /// How many ticks, 70,000 at least: 60,000 are for warming up.
+    /// Number of ticks, 70,000 at least: 60,000 are warm-up.
     #[arg(long, value_name = "N", default_value_t = 10_000_000,
           allow_negative_numbers = true,
           value_parser = whole::<u64>(TICKS_MIN..=1_000_000_000))]
@@ -57,24 +57,24 @@ pub struct BenchSoak {
     #[arg(long, value_name = "N", default_value_t = 3, allow_negative_numbers = true,
           value_parser = whole::<u64>(0..=i64::MAX as u64))]
     pub seed: u64,
-    /// How many samples, at most; evenly over the ticks.
+    /// Maximum number of samples, spread evenly over the ticks.
     #[arg(long, value_name = "N", default_value_t = 1_000, allow_negative_numbers = true,
           value_parser = whole::<u64>(20..=2_000))]
     pub samples: u64,
     /// Override any key of the configuration, such as gate.mode=rules; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
-    /// Folder of the samples and the plot.
+    /// Folder for the samples and the plot.
     #[arg(long, value_name = "DIR", default_value = "soak")]
     pub out: PathBuf,
-    /// Write the verdict to this file, too.
+    /// Also write the verdict to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
-/// Fewest ticks that say something after the warm-up.
+/// Minimum number of ticks: the warm-up and enough ticks for a verdict.
 const TICKS_MIN: u64 = verdict::WARM_UP_TICKS_MIN + 10_000;
-/// Keys that a soak sets itself, and the option that says them.
+/// Keys that a soak sets itself, and the option that changes them.
 const OWN_KEYS: [(&str, &str); 6] = [
     ("run.name", ""),
     ("run.folder", ""),
@@ -83,21 +83,21 @@ const OWN_KEYS: [(&str, &str); 6] = [
     ("run.episodes", "--ticks"),
     ("run.duration_s", "--ticks"),
 ];
-/// How long to wait between two looks at the tick.
+/// Polling interval of the tick.
 const LOOK: Duration = Duration::from_millis(100);
-/// The set has to say something within this time, ns.
+/// Time limit for the set's first message, ns.
 const START_NS: u64 = 60_000_000_000;
 
-/// What a soak found.
+/// Result of a soak.
 #[derive(Clone, Debug, Serialize)]
-pub struct Soaked {
-    /// All of it was flat.
+pub struct SoakResults {
+    /// Whether every process was flat.
     pub is_flat: bool,
-    /// It was stopped before its end: the figures are of the ticks until then.
+    /// Whether it was stopped early; the figures cover the ticks until then.
     pub was_stopped: bool,
-    /// What was measured of each process, and of the run.
+    /// Measurements of each process and of the run's shared memory.
     pub rows: Vec<Flatness>,
-    /// What flat means.
+    /// The criteria for flat.
     pub rule: Rule,
     /// Ticks driven.
     pub ticks: u64,
@@ -105,13 +105,13 @@ pub struct Soaked {
     pub skipped: u64,
     /// Episodes driven.
     pub episodes: u64,
-    /// Processes that died and were started again.
+    /// Restarts of processes.
     pub restarts: u64,
-    /// Seconds of the wall clock.
+    /// Wall-clock time, s.
     pub wall_s: f64,
     /// Samples taken.
     pub samples: u64,
-    /// Where.
+    /// The machine.
     pub conditions: Machine,
 }
 
@@ -131,8 +131,8 @@ impl Subcommand for BenchSoak {
 /// `./vlaps bench soak`.
 ///
 /// # Errors
-/// When the set does not start or fails, when it is not flat or was stopped, or a file
-/// cannot be written.
+/// If the set does not start or fails, is not flat or was stopped, or a file cannot be
+/// written.
 fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
     settings::refuse_own(&arguments.overrides, &OWN_KEYS)?;
     let conditions = Machine::here()?;
@@ -153,7 +153,7 @@ fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
         true => format!("stopped after {ticks} of {} ticks", arguments.ticks),
         false => arguments.out.join(SAMPLES).display().to_string(),
     })?;
-    let soaked = Soaked {
+    let results = SoakResults {
         is_flat: rows.iter().all(|row| row.is_flat) && restarts == 0 && ticks >= planned,
         was_stopped,
         rows,
@@ -166,12 +166,12 @@ fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
         samples: samples.len() as u64,
         conditions,
     };
-    figure::draw(&samples, &soaked, &arguments.out)?;
-    verdict::print(&soaked);
-    write_json_option(&arguments.json, &soaked)?;
-    let word = if soaked.is_flat { "flat" } else { "not flat" };
+    figure::draw(&samples, &results, &arguments.out)?;
+    verdict::print(&results);
+    write_json_option(&arguments.json, &results)?;
+    let word = if results.is_flat { "flat" } else { "not flat" };
     let path = arguments.out.join(SAMPLES);
-    match (soaked.is_flat, soaked.was_stopped) {
+    match (results.is_flat, results.was_stopped) {
         (true, false) => Ok(ExitCode::SUCCESS),
         (false, false) => bail!("{word}; the samples are in {}", path.display()),
         (_, true) => bail!(
@@ -183,8 +183,8 @@ fn bench(arguments: &BenchSoak, clock: Clock) -> anyhow::Result<ExitCode> {
 }
 
 fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
-    let config = settings::config(None, &arguments.overrides)?;
-    // One more: the last tick shall be over when the time is.
+    let config = settings::config([None, None], &arguments.overrides)?;
+    // One tick more: the run's end must not cut off the last tick.
     let duration_s = (arguments.ticks + 1) as f64 * config.run.period_ns() as f64 * 1e-9;
     let mut up: Vec<std::ffi::OsString> = vec!["--lockstep".into(), "--episodes".into()];
     up.extend([
@@ -202,8 +202,8 @@ fn start(arguments: &BenchSoak) -> anyhow::Result<Driven> {
 /// The file of samples.
 const SAMPLES: &str = "samples.csv";
 
-/// Samples until the end, or until a stop is requested, written as they are taken: a
-/// soak that is cut off leaves what it has seen.
+/// Takes samples until the end or until a stop is requested. Each is written at once: an
+/// interrupted soak keeps its samples.
 fn watch(
     arguments: &BenchSoak,
     driven: &mut Driven,
@@ -224,14 +224,14 @@ fn watch(
     let (mut samples, mut due, mut stopping) = (Vec::new(), step, false);
     while !driven.has_ended()? {
         if stop.is_asked() && !stopping {
-            // Once: a second time would kill it.
+            // Only once: a second signal would kill the set.
             driven.stop();
             stopping = true;
         }
         if let Some(progress) = progress.newest(Message::check) {
             let tick = progress.header.tick;
             bar.set_position(tick);
-            // None near the end: processes that leave hold less and less.
+            // No samples near the end: processes that are ending release their memory.
             if tick >= due && tick < arguments.ticks && !stopping {
                 let sample = Sample::take(tick, driven.pid(), &paths)?;
                 sample.write(&mut file).with_context(named)?;
@@ -246,7 +246,7 @@ fn watch(
     Ok(samples)
 }
 
-/// The world's word on how far it is; it comes when the world does.
+/// Subscribes to the world's progress as soon as the world exists.
 fn listen(
     driven: &mut Driven,
     paths: &RunPaths,

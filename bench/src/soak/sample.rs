@@ -1,4 +1,4 @@
-//! What every process of a set holds at one tick, as the kernel counts it.
+//! Resources of every process of a set at one tick, as the kernel counts them.
 
 use std::fs;
 use std::io::{self, Write};
@@ -8,19 +8,19 @@ use std::path::Path;
 use anyhow::Context;
 use shm_config::run::RunPaths;
 
-/// Name of the row that is no process: the run's files in shared memory.
+/// Name of the row of the run's files in shared memory.
 pub const SHARED_MEMORY: &str = "shared memory";
 
-/// The resources that a process holds.
+/// Resources of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Held {
     /// The program, or [`SHARED_MEMORY`].
     pub name: String,
-    /// Process id; 0 of no process.
+    /// Process id; 0 for shared memory.
     pub pid: u32,
-    /// Anonymous memory that is resident, kB; of shared memory what its files take up.
+    /// Anonymous resident memory, kB; for shared memory the space that its files use.
     pub memory_kb: u64,
-    /// All memory that is resident, kB: mapped files and shared memory included.
+    /// All resident memory, kB, including mapped files and shared memory.
     pub resident_kb: u64,
     /// Open files.
     pub files: u64,
@@ -28,23 +28,23 @@ pub struct Held {
     pub threads: u64,
 }
 
-/// All of a set at one tick.
+/// Resources of a set at one tick.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sample {
     /// The run's tick.
     pub tick: u64,
-    /// Everybody.
+    /// All processes and the shared memory.
     pub held: Vec<Held>,
 }
 
 impl Sample {
-    /// First line of the file of samples.
+    /// Header of the file of samples.
     pub const HEADER: &str = "tick,name,pid,memory_kb,resident_kb,files,threads";
 
-    /// Looks at the supervisor, its children, and the run's shared memory.
+    /// Samples the supervisor, its children, and the run's shared memory.
     ///
     /// # Errors
-    /// When the system does not tell.
+    /// If the system does not provide the numbers.
     pub fn take(tick: u64, supervisor: u32, paths: &RunPaths) -> anyhow::Result<Self> {
         let mut held = Vec::new();
         for entry in fs::read_dir("/proc").context("/proc")?.flatten() {
@@ -62,10 +62,10 @@ impl Sample {
         Ok(Self { tick, held })
     }
 
-    /// As lines of the file of samples.
+    /// Writes one line per process to the file of samples.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// If it cannot be written.
     pub fn write(&self, file: &mut impl Write) -> io::Result<()> {
         for held in &self.held {
             writeln!(
@@ -84,7 +84,7 @@ impl Sample {
     }
 }
 
-/// A process, if it is the supervisor or a child of it.
+/// The resources of a process if it is the supervisor or a child of it.
 fn process(proc: &Path, pid: u32, supervisor: u32) -> Option<Held> {
     let status = fs::read_to_string(proc.join("status")).ok()?;
     let number = |key: &str| -> Option<u64> {
@@ -94,7 +94,7 @@ fn process(proc: &Path, pid: u32, supervisor: u32) -> Option<Held> {
     if pid != supervisor && number("PPid:")? != u64::from(supervisor) {
         return None;
     }
-    // The kernel's own name of it is cut at 15 letters.
+    // The kernel cuts the process name at 15 characters; the command line is whole.
     let line = fs::read(proc.join("cmdline")).ok()?;
     let program = line.split(|byte| *byte == 0).next()?;
     let program = String::from_utf8_lossy(program);
@@ -113,7 +113,7 @@ fn shared_memory(paths: &RunPaths) -> anyhow::Result<Held> {
     let bytes: u64 = files
         .iter()
         .filter_map(|file| fs::metadata(file).ok())
-        // What is taken up: most of the files have room that was never used.
+        // Count the blocks in use: most files reserve space that was never written.
         .map(|data| data.blocks() * 512)
         .sum();
     Ok(Held {

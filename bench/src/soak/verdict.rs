@@ -1,77 +1,77 @@
-//! When a process is flat: a rule that is stated before it is applied.
+//! The criteria by which a process counts as flat, fixed before the measurement.
 
 use anyhow::{Context, bail};
 use serde::Serialize;
 use shm_config::counted;
 
-use super::Soaked;
+use super::SoakResults;
 use super::sample::{Held, Sample};
 use lab::report::table;
 use supervisor::subcommand::say;
 
-/// Share of the ticks that does not count: buffers fill and pages are touched first.
+/// Share of ticks that is warm-up: buffers fill and pages are touched for the first time.
 const WARM_UP: f64 = 0.2;
-/// It is no shorter than this, ticks: the world's memory follows the largest map so
-/// far, and stops growing within some 100 episodes.
+/// Minimum warm-up, ticks: the world's memory follows the largest map so far, and stops
+/// growing within about 100 episodes.
 pub const WARM_UP_TICKS_MIN: u64 = 60_000;
-/// Samples after the warm-up below which nothing can be said.
+/// Minimum number of samples after the warm-up.
 const SAMPLES_MIN: usize = 10;
-/// Growth per million ticks that is still flat, kB: a byte in 16 ticks. 28 hours at
-/// 10 Hz for the size of 16 pages.
+/// Limit of the growth per million ticks, kB: one byte per 16 ticks. At 10 Hz, 28 hours
+/// add 64 kB, 16 pages.
 const SLOPE_KB: f64 = 64.0;
-/// Shorter soaks say nothing about a slope: one page more would be over the limit.
+/// Shorter soaks have no limit of the slope: a single page would exceed it.
 const SLOPE_TICKS_MIN: u64 = 1_000_000;
-/// Growth from the first tenth to the last that is still flat, kB.
+/// Limit of the growth from the first tenth to the last, kB.
 const GROWTH_KB: f64 = 256.0;
-/// What one episode may cost the supervisor, kB: its row in the summary.
+/// Memory that the supervisor may use per episode, kB: its row in the summary.
 const EPISODE_KB: f64 = 0.25;
-/// The one process that keeps a list of what was driven.
+/// The only process that keeps a list of episodes.
 const LISTER: &str = "vlaps-supervisor";
 
-/// What flat means.
+/// The criteria for flat.
 #[derive(Clone, Debug, Serialize)]
 pub struct Rule {
-    /// Ticks, from the first, that do not count.
+    /// Ticks of the warm-up.
     pub warm_up_ticks: u64,
-    /// Limit of the Theil-Sen slope, kB per million ticks; `None` when the soak is too
-    /// short for one.
+    /// Limit of the Theil-Sen slope, kB per million ticks; `None` if the soak is too short
+    /// for it.
     pub slope_max_kb_per_million: Option<f64>,
-    /// Limit of the last tenth's median above the first tenth's, kB.
+    /// Limit of the last tenth's median minus the first tenth's, kB.
     pub growth_max_kb: f64,
-    /// What the supervisor may grow by beside, for its list of episodes, kB in all.
+    /// Additional growth allowed to the supervisor for its list of episodes, kB in total.
     pub episodes_kb: f64,
     /// Ticks driven.
     pub ticks: u64,
 }
 
-/// What was measured of one process, after the warm-up.
+/// Measurements of one process after the warm-up.
 #[derive(Clone, Debug, Serialize)]
 pub struct Flatness {
     /// The program, or the run's shared memory.
     pub name: String,
     /// Anonymous memory at the end: median of the last tenth, kB.
     pub memory_kb: f64,
-    /// The most of it ever, warm-up included, kB.
+    /// Maximum anonymous memory, warm-up included, kB.
     pub memory_max_kb: u64,
-    /// The most that was resident, warm-up included, kB.
+    /// Maximum resident memory, warm-up included, kB.
     pub resident_max_kb: u64,
     /// Theil-Sen slope, kB per million ticks.
     pub slope_kb_per_million: f64,
-    /// The last tenth's median above the first tenth's, kB.
+    /// The last tenth's median minus the first tenth's, kB.
     pub growth_kb: f64,
     /// Fewest open files in the first tenth and in the last: a leaked file is in every
     /// later sample, a file that is open for a moment is not.
     pub files: [u64; 2],
     /// Fewest threads in the first tenth and in the last.
     pub threads: [u64; 2],
-    /// Process ids it had.
+    /// Number of process ids that it had.
     pub incarnations: usize,
-    /// It stayed within the rule.
+    /// Whether it met the criteria.
     pub is_flat: bool,
 }
 
 impl Rule {
-    /// For a soak of this length.
+    /// The criteria for a soak of this length.
     pub fn of(ticks: u64, episodes: u64) -> Self {
         Self {
             warm_up_ticks: ((ticks as f64 * WARM_UP) as u64).max(WARM_UP_TICKS_MIN),
@@ -99,15 +99,15 @@ impl Rule {
     }
 }
 
-/// A row for each process that was sampled.
+/// The row of each sampled process.
 ///
 /// # Errors
-/// When there are too few samples to say anything.
+/// If there are too few samples for a verdict.
 pub fn rows(samples: &[Sample], rule: &Rule) -> anyhow::Result<Vec<Flatness>> {
     let from = rule.warm_up_ticks;
     let counted = samples.iter().filter(|sample| sample.tick >= from).count();
     if counted < SAMPLES_MIN {
-        bail!("{counted} samples after the warm-up are too few; more --ticks");
+        bail!("{counted} samples after the warm-up are too few; raise --ticks");
     }
     let last = samples.last().context("no samples")?;
     let rows = last.held.iter().map(|held| {
@@ -157,7 +157,7 @@ fn row(name: &str, all: &[(u64, &Held)], from: u64) -> Flatness {
     }
 }
 
-/// Median of the slopes of all pairs: a third of the points may be anything.
+/// Median of the slopes of all pairs: robust against outliers in up to 29 % of the points.
 fn theil_sen(points: &[(f64, f64)]) -> f64 {
     let mut slopes = Vec::with_capacity(points.len() * points.len() / 2);
     for (k, (x, y)) in points.iter().enumerate() {
@@ -167,7 +167,7 @@ fn theil_sen(points: &[(f64, f64)]) -> f64 {
     median(&mut slopes)
 }
 
-/// The upper median; 0 of nothing.
+/// The upper median; 0 for an empty slice.
 fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() {
         return 0.0;
@@ -176,8 +176,8 @@ fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The table, the rule, and how it was measured.
-pub fn print(soaked: &Soaked) {
+/// Prints the table, the criteria, and the conditions.
+pub fn print(results: &SoakResults) {
     let mut table = table(&[
         "",
         "memory kB",
@@ -189,7 +189,7 @@ pub fn print(soaked: &Soaked) {
         "threads",
         "",
     ]);
-    for row in &soaked.rows {
+    for row in &results.rows {
         table.add_row([
             row.name.clone(),
             format!("{:.0}", row.memory_kb),
@@ -203,10 +203,10 @@ pub fn print(soaked: &Soaked) {
         ]);
     }
     say(table);
-    let rule = &soaked.rule;
+    let rule = &results.rule;
     let slope = match rule.slope_max_kb_per_million {
         Some(limit) => format!("slope at most {limit} kB per million ticks (Theil-Sen)"),
-        None => "too short for a limit of the slope".into(),
+        None => "too short for a limit on the slope".into(),
     };
     say(format_args!(
         "flat, after the first {} ticks: {slope}; growth at most {} kB; no more files or threads; \
@@ -215,13 +215,13 @@ pub fn print(soaked: &Soaked) {
     ));
     say(format_args!(
         "{} in {} in {:.0} s, {} skipped, {}, {}; {}",
-        counted(soaked.ticks, "tick"),
-        counted(soaked.episodes, "episode"),
-        soaked.wall_s,
-        soaked.skipped,
-        counted(soaked.restarts, "restart"),
-        counted(soaked.samples, "sample"),
-        soaked.conditions
+        counted(results.ticks, "tick"),
+        counted(results.episodes, "episode"),
+        results.wall_s,
+        results.skipped,
+        counted(results.restarts, "restart"),
+        counted(results.samples, "sample"),
+        results.conditions
     ));
 }
 
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_byte_a_tick_is_a_leak_and_noise_is_none() {
+    fn a_byte_per_tick_is_a_leak_and_noise_is_not() {
         let noise = |tick: u64| 8_000 + (tick / 10_000) * 7_919 % 97;
         let flat = verdict(&samples(|tick| held(noise(tick))));
         assert!(flat.is_flat, "{flat:?}");

@@ -1,4 +1,4 @@
-//! Cyclone DDS as a program of its own: built on request from `bench/cyclone`.
+//! Builds the program of `bench/cyclone` with Cyclone DDS.
 
 use std::path::Path;
 use std::process::Command;
@@ -13,7 +13,7 @@ const SOURCES: [(&str, &str); 2] = [
     ("block.idl", include_str!("../../../cyclone/block.idl")),
     ("latency.c", include_str!("../../../cyclone/latency.c")),
 ];
-/// Loopback alone: nothing of a measurement leaves the machine.
+/// Uses the loopback interface only: no message leaves the machine.
 const CONFIG: &str = "<CycloneDDS><Domain Id=\"any\"><General><Interfaces>\
     <NetworkInterface name=\"lo\" multicast=\"false\"/></Interfaces>\
     <AllowMulticast>false</AllowMulticast></General>\
@@ -22,7 +22,7 @@ const CONFIG: &str = "<CycloneDDS><Domain Id=\"any\"><General><Interfaces>\
 /// Builds the program.
 ///
 /// # Errors
-/// When a compiler or the library is missing, with what to install.
+/// If a compiler or the library is missing; the message says what to install.
 pub fn build() -> anyhow::Result<Program> {
     let folder = tempfile::tempdir().context("--dds: a folder to build in")?;
     for (name, text) in SOURCES {

@@ -1,5 +1,5 @@
-//! Other ways from process to process, each as a program of its own that does the
-//! same round trips: built on request.
+//! Other transports, each a separate program that makes the same round trips and is
+//! built on request.
 
 mod cyclone;
 mod zenoh;
@@ -16,21 +16,21 @@ use tempfile::TempDir;
 use super::arguments::BenchIpc;
 use super::{Row, link, period_ns};
 
-/// Round trips that are counted, at most: each is a line.
+/// Maximum number of counted round trips: each prints a line.
 const COUNT_MAX: u64 = 200_000;
-/// What a round trip flat out takes, s, to begin with.
+/// Initial estimate of the time of a round trip, s.
 const ROUND_S: f64 = 50e-6;
 
-/// Name and version of what stands beside the wire.
+/// Name and version of another transport.
 #[derive(Clone, Debug, Serialize)]
 pub struct Other {
-    /// As the side's name in the table.
+    /// Name of its side in the table.
     pub name: &'static str,
-    /// The library's.
+    /// Version of the library.
     pub version: String,
 }
 
-/// How the message is named to a program.
+/// How the message is passed to the program.
 #[derive(Clone, Copy, Debug)]
 enum Message {
     Name,
@@ -39,19 +39,19 @@ enum Message {
 
 /// A built program.
 pub struct Program {
-    /// What it measures.
+    /// The transport that it measures.
     pub other: Other,
     binary: PathBuf,
     message: Message,
     environment: Option<(&'static str, &'static str)>,
-    /// Where it was built, if that is to disappear with it.
+    /// The build folder, if it is temporary.
     _folder: Option<TempDir>,
 }
 
-/// Builds those that are asked for.
+/// Builds the requested programs.
 ///
 /// # Errors
-/// When a compiler or a library is missing, with what to install.
+/// If a compiler or a library is missing; the message says what to install.
 pub fn build(arguments: &BenchIpc) -> anyhow::Result<Vec<Program>> {
     let mut programs = Vec::new();
     if arguments.dds {
@@ -64,10 +64,10 @@ pub fn build(arguments: &BenchIpc) -> anyhow::Result<Vec<Program>> {
 }
 
 impl Program {
-    /// The same message, rate and receiver as a row's.
+    /// Measures a row with the same message size, rate and receiver.
     ///
     /// # Errors
-    /// When the program fails.
+    /// If the program fails.
     pub fn measure(
         &self,
         row: &Row,
@@ -90,7 +90,7 @@ impl Program {
             .args([message.as_str(), row.wake])
             .args([period_ns(row.rate_hz), count / 20, count].map(|number| number.to_string()))
             .args([core(0), core(1)])
-            // Ctrl-C in the terminal is ours to act on: it ends in a moment.
+            // Ctrl-C in the terminal is handled here; the program ends soon by itself.
             .process_group(0)
             .output()
             .with_context(|| format!("{name}: its program"))?;
@@ -105,12 +105,12 @@ impl Program {
         for line in String::from_utf8_lossy(&output.stdout).lines() {
             let ns = line
                 .parse()
-                .with_context(|| format!("{name}: what its program prints"))?;
+                .with_context(|| format!("{name}: unexpected output of its program"))?;
             all.saturating_record(ns);
         }
         if all.len() != count {
             bail!(
-                "{name}: asked for {count} round trips, its program did {}",
+                "{name}: requested {count} round trips, its program made {}",
                 all.len()
             );
         }

@@ -1,4 +1,4 @@
-//! Zenoh, from the package registry: `bench/zenoh`.
+//! Builds the program of `bench/zenoh` with Zenoh from the package registry.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -9,12 +9,12 @@ use supervisor::cli::print::say;
 
 use super::{Message, Other, Program};
 
-/// The package, below the checkout.
+/// The package, relative to the checkout.
 const PACKAGE: &str = "bench/zenoh";
-/// What it is built from, as its manifest pins it.
+/// Version of Zenoh that the package's manifest pins.
 const VERSION: &str = "1.10.2";
 
-/// Builds the program into `target/zenoh`: the first time takes minutes, so it stays.
+/// Builds the program into `target/zenoh` and keeps it: the first build takes minutes.
 pub fn build() -> anyhow::Result<Program> {
     let root = PathBuf::from(std::env::var_os("VLAPS_ROOT").unwrap_or_else(|| ".".into()));
     let manifest = root.join(PACKAGE).join("Cargo.toml");

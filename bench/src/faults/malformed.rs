@@ -1,4 +1,4 @@
-//! A publisher with the right to write that publishes wrong messages.
+//! A publisher of malformed messages that has write access to the run's services.
 
 use clap::ValueEnum;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -9,130 +9,132 @@ use shm_config::services::TAKEOVER;
 use shm_config::services::{ADVICE, COMMAND, Delivery, OBSERVATION, PLAN, Process, STEP, Service};
 use shm_config::wire::{Publisher, Wire, WireError};
 
-/// Messages of a flood.
+/// Number of messages of a flood.
 const FLOOD: u32 = 2000;
-/// Messages of any other lie, one after the other.
+/// Number of messages of any other defect.
 const REPEATS: u32 = 20;
 
-/// What is wrong with a message.
+/// The defect of a malformed message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Lie {
+pub enum Defect {
     /// A number is NaN.
     NotANumber,
-    /// A number is infinite, or beyond all limits.
+    /// A number is infinite or beyond every limit.
     Huge,
-    /// Numbers, counts and codes of random bits.
+    /// Numbers, counts and codes are random bits.
     Garbage,
-    /// Taken long ago.
+    /// The timestamp is far in the past.
     Stale,
-    /// Taken in the future.
+    /// The timestamp is in the future.
     Future,
-    /// In order, but of a tick at the end of all counting.
+    /// The message is valid, but its tick is the largest number.
     LastTick,
     /// Thousands of broken messages at once.
     Flood,
-    /// Another layout under the same name.
+    /// The service has another layout of the same name.
     Version,
 }
 
-/// A service that can be lied on.
+/// A service that the malformed messages are published on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Stream {
-    /// From the world.
+    /// Published by the world.
     Observation,
-    /// From the planner.
+    /// Published by the planner.
     Plan,
-    /// From the controller.
+    /// Published by the controller.
     Command,
-    /// From the controller.
+    /// Published by the controller.
     Step,
-    /// From the gate.
+    /// Published by the gate.
     Advice,
-    /// From the supervisor.
+    /// Published by the supervisor.
     Takeover,
 }
 
-/// One lie: what, where.
+/// A defect and the service on which it is published.
 #[derive(Debug, Clone, Copy)]
-pub struct Told {
-    /// What is wrong.
-    pub lie: Lie,
-    /// Where it is published.
+pub struct Malformed {
+    /// The defect.
+    pub defect: Defect,
+    /// The service.
     pub stream: Stream,
 }
 
-impl std::fmt::Display for Told {
+impl std::fmt::Display for Malformed {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let word = |value: clap::builder::PossibleValue| value.get_name().to_string();
-        let lie = self.lie.to_possible_value().map_or(String::new(), word);
+        let defect = self.defect.to_possible_value().map_or(String::new(), word);
         let stream = self.stream.to_possible_value().map_or(String::new(), word);
-        write!(f, "{lie} on {stream}")
+        write!(f, "{defect} on {stream}")
     }
 }
 
-impl Told {
-    /// Draws one.
+impl Malformed {
+    /// Draws one at random.
     pub fn draw(dice: &mut Xoshiro256PlusPlus) -> Self {
         let mut pick = |count: usize| (dice.next_u64() % count as u64) as usize;
-        let (lies, streams) = (Lie::value_variants(), Stream::value_variants());
+        let (lies, streams) = (Defect::value_variants(), Stream::value_variants());
         Self {
-            lie: lies[pick(lies.len())],
+            defect: lies[pick(lies.len())],
             stream: streams[pick(streams.len())],
         }
     }
 
-    /// Tells it. What is not wrong in the message is that of the newest step.
-    /// Returns whether it was sent: a message of another layout cannot be.
+    /// Publishes it. All other fields of the message are those of the newest step. Returns
+    /// whether it was sent: a message of another layout cannot be.
     ///
     /// # Errors
-    /// When shared memory refuses.
-    pub fn tell(
+    /// If shared memory refuses.
+    pub fn publish(
         self,
         wire: &Wire,
         (step, now): (&Step, Instant),
         dice: &mut Xoshiro256PlusPlus,
     ) -> Result<bool, WireError> {
-        if self.lie == Lie::Version {
-            return self.tell_other_layout(wire);
+        if self.defect == Defect::Version {
+            return self.publish_other_layout(wire);
         }
-        let mut liar = Liar {
+        let mut forger = Forger {
             wire,
-            lie: self.lie,
+            defect: self.defect,
             now,
             dice,
         };
         match self.stream {
-            Stream::Observation => liar.tell(OBSERVATION, step.observation, |o, number, code| {
-                o.ego.speed_mps = number;
-                o.ranges_m[code as usize % 240] = number as f32;
-                o.beam_count = code;
-                o.scheduled_ns = u64::from(code) << 30;
-            }),
-            Stream::Plan => liar.tell(PLAN, step.plan, |p, number, code| {
+            Stream::Observation => {
+                forger.publish(OBSERVATION, step.observation, |o, number, code| {
+                    o.ego.speed_mps = number;
+                    o.ranges_m[code as usize % 240] = number as f32;
+                    o.beam_count = code;
+                    o.scheduled_ns = u64::from(code) << 30;
+                })
+            }
+            Stream::Plan => forger.publish(PLAN, step.plan, |p, number, code| {
                 p.waypoints[0].y_body_m = number;
                 p.cost_m = number;
                 p.waypoint_count = code;
                 p.action_count = code;
                 p.outcome = code;
             }),
-            Stream::Command => liar.tell(COMMAND, step.command, |c, number, code| {
+            Stream::Command => forger.publish(COMMAND, step.command, |c, number, code| {
                 c.steer = number;
                 c.pedal = number;
                 c.driver = code;
             }),
-            Stream::Step => liar.tell(STEP, *step, |s, number, code| {
+            Stream::Step => forger.publish(STEP, *step, |s, number, code| {
                 s.command.steer = number;
                 s.observation.ego.speed_mps = number;
                 s.plan.waypoint_count = code;
                 s.skipped = u64::MAX;
             }),
-            Stream::Advice => liar.tell(ADVICE, step.advice, |a, _, code| {
+            Stream::Advice => forger.publish(ADVICE, step.advice, |a, _, code| {
                 a.preference = code;
                 a.judge = code;
                 a.label = code;
                 a.answers = u64::MAX;
             }),
-            Stream::Takeover => liar.tell(TAKEOVER, step.takeover, |t, number, code| {
+            Stream::Takeover => forger.publish(TAKEOVER, step.takeover, |t, number, code| {
                 t.steer = number;
                 t.active = code;
             }),
@@ -140,7 +142,7 @@ impl Told {
         Ok(true)
     }
 
-    fn tell_other_layout(self, wire: &Wire) -> Result<bool, WireError> {
+    fn publish_other_layout(self, wire: &Wire) -> Result<bool, WireError> {
         let refused = match self.stream {
             Stream::Observation => other::<Command>(wire, OBSERVATION.name),
             Stream::Plan => other::<Command>(wire, PLAN.name),
@@ -162,17 +164,17 @@ fn other<M: Message>(wire: &Wire, name: &'static str) -> Result<(), WireError> {
     wire.publisher(service).map(drop)
 }
 
-struct Liar<'a> {
+struct Forger<'a> {
     wire: &'a Wire,
-    lie: Lie,
+    defect: Defect,
     now: Instant,
     dice: &'a mut Xoshiro256PlusPlus,
 }
 
-impl Liar<'_> {
-    /// Publishes spoilt copies of a message; `spoil` puts a number and a code into
-    /// fields that mean something.
-    fn tell<M: Message>(
+impl Forger<'_> {
+    /// Publishes malformed copies of a message; `spoil` puts a number and a code into
+    /// fields of the message.
+    fn publish<M: Message>(
         &mut self,
         service: Service<M>,
         mut message: M,
@@ -180,22 +182,22 @@ impl Liar<'_> {
     ) -> Result<(), WireError> {
         let mut port: Publisher<M> = self.wire.publisher(service)?;
         port.update_connections();
-        let count = match self.lie {
-            Lie::Flood => FLOOD,
+        let count = match self.defect {
+            Defect::Flood => FLOOD,
             _ => REPEATS,
         };
         message.header_mut().taken_ns = self.now.0;
         for _ in 0..count {
             let huge = [f64::INFINITY, -1e300, 1e9, -1.5][self.dice.next_u64() as usize % 4];
             let bits = self.dice.next_u64();
-            match self.lie {
-                Lie::NotANumber | Lie::Flood => spoil(&mut message, f64::NAN, u32::MAX),
-                Lie::Huge => spoil(&mut message, huge, 513),
-                Lie::Garbage => spoil(&mut message, f64::from_bits(bits), bits as u32),
-                Lie::Stale => message.header_mut().taken_ns = self.now.0 / 2,
-                Lie::Future => message.header_mut().taken_ns = self.now.0 + 3_600_000_000_000,
-                Lie::LastTick => message.header_mut().tick = u64::MAX - 1,
-                Lie::Version => {}
+            match self.defect {
+                Defect::NotANumber | Defect::Flood => spoil(&mut message, f64::NAN, u32::MAX),
+                Defect::Huge => spoil(&mut message, huge, 2049),
+                Defect::Garbage => spoil(&mut message, f64::from_bits(bits), bits as u32),
+                Defect::Stale => message.header_mut().taken_ns = self.now.0 / 2,
+                Defect::Future => message.header_mut().taken_ns = self.now.0 + 3_600_000_000_000,
+                Defect::LastTick => message.header_mut().tick = u64::MAX - 1,
+                Defect::Version => {}
             }
             port.send(&mut message);
         }

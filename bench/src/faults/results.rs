@@ -1,4 +1,4 @@
-//! A row for each fault, a file of rows, and what they come to.
+//! One row per fault, the file of rows, and their summary.
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
@@ -6,77 +6,80 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Context;
+use clap::ValueEnum as _;
 use serde::{Deserialize, Serialize};
 
 use lab::report::table;
 use lab::statistics::quantile;
 use supervisor::subcommand::say;
 
-/// One fault and what came of it.
+use super::planned::Kind;
+
+/// One fault and its outcome.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub struct Row {
     /// The campaign's seed.
     pub seed: u64,
     /// The fault's number in it.
     pub number: u64,
-    /// Ticks a second.
+    /// Tick rate, Hz.
     pub rate_hz: f64,
-    /// What went wrong.
+    /// Kind of the fault.
     pub kind: String,
-    /// With whom; empty for the machine, or for all.
+    /// Target process; empty for the machine, or for all processes.
     pub target: String,
-    /// More about it.
+    /// Details of the fault.
     pub detail: String,
-    /// When, ns on the machine's clock.
+    /// Time of the fault, ns on the machine's monotonic clock.
     pub struck_ns: u64,
-    /// From the fault to the next safe command or the vehicle's own brake, ms.
+    /// From the fault to the next safe command or to the vehicle's own brake, ms.
     pub safe_ms: Option<f64>,
-    /// Which of both: command, brake or vehicle.
+    /// What made the car safe: command, brake or vehicle.
     pub by: String,
     /// From the fault to the next safe command, ms.
     pub command_ms: Option<f64>,
     /// From the fault until the set drove on fresh inputs, ms.
     pub recovered_ms: Option<f64>,
-    /// Commands beyond a limit since the fault before.
+    /// Commands beyond a limit since the previous fault.
     pub violations: u64,
-    /// Steps since the fault before.
+    /// Steps since the previous fault.
     pub steps: u64,
-    /// Of those, lost before they were read.
+    /// Of those, steps lost before they were read.
     pub lost: u64,
     /// Ticks that the controller skipped.
     pub skipped: u64,
-    /// Ticks of the grid while no controller lived.
+    /// Ticks of the grid without a controller.
     pub unmanned: u64,
-    /// Ticks of the grid that are none of these.
+    /// Other ticks of the grid.
     pub unaccounted: u64,
-    /// Things left behind.
+    /// Number of things left behind.
     pub leftovers: u64,
     /// `ok`, `skipped`, or what was wrong.
     pub verdict: String,
 }
 
 impl Row {
-    /// It was no fault on this machine.
+    /// Whether the fault could not be injected on this machine.
     pub fn is_skipped(&self) -> bool {
         self.verdict == "skipped"
     }
 
-    /// The car was safe within so many periods.
+    /// Whether the car was safe within this number of periods.
     pub fn is_safe_within(&self, periods: f64) -> bool {
         self.safe_ms
             .is_some_and(|safe_ms| safe_ms <= periods * 1e3 / self.rate_hz)
     }
 
-    /// A process died at once.
+    /// Whether the fault killed a process at once.
     pub fn is_death(&self) -> bool {
-        ["kill", "panic", "allocation", "all"].contains(&self.kind.as_str())
+        Kind::from_str(&self.kind, false).is_ok_and(Kind::is_a_death)
     }
 }
 
-/// Reads the rows of a file; none when there is none.
+/// Reads the rows of a file; none if the file does not exist.
 ///
 /// # Errors
-/// When it cannot be read or is no such file.
+/// If it cannot be read or is not such a file.
 pub fn read(path: &Path) -> anyhow::Result<Vec<Row>> {
     if !path.exists() {
         return Ok(Vec::new());
@@ -87,10 +90,10 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Row>> {
     rows.with_context(named)
 }
 
-/// Adds a row to a file, which is begun with its header.
+/// Appends a row to a file; a new file begins with the header.
 ///
 /// # Errors
-/// When it cannot be written. The file is then as it was: `--resume` reads it.
+/// If it cannot be written. The file is then unchanged, so that `--resume` can read it.
 pub fn append(path: &Path, row: &Row) -> anyhow::Result<()> {
     let named = || path.display().to_string();
     let mut options = OpenOptions::new();
@@ -103,73 +106,73 @@ pub fn append(path: &Path, row: &Row) -> anyhow::Result<()> {
     writer.serialize(row)?;
     writer.flush()?;
     file.write_all(writer.get_ref()).with_context(|| {
-        // A part of a line would be no row; of what is no plain file none stays.
+        // A partly written line is no row. A file that is not regular keeps no data anyway.
         let _ = file.set_len(before);
         named()
     })
 }
 
-/// A share of the rows in figures.
+/// Summary of a group of rows.
 #[derive(Debug, Clone, Serialize)]
-pub struct Line {
-    /// Kind and target, or a sum.
+pub struct Summary {
+    /// Kind and target, or the name of the group.
     pub what: String,
-    /// Ticks a second; 0 for all.
+    /// Tick rate, Hz; 0 for all rates.
     pub rate_hz: f64,
-    /// Faults.
+    /// Number of faults.
     pub faults: usize,
     /// From the fault to safety, median, ms.
     pub safe_p50_ms: f64,
-    /// ... 99 %.
+    /// The same, 99 % quantile, ms.
     pub safe_p99_ms: f64,
-    /// ... the longest.
+    /// The same, maximum, ms.
     pub safe_max_ms: f64,
-    /// Safe within two periods.
+    /// Number that were safe within two periods.
     pub within_two: usize,
-    /// Made safe by the vehicle's own brake.
+    /// Number that the vehicle's own brake made safe.
     pub by_vehicle: usize,
     /// From the fault to the next safe command, median, ms.
     pub command_p50_ms: f64,
-    /// ... the longest.
+    /// The same, maximum, ms.
     pub command_max_ms: f64,
     /// From the fault to driving on fresh inputs, median, ms.
     pub recovered_p50_ms: f64,
-    /// ... the longest.
+    /// The same, maximum, ms.
     pub recovered_max_ms: f64,
 }
 
-/// The bars of a campaign.
+/// Pass criteria of a campaign.
 #[derive(Debug, Clone, Default, Serialize)]
-pub struct Bars {
-    /// Faults made.
+pub struct Criteria {
+    /// Faults injected.
     pub faults: usize,
     /// Faults that this machine does not allow.
     pub skipped: usize,
     /// Commands beyond a limit; must be 0.
     pub violations: u64,
-    /// Processes that died at once.
+    /// Faults that killed a process at once.
     pub deaths: usize,
     /// Of those, safe within two periods; must be all.
     pub deaths_safe: usize,
     /// Things left behind; must be 0.
     pub leftovers: u64,
-    /// Ticks that no figure accounts for; must be 0.
+    /// Ticks unaccounted for; must be 0.
     pub unaccounted: u64,
     /// Steps read.
     pub steps: u64,
-    /// Steps lost before they were read, by their numbers.
+    /// Steps lost before they were read, by gaps in their numbers.
     pub lost: u64,
     /// Ticks that controllers skipped.
     pub skipped_ticks: u64,
-    /// Ticks of the grid while no controller lived.
+    /// Ticks of the grid without a controller.
     pub unmanned: u64,
-    /// Faults that the set did not come back from, or that ended otherwise than
-    /// they should; must be 0.
+    /// Faults from which the set did not recover, or that ended otherwise than expected;
+    /// must be 0.
     pub wrong: usize,
 }
 
-impl Bars {
-    /// Of all rows.
+impl Criteria {
+    /// Computes the criteria of all rows.
     pub fn of(rows: &[Row]) -> Self {
         let made: Vec<&Row> = rows.iter().filter(|row| !row.is_skipped()).collect();
         let sum = |of: fn(&Row) -> u64| rows.iter().map(of).sum();
@@ -190,24 +193,24 @@ impl Bars {
         }
     }
 
-    /// Everything that does not depend on how fast the machine is holds, of a fault at
-    /// least.
-    pub fn hold(&self) -> bool {
+    /// Whether at least one fault was injected and every criterion holds that does not
+    /// depend on the speed of the machine.
+    pub fn are_met(&self) -> bool {
         self.faults > 0
             && self.violations + self.leftovers + self.unaccounted == 0
             && self.wrong == 0
     }
 }
 
-/// The figures by kind, target and rate, and of all deaths.
-pub fn lines(rows: &[Row]) -> Vec<Line> {
+/// Summaries by kind, target and rate, and of all deaths.
+pub fn lines(rows: &[Row]) -> Vec<Summary> {
     let mut groups: BTreeMap<(String, u64), Vec<&Row>> = BTreeMap::new();
     for row in rows.iter().filter(|row| !row.is_skipped()) {
         let what = format!("{} {}", row.kind, row.target);
         let key = (what.trim().to_string(), row.rate_hz as u64);
         groups.entry(key).or_default().push(row);
     }
-    let mut lines: Vec<Line> = groups
+    let mut lines: Vec<Summary> = groups
         .into_iter()
         .map(|((what, rate_hz), rows)| line(what, rate_hz as f64, &rows))
         .collect();
@@ -216,14 +219,14 @@ pub fn lines(rows: &[Row]) -> Vec<Line> {
     lines
 }
 
-fn line(what: String, rate_hz: f64, rows: &[&Row]) -> Line {
+fn line(what: String, rate_hz: f64, rows: &[&Row]) -> Summary {
     let values = |of: fn(&Row) -> Option<f64>| -> Vec<f64> {
         rows.iter().filter_map(|row| of(row)).collect()
     };
     let safe = values(|row| row.safe_ms);
     let command = values(|row| row.command_ms);
     let recovered = values(|row| row.recovered_ms);
-    Line {
+    Summary {
         what,
         rate_hz,
         faults: rows.len(),
@@ -240,7 +243,7 @@ fn line(what: String, rate_hz: f64, rows: &[&Row]) -> Line {
 }
 
 /// Prints the table.
-pub fn print(lines: &[Line]) {
+pub fn print(lines: &[Summary]) {
     let mut table = table(&[
         "fault",
         "Hz",
@@ -292,22 +295,22 @@ mod tests {
     }
 
     #[test]
-    fn bars_break_at_the_first_thing_that_is_wrong() {
+    fn each_violated_criterion_fails_the_campaign() {
         let good = [row("kill", 19.0), row("slow", 30.0), row("panic", 21.0)];
-        let bars = Bars::of(&good);
-        assert!(bars.hold());
+        let bars = Criteria::of(&good);
+        assert!(bars.are_met());
         assert_eq!((bars.deaths, bars.deaths_safe), (2, 1));
-        assert!(!Bars::of(&[]).hold(), "nothing was tested");
+        assert!(!Criteria::of(&[]).are_met(), "nothing was tested");
         let spoils: [fn(&mut Row); 4] = [
             |row| row.violations = 1,
             |row| row.leftovers = 1,
             |row| row.unaccounted = 1,
-            |row| row.verdict = "did not come back".into(),
+            |row| row.verdict = "did not recover".into(),
         ];
         for spoil in spoils {
             let mut rows = good.clone();
             spoil(&mut rows[1]);
-            assert!(!Bars::of(&rows).hold());
+            assert!(!Criteria::of(&rows).are_met());
         }
     }
 
@@ -328,12 +331,12 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_told_with_the_file() {
+    fn a_full_disk_is_reported_with_the_file() {
         let error = append(Path::new("/dev/full"), &row("kill", 1.5)).expect_err("it is full");
-        let told = format!("{error:#}");
+        let message = format!("{error:#}");
         assert!(
-            told.starts_with("/dev/full: ") && told.contains("No space"),
-            "{told}"
+            message.starts_with("/dev/full: ") && message.contains("No space"),
+            "{message}"
         );
     }
 }

@@ -1,59 +1,59 @@
-//! What goes wrong, with whom and when: drawn from the seed and the fault's number.
+//! Draws the faults of a campaign from its seed and the fault's number.
 
 use clap::ValueEnum;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::services::Process;
 
-/// What goes wrong.
+/// Kind of a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
 pub enum Kind {
     /// SIGKILL.
     Kill,
     /// SIGSTOP, and SIGCONT a while later.
     Stop,
-    /// The process lives, its loop waits for ever.
+    /// The process lives, but its loop waits for ever.
     Hang,
-    /// The loop turns for ever and leaves its core to no process below its priority.
+    /// The loop spins for ever and blocks all processes of lower priority on its core.
     Spin,
-    /// The loop stands still for a while.
+    /// The loop pauses for a while.
     Slow,
     /// A panic.
     Panic,
-    /// The allocator refuses, which aborts.
+    /// An allocation fails, which aborts the process.
     Allocation,
-    /// The kernel gives the process no more memory for a while (RLIMIT_AS).
+    /// The process cannot allocate memory for a while (`RLIMIT_AS`).
     Memory,
     /// The disk of the run is full for a while.
     Disk,
     /// /dev/shm is full for a while.
     Shm,
-    /// The wall clock jumps by an hour and back.
+    /// The wall clock jumps forward by an hour and back.
     Clock,
-    /// A process with the right to write publishes what is wrong.
+    /// A process with write access publishes malformed messages.
     Hostile,
-    /// A process that the run did not start sends commands of the driven episode.
+    /// A process outside the run sends commands of the current episode.
     ForeignCommand,
-    /// ... of another episode.
+    /// It sends commands of another episode.
     OtherEpisode,
-    /// ... observations between two instants of the grid.
+    /// It sends observations between two instants of the grid.
     ForeignObservation,
-    /// ... plans and advice.
+    /// It sends plans and advice.
     ForeignPlan,
-    /// ... healths, progress and finished episodes.
+    /// It sends health reports, progress and finished episodes.
     ForgedHealth,
-    /// It takes every place that there is, and a process that dies finds none.
+    /// It takes all ports of the services, so that a restarted process finds none.
     Slots,
-    /// It keeps messages that it has read.
+    /// It holds messages that it has received.
     Loans,
     /// The run's files are removed while it drives.
     Files,
-    /// SIGKILL to all but the supervisor, at once.
+    /// SIGKILL to all processes but the supervisor, at once.
     All,
 }
 
 impl Kind {
-    /// How many in a hundred and four, when all kinds are wished for.
+    /// Relative frequency if all kinds are requested; the sum is 104.
     fn weight(self) -> u64 {
         match self {
             Kind::Kill => 29,
@@ -76,7 +76,7 @@ impl Kind {
         }
     }
 
-    /// Whom it can befall, the more dangerous more often; empty for the machine.
+    /// Possible targets, dangerous ones repeated; empty if the target is the machine.
     fn targets(self) -> &'static [Process] {
         use Process::{Controller, Gate, Learner, Planner, Supervisor, World};
         match self {
@@ -91,7 +91,7 @@ impl Kind {
                 Controller, Controller, Planner, Planner, World, Gate, Learner,
             ],
             Kind::Memory => &[Controller, Planner, World, Gate],
-            // The room is needed when a process starts anew.
+            // The disk space is needed when a process restarts.
             Kind::Disk | Kind::Shm => &[Controller, Planner, World, Gate],
             Kind::Files => &[Controller, Planner],
             Kind::Slots => &[Controller, Planner, World],
@@ -104,7 +104,7 @@ impl Kind {
         }
     }
 
-    /// It ends a process at once, so that another process has to act.
+    /// Whether it ends a process at once, so that another process has to act.
     pub fn is_a_death(self) -> bool {
         matches!(
             self,
@@ -112,12 +112,12 @@ impl Kind {
         )
     }
 
-    /// The process lives and does nothing until it is killed.
+    /// Whether the process lives but does nothing until it is killed.
     pub fn is_a_hang(self) -> bool {
         matches!(self, Kind::Hang | Kind::Spin)
     }
 
-    /// As on the command line.
+    /// The name on the command line.
     pub fn word(self) -> &'static str {
         match self {
             Kind::Kill => "kill",
@@ -147,24 +147,24 @@ impl Kind {
 
 /// One fault of a campaign.
 #[derive(Debug, Clone)]
-pub struct Trouble {
-    /// What goes wrong.
+pub struct PlannedFault {
+    /// Kind.
     pub kind: Kind,
-    /// With whom; `None` for the machine, or for all.
+    /// Target process; `None` for the machine, or for all processes.
     pub target: Option<Process>,
-    /// When, after the set has been seen to drive, as a share of a period.
+    /// Delay after the set has been seen to drive, as a share of a period.
     pub phase: f64,
-    /// How long it lasts where it lasts, periods.
+    /// Duration, periods; used by the kinds that last.
     pub periods: f64,
-    /// The target is killed while it lasts.
+    /// Whether the target is killed meanwhile.
     pub kills: bool,
-    /// What else is drawn.
+    /// Random generator for everything else.
     pub dice: Xoshiro256PlusPlus,
 }
 
-impl Trouble {
-    /// The fault of a number. It depends on the seed, the number and the kinds
-    /// wished for alone, so that it can be repeated by itself.
+impl PlannedFault {
+    /// Draws the fault of a number. It depends only on the seed, the number and the
+    /// requested kinds, so that it can be repeated alone.
     pub fn draw(seed: u64, number: u64, kinds: &[Kind]) -> Self {
         let mixed = (number + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let mut dice = Xoshiro256PlusPlus::seed_from_u64(seed ^ mixed);
@@ -193,13 +193,13 @@ impl Trouble {
         }
     }
 
-    /// For a table.
-    pub fn whom(&self) -> &'static str {
+    /// The target's name; empty for the machine, or for all processes.
+    pub fn target_name(&self) -> &'static str {
         self.target.map_or("", Process::word)
     }
 }
 
-/// A number in [0, 1).
+/// Uniform in [0, 1).
 pub fn share(dice: &mut Xoshiro256PlusPlus) -> f64 {
     (dice.next_u64() >> 11) as f64 / (1u64 << 53) as f64
 }
@@ -213,7 +213,7 @@ mod tests {
     #[test]
     fn a_fault_is_repeated_by_its_seed_and_number_alone() {
         let all = Kind::value_variants();
-        let faults = |seed| (0..2000).map(move |k| Trouble::draw(seed, k, all));
+        let faults = |seed| (0..2000).map(move |k| PlannedFault::draw(seed, k, all));
         let mut counts = BTreeMap::new();
         for (one, other) in faults(1).zip(faults(1)) {
             assert_eq!(format!("{one:?}"), format!("{other:?}"));
@@ -235,9 +235,9 @@ mod tests {
     }
 
     #[test]
-    fn only_what_was_wished_for_is_drawn() {
+    fn only_requested_kinds_are_drawn() {
         let wished = [Kind::Stop, Kind::Hostile];
-        let drawn = (0..500).map(|k| Trouble::draw(7, k, &wished).kind);
+        let drawn = (0..500).map(|k| PlannedFault::draw(7, k, &wished).kind);
         assert!(drawn.clone().all(|kind| wished.contains(&kind)));
         assert!(
             wished

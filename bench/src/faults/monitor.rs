@@ -1,4 +1,4 @@
-//! A watcher outside the set: it reads what a vehicle would, and which processes are alive.
+//! Watches a set from outside: reads what a vehicle reads, and which processes live.
 
 use shm_config::Instant;
 use shm_config::message::{Command, Driver, Fault, Health, HealthState, Message, Progress, Step};
@@ -9,7 +9,7 @@ use shm_config::wire::{Publisher, Subscriber, Wire, WireError};
 use super::ledger::{Ledger, Limits, is_fresh};
 use stack::Clock;
 
-/// The processes that a supervisor starts.
+/// The processes that the supervisor starts.
 pub const CHILDREN: [Process; 5] = [
     Process::World,
     Process::Planner,
@@ -18,69 +18,68 @@ pub const CHILDREN: [Process; 5] = [
     Process::Learner,
 ];
 
-/// Commands looked at in one go: a flood must not hold the watcher.
-const LOOKED_AT: usize = 16;
+/// Commands read in one call: a flood must not block the watcher.
+const COMMANDS_MAX: usize = 16;
 
-/// One process's newest word.
-struct Sign {
+/// The newest health report of one process.
+struct HealthReader {
     process: Process,
     port: Subscriber<Health>,
     newest: Option<Health>,
 }
 
-/// What came of one fault so far.
+/// The outcome of one fault so far.
 #[derive(Debug, Clone)]
 pub struct Trial {
-    /// When it struck.
-    pub struck: Instant,
-    /// When it was over, for what lasts; else when it struck.
+    /// Instant of the fault.
+    pub injected: Instant,
+    /// Instant at which the fault was over, if it lasts; else the instant of the fault.
     pub over: Option<Instant>,
-    /// The last command before it: when it was given.
+    /// Instant at which the last command before the fault was given.
     pub before: Instant,
-    /// An instant of the grid before it.
+    /// An instant of the grid before the fault.
     pub anchor: Instant,
-    /// The controller that dies of it. What it still says before it does moves the
-    /// fault's instant: an order to fail is obeyed a moment later.
-    pub doomed: Option<u32>,
-    /// The first safe command after it: when it was handed over, and whether it is
-    /// the brake.
+    /// Process id of the controller that the fault kills. Each further step of it moves
+    /// the fault's instant: a process executes a fault order with a delay.
+    pub dying: Option<u32>,
+    /// The first safe command after the fault: its instant, and whether it is the brake.
     pub command: Option<(Instant, bool)>,
-    /// The first command on inputs that came after it was over.
+    /// Instant of the first command based on inputs that came after the fault was over.
     pub fresh: Option<Instant>,
 }
 
-/// The reading ends, and the account.
-pub struct Watch {
+/// Subscribers to a running set, with the ledger of what they have read.
+pub struct Monitor {
     steps: Subscriber<Step>,
     commands: Subscriber<Command>,
     progress: Subscriber<Progress>,
-    signs: Vec<Sign>,
-    /// The account of everything since the watcher came.
+    health: Vec<HealthReader>,
+    /// Counts of everything since the watcher joined.
     pub ledger: Ledger,
-    /// Fresh steps in a row.
+    /// Consecutive steps on fresh inputs.
     pub fresh_in_row: u32,
-    /// Orders to fail.
+    /// Publisher of fault orders: a process that receives one fails as ordered.
     pub orders: Publisher<Fault>,
     trial: Option<Trial>,
     /// The limits of the run.
     pub limits: Limits,
-    /// Dropped after the ports.
+    /// The shared memory connection; dropped after the ports.
     pub wire: Wire,
 }
 
-impl Watch {
-    /// Joins a run that is up, whose supervisor that is.
+impl Monitor {
+    /// Joins a running set; `supervisor` is its supervisor's process id.
     ///
     /// # Errors
-    /// When shared memory refuses.
+    /// If shared memory refuses.
     pub fn join(name: &RunName, supervisor: u32, limits: Limits) -> Result<Self, WireError> {
         let wire = Wire::join(name, Process::Learner)?;
-        // What the campaign itself forges is not read back.
+        // Messages that the campaign itself forges are not read back.
         wire.follow(supervisor)?;
         wire.await_named(Process::Supervisor, supervisor)?;
-        let signs = CHILDREN.map(|process| {
+        let health = CHILDREN.map(|process| {
             let port = wire.subscriber(services::health(process))?;
-            Ok(Sign {
+            Ok(HealthReader {
                 process,
                 port,
                 newest: None,
@@ -90,7 +89,7 @@ impl Watch {
             steps: wire.subscriber(STEP)?,
             commands: wire.subscriber(COMMAND)?,
             progress: wire.subscriber(PROGRESS)?,
-            signs: signs.into_iter().collect::<Result<_, WireError>>()?,
+            health: health.into_iter().collect::<Result<_, WireError>>()?,
             ledger: Ledger::new(limits, std::process::id()),
             fresh_in_row: 0,
             orders: wire.publisher(FAULT)?,
@@ -100,32 +99,32 @@ impl Watch {
         })
     }
 
-    /// Reads everything that came. Never waits.
+    /// Reads everything that has arrived. Never waits.
     pub fn look(&mut self, clock: Clock) {
         self.steps.update_connections();
         self.commands.update_connections();
         self.progress.update_connections();
         self.orders.update_connections();
-        for sign in &mut self.signs {
-            sign.port.update_connections();
-            // What a dead one left and what its successor says.
-            while let Some(health) = sign.port.receive() {
-                let newer = sign
+        for reader in &mut self.health {
+            reader.port.update_connections();
+            // Reports of a dead process and of its successor.
+            while let Some(health) = reader.port.receive() {
+                let newer = reader
                     .newest
                     .is_none_or(|newest| newest.header.taken_ns <= health.header.taken_ns);
                 if newer {
-                    sign.newest = Some(health);
+                    reader.newest = Some(health);
                 }
             }
         }
         while let Some(step) = self.steps.receive() {
             self.take(&step);
         }
-        for _ in 0..LOOKED_AT {
+        for _ in 0..COMMANDS_MAX {
             let Some(command) = self.commands.receive() else {
                 break;
             };
-            // Read after the command came: the watcher itself may be held up.
+            // The clock is read after the command was received: the watcher may be delayed.
             self.ledger.command(&command, clock());
         }
         while let Some(progress) = self.progress.receive() {
@@ -144,16 +143,16 @@ impl Watch {
             return;
         };
         let given = step.command.header.taken();
-        if given <= trial.struck {
+        if given <= trial.injected {
             trial.before = trial.before.max(given);
             return;
         }
-        if trial.doomed == Some(step.header.producer) {
-            trial.struck = Instant(step.timings.commanded_ns);
+        if trial.dying == Some(step.header.producer) {
+            trial.injected = Instant(step.timings.commanded_ns);
             trial.before = given;
             return;
         }
-        // A process that was stopped in its tick publishes a command that the vehicle ignores.
+        // A process that was stopped within a tick publishes a command that is too old to obey.
         let handed = Instant(step.timings.commanded_ns);
         let obeyed = handed.since_ns(given) <= self.limits.command_age_ns;
         if is_safe && obeyed && trial.command.is_none() {
@@ -168,51 +167,51 @@ impl Watch {
         }
     }
 
-    /// A fault strikes now. The ports were read just before.
-    pub fn begin(&mut self, struck: Instant) {
+    /// Begins a trial at the instant of a fault. The ports have been read just before.
+    pub fn begin(&mut self, injected: Instant) {
         let newest = self.ledger.newest();
         self.trial = Some(Trial {
-            struck,
-            before: newest.map_or(struck, |step| step.command.header.taken()),
-            anchor: newest.map_or(struck, |step| Instant(step.timings.scheduled_ns)),
-            doomed: None,
+            injected,
+            before: newest.map_or(injected, |step| step.command.header.taken()),
+            anchor: newest.map_or(injected, |step| Instant(step.timings.scheduled_ns)),
+            dying: None,
             over: None,
             command: None,
             fresh: None,
         });
     }
 
-    /// The controller of this process id dies of the fault.
-    pub fn doom(&mut self, pid: Option<i32>) {
+    /// The fault kills the controller of this process id.
+    pub fn expect_death(&mut self, pid: Option<i32>) {
         if let Some(trial) = &mut self.trial {
-            trial.doomed = pid.and_then(|pid| u32::try_from(pid).ok());
+            trial.dying = pid.and_then(|pid| u32::try_from(pid).ok());
         }
     }
 
-    /// The fault is over, as far as it is up to the campaign.
+    /// The fault is over, as far as the campaign controls it.
     pub fn over(&mut self, now: Instant) {
         if let Some(trial) = &mut self.trial {
             trial.over = Some(now);
         }
     }
 
-    /// What came of it so far.
+    /// The trial in progress.
     pub fn trial(&self) -> Option<&Trial> {
         self.trial.as_ref()
     }
 
-    /// Ends the trial.
+    /// Ends the trial and returns it.
     pub fn take_trial(&mut self) -> Option<Trial> {
         self.trial.take()
     }
 
-    /// The process id that a process said last.
+    /// The process id that a process reported last.
     pub fn pid(&self, process: Process) -> Option<i32> {
         let health = self.newest(process)?;
         i32::try_from(health.header.producer).ok()
     }
 
-    /// The process was up and spoke after an instant.
+    /// Whether the process was up and reported after an instant.
     pub fn is_up(&self, process: Process, after: Instant) -> bool {
         self.newest(process).is_some_and(|health| {
             let state = HealthState::from_code(health.state);
@@ -222,7 +221,10 @@ impl Watch {
     }
 
     fn newest(&self, process: Process) -> Option<&Health> {
-        let sign = self.signs.iter().find(|sign| sign.process == process)?;
-        sign.newest.as_ref()
+        let reader = self
+            .health
+            .iter()
+            .find(|reader| reader.process == process)?;
+        reader.newest.as_ref()
     }
 }

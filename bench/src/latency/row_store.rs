@@ -1,4 +1,4 @@
-//! Rows that are done, in the folder of `--out`: a stopped measurement continues.
+//! Finished rows in the folder of `--out`, so that a stopped measurement can continue.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,17 +11,17 @@ use super::buckets::{self, Series};
 use super::row::Row;
 use supervisor::subcommand::write_json;
 
-/// The folder, if there is one.
+/// The folder of finished rows, if one was given.
 #[derive(Debug)]
-pub struct Shelf {
+pub struct RowStore {
     folder: Option<PathBuf>,
 }
 
-impl Shelf {
-    /// Makes the folder.
+impl RowStore {
+    /// Creates the folder.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// If it cannot be created.
     pub fn open(out: Option<&Path>) -> anyhow::Result<Self> {
         let folder = out.map(|out| out.join("rows"));
         if let Some(folder) = &folder {
@@ -35,42 +35,42 @@ impl Shelf {
         Some(folder.join(format!("{}.{ending}", case.slug())))
     }
 
-    /// A row that was done with the same settings.
+    /// The row of a case if it was measured with the same settings.
     ///
     /// # Errors
-    /// When it was done with others: no measurement is overwritten without --fresh.
+    /// If it was measured with other settings: only --fresh replaces a measurement.
     pub fn kept(&self, case: &Case, settings: &Settings) -> Result<Option<Row>, Failure> {
         let Some(row) = self.read(case) else {
             return Ok(None);
         };
-        let unlike = row.settings.unlike(settings);
-        match unlike.is_empty() {
+        let differences = row.settings.differences(settings);
+        match differences.is_empty() {
             true => Ok(Some(row)),
             false => Err(Failure::Usage(format!(
-                "--out: has '{}' already, measured with {unlike}; --fresh measures anew, or give \
-                 another folder",
+                "--out: holds '{}' already, measured with {differences}; --fresh measures it again, or \
+                 give another folder",
                 case.words()
             ))),
         }
     }
 
-    /// What cannot be read is measured anew.
+    /// A row that cannot be read is measured again.
     fn read(&self, case: &Case) -> Option<Row> {
         let text = fs::read_to_string(self.file(case, "json")?).ok()?;
         let row = serde_json::from_str(&text).ok()?;
         self.file(case, "csv")?.exists().then_some(row)
     }
 
-    /// Removes a row, so that it is measured anew.
+    /// Removes a row, so that it is measured again.
     pub fn forget(&self, case: &Case) {
-        // What cannot be removed is reported as other settings, or when it is written anew.
+        // If the removal fails, `kept` or `keep` reports an error later.
         let _ = self.file(case, "json").map(fs::remove_file);
     }
 
-    /// Keeps a row; it counts once its JSON is there, which comes last.
+    /// Writes a row. Its JSON file is written last: only with it is the row complete.
     ///
     /// # Errors
-    /// When a file cannot be written.
+    /// If a file cannot be written.
     pub fn keep(&self, case: &Case, row: &Row, series: &[Series]) -> anyhow::Result<()> {
         if let (Some(csv), Some(json)) = (self.file(case, "csv"), self.file(case, "json")) {
             self.forget(case);
@@ -80,10 +80,10 @@ impl Shelf {
         Ok(())
     }
 
-    /// The histograms of each case, in order; of none that is not done.
+    /// The histograms of each finished case, in order.
     ///
     /// # Errors
-    /// When a file cannot be read.
+    /// If a file cannot be read.
     pub fn series(&self, cases: &[Case]) -> anyhow::Result<Vec<Vec<Series>>> {
         let done = cases.iter().filter_map(|case| self.file(case, "csv"));
         let done = done.filter(|path| path.exists());
@@ -101,16 +101,17 @@ mod tests {
     #[test]
     fn a_row_is_kept_for_its_own_settings_alone() {
         let out = tempfile::tempdir().expect("a folder");
-        let shelf = Shelf::open(Some(out.path())).expect("a shelf");
+        let store = RowStore::open(Some(out.path())).expect("a store");
         let case = Case {
             rate_hz: 100.0,
             priority: Priority::Asked,
             beside: Load::None.rows()[0],
+            pair: None,
         };
         let row = row();
-        let kept = |case: &Case, settings: &Settings| shelf.kept(case, settings).expect("a look");
+        let kept = |case: &Case, settings: &Settings| store.kept(case, settings).expect("a look");
         assert_eq!(kept(&case, &row.settings), None);
-        shelf.keep(&case, &row, &[]).expect("kept");
+        store.keep(&case, &row, &[]).expect("kept");
         assert_eq!(kept(&case, &row.settings), Some(row.clone()));
         let other = Case {
             rate_hz: 10.0,
@@ -122,13 +123,16 @@ mod tests {
             overrides: vec!["planner.rate_hz=10".into()],
             ..row.settings.clone()
         };
-        let refused = shelf.kept(&case, &longer).expect_err("another row's file");
-        let told = refused.to_string();
+        let refused = store.kept(&case, &longer).expect_err("another row's file");
+        let message = refused.to_string();
         let differ = "--seconds 20 in place of 60, --set nothing in place of planner.rate_hz=10;";
-        assert!(told.contains(differ) && told.contains("--fresh"), "{told}");
-        shelf.forget(&case);
+        assert!(
+            message.contains(differ) && message.contains("--fresh"),
+            "{message}"
+        );
+        store.forget(&case);
         assert_eq!(kept(&case, &longer), None);
-        let nowhere = Shelf::open(None).expect("no shelf");
+        let nowhere = RowStore::open(None).expect("no store");
         nowhere.keep(&case, &row, &[]).expect("nothing to do");
         assert_eq!(nowhere.kept(&case, &row.settings).expect("a look"), None);
     }

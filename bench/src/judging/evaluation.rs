@@ -1,4 +1,4 @@
-//! One judge, asked about scene after scene.
+//! Asks one judge about a series of scenes and counts its answers.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,50 +22,51 @@ use vehicle::Vehicle;
 
 use super::scenes::Scene;
 
-/// Asked without swapping the paths.
+/// The word for questions that are asked without a second, swapped question.
 pub const ONCE: &str = "once";
-/// How long is waited when the own limit of requests per minute is reached.
+/// Pause when the configured limit of requests per minute is reached.
 const PACE: Duration = Duration::from_secs(1);
 
 /// One row of the table.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// From where the scenes were seen.
+    /// Camera of the scenes: ego or `top_down`.
     pub view: &'static str,
-    /// The judge.
-    pub who: String,
-    /// Once, or twice with the paths swapped.
+    /// Name of the judge.
+    #[serde(rename = "who")]
+    pub judge: String,
+    /// Whether each question is asked once, or twice with the paths swapped.
     pub asked: &'static str,
-    /// Right ones of the preferences.
+    /// Share of the preferences that are right.
     pub right_of_preferences: Share,
-    /// Right preferences of all questions.
+    /// Share of all questions with a right preference.
     pub right_of_all: Share,
     /// Cohen's kappa of the preferences.
     pub kappa: Option<f64>,
-    /// Answers for the path that was in the first place (when it was asked first),
-    /// of those that prefer one.
+    /// Share of the answers with a preference that prefer the path in the first place
+    /// (of the first question).
     pub first_place: Share,
-    /// Rows: which driver is safer by the simulator (expert, policy); columns: the answer (expert,
-    /// policy, similar, abstained, failed).
+    /// Confusion matrix. Rows: the driver that is safer by the simulator (expert, policy);
+    /// columns: the answer (expert, policy, similar, abstained, failed).
     pub confusion: [[usize; Said::ALL.len()]; 2],
-    /// Answered that neither is clearly safer.
+    /// Answers that neither path is clearly safer.
     pub similar: usize,
-    /// Without an answer that counts: the replies disagree.
+    /// Abstentions: the two replies disagree.
     pub abstained: usize,
-    /// Without an answer.
+    /// Questions without a usable reply.
     pub failed: usize,
-    /// Why, in one word each.
+    /// Count of each reason for a missing reply, by its keyword.
     pub faults: BTreeMap<String, usize>,
 }
 
 impl Row {
-    /// No question got a usable answer.
+    /// Whether no question got a usable answer.
     pub fn is_unanswered(&self) -> bool {
         self.failed == self.confusion.iter().flatten().sum::<usize>()
     }
 }
 
-/// What was counted of one way to ask.
+/// Counts for one way of asking.
 #[derive(Default)]
 struct Tally {
     agreement: Agreement,
@@ -74,8 +75,8 @@ struct Tally {
 }
 
 impl Tally {
-    /// Counts what these askings say together where `safer` is right and `first`
-    /// was in the first place.
+    /// Counts the combined answer of these questions; `safer` is the right answer,
+    /// `first` the driver whose path was in the first place.
     fn count(&mut self, safer: Party, first: Party, askings: &[Asking]) {
         let said = Said::of(preference_of(askings), askings);
         self.agreement.count(safer, said);
@@ -89,12 +90,12 @@ impl Tally {
     }
 }
 
-/// A judge and what it has said so far.
-pub struct Court {
+/// One judge under test, with the counts of its answers so far.
+pub struct Evaluation {
     name: String,
     vlm: Vlm,
     vehicle: Vehicle,
-    /// Which of a scene's pictures it is shown.
+    /// Index of the picture of each scene that the judge is shown.
     shot: usize,
     asker: Asker,
     store: Option<Store>,
@@ -102,23 +103,23 @@ pub struct Court {
     twice: Tally,
 }
 
-/// As in the configuration.
+/// The name of a view in the configuration.
 pub fn view_word(view: View) -> &'static str {
     shm_config::message::View::from(view).word()
 }
 
-/// Places and colours at random.
+/// Draws the order and colours of the paths at random.
 pub fn showing(chance: &mut Xoshiro256PlusPlus) -> Showing {
-    // The upper half of a product: uniform up to 1 in 2^64.
+    // The upper half of the product is uniform within 1 in 2^64.
     Showing::at_random(|end| ((u128::from(chance.next_u64()) * end as u128) >> 64) as usize)
 }
 
-impl Court {
-    /// A judge at the address of `vlm`, which is shown each scene's picture of that
-    /// number, and whose record goes to a folder.
+impl Evaluation {
+    /// Opens a judge at the address in `vlm`. It is shown the picture of index `shot` of
+    /// each scene; its questions are recorded into `folder`.
     ///
     /// # Errors
-    /// When it cannot be asked, or the folder not be written.
+    /// If the client cannot be made, or the folder cannot be written.
     pub fn open(
         (name, vlm): (&str, Vlm),
         vehicle: Vehicle,
@@ -140,8 +141,8 @@ impl Court {
     /// Asks about a scene, and once more with the paths swapped.
     ///
     /// # Errors
-    /// When no picture can be drawn.
-    pub async fn hear(&mut self, scene: &Scene, showing: Showing) -> anyhow::Result<()> {
+    /// If a picture cannot be drawn.
+    pub async fn ask(&mut self, scene: &Scene, showing: Showing) -> anyhow::Result<()> {
         let mut askings = Vec::new();
         let mut pictures = Vec::new();
         for showing in [showing, showing.swapped()] {
@@ -157,7 +158,7 @@ impl Court {
             let asked = loop {
                 let asked = self.asker.ask(&prompt, &shown, deadline).await;
                 match asked.reply {
-                    // No deadline here.
+                    // This benchmark has no deadline.
                     Err(Fault::OwnRate) => tokio::time::sleep(PACE).await,
                     Ok(_) | Err(_) => break asked,
                 }
@@ -181,13 +182,13 @@ impl Court {
         Ok(())
     }
 
-    /// What it has said: asked once, and asked twice.
+    /// The rows of the table: asked once, and asked twice.
     pub fn rows(self) -> [Row; 2] {
         [(ONCE, self.once), ("twice, swapped", self.twice)].map(|(asked, tally)| {
             let agreement = tally.agreement;
             Row {
                 view: view_word(self.vlm.view),
-                who: self.name.clone(),
+                judge: self.name.clone(),
                 asked,
                 right_of_preferences: agreement.of_preferences(),
                 right_of_all: agreement.of_all(),
@@ -203,7 +204,7 @@ impl Court {
     }
 }
 
-/// Why there is no answer: the first fault there was.
+/// The reason for a missing answer: the first failure of the questions.
 fn fault(askings: &[Asking]) -> String {
     let mut faults = askings.iter().filter_map(|asking| asking.fault.clone());
     faults.next().unwrap_or_default()

@@ -1,5 +1,5 @@
-//! The set that faults befall: started, watched, ended, and looked after for what
-//! it leaves.
+//! A set under test: starts it, watches it, ends it, and checks what it leaves
+//! behind.
 
 use std::fs;
 use std::os::unix::process::CommandExt;
@@ -17,37 +17,37 @@ use supervisor::machine::signals::pause;
 use supervisor::set::exit::Exit;
 
 use super::ledger::Limits;
-use super::watch::{CHILDREN, Watch};
+use super::monitor::{CHILDREN, Monitor};
 use crate::driven::remove;
 use stack::Clock;
 
-/// From look to look of the watcher.
-pub const LOOK: Duration = Duration::from_micros(500);
-/// How long a set may take until it drives, and to end, ns.
-const PATIENCE_NS: u64 = 30_000_000_000;
-/// Steps on fresh inputs in a row: the set drives.
+/// Polling interval of the watcher.
+pub const POLL: Duration = Duration::from_micros(500);
+/// Time limit for a set to drive, and to end, ns.
+const START_END_NS: u64 = 30_000_000_000;
+/// A set drives after this many consecutive steps on fresh inputs.
 const DRIVING: u32 = 5;
 
-/// How a stage is set.
+/// Options of a set under test.
 #[derive(Debug, Clone)]
-pub struct Scene {
+pub struct SetOptions {
     /// The run's name.
     pub run: String,
-    /// The folder it runs in.
+    /// The folder in which it runs.
     pub folder: PathBuf,
     /// Ticks per second.
     pub rate_hz: f64,
     /// Seed of its first episode.
     pub seed: u64,
-    /// More keys of the configuration.
+    /// More configuration keys.
     pub overrides: Vec<String>,
 }
 
 /// A running set with its watcher.
-pub struct Stage {
-    scene: Scene,
+pub struct TestedSet {
+    options: SetOptions,
     child: Child,
-    watch: Option<Watch>,
+    monitor: Option<Monitor>,
     paths: RunPaths,
     clock: Clock,
 }
@@ -55,20 +55,20 @@ pub struct Stage {
 /// How a set ended.
 #[derive(Debug, Default)]
 pub struct End {
-    /// What it left: files, shared memory, processes, sockets.
+    /// Files, shared memory, processes and sockets that it left behind.
     pub leftovers: Vec<String>,
-    /// What else was wrong.
-    pub wrongs: Vec<String>,
+    /// Other errors.
+    pub errors: Vec<String>,
 }
 
-impl Scene {
+impl SetOptions {
     /// The period, ns.
     pub fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz) as u64
     }
 
-    /// Every key that differs from the defaults. Commands are obeyed for one and a
-    /// half periods, so that the vehicle itself brakes within two.
+    /// Every key that differs from the defaults. Commands expire after one and a half
+    /// periods, so that the vehicle itself brakes within two.
     fn settings(&self) -> Vec<String> {
         let period_ms = 1e3 / self.rate_hz;
         let mut settings: Vec<String> = [
@@ -96,8 +96,8 @@ impl Scene {
         settings
     }
 
-    /// What `./vlaps up` makes the set of.
-    pub fn words(&self) -> Vec<String> {
+    /// Arguments of `./vlaps up`.
+    pub fn arguments(&self) -> Vec<String> {
         let mut words = vec!["--run".into(), self.run.clone()];
         words.extend(["--seed".into(), self.seed.to_string()]);
         words.extend(["--rate".into(), self.rate_hz.to_string()]);
@@ -108,198 +108,198 @@ impl Scene {
     }
 }
 
-impl Stage {
+impl TestedSet {
     /// Starts a set and waits until it drives.
     ///
     /// # Errors
-    /// When it does not.
-    pub fn start(scene: Scene, clock: Clock) -> anyhow::Result<Self> {
-        // What the set before learnt would fill the disk in the end.
-        let _ = fs::remove_dir_all(&scene.folder);
-        fs::create_dir_all(&scene.folder)?;
-        let errors = fs::File::create(scene.folder.join("errors"))?;
+    /// If it does not drive within the time limit.
+    pub fn start(options: SetOptions, clock: Clock) -> anyhow::Result<Self> {
+        // Recordings and weights of earlier sets would fill the disk in the end.
+        let _ = fs::remove_dir_all(&options.folder);
+        fs::create_dir_all(&options.folder)?;
+        let errors = fs::File::create(options.folder.join("errors"))?;
         let program = std::env::current_exe()?.with_file_name("vlaps-supervisor");
         let child = Command::new(&program)
             .args(["up", "--json", "up.json"])
             .args(["--parent", &std::process::id().to_string()])
-            .args(scene.words())
-            .current_dir(&scene.folder)
-            // Its gate may need a key.
+            .args(options.arguments())
+            .current_dir(&options.folder)
+            // The gate may need an API key from the environment.
             .stdin(secret::lend()?)
             .stdout(Stdio::null())
             .stderr(errors)
-            // Ctrl-C in the terminal is ours to act on: to the set it would be a fault.
+            // Ctrl-C in the terminal is handled here: to the set it would be a fault.
             .process_group(0)
             .spawn()
             .with_context(|| program.display().to_string())?;
-        let paths = RunPaths::new(scene.run.parse()?);
-        let mut stage = Self {
-            scene,
+        let paths = RunPaths::new(options.run.parse()?);
+        let mut set = Self {
+            options,
             child,
-            watch: None,
+            monitor: None,
             paths,
             clock,
         };
-        stage.join()?;
-        if !stage.settle(PATIENCE_NS) {
-            bail!("the set does not drive: {}", stage.last_words());
+        set.join()?;
+        if !set.settle(START_END_NS) {
+            bail!("the set does not drive: {}", set.last_error());
         }
-        Ok(stage)
+        Ok(set)
     }
 
     fn join(&mut self) -> anyhow::Result<()> {
-        let until = (self.clock)().after_ns(PATIENCE_NS);
-        // Its first child comes after it has cleared away what others left: before
-        // that, a watcher would look like a living process of the dead run.
+        let until = (self.clock)().after_ns(START_END_NS);
+        // The supervisor cleans up after a killed run before it starts its first child.
+        // Until then the watcher would look like a living process of that run.
         let children = format!("/proc/{0}/task/{0}/children", self.child.id());
         while fs::read_to_string(&children).unwrap_or_default().is_empty() {
             if (self.clock)() > until || self.child.try_wait()?.is_some() {
-                bail!("the set does not start: {}", self.last_words());
+                bail!("the set does not start: {}", self.last_error());
             }
-            pause(LOOK);
+            pause(POLL);
         }
-        let file = self.scene.folder.join("runs").join(&self.scene.run);
+        let file = self.options.folder.join("runs").join(&self.options.run);
         let config = shm_config::config::load(&file.join("config.toml"))?;
         let name = self.paths.name().clone();
-        self.watch = Some(Watch::join(&name, self.child.id(), Limits::of(&config))?);
+        self.monitor = Some(Monitor::join(&name, self.child.id(), Limits::of(&config))?);
         Ok(())
     }
 
-    /// The watcher, after a look.
+    /// The watcher, with everything read that has arrived.
     ///
     /// # Panics
-    /// Never: a started stage has one until it ends.
-    pub fn watch(&mut self) -> &mut Watch {
-        let watch = self.watch.as_mut().expect("watched until its end");
-        watch.look(self.clock);
-        watch
+    /// Never: a started set has a watcher until it ends.
+    pub fn monitor(&mut self) -> &mut Monitor {
+        let monitor = self.monitor.as_mut().expect("watched until its end");
+        monitor.look(self.clock);
+        monitor
     }
 
-    /// The controller of this process id dies of the fault that just struck.
-    pub fn doom(&mut self, controller: Option<i32>) {
-        if let Some(watch) = &mut self.watch {
-            watch.doom(controller);
+    /// The fault that was just injected kills the controller of this process id.
+    pub fn expect_death(&mut self, controller: Option<i32>) {
+        if let Some(monitor) = &mut self.monitor {
+            monitor.expect_death(controller);
         }
     }
 
-    /// Watches until a condition holds, or for so long; whether it held.
-    pub fn until(&mut self, limit_ns: u64, mut holds: impl FnMut(&mut Watch) -> bool) -> bool {
+    /// Watches until a condition holds or the time is up; returns whether it held.
+    pub fn until(&mut self, limit_ns: u64, mut holds: impl FnMut(&mut Monitor) -> bool) -> bool {
         let until = (self.clock)().after_ns(limit_ns);
         loop {
-            if holds(self.watch()) {
+            if holds(self.monitor()) {
                 return true;
             }
             if (self.clock)() >= until {
                 return false;
             }
-            pause(LOOK);
+            pause(POLL);
         }
     }
 
-    /// Watches for so long.
+    /// Watches for this time.
     pub fn watch_for(&mut self, moment_ns: u64) {
         self.until(moment_ns, |_| false);
     }
 
-    /// Watches until everybody is up and the car is driven on fresh inputs.
+    /// Watches until every process is up and the car is driven on fresh inputs.
     pub fn settle(&mut self, limit_ns: u64) -> bool {
         let begun = (self.clock)();
-        self.watch().fresh_in_row = 0;
-        self.until(limit_ns, |watch| {
+        self.monitor().fresh_in_row = 0;
+        self.until(limit_ns, |monitor| {
             let up = CHILDREN
                 .into_iter()
-                .all(|process| watch.is_up(process, begun));
-            up && watch.fresh_in_row >= DRIVING
+                .all(|process| monitor.is_up(process, begun));
+            up && monitor.fresh_in_row >= DRIVING
         })
     }
 
-    /// The process id of a process that was up.
+    /// The process id of a process that has been up.
     pub fn pid(&mut self, process: Process) -> Option<i32> {
         match process {
             Process::Supervisor => i32::try_from(self.child.id()).ok(),
-            process => self.watch().pid(process),
+            process => self.monitor().pid(process),
         }
     }
 
-    /// Sends a signal; whether it went out.
+    /// Sends a signal; returns whether it was sent.
     pub fn signal(&mut self, process: Process, signal: Signal) -> bool {
         let pid = self.pid(process).and_then(Pid::from_raw);
         pid.is_some_and(|pid| kill_process(pid, signal).is_ok())
     }
 
-    /// The supervisor has ended.
+    /// Whether the supervisor has ended.
     pub fn has_ended(&mut self) -> bool {
         matches!(self.child.try_wait(), Ok(Some(_)) | Err(_))
     }
 
-    /// How it is set.
-    pub fn scene(&self) -> &Scene {
-        &self.scene
+    /// The options of this set.
+    pub fn options(&self) -> &SetOptions {
+        &self.options
     }
 
-    /// The run's place on the machine.
+    /// The run's files on this machine.
     pub fn paths(&self) -> &RunPaths {
         &self.paths
     }
 
-    /// Ends the set in an orderly way, and looks at what it leaves and says.
+    /// Stops the set in order; returns what it left behind and other errors.
     ///
     /// # Errors
-    /// When it cannot be looked at.
+    /// If that cannot be examined.
     pub fn end(mut self) -> anyhow::Result<End> {
         let mut end = End::default();
-        self.watch();
-        self.watch = None;
+        self.monitor();
+        self.monitor = None;
         self.signal_supervisor(Signal::INT);
         let status = self.await_end()?;
         if !status.success() {
-            let (exit, words) = (Exit::from(status), self.last_words());
-            end.wrongs
+            let (exit, words) = (Exit::from(status), self.last_error());
+            end.errors
                 .push(format!("an orderly stop ended with {exit}: {words}"));
         }
-        end.wrongs.extend(self.summary_wrongs());
+        end.errors.extend(self.summary_errors());
         end.leftovers = self.leftovers(true)?;
         Ok(end)
     }
 
-    /// The supervisor was killed: everything ends with it. What it leaves in
-    /// shared memory is removed by the next start.
+    /// Ends a set whose supervisor was killed: all processes end with it. The files it
+    /// leaves in shared memory are removed by the next start.
     ///
     /// # Errors
-    /// When it cannot be looked at.
-    pub fn bury(mut self) -> anyhow::Result<End> {
-        self.watch = None;
+    /// If what it left cannot be examined.
+    pub fn end_killed(mut self) -> anyhow::Result<End> {
+        self.monitor = None;
         self.await_end()?;
         Ok(End {
             leftovers: self.leftovers(false)?,
-            wrongs: Vec::new(),
+            errors: Vec::new(),
         })
     }
 
-    /// The supervisor ended by itself, as it should when its run is beyond help.
+    /// Ends a set whose supervisor should end by itself since the run cannot continue.
     ///
     /// # Errors
-    /// When it does not end, or cannot be looked at.
-    pub fn resign(mut self) -> anyhow::Result<End> {
-        self.watch = None;
+    /// If it does not end, or what it left cannot be examined.
+    pub fn end_failed(mut self) -> anyhow::Result<End> {
+        self.monitor = None;
         let status = self.await_end()?;
         let mut end = End::default();
         if status.code() != Some(1) {
             let exit = Exit::from(status);
-            end.wrongs
-                .push(format!("a run beyond help ended with {exit}"));
+            end.errors
+                .push(format!("a run that cannot continue ended with {exit}"));
         }
         end.leftovers = self.leftovers(true)?;
         Ok(end)
     }
 
-    /// Ends the set in any state, and removes what it leaves: nothing is
-    /// said of a fault that was cut short.
+    /// Ends the set in any state and removes its files, without a result: its fault was
+    /// interrupted.
     ///
     /// # Errors
-    /// When it does not end.
+    /// If it does not end.
     pub fn give_up(mut self) -> anyhow::Result<()> {
-        self.watch = None;
+        self.monitor = None;
         self.signal_supervisor(Signal::INT);
         self.await_end()?;
         remove(&self.paths);
@@ -307,32 +307,32 @@ impl Stage {
     }
 
     fn signal_supervisor(&mut self, signal: Signal) {
-        // Fails only when it has ended, which is seen next.
+        // This fails only if the process has ended, which the next check sees.
         let _ = kill_process(Pid::from_child(&self.child), signal);
     }
 
     fn await_end(&mut self) -> anyhow::Result<ExitStatus> {
-        let until = (self.clock)().after_ns(PATIENCE_NS);
+        let until = (self.clock)().after_ns(START_END_NS);
         loop {
             if let Some(status) = self.child.try_wait()? {
                 return Ok(status);
             }
             if (self.clock)() > until {
                 self.child.kill()?;
-                bail!("the set does not end: {}", self.last_words());
+                bail!("the set does not end: {}", self.last_error());
             }
-            pause(LOOK);
+            pause(POLL);
         }
     }
 
-    /// `ticks + skipped == elapsed / period`, in the set's own words.
-    fn summary_wrongs(&self) -> Vec<String> {
-        let path = self.scene.folder.join("up.json");
+    /// Checks `ticks + skipped == elapsed / period` in the set's summary.
+    fn summary_errors(&self) -> Vec<String> {
+        let path = self.options.folder.join("up.json");
         let summary = fs::read_to_string(&path).unwrap_or_default();
         let Ok(summary) = serde_json::from_str::<Value>(&summary) else {
             return vec!["no summary".into()];
         };
-        // The planner's turns begin anew with each episode where its rate is lower.
+        // At a lower rate, the planner's grid begins anew with each episode.
         ["world", "controller"]
             .iter()
             .filter_map(|process| {
@@ -346,14 +346,14 @@ impl Stage {
             .collect()
     }
 
-    /// What is left of the run on the machine: of an orderly end nothing may be, of
-    /// a killed supervisor no process.
+    /// What the run left on the machine. An orderly end must leave nothing; a killed
+    /// supervisor must leave no process.
     fn leftovers(&self, orderly: bool) -> anyhow::Result<Vec<String>> {
         let mut left = Vec::new();
-        // The kernel ends the children of a dead supervisor a moment later.
+        // The kernel kills the children of a dead supervisor with a short delay.
         let until = (self.clock)().after_ns(2_000_000_000);
         loop {
-            let living = living(&self.scene.folder);
+            let living = processes_in(&self.options.folder);
             if living.is_empty() || (self.clock)() > until {
                 left.extend(living);
                 break;
@@ -378,7 +378,7 @@ impl Stage {
                 .map(|line| format!("socket {line}")),
         );
         let known = ["runs", "up.json", "errors"];
-        for entry in fs::read_dir(&self.scene.folder)?.flatten() {
+        for entry in fs::read_dir(&self.options.folder)?.flatten() {
             let name = entry.file_name();
             if !known.iter().any(|known| name == *known) {
                 left.push(shown(entry.path()));
@@ -387,24 +387,24 @@ impl Stage {
         Ok(left)
     }
 
-    /// The last thing the supervisor said on its standard error.
-    fn last_words(&self) -> String {
-        let text = fs::read_to_string(self.scene.folder.join("errors")).unwrap_or_default();
+    /// The last line that the supervisor printed to standard error.
+    fn last_error(&self) -> String {
+        let text = fs::read_to_string(self.options.folder.join("errors")).unwrap_or_default();
         let line = text.lines().rfind(|line| !line.trim().is_empty());
-        line.unwrap_or("it said nothing").trim().into()
+        line.unwrap_or("no error message").trim().into()
     }
 }
 
-impl Drop for Stage {
+impl Drop for TestedSet {
     fn drop(&mut self) {
-        // After its end nothing is left to kill.
+        // A set that has ended has no process to kill.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Processes that work in a folder or have it in their arguments, zombies left out.
-fn living(folder: &Path) -> Vec<String> {
+/// Processes that work in a folder or have it in their arguments, except zombies.
+fn processes_in(folder: &Path) -> Vec<String> {
     let mark = format!("{}/", folder.display());
     let mut living = Vec::new();
     for entry in fs::read_dir("/proc").into_iter().flatten().flatten() {

@@ -1,5 +1,5 @@
-//! A process of the same user that the run did not start, and that sends what is well
-//! formed, holds places, or holds what it has read.
+//! A foreign process: one of the same user that the run did not start. It sends
+//! well-formed messages, occupies ports, or holds messages that it has received.
 
 use std::time::Duration;
 
@@ -11,21 +11,21 @@ use shm_config::services::{
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire, WireError};
 use supervisor::machine::signals::pause;
 
-/// What a stranger steers: no driver of the set steers just so, so that a world that
-/// obeyed it is seen.
-pub(super) const STRANGE_STEER: f64 = 0.123_456_789;
+/// Steering of the forged commands. No driver of the set steers exactly so, so that a
+/// world that obeys a forged command is recognised.
+pub(super) const FORGED_STEER: f64 = 0.123_456_789;
 
-/// Episodes ahead of the run's own.
+/// Number of episodes by which the forged episode is ahead of the run's.
 const EPISODES_AHEAD: u32 = 7;
-/// Places of one kind that a stranger tries to take.
-const PLACES_MAX: usize = 40;
-/// Readers that hold a message.
+/// Ports of one kind that the process tries to take.
+const PORTS_MAX: usize = 40;
+/// Subscribers that hold a message.
 const HOLDERS: usize = 4;
 
-/// What a stranger sends again and again.
+/// The messages that are forged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Forgery {
-    /// Commands of the episode that is driven.
+    /// Commands of the current episode.
     Command,
     /// Commands of another episode.
     OtherEpisode,
@@ -33,12 +33,12 @@ pub enum Forgery {
     Observation,
     /// Plans and advice.
     PlanAndAdvice,
-    /// Healths, progress and finished episodes.
+    /// Health reports, progress and finished episodes.
     Health,
 }
 
-/// A stranger at work.
-pub struct Stranger {
+/// A foreign process that sends forged messages.
+pub struct ForeignProcess {
     forgery: Forgery,
     commands: Publisher<Command>,
     observations: Publisher<shm_config::message::Observation>,
@@ -50,11 +50,11 @@ pub struct Stranger {
     sent: u32,
 }
 
-impl Stranger {
-    /// Opens its ports.
+impl ForeignProcess {
+    /// Opens its publishers.
     ///
     /// # Errors
-    /// When shared memory refuses.
+    /// If shared memory refuses.
     pub fn open(wire: &Wire, forgery: Forgery) -> Result<Self, WireError> {
         let healths = [Process::World, Process::Planner, Process::Controller];
         let healths = healths.map(|process| wire.publisher(services::health(process)));
@@ -71,7 +71,7 @@ impl Stranger {
         })
     }
 
-    /// Sends one forgery, made of the newest step.
+    /// Sends one forged message, derived from the newest step.
     pub fn send(&mut self, step: &Step, now: Instant, period_ns: u64) {
         self.sent += 1;
         match self.forgery {
@@ -87,7 +87,7 @@ impl Stranger {
                 let mut observation = step.observation;
                 observation.header.taken_ns = now.0;
                 observation.scheduled_ns += period_ns / 2;
-                // Every other one is broken besides.
+                // Every other message is malformed, too.
                 if self.sent.is_multiple_of(2) {
                     observation.ego.speed_mps = f64::NAN;
                 }
@@ -126,45 +126,45 @@ impl Stranger {
     }
 }
 
-/// A command that a world would obey if it came from the run's controller.
+/// A forged command that a world would obey if the run's controller had sent it.
 pub fn command(step: &Step, now: Instant) -> Command {
     let mut command = step.command;
     command.header.taken_ns = now.0;
     command.header.tick = step.header.tick + 1;
-    (command.steer, command.pedal) = (STRANGE_STEER, 1.0);
+    (command.steer, command.pedal) = (FORGED_STEER, 1.0);
     command
 }
 
-/// A step of a stranger's making was driven on, as far as the step shows; in words.
-pub fn trace_in(step: &Step, stranger: u32) -> Option<&'static str> {
-    let is_from = |producer: u32| producer == stranger;
+/// Whether a step is based on forged messages, as far as the step shows; in words.
+pub fn forgery_in(step: &Step, foreign: u32) -> Option<&'static str> {
+    let is_from = |producer: u32| producer == foreign;
     if is_from(step.observation.header.producer) {
-        return Some("driven on a stranger's observation");
+        return Some("based on a foreign observation");
     }
     if is_from(step.plan.header.producer) {
-        return Some("driven on a stranger's plan");
+        return Some("based on a foreign plan");
     }
     if is_from(step.advice.header.producer) || is_from(step.takeover.header.producer) {
-        return Some("driven on a stranger's advice or takeover");
+        return Some("based on foreign advice or a foreign takeover");
     }
-    let obeyed = step.observation.ego.steer == STRANGE_STEER;
-    obeyed.then_some("the world obeyed a stranger's command")
+    let obeyed = step.observation.ego.steer == FORGED_STEER;
+    obeyed.then_some("the world obeyed a foreign command")
 }
 
-/// Every place that a stranger can take in the services of a tick: while they are held,
-/// a process that is restarted finds none.
-pub struct HeldPlaces {
+/// All ports that a foreign process can take in the services of a tick: while they are
+/// held, a restarted process finds none.
+pub struct HeldPorts {
     _commands: Vec<Publisher<Command>>,
     _observations: Vec<Publisher<shm_config::message::Observation>>,
     _plans: Vec<Publisher<shm_config::message::Plan>>,
     _bells: Vec<Doorbell>,
 }
 
-impl HeldPlaces {
-    /// Takes them.
+impl HeldPorts {
+    /// Takes all ports.
     pub fn take(wire: &Wire) -> Self {
         fn all<T>(open: impl Fn() -> Result<T, WireError>) -> Vec<T> {
-            (0..PLACES_MAX).map_while(|_| open().ok()).collect()
+            (0..PORTS_MAX).map_while(|_| open().ok()).collect()
         }
         Self {
             _commands: all(|| wire.publisher(COMMAND)),
@@ -175,14 +175,14 @@ impl HeldPlaces {
     }
 }
 
-/// Holds messages that it has read for a moment: what a publisher has lent stays lent.
+/// Holds received messages for a moment; the publisher's loaned samples stay loaned.
 ///
 /// # Errors
-/// When shared memory refuses.
+/// If shared memory refuses.
 pub fn hold_loans(wire: &Wire, moment: Duration) -> Result<(), WireError> {
     fn hold<M: Message>(readers: &mut [Subscriber<M>], moment: Duration) {
         match readers.split_first_mut() {
-            // One that has nothing to hold yet passes on.
+            // A subscriber without a message is skipped.
             Some((first, rest)) => match first.visit(|_| hold(rest, moment)) {
                 Some(()) => {}
                 None => hold(rest, moment),
@@ -194,7 +194,7 @@ pub fn hold_loans(wire: &Wire, moment: Duration) -> Result<(), WireError> {
     for _ in 0..HOLDERS {
         steps.push(wire.subscriber(STEP)?);
     }
-    // Two ticks at 10 Hz: a message each.
+    // Two ticks at 10 Hz: one message for each subscriber.
     pause(Duration::from_millis(200));
     hold(&mut steps, moment);
     Ok(())

@@ -1,7 +1,7 @@
-//! A room of its own: the campaign fills disks and shared memory, and no other process
-//! on the machine shall notice. In a mount namespace of its own /dev/shm and the
-//! folder of the user's runs are small private file systems; what is left in them
-//! at the end is the campaign's, and goes with it.
+//! Private file systems for a campaign: it fills disks and shared memory, and no other
+//! process on the machine may notice. In a mount namespace of its own, /dev/shm and the
+//! folder of the user's runs are small private file systems; their content disappears
+//! with the namespace.
 
 use std::fs::{self, File, OpenOptions};
 use std::os::unix::process::CommandExt;
@@ -13,37 +13,40 @@ use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use shm_config::run::{SHARED_MEMORY_DIR, USER_DIR};
 use shm_config::secret;
 
-/// Says that this process is within its room already.
-const WITHIN: &str = "VLAPS_FAULTS_WITHIN";
+/// Environment variable of a process that is inside the namespace already.
+const INSIDE: &str = "VLAPS_FAULTS_WITHIN";
 
-/// The private file systems, one within the other, mounted by a shell that becomes
-/// this program again.
-const FURNISH: &str = r#"
+/// Mounts the private file systems, one within the other, and then executes this
+/// program again.
+const MOUNT_SCRIPT: &str = r#"
 mount -t tmpfs -o size=256m,mode=1777 tmpfs /dev/shm &&
 mkdir -p -m 700 "$RUNS" &&
 mount -t tmpfs -o size=64m,mode=0700 tmpfs "$RUNS" &&
 exec "$0" "$@"
 "#;
 
-/// Where a campaign works.
+/// The folder of a campaign.
 #[derive(Debug)]
-pub struct Room {
-    /// Folder that its sets run in.
+pub struct Sandbox {
+    /// Folder in which its sets run.
     pub folder: PathBuf,
-    /// Disk and shared memory are its own, so that they may be filled.
+    /// Whether disk and shared memory are private, so that they may be filled.
     pub is_private: bool,
     _folder: Option<tempfile::TempDir>,
 }
 
-impl Room {
-    /// Goes into a room of its own where the machine grants one: this program then
-    /// begins anew there, and the call does not return in the old one.
+impl Sandbox {
+    /// Enters a private mount namespace where the machine grants one: this program then
+    /// starts anew inside it, and the call does not return.
     ///
     /// # Errors
-    /// When no folder can be made.
+    /// If the folder cannot be made.
     pub fn enter() -> anyhow::Result<Self> {
-        if std::env::var_os(WITHIN).is_some() {
-            let folder = runs().join(".faults");
+        if std::env::var_os(INSIDE).is_some() {
+            // The set's processes are found by their folder, and processes in other mount
+            // namespaces show theirs by the same paths: one name for all campaigns would
+            // count the living set of another campaign as left behind.
+            let folder = runs().join(format!(".faults-{}", std::process::id()));
             fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
             return Ok(Self {
                 folder,
@@ -57,10 +60,10 @@ impl Room {
             secret::hand_on(&mut become_it);
             let error = become_it
                 .args(flags)
-                .args(["sh", "-c", FURNISH])
+                .args(["sh", "-c", MOUNT_SCRIPT])
                 .arg(own)
                 .args(std::env::args_os().skip(1))
-                .env(WITHIN, "1")
+                .env(INSIDE, "1")
                 .env("RUNS", runs())
                 .exec();
             bail!("unshare: {error}");
@@ -79,8 +82,8 @@ fn runs() -> PathBuf {
     PathBuf::from(USER_DIR.replace("{user}", &user.to_string()))
 }
 
-/// The options of unshare(1) that this machine grants; `None` when it grants none.
-/// Root keeps its rights outside, real-time priority among them.
+/// The options of unshare(1) that this machine grants; `None` if it grants none. Root
+/// keeps its privileges of the host, real-time priority among them.
 fn namespace() -> Option<&'static [&'static str]> {
     let probe = "mount -t tmpfs tmpfs /dev/shm";
     [&["-m"][..], &["-rm"][..]].into_iter().find(|flags| {
@@ -94,7 +97,7 @@ fn namespace() -> Option<&'static [&'static str]> {
     })
 }
 
-/// All free space of a file system, taken until the value is dropped.
+/// Occupies all free space of a file system until dropped.
 #[derive(Debug)]
 pub struct Filler {
     path: PathBuf,
@@ -104,7 +107,7 @@ impl Filler {
     /// Fills the file system that holds a folder.
     ///
     /// # Errors
-    /// When it cannot be filled.
+    /// If it cannot be filled.
     pub fn fill(folder: &Path) -> anyhow::Result<Self> {
         let filler = Self {
             path: folder.join("vlaps-faults-filler"),
@@ -112,7 +115,7 @@ impl Filler {
         let mut options = OpenOptions::new();
         let file = options.create(true).truncate(true).write(true);
         let file = file.open(&filler.path).context("the filler")?;
-        // What others take or give back meanwhile is taken, too.
+        // Space that other processes free meanwhile is filled, too.
         for step in [1 << 20, 4096] {
             while take(&file, folder, step)? {}
         }
@@ -120,7 +123,7 @@ impl Filler {
     }
 }
 
-/// Takes what is free in whole steps; `false` when there is no step left.
+/// Allocates free space in steps of `step` bytes; `false` when no whole step is left.
 fn take(file: &File, folder: &Path, step: u64) -> anyhow::Result<bool> {
     let space = statvfs(folder)?;
     let free = space.f_bavail * space.f_frsize / step * step;
@@ -137,12 +140,12 @@ fn take(file: &File, folder: &Path, step: u64) -> anyhow::Result<bool> {
 
 impl Drop for Filler {
     fn drop(&mut self) {
-        // Nothing else can be done about it here; the next fill would fail loudly.
+        // A failed removal cannot be handled here; the next fill would report it.
         let _ = fs::remove_file(&self.path);
     }
 }
 
-/// Where shared memory is.
+/// The folder of POSIX shared memory.
 pub fn shared_memory() -> &'static Path {
     Path::new(SHARED_MEMORY_DIR)
 }
