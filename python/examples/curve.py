@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 640, 320, 50, 40
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9")
 
 
 class Curve:
@@ -19,7 +20,8 @@ class Curve:
         """Adds a point to each named line."""
         for name, value in values.items():
             self.points.setdefault(name, []).append((step, value))
-        print(f"step {step}: " + ", ".join(f"{k} {v:.3f}" for k, v in values.items()), flush=True)
+        shown = ", ".join(f"{name} {value:.3f}" for name, value in values.items())
+        print(f"step {step}: {shown}, {time.process_time():.0f} s of processor time", flush=True)
         self.path.write_text(self.svg())
 
     def svg(self) -> str:
@@ -41,5 +43,5 @@ class Curve:
             colour = COLOURS[k % len(COLOURS)]
             path = " L".join(at(step, value) for step, value in line)
             text.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="2"/>')
-            text.append(f'<text x="{LEFT + 150 * k}" y="{HEIGHT - 8}" fill="{colour}">{name}</text>')
+            text.append(f'<text x="{LEFT + 90 * k}" y="{HEIGHT - 8}" fill="{colour}">{name}</text>')
         return "".join(text) + "</svg>\n"

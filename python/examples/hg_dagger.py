@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from curve import Curve
-from imitation import Memory, arguments_of, examine, network
+from imitation import Memory, arguments_of, lessons
 from torch import nn
-
-import vlaps
+from training import network
 
 #: Share of the steps that the expert drives alone, before the learner does.
 DEMONSTRATION = 0.2
@@ -25,41 +23,19 @@ WEIGHTS = torch.tensor([10.0, 1.0])
 
 
 def main() -> None:
-    arguments = arguments_of(__doc__, out="hg_dagger")
-    envs = vlaps.MetaDriveVectorEnv(
-        arguments.envs,
-        autoreset_mode="SameStep",
-        takeover=vlaps.Takeover("differs", arguments.expert),
-        start_seed=100,
-        num_scenarios=500,
-        shuffle=True,
-    )
-    actor = network(259, 2, nn.Tanh())
+    arguments = arguments_of(__doc__, "hg_dagger")
+    actor = network((259, 128, 2), nn.ReLU, nn.Tanh())
     optimiser = torch.optim.Adam(actor.parameters(), lr=1e-3)
     memory, random = Memory(259, 2), np.random.default_rng(0)
-    curve = Curve(f"{arguments.out}.svg", "HG-DAgger, 20 episodes a point")
-    observations, _ = envs.reset(seed=100)
-    taken, due = [], 0
-    for step in range(0, arguments.steps, arguments.envs):
-        if step >= due:
-            share = float(np.mean(taken[-200:])) if taken else 1.0
-            examine(actor, step, curve, f"{arguments.out}.onnx", takeovers=share)
-            due += arguments.every
-        with torch.no_grad():
-            proposal = actor(torch.from_numpy(observations)).numpy()
-        shown = step < DEMONSTRATION * arguments.steps
-        after, _, _, _, info = envs.step(proposal, takeover=True if shown else None)
-        labelled = info["takeover"]
-        taken.append(labelled.mean())
-        memory.add(observations[labelled], info["expert"][labelled])
-        observations = after
+    for lesson in lessons(actor, "HG-DAgger", arguments, DEMONSTRATION):
+        labelled = lesson.info["takeover"]
+        memory.add(lesson.observations[labelled], lesson.info["expert"][labelled])
         for _ in range(arguments.updates):
             seen, wanted = memory.draw(random, 256)
             loss = (WEIGHTS * (actor(seen) - wanted) ** 2).mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
-    examine(actor, arguments.steps, curve, f"{arguments.out}.onnx", takeovers=float(np.mean(taken[-200:])))
 
 
 if __name__ == "__main__":

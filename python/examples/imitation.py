@@ -1,24 +1,19 @@
-"""What the examples with a teacher share: network, memory, examination, arguments."""
+"""What the scripts with a teacher share: lessons in shared control, and a memory."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from curve import Curve
+from numpy.typing import NDArray
 from torch import nn
+from training import MAPS, evaluate_policy, parser_of
 
 import vlaps
-
-SEEDS = range(1000, 1020)
-
-
-def network(inputs: int, outputs: int, *end: nn.Module) -> nn.Sequential:
-    """Two hidden layers of 128; Linear, ReLU and Tanh fit a policy file."""
-    return nn.Sequential(
-        nn.Linear(inputs, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, outputs), *end
-    )
 
 
 class Memory:
@@ -42,24 +37,43 @@ class Memory:
         return [torch.from_numpy(array[rows]) for array in self.arrays]
 
 
-def arguments_of(text: str, **defaults: object) -> argparse.Namespace:
-    """The options that the examples have in common."""
-    parser = argparse.ArgumentParser(description=text.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=20_000, help="steps of all worlds together")
-    parser.add_argument("--every", type=int, default=2_000, help="steps between two points of the curve")
-    parser.add_argument("--envs", type=int, default=8)
+class Lesson(NamedTuple):
+    """A step of all worlds."""
+
+    states: list[vlaps.State]  # before the step
+    observations: NDArray[np.float32]  # that the learner's proposal answers
+    proposal: NDArray[np.float32]
+    after: NDArray[np.float32]  # of the next episode where one ended
+    ended: NDArray[np.bool_]
+    info: dict[str, Any]  # "takeover", "expert", "applied": see vlaps.Takeover
+
+
+def arguments_of(text: str, out: str) -> argparse.Namespace:
+    """The command line."""
+    parser = parser_of(text, out=out, steps=20_000, every=2_000, envs=8)
     parser.add_argument("--updates", type=int, default=4, help="updates after each step of all worlds")
     parser.add_argument("--expert", default="mpc", help="the teacher: idm, rrt-star, informed, kinodynamic, mpc")
-    parser.add_argument("--out", help="name of the curve and of the policy, without suffix")
-    parser.set_defaults(**defaults)
-    arguments = parser.parse_args()
-    torch.manual_seed(0)
-    torch.set_num_threads(1)
-    return arguments
+    return parser.parse_args()
 
 
-def examine(actor: nn.Module, step: int, curve: Curve, path: str, **more: float) -> None:
-    """Writes the policy, drives it alone on seeds that training does not see, adds a point."""
-    policy = vlaps.export(actor, path, algorithm=curve.title.split()[0].lower(), steps=step)
-    found = vlaps.evaluate(policy, SEEDS, quiet=True)
-    curve.add(step, success=found["success"].mean, completion=found["completion"].mean, **more)
+def lessons(actor: nn.Module, title: str, arguments: argparse.Namespace, demonstration: float) -> Iterator[Lesson]:
+    """The learner drives and the expert takes over; the expert drives the first share alone."""
+    envs = vlaps.MetaDriveVectorEnv(
+        arguments.envs, autoreset_mode="SameStep", takeover=vlaps.Takeover("differs", arguments.expert), **MAPS
+    )
+    curve = Curve(f"{arguments.out}.svg", title)
+    observations, _ = envs.reset()
+    taken, due = [1.0], 0
+    for step in range(0, arguments.steps, arguments.envs):
+        if step >= due:
+            evaluate_policy(actor, step, curve, takeovers=float(np.mean(taken[-200:])))
+            due += arguments.every
+        with torch.no_grad():
+            proposal = actor(torch.from_numpy(observations)).numpy()
+        states = [envs.get_state(world) for world in range(envs.num_envs)]
+        shown = step < demonstration * arguments.steps
+        after, _, terminated, truncated, info = envs.step(proposal, takeover=True if shown else None)
+        taken.append(info["takeover"].mean())
+        yield Lesson(states, observations, proposal, after, terminated | truncated, info)
+        observations = after
+    evaluate_policy(actor, arguments.steps, curve, takeovers=float(np.mean(taken[-200:])))

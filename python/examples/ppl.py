@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from curve import Curve
-from imitation import Memory, arguments_of, examine, network
+from imitation import Memory, arguments_of, lessons
 from torch import nn
 from torch.nn.functional import logsigmoid
+from training import MAPS, network
 
 import vlaps
 
@@ -29,8 +29,8 @@ DEMONSTRATION = 0.1
 class Imagination:
     """A world beside the others, in which rejected actions are tried."""
 
-    def __init__(self, expert: str, random: np.random.Generator, **options: object) -> None:
-        self.env, self.expert, self.random = vlaps.MetaDriveEnv(**options), expert, random
+    def __init__(self, expert: str, random: np.random.Generator) -> None:
+        self.env, self.expert, self.random = vlaps.MetaDriveEnv(**MAPS), expert, random
 
     def scenes(self, state: vlaps.State, rejected: np.ndarray) -> list[tuple[np.ndarray, ...]]:
         """States that a rejected action leads to: observation, expert's action, rejected."""
@@ -59,46 +59,24 @@ def loss_of(actor: nn.Module, shown: list[torch.Tensor], preferred: list[torch.T
 
 
 def main() -> None:
-    arguments = arguments_of(__doc__, out="ppl")
-    options = {"start_seed": 100, "num_scenarios": 500, "shuffle": True}
-    envs = vlaps.MetaDriveVectorEnv(
-        arguments.envs,
-        autoreset_mode="SameStep",
-        takeover=vlaps.Takeover("differs", arguments.expert),
-        **options,
-    )
+    arguments = arguments_of(__doc__, "ppl")
     random = np.random.default_rng(0)
-    imagination = Imagination(arguments.expert, random, **options)
-    actor = network(259, 2, nn.Tanh())
+    imagination = Imagination(arguments.expert, random)
+    actor = network((259, 128, 2), nn.ReLU, nn.Tanh())
     optimiser = torch.optim.Adam(actor.parameters(), lr=1e-3)
     driven, imagined = Memory(259, 2), Memory(259, 2, 2)
-    curve = Curve(f"{arguments.out}.svg", "PPL, 20 episodes a point")
-    observations, _ = envs.reset(seed=100)
-    taken, due = [1.0], 0
-    for step in range(0, arguments.steps, arguments.envs):
-        if step >= due:
-            share = float(np.mean(taken[-200:]))
-            examine(actor, step, curve, f"{arguments.out}.onnx", takeovers=share)
-            due += arguments.every
-        with torch.no_grad():
-            proposal = actor(torch.from_numpy(observations)).numpy()
-        states = [envs.get_state(k) for k in range(envs.num_envs)]
-        shown = step < DEMONSTRATION * arguments.steps
-        after, _, _, _, info = envs.step(proposal, takeover=True if shown else None)
-        labelled = info["takeover"]
-        taken.append(labelled.mean())
+    for lesson in lessons(actor, "PPL", arguments, DEMONSTRATION):
+        labelled = lesson.info["takeover"]
         if labelled.any():
-            driven.add(observations[labelled], info["applied"][labelled])
-            k = int(random.choice(np.flatnonzero(labelled)))
-            for scene in imagination.scenes(states[k], proposal[k]):
+            driven.add(lesson.observations[labelled], lesson.info["applied"][labelled])
+            world = int(random.choice(np.flatnonzero(labelled)))
+            for scene in imagination.scenes(lesson.states[world], lesson.proposal[world]):
                 imagined.add(*(one[None] for one in scene))
-        observations = after
         for _ in range(arguments.updates if imagined.count else 0):
             loss = loss_of(actor, driven.draw(random, 256), imagined.draw(random, 256))
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
-    examine(actor, arguments.steps, curve, f"{arguments.out}.onnx", takeovers=float(np.mean(taken[-200:])))
 
 
 if __name__ == "__main__":

@@ -13,13 +13,13 @@ import copy
 
 import numpy as np
 import torch
-from curve import Curve
-from imitation import Memory, arguments_of, examine, network
+from imitation import Memory, arguments_of, lessons
 from torch import nn
-
-import vlaps
+from training import network
 
 GAMMA, TAU, NOISE = 0.99, 0.005, 0.1
+#: Steering decides; the pedal matters less.
+WEIGHTS = torch.tensor([10.0, 1.0])
 #: The expert drives alone in this share of the steps, so that its action is known.
 DEMONSTRATION = 0.1
 
@@ -29,7 +29,7 @@ class Critics(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.nets = nn.ModuleList([network(261, 1), network(261, 1)])
+        self.nets = nn.ModuleList([network((261, 128, 1), nn.ReLU), network((261, 128, 1), nn.ReLU)])
 
     def forward(self, seen: torch.Tensor, action: torch.Tensor) -> list[torch.Tensor]:
         return [net(torch.cat([seen, action], 1)) for net in self.nets]
@@ -39,7 +39,7 @@ class Learner:
     """Actor, critics, their slow copies, and one update of them."""
 
     def __init__(self) -> None:
-        self.actor, self.critics = network(259, 2, nn.Tanh()), Critics()
+        self.actor, self.critics = network((259, 128, 2), nn.ReLU, nn.Tanh()), Critics()
         self.slow = copy.deepcopy(nn.ModuleList([self.actor, self.critics]))
         self.actor_steps = torch.optim.Adam(self.actor.parameters(), lr=3e-4)
         self.critic_steps = torch.optim.Adam(self.critics.parameters(), lr=3e-4)
@@ -59,7 +59,7 @@ class Learner:
         (proxy + temporal).backward()
         self.critic_steps.step()
         action = self.actor(seen)
-        imitation = (taken * (action - applied) ** 2).mean()
+        imitation = (taken * WEIGHTS * (action - applied) ** 2).sum() / (2.0 * taken.sum() + 1.0)
         loss = -self.critics(seen, action)[0].mean() + imitation
         self.actor_steps.zero_grad()
         loss.backward()
@@ -70,37 +70,19 @@ class Learner:
 
 
 def main() -> None:
-    arguments = arguments_of(__doc__, out="pvp")
-    envs = vlaps.MetaDriveVectorEnv(
-        arguments.envs,
-        autoreset_mode="SameStep",
-        takeover=vlaps.Takeover("differs", arguments.expert),
-        start_seed=100,
-        num_scenarios=500,
-        shuffle=True,
-    )
+    arguments = arguments_of(__doc__, "pvp")
     learner, random = Learner(), np.random.default_rng(0)
-    memory = Memory(259, 2, 2, 1, 259, 1)
-    curve = Curve(f"{arguments.out}.svg", "PVP, 20 episodes a point")
-    observations, _ = envs.reset(seed=100)
-    taken, due = [1.0], 0
-    for step in range(0, arguments.steps, arguments.envs):
-        if step >= due:
-            share = float(np.mean(taken[-200:]))
-            examine(learner.actor, step, curve, f"{arguments.out}.onnx", takeovers=share)
-            due += arguments.every
-        with torch.no_grad():
-            proposal = learner.actor(torch.from_numpy(observations)).numpy()
-        shown = step < DEMONSTRATION * arguments.steps
-        after, _, terminated, truncated, info = envs.step(proposal, takeover=True if shown else None)
-        taken.append(info["takeover"].mean())
+    # As in the paper half of a batch is the expert's, however seldom it still takes over.
+    experts, learners = (Memory(259, 2, 2, 1, 259, 1) for _ in range(2))
+    for lesson in lessons(learner.actor, "PVP", arguments, DEMONSTRATION):
+        applied, taken = lesson.info["applied"], lesson.info["takeover"]
         # An episode's last observation counts for nothing: its end is the target's.
-        ended = terminated | truncated
-        memory.add(observations, proposal, info["applied"], info["takeover"], after, ended)
-        observations = after
+        rows = (lesson.observations, lesson.proposal, applied, taken, lesson.after, lesson.ended)
+        for memory, mine in ((experts, taken), (learners, ~taken)):
+            memory.add(*(column[mine] for column in rows))
         for _ in range(arguments.updates):
-            learner.update(memory.draw(random, 256))
-    examine(learner.actor, arguments.steps, curve, f"{arguments.out}.onnx", takeovers=float(np.mean(taken[-200:])))
+            halves = [memory.draw(random, 128) for memory in (experts, learners) if memory.count]
+            learner.update([torch.cat(columns) for columns in zip(*halves)])
 
 
 if __name__ == "__main__":

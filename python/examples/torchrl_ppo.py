@@ -1,12 +1,10 @@
 """PPO of TorchRL.
 
     pip install torch torchrl
-    python torchrl_ppo.py --steps 2000000
+    python torchrl_ppo.py --steps 10000000
 """
 
 from __future__ import annotations
-
-import argparse
 
 import gymnasium
 import torch
@@ -20,15 +18,11 @@ from torchrl.envs.utils import check_env_specs
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
+from training import CONTACT_ENDS, MAPS, SMALL_REWARDS, evaluate_policy, network, parser_of
 
 import vlaps
 
-BATCH, EPOCHS = 1024, 6
-
-
-def network(outputs: int) -> nn.Sequential:
-    """Two hidden layers."""
-    return nn.Sequential(nn.Linear(259, 128), nn.Tanh(), nn.Linear(128, 128), nn.Tanh(), nn.Linear(128, outputs))
+BATCH, EPOCHS = 2048, 6
 
 
 def environment(**options: object) -> GymWrapper:
@@ -48,32 +42,25 @@ class Widths(nn.Module):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--steps", type=int, default=2_000_000)
-    parser.add_argument("--every", type=int, default=200_000)
-    parser.add_argument("--envs", type=int, default=32)
-    parser.add_argument("--out", default="torchrl_ppo")
-    arguments = parser.parse_args()
-    torch.manual_seed(0)
-    torch.set_num_threads(1)
-    options = {"start_seed": 100, "num_scenarios": 800, "shuffle": True}
+    arguments = parser_of(__doc__, out="torchrl_ppo", steps=10_000_000, every=500_000, envs=128).parse_args()
+    options = {**SMALL_REWARDS, **CONTACT_ENDS, **MAPS}
     check_env_specs(environment(num_envs=2, **options))
     env = environment(num_envs=arguments.envs, **options)
-    mean = network(2)
+    mean = network((259, 64, 2), nn.Tanh)
     actor = ProbabilisticActor(
         TensorDictModule(nn.Sequential(mean, Widths(), NormalParamExtractor()), ["observation"], ["loc", "scale"]),
         in_keys=["loc", "scale"],
         distribution_class=IndependentNormal,
         return_log_prob=True,
     )
-    critic = ValueOperator(network(1), in_keys=["observation"])
-    loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.0)
+    critic = ValueOperator(network((259, 64, 1), nn.Tanh), in_keys=["observation"])
+    loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_coeff=0.01)
     estimator = GAE(gamma=0.99, lmbda=0.95, value_network=critic)
     optimiser = torch.optim.Adam(loss.parameters(), lr=4e-4)
-    frames = max(1, min(8192, arguments.steps) // arguments.envs) * arguments.envs
+    frames = max(1, min(16_384, arguments.steps) // arguments.envs) * arguments.envs
     total = -(-arguments.steps // frames) * frames
     collector = Collector(env, actor, frames_per_batch=frames, total_frames=total)
-    curve = Curve(f"{arguments.out}.svg", "PPO of TorchRL, 50 episodes a point")
+    curve = Curve(f"{arguments.out}.svg", "PPO of TorchRL")
     driven, due = 0, 0
     for data in collector:
         driven += data.numel()
@@ -84,14 +71,12 @@ def main() -> None:
             for part in torch.randperm(len(rows)).split(BATCH):
                 terms = loss(rows[part])
                 optimiser.zero_grad()
-                (terms["loss_objective"] + terms["loss_critic"]).backward()
+                (terms["loss_objective"] + terms["loss_critic"] + terms["loss_entropy"]).backward()
                 nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
                 optimiser.step()
         if driven >= due or driven >= total:
             due = driven + arguments.every
-            policy = vlaps.export(mean, f"{arguments.out}.onnx", algorithm="ppo", steps=driven)
-            found = vlaps.evaluate(policy, range(1000, 1050), quiet=True)
-            curve.add(driven, success=found["success"].mean, completion=found["completion"].mean)
+            evaluate_policy(mean, driven, curve)
     collector.shutdown()
 
 

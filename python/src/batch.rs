@@ -1,5 +1,5 @@
-//! Many environments at once. Each writes its own row of the output arrays, so the
-//! number of threads cannot change a result.
+//! Many environments. Each writes its own row of the output arrays, so that the results do
+//! not depend on the number of threads.
 
 use std::num::NonZeroUsize;
 
@@ -11,7 +11,7 @@ use crate::env::{Env, FIGURES, Pair, Reset, Row, STATE_FEATURES};
 use crate::expert::{Expert, Experts};
 use crate::options::Options;
 
-/// Arrays of a batch, or of a part of it: one row for each environment.
+/// Output arrays of a batch or of a part of it: one row per environment.
 pub struct Arrays<'a> {
     /// `[worlds, features]`.
     pub observation: &'a mut [f32],
@@ -30,7 +30,7 @@ pub struct Arrays<'a> {
 }
 
 impl<'a> Arrays<'a> {
-    /// The rows of the first environments, and those of the others.
+    /// Splits the rows after the first `worlds` environments.
     fn split_at(self, worlds: usize, features: usize) -> (Arrays<'a>, Arrays<'a>) {
         let observation = self.observation.split_at_mut(worlds * features);
         let final_observation = self.final_observation.split_at_mut(worlds * features);
@@ -76,8 +76,8 @@ impl<'a> Arrays<'a> {
     }
 }
 
-/// Calls `each` for every environment with its input and its row, in halves that threads
-/// of the pool may take, down to `grain` environments.
+/// Calls `each` for every environment with its input and its row. The pool's threads may
+/// take halves of the batch, down to `grain` environments.
 fn for_each<I: Sync>(
     grain: usize,
     (envs, inputs, mut arrays): (&mut [Env], &[I], Arrays),
@@ -104,7 +104,7 @@ fn for_each<I: Sync>(
     left.and(right)
 }
 
-/// The same on these threads, or on the caller's.
+/// The same on the threads of the pool, or on the caller's without a pool.
 fn for_all<I: Sync>(
     threads: Option<&ThreadPool>,
     grain: usize,
@@ -119,21 +119,21 @@ fn for_all<I: Sync>(
 
 /// Many environments, and the threads that step them.
 pub struct Batch {
-    /// What they are like.
+    /// Options of all environments.
     pub options: Options,
     envs: Vec<Env>,
-    /// None: the caller's own thread steps them all.
+    /// `None`: the caller's thread steps all environments.
     threads: Option<ThreadPool>,
     grain: usize,
     experts: Experts,
 }
 
 impl Batch {
-    /// Environments of these options, each before its first episode; the experts have a
-    /// configuration of their own.
+    /// Creates environments before their first episode; the experts have their own
+    /// configuration.
     ///
     /// # Errors
-    /// One line: an option out of range, or no thread to be had.
+    /// One line: an option is out of range, or a thread cannot be started.
     pub fn new(
         options: Options,
         experts: Config,
@@ -155,7 +155,7 @@ impl Batch {
             options,
             experts: Experts::new(experts),
             threads: (count > 1).then(pool).transpose()?,
-            // Several parts for each thread even out episodes of unequal cost.
+            // Several parts per thread balance episodes of unequal cost.
             grain: match count {
                 1 => worlds.get(),
                 _ => worlds.get().div_ceil(count * 8),
@@ -169,7 +169,7 @@ impl Batch {
         self.envs.len()
     }
 
-    /// Threads beside the caller's; 0 when that steps all environments.
+    /// Number of threads of the pool; 0 if the caller's thread steps all environments.
     pub fn threads(&self) -> usize {
         self.threads
             .as_ref()
@@ -178,19 +178,19 @@ impl Batch {
 
     /// Numbers in an observation.
     pub fn features(&self) -> usize {
-        STATE_FEATURES + self.options.world.beam_count
+        STATE_FEATURES + self.options.world.scanner.beams as usize
     }
 
-    /// One environment with the options; `None` beyond the last.
+    /// One environment with the options; `None` if the index is out of range.
     pub fn env(&mut self, index: usize) -> Option<(&Options, &mut Env)> {
         let options = &self.options;
         self.envs.get_mut(index).map(|env| (options, env))
     }
 
-    /// What an expert does now in the wanted environments; NaN in the others.
+    /// Actions of an expert in the wanted environments; NaN in the others.
     ///
     /// # Errors
-    /// One line, when the planner's configuration is out of range.
+    /// One line, if the planner's configuration is out of range.
     pub fn advise(&mut self, expert: Expert, wanted: &[bool]) -> Result<Vec<Pair>, String> {
         let method = match expert {
             Expert::Planner(method) => method,

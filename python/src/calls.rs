@@ -1,4 +1,4 @@
-//! What the Python classes share: checks of their arguments, pictures, assessments.
+//! Functions shared by the Python classes: argument checks, pictures, assessments.
 
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
@@ -10,10 +10,10 @@ use sim::render::Shot;
 
 use crate::env::{Env, Pair};
 
-/// Greatest width and height of a picture, pixels.
+/// Maximum width and height of a picture, pixels.
 const SIDE_MAX_PX: u32 = 8192;
 
-/// Names of the numbers that [`assessment`] writes, in this order.
+/// Names of the numbers of [`assessment`], in order.
 pub const ASSESSMENTS: [&str; 6] = [
     "clearance_m",
     "safe_s",
@@ -23,14 +23,14 @@ pub const ASSESSMENTS: [&str; 6] = [
     "veto",
 ];
 
-/// Takes the environments for one call.
+/// Locks the environments for one call.
 ///
 /// # Errors
-/// While another thread's call runs.
+/// If another thread's call is running.
 pub fn take<T>(inner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
     match inner.try_lock() {
         Ok(inner) => Ok(inner),
-        // Rows are written whole or not at all, so a panic leaves no half of one.
+        // Rows are written completely or not at all, so a panic leaves no partial row.
         Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
         Err(TryLockError::WouldBlock) => Err(PyRuntimeError::new_err(
             "two threads called the same environments at once: give each thread its own, and \
@@ -40,7 +40,7 @@ pub fn take<T>(inner: &Mutex<T>) -> PyResult<MutexGuard<'_, T>> {
 }
 
 /// # Errors
-/// Before the first episode.
+/// If no episode has begun.
 pub fn check_begun(begun: bool) -> PyResult<()> {
     match begun {
         true => Ok(()),
@@ -49,7 +49,7 @@ pub fn check_begun(begun: bool) -> PyResult<()> {
 }
 
 /// # Errors
-/// When a number is not finite.
+/// If a number is not finite.
 pub fn check_action(index: usize, [steer, pedal]: Pair) -> PyResult<()> {
     match steer.is_finite() && pedal.is_finite() {
         true => Ok(()),
@@ -59,7 +59,7 @@ pub fn check_action(index: usize, [steer, pedal]: Pair) -> PyResult<()> {
     }
 }
 
-/// The tick's assessment of a proposal, as numbers.
+/// The safety check's assessment of a proposal, as numbers.
 pub fn assessment(env: &Env, proposal: Pair) -> [f64; ASSESSMENTS.len()] {
     let measured = env.judge(proposal);
     [
@@ -75,7 +75,7 @@ pub fn assessment(env: &Env, proposal: Pair) -> [f64; ASSESSMENTS.len()] {
 /// A picture of an environment, `[height, width, 3]`.
 ///
 /// # Errors
-/// When the view is unknown or the size out of range.
+/// If the view is unknown or the size out of range.
 pub fn picture<'py>(
     py: Python<'py>,
     env: &Env,

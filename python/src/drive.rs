@@ -1,4 +1,4 @@
-//! Whole episodes in the order of a run in lockstep: what `./vlaps eval` drives.
+//! Drives whole episodes in the order of a lockstep run, as `./vlaps eval` does.
 
 use std::sync::Mutex;
 use std::sync::OnceLock;
@@ -19,7 +19,7 @@ use stack::episode::drive;
 use crate::expert::config;
 use crate::options::Options;
 
-/// The process's own clock; only measured planning times depend on it.
+/// The process's clock; only measured planning times depend on it.
 #[allow(clippy::disallowed_methods)] // the entry point of a Python program
 pub fn clock() -> Instant {
     static BEGUN: OnceLock<std::time::Instant> = OnceLock::new();
@@ -30,10 +30,10 @@ pub fn clock() -> Instant {
 /// The driver of all episodes.
 #[derive(FromPyObject)]
 pub enum Driver {
-    /// By its name in `./vlaps eval --driver`.
+    /// A driver by its name in `./vlaps eval --driver`.
     #[pyo3(transparent)]
     Named(String),
-    /// The policy of these bytes alone.
+    /// The policy in these bytes.
     #[pyo3(transparent)]
     Policy(Vec<u8>),
 }
@@ -75,10 +75,10 @@ fn account(episode: &Episode) -> Account {
     )
 }
 
-/// Episodes, and planning times: the upper ends of their classes in us with their counts.
+/// Episodes, and the histogram of planning times: upper bounds in us with counts.
 type Driven = (Vec<Account>, Vec<(u64, u64)>);
 
-/// Drives the episodes of seeds until there is none left.
+/// Drives the episodes of seeds until none is left.
 fn work(
     (driver, seeds): (&Driver, &[u64]),
     (world, config): (&WorldConfig, &Config),
@@ -105,8 +105,8 @@ fn work(
     Ok(())
 }
 
-/// Drives the episode of each seed in lockstep order, with the given number of threads;
-/// the episodes come in the order of their seeds.
+/// Drives the episode of each seed in lockstep order with the given number of threads; the
+/// result is in the order of the seeds.
 #[pyfunction]
 pub fn drive_seeds(
     py: Python,
@@ -133,7 +133,7 @@ pub fn drive_seeds(
                 Ok(result) => result,
                 Err(panic) => std::panic::resume_unwind(panic),
             });
-            // Every thread is joined before the first error is reported.
+            // All threads are joined before the first error is reported.
             joined.fold(Ok(()), Result::and)
         })
     };
@@ -143,11 +143,11 @@ pub fn drive_seeds(
     Ok(driven)
 }
 
-/// Resamples of a bootstrap, and the number that decides them: those of `./vlaps eval`.
+/// Number of bootstrap resamples and their seed, as in `./vlaps eval`.
 const RESAMPLES: usize = 4000;
 const BOOTSTRAP_SEED: u64 = 95;
 
-/// The mean with the percentile interval of a bootstrap, 95 %; NaN where there is none.
+/// The mean with its 95 % bootstrap percentile interval; NaN if undefined.
 #[pyfunction]
 pub fn mean_interval(py: Python, values: Vec<f64>) -> (f64, f64, f64) {
     let mean = values.iter().sum::<f64>() / values.len() as f64;
@@ -157,7 +157,7 @@ pub fn mean_interval(py: Python, values: Vec<f64>) -> (f64, f64, f64) {
     py.detach(|| {
         let mut stream = Xoshiro256PlusPlus::seed_from_u64(BOOTSTRAP_SEED);
         let count = values.len() as u128;
-        // The upper half of a product: uniform up to 1 in 2^64.
+        // The upper half of the product is uniform within 1 in 2^64.
         let mut draw = || values[((u128::from(stream.next_u64()) * count) >> 64) as usize];
         let mut means: Vec<f64> = (0..RESAMPLES)
             .map(|_| (0..values.len()).map(|_| draw()).sum::<f64>() / values.len() as f64)

@@ -1,10 +1,10 @@
-//! One environment: a world, the account of its episode, and the rows it writes.
+//! One environment: a world, the counters of its episode, and the row that it writes.
 
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use safety::{Scene, assess};
-use shm_config::config::JudgeLimits;
+use shm_config::config::SafetyLimits;
 use shm_config::message::{Assessment, FEATURES, Header, Observation, Outcome};
 use sim::idm::Idm;
 use sim::render::{Renderer, Shot};
@@ -13,7 +13,7 @@ use vehicle::{Action, Vehicle};
 
 use crate::options::{Autoreset, Options};
 
-/// Figures of a tick beside reward and flags: first the real numbers.
+/// Figures of a step beside reward and flags. First, the real numbers.
 pub const REALS: [&str; 5] = [
     "cost",
     "step_reward",
@@ -21,14 +21,14 @@ pub const REALS: [&str; 5] = [
     "velocity",
     "driven_m",
 ];
-/// Then those that are counts; the seed stands there with its bits.
+/// Second, the counts; the seed is stored by its bits.
 pub const COUNTS: [&str; 4] = [
     "episode_length",
     "vehicle_contacts",
     "object_contacts",
     "seed",
 ];
-/// Then those that are true or false.
+/// Third, the flags.
 pub const FLAGS: [&str; 7] = [
     "arrive_dest",
     "out_of_road",
@@ -41,16 +41,16 @@ pub const FLAGS: [&str; 7] = [
 /// Number of figures.
 pub const FIGURES: usize = REALS.len() + COUNTS.len() + FLAGS.len();
 
-/// Numbers in an observation before the beams: car, road and route.
+/// Numbers of an observation before the lidar beams: car, road and route.
 pub const STATE_FEATURES: usize = FEATURES - 240;
 
-/// Ticks between two lane changes of the IDM driver; its first one is drawn below this.
+/// Ticks between two lane changes of the IDM driver; the first one is random below this.
 const LANE_CHANGE_STEPS: u64 = 50;
 
 /// Steering and pedal, each in [-1, 1].
 pub type Pair = [f32; 2];
 
-/// The action of a pair.
+/// Converts a pair to an action.
 fn action(pair: Pair) -> Action {
     Action {
         steer: f64::from(pair[0]),
@@ -58,28 +58,28 @@ fn action(pair: Pair) -> Action {
     }
 }
 
-/// Which episode a reset begins.
+/// The episode that a reset begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reset {
-    /// None: the running one goes on.
+    /// None: the current one continues.
     Keep,
     /// The next in the order of seeds.
     Next,
-    /// That of this seed; the order of seeds goes back to its beginning.
+    /// The episode of this seed; the order of seeds restarts.
     To(u64),
 }
 
-/// What brings another environment of the same options to the same state.
+/// Everything that brings another environment of the same options to the same state.
 pub struct History<'a> {
     /// Seed of the episode.
     pub seed: u64,
-    /// Place in the order of seeds.
+    /// Position in the order of seeds.
     pub place: u64,
-    /// No episode of the order of seeds has begun.
+    /// Whether no episode of the order of seeds has begun.
     pub is_fresh: bool,
     /// The actions since the episode began.
     pub actions: &'a [Pair],
-    /// The ticks at which the IDM driver was asked; it has a memory.
+    /// The ticks at which the IDM driver was asked; it has memory.
     pub advised: &'a [u64],
 }
 
@@ -92,36 +92,36 @@ pub struct Env {
     advised: Vec<u64>,
     idm: Idm,
     place: u64,
-    /// The place at which the order begins for this environment.
+    /// Position at which this environment begins the order of seeds.
     first_place: u64,
     vehicle_contacts: u64,
     object_contacts: u64,
     noise: Option<Xoshiro256PlusPlus>,
     ended: bool,
-    /// No episode of the order of seeds has begun.
+    /// Whether no episode of the order of seeds has begun.
     is_fresh: bool,
 }
 
 /// The row of the output arrays that one environment writes.
 pub struct Row<'a> {
-    /// The features of what is perceived now, [0, 1].
+    /// Features of the present observation, [0, 1].
     pub observation: &'a mut [f32],
-    /// The features at the end of the episode, when this call began another one.
+    /// Features at the end of the episode, if this call began another one.
     pub final_observation: &'a mut [f32],
     /// The reward.
     pub reward: &'a mut f64,
-    /// The car's driving ended the episode.
+    /// Whether the car's driving ended the episode.
     pub terminated: &'a mut bool,
-    /// The horizon ended the episode.
+    /// Whether the horizon ended the episode.
     pub truncated: &'a mut bool,
-    /// This call began an episode.
+    /// Whether this call began an episode.
     pub began: &'a mut bool,
     /// One number for each of [`FIGURES`].
     pub figures: &'a mut [f64],
 }
 
 impl Env {
-    /// An environment before its first episode, at its place in the order of seeds.
+    /// An environment before its first episode, at its position in the order of seeds.
     pub fn new(options: &Options, world: World, place: u64) -> Env {
         Env {
             world,
@@ -152,8 +152,8 @@ impl Env {
         Ok(())
     }
 
-    /// Begins the next episode in the order of seeds, `stride` places on; at first the
-    /// episode of its own place.
+    /// Begins the next episode in the order of seeds, `stride` positions further; the first call
+    /// begins the episode of the first position.
     fn begin_next(&mut self, options: &Options, stride: u64) -> Result<(), WorldError> {
         let place = match self.is_fresh {
             true => self.place,
@@ -164,10 +164,10 @@ impl Env {
         Ok(())
     }
 
-    /// Begins an episode, or not.
+    /// Begins an episode, unless `Reset::Keep`.
     ///
     /// # Errors
-    /// [`WorldError`] when the seed has no map.
+    /// [`WorldError`] if the seed has no map.
     pub fn reset(
         &mut self,
         options: &Options,
@@ -189,10 +189,10 @@ impl Env {
         Ok(())
     }
 
-    /// One call: drives, and does with an ended episode what the options say.
+    /// One step: drives, and handles the end of an episode as the options say.
     ///
     /// # Errors
-    /// [`WorldError`] when the next seed has no map.
+    /// [`WorldError`] if the next seed has no map.
     pub fn step(
         &mut self,
         options: &Options,
@@ -202,7 +202,7 @@ impl Env {
     ) -> Result<(), WorldError> {
         *row.began = false;
         match (self.ended, options.autoreset) {
-            // The world stands still; its last figures repeat without a reward.
+            // The episode has ended; its last figures repeat without a reward.
             (true, Autoreset::Disabled) => {
                 *row.reward = 0.0;
                 return Ok(());
@@ -242,7 +242,7 @@ impl Env {
 
     fn perceive(&mut self, options: &Options, out: &mut [f32]) {
         self.world.observe(&mut self.observation);
-        // The row is as long as the features of the configured beams.
+        // The row has the length of the features for the configured beams.
         let _ = self.observation.features(out);
         let Some(noise) = &mut self.noise else {
             return;
@@ -279,7 +279,7 @@ impl Env {
             world.ticks() as f64,
             self.vehicle_contacts as f64,
             self.object_contacts as f64,
-            // Its bits: a number of this type has no room for every seed.
+            // By its bits: an f64 cannot represent every seed.
             f64::from_bits(world.seed()),
             flag(arrived),
             flag(step.outcome == Outcome::OutOfRoad),
@@ -293,7 +293,7 @@ impl Env {
 }
 
 impl Env {
-    /// What brings another environment of these options here.
+    /// The history that repeats the present state.
     pub fn history(&self) -> History<'_> {
         History {
             seed: self.world.seed(),
@@ -304,10 +304,10 @@ impl Env {
         }
     }
 
-    /// Repeats a history, and writes the row of its last call.
+    /// Repeats a history and writes the row of its last step.
     ///
     /// # Errors
-    /// One line, when the seed has no map or the history goes on after the episode.
+    /// One line, if the seed has no map or the history is longer than the episode.
     pub fn replay(
         &mut self,
         options: &Options,
@@ -318,13 +318,13 @@ impl Env {
             .map_err(|error| error.to_string())?;
         (self.place, self.is_fresh) = (history.place, history.is_fresh);
         let mut advised = history.advised.iter().copied().peekable();
-        // Each observation draws its noise, so each is made again.
+        // Each observation draws its noise, so all of them are repeated.
         self.perceive(options, row.observation);
         for (index, &pair) in history.actions.iter().enumerate() {
             if self.ends(options) != (false, false) {
                 let count = history.actions.len();
                 return Err(format!(
-                    "the state has {count} actions, and its episode ends after {index}"
+                    "the state has {count} actions, but its episode ends after {index}"
                 ));
             }
             while advised.next_if_eq(&self.world.ticks()).is_some() {
@@ -345,30 +345,29 @@ impl Env {
         Ok(())
     }
 
-    /// Becomes a copy of another environment, but for where its order of seeds begins.
+    /// Copies another environment, except for the begin of its order of seeds.
     pub fn copy_from(&mut self, other: &Env) {
         let first_place = self.first_place;
         *self = other.clone();
         self.first_place = first_place;
     }
 
-    /// Writes reward, flags and figures of the state as it is.
+    /// Writes reward, flags and figures of the present state.
     pub fn rest(&mut self, options: &Options, row: &mut Row) {
         let ends = self.ends(options);
         self.ended = ends.0 || ends.1;
         self.report(options, row);
     }
 
-    /// What MetaDrive's IDM driver does now. It remembers earlier calls, so it is asked
-    /// once a tick.
+    /// The action of MetaDrive's IDM driver. It has memory, so call this once per step.
     pub fn advise(&mut self) -> Pair {
         self.advised.push(self.world.ticks());
         let advice = self.world.advise(&mut self.idm).clamped();
         [advice.steer as f32, advice.pedal as f32]
     }
 
-    /// What is perceived now, without noise, with the header that an expert's random
-    /// numbers depend on.
+    /// The present observation without noise, with the header that seeds an expert's random
+    /// numbers.
     pub fn perceived(&self, out: &mut Observation) {
         out.clone_from(&self.observation);
         out.header = Header {
@@ -378,17 +377,16 @@ impl Env {
         };
     }
 
-    /// The assessment that the tick of the controller makes of a proposal, from the
-    /// beams without noise.
+    /// The safety check's assessment of a proposal, from the beams without noise.
     pub fn judge(&self, proposal: Pair) -> Assessment {
-        let (vehicle, limits) = (Vehicle::default(), JudgeLimits::default());
+        let (vehicle, limits) = (Vehicle::default(), SafetyLimits::default());
         let reach_m = Scene::reach_m(&vehicle, &limits, self.observation.ego.speed_mps);
         let scene = Scene::new(&self.observation, reach_m);
         assess(&vehicle, &limits, &scene, Some(action(proposal).clamped()))
     }
 
-    /// A picture of the world: rows from the top, red, green and blue. `None` when the
-    /// size is zero or larger than memory holds.
+    /// A picture of the world: rows from the top, red, green and blue. `None` if the size is
+    /// zero or memory is short.
     pub fn draw(&self, shot: &Shot) -> Option<Vec<u8>> {
         let mut renderer = Renderer::default();
         renderer.begin(&self.world);

@@ -1,4 +1,5 @@
-//! The experts: planner and controller of the stack, asked at what environments perceive.
+//! The experts: planner and controller of the stack, applied to the environments'
+//! observations.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,17 +16,17 @@ use crate::env::{Env, Pair};
 /// An expert that can be asked in an environment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expert {
-    /// MetaDrive's driver of the other cars, which knows the world's state.
+    /// MetaDrive's traffic driver, which knows the world's true state.
     Idm,
-    /// Planner and controller of the stack, with this planning method.
+    /// Planner and controller of the stack with this planning method.
     Planner(Method),
 }
 
 impl Expert {
-    /// The expert of a name, as in `./vlaps eval --driver`.
+    /// Parses a name, as in `./vlaps eval --driver`.
     ///
     /// # Errors
-    /// One line with the names.
+    /// One line with the valid names.
     pub fn parse(name: &str) -> Result<Expert, String> {
         let refusal =
             || format!("expert {name:?}: choose from idm, rrt-star, informed, kinodynamic, mpc");
@@ -37,7 +38,7 @@ impl Expert {
     }
 }
 
-/// The configuration of a run with these changes, a JSON object of its sections.
+/// The configuration of a run with changes, a JSON object of sections.
 ///
 /// # Errors
 /// One line that names the key.
@@ -46,11 +47,11 @@ pub fn config(changes: &str) -> Result<Config, String> {
     config.validated().map_err(|error| error.to_string())
 }
 
-/// Experts that answer from one observation alone: without a memory, the order and the
-/// number of questions change no answer, and neither does the number of threads.
+/// Experts without memory: each answer depends on one observation only, so that neither the
+/// order of the questions nor the number of threads affects it.
 pub struct Experts {
     config: Config,
-    /// Those that no thread asks now, each with its method.
+    /// Experts that no thread is using, by method.
     idle: Mutex<Vec<(Method, Oracle)>>,
 }
 
@@ -63,11 +64,11 @@ impl Experts {
         }
     }
 
-    /// The answers in the wanted environments; `NaN` in the others. The workers are
-    /// threads of the pool that calls, when one does.
+    /// Actions in the wanted environments; `NaN` in the others. If a pool's thread calls this,
+    /// the pool's threads do the work.
     ///
     /// # Errors
-    /// One line, when the planner's configuration is out of range.
+    /// One line, if the planner's configuration is out of range.
     pub fn ask(
         &self,
         method: Method,
@@ -84,7 +85,7 @@ impl Experts {
         Ok(actions)
     }
 
-    /// Answers in the next wanted environment until there is none.
+    /// Answers in one wanted environment after the other until none is left.
     fn work(
         &self,
         method: Method,
@@ -120,7 +121,7 @@ impl Experts {
     }
 
     fn idle(&self) -> std::sync::MutexGuard<'_, Vec<(Method, Oracle)>> {
-        // A list of whole experts is never left half changed.
+        // Experts are added and removed whole, so a panic leaves no partial entry.
         self.idle
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner)

@@ -1,14 +1,15 @@
-//! The compiled half of the Python package `vlaps`: batches of worlds that write into
-//! arrays which Python owns.
+//! The compiled module of the Python package `vlaps`: batches of worlds that write into
+//! NumPy arrays.
 //!
 //! | module | holds |
 //! |---|---|
-//! | `options` | what environments are like, as Python passes it |
-//! | `env`, `batch` | one environment, many on several threads: plain Rust |
-//! | `expert`, `drive` | experts asked in environments; whole episodes by a driver |
+//! | `options` | options of the environments, as Python passes them |
+//! | `env`, `batch` | one environment; many environments on several threads (plain Rust) |
+//! | `expert`, `drive` | experts in environments; whole episodes by a driver |
 //! | `policy` | policy files |
+//! | `recording` | recordings of runs |
 //! | `single`, `worlds`, `state` | the Python classes |
-//! | `calls` | what the classes share |
+//! | `calls` | functions shared by the classes |
 //!
 //! Nothing here uses shared memory or a real-time process.
 
@@ -19,13 +20,14 @@ mod env;
 mod expert;
 mod options;
 mod policy;
+mod recording;
 mod single;
 mod state;
 mod worlds;
 
 use pyo3::prelude::*;
 
-/// The compiled module; `vlaps` wraps it.
+/// The compiled module, which the package `vlaps` wraps.
 #[pymodule]
 fn _vlaps(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<single::World>()?;
@@ -35,6 +37,12 @@ fn _vlaps(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(policy::encode_policy, module)?)?;
     module.add_function(wrap_pyfunction!(drive::drive_seeds, module)?)?;
     module.add_function(wrap_pyfunction!(drive::mean_interval, module)?)?;
+    module.add_class::<recording::RecordingFile>()?;
+    module.add_class::<recording::RecordedMessages>()?;
+    module.add_function(wrap_pyfunction!(recording::observation_features, module)?)?;
+    module.add_function(wrap_pyfunction!(recording::words, module)?)?;
+    let error = module.py().get_type::<recording::RecordingError>();
+    module.add("RecordingError", error)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())
 }

@@ -1,19 +1,19 @@
-//! What a batch of environments is like, as Python passes it: one JSON text.
+//! Options of a batch of environments, which Python passes as one JSON text.
 
 use serde::{Deserialize, Serialize};
 use sim::{RewardConfig, WorldConfig};
 
-/// Seeds are below this: Python passes them as signed numbers.
+/// Upper bound of seeds: Python passes them as signed numbers.
 pub const SEEDS_END: u64 = 1 << 63;
 
-/// What follows the end of an episode (Gymnasium's `AutoresetMode`).
+/// Behaviour at the end of an episode (Gymnasium's `AutoresetMode`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Autoreset {
-    /// The call that ends an episode begins the next one and returns its first
-    /// observation; the last one of the ended episode is returned beside it.
+    /// The step that ends an episode begins the next one and returns its first observation;
+    /// the last observation of the ended episode is returned beside it.
     SameStep,
-    /// The call after the one that ends an episode begins the next one and ignores
-    /// its action.
+    /// The step after the one that ends an episode begins the next one and ignores its
+    /// action.
     NextStep,
     /// The caller resets.
     #[default]
@@ -21,10 +21,10 @@ pub enum Autoreset {
 }
 
 impl Autoreset {
-    /// The mode of a name in Gymnasium's `AutoresetMode`.
+    /// Parses a name of Gymnasium's `AutoresetMode`.
     ///
     /// # Errors
-    /// One line with the names.
+    /// One line with the valid names.
     pub fn parse(name: &str) -> Result<Autoreset, String> {
         match name {
             "SameStep" => Ok(Autoreset::SameStep),
@@ -37,7 +37,7 @@ impl Autoreset {
     }
 }
 
-/// Which seeds episodes have.
+/// The seeds of the episodes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Seeds {
@@ -45,11 +45,11 @@ pub struct Seeds {
     pub first: u64,
     /// Number of seeds in the range; they repeat after it.
     pub count: u64,
-    /// Whether the order is drawn anew in each pass through the range.
+    /// Whether each pass through the range has a new random order.
     pub shuffled: bool,
-    /// Decides the order.
+    /// Seed of the random order.
     pub order_seed: u64,
-    /// These seeds instead of the range, when not empty.
+    /// If not empty, these seeds instead of the range.
     pub listed: Vec<u64>,
 }
 
@@ -66,7 +66,7 @@ impl Default for Seeds {
 }
 
 impl Seeds {
-    /// How many different seeds there are.
+    /// Number of different seeds.
     fn len(&self) -> u64 {
         match self.listed.len() {
             0 => self.count,
@@ -74,8 +74,8 @@ impl Seeds {
         }
     }
 
-    /// The seed of the n-th episode that a batch draws. World k of n takes the places
-    /// k, k + n, k + 2 n, so no result depends on which world ends first.
+    /// The seed of the n-th episode of a batch. World k of n takes the positions k, k + n,
+    /// k + 2n, ..., so that no result depends on which world ends first.
     pub fn at(&self, place: u64) -> u64 {
         let count = self.len();
         let (pass, mut index) = (place / count, place % count);
@@ -93,8 +93,8 @@ impl Seeds {
     }
 }
 
-/// The place of an index in a pseudo-random order of `0..count`, without a table: a
-/// Feistel network over the next power of four, walked until it falls into the range.
+/// The position of an index in a pseudo-random order of `0..count`, without a table: a
+/// Feistel network over the next power of four, repeated until it falls into the range.
 fn permuted(index: u64, count: u64, key: u64) -> u64 {
     let half_bits = (64 - (count - 1).leading_zeros()).div_ceil(2).max(1);
     let mask = (1u64 << half_bits) - 1;
@@ -117,11 +117,11 @@ fn permuted(index: u64, count: u64, key: u64) -> u64 {
     }
 }
 
-/// Everything a batch needs to know.
+/// All options of a batch.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Options {
-    /// The episodes.
+    /// Options of the world.
     #[serde(default)]
     pub world: WorldConfig,
     /// Weights of reward and cost.
@@ -133,25 +133,25 @@ pub struct Options {
     /// Whether contact with an object ends an episode.
     #[serde(default)]
     pub crash_object_done: bool,
-    /// Standard deviation of the noise on each beam, as a share of its reach.
+    /// Standard deviation of the noise on each beam, as a share of its range.
     #[serde(default)]
     pub beam_noise: f64,
-    /// Probability that a beam reads nothing.
+    /// Probability that a beam returns nothing.
     #[serde(default)]
     pub beam_dropout: f64,
     /// The seeds of the episodes.
     pub seeds: Seeds,
-    /// What follows the end of an episode. It is no part of the text: a state may be
-    /// taken from a batch into a single environment.
+    /// Behaviour at the end of an episode. It is not part of the text: a state from a batch
+    /// may be restored in a single environment.
     #[serde(skip)]
     pub autoreset: Autoreset,
 }
 
 impl Options {
-    /// Reads and checks the JSON text.
+    /// Parses and checks the JSON text.
     ///
     /// # Errors
-    /// One line that names the option and what it must be.
+    /// One line that names the option and its valid values.
     pub fn parse(text: &str) -> Result<Options, String> {
         let options: Options = serde_json::from_str(text).map_err(|error| error.to_string())?;
         if options.seeds.len() == 0 {

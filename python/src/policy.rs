@@ -1,4 +1,4 @@
-//! Policy files: read, checked and run as the controller does, and written.
+//! Policy files: reads, checks and runs them as the controller does, and writes them.
 
 use std::sync::Mutex;
 
@@ -33,8 +33,8 @@ fn refused(refusal: impl std::fmt::Display) -> PyErr {
 
 #[pymethods]
 impl PolicyFile {
-    /// Makes every check of a controller that loads these bytes in lockstep.
-    /// `onnxruntime` is the library or its folder, for nets that need it.
+    /// Makes every check that a controller makes in lockstep. `onnxruntime` is the library or
+    /// its folder, for networks that need it.
     #[new]
     fn new(py: Python, bytes: &[u8], onnxruntime: &str) -> PyResult<Self> {
         py.detach(|| {
@@ -79,13 +79,13 @@ impl PolicyFile {
         self.origin.clone()
     }
 
-    /// Whether the native runtime runs it; the others need ONNX Runtime.
+    /// Whether the native runtime runs it; other networks need ONNX Runtime.
     #[getter]
     fn is_native(&self) -> bool {
         self.is_native
     }
 
-    /// Number of probes that it was checked with.
+    /// Number of probes in the file.
     #[getter]
     fn probes(&self) -> usize {
         self.probes
@@ -123,7 +123,7 @@ impl PolicyFile {
     }
 }
 
-/// Weights `[outputs, inputs]`, bias `[outputs]`, and what follows: "", "relu" or "tanh".
+/// Weights `[outputs, inputs]`, bias `[outputs]`, and activation: "", "relu" or "tanh".
 type LayerArrays<'py> = (
     PyReadonlyArray2<'py, f32>,
     PyReadonlyArray1<'py, f32>,
@@ -151,8 +151,8 @@ fn layer((weights, bias, activation): &LayerArrays) -> PyResult<Layer> {
     })
 }
 
-/// The bytes of a policy file of these layers, with the answers to the probes, `[count,
-/// 259]`, and its origin.
+/// Writes a policy file of these layers, with the answers to the probes `[count, 259]` and
+/// its origin; returns its bytes.
 #[pyfunction]
 pub fn encode_policy<'py>(
     py: Python<'py>,

@@ -1,4 +1,4 @@
-//! The Python class of one environment: every call returns new objects.
+//! The Python class of one environment; every call returns new objects.
 
 use std::num::NonZeroUsize;
 use std::sync::Mutex;
@@ -15,7 +15,7 @@ use crate::expert::{Expert, config};
 use crate::options::Options;
 use crate::state::{State, world_error};
 
-/// What one call writes.
+/// The output of one call.
 struct Outcome {
     observation: Vec<f32>,
     reward: f64,
@@ -50,7 +50,7 @@ impl Inner {
     /// The environment with its options and its row.
     fn parts(&mut self) -> PyResult<(&Options, &mut Env, Row<'_>)> {
         let env = self.batch.env(0);
-        let (options, env) = env.ok_or_else(|| PyValueError::new_err("there is no environment"))?;
+        let (options, env) = env.ok_or_else(|| PyValueError::new_err("no environment"))?;
         Ok((options, env, self.outcome.row()))
     }
 }
@@ -178,7 +178,7 @@ impl World {
         Ok(State::of(env, row.observation, &self.options))
     }
 
-    /// Goes to a state, and returns its observation.
+    /// Restores a state and returns its observation.
     fn set_state<'py>(
         &self,
         py: Python<'py>,
@@ -202,10 +202,10 @@ impl World {
         let first = advice.first();
         first
             .copied()
-            .ok_or_else(|| PyValueError::new_err("there is no environment"))
+            .ok_or_else(|| PyValueError::new_err("no environment"))
     }
 
-    /// The tick's assessment of a proposal, in the order of `assessment_names`.
+    /// The safety check's assessment of a proposal, in the order of `assessment_names`.
     fn judge(&self, steer: f32, pedal: f32) -> PyResult<[f64; ASSESSMENTS.len()]> {
         let mut inner = take(&self.inner)?;
         check_begun(inner.begun)?;

@@ -1,4 +1,4 @@
-//! States of an environment: copies to go back to at once, and bytes to keep.
+//! States of an environment: copies in memory, and bytes that can be stored.
 
 use pyo3::exceptions::{PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -9,10 +9,10 @@ use sim::WorldError;
 use crate::env::{Env, History, Pair, Row};
 use crate::options::{Options, SEEDS_END};
 
-/// Raised whenever what a stored state holds changes its meaning.
+/// Version of the stored state; raise it whenever the meaning of a field changes.
 const STATE_VERSION: u32 = 1;
 
-/// A stored state: the seed and all actions since the episode began, which repeat the
+/// A stored state: the seed and all actions since the episode began, which reproduce the
 /// episode bit by bit.
 #[derive(Serialize, Deserialize)]
 struct Stored {
@@ -53,13 +53,13 @@ impl State {
     }
 }
 
-/// The Python exception of an episode that cannot begin.
+/// The Python exception for an episode that cannot begin.
 pub fn world_error(error: WorldError) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
 impl State {
-    /// A copy of an environment and of what it perceives.
+    /// Copies an environment with its observation.
     pub fn of(env: &Env, observation: &[f32], options: &str) -> State {
         State {
             env: env.clone(),
@@ -68,10 +68,10 @@ impl State {
         }
     }
 
-    /// Puts an environment into a state, a [`State`] or its bytes, and writes its row.
+    /// Restores a state, a [`State`] or its bytes, in an environment and writes its row.
     ///
     /// # Errors
-    /// When it is no state, or one of other options or of another version.
+    /// If it is not a state, or one of other options or of another version.
     pub fn restore(
         state: &Bound<'_, PyAny>,
         text: &str,

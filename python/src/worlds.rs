@@ -1,6 +1,7 @@
-//! The Python class of a batch: every call writes arrays that Python owns.
+//! The Python class of a batch; every call writes NumPy arrays.
 
 use std::num::NonZeroUsize;
+use std::ops::Range;
 use std::sync::Mutex;
 
 use numpy::{
@@ -18,7 +19,7 @@ use crate::expert::{Expert, config};
 use crate::options::{Autoreset, Options};
 use crate::state::{State, world_error};
 
-/// Arrays that Python owns and every call writes.
+/// NumPy arrays that every call writes.
 struct Buffers {
     observation: Py<PyArray2<f32>>,
     final_observation: Py<PyArray2<f32>>,
@@ -26,10 +27,12 @@ struct Buffers {
     terminated: Py<PyArray1<bool>>,
     truncated: Py<PyArray1<bool>>,
     began: Py<PyArray1<bool>>,
-    figures: Py<PyArray2<f64>>,
+    reals: Py<PyArray2<f64>>,
+    counts: Py<PyArray2<i64>>,
+    flags: Py<PyArray2<bool>>,
 }
 
-/// Those arrays while a call writes them.
+/// The arrays, borrowed for one call.
 struct Written<'py> {
     observation: PyReadwriteArray2<'py, f32>,
     final_observation: PyReadwriteArray2<'py, f32>,
@@ -37,7 +40,9 @@ struct Written<'py> {
     terminated: PyReadwriteArray1<'py, bool>,
     truncated: PyReadwriteArray1<'py, bool>,
     began: PyReadwriteArray1<'py, bool>,
-    figures: PyReadwriteArray2<'py, f64>,
+    reals: PyReadwriteArray2<'py, f64>,
+    counts: PyReadwriteArray2<'py, i64>,
+    flags: PyReadwriteArray2<'py, bool>,
 }
 
 /// Many environments in one object. `vlaps.MetaDriveVectorEnv` wraps it.
@@ -52,17 +57,17 @@ pub struct Worlds {
 struct Inner {
     batch: Batch,
     begun: bool,
+    /// [`FIGURES`] numbers per environment.
+    figures: Vec<f64>,
 }
 
-impl Inner {
-    fn env(&mut self, index: usize) -> PyResult<(&Options, &mut Env)> {
-        let count = self.batch.len();
-        self.batch.env(index).ok_or_else(|| {
-            PyIndexError::new_err(format!(
-                "environment {index}: there are {count}, counted from 0"
-            ))
-        })
-    }
+fn env(batch: &mut Batch, index: usize) -> PyResult<(&Options, &mut Env)> {
+    let count = batch.len();
+    batch.env(index).ok_or_else(|| {
+        PyIndexError::new_err(format!(
+            "environment {index}: there are {count}, counted from 0"
+        ))
+    })
 }
 
 impl Buffers {
@@ -74,14 +79,16 @@ impl Buffers {
             terminated: PyArray1::zeros(py, worlds, false).unbind(),
             truncated: PyArray1::zeros(py, worlds, false).unbind(),
             began: PyArray1::zeros(py, worlds, false).unbind(),
-            figures: PyArray2::zeros(py, [worlds, FIGURES], false).unbind(),
+            reals: PyArray2::zeros(py, [REALS.len(), worlds], false).unbind(),
+            counts: PyArray2::zeros(py, [COUNTS.len(), worlds], false).unbind(),
+            flags: PyArray2::zeros(py, [FLAGS.len(), worlds], false).unbind(),
         }
     }
 
     /// Borrows all arrays.
     ///
     /// # Errors
-    /// When another call writes them at this moment.
+    /// If another call is writing them.
     fn write<'py>(&self, py: Python<'py>) -> PyResult<Written<'py>> {
         Ok(Written {
             observation: self.observation.bind(py).try_readwrite()?,
@@ -90,13 +97,16 @@ impl Buffers {
             terminated: self.terminated.bind(py).try_readwrite()?,
             truncated: self.truncated.bind(py).try_readwrite()?,
             began: self.began.bind(py).try_readwrite()?,
-            figures: self.figures.bind(py).try_readwrite()?,
+            reals: self.reals.bind(py).try_readwrite()?,
+            counts: self.counts.bind(py).try_readwrite()?,
+            flags: self.flags.bind(py).try_readwrite()?,
         })
     }
 }
 
 impl Written<'_> {
-    fn arrays(&mut self) -> PyResult<Arrays<'_>> {
+    /// The arrays, with the figures of each environment in a row.
+    fn arrays<'a>(&'a mut self, figures: &'a mut [f64]) -> PyResult<Arrays<'a>> {
         Ok(Arrays {
             observation: self.observation.as_slice_mut()?,
             final_observation: self.final_observation.as_slice_mut()?,
@@ -104,17 +114,47 @@ impl Written<'_> {
             terminated: self.terminated.as_slice_mut()?,
             truncated: self.truncated.as_slice_mut()?,
             began: self.began.as_slice_mut()?,
-            figures: self.figures.as_slice_mut()?,
+            figures,
         })
+    }
+
+    /// Writes the rows of figures as columns of their types.
+    fn write_figures(&mut self, figures: &[f64]) -> PyResult<()> {
+        let rows: &[[f64; FIGURES]] = figures.as_chunks().0;
+        let mut columns = 0..FIGURES;
+        fill(self.reals.as_slice_mut()?, rows, &mut columns, |real| real);
+        let counts = self.counts.as_slice_mut()?;
+        let (counts, seeds) = counts.split_at_mut((COUNTS.len() - 1) * rows.len());
+        fill(counts, rows, &mut columns, |count| count as i64);
+        // The seed is stored by its bits.
+        fill(seeds, rows, &mut columns, |seed| seed.to_bits() as i64);
+        fill(self.flags.as_slice_mut()?, rows, &mut columns, |flag| {
+            flag != 0.0
+        });
+        Ok(())
     }
 }
 
-/// One action for each environment.
+/// Fills an array of some columns with the next columns of the rows.
+fn fill<T>(
+    array: &mut [T],
+    rows: &[[f64; FIGURES]],
+    columns: &mut Range<usize>,
+    convert: impl Fn(f64) -> T,
+) {
+    for (place, column) in array.chunks_exact_mut(rows.len()).zip(columns) {
+        for (number, row) in place.iter_mut().zip(rows) {
+            *number = convert(row[column]);
+        }
+    }
+}
+
+/// One action per environment.
 struct Actions<'py>(PyReadonlyArray2<'py, f32>);
 
 impl<'py> Actions<'py> {
     /// # Errors
-    /// When it is no contiguous float32 array `[count, 2]` of finite numbers.
+    /// If it is not a contiguous float32 array `[count, 2]` of finite numbers.
     fn new(actions: &Bound<'py, PyAny>, count: usize) -> PyResult<Self> {
         let array: PyReadonlyArray2<f32> = actions.extract().map_err(|_| {
             PyTypeError::new_err("actions must be a float32 array of two dimensions")
@@ -138,11 +178,11 @@ impl<'py> Actions<'py> {
 }
 
 impl Worlds {
-    /// Takes the environments for one call.
+    /// Locks the environments for one call.
     ///
     /// # Errors
-    /// In a process that was forked from the one that made the threads: they are not
-    /// in it, and a call would wait for them for ever.
+    /// In a forked process: the threads exist only in the parent, and a call would wait for
+    /// them for ever.
     fn take(&self) -> PyResult<std::sync::MutexGuard<'_, Inner>> {
         let inner = take(&self.inner)?;
         match self.process == std::process::id() || inner.batch.threads() == 0 {
@@ -178,6 +218,7 @@ impl Worlds {
         Ok(Self {
             buffers: Buffers::new(py, batch.len(), batch.features()),
             inner: Mutex::new(Inner {
+                figures: vec![0.0; batch.len() * FIGURES],
                 batch,
                 begun: false,
             }),
@@ -192,7 +233,7 @@ impl Worlds {
         Ok(take(&self.inner)?.batch.features())
     }
 
-    /// Names of the columns of `figures`: real numbers, then counts, then flags.
+    /// Names of the rows of the arrays `reals`, `counts` and `flags`.
     #[staticmethod]
     fn figure_names() -> (Vec<&'static str>, Vec<&'static str>, Vec<&'static str>) {
         (REALS.to_vec(), COUNTS.to_vec(), FLAGS.to_vec())
@@ -204,7 +245,7 @@ impl Worlds {
         ASSESSMENTS.to_vec()
     }
 
-    /// The arrays that every call writes, by name.
+    /// The output arrays, by name.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let arrays = PyDict::new(py);
         arrays.set_item("observation", &self.buffers.observation)?;
@@ -213,12 +254,14 @@ impl Worlds {
         arrays.set_item("terminated", &self.buffers.terminated)?;
         arrays.set_item("truncated", &self.buffers.truncated)?;
         arrays.set_item("began", &self.buffers.began)?;
-        arrays.set_item("figures", &self.buffers.figures)?;
+        arrays.set_item("reals", &self.buffers.reals)?;
+        arrays.set_item("counts", &self.buffers.counts)?;
+        arrays.set_item("flags", &self.buffers.flags)?;
         Ok(arrays)
     }
 
-    /// Begins episodes: for each environment a seed, -1 for the next in the order of
-    /// seeds, or -2 to go on with the running one.
+    /// Begins episodes. `seeds` has one number per environment: a seed, -1 for the next in the
+    /// order of seeds, or -2 to continue the current episode.
     fn reset(&self, py: Python, seeds: Vec<i64>) -> PyResult<()> {
         let mut inner = self.take()?;
         if seeds.len() != inner.batch.len() {
@@ -230,27 +273,28 @@ impl Worlds {
         }
         let begun = inner.begun;
         let reset = |&seed: &i64| match (seed, begun) {
-            // There is no running episode yet.
+            // No episode has begun yet.
             (-2, false) | (-1, _) => Reset::Next,
             (-2, true) => Reset::Keep,
             (seed, _) => Reset::To(seed.unsigned_abs()),
         };
         let resets: Vec<Reset> = seeds.iter().map(reset).collect();
         let mut written = self.buffers.write(py)?;
-        let arrays = written.arrays()?;
-        let batch = &mut inner.batch;
-        py.detach(|| batch.reset(&resets, arrays))
-            .map_err(world_error)?;
+        let Inner { batch, figures, .. } = &mut *inner;
+        let arrays = written.arrays(figures)?;
+        let begun = py.detach(|| batch.reset(&resets, arrays));
+        written.write_figures(figures)?;
+        begun.map_err(world_error)?;
         inner.begun = true;
         Ok(())
     }
 
-    /// The seed of the episode that runs in each environment.
+    /// The seed of the current episode in each environment.
     fn seeds(&self) -> PyResult<Vec<u64>> {
         let mut inner = self.take()?;
         check_begun(inner.begun)?;
         let count = inner.batch.len();
-        let seed = |index: usize| Ok(inner.env(index)?.1.history().seed);
+        let seed = |index: usize| Ok(env(&mut inner.batch, index)?.1.history().seed);
         (0..count).map(seed).collect()
     }
 
@@ -262,9 +306,11 @@ impl Worlds {
         let actions = Actions::new(actions, inner.batch.len())?;
         let pairs = actions.pairs()?;
         let mut written = self.buffers.write(py)?;
-        let arrays = written.arrays()?;
-        let batch = &mut inner.batch;
-        py.detach(|| batch.step(pairs, arrays)).map_err(world_error)
+        let Inner { batch, figures, .. } = &mut *inner;
+        let arrays = written.arrays(figures)?;
+        let stepped = py.detach(|| batch.step(pairs, arrays));
+        written.write_figures(figures)?;
+        stepped.map_err(world_error)
     }
 
     /// A copy of one environment's state.
@@ -272,22 +318,24 @@ impl Worlds {
         let mut inner = self.take()?;
         check_begun(inner.begun)?;
         let features = inner.batch.features();
-        let (_, env) = inner.env(index)?;
-        let mut written = self.buffers.write(py)?;
-        let mut arrays = written.arrays()?;
-        let row = arrays.row(index, features);
-        Ok(State::of(env, row.observation, &self.options))
+        let (_, env) = env(&mut inner.batch, index)?;
+        let written = self.buffers.write(py)?;
+        let observations = written.observation.as_slice()?;
+        let observation = &observations[index * features..][..features];
+        Ok(State::of(env, observation, &self.options))
     }
 
-    /// Puts one environment into a state: a `State`, or its bytes.
+    /// Restores a state in one environment: a `State`, or its bytes.
     fn set_state(&self, py: Python, index: usize, state: &Bound<'_, PyAny>) -> PyResult<()> {
         let mut inner = self.take()?;
         check_begun(inner.begun)?;
         let features = inner.batch.features();
-        let env = inner.env(index)?;
         let mut written = self.buffers.write(py)?;
-        let mut arrays = written.arrays()?;
-        State::restore(state, &self.options, env, arrays.row(index, features))
+        let Inner { batch, figures, .. } = &mut *inner;
+        let env = env(batch, index)?;
+        let mut arrays = written.arrays(figures)?;
+        State::restore(state, &self.options, env, arrays.row(index, features))?;
+        written.write_figures(figures)
     }
 
     /// The action of an expert in each wanted environment, `[worlds, 2]`, clamped; NaN
@@ -312,8 +360,8 @@ impl Worlds {
         PyArray1::from_vec(py, advice.into_flattened()).reshape([count, 2])
     }
 
-    /// The tick's assessment of one proposal in every environment, `[worlds, numbers]`
-    /// in the order of `assessment_names`.
+    /// The safety check's assessment of one proposal per environment, `[worlds, numbers]`, in
+    /// the order of `assessment_names`.
     fn judge<'py>(
         &self,
         py: Python<'py>,
@@ -325,7 +373,7 @@ impl Worlds {
         let actions = Actions::new(actions, count)?;
         let mut measured = Vec::with_capacity(count * ASSESSMENTS.len());
         for (index, &pair) in actions.pairs()?.iter().enumerate() {
-            measured.extend(assessment(inner.env(index)?.1, pair));
+            measured.extend(assessment(env(&mut inner.batch, index)?.1, pair));
         }
         PyArray1::from_vec(py, measured).reshape([count, ASSESSMENTS.len()])
     }
@@ -340,6 +388,6 @@ impl Worlds {
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         let mut inner = self.take()?;
         check_begun(inner.begun)?;
-        picture(py, inner.env(index)?.1, view, size)
+        picture(py, env(&mut inner.batch, index)?.1, view, size)
     }
 }

@@ -1,4 +1,4 @@
-"""MetaDrive's driving task, seed by seed, as fast Gymnasium environments.
+"""MetaDrive's driving task as fast Gymnasium environments; each seed is one episode.
 
 >>> import gymnasium, vlaps
 >>> env = gymnasium.make("vlaps/MetaDrive-c29cc37-v0", start_seed=1000, num_scenarios=50)
@@ -10,12 +10,13 @@
 0.0
 """
 
-from ._vlaps import State, __version__
+from ._vlaps import RecordingError, State, __version__
 from .config import DEFAULTS
 from .dataset import Dataset, Recorded, collect
 from .env import MetaDriveEnv
 from .evaluation import Episode, Evaluation, evaluate
 from .policy import Policy, export
+from .recording import Attachment, Message, Recording, Topic
 from .registration import ENV_ID, register
 from .takeover import Takeover
 from .vector import MetaDriveVectorEnv
@@ -24,6 +25,7 @@ from .window import write_video
 register()
 
 __all__ = [
+    "Attachment",
     "DEFAULTS",
     "Dataset",
     "ENV_ID",
@@ -31,10 +33,14 @@ __all__ = [
     "Evaluation",
     "MetaDriveEnv",
     "MetaDriveVectorEnv",
+    "Message",
     "Policy",
     "Recorded",
+    "Recording",
+    "RecordingError",
     "State",
     "Takeover",
+    "Topic",
     "__version__",
     "collect",
     "evaluate",

@@ -1,4 +1,4 @@
-"""Options of the environments, with MetaDrive's names and the experiment's values."""
+"""Options of the environments: MetaDrive's names, with the experiment's values as defaults."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ DEFAULTS: dict[str, Any] = {
     "seeds": None,
     "shuffle": False,
     "order_seed": 0,
-    # Road: a number of random blocks, or a sequence of block letters such as "SCrRXTO".
+    # Map: the number of random blocks, or a sequence of block letters such as "SCrRXTO".
     "map": 3,
     "map_config": {"lane_num": 3, "lane_width": 3.5, "exit_length": 50.0},
     # Scene.
     "traffic_density": 0.06,
     "accident_prob": 0.8,
     "horizon": 1500,
-    # Ends.
+    # Ends of an episode.
     "out_of_route_done": True,
     "crash_vehicle_done": False,
     "crash_object_done": False,
@@ -64,7 +64,7 @@ _REWARD = (
 
 
 def merged(changes: dict[str, Any], defaults: dict[str, Any] = DEFAULTS) -> dict[str, Any]:
-    """The defaults with these changes; an unknown option is a `ValueError` with a hint."""
+    """The defaults with these changes. Raises `ValueError` with a hint for an unknown option."""
     unknown = set(changes) - set(defaults)
     if unknown:
         name = sorted(unknown)[0]
@@ -79,7 +79,7 @@ def merged(changes: dict[str, Any], defaults: dict[str, Any] = DEFAULTS) -> dict
 
 
 def _checked(key: str, value: Any, default: Any) -> Any:
-    """The value with the type of its default; ranges are checked in the compiled module."""
+    """Converts a value to the type of its default; the compiled module checks the ranges."""
     if isinstance(default, dict):
         if isinstance(value, dict):
             return merged(value, default)
@@ -89,7 +89,7 @@ def _checked(key: str, value: Any, default: Any) -> Any:
     if key == "seeds":
         seeds = None if value is None else [_count(key, seed) for seed in value]
         if seeds == []:
-            raise ValueError("option 'seeds' is empty: it must hold at least one seed")
+            raise ValueError("option 'seeds' is empty: it must contain at least one seed")
         return seeds
     if isinstance(default, bool):
         if value in (True, False):
@@ -111,7 +111,7 @@ def _count(key: str, value: Any) -> int:
 
 
 def to_json(config: dict[str, Any]) -> str:
-    """The options of `merged` as the compiled module reads them."""
+    """The options of `merged` as JSON for the compiled module."""
     lidar = config["vehicle_config"]["lidar"]
     road = config["map_config"]
     is_sequence = isinstance(config["map"], str)
@@ -125,8 +125,7 @@ def to_json(config: dict[str, Any]) -> str:
             "traffic_density": config["traffic_density"],
             "accident_probability": config["accident_prob"],
             "horizon_steps": config["horizon"],
-            "beam_count": lidar["num_lasers"],
-            "lidar_range_m": lidar["distance"],
+            "scanner": {"beams": lidar["num_lasers"], "range_m": lidar["distance"]},
             "out_of_route": "ends" if config["out_of_route_done"] else "continues",
         },
         "reward": {key: config[key] for key in _REWARD},
@@ -146,7 +145,7 @@ def to_json(config: dict[str, Any]) -> str:
 
 
 def expert_json(changes: dict[str, Any] | None) -> str:
-    """Changes of the experts' configuration as the compiled module reads them."""
+    """Changes of the experts' configuration as JSON for the compiled module."""
     if changes is None:
         return "{}"
     if not isinstance(changes, dict):

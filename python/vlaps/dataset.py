@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,13 +20,13 @@ from .vector import MetaDriveVectorEnv
 
 @dataclass(frozen=True)
 class Recorded:
-    """One episode of `steps` steps. Only the last step of an episode may be terminated or
-    truncated; one that was going on when the recording ended is neither."""
+    """One episode of `steps` steps. Only the last step may be terminated or truncated; it is
+    neither if the recording ended before the episode."""
 
     seed: int
-    #: `[steps + 1, features]`: the first and the last one included.
+    #: `[steps + 1, features]`: from the first to the last observation.
     observations: NDArray[np.float32]
-    #: `[steps, 2]`, as the world obeyed them.
+    #: `[steps, 2]`: the actions that the world applied.
     actions: NDArray[np.float32]
     #: `[steps]`.
     rewards: NDArray[np.float64]
@@ -34,7 +36,7 @@ class Recorded:
     terminated: NDArray[np.bool_]
     #: `[steps]`.
     truncated: NDArray[np.bool_]
-    #: `[steps, 2]`: what the driver proposed where an expert could take over.
+    #: `[steps, 2]`: the actions that the driver proposed; they differ in takeovers.
     proposals: NDArray[np.float32]
     #: `[steps]`: whether the expert drove.
     takeover: NDArray[np.bool_]
@@ -45,7 +47,8 @@ class Dataset:
     """Episodes of one driver."""
 
     driver: str
-    config: dict[str, Any]
+    #: The environment's options; `None` when it was recorded elsewhere.
+    config: dict[str, Any] | None
     episodes: list[Recorded]
 
     def __len__(self) -> int:
@@ -53,7 +56,7 @@ class Dataset:
         return sum(len(one.actions) for one in self.episodes)
 
     def transitions(self) -> dict[str, NDArray[Any]]:
-        """All steps in one array for each name: "observations", "next_observations",
+        """All steps as one array per name: "observations", "next_observations",
         "actions", "rewards", "costs", "terminated", "truncated", "proposals", "takeover"."""
         names = ("actions", "rewards", "costs", "terminated", "truncated", "proposals", "takeover")
         columns = {name: [getattr(one, name) for one in self.episodes] for name in names}
@@ -62,17 +65,17 @@ class Dataset:
         return {name: np.concatenate(parts) for name, parts in columns.items()}
 
     def to_minari(self, dataset_id: str, **description: Any) -> Any:
-        """Writes a dataset of Minari, such as "vlaps/idm-v0", and returns it.
+        """Writes a Minari dataset, such as "vlaps/idm-v0", and returns it.
 
-        Costs, proposals and takeovers are in the infos. An episode that was going on when
-        the recording ended is truncated there. `description` are keywords of
-        `minari.create_dataset_from_buffers`, such as `author`.
+        Costs, proposals and takeovers are in the infos. An unfinished episode is marked as
+        truncated. `description` are keywords of `minari.create_dataset_from_buffers`, such
+        as `author`.
         """
         try:
             import minari
             from minari.data_collector.episode_buffer import EpisodeBuffer
         except ImportError as error:
-            raise ImportError('to_minari needs Minari: pip install "minari[hdf5]"') from error
+            raise ImportError('to_minari needs Minari: pip install "minari[hdf5]" pillow') from error
         features = self.episodes[0].observations.shape[1]
         buffers = []
         for number, one in enumerate(self.episodes):
@@ -90,8 +93,10 @@ class Dataset:
                     infos={"cost": one.costs, "proposal": one.proposals, "takeover": one.takeover},
                 )
             )
-        spec = copy.deepcopy(gymnasium.spec(ENV_ID))
-        spec.kwargs.update(self.config)
+        spec = None
+        if self.config is not None:
+            spec = copy.deepcopy(gymnasium.spec(ENV_ID))
+            spec.kwargs.update(self.config)
         given = {
             "algorithm_name": self.driver,
             "observation_space": observation_space(features),
@@ -101,19 +106,29 @@ class Dataset:
         }
         return minari.create_dataset_from_buffers(dataset_id, buffers, **given)
 
+    def to_lerobot(self, folder: str | os.PathLike[str], fps: int = 10) -> Path:
+        """Writes a dataset of LeRobot into a new folder and returns the folder.
+
+        See `vlaps.lerobot.write_lerobot`. `fps` is the number of steps in a second; those of
+        the environments are 0.1 s.
+        """
+        from .lerobot import write_lerobot
+
+        return write_lerobot(self, folder, fps)
+
 
 def collect(driver: Any, steps: int, *, num_envs: int = 1, **options: Any) -> Dataset:
-    """Drives, and records at least `steps` steps of all worlds together.
+    """Drives and records at least `steps` steps in total over all worlds.
 
-    `driver` is that of `vlaps.evaluate`, or a name of an expert. `options` are those of
-    `MetaDriveVectorEnv`, such as `threads`, `takeover`, `start_seed` and `num_scenarios`.
-    World k drives the episodes k, k + num_envs, ... in the order of seeds; the last one of
-    each world ends where the recording does.
+    `driver` is a driver of `vlaps.evaluate`, except "expert" and "lane". `options` are those
+    of `MetaDriveVectorEnv`, such as `threads`, `takeover`, `start_seed` and `num_scenarios`.
+    World k drives the episodes k, k + num_envs, ... in the order of seeds; the last episode
+    of each world ends with the recording.
     """
     if steps < 1:
         raise ValueError(f"steps = {steps}: it must be at least 1")
     if "autoreset_mode" in options:
-        raise ValueError("autoreset_mode: a recording has its own")
+        raise ValueError("autoreset_mode: collect sets it itself; leave it out")
     answer = driving(driver)
     envs = MetaDriveVectorEnv(num_envs, autoreset_mode="SameStep", **options)
     observations, info = envs.reset()
@@ -147,7 +162,7 @@ def collect(driver: Any, steps: int, *, num_envs: int = 1, **options: Any) -> Da
 
 
 class _Recording:
-    """An episode as it goes."""
+    """An episode that is being recorded."""
 
     def __init__(self, first: NDArray[np.float32], seed: int) -> None:
         self.seed, self.observations, self.rows = seed, [first], list[tuple[Any, ...]]()

@@ -1,4 +1,4 @@
-"""What may drive: experts by name, policy files, functions, models."""
+"""Drivers: experts by name, policy files, functions, models."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ Drive = Callable[[MetaDriveVectorEnv, NDArray[np.float32]], NDArray[np.float32]]
 
 
 def loaded(driver: Any) -> Any:
-    """The driver, read from its file where it is one."""
+    """Reads a driver that is a policy file; returns others unchanged."""
     if isinstance(driver, os.PathLike) or isinstance(driver, str) and driver.endswith(".onnx"):
         return Policy(driver)
     return driver
 
 
 def name_of(driver: Any) -> str:
-    """The driver in a table."""
+    """The name of a driver in tables."""
     if isinstance(driver, (str, os.PathLike)):
         return os.fspath(driver)
     return getattr(driver, "__name__", type(driver).__name__)
 
 
 def driving(driver: Any) -> Drive:
-    """How a driver answers.
+    """A driver as a function.
 
-    It is the name of an expert, a `Policy` or its file, a function from observations to
-    actions, a torch module, or a model of Stable-Baselines3.
+    The driver is the name of an expert, a `Policy` or its file, a function from
+    observations to actions, a torch module, or a model of Stable-Baselines3.
     """
     driver = loaded(driver)
     if isinstance(driver, str):

@@ -16,7 +16,8 @@ from .window import Window, has_display
 ASSESSMENTS: list[str] = _vlaps.Worlds.assessment_names()
 #: Verdicts of an assessment by their codes.
 VERDICTS = ("absent", "clear", "leaves", "hits")
-#: MetaDrive's traffic driver, and planner and controller of the stack by planning method.
+#: The experts: MetaDrive's traffic driver, and the stack's planner and controller, named by
+#: the planning method.
 EXPERTS = ("idm", "rrt-star", "informed", "kinodynamic", "mpc")
 
 
@@ -27,13 +28,13 @@ def action_space() -> gymnasium.spaces.Space[NDArray[np.float32]]:
 
 
 def observation_space(features: int) -> gymnasium.spaces.Space[NDArray[np.float32]]:
-    """MetaDrive's 19 numbers of car, road and route, then one for each beam, in [0, 1]."""
+    """MetaDrive's 19 numbers of car, road and route, then one per lidar beam, in [0, 1]."""
     box: Any = gymnasium.spaces.Box(0.0, 1.0, (features,), np.float32)
     return box  # type: ignore[no-any-return]
 
 
 def checked_seed(seed: int) -> int:
-    """The seed as the compiled module takes it."""
+    """Checks that the compiled module accepts the seed."""
     seed = int(seed)
     if not 0 <= seed < 2**63:
         raise ValueError(f"seed {seed}: it must be between 0 and 2**63 - 1")
@@ -47,7 +48,7 @@ def check_expert(method: str) -> None:
 
 
 def one_action(action: ArrayLike) -> list[float]:
-    """Steering and pedal, rounded as a vector of environments rounds them."""
+    """Steering and pedal, rounded to float32 as in a vector of environments."""
     array = np.asarray(action, np.float32)
     if array.shape != (2,):
         raise ValueError(f"action has the shape {array.shape}: it must be (2,), steering and pedal")
@@ -60,15 +61,16 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     Options are keywords with MetaDrive's names: see `vlaps.DEFAULTS`. Without a seed,
     `reset` begins the next episode in the order of seeds; `reset(seed=N)` begins episode
-    N, which is the same on every machine, and puts the order back to its beginning. `info` holds cost, terms of the reward, route
-    completion (a success has 0.98 to 0.99), contacts so far and the strict success
-    (arrived, and nothing touched).
+    N, which is the same on every machine, and restarts the order of seeds. `info` contains
+    the cost, the terms of the reward, the route completion (a success has 0.98 to 0.99),
+    the contacts so far and the strict success (arrived without any contact).
 
     `expert_config` changes the configuration of the experts, section by section, as in
-    `{"mpc": {"speed_mps": 5.0}}`. `takeover` says when an expert drives in the place of
-    the proposal: see `vlaps.Takeover`.
+    `{"mpc": {"speed_mps": 5.0}}`. `takeover` is the rule by which an expert drives instead
+    of the proposal: see `vlaps.Takeover`.
 
-    `render_view` is "top_down" or "ego" (over the driver's seat); `render_size` is width and height in pixels.
+    `render_view` is "top_down" or "ego" (from the driver's seat); `render_size` is width and
+    height in pixels.
     """
 
     metadata = {
@@ -117,9 +119,9 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Drives for 0.1 s.
 
-        `takeover` replaces the environment's rule for this step: whether the expert
-        drives. With a rule or with `takeover`, `info` also holds "proposal", "applied",
-        "expert" (NaN where it was not asked), "driver" and "takeover".
+        `takeover` says whether the expert drives; it replaces the environment's rule for
+        this step. With a rule or with `takeover`, `info` also contains "proposal",
+        "applied", "expert" (NaN if it was not asked), "driver" and "takeover".
         """
         steer, pedal = one_action(action)
         world = self._world or self._open()
@@ -153,7 +155,7 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return result
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The picture as `[height, width, 3]`; in a window, the window is renewed."""
+        """The picture as `[height, width, 3]`; with a window, updates it and returns None."""
         if self.render_mode is None:
             gymnasium.logger.warn('render() without a render_mode: make with render_mode="rgb_array"')
             return None
@@ -169,11 +171,11 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def expert(self, method: str = "idm") -> NDArray[np.float32]:
         """The action of an expert in the present state.
 
-        "idm" is MetaDrive's own traffic driver in the place of the car. It sees the true
-        state and has a memory, so ask it once in each step. "rrt-star", "informed",
-        "kinodynamic" and "mpc" are planner and controller of the stack with that planning
-        method. They see the observation (without noise) and have no memory: the same
-        state has the same answer, however often it is asked.
+        "idm" is MetaDrive's traffic driver, applied to the ego car. It sees the true state
+        and has memory, so ask it once per step. "rrt-star", "informed", "kinodynamic" and
+        "mpc" are planner and controller of the stack with that planning method. They see
+        the observation (without noise) and have no memory: the same state always has the
+        same answer.
         """
         check_expert(method)
         return np.array(self._open().advise(method), np.float32)
@@ -181,9 +183,10 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def judge(self, action: ArrayLike) -> dict[str, Any]:
         """The assessment of an action, held for 1.5 s from the present state.
 
-        `clearance_m`, `edge_m`: least distance to an obstacle and to the road's edge;
-        `safe_s`: time until contact or exit; `progress_m` towards the next checkpoint;
-        `verdict`: "clear", "leaves" or "hits"; `veto`: only the brake helps now.
+        `clearance_m`, `edge_m`: smallest distance to an obstacle and to the road's edge;
+        `safe_s`: time until a contact or until the car leaves the road; `progress_m`:
+        progress towards the next checkpoint; `verdict`: "clear", "leaves" or "hits";
+        `veto`: the safety check forbids the action.
         """
         numbers = self._open().judge(*one_action(action))
         measured: dict[str, Any] = dict(zip(ASSESSMENTS, numbers))
@@ -196,12 +199,12 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._open().get_state()
 
     def set_state(self, state: _vlaps.State | bytes) -> NDArray[np.float32]:
-        """Goes to a state of an environment with the same options, bit by bit; returns its
+        """Restores a state of an environment with the same options, bit by bit; returns its
         observation."""
         return self._open().set_state(state)
 
     def close(self) -> None:
-        """Frees the world and closes the window; may be called again."""
+        """Frees the world and closes the window; further calls do nothing."""
         self._world = None
         if self._window is not None:
             self._window.close()

@@ -1,4 +1,4 @@
-"""Whole episodes by a driver, and the table of `./vlaps eval`."""
+"""Evaluates a driver on whole episodes and prints the table of `./vlaps eval`."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from .env import EXPERTS, checked_seed
 from .policy import Policy
 from .vector import MetaDriveVectorEnv, _cores
 
-#: Episodes of one piece of work. It is fixed, so that a driver that answers whole batches
-#: gets the same ones with any number of processes.
+#: Episodes per task. It is fixed, so that a driver that answers whole batches gets the same
+#: batches with any number of processes.
 CHUNK = 64
 #: The two-sided 95 % quantile of the normal distribution.
 _Z = 1.959963984540054
-#: Seconds of a step.
+#: Duration of a step, s.
 _STEP_S = 0.1
 _FOOTNOTE = (
     "crash at the last step is MetaDrive's flag, which counts sidewalks, too; contact counts "
     "vehicles and objects, at any step: either may be the larger one."
 )
-#: Key, name in the table, digits behind the point.
+#: Key, name in the table, digits after the point.
 _ROWS = (
     ("success", "success", 3),
     ("strict_success", "strict success", 3),
@@ -45,8 +45,8 @@ _ROWS = (
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode. `outcome` is "arrived", "out_of_road", "max_step" or, when an option
-    ends episodes at contact, "driving"; contacts are steps in contact."""
+    """One episode. `outcome` is "arrived", "out_of_road", "max_step" or, if an option ends
+    episodes at a contact, "driving". Contacts are counted in steps."""
 
     seed: int
     outcome: str
@@ -59,13 +59,13 @@ class Episode:
 
     @property
     def is_strict_success(self) -> bool:
-        """Arrived, and nothing touched."""
+        """Whether the car arrived without any contact."""
         return self.outcome == "arrived" and self.vehicle_contacts + self.object_contacts == 0
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and its 95 % interval."""
+    """A mean with its 95 % confidence interval."""
 
     mean: float
     low: float
@@ -82,20 +82,20 @@ def _share(hits: list[bool]) -> Estimate:
 
 
 def _mean(values: list[float]) -> Estimate:
-    """A mean with the interval of a bootstrap."""
+    """A mean with its bootstrap interval."""
     return Estimate(*_vlaps.mean_interval(values))
 
 
 class Evaluation:
-    """The figures of a driver; `str()` of it is the table of `./vlaps eval`."""
+    """The figures of a driver; `str()` returns the table of `./vlaps eval`."""
 
     def __init__(self, driver: str, episodes: list[Episode], planning: list[tuple[int, int]]) -> None:
         self.driver = driver
-        #: In the order of their seeds.
+        #: Sorted by seed.
         self.episodes = sorted(episodes, key=lambda episode: episode.seed)
         of = self.episodes
         contacts = [(one.vehicle_contacts > 0, one.object_contacts > 0) for one in of]
-        #: Each figure by its key in the JSON of `./vlaps eval`.
+        #: Figures by their keys in the JSON of `./vlaps eval`.
         self.figures: dict[str, Estimate] = {
             "success": _share([one.outcome == "arrived" for one in of]),
             "strict_success": _share([one.is_strict_success for one in of]),
@@ -109,7 +109,7 @@ class Evaluation:
             "mean_length": _mean([float(one.steps) for one in of]),
             "mean_speed_mps": _mean([one.driven_m / (max(one.steps, 1) * _STEP_S) for one in of]),
         }
-        #: Below this lie 99 % of the planning times, us; None for drivers that do not plan.
+        #: 99 % quantile of the planning times, us; None for drivers that do not plan.
         self.planning_p99_us = _quantile(planning, 0.99)
 
     def __getitem__(self, key: str) -> Estimate:
@@ -132,7 +132,7 @@ class Evaluation:
 
 
 def _quantile(classes: list[tuple[int, int]], share: float) -> int | None:
-    """The value below which a share of the counted values lies."""
+    """A quantile of a histogram: pairs of upper bound and count."""
     total = sum(count for _, count in classes)
     passed = 0
     for value, count in sorted(classes):
@@ -144,7 +144,7 @@ def _quantile(classes: list[tuple[int, int]], share: float) -> int | None:
 
 @dataclass(frozen=True)
 class _Task:
-    """What a process needs to drive some seeds."""
+    """The arguments of a process that drives some seeds."""
 
     driver: Any
     options: dict[str, Any]
@@ -180,7 +180,7 @@ def _drive(task: _Task, seeds: list[int]) -> _Driven:
 
 
 def _episode(info: dict[str, Any], index: int) -> Episode:
-    """An episode from the figures of its last step."""
+    """Makes an episode from the figures of its last step."""
     outcomes = (("arrive_dest", "arrived"), ("out_of_road", "out_of_road"), ("max_step", "max_step"))
     reached = [outcome for flag, outcome in outcomes if info[flag][index]]
     touched = ("crash_vehicle", "crash_object", "crash_sidewalk")
@@ -212,10 +212,10 @@ def evaluate(
     `driver` is an expert's name or "lane" (a lane keeper), a `Policy` or its file, a
     function from observations `[count, features]` to actions `[count, 2]`, a torch module,
     or a model of Stable-Baselines3. Names and policy files drive as in `./vlaps eval`, on
-    `threads` threads. `processes` share the episodes when they are more than one, or the
-    tasks of a Ray cluster (`ray=True`, needs the package ray). A function must then be
-    importable by name. No figure but the planning time depends on threads, processes or
-    nodes. `options` are those of the environment.
+    `threads` threads. With `processes` above 1, or with `ray=True` (needs the package ray),
+    processes or tasks of a Ray cluster share the episodes; a function must then be
+    importable by name. Only the planning time depends on the number of threads, processes
+    or nodes. `options` are those of the environment.
     """
     if not isinstance(seeds, Iterable):
         raise TypeError(f"seeds = {seeds!r}: pass a sequence, such as range(1000, 1200)")
@@ -231,7 +231,7 @@ def evaluate(
         raise ValueError(f"driver {driver!r}: choose from {', '.join(EXPERTS)}, expert, lane, or FILE.onnx")
     lidar = merged(options)["vehicle_config"]["lidar"]
     if isinstance(driver, (str, Policy)) and (lidar["gaussian_noise"] or lidar["dropout_prob"]):
-        raise ValueError("noise and dropout are for functions: experts and policy files drive without")
+        raise ValueError("gaussian_noise and dropout_prob: experts and policy files drive without them")
     task = _Task(driver, options, expert_config, threads or max(1, _cores() // processes))
     chunks = [wanted[start : start + CHUNK] for start in range(0, len(wanted), CHUNK)]
     if ray:

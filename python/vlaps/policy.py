@@ -1,4 +1,4 @@
-"""Policy files, as `./vlaps up --policy` adopts them: `Policy` reads, `export` writes."""
+"""Policy files for `./vlaps up --policy`: `Policy` reads them, `export` writes them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from . import _vlaps
 
 #: Numbers in a policy's input: those of the default lidar.
 FEATURES = 259
-#: Probes that `export` writes into a file, and how far an answer to one may be off.
+#: Number of probes that `export` writes into a file, and the tolerance of their answers.
 _PROBES, _TOLERANCE = 16, 1e-4
-#: Modules of torch by what they are in a policy file; None: nothing.
+#: The activation in a policy file for each torch module; None: the module is left out.
 _MODULES = {"ReLU": "relu", "Tanh": "tanh", "Identity": None, "Dropout": None, "Flatten": None}
 
-#: Weights `[outputs, inputs]`, bias `[outputs]`, and "relu", "tanh" or None after them.
+#: Weights `[outputs, inputs]`, bias `[outputs]`, and activation: "relu", "tanh" or None.
 Layer = tuple[ArrayLike, ArrayLike, str | None]
 _Layers = list[tuple[NDArray[np.float32], NDArray[np.float32], str]]
 
 
 class Policy:
-    """A policy file, checked as the controller checks it.
+    """A policy file that has passed the controller's checks.
 
     The checks are size, ONNX structure, metadata, observation layout, operators, shapes,
-    finite weights and the file's probe answers; a file that fails one is a `ValueError`
-    with the reason. Nets of Linear, ReLU and Tanh run natively; others need the library
-    of ONNX Runtime (`pip install onnxruntime`, or its file or folder as `onnxruntime`).
+    finite weights and the file's probe answers; `ValueError` gives the reason if one fails.
+    Networks of Linear, ReLU and Tanh run natively; others need the library of ONNX Runtime
+    (`pip install onnxruntime`, or pass its file or folder as `onnxruntime`).
 
     >>> policy = Policy("ppl-50000.onnx")
     >>> policy(np.zeros(259, np.float32)).shape
@@ -50,7 +50,7 @@ class Policy:
         self.sha256: str = self._file.sha256
         #: "native" or "onnxruntime".
         self.runtime = "native" if self._file.is_native else "onnxruntime"
-        #: Probe answers that the file was checked with.
+        #: Number of probes in the file.
         self.probes: int = self._file.probes
         origin = self._file.origin
         #: "algorithm", "seed", "steps" and "commit"; None for a plain ONNX file.
@@ -64,13 +64,13 @@ class Policy:
         if rows.ndim not in (1, 2):
             raise ValueError(f"observation has the shape {rows.shape}: it must be ({FEATURES},) or (count, {FEATURES})")
         if not np.isfinite(rows).all():
-            raise ValueError("the observation holds a number that is not finite")
+            raise ValueError("the observation contains a number that is not finite")
         actions = self._file.infer(np.atleast_2d(rows))
         return actions[0] if rows.ndim == 1 else actions
 
     @staticmethod
     def refusal(source: str | os.PathLike[str] | bytes) -> str | None:
-        """Why a file is refused; None when it passes every check."""
+        """The reason why a file is refused; None if it passes every check."""
         try:
             Policy(source)
         except ValueError as error:
@@ -85,7 +85,7 @@ class Policy:
 
 
 def _installed_library() -> str:
-    """The folder of the onnxruntime package's library; empty: the controller's defaults."""
+    """The folder of the onnxruntime package's library; empty for the controller's defaults."""
     found = importlib.util.find_spec("onnxruntime")
     if found is None or found.origin is None:
         return ""
@@ -103,18 +103,18 @@ def export(
     mean: ArrayLike | None = None,
     std: ArrayLike | None = None,
 ) -> Policy:
-    """Writes a policy file, and returns it as it was read again and checked.
+    """Writes a policy file, checks it, and returns it.
 
     `policy` is a list of layers `(weights, bias, activation)`, a torch module of Linear,
     ReLU and Tanh (such as a Sequential), or a model or policy of Stable-Baselines3 (PPO,
-    A2C, SAC, TD3). It takes 259 numbers and answers two, steering and pedal; the driver
-    clamps them to [-1, 1]. `mean` and `std` `[259]` are of a normalisation
-    `(observation - mean) / std` before the net, which the first layer takes in. `algorithm`,
-    `seed`, `steps` (driven in training) and `commit` are recorded in the file.
+    A2C, SAC, TD3). Its input are 259 numbers, its output two: steering and pedal, which the
+    driver clamps to [-1, 1]. If the observations were normalised in training, as
+    `(observation - mean) / std`, pass `mean` and `std` `[259]`: the first layer then
+    includes the normalisation. `algorithm`, `seed`, `steps` (driven in training) and
+    `commit` are recorded in the file.
 
-    The answers of the file are compared with those of the module or model; `ValueError`
-    when one is off by more than 1e-4, as that of a module that runs its layers in
-    another order than it lists them.
+    Raises `ValueError` if an answer of the file differs from that of the module or model by
+    more than 1e-4, as when a module runs its layers in another order than it lists them.
     """
     path = Path(path)
     if path.suffix != ".onnx":
@@ -139,15 +139,15 @@ def export(
         off = float(np.abs(written(probes) - expected).max())
         if not off <= _TOLERANCE:
             raise ValueError(
-                f"the file's answers are off by {off:.2g} from those of the policy: it is not a "
-                "plain chain of its Linear, ReLU and Tanh modules in the order it lists them"
+                f"the file's answers differ by {off:.2g} from those of the policy: the policy does "
+                "not run its Linear, ReLU and Tanh modules in the order in which it lists them"
             )
     path.write_bytes(written.bytes)
     return written
 
 
 def _normalised(layers: _Layers, mean: NDArray[np.float64], std: NDArray[np.float64]) -> _Layers:
-    """The layers with `(x - mean) / std` taken into the first one."""
+    """The layers, with `(x - mean) / std` included in the first one."""
     if not ((std > 0.0).all() and np.isfinite(std).all() and np.isfinite(mean).all()):
         raise ValueError("mean and std must be finite, and std positive")
     weights, bias, activation = layers[0]
@@ -157,7 +157,7 @@ def _normalised(layers: _Layers, mean: NDArray[np.float64], std: NDArray[np.floa
 
 
 def _layers_of(policy: Any) -> tuple[_Layers, Callable[[Any], Any] | None]:
-    """The layers of a policy, and its answers to observations where it can be asked."""
+    """The layers of a policy, and the policy as a function if it can be called."""
     if isinstance(policy, Sequence):
         if any(not isinstance(layer, Sequence) or len(layer) != 3 for layer in policy):
             raise TypeError("a layer is (weights, bias, activation)")
@@ -203,7 +203,7 @@ def _layer(weights: ArrayLike, bias: ArrayLike, activation: str | None) -> Any:
 
 
 def _leaves(module: Any) -> list[Any]:
-    """The modules without children, in the order they are listed."""
+    """The modules without children, in the order in which they are listed."""
     children = list(module.children())
     return [leaf for child in children for leaf in _leaves(child)] if children else [module]
 
@@ -221,7 +221,7 @@ def _sb3_modules(policy: Any) -> list[Any]:
 
 
 def _chain(modules: list[Any]) -> _Layers:
-    """Linear modules, each with the activation that follows it."""
+    """The layers of a chain of modules: each Linear with the activation that follows it."""
     layers: list[list[Any]] = []
     for module in modules:
         kind = module if isinstance(module, str) else type(module).__name__

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium
 
-#: MetaDrive's task as of its commit c29cc37, which the built-in world follows.
+#: MetaDrive's task at its commit c29cc37, which the built-in world reproduces.
 ENV_ID = "vlaps/MetaDrive-c29cc37-v0"
 
 
@@ -16,6 +16,6 @@ def register() -> None:
         id=ENV_ID,
         entry_point="vlaps.env:MetaDriveEnv",
         vector_entry_point="vlaps.vector:MetaDriveVectorEnv",
-        # Episodes end by `horizon`, inside the world.
+        # The world itself limits the steps of an episode (`horizon`).
         max_episode_steps=None,
     )

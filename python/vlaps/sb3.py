@@ -23,17 +23,18 @@ except ImportError as error:
 
 from .vector import MetaDriveVectorEnv
 
-#: Which worlds a call is about.
+#: The worlds that a call applies to; None: all.
 Indices = None | int | Iterable[int]
 
 
 class VlapsVecEnv(VecEnv):
     """A `VecEnv` of many worlds; the keywords are those of `MetaDriveVectorEnv`.
 
-    The info of a step holds "cost", and with a rule of takeover what `MetaDriveVectorEnv`
-    adds then. The one that ends an episode holds all figures of
-    `MetaDriveVectorEnv`, and what Stable-Baselines3 reads: "terminal_observation",
-    "TimeLimit.truncated", "is_success", and the "episode" of its `VecMonitor`.
+    The info of a step contains "cost" and, with a takeover rule, the keys that
+    `MetaDriveVectorEnv` adds for it. The info of an episode's last step contains all
+    figures of `MetaDriveVectorEnv` and the keys that Stable-Baselines3 reads:
+    "terminal_observation", "TimeLimit.truncated", "is_success", and "episode" as from its
+    `VecMonitor`.
     """
 
     def __init__(self, num_envs: int = 1, **options: Any) -> None:
@@ -56,13 +57,14 @@ class VlapsVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Begins a step; the caller may compute meanwhile."""
+        """Begins a step and returns immediately."""
         self.env.send(actions)
 
     def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Observations (of the next episode where one ended), rewards, ends, infos."""
+        """Waits for the step; returns observations (of the next episode where one ended),
+        rewards, dones and infos."""
         observation, reward, terminated, truncated, info = self.env.recv()
         done = terminated | truncated
         self._returns += reward
@@ -79,7 +81,7 @@ class VlapsVecEnv(VecEnv):
         return observation, reward, done, infos
 
     def _end(self, index: int, info: dict[str, Any], truncated: bool) -> dict[str, Any]:
-        """The info of the step that ended an episode."""
+        """The info of an episode's last step."""
         final = info["final_info"].items()
         ended = {name: values[index] for name, values in final if name[0] != "_"}
         ended = {
@@ -106,13 +108,13 @@ class VlapsVecEnv(VecEnv):
         return self.env.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute, which all worlds share."""
+        """An attribute; all worlds share it."""
         value = getattr(self.env, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Refused: the worlds have no attributes of their own."""
-        raise AttributeError(f"{attr_name}: the worlds share their options; make others")
+        """Always raises `AttributeError`: the worlds have no separate attributes."""
+        raise AttributeError(f"{attr_name}: the worlds share their options; make a new VlapsVecEnv")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
@@ -124,6 +126,6 @@ class VlapsVecEnv(VecEnv):
         return [call(index, *method_args, **method_kwargs) for index in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """A Monitor is built in; there is no other wrapper."""
+        """True for "Monitor", whose function is built in; false for all other wrappers."""
         is_monitor = wrapper_class.__name__ == "Monitor"
         return [is_monitor for _ in self._get_indices(indices)]

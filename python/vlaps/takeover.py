@@ -1,4 +1,4 @@
-"""When an expert drives in the place of the learner."""
+"""Rules by which an expert takes over from the policy."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ _DRIVERS = np.array(["policy", "expert"])
 #: Column of the veto in an assessment.
 _VETO = 5
 
-#: A mark for each world.
+#: One flag per world.
 Marks = NDArray[np.bool_]
-#: An action for each world, `[worlds, 2]`.
+#: One action per world, `[worlds, 2]`.
 Actions = NDArray[np.float32]
 
 
 def driver_names(taken: Marks) -> NDArray[np.str_]:
-    """ "expert" where it has taken over, else "policy"."""
+    """The driver of each world: "expert" where it has taken over, otherwise "policy"."""
     return _DRIVERS[taken.astype(np.intp)]
 
 
 @dataclass
 class Decided:
-    """Who drives a step, with `[worlds, 2]` actions."""
+    """The decision for one step in all worlds."""
 
     proposal: Actions
     applied: Actions
     expert: Actions
     taken: Marks
-    #: The worlds in which the step drove.
+    #: The worlds in which the step drives; false where it only begins an episode.
     driving: Marks
 
 
 @dataclass(frozen=True)
 class Takeover:
-    """When the expert of a planning method drives in the place of the proposal.
+    """The rule by which an expert drives instead of the proposal; `method` is the expert.
 
     | `rule` | the expert drives |
     |---|---|
-    | "asked" | in steps with `takeover=True`, and in no other |
+    | "asked" | only in steps with `takeover=True` |
     | "always" | in every step |
-    | "vetoed" | where the judge of the tick vetoes the proposal |
+    | "vetoed" | where the safety check vetoes the proposal |
     | "differs" | where proposal and expert differ by more than `differ` in steering or pedal |
 
     `step(action, takeover=...)` replaces the rule for one step.
@@ -65,7 +65,7 @@ class Takeover:
 
     @staticmethod
     def of(takeover: Takeover | str | None) -> Takeover | None:
-        """The rule of a name."""
+        """Makes a rule from its name; returns other values unchanged."""
         return Takeover(takeover) if isinstance(takeover, str) else takeover
 
     def decide(
@@ -76,7 +76,11 @@ class Takeover:
         advise: Callable[[str, Marks], Actions],
         judge: Callable[[Actions], NDArray[np.float64]],
     ) -> Decided:
-        """Decides in the worlds that are `driving`."""
+        """Decides which driver drives in each world that is `driving`.
+
+        `asked` replaces the rule; `advise` returns an expert's actions in some worlds, and
+        `judge` the safety check's assessments `[worlds, numbers]` of actions.
+        """
         finite = np.isfinite(proposal).all(axis=1)
         if not finite.all():
             index = int(np.argmin(finite))
@@ -92,7 +96,7 @@ class Takeover:
             expert = advise(self.method, wanted)
         taken = wanted
         if everywhere and self.rule == "differs":
-            # Comparison with NaN is false: there the expert was not asked.
+            # Where the expert was not asked, its action is NaN and the comparison is false.
             apart = np.abs(expert - np.clip(proposal, -1.0, 1.0)) > self.differ
             taken = np.logical_or(apart[:, 0], apart[:, 1])
         applied = np.where(taken[:, None], expert, proposal)

@@ -45,18 +45,19 @@ def _cores() -> int:
 class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many worlds in one object, stepped by `threads` threads with the same results.
 
-    With `copy=False` the returned arrays are the object's own, and the next call writes
-    them again. World k takes the places k, k + n, k + 2n in the order of seeds, so the
-    episodes of a world depend on nothing but the options. To share an order of seeds
-    between programs, give each its part: `seeds=range(first, last)[part::parts]`.
+    With `copy=False` the returned arrays, those of `info` included, are views that the next
+    call overwrites. World k takes the positions k, k + n, k + 2n, ... in the order of seeds,
+    so that the episodes of a world depend only on the options. To split the seeds between
+    programs, pass each its part: `seeds=range(first, last)[part::parts]`.
 
-    `info` holds each figure as an array over the worlds, of the step that was driven: in
-    the same-step mode those of the episode that ended, as in `info["final_info"]`.
+    `info` contains each figure of the step as an array over the worlds. In the same-step
+    mode, the figures of a world whose episode ended are those of the ended episode, as in
+    `info["final_info"]`.
 
-    `takeover` and `expert_config` are those of `MetaDriveEnv`. A step with a rule of
-    takeover adds "proposal" and "applied" `[num_envs, 2]`, "expert" (NaN where it was not
-    asked), "driver" and "takeover" to `info`. A step that only begins an episode, in the
-    next-step mode, has no driver: its mask "_driver" is false.
+    `takeover` and `expert_config` are those of `MetaDriveEnv`. A step with a takeover rule
+    adds "proposal" and "applied" `[num_envs, 2]`, "expert" (NaN where it was not asked),
+    "driver" and "takeover" to `info`. In the next-step mode, a step that only begins an
+    episode has no driver: its mask "_driver" is false.
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         **options: Any,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode {render_mode!r}: a vector of environments has rgb_array alone")
+            raise ValueError(f"render_mode {render_mode!r}: a vector of environments supports only rgb_array")
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}: it must be at least 1")
         if threads is not None and threads < 1:
@@ -103,6 +104,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         self._sent: Future[Decided | None] | None = None
         self._all = everything = np.ones(num_envs, np.bool_)
         self._masks = {f"_{name}": everything for name in _NAMES}
+        # The figures as they are, for copy=False: each call writes them anew.
+        self._shown = self._figures()
         self.single_observation_space = observation_space(self._worlds.features)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -110,7 +113,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
 
     def _open(self) -> _vlaps.Worlds:
         if self._worlds is None:
-            raise RuntimeError("the environments are closed: make others")
+            raise RuntimeError("the environments are closed: make new ones")
         if self._sent is not None:
             raise RuntimeError("a step was sent: call recv before anything else")
         return self._worlds
@@ -125,10 +128,10 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begins an episode in each world, or where `options["reset_mask"]` is true.
+        """Begins an episode in each world, or only where `options["reset_mask"]` is true.
 
-        An integer seed N gives world k the seed N + k; a list gives each its own. Without
-        a seed each world goes on in the order of seeds.
+        An integer seed N gives world k the seed N + k; a list has one seed per world.
+        Without a seed each world continues in the order of seeds.
         """
         worlds = self._open()
         if seed is None:
@@ -152,24 +155,24 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
     def step(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> Stepped:
         """Drives all worlds for 0.1 s.
 
-        `takeover` replaces the rule of takeover for this step: a mark for each world, or
-        one for all, whether the expert drives.
+        `takeover` replaces the takeover rule for this step: a boolean for each world, or
+        one for all, that says whether the expert drives.
         """
         worlds = self._open()
         driven = self._drive(worlds, np.ascontiguousarray(actions, np.float32), takeover)
         return self._stepped(driven)
 
     def send(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> None:
-        """Begins a step on a thread beside the caller's, and returns at once."""
+        """Begins a step on another thread and returns immediately."""
         worlds = self._open()
         if self._executor is None:
             self._executor = ThreadPoolExecutor(1, thread_name_prefix="vlaps-send")
-        # The caller may write its array before the step has read it.
+        # The caller may overwrite its array before the step has read it.
         copied = np.array(actions, np.float32, order="C")
         self._sent = self._executor.submit(self._drive, worlds, copied, takeover)
 
     def recv(self) -> Stepped:
-        """Waits for the step that was sent, and returns what it brought."""
+        """Waits for the step that was sent, and returns its result."""
         if self._sent is None:
             raise RuntimeError("no step was sent: call send first")
         sent, self._sent = self._sent, None
@@ -196,7 +199,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return decided
 
     def _marks(self, name: str, given: ArrayLike) -> NDArray[np.bool_]:
-        """A mark for each world."""
+        """Checks a boolean per world, or one for all; returns one per world."""
         marks = np.asarray(given)
         if marks.dtype != np.bool_ or marks.shape not in ((), (self.num_envs,)):
             raise ValueError(f"{name} must be a boolean array of the shape ({self.num_envs},)")
@@ -215,20 +218,19 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             self._info(ended, decided),
         )
 
+    def _figures(self) -> dict[str, Any]:
+        """Each figure of the last step as an array over the worlds, with its mask."""
+        info: dict[str, Any] = dict(self._masks)
+        info.update(zip(_REALS, self._out("reals")))
+        info.update(zip(_COUNTS, self._out("counts")))
+        info.update(zip(_FLAGS, self._out("flags")))
+        return info
+
     def _info(
         self, ended: NDArray[np.bool_] | None, decided: Decided | None = None
     ) -> dict[str, Any]:
-        """Gymnasium's vector info: each figure as an array, and beside it its mask."""
-        # Column by column in memory, so that each figure is contiguous.
-        figures = self._arrays["figures"].T.copy()
-        flags_from = len(_REALS) + len(_COUNTS)
-        info: dict[str, Any] = dict(self._masks)
-        info.update(zip(_REALS, figures))
-        # The seed stands there with its bits.
-        seed = figures[flags_from - 1].view(np.int64)
-        info.update(zip(_COUNTS, figures[len(_REALS) : flags_from - 1].astype(np.int64)))
-        info["seed"] = seed
-        info.update(zip(_FLAGS, figures[flags_from:] != 0.0))
+        """Gymnasium's vector info: each figure as an array, with its mask."""
+        info = self._figures() if self._copy else self._shown.copy()
         if decided is not None:
             shown = {
                 "proposal": decided.proposal,
@@ -250,8 +252,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return info
 
     def seeds(self) -> NDArray[np.int64]:
-        """The seed of the episode that runs in each world; after a step in the same-step
-        mode, `info["seed"]` is that of the episode that was driven."""
+        """The seed of the current episode in each world. In the same-step mode,
+        `info["seed"]` may differ: it is the seed of the episode that the step drove."""
         return np.array(self._open().seeds(), np.int64)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -263,14 +265,14 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return tuple(worlds.render(index, *self._view) for index in range(self.num_envs))
 
     def expert(self, method: str = "idm", mask: ArrayLike | None = None) -> NDArray[np.float32]:
-        """The action of an expert in each world where `mask` is true, `[num_envs, 2]`, and
-        NaN in the others; see `MetaDriveEnv.expert`."""
+        """The actions of an expert, `[num_envs, 2]`, in the worlds where `mask` is true; NaN
+        in the others. See `MetaDriveEnv.expert`."""
         check_expert(method)
         marks = self._all if mask is None else self._marks("mask", mask)
         return self._open().advise(method, marks)
 
     def judge(self, actions: ArrayLike) -> dict[str, NDArray[Any]]:
-        """The assessment of an action in each world; see `MetaDriveEnv.judge`."""
+        """The assessment of one action per world; see `MetaDriveEnv.judge`."""
         numbers = self._open().judge(np.ascontiguousarray(actions, np.float32))
         measured: dict[str, NDArray[Any]] = {
             name: numbers[:, column] for column, name in enumerate(ASSESSMENTS)
@@ -289,8 +291,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return index
 
     def set_state(self, index: int, state: _vlaps.State | bytes) -> NDArray[np.float32]:
-        """Puts one world into a state of a world with the same options, bit by bit; returns
-        its observation."""
+        """Restores in one world a state of a world with the same options, bit by bit;
+        returns its observation."""
         self._open().set_state(self._place(index), state)
         observation: NDArray[np.float32] = self._arrays["observation"][index].copy()
         return observation

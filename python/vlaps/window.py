@@ -1,4 +1,4 @@
-"""A window for `render_mode="human"`, and videos without one."""
+"""A window for `render_mode="human"`, and video files for machines without a display."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def has_display() -> bool:
 
 
 class Window:
-    """A window of the size of the pictures."""
+    """A window of the pictures' size."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         if not has_display():
@@ -58,7 +58,7 @@ class Window:
         self._root.update()
 
     def close(self) -> None:
-        """Closes the window; may be called again."""
+        """Closes the window; further calls do nothing."""
         if self._root is not None:
             self._root.destroy()
             self._root = None
@@ -67,11 +67,11 @@ class Window:
 def write_video(path: str | os.PathLike[str], frames: Iterable[NDArray[np.uint8]], fps: int = 10) -> None:
     """Writes pictures `[height, width, 3]` of one size as an animated PNG.
 
-    Browsers and most viewers play it. The path ends in `.png` or `.apng`.
+    Browsers and most viewers play it. The path must end in `.png` or `.apng`.
     """
     path = Path(path)
     if path.suffix not in (".png", ".apng"):
-        raise ValueError(f"{path}: the video is an animated PNG, so its name ends in .png or .apng")
+        raise ValueError(f"{path}: the video is an animated PNG; its name must end in .png or .apng")
     if fps < 1:
         raise ValueError(f"fps = {fps}: it must be at least 1")
     pictures = [_checked(frame) for frame in frames]
@@ -102,12 +102,12 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[NDArray[np.uint8]
 def _checked(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     frame = np.asarray(frame)
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
-        raise ValueError(f"a frame is a uint8 array [height, width, 3], not {frame.dtype} {frame.shape}")
+        raise ValueError(f"a frame must be a uint8 array [height, width, 3], not {frame.dtype} {frame.shape}")
     return frame
 
 
 def _filtered(picture: NDArray[np.uint8]) -> bytes:
-    """The rows with the filter "up" (RFC 2083, 6.4), each after its filter byte."""
+    """The rows with the filter "up" (RFC 2083, 6.4), each preceded by its filter byte."""
     height, width, _ = picture.shape
     rows = np.zeros((height, 1 + 3 * width), np.uint8)
     flat = picture.reshape(height, 3 * width)
