@@ -16,12 +16,16 @@ use rustix::process::{Pid, Signal, kill_process};
 use shm_config::run::{RunName, RunPaths};
 
 /// The folder of the built programs of the profile under test. They are built once
-/// here, in case cargo was asked for this package alone.
+/// here, in case cargo was asked for this package alone, unless `VLAPS_NO_BUILD=1` says to
+/// use those that are built.
 pub fn programs() -> &'static Path {
     static PROGRAMS: OnceLock<PathBuf> = OnceLock::new();
     PROGRAMS.get_or_init(|| {
         let test = env::current_exe().expect("the test's own path");
         let folder = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
+        if env::var_os("VLAPS_NO_BUILD").is_some_and(|value| value == "1") {
+            return folder.to_path_buf();
+        }
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or("cargo".into()));
         cargo
             // With a test target among them, cargo resolves the features of

@@ -19,12 +19,15 @@ const ARROWS: &[(&str, &[&str])] = &[
         "controller",
         &["vehicle", "shm-config", "runtime", "safety", "policy"],
     ),
-    ("sim", &["vehicle", "shm-config", "runtime"]),
+    ("robot", &["vehicle", "shm-config", "runtime"]),
+    ("sim", &["vehicle", "shm-config", "runtime", "robot"]),
+    ("capi", &["vehicle", "shm-config", "runtime"]),
     (
         "learner",
         &["vehicle", "shm-config", "runtime", "policy", "stack"],
     ),
     ("supervisor", &["vehicle", "shm-config", "runtime"]),
+    ("recorder", &["vehicle", "shm-config", "planner", "runtime"]),
     (
         "python",
         &[
@@ -35,6 +38,7 @@ const ARROWS: &[(&str, &[&str])] = &[
             "controller",
             "sim",
             "stack",
+            "recorder",
         ],
     ),
     (
@@ -46,7 +50,9 @@ const ARROWS: &[(&str, &[&str])] = &[
         &[
             "vehicle",
             "shm-config",
+            "gate",
             "planner",
+            "recorder",
             "sim",
             "stack",
             "supervisor",
@@ -58,8 +64,12 @@ const ARROWS: &[(&str, &[&str])] = &[
             "vehicle",
             "shm-config",
             "planner",
+            "gate",
+            "policy",
+            "controller",
             "sim",
             "judge",
+            "recorder",
             "learner",
             "stack",
             "view",

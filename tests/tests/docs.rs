@@ -23,7 +23,7 @@ const FILE_ENDINGS: &[&str] = &[
     "cpp", "hpp", "gz", "mcap", "txt", "rules", "service", "conf", "jsonl",
 ];
 /// Files whose words count as names of the sources.
-const SOURCE_ENDINGS: &[&str] = &["rs", "py", "toml", "c", "cpp", "hpp", "rules", "conf"];
+const SOURCE_ENDINGS: &[&str] = &["rs", "py", "toml", "c", "h", "cpp", "hpp", "rules", "conf"];
 /// Folders that a run or a build writes.
 const WRITTEN: &[&str] = &["runs", "target", "campaign", "soak"];
 
@@ -50,7 +50,9 @@ fn files(root: &Path, wanted: &dyn Fn(&Path) -> bool) -> Vec<PathBuf> {
         for entry in fs::read_dir(&folder).expect("a folder").flatten() {
             let path = entry.path();
             let name = entry.file_name().to_string_lossy().into_owned();
-            let is_ours = !["target", "runs", ".git", "corpus"].contains(&name.as_str());
+            // Hidden folders are caches of other tools.
+            let is_ours =
+                !name.starts_with('.') && !["target", "runs", "corpus"].contains(&name.as_str());
             if path.is_dir() && is_ours {
                 folders.push(path);
             } else if path.is_file() && wanted(&path) {

@@ -11,7 +11,7 @@ use vlaps_tests::Set;
 #[test]
 fn an_evaluated_episode_gives_the_commands_of_the_processes() {
     let config = Config::default();
-    let mut world = World::new(WorldConfig::from(&config.world)).expect("the default world");
+    let mut world = World::new(WorldConfig::from(&config)).expect("the default world");
     // Planning times have no effect on a command.
     let clock = || Instant(0);
     let mut driver =

@@ -2,7 +2,7 @@
 //! that it did start: its messages are refused, counted and reported by name, and never
 //! used.
 
-use bench::faults::strangers::{command, trace_in};
+use bench::faults::foreign::{command, forgery_in};
 use rustix::process::Signal;
 use serde_json::Value;
 use shm_config::Instant;
@@ -45,7 +45,7 @@ impl Stranger {
             steps.update_connections();
             while let Some(step) = steps.receive() {
                 assert_eq!(step.check(), Ok(()));
-                assert_eq!(trace_in(&step, own), None);
+                assert_eq!(forgery_in(&step, own), None);
                 *newest = step;
                 if wish(&step) {
                     return true;

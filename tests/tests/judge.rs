@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use gate::record::Record;
 use gate::record::store;
-use judge::eyes::Sighted;
-use judge::standin::{Mishap, Options, Server};
+use judge::pixels::PixelRules;
+use judge::standin::{Options, Server, ServerFault};
 use serde_json::Value;
 use shm_config::config::{GateMode, When, load};
 use vlaps_tests::{Set, until};
@@ -23,7 +23,7 @@ fn policy() -> String {
 
 fn stand_in() -> Server {
     let options = Options {
-        eyes: Arc::new(Sighted),
+        rater: Arc::new(PixelRules),
         ..Options::default()
     };
     Server::start(options).expect("a stand-in")
@@ -111,12 +111,16 @@ fn a_model_is_asked_and_its_recorded_answers_replay_to_the_same_commands() {
 
 #[test]
 fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
-    let broken = |mishap| Options {
-        mishap: Some(mishap),
+    let broken = |injected| Options {
+        injected: Some(injected),
         ..Options::default()
     };
-    for mishap in [Mishap::Two, Mishap::Unauthorized, Mishap::HugeLength] {
-        let server = Server::start(broken(mishap)).expect("a stand-in");
+    for injected in [
+        ServerFault::Two,
+        ServerFault::Unauthorized,
+        ServerFault::HugeLength,
+    ] {
+        let server = Server::start(broken(injected)).expect("a stand-in");
         let set = Set::new("broken");
         let quick = [
             "--gate",
@@ -127,15 +131,15 @@ fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
             "vlm.attempts_max=1",
         ];
         let json = drive(&set, &server.url(), &quick);
-        assert_eq!(json["share"]["policy"], 0.0, "{}", mishap.word());
+        assert_eq!(json["share"]["policy"], 0.0, "{}", injected.word());
         let trouble = json["judge"]["trouble"].as_str().expect("a text");
         let is_told = trouble.contains("http_401") && trouble.contains("vlm.key_env");
-        assert_eq!(is_told, mishap == Mishap::Unauthorized, "{trouble}");
+        assert_eq!(is_told, injected == ServerFault::Unauthorized, "{trouble}");
         assert_eq!(json["skipped"], 0);
         let records = records(&set);
         assert!(!records.is_empty());
         for record in records {
-            assert_eq!(record.preference, None, "{}", mishap.word());
+            assert_eq!(record.preference, None, "{}", injected.word());
             assert!(!record.fault.is_empty(), "one reason");
         }
     }
@@ -143,9 +147,9 @@ fn a_judge_that_breaks_lets_the_expert_drive_and_leaves_no_label() {
 
 #[test]
 fn in_real_time_a_judge_that_hangs_or_dies_costs_no_tick() {
-    for mishap in [Some(Mishap::Hang), None] {
+    for injected in [Some(ServerFault::Hang), None] {
         let options = Options {
-            mishap,
+            injected,
             ..Options::default()
         };
         let mut server = Some(Server::start(options).expect("a stand-in"));
@@ -166,7 +170,7 @@ fn in_real_time_a_judge_that_hangs_or_dies_costs_no_tick() {
         ]);
         let asked = |server: &Option<Server>| server.as_ref().is_some_and(|s| s.requests() > 0);
         until("the judge is asked", || asked(&server));
-        if mishap.is_none() {
+        if injected.is_none() {
             server = None;
         }
         assert_eq!(set.wait(), Some(0), "{}", set.logs());

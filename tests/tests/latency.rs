@@ -9,7 +9,8 @@ use std::process::{Child, Command, Output, Stdio};
 
 use rustix::process::{Pid, Signal, getuid, kill_process_group};
 use serde_json::Value;
-use shm_config::run::{RunPaths, USER_DIR};
+use shm_config::run::{RunPaths, SHARED_MEMORY_DIR, USER_DIR};
+use tempfile::TempDir;
 use vlaps_tests::{programs, until};
 
 /// Starts it in its own process group, as a terminal does.
@@ -26,6 +27,12 @@ fn bench(words: &[&str], out: &Path) -> Child {
         .process_group(0)
         .spawn()
         .expect("vlaps-bench")
+}
+
+/// A folder in memory. Where these benchmarks keep every core busy, the kernel's threads that
+/// write to a disk are served last: one fsync of a run's summary has waited for 13 s.
+fn folder() -> TempDir {
+    tempfile::tempdir_in(SHARED_MEMORY_DIR).expect("a folder")
 }
 
 /// Ctrl-C in the terminal: a signal to every process of the group.
@@ -50,7 +57,7 @@ fn left_behind(pid: u32) -> Vec<String> {
         let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
         names.collect()
     };
-    let mut left = names("/dev/shm");
+    let mut left = names(SHARED_MEMORY_DIR);
     left.retain(|name| name.starts_with("vlaps-") && name.contains(&format!("-{pid}.")));
     let runs = names(&USER_DIR.replace("{user}", &getuid().as_raw().to_string()));
     let of_run = format!("-{pid}");
@@ -81,7 +88,7 @@ const ROWS: &[&str] = &[
 
 #[test]
 fn rows_account_for_every_tick_and_are_kept() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let child = bench(ROWS, folder.path());
     let pid = child.id();
     let done = output(child);
@@ -143,12 +150,16 @@ fn rows_account_for_every_tick_and_are_kept() {
 
 #[test]
 fn a_stopped_benchmark_keeps_its_finished_rows() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let mut words = ROWS.to_vec();
     words[6] = "4";
-    let child = bench(&words, folder.path());
+    let mut child = bench(&words, folder.path());
     let first = folder.path().join("out/rows/100-hz-none-ordinary.json");
-    until("the first row", || first.exists());
+    until("the first row", || {
+        let ended = child.try_wait().expect("its state");
+        assert!(ended.is_none(), "it ended before the first row: {ended:?}");
+        first.exists()
+    });
     interrupt(&child);
     let pid = child.id();
     let done = output(child);
@@ -162,7 +173,7 @@ fn a_stopped_benchmark_keeps_its_finished_rows() {
 
 #[test]
 fn ctrl_c_reaches_set_and_load_through_the_benchmark_alone() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let mut words = ROWS.to_vec();
     let chosen = [(2, "cpu"), (6, "60"), (10, "auto"), (12, "auto")];
     for (place, word) in chosen {
@@ -183,7 +194,7 @@ fn ctrl_c_reaches_set_and_load_through_the_benchmark_alone() {
 
 #[test]
 fn a_killed_benchmark_takes_its_load_and_its_floor_with_it() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let mut words = ROWS.to_vec();
     let chosen = [(2, "cpu"), (6, "60"), (10, "auto"), (12, "auto")];
     for (place, word) in chosen {
@@ -229,7 +240,7 @@ fn has_thread(pid: u32, name: &str) -> bool {
 
 #[test]
 fn a_comparison_of_the_wire_that_is_stopped_prints_the_rows_it_has() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let words = "ipc --message command,step --wake bell --rate 1000 --seconds 0.5";
     let words: Vec<&str> = words.split(' ').collect();
     let mut child = bench(&words, folder.path());
@@ -253,7 +264,7 @@ fn a_comparison_of_the_wire_that_is_stopped_prints_the_rows_it_has() {
 
 #[test]
 fn a_stopped_soak_judges_the_samples_it_has_and_leaves_nothing() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let words = "soak --ticks 1000000 --samples 2000 --out out";
     let words: Vec<&str> = words.split(' ').collect();
     let child = bench(&words, folder.path());
@@ -272,7 +283,7 @@ fn a_stopped_soak_judges_the_samples_it_has_and_leaves_nothing() {
 
 #[test]
 fn a_message_goes_back_and_forth_over_every_side() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder();
     let child = bench(
         &[
             "ipc",

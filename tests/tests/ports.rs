@@ -11,17 +11,19 @@ macro_rules! opened {
 }
 
 const OPENED: &[Opened] = opened![
-    sim::ports::Ports,
+    robot::ports::Ports,
     sim::ports::RequestPorts,
     sim::ports::AnswerPorts,
     planner::ports::Ports,
     controller::ports::Ports,
     controller::ports::LoaderPorts,
     controller::ports::LearnerPorts,
+    controller::ports::RecorderPorts,
     gate::ports::Ports,
     gate::ports::PicturePorts,
     learner::ports::Ports,
     learner::ports::OfferPorts,
+    recorder::process::Ports,
     supervisor::telemetry::ports::Ports,
     supervisor::takeover::input::TakeoverPorts,
     supervisor::run::roster::RosterPorts,

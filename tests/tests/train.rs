@@ -232,7 +232,7 @@ fn assert_other_options_are_refused(experiment: &Experiment, words: &[&str]) {
         let output = experiment.run(&[other, &["--resume"]].concat());
         assert!(!output.status.success(), "{other:?}");
         assert!(
-            text(&output.stderr).contains("holds --seed 0 --seeds 1"),
+            text(&output.stderr).contains("contains --seed 0 --seeds 1"),
             "{output:?}"
         );
     }

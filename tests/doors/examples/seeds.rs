@@ -14,6 +14,7 @@ use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, Mark};
 use learner::replay::{Buffer, Then, Transition};
 use policy::{Activation, Layer, Mlp, Provenance};
+use recorder::{Origin, Writer};
 use shm_config::Instant;
 use shm_config::config::planner::Method;
 use shm_config::config::{Clock, Config};
@@ -21,6 +22,7 @@ use shm_config::message::{
     Camera, Command, FEATURES, Header, Observation, Plan, Preference, Proposal, Step, Takeover,
     View,
 };
+use shm_config::services::STEP;
 use sim::{World, WorldConfig};
 use stack::Stack;
 
@@ -53,7 +55,7 @@ fn drive(method: Method, map_seed: u64) -> Vec<(Observation, Plan, Step)> {
     let mut config = Config::default();
     config.planner.method = method;
     config.run.clock = Clock::Lockstep;
-    let mut world = World::new(WorldConfig::from(&config.world)).expect("a world");
+    let mut world = World::new(WorldConfig::from(&config)).expect("a world");
     world.reset(map_seed).expect("a map");
     let mut stack = Stack::new(&config).expect("a planner");
     let mut ticks = Vec::new();
@@ -321,6 +323,68 @@ fn checkpoints(folder: &Path) {
     seed("checkpoint", "cut", &[&bytes[12..bytes.len() / 2]]);
 }
 
+/// Files of recordings: whole, without their end, and with a wrong byte.
+fn of_recorded_runs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run-0001.mcap");
+    let origin = Origin {
+        run: "seed".into(),
+        session: "1".into(),
+        epoch_offset_ns: 1_700_000_000_000_000_000,
+        ..Origin::default()
+    };
+    let mut writer = Writer::create(&path, &origin).expect("a file");
+    for tick in 0..12 {
+        let mut step = Step::default();
+        step.header.tick = tick;
+        writer.write(&STEP, tick * PERIOD_NS, &step).expect("room");
+        if tick % 4 == 3 {
+            writer.flush().expect("room");
+        }
+    }
+    writer.finish().expect("room");
+    let bytes = fs::read(&path).expect("the file");
+    seed("recording", "whole", &[&bytes]);
+    seed("recording", "cut", &[&bytes[..bytes.len() * 2 / 3]]);
+    seed("recording", "foreign", &[b"\x89MCAP0\r\n", &[0; 64]]);
+    let mut wrong = bytes.clone();
+    wrong[bytes.len() / 2] ^= 1;
+    seed("recording", "wrong", &[&wrong]);
+}
+
+/// A client's frame, RFC 6455, with a mask of zeros; texts of at most 125 bytes.
+fn frame(first: u8, text: &str) -> Vec<u8> {
+    [
+        &[first, 0x80 | text.len() as u8, 0, 0, 0, 0],
+        text.as_bytes(),
+    ]
+    .concat()
+}
+
+fn of_viewers() {
+    let subscribe = r#"{"op":"subscribe","subscriptions":[{"id":1,"channelId":0}]}"#;
+    let other = r#"{"op":"subscribe","subscriptions":[{"id":2,"channelId":1}]}"#;
+    let two = [frame(0x81, subscribe), frame(0x81, other)].concat();
+    seed("viewer", "two", &[&two]);
+    let (head, tail) = subscribe.split_at(20);
+    let parts = [frame(0x01, head), frame(0x89, "x"), frame(0x80, tail)].concat();
+    seed("viewer", "parts", &[&parts]);
+    let asked = [
+        (
+            "channel",
+            r#"{"op":"subscribe","subscriptions":[{"id":1,"channelId":99999}]}"#,
+        ),
+        ("publish", r#"{"op":"advertise","channels":[]}"#),
+        ("close", ""),
+    ];
+    for (name, text) in asked {
+        let first = if name == "close" { 0x88 } else { 0x81 };
+        seed("viewer", name, &[&frame(first, text), &two]);
+    }
+    seed("viewer", "unmasked", &[&[0x81, 0x05], b"Hello"]);
+    seed("viewer", "long", &[&[0x81, 0xff, 0xff], &[0xff; 11]]);
+}
+
 fn main() {
     of_messages();
     of_processes();
@@ -328,4 +392,6 @@ fn main() {
     of_policies();
     of_answers();
     of_recordings();
+    of_recorded_runs();
+    of_viewers();
 }

@@ -25,7 +25,7 @@ pub fn config(bytes: &[u8]) -> Said {
     };
     // A valid configuration is within the limits of everything built from it.
     Planner::new(&config).expect("a valid configuration has a planner");
-    let _ = WorldConfig::from(&config.world);
+    let _ = WorldConfig::from(&config);
     assert!(config.run.period_ns() > 0 && config.plan_ticks() > 0);
     assert!(config.plan_age_ns() > 0);
     Said::Admitted

@@ -70,7 +70,7 @@ pub fn journal(bytes: &[u8]) -> Said {
 /// A learner's networks. The checksum is made valid, so that the code behind its check
 /// is reached.
 pub fn checkpoint(bytes: &[u8]) -> Said {
-    let mut file = b"VLLRNR02".to_vec();
+    let mut file = b"VLLRNR03".to_vec();
     file.extend_from_slice(&crc32fast::hash(bytes).to_le_bytes());
     file.extend_from_slice(bytes);
     let folder = tempfile::tempdir().expect("a folder");

@@ -9,12 +9,14 @@ mod files;
 mod learning;
 mod messages;
 mod processes;
+mod recordings;
 
 pub use bytes::{as_bytes, read};
 pub use files::{answers, config, policy};
 pub use learning::{checkpoint, journal, records};
 pub use messages::{KINDS, messages};
 pub use processes::{controller, planner, steps, world};
+pub use recordings::{recording, viewer};
 
 /// The result of an entry point. A corpus with only one of them tests nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,4 +52,6 @@ pub const TARGETS: &[Target] = &[
     ("records", records),
     ("journal", journal),
     ("checkpoint", checkpoint),
+    ("recording", recording),
+    ("viewer", viewer),
 ];

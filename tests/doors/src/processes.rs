@@ -33,7 +33,7 @@ thread_local! {
     /// Built once, because they allocate much; they are reset between two inputs.
     static PLANNERS: RefCell<Vec<Planner>> = RefCell::new(planners());
     static WORLD: RefCell<World> = RefCell::new(
-        World::new(WorldConfig::from(&Config::default().world)).expect("the defaults"),
+        World::new(WorldConfig::from(&Config::default())).expect("the defaults"),
     );
 }
 
@@ -90,11 +90,12 @@ impl Policy for Echo {
     }
 }
 
-const MODES: [GateMode; 4] = [
+const MODES: [GateMode; 5] = [
     GateMode::Rules,
     GateMode::Human,
     GateMode::Expert,
     GateMode::Policy,
+    GateMode::Takeover,
 ];
 
 /// The first byte chooses the gate's mode. Messages follow, each with a byte for its
@@ -154,7 +155,7 @@ fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Opti
 /// Steps, in order, as the gate and the learner read them.
 pub fn steps(bytes: &[u8]) -> Said {
     let config = Config::default();
-    let judge = Immediate::new(Rules::new(config.vehicle, config.judge));
+    let judge = Immediate::new(Rules::new(config.vehicle, config.safety));
     let mut advisor = Advisor::new(&config.gate, Box::new(judge));
     let labelling = Labelling {
         mode: config.gate.mode,
