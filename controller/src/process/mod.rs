@@ -16,7 +16,7 @@ use crate::ports::Ports;
 use crate::{Controller, Inputs, Intent, PolicySlot};
 use kept::RecorderWait;
 use swap::PolicySwap;
-use wait::{RunClock, Waiting, origin};
+use wait::{Begun, RunClock, Waiting, origin};
 
 /// A car slower than this stands, m/s.
 const STANDING_MPS: f64 = 0.05;
@@ -40,6 +40,8 @@ pub struct ControllerProcess {
     swap: PolicySwap,
     recorder: Option<RecorderWait>,
     waiting: Waiting,
+    /// In lockstep, the tick that waits for its peers.
+    begun: Option<Begun>,
     inputs: Inputs,
     contest: Contest,
     counted_refused: u64,
@@ -72,6 +74,7 @@ impl ControllerProcess {
             swap,
             recorder: RecorderWait::open(&run.member)?,
             waiting,
+            begun: None,
             inputs: Inputs::default(),
             contest: Contest::default(),
             counted_refused: 0,
@@ -80,6 +83,18 @@ impl ControllerProcess {
             stop_until: None,
             observed: run.now(),
         })
+    }
+
+    /// The next tick that is due, once its wait has begun.
+    fn begin(&mut self, run: &mut TickLoop) -> Option<Begun> {
+        let now = run.now();
+        self.swap.exchange(&mut self.controller);
+        let due = self.waiting.tick(run, &mut self.ports, &mut self.inputs)?;
+        if self.inputs.observation.is_some() {
+            self.observed = now;
+        }
+        self.swap.await_learner_start(run, &mut self.controller);
+        Some(self.waiting.begin(&self.inputs, due, run.now()))
     }
 
     fn intent(&mut self, run: &TickLoop) -> Intent {
@@ -201,7 +216,7 @@ struct Done<'a> {
 }
 
 impl FixedRate for ControllerProcess {
-    type Due = DueTick;
+    type Due = Begun;
 
     /// Connects to peers that came or came back.
     fn update_connections(&mut self) {
@@ -222,26 +237,32 @@ impl FixedRate for ControllerProcess {
         }
     }
 
-    fn await_tick(&mut self, run: &mut TickLoop) -> Option<DueTick> {
-        let begun = run.now();
-        self.swap.exchange(&mut self.controller);
-        let due = self.waiting.tick(run, &mut self.ports, &mut self.inputs)?;
-        if self.inputs.observation.is_some() {
-            self.observed = begun;
+    /// In lockstep a tick waits for its peers here, between ticks: a model may think for
+    /// longer than the supervisor accepts silence.
+    fn await_tick(&mut self, run: &mut TickLoop) -> Option<Begun> {
+        let begun = match self.begun.take() {
+            Some(begun) => begun,
+            None => self.begin(run)?,
+        };
+        let (ports, inputs) = (&mut self.ports, &mut self.inputs);
+        if self.waiting.lockstep && !self.waiting.has_peers(run, ports, inputs, &begun) {
+            run.wait(Some(begun.until), run.now());
+            self.observed = run.now();
+            self.begun = Some(begun);
+            return None;
         }
-        self.swap.await_learner_start(run, &mut self.controller);
-        Some(due)
+        Some(begun)
     }
 
     /// Plan, proposals, verdict, command, step, account; then the canary.
-    fn tick(&mut self, run: &mut TickLoop, due: DueTick) -> Result<Flow, SetUpError> {
+    fn tick(&mut self, run: &mut TickLoop, begun: Begun) -> Result<Flow, SetUpError> {
+        let (due, started) = (begun.due, begun.started);
         let clock = run.member.clock;
         let intent = self.intent(run);
         let refused = run.member.wire.refused().total();
         self.inputs.refused = refused - self.counted_refused;
         self.counted_refused = refused;
 
-        let started = clock();
         run.telemetry.begin(started);
         let observation = self.inputs.observation.as_ref();
         let released_ns = observation.map_or(0, |o| o.released_ns);
@@ -250,7 +271,7 @@ impl FixedRate for ControllerProcess {
             (Release::Observation | Release::TimeOut, _) => due.due,
         };
         self.waiting
-            .peers(run, &mut self.ports, &mut self.inputs, &due);
+            .peers(run, &mut self.ports, &mut self.inputs, &begun);
         let run_clock = self.waiting.clock(run, &self.inputs);
         self.read_takeover(run_clock);
         let planned = clock();

@@ -115,69 +115,95 @@ impl Waiting {
         }
     }
 
-    /// Waits for the plan of the new observation where the planner makes one, and
-    /// in lockstep until the gate has considered the step before.
-    pub fn peers(
+    /// The tick that is due now begins; it needs the plan of its observation where the
+    /// planner makes one, and in lockstep the gate's answer to the step before.
+    pub fn begin(&mut self, inputs: &Inputs, due: DueTick, now: Instant) -> Begun {
+        let header = inputs.observation.as_ref().map(|o| o.header);
+        let until = match self.lockstep {
+            true => now.after_ns(self.lockstep_wait_ns),
+            false => due.scheduled.after_ns(self.plan_wait_ns),
+        };
+        Begun {
+            due,
+            started: now,
+            until,
+            needs_plan: header.is_some_and(|header| self.turns.take(&header)),
+        }
+    }
+
+    /// Reads plan and advice; returns whether the tick has what it needs, or is not to
+    /// wait for it any longer.
+    pub fn has_peers(
         &mut self,
-        run: &mut TickLoop,
+        run: &TickLoop,
         ports: &mut Ports,
         inputs: &mut Inputs,
-        due: &DueTick,
-    ) {
+        begun: &Begun,
+    ) -> bool {
         let header = inputs.observation.as_ref().map(|o| o.header);
         let tick = header.map(|header| header.tick);
         let episode = header.map(|header| header.episode);
-        let is_due = header.is_some_and(|header| self.turns.take(&header));
-        let until = match self.lockstep {
-            true => run.now().after_ns(self.lockstep_wait_ns),
-            false => due.scheduled.after_ns(self.plan_wait_ns),
-        };
         let clock = self.clock(run, inputs);
         let plan_age_ns = self.plan_age_ns;
-        loop {
-            let at = &mut inputs.admitted;
-            let plan_door = |plan: &Plan| {
-                let now = clock.now();
-                admit_plan(plan, now, plan_age_ns, episode).inspect(|()| at.plan_ns = now.0)
-            };
-            if ports.plans.newest_into(&mut inputs.plan, plan_door) {
-                self.planner_silent = false;
-            }
-            // Advice has its own expiry; its age is not limited.
-            let advice_door = |advice: &Advice| {
-                let now = clock.now();
-                advice
-                    .admit(now, u64::MAX)
-                    .inspect(|()| at.advice_ns = now.0)
-            };
-            if ports.advices.newest_into(&mut inputs.advice, advice_door) {
-                self.gate_silent = false;
-            }
-            let plan_tick = inputs.plan.as_ref().map(|plan| plan.header.tick);
-            let advice_tick = inputs.advice.as_ref().map(|advice| advice.header.tick);
-            let planned = self.planner_silent || !is_due || plan_tick == tick;
-            let advised = !self.lockstep
-                || !self.asks_gate
-                || self.gate_silent
-                || self.stepped.is_none()
-                || advice_tick >= self.stepped;
-            let now = run.now();
-            if planned && advised {
-                return;
-            }
-            if now >= until {
-                self.planner_silent = self.lockstep && !planned;
-                self.gate_silent = !advised;
-                return;
-            }
-            // In lockstep a model's answer may take longer than the supervisor accepts
-            // silence. A lost doorbell costs one heartbeat interval, not the whole wait.
-            match self.lockstep {
-                true => run.wait_alive(until, now),
-                false => run.wait(Some(until), now),
-            }
+        let at = &mut inputs.admitted;
+        let plan_door = |plan: &Plan| {
+            let now = clock.now();
+            admit_plan(plan, now, plan_age_ns, episode).inspect(|()| at.plan_ns = now.0)
+        };
+        if ports.plans.newest_into(&mut inputs.plan, plan_door) {
+            self.planner_silent = false;
+        }
+        // Advice has its own expiry; its age is not limited.
+        let advice_door = |advice: &Advice| {
+            let now = clock.now();
+            advice
+                .admit(now, u64::MAX)
+                .inspect(|()| at.advice_ns = now.0)
+        };
+        if ports.advices.newest_into(&mut inputs.advice, advice_door) {
+            self.gate_silent = false;
+        }
+        let plan_tick = inputs.plan.as_ref().map(|plan| plan.header.tick);
+        let advice_tick = inputs.advice.as_ref().map(|advice| advice.header.tick);
+        let planned = self.planner_silent || !begun.needs_plan || plan_tick == tick;
+        let advised = !self.lockstep
+            || !self.asks_gate
+            || self.gate_silent
+            || self.stepped.is_none()
+            || advice_tick >= self.stepped;
+        let is_over = run.now() >= begun.until;
+        if is_over {
+            self.planner_silent |= self.lockstep && !planned;
+            self.gate_silent |= !advised;
+        }
+        is_over || (planned && advised)
+    }
+
+    /// In real time, within the tick: waits for the plan, until the tick cannot wait any
+    /// longer. In lockstep the peers are waited for before the tick.
+    pub fn peers(
+        &mut self,
+        run: &TickLoop,
+        ports: &mut Ports,
+        inputs: &mut Inputs,
+        begun: &Begun,
+    ) {
+        while !self.lockstep && !self.has_peers(run, ports, inputs, begun) {
+            run.wait(Some(begun.until), run.now());
         }
     }
+}
+
+/// A tick that has begun.
+#[derive(Clone, Copy)]
+pub struct Begun {
+    pub due: DueTick,
+    /// When it began to wait for its peers.
+    pub started: Instant,
+    /// How long it waits for them.
+    pub until: Instant,
+    /// The planner makes a plan of its observation.
+    needs_plan: bool,
 }
 
 /// The run's clock within one tick.
