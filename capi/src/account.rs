@@ -1,22 +1,22 @@
 //! The account of one episode of a world: the commands that were obeyed, the way that
 //! was driven, the contacts.
 
-use sha2::{Digest, Sha256};
-use shm_config::Instant;
-use shm_config::message::{Command, Driver, Ego, Episode, Header, Outcome, Progress, Reason};
+use robot::account::CommandAccount;
+use robot::plant::Moment;
+use shm_config::message::{Command, Ego, Episode, Header, Outcome, Progress};
 use vehicle::Action;
 
 /// The account of the running episode.
 #[derive(Clone)]
 pub struct Account {
     seed: u64,
-    /// Grid instants at which the world moved.
+    /// The run's newest tick that is in the account.
+    tick: Option<u64>,
+    /// Ticks in which the world moved.
     ticks: u64,
     driven_m: f64,
     last: Option<(f64, f64)>,
-    braked: u64,
-    command_age_max_ns: u64,
-    commands: Sha256,
+    commands: CommandAccount,
     /// The progress that the world reported last.
     progress: Progress,
     crash_last_step: bool,
@@ -27,38 +27,30 @@ impl Account {
     pub fn new(seed: u64) -> Self {
         Self {
             seed,
+            tick: None,
             ticks: 0,
             driven_m: 0.0,
             last: None,
-            braked: 0,
-            command_age_max_ns: 0,
-            commands: Sha256::new(),
+            commands: CommandAccount::default(),
             progress: Progress::default(),
             crash_last_step: false,
         }
     }
 
-    /// The action of a command, or the brake when no command is young enough. Both enter
-    /// the digest.
-    pub fn obey(&mut self, command: Option<&Command>, now: Instant) -> Action {
-        let brake = Command {
-            header: Header::default(),
-            steer: Action::BRAKE.steer,
-            pedal: Action::BRAKE.pedal,
-            driver: Driver::Brake.code(),
-            reason: Reason::Blind.code(),
-        };
-        self.ticks += 1;
-        match command {
-            Some(command) => {
-                let age_ns = now.since_ns(command.header.taken());
-                self.command_age_max_ns = self.command_age_max_ns.max(age_ns);
-            }
-            None => self.braked += 1,
+    /// The seed of the episode.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// The action of a command, or the brake when there is none.
+    pub fn obey(&mut self, moment: &Moment, command: Option<&Command>) -> Action {
+        let action = self.commands.obey(command, moment.now);
+        // A tick is counted at its first instant, as those of a robot in Rust.
+        if self.tick.replace(moment.tick) != Some(moment.tick) {
+            self.ticks += 1;
+            self.commands.end_tick();
         }
-        let obeyed = command.unwrap_or(&brake);
-        self.commands.update(obeyed.digest_bytes());
-        obeyed.action()
+        action
     }
 
     /// Where the car is now, and what the world says of its progress.
@@ -76,8 +68,8 @@ impl Account {
         Progress {
             seed: self.seed,
             episode_ticks: self.ticks,
-            braked: self.braked,
-            command_age_max_ns: self.command_age_max_ns,
+            braked: self.commands.braked(),
+            command_age_max_ns: self.commands.age_max_ns(),
             skipped,
             outcome: outcome.code(),
             ..self.progress
@@ -94,10 +86,10 @@ impl Account {
             driven_m: self.driven_m,
             vehicle_contacts: self.progress.vehicle_contacts,
             object_contacts: self.progress.object_contacts,
-            braked: self.braked,
+            braked: self.commands.braked(),
             outcome: outcome.code(),
             crash_last_step: u32::from(self.crash_last_step),
-            command_digest: self.commands.clone().finalize().into(),
+            command_digest: self.commands.digest(),
             skipped,
         }
     }

@@ -4,6 +4,7 @@ use std::process;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use clap::Parser;
+use robot::clock::Begin;
 use runtime::{Arguments, Member, SetUpError, TickLoop};
 use shm_config::Instant;
 use shm_config::message::HealthState;
@@ -32,12 +33,9 @@ static JOINED: AtomicU32 = AtomicU32::new(0);
 pub struct Cli {
     #[command(flatten)]
     arguments: Arguments,
-    /// Of a world: episode of the run to begin with
-    #[arg(long, default_value_t = 0)]
-    pub first_episode: u32,
-    /// Of a world: time that the run has driven already, ns
-    #[arg(long, default_value_t = 0)]
-    pub driven_ns: u64,
+    /// Where a world begins; the other processes ignore it.
+    #[command(flatten)]
+    begin: Begin,
 }
 
 /// A process that has joined its run, with its open ports.
@@ -46,7 +44,7 @@ pub struct Session {
     pid: u32,
     run: TickLoop,
     door: Door,
-    begin: Cli,
+    begin: Begin,
     has_begun: bool,
     ports: Vec<Option<Box<dyn Port>>>,
     world: Option<WorldSide>,
@@ -78,7 +76,7 @@ impl Session {
             return Err(Failure::layout(layout, ours));
         }
         let member_as = process_of(name)?;
-        let begin = Cli::try_parse_from(words)
+        let cli = Cli::try_parse_from(words)
             .map_err(|error| Failure::invalid(one_line(&error.to_string())))?;
         let pid = process::id();
         match JOINED.compare_exchange(0, pid, Ordering::SeqCst, Ordering::SeqCst) {
@@ -88,7 +86,7 @@ impl Session {
             }
             Err(_) => return Err(is_forked()),
         }
-        let member = Member::join(member_as, &begin.arguments, monotonic)?;
+        let member = Member::join(member_as, &cli.arguments, monotonic)?;
         member.wire.compare_layouts(member_as)?;
         let settings = toml::Table::try_from(&member.config)
             .map_err(|error| SetUpError::Own(format!("configuration: {error}")))?;
@@ -97,7 +95,7 @@ impl Session {
             pid,
             run: TickLoop::start(member)?,
             door,
-            begin,
+            begin: cli.begin,
             has_begun: false,
             ports: Vec::with_capacity(PORTS_MAX),
             world: None,
@@ -267,12 +265,11 @@ impl Session {
         if self.world.is_none() {
             check_is(self.process(), Process::World)?;
             self.check_no_writer(world::PUBLISHED)?;
-            let places = (self.begin.first_episode, self.begin.driven_ns);
-            self.world = Some(WorldSide::open(&self.run.member, places)?);
+            self.world = Some(WorldSide::open(&self.run.member, self.begin)?);
         }
         self.keep_up();
         match &mut self.world {
-            Some(world) => world.await_tick(&mut self.run, &mut self.door),
+            Some(world) => world.await_tick(&mut self.run),
             None => Err(Failure::invalid("no world")),
         }
     }

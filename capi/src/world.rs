@@ -1,17 +1,14 @@
-//! The world's side of a run: the grid, the age limit of commands, the brake and the
-//! account of the episodes, as those of the built-in world (`sim/src/process/mod.rs`).
+//! The world's side of a run: the clock of `robot`, in steps that the caller takes.
 
-use runtime::{Contest, Deadline, Member, Skipped, TickLoop, TickSchedule};
-use shm_config::config::{Config, Late};
-use shm_config::message::{
-    Command, Episode, Header, HealthState, Message, Observation, Outcome, Part, Progress,
-};
-use shm_config::services::{COMMAND, EPISODE, OBSERVATION, PROGRESS};
-use shm_config::{Instant, RunGrid};
+use robot::clock::{Begin, WorldClock};
+use robot::ports::Ports;
+use runtime::{Member, TickLoop};
+use shm_config::message::{Episode, Message, Observation, Outcome, Part, Progress};
+use shm_config::services::{EPISODE, OBSERVATION, PROGRESS};
 use vehicle::Action;
 
 use crate::account::Account;
-use crate::door::{Door, Enter};
+use crate::door::Door;
 use crate::failure::{Answer, Failure};
 use crate::port::no_space;
 
@@ -49,28 +46,18 @@ shm_config::message! {
     }
 }
 
-shm_config::ports! {
-    /// What a world reads and publishes.
-    pub struct Ports of World {
-        /// The actions for the car.
-        commands: read COMMAND: Command,
-        /// What the car perceives.
-        observations: write OBSERVATION: Observation,
-        /// How far it is.
-        progress: write PROGRESS: Progress,
-        /// The episodes that ended.
-        episodes: write EPISODE: Episode,
-    }
-}
-
 /// The services that the loop publishes.
 pub const PUBLISHED: &[&str] = &[OBSERVATION.name, PROGRESS.name, EPISODE.name];
 
 /// What the world has to do next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Next {
+    /// Connect, and take the first instant of the grid.
+    Start,
     /// Await an instant.
     Await,
+    /// Begin an episode at the present instant.
+    Begin,
     /// Answer the instant.
     Finish,
     /// Exit: the run is over.
@@ -80,54 +67,29 @@ enum Next {
 /// A world between its ports.
 pub struct WorldSide {
     ports: Ports,
-    config: Config,
-    is_lockstep: bool,
-    schedule: TickSchedule,
-    has_begun: bool,
+    clock: WorldClock,
     next: Next,
     account: Account,
-    command: Option<Command>,
-    contest: Contest,
-    episode: u32,
-    episode_skipped: u64,
-    /// The run's newest tick that was published, and when.
-    published: Option<(u64, Instant)>,
-    driven_ns: u64,
-    missed: u64,
     /// An episode begins at the present instant.
     begins: bool,
     /// Instants that had passed when the world moved last.
     moved: u64,
-    released: Instant,
-    now: Instant,
 }
 
 impl WorldSide {
-    /// Opens its ports. A restarted world begins at `episode`, after `driven_ns`.
+    /// Opens its ports.
     ///
     /// # Errors
     /// When shared memory refuses.
-    pub fn open(member: &Member, (episode, driven_ns): (u32, u64)) -> Result<Self, Failure> {
-        let config = member.config.clone();
+    pub fn open(member: &Member, begin: Begin) -> Result<Self, Failure> {
+        let seed = member.config.run.episode_seed(begin.first_episode);
         Ok(Self {
             ports: Ports::open(&member.wire)?,
-            is_lockstep: config.run.is_lockstep(),
-            schedule: schedule(&config, Instant(0)),
-            has_begun: false,
-            next: Next::Await,
-            account: Account::new(config.run.episode_seed(episode)),
-            command: None,
-            contest: Contest::default(),
-            episode,
-            episode_skipped: 0,
-            published: None,
-            driven_ns,
-            missed: 0,
+            clock: WorldClock::new(&member.config, begin),
+            next: Next::Start,
+            account: Account::new(seed),
             begins: true,
             moved: 0,
-            released: Instant(0),
-            now: Instant(0),
-            config,
         })
     }
 
@@ -136,141 +98,65 @@ impl WorldSide {
     ///
     /// # Errors
     /// When the instant before was not answered, or the last episode cannot be sent.
-    pub fn await_tick(
-        &mut self,
-        run: &mut TickLoop,
-        door: &mut Door,
-    ) -> Result<Option<Tick>, Failure> {
+    pub fn await_tick(&mut self, run: &mut TickLoop) -> Result<Option<Tick>, Failure> {
+        self.ports.update_connections();
         match self.next {
-            Next::Await => {}
+            Next::Start => {
+                self.clock.start(run);
+                self.await_instant(run);
+            }
+            Next::Await => self.await_instant(run),
+            Next::Begin => {}
             Next::Exit => return Ok(None),
             Next::Finish => {
                 let text = "vlaps_finish_tick has to answer the last tick first";
                 return Err(Failure::invalid(text));
             }
         }
-        self.ports.update_connections();
-        let continues = self.has_begun && self.begins;
-        if !self.has_begun {
-            self.begin(run);
-        }
-        if !continues {
-            self.await_instant(run);
-        }
-        let action = match self.begins {
-            true => None,
-            false => Some(self.action(run, door)),
-        };
-        if !self.begins && self.is_over(run) {
-            let closed = self.close_episode(Outcome::Stopped);
-            self.report(run);
-            self.next = Next::Exit;
-            return closed.map(|()| None);
+        let mut obeyed = None;
+        if !self.begins {
+            let (moment, command) = self.clock.command(run, &mut self.ports);
+            let action = self.account.obey(&moment, command.as_ref());
+            obeyed = Some((action, command.is_none()));
+            if self.clock.is_over(run) {
+                let closed = self.close_episode(Outcome::Stopped);
+                return self.exit(run, closed).map(|()| None);
+            }
         }
         self.next = Next::Finish;
-        Ok(Some(self.tick(action)))
+        Ok(Some(self.tick(obeyed)))
     }
 
-    fn begin(&mut self, run: &mut TickLoop) {
-        self.has_begun = true;
-        if !self.is_lockstep {
-            let first = RunGrid::of(&self.config).first_instant(run.now());
-            self.schedule = schedule(&self.config, first);
-        }
-        self.schedule.report(&mut run.telemetry.health);
-        run.telemetry.health.state = HealthState::Running.code();
-    }
-
-    /// In real time sleeps until the instant; those that passed meanwhile are missed. In
-    /// lockstep it begins when the command for the last tick has arrived.
     fn await_instant(&mut self, run: &mut TickLoop) {
-        if self.is_lockstep {
-            self.await_command(run);
-        } else {
-            run.sleep_until(self.schedule.now());
-            self.missed = self.schedule.miss_until(run.now());
+        while !self.clock.await_instant(run, &mut self.ports) {
+            run.telemetry.heartbeat(run.now());
+            self.ports.update_connections();
         }
-        self.released = run.now();
-        run.telemetry.begin(self.released);
-        self.now = match self.is_lockstep {
-            true => self.schedule.now(),
-            false => self.released,
-        };
+        run.telemetry.begin(self.clock.released());
     }
 
-    /// The wait has a limit; after it the car brakes.
-    fn await_command(&mut self, run: &mut TickLoop) {
-        // Only a tick that was just published gets an answer.
-        let tick = match self.published {
-            Some((tick, _)) if self.schedule.index() == tick * self.config.world_instants() + 1 => {
-                tick
-            }
-            _ => return,
-        };
-        let mut door = Door::of(&self.config, run.member.clock);
-        door.asked = Some((tick, self.episode));
-        let until = run.now().after_ns(self.config.world_wait_ns());
-        let commands = &mut self.ports.commands;
-        while !commands.newest_into(&mut self.command, |command| command.enter(&door)) {
-            let now = run.now();
-            if now >= until || run.member.is_stopping() {
-                return;
-            }
-            commands.update_connections();
-            run.wait_alive(until, now);
-        }
-    }
-
-    /// The action to obey now: that of the newest command, or the brake.
-    fn action(&mut self, run: &TickLoop, door: &Door) -> (Action, bool) {
-        if !self.is_lockstep {
-            let enters = |command: &Command| command.enter(door);
-            self.ports.commands.newest_into(&mut self.command, enters);
-            // The clock is read after the command, which otherwise would seem to come
-            // from the future.
-            self.now = run.now();
-        }
-        let limit_ns = self.config.age_limit_ns(COMMAND.row.age_limit);
-        let is_contested = self.contest.look(&run.member.wire, self.now);
-        let is_late = self.missed > 0 && self.config.deadlines.world == Late::Brake;
-        let (now, episode) = (self.now, self.episode);
-        let young = self.command.filter(|command| {
-            !is_contested
-                && !is_late
-                && command.header.episode == episode
-                && command.admit(now, limit_ns).is_ok()
-        });
-        (self.account.obey(young.as_ref(), now), young.is_none())
-    }
-
-    fn tick(&mut self, action: Option<(Action, bool)>) -> Tick {
-        let (obeyed, braked) = action.unwrap_or((Action::BRAKE, false));
+    fn tick(&mut self, obeyed: Option<(Action, bool)>) -> Tick {
+        let (action, braked) = obeyed.unwrap_or((Action::BRAKE, false));
+        let moment = self.clock.moment();
         let instants = match self.begins {
             true => 0,
-            false => self.schedule.index() - self.moved,
+            false => moment.index - self.moved,
         };
-        self.moved = self.schedule.index();
+        self.moved = moment.index;
         Tick {
-            tick: self.schedule.tick(),
-            seed: self.config.run.episode_seed(self.episode),
-            scheduled_ns: self.scheduled().0,
-            released_ns: self.released.0,
-            taken_ns: self.now.0,
-            missed: self.missed,
-            step_s: instants as f64 * self.schedule.step_ns() as f64 * 1e-9,
-            steer: obeyed.steer,
-            pedal: obeyed.pedal,
-            episode: self.episode,
+            tick: moment.tick,
+            seed: self.account.seed(),
+            scheduled_ns: self.clock.scheduled().0,
+            released_ns: self.clock.released().0,
+            taken_ns: moment.now.0,
+            missed: moment.missed,
+            step_s: instants as f64 * self.clock.step_ns() as f64 * 1e-9,
+            steer: action.steer,
+            pedal: action.pedal,
+            episode: self.clock.episode(),
             begins: u32::from(self.begins),
             braked: u32::from(braked),
             reserved: 0,
-        }
-    }
-
-    fn scheduled(&self) -> Instant {
-        match self.is_lockstep {
-            true => self.released,
-            false => self.schedule.scheduled(),
         }
     }
 
@@ -292,9 +178,7 @@ impl WorldSide {
         if self.next != Next::Finish {
             return Err(Failure::invalid("vlaps_await_tick comes first"));
         }
-        observation.header = self.header();
-        observation.scheduled_ns = self.scheduled().0;
-        observation.released_ns = self.released.0;
+        self.clock.date(&mut observation);
         let refused = |service: &'static str| move |refusal| Failure::refused(service, &refusal);
         observation.check().map_err(refused(OBSERVATION.name))?;
         progress.check().map_err(refused(PROGRESS.name))?;
@@ -305,150 +189,78 @@ impl WorldSide {
         let mut account = self.account.clone();
         account.note(&observation.ego, &progress);
         // The way is summed up here, and may overflow.
-        let episode = self.episode_of(&account, Outcome::Stopped);
+        let episode = episode_of(&account, &self.clock, Outcome::Stopped);
         episode.check().map_err(refused(EPISODE.name))?;
         self.account = account;
-        run.telemetry.end(Part::Move, run.member.now());
+        run.telemetry.end(Part::Move, run.now());
         if outcome != Outcome::Driving {
             return self.begin_next(run, outcome);
         }
         self.begins = false;
         self.next = Next::Await;
-        if self.missed > 0 && self.config.deadlines.world == Late::Skip {
-            self.record_missed(run, self.schedule.now(), self.missed + 1);
-            self.note_deadline(run, run.now());
-            self.schedule.move_on();
-            self.report(run);
+        if self.clock.is_to_skip() {
+            self.clock.skip_instant(run);
             return Ok(Answer::Ok);
         }
-        let sent = self.publish(run, &mut observation);
-        door.asked = Some((self.schedule.tick(), self.episode));
-        self.end_instant(run);
-        sent.map(|()| Answer::Ok)
-    }
-
-    /// Publishes the observation. Between two ticks of the run it wakes no reader, and
-    /// says when the tick was published.
-    fn publish(&mut self, run: &TickLoop, observation: &mut Observation) -> Result<(), Failure> {
-        let tick = self.schedule.tick();
-        if let Some((published, at)) = self.published
-            && published == tick
-        {
-            observation.published_ns = at.0;
-            return sent(
-                self.ports.observations.send_quietly(observation),
-                OBSERVATION.name,
-            );
-        }
-        let now = run.now();
-        self.published = Some((tick, now));
-        observation.published_ns = now.0;
-        let is_sent = self.ports.observations.send(observation);
-        let progress = self.publish_progress(Outcome::Driving);
-        self.schedule.begin();
-        sent(is_sent, OBSERVATION.name).and(progress)
+        let (ports, account) = (&mut self.ports, &self.account);
+        let mut told = Ok(());
+        let is_sent = self
+            .clock
+            .publish(run, ports, &mut observation, |clock, ports| {
+                told = publish_progress(account, clock, ports, Outcome::Driving);
+            });
+        door.asked = Some((self.clock.tick(), self.clock.episode()));
+        self.clock.end_instant(run);
+        sent(is_sent, OBSERVATION.name)
+            .and(told)
+            .map(|()| Answer::Ok)
     }
 
     fn begin_next(&mut self, run: &mut TickLoop, outcome: Outcome) -> Result<Answer, Failure> {
         let closed = self.close_episode(outcome);
-        let episodes = self.config.run.episodes;
-        let was_last = episodes > 0 && self.episode + 1 >= episodes;
-        if was_last || self.is_over(run) {
-            self.record_missed(run, self.schedule.previous(), self.missed);
-            self.report(run);
-            self.next = Next::Exit;
-            return closed.map(|()| Answer::Ended);
+        if self.clock.is_last_episode() || self.clock.is_over(run) {
+            return self.exit(run, closed).map(|()| Answer::Ended);
         }
-        self.episode += 1;
-        self.account = Account::new(self.config.run.episode_seed(self.episode));
-        self.episode_skipped = self.schedule.skipped();
-        self.command = None;
+        self.clock.begin_next_episode();
+        self.account = Account::new(self.clock.seed());
         self.begins = true;
-        self.next = Next::Await;
+        self.next = Next::Begin;
         closed.map(|()| Answer::Ok)
     }
 
-    fn is_over(&self, run: &TickLoop) -> bool {
-        let duration_s = self.config.run.duration_s;
-        let elapsed_ns = self.driven_ns + self.schedule.elapsed_ns(self.now);
-        let has_passed = duration_s > 0.0 && elapsed_ns as f64 >= duration_s * 1e9;
-        has_passed || run.member.is_stopping()
+    fn exit(&mut self, run: &mut TickLoop, closed: Result<(), Failure>) -> Result<(), Failure> {
+        self.clock.record_missed(run);
+        self.clock.report(run);
+        self.next = Next::Exit;
+        closed
     }
 
     fn close_episode(&mut self, outcome: Outcome) -> Result<(), Failure> {
-        let mut episode = self.episode_of(&self.account, outcome);
+        let mut episode = episode_of(&self.account, &self.clock, outcome);
         let is_sent = self.ports.episodes.send(&mut episode);
-        let progress = self.publish_progress(outcome);
+        let progress = publish_progress(&self.account, &self.clock, &mut self.ports, outcome);
         sent(is_sent, EPISODE.name).and(progress)
     }
+}
 
-    fn episode_of(&self, account: &Account, outcome: Outcome) -> Episode {
-        let skipped = self.schedule.skipped() - self.episode_skipped;
-        Episode {
-            header: self.header(),
-            ..account.episode(outcome, skipped)
-        }
+fn episode_of(account: &Account, clock: &WorldClock, outcome: Outcome) -> Episode {
+    let (_, skipped) = clock.skipped();
+    Episode {
+        header: clock.header(),
+        ..account.episode(outcome, skipped)
     }
+}
 
-    fn publish_progress(&mut self, outcome: Outcome) -> Result<(), Failure> {
-        let mut progress = self.account.progress(outcome, self.schedule.skipped());
-        progress.header = self.header();
-        sent(self.ports.progress.send(&mut progress), PROGRESS.name)
-    }
-
-    fn header(&self) -> Header {
-        Header {
-            tick: self.schedule.tick(),
-            taken_ns: self.now.0,
-            episode: self.episode,
-            ..Header::default()
-        }
-    }
-
-    /// Ends the present instant: counts it, and those missed before it.
-    fn end_instant(&mut self, run: &mut TickLoop) {
-        let done = run.now();
-        run.telemetry.end(Part::Send, done);
-        let due = self.schedule.now();
-        run.telemetry.record_tick(runtime::Tick {
-            due: if self.is_lockstep { self.released } else { due },
-            // In lockstep a command releases the instant, not the timer.
-            released: (!self.is_lockstep).then_some(due),
-            begun: self.released,
-            done,
-        });
-        self.record_missed(run, self.schedule.previous(), self.missed);
-        self.note_deadline(run, done);
-        self.schedule.move_on();
-        self.report(run);
-    }
-
-    fn record_missed(&self, run: &mut TickLoop, newest: Instant, count: u64) {
-        let skipped = Skipped {
-            newest,
-            period_ns: self.schedule.step_ns(),
-            count,
-        };
-        run.telemetry.record_skipped(skipped, self.released);
-    }
-
-    fn note_deadline(&self, run: &mut TickLoop, done: Instant) {
-        let period_ns = self.schedule.step_ns();
-        run.telemetry.note_deadline(Deadline {
-            tick: self.schedule.tick(),
-            deadline: self.schedule.now().after_ns(period_ns),
-            done,
-            skipped: self.missed,
-            period_ns,
-        });
-    }
-
-    fn report(&self, run: &mut TickLoop) {
-        let health = &mut run.telemetry.health;
-        self.schedule.report(health);
-        health.header.tick = self.schedule.ticks_due().saturating_sub(1);
-        health.late = self.schedule.missed();
-    }
+fn publish_progress(
+    account: &Account,
+    clock: &WorldClock,
+    ports: &mut Ports,
+    outcome: Outcome,
+) -> Result<(), Failure> {
+    let (skipped, _) = clock.skipped();
+    let mut progress = account.progress(outcome, skipped);
+    progress.header = clock.header();
+    sent(ports.progress.send(&mut progress), PROGRESS.name)
 }
 
 fn sent(is_sent: bool, service: &str) -> Result<(), Failure> {
@@ -462,9 +274,4 @@ fn ends_as_it_begins(outcome: Outcome) -> Failure {
     Failure::invalid(format!(
         "progress: outcome = {outcome} at the tick that begins the episode; it can end at a later one"
     ))
-}
-
-/// The world's grid with this first instant.
-fn schedule(config: &Config, first: Instant) -> TickSchedule {
-    TickSchedule::on_timer(config.run.period_ns(), config.world_instants(), first)
 }

@@ -6,7 +6,8 @@
 //! | [`entry`] | [`drive`], the whole `main` of its program |
 //! | [`driven`] | a robot as a plant, with the account of its episode |
 //! | [`plant`] | what the process moves and observes; the built-in world is one too |
-//! | [`process`] | the loop: grid, which command is obeyed, age limit, brake, reports |
+//! | [`clock`] | the run's clock: grid, which command is obeyed, age limit, brake, reports |
+//! | [`process`] | the loop of a plant between its ports |
 //! | [`bicycle`] | a simulated car |
 //! | [`scan`](mod@scan) | fills the lidar of an observation |
 //! | [`route`] | road and checkpoints of a map and a pose, or of the scan alone |
@@ -46,6 +47,8 @@
 pub mod account;
 #[cfg(feature = "process")]
 pub mod bicycle;
+#[cfg(feature = "process")]
+pub mod clock;
 #[cfg(feature = "process")]
 mod door;
 #[cfg(feature = "process")]

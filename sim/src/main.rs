@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use robot::process::Begin;
+use robot::clock::Begin;
 use runtime::{Arguments, Member, SetUpError, exit_code};
 use shm_config::services::Process;
 use shm_config::time::monotonic;

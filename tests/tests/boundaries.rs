@@ -21,7 +21,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ),
     ("robot", &["vehicle", "shm-config", "runtime"]),
     ("sim", &["vehicle", "shm-config", "runtime", "robot"]),
-    ("capi", &["vehicle", "shm-config", "runtime"]),
+    ("capi", &["vehicle", "shm-config", "runtime", "robot"]),
     (
         "learner",
         &["vehicle", "shm-config", "runtime", "policy", "stack"],

@@ -6,7 +6,7 @@ use shm_config::message::{Command, Episode, Observation, Outcome, Progress};
 
 use robot::Reading;
 use robot::plant::{Moment, Plant};
-use robot::process::Begin;
+use robot::clock::Begin;
 
 use crate::render_thread::{LogWriter, Move, RenderThread, Seen};
 use crate::score::Score;
