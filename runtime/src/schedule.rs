@@ -89,7 +89,7 @@ impl TickSchedule {
 
     /// Instants that passed without a tick.
     pub fn skipped(&self) -> u64 {
-        self.ticks_due() - self.ticks
+        self.ticks_due().saturating_sub(self.ticks)
     }
 
     /// The instant of the next tick; 0 before the phase is known.

@@ -77,8 +77,6 @@ pub struct Telemetry {
     timing_port: Publisher<Timing>,
     health_due: Instant,
     timing_due: Instant,
-    /// A message was published since the ports last updated their connections.
-    connections_due: bool,
     /// The usage of the thread at the instant when it was ready.
     usage_before: Usage,
     budgets_ns: [u64; PARTS],
@@ -108,7 +106,6 @@ impl Telemetry {
             timing_port: member.wire.publisher(timing(member.process))?,
             health_due: Instant(0),
             timing_due: Instant(0),
-            connections_due: false,
             usage_before: Usage::of_this_thread(),
             budgets_ns: member.config.budgets_ns(member.process),
             part_begun: Instant(0),
@@ -142,32 +139,25 @@ impl Telemetry {
         self.heartbeat(now);
     }
 
-    /// Publishes what is due and updates the connections of its ports. Call it between
-    /// ticks. It never logs or blocks.
+    /// Publishes what is due and updates the connections of its ports, which allocates.
+    /// Call it between ticks. It never logs or blocks.
     pub fn heartbeat(&mut self, now: Instant) {
-        self.heartbeat_within_tick(now);
-        if self.connections_due {
-            self.health_port.update_connections();
-            self.timing_port.update_connections();
-            self.connections_due = false;
-        }
-    }
-
-    /// Publishes what is due. The first call after a [`Telemetry::heartbeat`] allocates
-    /// nothing; it is for a tick that waits, which only lockstep has.
-    pub fn heartbeat_within_tick(&mut self, now: Instant) {
-        if now >= self.health_due {
+        let is_health_due = now >= self.health_due;
+        if is_health_due {
             self.count_usage();
             self.health.header.taken_ns = now.0;
             self.health_port.publish(&mut self.health);
             self.health_due = now.after_ns(HEALTH_NS);
-            self.connections_due = true;
+            self.health_port.update_connections();
         }
         if now >= self.timing_due {
             self.timing.header.taken_ns = now.0;
             self.timing_port.send(&mut self.timing);
             self.timing_due = now.after_ns(TIMING_NS);
-            self.connections_due = true;
+        }
+        // A reader of the timing that came since is connected as often as one of the health.
+        if is_health_due {
+            self.timing_port.update_connections();
         }
     }
 

@@ -118,13 +118,6 @@ impl TickLoop {
         self.bell.wait(HEARTBEAT_MAX.min(left));
     }
 
-    /// As [`TickLoop::wait`], for a wait within a tick that may take long; publishes a
-    /// heartbeat before it.
-    pub fn wait_alive(&mut self, until: Instant, now: Instant) {
-        self.telemetry.heartbeat_within_tick(now);
-        self.wait(Some(until), now);
-    }
-
     /// Sleeps until this instant of the machine's clock; the doorbell does not wake it.
     pub fn sleep_until(&self, instant: Instant) {
         let instant: Timespec = instant.timespec();

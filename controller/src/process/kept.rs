@@ -1,15 +1,13 @@
 //! In lockstep with a recorder: the controller is not further ahead of it than its queues of
 //! newest values hold. `docs/recording.md` says what may still be lost.
 
-use runtime::{Member, SetUpError, TickLoop};
-use shm_config::Message;
+use runtime::{Member, SetUpError};
 use shm_config::config::Keep;
 use shm_config::services::RECORDED_DEPTH;
+use shm_config::{Instant, Message};
 
 use crate::ports::RecorderPorts;
 
-/// Interval at which the recorder is polled, ns: its message wakes the controller before.
-const POLL_NS: u64 = 2_000_000;
 /// How long a recorder is waited for, ns on the machine's clock. It takes seconds when the
 /// disk hangs; after that the run goes on, and what is lost is counted.
 const WAIT_NS: u64 = 10_000_000_000;
@@ -20,6 +18,10 @@ pub struct RecorderWait {
     /// The newest tick that it has read; until it has read one, the tick when it was last
     /// heard.
     newest: Option<u64>,
+    /// The tick that was driven last.
+    driven: Option<u64>,
+    /// When the wait for it is over; set when it is first polled.
+    until: Option<Instant>,
     /// Ticks that the controller may be ahead.
     ahead_max: u64,
     /// It did not answer in time; it is not waited for until it does.
@@ -41,32 +43,34 @@ impl RecorderWait {
         Ok(Some(Self {
             ports: RecorderPorts::open(&member.wire)?,
             newest: None,
+            driven: None,
+            until: None,
             ahead_max: ((RECORDED_DEPTH as f64 / 2.0 / observations) as u64).max(1),
             is_silent: false,
         }))
     }
 
-    /// Waits until the recorder has read the steps up to a few before this tick's.
-    pub fn wait(&mut self, run: &mut TickLoop, tick: u64) {
-        self.newest.get_or_insert(tick);
-        self.receive(tick);
-        let until = run.now().after_ns(WAIT_NS);
-        while self.is_behind(tick) && !self.is_silent && !run.member.is_stopping() {
-            let now = run.now();
-            if now >= until {
-                self.is_silent = true;
-                tracing::warn!("the recorder is silent; the run goes on without it");
-                break;
-            }
-            run.wait_alive(until.min(now.after_ns(POLL_NS)), now);
-            self.update_connections();
-            self.receive(tick);
-        }
+    /// A tick was driven: the next one waits for the recorder.
+    pub fn end_tick(&mut self, tick: u64) {
+        self.driven = Some(tick);
+        self.until = None;
     }
 
-    fn is_behind(&self, tick: u64) -> bool {
-        let newest = self.newest.unwrap_or(tick);
-        tick.saturating_sub(newest) > self.ahead_max
+    /// Whether the next tick has to wait until the recorder has read the steps up to a few
+    /// before the last one.
+    pub fn holds_tick(&mut self, now: Instant) -> bool {
+        let Some(tick) = self.driven else {
+            return false;
+        };
+        self.receive(tick);
+        let newest = *self.newest.get_or_insert(tick);
+        let is_behind = tick.saturating_sub(newest) > self.ahead_max;
+        let until = *self.until.get_or_insert(now.after_ns(WAIT_NS));
+        if is_behind && !self.is_silent && now >= until {
+            self.is_silent = true;
+            tracing::warn!("the recorder is silent; the run goes on without it");
+        }
+        is_behind && !self.is_silent
     }
 
     /// Connects to a recorder that came or came back.
@@ -76,12 +80,9 @@ impl RecorderWait {
 
     fn receive(&mut self, tick: u64) {
         if let Some(kept) = self.ports.kept.newest(Message::check) {
-            self.newest = Some(match kept.header.tick {
-                // A recorder that was started again has read no step, and gets none of
-                // those before this tick: it reads from here on.
-                0 => tick,
-                read => read,
-            });
+            // A recorder that was started again has read no step, and gets none of those
+            // before this tick: it reads from here on.
+            self.newest = Some(kept.step().unwrap_or(tick));
             self.is_silent = false;
         }
     }

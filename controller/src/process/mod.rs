@@ -20,6 +20,9 @@ use wait::{Begun, RunClock, Waiting, origin};
 
 /// A car slower than this stands, m/s.
 const STANDING_MPS: f64 = 0.05;
+/// Interval at which learner, loader and recorder are polled, in lockstep, ns: the loader
+/// does not wake the controller.
+const POLL_NS: u64 = 2_000_000;
 /// How long an orderly stop may brake before it ends, ns.
 const STOP_NS: u64 = 5_000_000_000;
 
@@ -49,7 +52,7 @@ pub struct ControllerProcess {
     /// An observation older than this is not driven on, ns.
     blind_ns: u64,
     stop_until: Option<Instant>,
-    /// When an observation last released a tick.
+    /// When an observation last released a tick, or a world was waiting for one.
     observed: Instant,
 }
 
@@ -85,16 +88,32 @@ impl ControllerProcess {
         })
     }
 
+    /// In lockstep: whether the next tick has to wait for the learner or the recorder.
+    fn is_held(&mut self, run: &TickLoop, now: Instant) -> bool {
+        if run.member.is_stopping() {
+            self.swap.end_wait(&mut self.controller);
+            return false;
+        }
+        let recorder = self.recorder.as_mut();
+        self.swap.holds_tick(now, &mut self.controller)
+            || recorder.is_some_and(|recorder| recorder.holds_tick(now))
+    }
+
     /// The next tick that is due, once its wait has begun.
-    fn begin(&mut self, run: &mut TickLoop) -> Option<Begun> {
+    fn begin(&mut self, run: &TickLoop) -> Option<Begun> {
         let now = run.now();
         self.swap.exchange(&mut self.controller);
         let due = self.waiting.tick(run, &mut self.ports, &mut self.inputs)?;
         if self.inputs.observation.is_some() {
             self.observed = now;
         }
-        self.swap.await_learner_start(run, &mut self.controller);
         Some(self.waiting.begin(&self.inputs, due, run.now()))
+    }
+
+    /// Waits between ticks, in lockstep. A world that waits for its command is not silent.
+    fn hold(&mut self, run: &TickLoop, until: Instant, now: Instant) {
+        run.wait(Some(until), now);
+        self.observed = run.now();
     }
 
     fn intent(&mut self, run: &TickLoop) -> Intent {
@@ -237,17 +256,23 @@ impl FixedRate for ControllerProcess {
         }
     }
 
-    /// In lockstep a tick waits for its peers here, between ticks: a model may think for
-    /// longer than the supervisor accepts silence.
+    /// In lockstep a tick waits for its peers, the learner and the recorder here, between
+    /// ticks: a model may think for longer than the supervisor accepts silence.
     fn await_tick(&mut self, run: &mut TickLoop) -> Option<Begun> {
+        let now = run.now();
+        if self.waiting.lockstep && self.is_held(run, now) {
+            self.hold(run, now.after_ns(POLL_NS), now);
+            return None;
+        }
         let begun = match self.begun.take() {
             Some(begun) => begun,
             None => self.begin(run)?,
         };
+        // A tick that brakes the car to a stop needs nothing.
+        let needs_peers = self.waiting.lockstep && self.stop_until.is_none();
         let (ports, inputs) = (&mut self.ports, &mut self.inputs);
-        if self.waiting.lockstep && !self.waiting.has_peers(run, ports, inputs, &begun) {
-            run.wait(Some(begun.until), run.now());
-            self.observed = run.now();
+        if needs_peers && !self.waiting.has_peers(run, ports, inputs, &begun) {
+            self.hold(run, begun.until, run.now());
             self.begun = Some(begun);
             return None;
         }
@@ -322,9 +347,9 @@ impl FixedRate for ControllerProcess {
             return Ok(Flow::End);
         }
         self.swap.after_tick(&mut self.controller);
-        self.swap.await_learner(run, &mut self.controller);
+        self.swap.end_tick(tick);
         if let Some(recorder) = &mut self.recorder {
-            recorder.wait(run, tick);
+            recorder.end_tick(tick);
         }
         Ok(Flow::Continue)
     }

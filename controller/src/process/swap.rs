@@ -12,7 +12,7 @@ use crate::{Controller, Exchanged, Loader, TickEnd};
 
 /// Between two tries of a mailbox that is locked.
 const RETRY: Duration = Duration::from_micros(50);
-/// Interval at which learner and loader are polled, in lockstep, ns.
+/// Interval at which the loader is polled before the first tick, ns.
 const POLL_NS: u64 = 2_000_000;
 /// How long the run's first policy may take to be loaded, ns: ONNX Runtime's
 /// library takes a quarter of a second on an idle machine.
@@ -37,6 +37,16 @@ struct Learner {
     block_steps: u64,
     wait_ns: u64,
     is_silent: bool,
+    awaited: Option<Awaited>,
+}
+
+/// What the next tick waits for.
+#[derive(Clone, Copy)]
+struct Awaited {
+    /// The tick whose step the learner has to consider; `None` for its first message.
+    step: Option<u64>,
+    /// When the wait is over; set when it is first polled.
+    until: Option<Instant>,
 }
 
 impl PolicySwap {
@@ -60,6 +70,12 @@ impl PolicySwap {
                 block_steps: u64::from(learner.block_steps),
                 wait_ns: (shm_config::config::Learner::LOCKSTEP_WAIT_S * 1e9) as u64,
                 is_silent: false,
+                // One that was killed in a block's updates makes them first, and the steps
+                // that were driven meanwhile would have no policy.
+                awaited: Some(Awaited {
+                    step: None,
+                    until: None,
+                }),
             }),
         };
         Ok(Self {
@@ -129,70 +145,52 @@ impl PolicySwap {
         controller.run_canary(&mut self.end);
     }
 
-    /// In lockstep with a learner, before the first tick: waits for its first message,
-    /// and for the loader's decision about the weights that it begins with. One that was
-    /// killed in a block's updates makes them first, and the steps that were driven
-    /// meanwhile would have no policy.
-    pub fn await_learner_start(&mut self, run: &mut TickLoop, controller: &mut Controller) {
-        let has_begun = |learner: &mut Learner| {
-            let _ = learner.receive();
-            learner.newest.header.sequence > 0
-        };
-        match &self.learning {
-            Some(learner) if !learner.is_silent && learner.newest.header.sequence == 0 => {
-                self.wait(run, controller, has_begun);
-            }
-            Some(_) | None => {}
-        }
-    }
-
-    /// In lockstep with a learner, at the end of a block: waits until it has
+    /// In lockstep with a learner, at the end of a block: the next tick waits until it has
     /// considered the last step, and until the loader has decided about what it
     /// published. So adoption happens at the same tick in every run.
-    pub fn await_learner(&mut self, run: &mut TickLoop, controller: &mut Controller) {
+    pub fn end_tick(&mut self, tick: u64) {
         let Some(learner) = &mut self.learning else {
             return;
         };
         // A learner that was restarted before this wait does not end it.
         let _ = learner.receive();
-        let tick = controller.step().header.tick;
-        let is_end = learner.count(tick);
-        if !is_end || learner.is_silent {
-            return;
+        if learner.count(tick) && !learner.is_silent {
+            learner.awaited = Some(Awaited {
+                step: Some(tick),
+                until: None,
+            });
         }
-        let mut is_successor = false;
-        let has_considered = |learner: &mut Learner| {
-            // It never received the step that this wait is for: the wait would not end.
-            is_successor |= learner.receive() == Sender::Successor;
-            is_successor || learner.has_considered(tick)
-        };
-        self.wait(run, controller, has_considered);
     }
 
-    /// Waits for that of the learner, and for the loader's decision about what it
-    /// published; adopts it.
-    fn wait(
-        &mut self,
-        run: &mut TickLoop,
-        controller: &mut Controller,
-        mut is_done: impl FnMut(&mut Learner) -> bool,
-    ) {
+    /// In lockstep with a learner: whether the next tick has to wait, before the first one
+    /// for the learner's first message, after a block for [`PolicySwap::end_tick`]. What
+    /// the learner published is adopted at the end of the wait.
+    pub fn holds_tick(&mut self, now: Instant, controller: &mut Controller) -> bool {
         let Some(learner) = &mut self.learning else {
-            return;
+            return false;
         };
-        let until = run.now().after_ns(learner.wait_ns);
-        while !run.member.is_stopping() {
-            if is_done(learner) && learner.newest.version <= self.loader.mailbox().decided() {
-                break;
-            }
-            let now = run.now();
-            if now >= until {
-                learner.is_silent = true;
-                break;
-            }
-            run.wait_alive(until.min(now.after_ns(POLL_NS)), now);
+        let Some(mut awaited) = learner.awaited else {
+            return false;
+        };
+        let until = *awaited.until.get_or_insert(now.after_ns(learner.wait_ns));
+        let has_sent = learner.has_sent(&mut awaited);
+        learner.awaited = Some(awaited);
+        let is_done = has_sent && learner.newest.version <= self.loader.mailbox().decided();
+        if !is_done && now < until {
+            return true;
         }
-        self.exchange_now(controller);
+        learner.is_silent |= !is_done;
+        self.end_wait(controller);
+        false
+    }
+
+    /// The next tick waits no longer.
+    pub fn end_wait(&mut self, controller: &mut Controller) {
+        if let Some(learner) = &mut self.learning
+            && learner.awaited.take().is_some()
+        {
+            self.exchange_now(controller);
+        }
     }
 }
 
@@ -225,9 +223,18 @@ impl Learner {
         steps.is_multiple_of(self.block_steps)
     }
 
-    /// The learner has considered the step of this tick; its first message is of none.
-    fn has_considered(&self, tick: u64) -> bool {
-        self.newest.header.sequence > 1 && self.newest.header.tick >= tick
+    /// It has sent what is waited for.
+    fn has_sent(&mut self, awaited: &mut Awaited) -> bool {
+        if self.receive() == Sender::Successor {
+            // It never received the step: the wait would not end.
+            awaited.step = None;
+        }
+        let header = &self.newest.header;
+        match awaited.step {
+            None => header.sequence > 0,
+            // Its first message is of no step.
+            Some(tick) => header.sequence > 1 && header.tick >= tick,
+        }
     }
 
     fn receive(&mut self) -> Sender {

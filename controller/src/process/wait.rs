@@ -181,13 +181,7 @@ impl Waiting {
 
     /// In real time, within the tick: waits for the plan, until the tick cannot wait any
     /// longer. In lockstep the peers are waited for before the tick.
-    pub fn peers(
-        &mut self,
-        run: &TickLoop,
-        ports: &mut Ports,
-        inputs: &mut Inputs,
-        begun: &Begun,
-    ) {
+    pub fn peers(&mut self, run: &TickLoop, ports: &mut Ports, inputs: &mut Inputs, begun: &Begun) {
         while !self.lockstep && !self.has_peers(run, ports, inputs, begun) {
             run.wait(Some(begun.until), run.now());
         }
@@ -200,7 +194,7 @@ pub struct Begun {
     pub due: DueTick,
     /// When it began to wait for its peers.
     pub started: Instant,
-    /// How long it waits for them.
+    /// When that wait is over.
     pub until: Instant,
     /// The planner makes a plan of its observation.
     needs_plan: bool,

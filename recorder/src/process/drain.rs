@@ -120,6 +120,8 @@ pub(super) struct Drain {
     /// The tick of the newest step that was read; 0 before the first, from which the
     /// controller knows a recorder that was started again.
     pub(super) step_tick: u64,
+    /// Steps that were read.
+    pub(super) steps: u64,
 }
 
 /// How the drain works.
@@ -160,6 +162,7 @@ impl Drain {
             held: Vec::with_capacity(1024),
             count: 0,
             step_tick: 0,
+            steps: 0,
         })
     }
 
@@ -190,6 +193,7 @@ impl Drain {
                 lost = u64::saturating_add(lost, self.sources[number].lost(header));
                 if number == step {
                     self.step_tick = header.tick;
+                    self.steps += 1;
                 }
                 self.hold((number, times), (header, memory), may_wait);
             });

@@ -252,6 +252,7 @@ impl Recorder {
         if any {
             let mut kept = Kept::default();
             kept.header.tick = self.drain.step_tick;
+            kept.steps = self.drain.steps;
             ports.kept.send(&mut kept);
         }
     }

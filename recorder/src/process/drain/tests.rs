@@ -240,5 +240,5 @@ fn a_turn_is_in_order_of_time_and_of_the_tick() {
     let expected = [100, 200]
         .map(|ns| ["observation", "plan", "step"].map(|service| (ns, service.to_string())));
     assert_eq!(order, expected.concat());
-    assert_eq!(drain.step_tick, 2);
+    assert_eq!((drain.step_tick, drain.steps), (2, 2));
 }
