@@ -8,8 +8,9 @@ use shm_config::config::Config;
 use shm_config::services::Process;
 use shm_config::time::monotonic;
 
+use crate::clock::Begin;
 use crate::driven::Driven;
-use crate::process::{Begin, run};
+use crate::process::run;
 use crate::robot::Robot;
 
 /// A world process that `./vlaps up --world PROGRAM` starts

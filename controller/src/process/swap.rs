@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use runtime::{Member, SetUpError, TickLoop};
-use shm_config::Message;
+use shm_config::{Instant, Message};
 use shm_config::message::Learning;
 
 use crate::ports::LearnerPorts;
