@@ -197,7 +197,7 @@ fn a_person_needs_no_plan_but_does_not_drive_blind_nor_past_the_end() {
 }
 
 #[test]
-fn nobody_takes_over_where_no_person_is_configured() {
+fn a_takeover_has_no_effect_where_no_person_is_configured() {
     for mode in [GateMode::Rules, GateMode::Expert, GateMode::Policy] {
         let mut seat = Seat::new(mode, true);
         let step = seat.tick(Some(takeover(1, seat.now)));
@@ -287,7 +287,7 @@ fn the_way_back_from_a_takeover_by_distance_is_not_eased() {
 }
 
 #[test]
-fn nobody_takes_over_from_a_policy_that_may_not_drive() {
+fn the_expert_drives_without_a_takeover_where_the_policy_may_not_drive() {
     let mut seat = Seat::new(GateMode::Takeover, false);
     assert_drove(&seat.tick(None), Driver::Expert, Reason::Unloaded);
     // The keys of a person have no effect in this mode.

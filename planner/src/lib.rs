@@ -23,6 +23,9 @@
 //! use shm_config::message::{Observation, Plan, PlanOutcome};
 //!
 //! let mut observation = Observation::default();
+//! // No beam hits anything. A scan without beams would leave nothing free.
+//! observation.beam_count = 240;
+//! observation.ranges_m.fill(observation.lidar_max_m);
 //! (observation.road.left_m, observation.road.right_m) = (5.0, 5.0);
 //! observation.checkpoints[0].x_body_m = 30.0;
 //!

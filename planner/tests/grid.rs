@@ -154,7 +154,11 @@ fn a_car_too_near_to_an_obstacle_may_leave_it_but_not_approach_it() {
 #[test]
 fn a_car_beside_the_corridor_may_return_to_it() {
     let config = PlannerConfig::default();
-    let mut observation = Observation::default();
+    let mut observation = Observation {
+        beam_count: 240,
+        ..Observation::default()
+    };
+    observation.ranges_m.fill(50.0);
     observation.road.left_m = 0.2;
     observation.road.right_m = 10.3;
     let grid = filled(&config, &observation);

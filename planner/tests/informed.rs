@@ -247,9 +247,10 @@ fn its_paths_are_shorter_than_the_papers() {
 #[test]
 fn an_empty_road_is_one_straight_line() {
     let mut observation = Observation {
-        beam_count: 0,
+        beam_count: 240,
         ..Observation::default()
     };
+    observation.ranges_m.fill(50.0);
     observation.road.left_m = 5.25;
     observation.road.right_m = 5.25;
     observation.checkpoints[0].x_body_m = 40.0;

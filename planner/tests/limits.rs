@@ -59,7 +59,11 @@ fn a_full_tree_is_searched_to_the_last_node() {
         ..PlannerConfig::default()
     };
     let mut planner = RrtStar::new(config).unwrap();
-    let mut observation = Observation::default();
+    let mut observation = Observation {
+        beam_count: 240,
+        ..Observation::default()
+    };
+    observation.ranges_m.fill(50.0);
     observation.road.left_m = 5.0;
     observation.road.right_m = 5.0;
     observation.checkpoints[0].x_body_m = 40.0;

@@ -54,24 +54,74 @@ proptest! {
 }
 
 #[test]
-fn every_method_drives_with_270_degrees_and_none_with_a_scanner_to_the_rear() {
-    for method in [
-        Method::RrtStar,
-        Method::Informed,
-        Method::Kinodynamic,
-        Method::Mpc,
-    ] {
-        let outcome = |scanner: &Scanner| {
-            let mut config = Config::default();
-            config.planner.method = method;
-            config.run.clock = shm_config::config::Clock::Lockstep;
-            let mut planner = planner::Planner::new(&config).expect("a planner");
-            let mut plan = Plan::default();
-            let mut seen = observation(scanner);
-            (seen.road.left_m, seen.road.right_m) = (5.25, 5.25);
-            planner.plan(&seen, &mut plan);
-            plan
+fn without_a_beam_all_that_is_ahead_of_the_bumper_is_occupied() {
+    let scanner = Scanner {
+        beams: 0,
+        ..Scanner::default()
+    };
+    let car = Vehicle::default().footprint();
+    let mut grid = Grid::new(&PlannerConfig::default()).of(car);
+    grid.fill(&observation(&scanner));
+    for row in 0..grid.rows() {
+        for column in 0..grid.columns() {
+            let cell = Cell { column, row };
+            let ahead_m = grid.cell_middle(cell).x - car.length_m / 2.0;
+            if ahead_m.abs() > grid.cell_m() {
+                assert_eq!(grid.is_occupied(cell), ahead_m > 0.0, "{cell:?}");
+            }
+        }
+    }
+}
+
+const METHODS: [Method; 4] = [
+    Method::RrtStar,
+    Method::Informed,
+    Method::Kinodynamic,
+    Method::Mpc,
+];
+
+/// The plan of a method on a free road of three lanes, seen by this scanner.
+fn planned(method: Method, scanner: &Scanner) -> Plan {
+    let mut config = Config::default();
+    config.planner.method = method;
+    config.run.clock = shm_config::config::Clock::Lockstep;
+    let mut planner = planner::Planner::new(&config).expect("a planner");
+    let mut plan = Plan::default();
+    let mut seen = observation(scanner);
+    (seen.road.left_m, seen.road.right_m) = (5.25, 5.25);
+    planner.plan(&seen, &mut plan);
+    plan
+}
+
+/// The plan leads at most beside what is seen.
+fn assert_stands(plan: &Plan, what: &str) {
+    let far_m = plan
+        .waypoints()
+        .iter()
+        .map(|waypoint| {
+            Point::new(waypoint.x_body_m, waypoint.y_body_m)
+                .coords
+                .norm()
+        })
+        .fold(0.0, f64::max);
+    let stands = plan.outcome == PlanOutcome::Blocked.code() || far_m < 6.0;
+    assert!(stands, "{what} plans {far_m} m into what no beam sees");
+}
+
+#[test]
+fn no_method_plans_into_the_scan_of_a_dead_scanner() {
+    for method in METHODS {
+        let dead = Scanner {
+            beams: 0,
+            ..Scanner::default()
         };
+        assert_stands(&planned(method, &dead), &format!("{method:?}"));
+    }
+}
+
+#[test]
+fn every_method_drives_with_270_degrees_and_none_with_a_scanner_to_the_rear() {
+    for method in METHODS {
         let front = Scanner {
             beams: 1080,
             field_of_view_deg: 270.0,
@@ -79,7 +129,10 @@ fn every_method_drives_with_270_degrees_and_none_with_a_scanner_to_the_rear() {
             ..Scanner::default()
         };
         // It sees all that is ahead: the plan is that of the full circle.
-        let (ahead, circle) = (outcome(&front), outcome(&Scanner::default()));
+        let (ahead, circle) = (
+            planned(method, &front),
+            planned(method, &Scanner::default()),
+        );
         assert_ne!(ahead.outcome, PlanOutcome::Blocked.code(), "{method:?}");
         assert_eq!(ahead, circle, "{method:?}");
         let rear = Scanner {
@@ -87,20 +140,10 @@ fn every_method_drives_with_270_degrees_and_none_with_a_scanner_to_the_rear() {
             x_m: -2.0,
             ..front
         };
-        let behind = outcome(&Scanner {
+        let behind = Scanner {
             field_of_view_deg: 150.0,
             ..rear
-        });
-        let far_m = behind
-            .waypoints()
-            .iter()
-            .map(|waypoint| {
-                Point::new(waypoint.x_body_m, waypoint.y_body_m)
-                    .coords
-                    .norm()
-            })
-            .fold(0.0, f64::max);
-        let stands = behind.outcome == PlanOutcome::Blocked.code() || far_m < 6.0;
-        assert!(stands, "{method:?} plans {far_m} m into what no beam sees");
+        };
+        assert_stands(&planned(method, &behind), &format!("{method:?}"));
     }
 }

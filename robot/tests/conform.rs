@@ -1,12 +1,13 @@
 //! `./vlaps conform`: sound worlds keep every promise, and of a flawed one the right rows
-//! are not held. The template drives with the planner and controller of the build.
+//! are not held. Whether a sound world is punctual is not tested, since the load of this
+//! machine decides it. The template drives with the planner and controller of the build.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
 use serde_json::Value;
 use tempfile::TempDir;
-use vlaps_tests::{Set, programs};
+use vlaps_tests::{Set, depends_on_load, programs};
 
 /// An example of this crate, which cargo builds before its tests.
 fn example(name: &str) -> PathBuf {
@@ -49,16 +50,20 @@ fn broken(report: &Value) -> Vec<&str> {
 fn assert_keeps_all(world: &str, options: &[&str]) {
     let (output, report) = conform_with(world, None, options);
     let told = shown(&output);
-    assert_eq!(output.status.code(), Some(0), "{world}: {told}");
-    let rows = report["rows"].as_array().expect("rows");
+    let rows = report["rows"].as_array();
+    let rows = rows.unwrap_or_else(|| panic!("no rows: {told}"));
     assert!(rows.len() >= 26, "{} rows: {told}", rows.len());
     for row in rows {
+        let is_held = row["held"] == true;
+        assert!(is_held || depends_on_load(row), "{world}: {row}: {told}");
         assert!(
             row["figure"]
                 .as_str()
                 .is_some_and(|figure| !figure.is_empty())
         );
     }
+    let code = i32::from(!broken(&report).is_empty());
+    assert_eq!(output.status.code(), Some(code), "{world}: {told}");
     let resumed = rows.iter().find(|row| {
         let promise = row["promise"].as_str();
         promise.is_some_and(|promise| promise.starts_with("is restarted"))

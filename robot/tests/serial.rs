@@ -30,6 +30,13 @@ const PATIENCE: u32 = 13;
 /// Beams of the machine's lidar.
 const BEAMS: u32 = 72;
 
+fn action_of(order: Order) -> Action {
+    Action {
+        steer: order.steer.into(),
+        pedal: order.pedal.into(),
+    }
+}
+
 /// The machine: a car in the corridor of the example, that reports this many ranges until
 /// it is told to end. Returns how far it came, m, and the last order.
 fn machine(mut line: File, beams: u32, ends: &AtomicBool) -> (f64, Action) {
@@ -41,13 +48,10 @@ fn machine(mut line: File, beams: u32, ends: &AtomicBool) -> (f64, Action) {
         let mut ready = [PollFd::new(&line, PollFlags::IN)];
         if poll(&mut ready, Some(&STEP)).is_ok_and(|ready| ready > 0)
             && let Ok(count) = line.read(&mut bytes)
-            && let Some(Order { steer, pedal }) = frames.newest(&bytes[..count])
+            && let Some(order) = frames.newest(&bytes[..count])
         {
             silent = 0;
-            action = Action {
-                steer: steer.into(),
-                pedal: pedal.into(),
-            };
+            action = action_of(order);
             ordered = action;
         }
         silent += 1;
@@ -78,6 +82,10 @@ fn machine(mut line: File, beams: u32, ends: &AtomicBool) -> (f64, Action) {
         let _ = line
             .write_all(&noise)
             .and_then(|()| line.write_all(&frame(&report)));
+    }
+    // Orders that have not been read yet. The line does not wait for more.
+    while let Ok(count @ 1..) = line.read(&mut bytes) {
+        ordered = frames.newest(&bytes[..count]).map_or(ordered, action_of);
     }
     (car.state.position.x, ordered)
 }
@@ -121,7 +129,10 @@ fn a_robot_behind_a_serial_line_drives_until_the_run_ends() {
     let (driven_m, ordered, set) = drive("serial", BEAMS);
     let json = set.json();
     assert!(driven_m > 3.0, "{driven_m} m: {json}");
-    assert_eq!(json["processes"]["controller"]["refused"], 0, "{json}");
+    // On a loaded machine an observation may be too old; none may be invalid.
+    let refusals = &json["processes"]["controller"]["refusals"];
+    assert!(refusals.is_object(), "{json}");
+    assert!(refusals["content"].is_null(), "{json}");
     assert_eq!(ordered, Action::BRAKE, "the last order");
 }
 

@@ -67,8 +67,9 @@ impl Scene {
 /// as time that the brake needs.
 ///
 /// Space at which no beam looks counts as occupied where the front of the body would
-/// enter it, since nothing says that it is free. The sides and the rear are not asked:
-/// the car does not reverse, so they follow where the front has been.
+/// enter it, since nothing says that it is free. The sides and the rear are not checked:
+/// the car does not reverse, so they follow where the front has been. In a scan without
+/// beams all space is unseen, so the car stands.
 pub fn assess(
     vehicle: &Vehicle,
     limits: &SafetyLimits,
@@ -133,13 +134,13 @@ fn clearance_m(vehicle: &Vehicle, scene: &Scene, state: &State) -> f64 {
         .fold(CLEARANCE_MAX_M, f64::min)
 }
 
-/// Places of the front edge at which it is asked whether a beam looks there: the corners
-/// and three between them, so that no wedge hides between the corners.
+/// Places of the front edge that have to be seen: the corners and three between them, so
+/// that no wedge hides between the corners.
 const FRONT_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// Whether a part of the front edge is where no beam looks and the car does not stand now.
 fn is_front_unseen(vehicle: &Vehicle, scene: &Scene, state: &State) -> bool {
-    if scene.fan.is_circle() {
+    if scene.fan.covers_all() {
         return false;
     }
     let footprint = vehicle.footprint();

@@ -139,6 +139,29 @@ fn the_front_does_not_enter_what_no_beam_sees() {
 }
 
 #[test]
+fn without_a_beam_the_car_stands() {
+    let car = Vehicle::default();
+    let dead = Scanner {
+        beams: 0,
+        ..Scanner::default()
+    };
+    let ahead = Action {
+        steer: 0.0,
+        pedal: 0.2,
+    };
+    let driving = seen_by(&dead, &car, ahead);
+    assert_eq!(driving.verdict(), Verdict::Hits);
+    assert!(driving.is_vetoed(), "while it drives");
+    let mut observation = observation(0.0);
+    observation.set_fan(&dead.fan());
+    let limits = SafetyLimits::default();
+    let scene = Scene::new(&observation, Scene::reach_m(&car, &limits, 0.0));
+    let standing = |action| assess(&car, &limits, &scene, Some(action));
+    assert!(standing(ahead).is_vetoed(), "when it sets off");
+    assert_eq!(standing(Action::BRAKE).verdict(), Verdict::Clear);
+}
+
+#[test]
 fn returns_are_where_the_scanner_is() {
     let vehicle = Vehicle::default();
     let limits = SafetyLimits::default();

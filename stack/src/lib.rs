@@ -17,6 +17,8 @@
 //! use stack::Stack;
 //!
 //! let mut observation = Observation::default();
+//! observation.beam_count = 240;
+//! observation.ranges_m.fill(observation.lidar_max_m);
 //! (observation.road.left_m, observation.road.right_m) = (5.0, 5.0);
 //! observation.checkpoints[0].x_body_m = 30.0;
 //!

@@ -264,6 +264,12 @@ pub fn until(what: &str, mut condition: impl FnMut() -> bool) {
     panic!("waited a minute in vain until {what}");
 }
 
+/// Whether the load of this machine decides if a row of `conform` is held: a world on a
+/// loaded machine is not punctual.
+pub fn depends_on_load(row: &serde_json::Value) -> bool {
+    row["promise"] == "is on time at half of its ticks"
+}
+
 /// Runs a test only where `probe` succeeds; says why when it does not.
 pub fn skip_unless(probe: &[&str], why: &str) -> bool {
     let works = Command::new(probe[0])

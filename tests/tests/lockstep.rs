@@ -1,13 +1,11 @@
 //! Lockstep through the real processes: the same seed gives the same commands.
 
-use std::time::Duration;
-
 use rustix::process::Signal;
 use serde_json::Value;
+use shm_config::message::{Message, Observation};
+use shm_config::services::{OBSERVATION, Process};
+use shm_config::wire::{Subscriber, Wire};
 use vlaps_tests::{Set, until};
-
-/// Of the paper's 10 Hz.
-const PERIOD: Duration = Duration::from_millis(100);
 
 fn drive(label: &str, seed: u64, episodes: u32) -> Value {
     let set = Set::new(label);
@@ -192,6 +190,32 @@ fn unequal_rates_repeat_too() {
     assert_eq!(rates, [Some(100.0), Some(50.0), Some(10.0)]);
 }
 
+/// Reads from outside of a set which tick its world is at.
+struct WorldTicks {
+    observations: Subscriber<Observation>,
+    newest: u64,
+    _wire: Wire,
+}
+
+impl WorldTicks {
+    fn of(set: &Set) -> Self {
+        let wire = Wire::join(set.name(), Process::Learner).expect("shared memory");
+        Self {
+            observations: wire.subscriber(OBSERVATION).expect("observations"),
+            newest: 0,
+            _wire: wire,
+        }
+    }
+
+    fn newest(&mut self) -> u64 {
+        self.observations.update_connections();
+        if let Some(observation) = self.observations.newest(Message::check) {
+            self.newest = observation.header.tick;
+        }
+        self.newest
+    }
+}
+
 #[test]
 fn in_real_time_every_tick_of_each_process_is_accounted_for_over_a_restart() {
     let mut set = Set::new("absent");
@@ -200,11 +224,17 @@ fn in_real_time_every_tick_of_each_process_is_accounted_for_over_a_restart() {
     // Not before its first ticks: a process without ticks leaves no gap.
     let ticks = || set.status_of("controller")["ticks"].as_u64();
     until("the controller ticks", || ticks() > Some(5));
+    let mut world = WorldTicks::of(&set);
+    until("the world is heard", || world.newest() > 0);
     // A controller that is restarted within a period misses no tick: the supervisor learns
     // of the death some periods later.
     set.signal(Signal::STOP);
     assert!(set.signal_program("vlaps-controller", Signal::KILL) > 0);
-    std::thread::park_timeout(4 * PERIOD);
+    let killed_at = world.newest();
+    until("ticks pass without a controller", || {
+        world.newest() >= killed_at + 3
+    });
+    drop(world);
     set.signal(Signal::CONT);
     until("the restart is written down", || journal.exists());
     assert_eq!(set.wait(), Some(0), "{}", set.logs());

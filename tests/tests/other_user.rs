@@ -200,7 +200,10 @@ for program in sleep "$2/vlaps-supervisor"; do
     done
     [ "$got" = "$pid" ] || exit 4
     # Until then it is still bash.
-    until [ "/proc/$pid/exe" -ef "$(command -v "$program")" ]; do sleep 0.01; done
+    until [ "/proc/$pid/exe" -ef "$(command -v "$program")" ]; do
+        kill -0 "$pid" || exit 5
+        sleep 0.01
+    done
     "$1" down --run evil 9>&- 2>&1
     echo "code $?"
     kill -0 "$pid" && echo alive

@@ -62,6 +62,20 @@ fn what_no_beam_looks_at_is_not_covered() {
 }
 
 #[test]
+fn a_fan_without_beams_covers_nothing() {
+    for field_of_view_deg in [90.0, 270.0, 360.0] {
+        let fan = scanner(0, field_of_view_deg).fan();
+        assert!(!fan.covers_all());
+        for (x_m, y_m) in [(10.0, 0.0), (0.0, 5.0), (-3.0, 0.0), (0.0, 0.0)] {
+            let point = Point::new(x_m, y_m);
+            assert!(!fan.covers(point), "{field_of_view_deg}: {point}");
+        }
+    }
+    assert!(scanner(1, 360.0).fan().covers_all());
+    assert!(!scanner(240, 359.0).fan().covers_all());
+}
+
+#[test]
 fn impossible_scanners_are_refused_by_name() {
     let change = |change: fn(&mut Scanner)| {
         let mut scanner = Scanner::default();

@@ -20,6 +20,8 @@ int main(int argc, char **argv) {
     memset(&progress, 0, sizeof progress);
     seen.lidar_max_m = 50;
     seen.field_of_view_rad = 1;
+    seen.beam_count = 60;
+    for (uint32_t k = 0; k < seen.beam_count; k++) seen.ranges_m[k] = seen.lidar_max_m;
     EXPECT(vlaps_join("world", argc, argv), VLAPS_OK, "");
     const int episodes = vlaps_open("episode", VLAPS_WRITE);
     EXPECT(vlaps_await_tick(&tick), VLAPS_INVALID, "the loop publishes episode");

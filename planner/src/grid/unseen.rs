@@ -50,7 +50,14 @@ impl Grid {
     /// would be blocked there.
     pub(super) fn mark_unseen(&mut self, observation: &Observation) {
         let fan = observation.fan();
-        if fan.is_circle() {
+        if fan.covers_all() {
+            return;
+        }
+        let last_column = self.columns as i64 - 1;
+        if fan.beams == 0 {
+            for row in 0..self.rows() {
+                self.mark_ahead(row, 0, last_column);
+            }
             return;
         }
         let half_rad = fan.seen_half_rad();
@@ -65,7 +72,6 @@ impl Grid {
             true => Wedge::new(&fan, left_rad, right_rad),
             false => Wedge::new(&fan, right_rad, left_rad),
         };
-        let last_column = self.columns as i64 - 1;
         for row in 0..self.rows() {
             let [first_m, last_m] = wedge.part_of_row(self.row_middle_m(row));
             // Columns whose middle is inside; the conversion of infinities saturates.

@@ -76,7 +76,7 @@ impl Field {
     /// Marks the places ahead of the front bumper at which no beam looks: nothing says
     /// that they are free. What is beside the body was ahead of it before.
     pub(crate) fn mark_unseen(&mut self, line: &Line, fan: &Fan, bumper_m: f64) {
-        if fan.is_circle() {
+        if fan.covers_all() {
             return;
         }
         for row in 0..ROWS {

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use rand_xoshiro::{SplitMix64, Xoshiro256PlusPlus};
 use shm_config::message::Observation;
-use vehicle::Point;
+use vehicle::{Point, Vehicle};
 
 use crate::course::Dice;
 
@@ -88,6 +88,11 @@ impl Dense {
                 (middle, start_m[0].min(start_m[1]))
             })
             .collect();
+        // In a scan without beams, all that is ahead of the front bumper is unseen.
+        let seen_m = match observation.ranges().is_empty() {
+            true => Vehicle::default().length_m / 2.0,
+            false => f64::INFINITY,
+        };
         let occupied = |row: usize, column: usize| {
             let middle = Point::new(
                 (column as f64 + 0.5) * config.cell_m,
@@ -95,6 +100,7 @@ impl Dense {
             );
             middle.y < right_m
                 || middle.y > left_m
+                || column as f64 * config.cell_m >= seen_m
                 || returns.iter().any(|(from, start_m)| {
                     let distance_m = (middle - from).norm();
                     distance_m <= config.inflation_m + EQUAL_M && distance_m < start_m - EQUAL_M

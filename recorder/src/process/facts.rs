@@ -49,7 +49,7 @@ fn facts(config: &Config) -> BTreeMap<String, String> {
     if let Some(commit) = commit(folder) {
         facts.insert("commit".into(), commit);
     }
-    facts.extend(binaries(folder));
+    facts.extend(binaries(config, folder));
     facts
 }
 
@@ -59,12 +59,15 @@ fn processor() -> Option<String> {
     Some(line.split_once(':')?.1.trim().to_string())
 }
 
-/// The SHA-256 of each program beside this one.
-fn binaries(folder: &Path) -> impl Iterator<Item = (String, String)> {
+/// The SHA-256 of the program of each process: the user's, or the one beside this program.
+fn binaries(config: &Config, folder: &Path) -> impl Iterator<Item = (String, String)> {
     Process::ALL.iter().filter_map(move |process| {
         let name = process.binary();
-        let hash = sha256_of_file(&folder.join(name)).ok()?;
-        Some((format!("binary.{name}"), hash))
+        let hash = match config.programs.of(*process) {
+            Some(path) => sha256_of_file(path),
+            None => sha256_of_file(&folder.join(name)),
+        };
+        Some((format!("binary.{name}"), hash.ok()?))
     })
 }
 
@@ -117,4 +120,33 @@ fn commit(folder: &Path) -> Option<String> {
         .lines()
         .find(|line| line.ends_with(&format!(" {branch}")))?;
     Some(line.split_once(' ')?.0.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_of_the_user_is_hashed_in_place_of_that_of_the_build() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            fs::write(&path, text).expect("a program");
+            path.display().to_string()
+        };
+        for process in [Process::World, Process::Planner] {
+            write(process.binary(), "of the build");
+        }
+        let mut config = Config::default();
+        config.programs.world = write("my-robot", "of the user");
+        let hash_of = |text: &str| hex(&Sha256::digest(text));
+        let expected = [
+            (Process::World, hash_of("of the user")),
+            (Process::Planner, hash_of("of the build")),
+        ];
+        let expected =
+            expected.map(|(process, hash)| (format!("binary.{}", process.binary()), hash));
+        let found: BTreeMap<String, String> = binaries(&config, folder.path()).collect();
+        assert_eq!(found, BTreeMap::from(expected));
+    }
 }

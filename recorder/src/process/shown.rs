@@ -89,8 +89,8 @@ fn picture(memory: &[u8]) -> Option<(u32, u32, &[u8])> {
     let number = |name: &str| Some(u32::from_le_bytes(field(name)?.try_into().ok()?));
     let (width, height) = (number("width")?, number("height")?);
     let PixelFormat::Rgb8 = PixelFormat::from_code(number("format")?)?;
-    let bytes = u64::from(width) * u64::from(height) * 3;
-    let pixels = field("pixels")?.get(..usize::try_from(bytes).ok()?)?;
+    let bytes = usize::try_from(Frame::bytes([width, height])).ok()?;
+    let pixels = field("pixels")?.get(..bytes)?;
     Some((width, height, pixels))
 }
 
@@ -98,23 +98,25 @@ fn picture(memory: &[u8]) -> Option<(u32, u32, &[u8])> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_frame_that_claims_more_pixels_than_it_has_gives_no_picture() {
+    /// The memory of a frame that claims this width and height.
+    fn claiming(sides: [u32; 2]) -> Vec<u8> {
         let mut memory = vec![0; size_of::<Frame>()];
-        let mut set = |name: &str, value: u32| {
+        for (name, side) in ["width", "height"].into_iter().zip(sides) {
             let field = Frame::FIELDS.iter().find(|field| field.name == name);
             let at = field.expect("a field").offset;
-            memory[at..at + 4].copy_from_slice(&value.to_le_bytes());
-        };
-        set("width", 960);
-        set("height", 720);
+            memory[at..at + 4].copy_from_slice(&side.to_le_bytes());
+        }
+        memory
+    }
+
+    #[test]
+    fn a_frame_that_claims_more_pixels_than_it_has_gives_no_picture() {
+        let memory = claiming([960, 720]);
         let whole = picture(&memory).map(|(width, height, rgb)| (width, height, rgb.len()));
         assert_eq!(whole, Some((960, 720, 960 * 720 * 3)));
-        let mut claimed = memory.clone();
-        let width = Frame::FIELDS.iter().find(|field| field.name == "width");
-        let at = width.expect("a field").offset;
-        claimed[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
-        assert_eq!(picture(&claimed), None);
+        for sides in [[960, 721], [u32::MAX, 720], [720, u32::MAX], [u32::MAX; 2]] {
+            assert_eq!(picture(&claiming(sides)), None, "{sides:?}");
+        }
         assert_eq!(picture(&memory[..100]), None);
     }
 }

@@ -31,7 +31,7 @@ use planner::Planner;
 use shm_config::Message as _;
 use shm_config::config::Config;
 use shm_config::config::planner::Method;
-use shm_config::message::{Assessment, Driver, Health, Plan, Proposal, Step};
+use shm_config::message::{Assessment, Driver, Frame, Health, Plan, Proposal, Step};
 use shm_config::palette;
 use shm_config::services::Process;
 use vehicle::Point;
@@ -267,7 +267,7 @@ impl Standard {
         take: Take<'_>,
     ) {
         // The encoder takes no other.
-        if rgb.len() as u64 != u64::from(width) * u64::from(height) * 3 {
+        if rgb.len() as u64 != Frame::bytes([width, height]) {
             return;
         }
         let mut jpeg = Vec::new();

@@ -5,9 +5,14 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 use roxmltree::{Document, Node};
+use shm_config::file::read_text;
 use vehicle::{Point, Pose, pose};
 
 use super::{Route, RouteError, Row};
+
+/// Longest file, bytes: a scenario also holds each state of each other vehicle, which are
+/// not used.
+const BYTES_MAX: u64 = 64 << 20;
 
 /// A planning problem's task.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,9 +43,10 @@ struct Goal {
 /// needs a change of lanes is refused.
 ///
 /// # Errors
-/// A file that cannot be read, that is no scenario, or whose goal cannot be reached.
+/// A file that cannot be read or is longer than 64 MiB, that is no scenario, or whose goal
+/// cannot be reached.
 pub fn read(path: &Path) -> Result<Task, RouteError> {
-    let text = std::fs::read_to_string(path).map_err(|error| RouteError::File {
+    let text = read_text(path, BYTES_MAX).map_err(|error| RouteError::File {
         path: path.into(),
         error,
     })?;
@@ -253,6 +259,16 @@ mod tests {
             let (_, left_m, right_m) = task.route.at(10.0);
             assert_eq!((left_m, right_m), (2.0, 2.0));
         }
+    }
+
+    #[test]
+    fn a_file_that_is_too_long_is_refused_by_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("long.xml");
+        let file = std::fs::File::create(&path).expect("a file");
+        file.set_len(BYTES_MAX + 1).expect("its length");
+        let error = read(&path).expect_err("refused").to_string();
+        assert!(error.contains("long.xml: is longer than"), "{error}");
     }
 
     #[test]

@@ -34,6 +34,9 @@ pub struct Located {
     pub offset_m: f64,
 }
 
+/// Most rows of a route: a row each 10 cm for 10 km. A place is looked for among all of them
+/// where the last one is not known.
+pub const ROWS_MAX: usize = 100_000;
 /// Rows nearer to each other than this have no direction, m.
 const ROW_MIN_M: f64 = 1e-3;
 /// Widest road and farthest place, m.
@@ -47,8 +50,8 @@ impl Route {
     /// A route over these rows; a closed one goes from the last row on to the first.
     ///
     /// # Errors
-    /// Fewer than two rows, numbers that are not finite or out of range, rows without a
-    /// distance between them.
+    /// Fewer than two rows or more than [`ROWS_MAX`], numbers that are not finite or out of
+    /// range, rows without a distance between them.
     pub fn new(rows: Vec<Row>, is_closed: bool) -> Result<Self, RouteError> {
         if rows.len() < 2 {
             let what = "a route has at least two rows";
@@ -56,6 +59,11 @@ impl Route {
                 row: rows.len(),
                 what,
             });
+        }
+        if rows.len() > ROWS_MAX {
+            let what = "a route has at most 100,000 rows";
+            let row = ROWS_MAX;
+            return Err(RouteError::Line { row, what });
         }
         for (
             row,
@@ -330,6 +338,9 @@ mod tests {
         };
         assert_eq!(refused(vec![]), 0);
         assert_eq!(refused(vec![row(0.0, 0.0)]), 1);
+        let rows = |count: usize| (0..count).map(|k| row(k as f64, 0.0)).collect();
+        assert_eq!(refused(rows(ROWS_MAX + 1)), ROWS_MAX);
+        assert!(Route::new(rows(ROWS_MAX), false).is_ok());
         assert_eq!(refused(vec![row(0.0, 0.0), row(0.0, 0.0)]), 0);
         assert_eq!(refused(vec![row(0.0, 0.0), row(f64::NAN, 0.0)]), 1);
         assert_eq!(refused(vec![row(0.0, 0.0), row(1.0, f64::INFINITY)]), 1);

@@ -11,7 +11,7 @@ mod line;
 mod table;
 
 pub use error::RouteError;
-pub use line::{Located, Route, Row};
+pub use line::{Located, ROWS_MAX, Route, Row};
 
 use shm_config::message::{Bend, Checkpoint};
 use vehicle::{Point, Pose};

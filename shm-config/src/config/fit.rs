@@ -18,8 +18,9 @@ const BRAKE_SHARE: f64 = 0.25;
 impl Config {
     /// The configuration with everything that depends on the car written out: for a car
     /// other than the default, the keys that nothing gave follow its size, its wheelbase
-    /// and its limits; for each car, goal and speeds follow the range of its scanner. Loading a configuration applies it, so the saved configuration is
-    /// the one that every process uses.
+    /// and its limits; for each car, goal and speeds follow the range of its scanner.
+    /// Loading a configuration applies it, so the saved configuration is the one that every
+    /// process uses.
     ///
     /// Speeds are at most 0.9 of the car's top speed. Lengths ahead of the car grow with
     /// its length; a shorter car keeps the default ones, because they are those of its

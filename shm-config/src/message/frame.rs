@@ -100,18 +100,21 @@ impl Message for Frame {
     fn check(&self) -> Result<(), Refusal> {
         self.camera.check()?;
         known("format", self.format, PixelFormat::from_code)?;
-        fits(
-            "width * height * 3",
-            bytes(self.width, self.height),
-            FRAME_BYTES_MAX,
-        )
+        let bytes = Self::bytes([self.width, self.height]);
+        fits("width * height * 3", bytes, FRAME_BYTES_MAX)
     }
 }
 
 impl Frame {
+    /// Bytes of the pixels of a frame of this width and height. A size that is not checked
+    /// may have more than a `u64` counts; the greatest number is then given.
+    pub fn bytes([width, height]: [u32; 2]) -> u64 {
+        (u64::from(width) * u64::from(height)).saturating_mul(3)
+    }
+
     /// The pixels in use, row by row from the top, three bytes each.
     pub fn rgb(&self) -> &[u8] {
-        let count = bytes(self.width, self.height).min(FRAME_BYTES_MAX as u64);
+        let count = Self::bytes([self.width, self.height]).min(FRAME_BYTES_MAX as u64);
         &self.pixels[..count as usize]
     }
 }
@@ -143,11 +146,8 @@ impl Message for FrameRequest {
         let sides = f64::from(*FRAME_SIDES_PX.start())..=f64::from(*FRAME_SIDES_PX.end());
         within("width", f64::from(self.width), sides.clone())?;
         within("height", f64::from(self.height), sides)?;
-        fits(
-            "width * height * 3",
-            bytes(self.width, self.height),
-            FRAME_BYTES_MAX,
-        )
+        let bytes = Frame::bytes(self.size_px());
+        fits("width * height * 3", bytes, FRAME_BYTES_MAX)
     }
 }
 
@@ -163,8 +163,4 @@ impl Message for Foresight {
         }
         Ok(())
     }
-}
-
-fn bytes(width: u32, height: u32) -> u64 {
-    (u64::from(width) * u64::from(height)).saturating_mul(3)
 }

@@ -62,6 +62,8 @@ mod tests {
     #[test]
     fn the_tree_of_an_open_road_grows_from_the_car() {
         let mut step = Step::default();
+        step.observation.beam_count = 240;
+        step.observation.ranges_m.fill(50.0);
         (step.observation.road.left_m, step.observation.road.right_m) = (5.0, 5.0);
         step.observation.checkpoints[0].x_body_m = 30.0;
         let tree = search(&Config::default(), &step).expect("a tree");

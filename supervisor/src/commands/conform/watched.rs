@@ -42,8 +42,10 @@ pub(super) struct Watched {
     pub(super) healths: u64,
     /// Health messages in which ticks and skipped ones are not those due.
     pub(super) unaccounted: Count,
-    heard: Option<Instant>,
-    /// Longest time between two health messages, ns.
+    /// When the newest health message was published, ns.
+    heard_ns: Option<u64>,
+    /// Longest time between two health messages, ns: by the world's own instants, so that
+    /// a delay of this reader changes nothing.
     pub(super) silent_ns: u64,
     /// Timing messages, and the ticks that the newest counts.
     pub(super) timings: u64,
@@ -91,7 +93,7 @@ impl Watched {
             health: None,
             healths: 0,
             unaccounted: Count::default(),
-            heard: None,
+            heard_ns: None,
             silent_ns: 0,
             timings: 0,
             timed: 0,
@@ -103,7 +105,7 @@ impl Watched {
     pub(super) fn begin(&mut self) {
         self.seen.clear();
         self.health = None;
-        self.heard = None;
+        self.heard_ns = None;
     }
 
     /// The newest observation.
@@ -167,11 +169,12 @@ impl Watched {
         }
     }
 
-    /// Takes a health message that was read at `now`.
-    pub(super) fn hear(&mut self, health: Health, now: Instant) {
+    /// Takes a health message.
+    pub(super) fn hear(&mut self, health: Health) {
         self.healths += 1;
-        if let Some(heard) = self.heard.replace(now) {
-            self.silent_ns = self.silent_ns.max(now.since_ns(heard));
+        let taken_ns = health.header.taken_ns;
+        if let Some(heard_ns) = self.heard_ns.replace(taken_ns) {
+            self.silent_ns = self.silent_ns.max(taken_ns.saturating_sub(heard_ns));
         }
         let elapsed_ns = health
             .next_scheduled_ns

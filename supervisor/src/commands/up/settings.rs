@@ -163,8 +163,8 @@ fn written(option: &str, value: Option<impl serde::Serialize>) -> Result<Option<
     value.map_err(|error| Failure::Usage(format!("{option}: {error}")))
 }
 
-/// The option, key and value of what the options of world and planner set. An option
-/// also ends what the file says of the other choice.
+/// The option, key and value of what the options of world, planner and judge set. An
+/// option also ends what the file says of the other choice.
 fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)>, Failure> {
     let mut keys = Vec::new();
     let world = "--world";
@@ -190,13 +190,19 @@ fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)
         }
         None => {}
     }
-    if let Some(path) = &arguments.judge {
-        let path = own_programs::of_option("--judge", path)?;
-        keys.push(("--judge", "programs.gate", path.into()));
-        // The controller takes its advice as that of any judge that answers at once.
-        if arguments.gate.is_none() {
-            keys.push(("--judge", "gate.mode", "rules".into()));
+    match &arguments.judge {
+        Some(path) => {
+            let path = own_programs::of_option("--judge", path)?;
+            keys.push(("--judge", "programs.gate", path.into()));
+            // The controller takes its advice as that of any judge that answers at once.
+            if arguments.gate.is_none() {
+                keys.push(("--judge", "gate.mode", "rules".into()));
+            }
         }
+        None if arguments.gate.is_some() => {
+            keys.push(("--gate", "programs.gate", "".into()));
+        }
+        None => {}
     }
     Ok(keys)
 }
@@ -283,5 +289,48 @@ fn insert(table: &mut Table, key: &str, value: Value) {
                 None => *entry = value,
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::up::arguments::DriverChoice;
+
+    #[test]
+    fn an_option_ends_the_program_of_the_file_in_its_place_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("mine.toml");
+        let text = "[gate]\nmode = \"rules\"\n[programs]\nplanner = \"/my/planner\"\n\
+            gate = \"/my/judge\"\n";
+        std::fs::write(&file, text).expect("a file");
+        let programs = |arguments: Up| {
+            let config = Some(file.clone());
+            let resolved = resolve(&Up {
+                config,
+                ..arguments
+            });
+            let programs = resolved.expect("a configuration").programs;
+            [programs.planner, programs.gate]
+        };
+        assert_eq!(programs(Up::default()), ["/my/planner", "/my/judge"]);
+        let mpc = Up {
+            driver: Some(DriverChoice::Mpc),
+            ..Up::default()
+        };
+        assert_eq!(programs(mpc), ["", "/my/judge"]);
+        for gate in [GateChoice::Rules, GateChoice::Expert] {
+            let gated = Up {
+                gate: Some(gate),
+                ..Up::default()
+            };
+            assert_eq!(programs(gated), ["/my/planner", ""], "{gate:?}");
+        }
+        let judged = Up {
+            gate: Some(GateChoice::Rules),
+            judge: Some("/bin/sh".into()),
+            ..Up::default()
+        };
+        assert_eq!(programs(judged), ["/my/planner", "/bin/sh"]);
     }
 }
