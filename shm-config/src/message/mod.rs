@@ -85,6 +85,13 @@ pub trait Message: Layout + crate::layout::Travels + Copy + core::fmt::Debug + '
     /// The header, for the port that numbers messages.
     fn header_mut(&mut self) -> &mut Header;
 
+    /// How many bytes of the message, from its first, are to be sent; those after them are
+    /// zero for its readers. Less than all for a message that ends with a list of which
+    /// only a part is used.
+    fn used_bytes(&self) -> usize {
+        size_of::<Self>()
+    }
+
     /// Checks everything about the content that does not depend on time.
     ///
     /// # Errors

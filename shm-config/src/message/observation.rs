@@ -171,6 +171,12 @@ impl Default for Observation {
 impl Message for Observation {
     header_accessors!();
 
+    /// Without the beams that the scanner does not have.
+    fn used_bytes(&self) -> usize {
+        let beams = (self.beam_count as usize).min(BEAMS_MAX);
+        core::mem::offset_of!(Self, ranges_m) + beams * size_of::<f32>()
+    }
+
     fn check(&self) -> Result<(), Refusal> {
         let position = -POSITION_LIMIT_M..=POSITION_LIMIT_M;
         let speed = -SPEED_LIMIT_MPS..=SPEED_LIMIT_MPS;

@@ -1,10 +1,12 @@
 //! The publishing end of a service.
 
 use std::mem::MaybeUninit;
+use std::ptr;
 use std::rc::Rc;
 
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::sample_mut_uninit::SampleMutUninit;
 
 use super::Ipc;
@@ -23,6 +25,8 @@ pub struct Publisher<M: Message> {
     bells: Vec<Rc<Notifier<Ipc>>>,
     sequence: u64,
     producer: u32,
+    /// The most bytes of a message that were ever sent.
+    used: usize,
 }
 
 impl<M: Message> Publisher<M> {
@@ -34,6 +38,7 @@ impl<M: Message> Publisher<M> {
             bells,
             sequence: 0,
             producer: std::process::id(),
+            used: 0,
         }
     }
 
@@ -56,8 +61,9 @@ impl<M: Message> Publisher<M> {
         let header = message.header_mut();
         header.sequence = sequence;
         header.producer = producer;
+        self.used = self.used.max(message.used_bytes());
         let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
-        sample.is_some_and(|sample| sample.write_payload(*message).send().is_ok())
+        sample.is_some_and(|sample| written(sample, message, self.used).send().is_ok())
     }
 
     /// Connects to readers that came since the last message, gives them the
@@ -72,6 +78,27 @@ impl<M: Message> Publisher<M> {
     }
 }
 
+/// Writes the first `used` bytes of the message, and no others: 2,048 beams of which a
+/// scanner has 240 cost a world at 100 Hz, whose caches are cold, several microseconds.
+fn written<M: Message>(
+    mut sample: SampleMutUninit<Ipc, MaybeUninit<M>, ()>,
+    message: &M,
+    used: usize,
+) -> SampleMut<Ipc, M, ()> {
+    let used = used.min(size_of::<M>());
+    // SAFETY: both pointers are to a whole `M`, of which `used` bytes are at most all; the
+    // sample's payload is ours alone until it is sent. The other bytes of the payload were
+    // never written, because `used` never decreases: they are the zeros with which the
+    // system made this publisher's memory. A message consists of numbers alone
+    // (`layout::Travels`), so that these bytes are one.
+    #[allow(unsafe_code)]
+    unsafe {
+        let payload = sample.payload_mut().as_mut_ptr();
+        ptr::copy_nonoverlapping(ptr::from_ref(message).cast::<u8>(), payload.cast(), used);
+        sample.assume_init()
+    }
+}
+
 impl<M: Message> Publisher<M> {
     /// Publishes a message that is written in place, over zeros: megabytes do not
     /// belong on a stack. Returns whether it was sent.
@@ -81,6 +108,7 @@ impl<M: Message> Publisher<M> {
     {
         self.sequence += 1;
         let (sequence, producer) = (self.sequence, self.producer);
+        self.used = size_of::<M>();
         let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
         let Some(mut sample) = sample else {
             return false;
