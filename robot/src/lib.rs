@@ -11,6 +11,7 @@
 //! | [`bicycle`] | a simulated car |
 //! | [`scan`](mod@scan) | fills the lidar of an observation |
 //! | [`route`] | road and checkpoints of a map and a pose, or of the scan alone |
+//! | [`estimate`] | the car's motion from wheels, IMU and scan, where nothing knows the truth |
 //! | [`ports`] | its ports |
 //! | [`account`] | the commands that moved a car in one episode |
 //!
@@ -55,6 +56,8 @@ mod door;
 pub mod driven;
 #[cfg(feature = "process")]
 pub mod entry;
+#[cfg(feature = "estimate")]
+pub mod estimate;
 #[cfg(feature = "process")]
 pub mod plant;
 #[cfg(feature = "process")]
