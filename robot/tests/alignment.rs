@@ -197,6 +197,38 @@ fn places_on_a_map_are_found_in_the_frame_of_the_map() {
 }
 
 #[test]
+fn a_common_error_is_added_to_the_directions_that_are_shown() {
+    let (begin, motion) = (pose(0.0, 0.0, -0.3), pose(0.1, 0.1, 0.02));
+    for walls in [room(), corridor(0.0)] {
+        let reference = seen(&fan(), &walls, &begin, None);
+        let current = seen(&fan(), &walls, &(begin * motion), None);
+        let found = align(&reference, &current, &Pose::identity()).expect("they fit");
+        let blurred = found.blurred(0.02);
+        let same = found.blurred(0.0).information - found.information;
+        assert!(same.amax() < 1e-9 * found.information.amax());
+        // At the lever all directions are metres.
+        let at_lever = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 1.0 / found.lever_m));
+        let variances = |information: &Matrix3<f64>| {
+            let eigenvalues = (at_lever * information * at_lever).symmetric_eigenvalues();
+            let mut variances: Vec<f64> = eigenvalues.iter().map(|it| 1.0 / it).collect();
+            variances.sort_by(f64::total_cmp);
+            variances[..found.observed].to_vec()
+        };
+        let (before, after) = (
+            variances(&found.information),
+            variances(&blurred.information),
+        );
+        if found.observed == 3 {
+            for (before, after) in before.iter().zip(&after) {
+                assert!((after - before - 4e-4).abs() < 1e-9, "{before} {after}");
+            }
+        }
+        let scale = (1.0 / 4e-4) * (1.0 + found.lever_m * found.lever_m);
+        assert!(blurred.information.amax() < scale);
+    }
+}
+
+#[test]
 fn a_car_in_the_scan_that_moves_pulls_little() {
     let car = |x: f64| {
         along(&points(&[

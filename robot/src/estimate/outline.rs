@@ -16,13 +16,16 @@ const OFF_LINE_M: f64 = 0.02;
 /// The line through a point of an outline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Line {
-    /// A point of it: the mean of those it is fitted to.
-    pub(super) middle: Point,
+    /// The point that it is through: of a curved wall the mean of its neighbours would be
+    /// beside the wall.
+    pub(super) place: Point,
     /// Its unit normal.
     pub(super) normal: Vector,
     /// Variance of its direction from the noise of the ranges, rad².
     pub(super) tilt_rad2: f64,
-    /// How far from the middle it is known, m.
+    /// Mean square distance of the neighbours from it, m²: by noise, or by a curve.
+    pub(super) off_m2: f64,
+    /// How far from the place it is known, m.
     pub(super) reach_m: f64,
 }
 
@@ -121,7 +124,8 @@ impl Outline {
 
     /// The line through a point and its neighbours, by least squares of the distances.
     fn line(&self, beam: usize) -> Option<Line> {
-        let mut places = [self.marks[beam]?.place; 2 * NEIGHBOURS + 1];
+        let own = self.marks[beam]?.place;
+        let mut places = [own; 2 * NEIGHBOURS + 1];
         let mut count = 1;
         for side in [-1, 1] {
             let mut at = beam;
@@ -153,14 +157,16 @@ impl Outline {
         let (half, apart) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
         let (along_m2, across_m2) = (half + apart, (half - apart).max(0.0));
         let limit_m = OFF_LINE_M + 2.0 * self.range_std_m;
-        if along_m2 <= 0.0 || across_m2 / count as f64 > limit_m * limit_m {
+        let off_m2 = across_m2 / count as f64;
+        if along_m2 <= 0.0 || off_m2 > limit_m * limit_m {
             return None;
         }
         let (sin, cos) = ((2.0 * xy).atan2(xx - yy) / 2.0).sin_cos();
-        let reach = |place: &Point| (place - middle).norm();
+        let reach = |place: &Point| (place - own).norm();
         Some(Line {
-            middle,
+            place: own,
             normal: Vector::new(-sin, cos),
+            off_m2,
             tilt_rad2: self.range_std_m.powi(2) / along_m2,
             reach_m: places.iter().map(reach).fold(0.0, f64::max),
         })
