@@ -25,11 +25,14 @@
 //! tests that the covariance is the one of the errors.
 //!
 //! ```
-//! use robot::estimate::{Filter, Measurement, Noise, Settings, Start};
+//! use robot::estimate::{Filter, Measurement, Noise, SPEED, Settings, Start};
 //! use shm_config::Instant;
 //!
 //! # fn main() -> Result<(), robot::estimate::EstimateError> {
-//! let mut filter = Filter::new(&Settings::default(), &Noise::default(), &Start::default())?;
+//! // A start that is wrong by many of its deviations would reject the wheels.
+//! let mut start = Start::default();
+//! start.mean[SPEED] = 2.0;
+//! let mut filter = Filter::new(&Settings::default(), &Noise::default(), &start)?;
 //! for tick in 1..=100_u64 {
 //!     let now = Instant(tick * 20_000_000);
 //!     // The IMU answers 40 ms late: its first data would be older than the filter.
