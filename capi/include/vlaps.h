@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 /* The hash of all layouts, codes and constants below. A library with another one refuses to join. */
-#define VLAPS_LAYOUT UINT64_C(0x65ff2fbdf765c3cc)
+#define VLAPS_LAYOUT UINT64_C(0x35dfdee7c1fc1802)
 
 #define VLAPS_BEAMS_MAX 2048
 #define VLAPS_WAYPOINTS_MAX 64
@@ -892,9 +892,11 @@ VLAPS_ASSERT(offsetof(vlaps_roster, pids) == 32, "vlaps_roster.pids");
 
 typedef struct vlaps_kept {
     vlaps_header header;
+    uint64_t steps;
 } vlaps_kept;
-VLAPS_ASSERT(sizeof(vlaps_kept) == 32, "vlaps_kept");
+VLAPS_ASSERT(sizeof(vlaps_kept) == 40, "vlaps_kept");
 VLAPS_ASSERT(offsetof(vlaps_kept, header) == 0, "vlaps_kept.header");
+VLAPS_ASSERT(offsetof(vlaps_kept, steps) == 32, "vlaps_kept.steps");
 
 typedef struct vlaps_fault {
     vlaps_header header;
