@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 use serde::Deserialize;
 use shm_config::config::Config;
-use supervisor::setup::metadrive::{home, python, sources};
+use supervisor::setup::foreign::{METADRIVE, python};
 
 /// Drives MetaDrive and prints its speed as JSON.
 const SCRIPT: &str = include_str!("../metadrive_speed.py");
@@ -48,7 +48,7 @@ pub fn measure(
 ) -> anyhow::Result<Attempt> {
     let home = match environment {
         Some(folder) => folder.to_path_buf(),
-        None => home()?,
+        None => METADRIVE.home()?,
     };
     let interpreter = python(&home);
     if !interpreter.is_file() {
@@ -64,7 +64,7 @@ pub fn measure(
     });
     let output = Command::new(&interpreter)
         .args(["-c", SCRIPT])
-        .arg(sources()?)
+        .arg(METADRIVE.sources()?)
         .arg(task.to_string())
         .stdin(Stdio::null())
         .output()

@@ -54,8 +54,8 @@ pub struct Eval {
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Number of threads; default: the number of cores. In MetaDrive, each thread runs
-    /// a simulator of its own.
+    /// Number of threads; default: the number of cores. In MetaDrive and ir-sim, each
+    /// thread runs a simulator of its own.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub threads: Option<NonZeroUsize>,
     /// Draw failed episodes into this folder, at most 50; they are driven again in the

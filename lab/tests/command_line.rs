@@ -119,6 +119,7 @@ fn mistakes_are_named_with_exit_code_2() {
             &["eval", "--world", "metadrive", "--driver", "idm"],
             "--driver idm",
         ),
+        (&["train", "--world", "ir-sim"], "--world ir-sim"),
         (&["draw", "mapp"], "map"),
         (&["draw", "map", "--seed", "3", "--out", "a.png"], ".svg"),
         (&["draw", "map", "--seed", "-3"], "a whole number from 0"),
@@ -150,16 +151,18 @@ fn mistakes_are_named_with_exit_code_2() {
 }
 
 #[test]
-fn an_evaluation_without_metadrive_says_what_to_run() {
-    let output = Command::new(env!("CARGO_BIN_EXE_vlaps-lab"))
-        .args(["eval", "--world", "metadrive", "--episodes", "1"])
-        .env("VLAPS_METADRIVE", scratch("no-metadrive"))
-        .output()
-        .expect("the program starts");
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{text}");
-    assert!(text.contains("./vlaps setup metadrive"), "{text}");
-    assert_eq!(text.lines().count(), 1, "{text}");
+fn an_evaluation_without_its_simulator_says_what_to_run() {
+    for (world, variable) in [("metadrive", "VLAPS_METADRIVE"), ("ir-sim", "VLAPS_IR_SIM")] {
+        let output = Command::new(env!("CARGO_BIN_EXE_vlaps-lab"))
+            .args(["eval", "--world", world, "--episodes", "1"])
+            .env(variable, scratch("no-simulator"))
+            .output()
+            .expect("the program starts");
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{text}");
+        assert!(text.contains(&format!("./vlaps setup {world}")), "{text}");
+        assert_eq!(text.lines().count(), 1, "{text}");
+    }
 }
 
 #[test]

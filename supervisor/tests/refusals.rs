@@ -121,7 +121,11 @@ fn a_program_that_cannot_be_started_is_refused_with_its_option() {
             assert_refused(&folder, &up(path), &[&told(path, why)]);
         }
     }
-    assert_refused(&folder, &["up", "--world", "smi"], &["sim", "metadrive"]);
+    assert_refused(
+        &folder,
+        &["up", "--world", "smi"],
+        &["sim", "metadrive", "ir-sim"],
+    );
     assert_refused(
         &folder,
         &["up", "--set", "programs.world=./plain"],

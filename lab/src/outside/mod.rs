@@ -1,4 +1,4 @@
-//! Drives many episodes in a world that is a separate process: the real MetaDrive.
+//! Drives many episodes in a world that is a separate process: the real MetaDrive, or ir-sim.
 //!
 //! Each thread starts one world for its share of the seeds, as a run of its own, and
 //! answers every observation in lockstep, as the controller does.
@@ -16,6 +16,7 @@ use shm_config::config::{Clock as RunClock, Config, GateMode, Simulator};
 use shm_config::message::Episode;
 use supervisor::cli::failure::Failure;
 use supervisor::machine::signals::Signals;
+use supervisor::setup::foreign::Foreign;
 
 use crate::episodes::{Drives, Task};
 use stack::Clock;
@@ -34,11 +35,11 @@ struct Share {
     episodes: u64,
 }
 
-/// Drives all episodes in the real MetaDrive; calls `done` with each finished episode, in
+/// Drives all episodes in the simulator of the task; calls `done` with each finished episode, in
 /// any order. A signal to stop ends all worlds.
 ///
 /// # Errors
-/// If the driver needs the built-in world, MetaDrive is not set up, a world ends early,
+/// If the driver needs the built-in world, the simulator is not set up, a world ends early,
 /// or a stop is requested.
 pub fn evaluate(
     task: &Task,
@@ -47,11 +48,15 @@ pub fn evaluate(
     mut done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
     if task.driver == DriverKind::Idm {
-        let line = "--driver idm: it needs the built-in world; with --world metadrive \
-            use expert or lane";
-        return Err(Failure::Usage(line.into()).into());
+        let world = task.world.word();
+        let line = format!(
+            "--driver idm: it needs the built-in world; with --world {world} use expert or lane"
+        );
+        return Err(Failure::Usage(line).into());
     }
-    let program = supervisor::setup::metadrive::world()?;
+    let simulator = Simulator::from(task.world);
+    let foreign = Foreign::of(simulator).context("a simulator with a process of its own")?;
+    let program = foreign.world()?;
     let mut signals = Signals::install().context("cannot handle signals")?;
     let (send, ended) = mpsc::channel();
     let stop = AtomicBool::new(false);
@@ -59,7 +64,7 @@ pub fn evaluate(
         let workers: Vec<_> = (shares(task).into_iter().enumerate())
             .map(|(index, share)| {
                 let (program, stop, send) = (&program, &stop, send.clone());
-                let config = resolved(config, index, share);
+                let config = resolved(config, simulator, (index, share));
                 scope.spawn(move || {
                     let driven = drive::drive(task.driver, (&config?, program), clock, stop, &send);
                     // Without this world's figures, those of the others are useless.
@@ -113,7 +118,11 @@ fn shares(task: &Task) -> Vec<Share> {
 }
 
 /// The configuration for the run of one world.
-fn resolved(config: &Config, index: usize, share: Share) -> anyhow::Result<Config> {
+fn resolved(
+    config: &Config,
+    simulator: Simulator,
+    (index, share): (usize, Share),
+) -> anyhow::Result<Config> {
     let mut config = config.clone();
     config.run.name = format!("eval-{}-{index}", std::process::id());
     config.run.clock = RunClock::Lockstep;
@@ -121,7 +130,7 @@ fn resolved(config: &Config, index: usize, share: Share) -> anyhow::Result<Confi
     config.run.episodes = u32::try_from(share.episodes).context("--episodes")?;
     config.run.duration_s = 0.0;
     config.limits.lockstep_wait_s = PATIENCE_S;
-    config.world.simulator = Simulator::MetaDrive;
+    config.world.simulator = simulator;
     config.gate.mode = GateMode::Expert;
     // MetaDrive refuses another car than its own.
     Ok(config.validated()?)

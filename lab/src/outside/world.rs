@@ -67,7 +67,7 @@ impl WorldProcess {
         let mut lines = text.lines().rev().map(str::trim);
         let last = lines.find(|line| !line.is_empty());
         let last = last.unwrap_or("no output");
-        Failure::GivenUp(format!("MetaDrive's world ended early, {how}: {last}"))
+        Failure::GivenUp(format!("the simulator's world ended early, {how}: {last}"))
     }
 }
 

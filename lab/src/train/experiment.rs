@@ -99,6 +99,11 @@ impl Experiment {
             .clone()
             .unwrap_or_default()
             .with(arguments, &given, &out);
+        if asked.world == WorldChoice::IrSim {
+            let line = "--world ir-sim: policies are trained in sim or metadrive, whose tasks \
+                are the same; ./vlaps up and ./vlaps eval drive in ir-sim";
+            return Err(Failure::Usage(line.into()).into());
+        }
         if let Some(begun) = begun {
             begun.check_extends(&asked, &out)?;
         }

@@ -12,13 +12,16 @@ pub enum Simulator {
     /// The real MetaDrive, as `./vlaps setup metadrive` installs it.
     #[serde(rename = "metadrive")]
     MetaDrive,
+    /// ir-sim, as `./vlaps setup ir-sim` installs it.
+    #[serde(rename = "ir-sim")]
+    IrSim,
 }
 
 /// The world; the defaults are the paper's experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct World {
-    /// The simulator: sim, the built-in world; or metadrive, the real one.
+    /// The simulator: sim, the built-in world; metadrive, the real one; or ir-sim.
     pub simulator: Simulator,
     /// Instants of the world per second, at each of which it moves and publishes: a
     /// multiple of run.rate_hz up to 1000; 0 for the same rate. At any rate, traffic
@@ -62,7 +65,7 @@ impl World {
     /// with `[vehicle]` and `[scanner]`, and would otherwise plan for another car than
     /// the one that drives.
     fn check_obeys(&self, vehicle: &Vehicle, scanner: &Scanner) -> Result<(), OutOfRange> {
-        if self.simulator == Simulator::BuiltIn {
+        if self.simulator != Simulator::MetaDrive {
             return Ok(());
         }
         let (car, own) = (Vehicle::default(), Scanner::default());

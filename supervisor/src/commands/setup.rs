@@ -5,17 +5,18 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use crate::cli::failure::Failure;
-use crate::setup::{install, onnxruntime, package};
+use crate::setup::{install, irsim, onnxruntime, package};
 
 /// Install what an optional part needs.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Does only what is missing, so it may be repeated; with another --checkout, or \
-        without, it replaces the MetaDrive that is there. It installs into target/metadrive; \
-        the environment variable VLAPS_METADRIVE names another folder, for setup, up, eval and \
-        bench alike.\n\n\
+        without, it replaces the MetaDrive that is there. It installs into target/metadrive and \
+        target/ir-sim; the environment variables VLAPS_METADRIVE and VLAPS_IR_SIM name other \
+        folders, for setup, up, eval and bench alike.\n\n\
         Examples:\n  \
         ./vlaps setup metadrive\n  \
+        ./vlaps setup ir-sim\n  \
         ./vlaps setup onnxruntime\n  \
         ./vlaps setup python && target/python/bin/python -c 'import vlaps'\n  \
         VLAPS_METADRIVE=$HOME/md-c29 ./vlaps setup metadrive --checkout ../metadrive"
@@ -41,6 +42,8 @@ pub struct Setup {
 pub enum Part {
     /// The real MetaDrive as world: a Python environment of about 1 GB.
     Metadrive,
+    /// The simulator ir-sim as world: a Python environment of about 400 MB.
+    IrSim,
     /// ONNX Runtime, for policies that are no chain of layers: 60 MB.
     Onnxruntime,
     /// The Python package vlaps, built and installed into target/python: 150 MB.
@@ -56,6 +59,7 @@ pub fn setup(arguments: &Setup) -> Result<(), Failure> {
         Part::Metadrive => {
             install::install_metadrive(arguments.python.as_deref(), arguments.checkout.as_deref())
         }
+        Part::IrSim => irsim::setup(arguments.python.as_deref()),
         Part::Onnxruntime => onnxruntime::setup(arguments.python.as_deref()),
         Part::Python => package::setup(arguments.python.as_deref()),
     }

@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
 use crate::setup::checkout::{Checkout, installed};
-use crate::setup::metadrive::{DONE, home, python, sources};
+use crate::setup::foreign::{DONE, METADRIVE, python};
 use crate::setup::pip::{last_line, output_of};
 
 /// The only Python version that has packages of MetaDrive's graphics engine and can
@@ -23,8 +23,7 @@ const RELEASE: &str = "metadrive-simulator";
 /// One line that says which step failed, why, and what to do.
 pub fn install_metadrive(wanted: Option<&Path>, checkout: Option<&Path>) -> Result<(), Failure> {
     let checkout = checkout.map(Checkout::open).transpose()?;
-    let sources = sources()?;
-    let home = home()?;
+    let (sources, home) = (METADRIVE.sources()?, METADRIVE.home()?);
     let required = sources.join("requirements.txt");
     let required_text = fs::read_to_string(&required)
         .map_err(|error| Failure::GivenUp(format!("{}: {error}", required.display())))?;

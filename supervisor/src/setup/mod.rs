@@ -1,9 +1,11 @@
-//! Optional parts that need more than a build: MetaDrive, ONNX Runtime, the Python package,
-//! programs of a user.
+//! Optional parts that need more than a build: MetaDrive, ir-sim, ONNX Runtime, the Python
+//! package, programs of a user.
 
 pub mod checkout;
+pub mod environment;
+pub mod foreign;
 pub mod install;
-pub mod metadrive;
+pub mod irsim;
 pub mod onnxruntime;
 pub mod own_programs;
 pub mod package;

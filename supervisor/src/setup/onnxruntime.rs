@@ -1,12 +1,12 @@
 //! `setup onnxruntime`: installs the library that runs policies which are not a chain
 //! of layers, from its Python package.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
-use crate::machine::programs::own_folder;
+use crate::setup::foreign::beside_the_build;
 use crate::setup::pip::{last_line, output_of};
 
 /// The package in the version for which the controller is built.
@@ -14,19 +14,13 @@ const PACKAGE: &str = "onnxruntime==1.31.1";
 /// The path of the library in it.
 const LIBRARY: &str = "onnxruntime/capi";
 
-/// Its folder, beside the build's own, where the controller expects it.
-fn home() -> Result<PathBuf, Failure> {
-    let release = own_folder()
-        .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
-    Ok(release.parent().unwrap_or(&release).join("onnxruntime"))
-}
-
 /// Installs the package into a folder of its own, if it is not there.
 ///
 /// # Errors
 /// One line that says which step failed, why, and what to do.
 pub fn setup(python: Option<&Path>) -> Result<(), Failure> {
-    let home = home()?;
+    // Beside the build's own folder, where the controller expects it.
+    let home = beside_the_build("onnxruntime")?;
     if !has_library(&home) {
         let python = python.unwrap_or(Path::new("python3"));
         say(format_args!("installing {PACKAGE} into {}", home.display()));

@@ -3,27 +3,27 @@
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{Access, access};
-use shm_config::config::{Config, Simulator};
+use shm_config::config::Config;
 use shm_config::services::Process;
 use shm_config::text::printable;
 
 use crate::cli::failure::Failure;
 use crate::set::launch::Program;
-use crate::setup::metadrive;
+use crate::setup::foreign::Foreign;
 
 /// The processes that may be a user's program.
 const REPLACEABLE: [Process; 3] = [Process::World, Process::Planner, Process::Gate];
 
-/// The programs of a run that are not those of the build: the user's, and MetaDrive.
+/// The programs of a run that are not those of the build: the user's, and a simulator that
+/// is not the built-in one.
 ///
 /// # Errors
 /// When one of them cannot be started.
 pub fn of_run(config: &Config) -> Result<Vec<Program>, Failure> {
     let mut programs = of(config)?;
     let has_world = config.programs.of(Process::World).is_some();
-    match config.world.simulator {
-        Simulator::MetaDrive if !has_world => programs.push(metadrive::world()?),
-        Simulator::MetaDrive | Simulator::BuiltIn => {}
+    if let (false, Some(foreign)) = (has_world, Foreign::of(config.world.simulator)) {
+        programs.push(foreign.world()?);
     }
     Ok(programs)
 }

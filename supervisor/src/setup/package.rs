@@ -6,9 +6,8 @@ use std::process::Command;
 
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
-use crate::machine::programs::own_folder;
-use crate::setup::metadrive::{python, sources};
-use crate::setup::pip::{last_line, output_of};
+use crate::setup::environment::{Steps, make_environment};
+use crate::setup::foreign::{beside_the_build, python, root};
 
 /// What builds, runs and tests the package.
 const REQUIRED: [&str; 4] = [
@@ -20,25 +19,25 @@ const REQUIRED: [&str; 4] = [
 /// One step of one environment, which also compares the interpreter with the least one.
 const CHECK: &str = "import sys, vlaps; env = vlaps.MetaDriveEnv(); env.reset(seed=0); \
      env.step([0.0, 0.5]); print('vlaps', vlaps.__version__, 'on Python', sys.version.split()[0])";
-/// Fails on a Python that the package is not built for.
-const LEAST: &str = "import sys; sys.exit(sys.version_info < (3, 10) and 'Python 3.10 or later is \
-     needed, and this is ' + sys.version.split()[0])";
+/// The first Python that the package is built for.
+const LEAST: (u32, u32) = (3, 10);
+const STEPS: Steps = Steps("python");
 
 /// Builds the package's wheel and installs it with what it needs.
 ///
 /// # Errors
 /// One line that says which step failed, why, and what to do.
 pub fn setup(wanted: Option<&Path>) -> Result<(), Failure> {
-    let home = home()?;
-    let manifest = sources()?.join("../../python/Cargo.toml");
+    let home = beside_the_build("python")?;
+    let manifest = root().join("python/Cargo.toml");
     let interpreter = python(&home);
     if !interpreter.is_file() {
-        make_environment(wanted.unwrap_or(Path::new("python3")), &home)?;
+        make_environment(STEPS, (wanted, LEAST), &home)?;
     }
     say("installing maturin, numpy, gymnasium and pytest");
     let pip = ["-m", "pip", "install", "--quiet"];
     let advice = "check the network and, behind a proxy or mirror, `pip config list`";
-    step(
+    STEPS.run(
         Command::new(&interpreter).args(pip).args(REQUIRED),
         "cannot install what the package needs",
         advice,
@@ -47,7 +46,7 @@ pub fn setup(wanted: Option<&Path>) -> Result<(), Failure> {
     let wheels = home.join("wheels");
     // Only the wheel of this build is installed.
     let _ = fs::remove_dir_all(&wheels);
-    step(
+    STEPS.run(
         Command::new(&interpreter)
             .args([
                 "-m",
@@ -64,7 +63,7 @@ pub fn setup(wanted: Option<&Path>) -> Result<(), Failure> {
         "cannot build the wheel",
         "check that cargo is on PATH",
     )?;
-    step(
+    STEPS.run(
         Command::new(&interpreter)
             .args(pip)
             .args(["--force-reinstall", "--no-deps"])
@@ -72,39 +71,13 @@ pub fn setup(wanted: Option<&Path>) -> Result<(), Failure> {
         "cannot install the wheel",
         advice,
     )?;
-    let output = step(
+    let output = STEPS.run(
         Command::new(&interpreter).args(["-c", CHECK]),
         "the package does not run",
         "remove target/python",
     )?;
     say(output.trim());
     say(format_args!("ready: {}", interpreter.display()));
-    Ok(())
-}
-
-/// The folder of the environment: beside the build's own folder.
-fn home() -> Result<PathBuf, Failure> {
-    let release = own_folder()
-        .map_err(|error| Failure::GivenUp(format!("cannot find the build's folder: {error}")))?;
-    Ok(release.parent().unwrap_or(&release).join("python"))
-}
-
-fn make_environment(base: &Path, home: &Path) -> Result<(), Failure> {
-    let advice =
-        "name another Python with --python FILE; on Debian, python3-venv must be installed";
-    let what = format!("{} cannot be used", base.display());
-    step(Command::new(base).args(["-c", LEAST]), &what, advice)?;
-    say(format_args!(
-        "making a Python environment in {} with {}",
-        home.display(),
-        base.display()
-    ));
-    let what = format!("{}: cannot make a Python environment", home.display());
-    step(
-        Command::new(base).args(["-m", "venv"]).arg(home),
-        &what,
-        advice,
-    )?;
     Ok(())
 }
 
@@ -115,16 +88,4 @@ fn files_of(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     entries
         .map(|entry| entry.map(|entry| entry.path()).map_err(unreadable))
         .collect()
-}
-
-/// Runs a step and returns its output.
-fn step(command: &mut Command, what: &str, advice: &str) -> Result<String, Failure> {
-    let output = output_of(command)?;
-    match output.status.success() {
-        true => Ok(String::from_utf8_lossy(&output.stdout).into_owned()),
-        false => Err(Failure::GivenUp(format!(
-            "{what}: {}; {advice}, then run ./vlaps setup python again",
-            last_line(&output)
-        ))),
-    }
 }

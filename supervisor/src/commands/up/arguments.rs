@@ -50,8 +50,8 @@ pub struct Up {
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
     pub lockstep: bool,
-    /// The world: sim, the built-in one; metadrive, which needs `./vlaps setup metadrive`
-    /// once; or a program of yours, as a path with a '/'.
+    /// The world: sim, the built-in one; metadrive or ir-sim, which need `./vlaps setup
+    /// metadrive` or `./vlaps setup ir-sim` once; or a program of yours, as a path with a '/'.
     #[arg(long, value_name = "WHICH|PROGRAM", value_parser = WorldOrProgram)]
     pub world: Option<UpWorld>,
     /// How the expert plans; the paper's RRT* without it.
@@ -244,6 +244,8 @@ pub enum WorldChoice {
     Sim,
     /// The real MetaDrive; see `./vlaps setup metadrive`.
     Metadrive,
+    /// ir-sim; see `./vlaps setup ir-sim`.
+    IrSim,
 }
 
 impl WorldChoice {
@@ -252,6 +254,7 @@ impl WorldChoice {
         match self {
             Self::Sim => "sim",
             Self::Metadrive => "metadrive",
+            Self::IrSim => "ir-sim",
         }
     }
 
@@ -260,6 +263,7 @@ impl WorldChoice {
         match self {
             Self::Sim => "the built-in world",
             Self::Metadrive => "MetaDrive",
+            Self::IrSim => "ir-sim",
         }
     }
 }
@@ -269,6 +273,7 @@ impl From<WorldChoice> for Simulator {
         match choice {
             WorldChoice::Sim => Self::BuiltIn,
             WorldChoice::Metadrive => Self::MetaDrive,
+            WorldChoice::IrSim => Self::IrSim,
         }
     }
 }
