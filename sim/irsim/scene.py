@@ -146,6 +146,12 @@ class Scene:
         return bool(self.robot.collision_flag)
 
     @property
+    def touched(self) -> str:
+        """What it touches, in words."""
+        shapes = [touched.shape for touched in self.robot.collision_obj]
+        return "a wall" if "linestring" in shapes else "an obstacle"
+
+    @property
     def arrives(self) -> bool:
         """Whether the car is at the goal, as ir-sim says."""
         return bool(self.robot.arrive_flag)

@@ -95,7 +95,9 @@ def main() -> None:
             # Half a tick, since the sum is rounded.
             is_late = elapsed_s > horizon_s - 0.5 / run_hz
             progress.outcome = outcome(scene, is_late)
-        progress.object_contacts += scene.touches
+        if scene.touches:
+            progress.object_contacts += 1
+            print(f"seed {tick.seed}: touches {scene.touched} at {scene.along_m:.1f} m", flush=True)
         progress.completion = max(0.0, min(scene.completion, 1.0))
         progress.speed_mps = scene.speed_mps
         observe(scene, seen)
