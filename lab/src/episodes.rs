@@ -55,9 +55,7 @@ pub fn evaluate(
 ) -> anyhow::Result<Drives> {
     match task.world {
         WorldChoice::Sim => evaluate_inside(task, config, (clock, &Stop::default()), done),
-        WorldChoice::Metadrive | WorldChoice::IrSim => {
-            outside::evaluate(task, config, clock, done)
-        }
+        WorldChoice::Metadrive | WorldChoice::IrSim => outside::evaluate(task, config, clock, done),
     }
 }
 

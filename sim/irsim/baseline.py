@@ -23,6 +23,9 @@ from shapely import LineString
 
 #: The horizon of the default configuration, s: 1,500 ticks at 10 Hz.
 HORIZON_S = 150.0
+#: Cells of the map of A* across half of the road. What is left of the narrowest gap is a
+#: sixth of the road, and has to hold whole cells.
+CELLS = 8
 
 
 def middle_line(course: Course) -> list[list[float]]:
@@ -58,7 +61,7 @@ def search_map(course: Course, car: Car) -> dict:
 def searched(course: Course, car: Car) -> list[list[float]]:
     """Way points of ir-sim's A*. Empty when it finds no way."""
     scene = environment(search_map(course, car), 0)
-    grid = scene.get_map(resolution=car.width_m)
+    grid = scene.get_map(resolution=course.half_width_m / CELLS)
     planner = AStarPlanner(grid)
     # It says how it went on standard output.
     with contextlib.redirect_stdout(io.StringIO()):
