@@ -5,8 +5,8 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use robot::driven::Driven;
 use robot::clock::Begin;
+use robot::driven::Driven;
 use robot::process::run;
 use robot::{Action, Bicycle, Observation, Point, Reading, Robot, Status, scan};
 use runtime::{Arguments, Member, SetUpError, exit_code};

@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use runtime::{Member, SetUpError, TickLoop};
-use shm_config::{Instant, Message};
 use shm_config::message::Learning;
+use shm_config::{Instant, Message};
 
 use crate::ports::LearnerPorts;
 use crate::{Controller, Exchanged, Loader, TickEnd};

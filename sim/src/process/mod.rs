@@ -5,8 +5,8 @@ use shm_config::config::{Config, DECISION_HZ};
 use shm_config::message::{Command, Episode, Observation, Outcome, Progress};
 
 use robot::Reading;
-use robot::plant::{Moment, Plant};
 use robot::clock::Begin;
+use robot::plant::{Moment, Plant};
 
 use crate::render_thread::{LogWriter, Move, RenderThread, Seen};
 use crate::score::Score;
