@@ -28,11 +28,21 @@ impl Beams {
         observation: &'a Observation,
     ) -> impl Iterator<Item = Point> + 'a {
         let mount_body = observation.fan().mount_body;
-        observation
-            .ranges()
-            .iter()
-            .zip(&self.directions_body)
-            .filter(|&(&range_m, _)| range_m < observation.lidar_max_m)
-            .map(move |(&range_m, direction)| mount_body + direction * f64::from(range_m))
+        let beams = 0..observation.ranges().len();
+        beams.filter_map(move |beam| self.hit(observation, mount_body, beam))
+    }
+
+    /// The point that a beam hit, from a scanner that is mounted there; `None` when it hit
+    /// nothing.
+    pub(crate) fn hit(
+        &self,
+        observation: &Observation,
+        mount_body: Point,
+        beam: usize,
+    ) -> Option<Point> {
+        let range_m = *observation.ranges().get(beam)?;
+        let direction = self.directions_body.get(beam)?;
+        let is_hit = range_m < observation.lidar_max_m;
+        is_hit.then(|| mount_body + direction * f64::from(range_m))
     }
 }

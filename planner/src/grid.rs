@@ -179,11 +179,15 @@ impl Grid {
 
     /// Marks what the lidar saw.
     fn stamp_returns(&mut self, observation: &Observation) {
-        // The beams are taken out so that the rows can be written while they are read.
-        let mut beams = core::mem::take(&mut self.beams);
-        beams.prepare(observation.fan());
+        let fan = observation.fan();
+        self.beams.prepare(fan);
         let mut last = None;
-        for return_body in beams.returns(observation) {
+        for beam in 0..fan.beams {
+            // One by one, so that the rows can be written between: the directions of 2,048
+            // beams have 32 kB and are never moved.
+            let Some(return_body) = self.beams.hit(observation, fan.mount_body, beam) else {
+                continue;
+            };
             let cell = self.signed_cell(return_body);
             // Near obstacles put many beams into one cell.
             if last.replace(cell) == Some(cell) {
@@ -197,7 +201,6 @@ impl Grid {
                 self.stamp(cell.0, cell.1 - 1);
             }
         }
-        self.beams = beams;
     }
 
     /// Column and row, the row counted from the x axis: 0 is the first on the
