@@ -92,7 +92,7 @@ def drive(course: Course, car: Car, way: list[list[float]], arguments: argparse.
         if scene.robot.collision_flag:
             touched = scene.robot.collision_obj[0].shape
             return ("wall" if touched == "linestring" else "obstacle"), step * SUB_STEP_S, share
-        # The goal has the reach of the course, whatever that of the way points.
+        # The goal counts as reached at the same distance for every choice of way points.
         near = math.dist((x_m, y_m), course.at(course.goal_m)[:2]) < course.half_width_m
         if scene.robot.arrive_flag or near:
             return "arrived", step * SUB_STEP_S, share

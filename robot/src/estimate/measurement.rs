@@ -42,7 +42,7 @@ pub enum Measurement {
         /// observed has none.
         information: Matrix3<f64>,
     },
-    /// The pose of this instant, whatever it is, is where the next motions begin.
+    /// The next motions begin at the pose of this instant.
     Keyframe,
 }
 
