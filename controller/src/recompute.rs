@@ -200,16 +200,16 @@ fn inputs(recorded: &Step) -> Inputs {
     };
     let came = |entry: &Entry| entry.admission() == Admission::Admitted;
     if came(&recorded.observation_entry) {
-        inputs.observation = Some(recorded.observation);
+        inputs.observation.keep(&recorded.observation);
     }
     if came(&recorded.plan_entry) {
-        inputs.plan = Some(recorded.plan);
+        inputs.plan.keep(&recorded.plan);
     }
     if came(&recorded.advice_entry) {
-        inputs.advice = Some(recorded.advice);
+        inputs.advice.keep(&recorded.advice);
     }
     if came(&recorded.takeover_entry) {
-        inputs.takeover = Some(recorded.takeover);
+        inputs.takeover.keep(&recorded.takeover);
     }
     inputs.admitted.observation_ns = recorded.observation_entry.port_ns;
     inputs.admitted.plan_ns = recorded.plan_entry.port_ns;

@@ -4,8 +4,8 @@ use safety::{Scene, assess};
 #[cfg(feature = "std")]
 use shm_config::config::Config;
 use shm_config::message::{
-    Admission, Advice, Assessment, Before, Command, Driver, Entry, Intent, Lateness, Observation,
-    Plan, Proposal, Reason, ShadowProposal, Stage, Step, Takeover,
+    Admission, Advice, Assessment, Before, Command, Driver, Entry, Intent, Lateness, Newest,
+    Observation, Plan, Proposal, Reason, ShadowProposal, Stage, Step, Takeover,
 };
 use shm_config::settings::{self, GateMode, Late, SafetyLimits};
 use shm_config::{Instant, Message};
@@ -15,20 +15,31 @@ use crate::{ArbitrationInput, Choice, Pd, Transfer, choose};
 
 /// What came since the last tick. The ports have refused what was inadmissible when it
 /// was read; the tick decides at a later instant, and checks each message again.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct Inputs {
     /// The newest observation.
-    pub observation: Option<Observation>,
+    pub observation: Newest<Observation>,
     /// The newest plan.
-    pub plan: Option<Plan>,
+    pub plan: Newest<Plan>,
     /// The newest advice.
-    pub advice: Option<Advice>,
+    pub advice: Newest<Advice>,
     /// The newest takeover message.
-    pub takeover: Option<Takeover>,
+    pub takeover: Newest<Takeover>,
     /// When the ports admitted them.
     pub admitted: AdmittedAt,
     /// Messages that the ports have refused since the last tick.
     pub refused: u64,
+}
+
+impl Inputs {
+    /// Forgets the messages: nothing has come since the tick.
+    pub fn clear(&mut self) {
+        self.observation.clear();
+        self.plan.clear();
+        self.advice.clear();
+        self.takeover.clear();
+        (self.admitted, self.refused) = Default::default();
+    }
 }
 
 /// The clock reads at which the ports admitted the inputs of a tick, ns; what did not
@@ -355,15 +366,15 @@ impl Arbiter {
 /// Admits what came into its place in the step, where the last good one stays
 /// otherwise; with the tick's instant and the message's age limit, ns.
 fn admit<M: Message>(
-    input: &Option<M>,
+    input: &Newest<M>,
     held: &mut M,
     (now, limit_ns): (Instant, u64),
 ) -> Admission {
-    match input {
+    match input.get() {
         None => Admission::Absent,
         Some(message) => match message.admit(now, limit_ns) {
             Ok(()) => {
-                *held = *message;
+                held.assign(message);
                 Admission::Admitted
             }
             Err(_) => Admission::Refused,

@@ -83,7 +83,7 @@ impl Car {
             (observation.road.left_m, observation.road.right_m) = (5.0, 5.0);
             observation.header.taken_ns = now.0;
             let inputs = Inputs {
-                observation: Some(observation),
+                observation: observation.into(),
                 ..Inputs::default()
             };
             self.controller.tick(&inputs, self.tick, now, Intent::Drive);
@@ -110,8 +110,8 @@ impl Car {
 fn reason(car: &mut Car) -> Option<Reason> {
     let now = Instant(car.tick * 100_000_000);
     let inputs = Inputs {
-        observation: Some(road::observation(now)),
-        plan: Some(road::plan(now, 0.0)),
+        observation: road::observation(now).into(),
+        plan: road::plan(now, 0.0).into(),
         ..Inputs::default()
     };
     car.controller.tick(&inputs, car.tick, now, Intent::Drive);

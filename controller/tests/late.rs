@@ -18,8 +18,8 @@ fn answer(policy: Late) -> (Command, Command, bool) {
     config.deadlines.controller = policy;
     let mut controller = Controller::new(config, PolicySlot::new(None));
     let inputs = Inputs {
-        observation: Some(observation(NOW)),
-        plan: Some(plan(NOW, 0.3)),
+        observation: observation(NOW).into(),
+        plan: plan(NOW, 0.3).into(),
         ..Inputs::default()
     };
     let decided = controller.tick(&inputs, 7, NOW, Intent::Drive).command;

@@ -52,8 +52,8 @@ impl Seat {
     /// One tick later, with everything fresh, and what the person said of late.
     fn tick(&mut self, takeover: Option<Takeover>) -> Step {
         let inputs = Inputs {
-            observation: Some(observation(self.now)),
-            plan: Some(plan(self.now, 0.0)),
+            observation: observation(self.now).into(),
+            plan: plan(self.now, 0.0).into(),
             takeover,
             ..Inputs::default()
         };
@@ -151,8 +151,8 @@ fn without_a_policy_the_planned_expert_drives_between_takeovers() {
 fn the_judge_vetoes_the_policy_and_not_the_person_but_judges_both() {
     let mut seat = Seat::new(GateMode::Human, true);
     let mut inputs = Inputs {
-        observation: Some(wall(seat.now)),
-        plan: Some(plan(seat.now, 0.0)),
+        observation: wall(seat.now).into(),
+        plan: plan(seat.now, 0.0).into(),
         ..Inputs::default()
     };
     let step = seat.tick_on(&inputs, Intent::Drive);
@@ -171,16 +171,16 @@ fn the_judge_vetoes_the_policy_and_not_the_person_but_judges_both() {
 fn a_person_needs_no_plan_but_does_not_drive_blind_nor_past_the_end() {
     let mut seat = Seat::new(GateMode::Human, true);
     let unplanned = Inputs {
-        observation: Some(observation(seat.now)),
-        takeover: Some(takeover(1, seat.now)),
+        observation: observation(seat.now).into(),
+        takeover: takeover(1, seat.now).into(),
         ..Inputs::default()
     };
     let step = seat.tick_on(&unplanned, Intent::Drive);
     assert_drove(&step, Driver::Expert, Reason::Takeover);
 
     let ending = Inputs {
-        observation: Some(observation(seat.now)),
-        takeover: Some(takeover(1, seat.now)),
+        observation: observation(seat.now).into(),
+        takeover: takeover(1, seat.now).into(),
         ..Inputs::default()
     };
     let step = seat.tick_on(&ending, Intent::Stop);
@@ -189,7 +189,7 @@ fn a_person_needs_no_plan_but_does_not_drive_blind_nor_past_the_end() {
 
     seat.now = seat.now.after_ns(10 * TICK_NS);
     let blind = Inputs {
-        takeover: Some(takeover(1, seat.now)),
+        takeover: takeover(1, seat.now).into(),
         ..Inputs::default()
     };
     let step = seat.tick_on(&blind, Intent::Drive);
@@ -269,8 +269,8 @@ fn the_way_back_from_a_takeover_by_distance_is_not_eased() {
     };
     let mut tick = |left_m: f64| {
         let inputs = Inputs {
-            observation: Some(observation(seat.now)),
-            plan: Some(plan(seat.now, left_m)),
+            observation: observation(seat.now).into(),
+            plan: plan(seat.now, left_m).into(),
             ..Inputs::default()
         };
         seat.tick_on(&inputs, Intent::Drive)

@@ -32,8 +32,8 @@ fn advice(preference: Preference, until: Instant) -> Advice {
 
 fn inputs() -> Inputs {
     Inputs {
-        observation: Some(observation(NOW)),
-        plan: Some(plan(NOW)),
+        observation: observation(NOW).into(),
+        plan: plan(NOW).into(),
         ..Inputs::default()
     }
 }
@@ -107,7 +107,10 @@ fn the_switch_law_follows_valid_advice_only() {
         ),
     ];
     for (advice, driver, reason) in rows {
-        let inputs = Inputs { advice, ..inputs() };
+        let inputs = Inputs {
+            advice: advice.into(),
+            ..inputs()
+        };
         let step = drive(&mut controller(GateMode::Rules, Some(AHEAD)), &inputs);
         assert_eq!(
             (step.driver(), step.reason()),
@@ -124,7 +127,7 @@ fn the_switch_law_follows_valid_advice_only() {
     let step = drive(
         &mut controller,
         &Inputs {
-            advice: Some(unknown),
+            advice: unknown.into(),
             ..inputs()
         },
     );
@@ -149,7 +152,7 @@ fn a_policy_that_is_not_finite_or_not_safe_does_not_drive() {
 
     // A wall of returns two metres before the bumper: the policy holds its speed.
     let inputs = Inputs {
-        observation: Some(wall(NOW)),
+        observation: wall(NOW).into(),
         ..inputs()
     };
     let step = drive(&mut controller(GateMode::Policy, Some(AHEAD)), &inputs);
@@ -197,7 +200,7 @@ fn no_plan_or_a_blocked_one_brakes() {
     let step = drive(
         &mut controller(GateMode::Expert, None),
         &Inputs {
-            plan: None,
+            plan: None.into(),
             ..inputs()
         },
     );
@@ -212,7 +215,7 @@ fn no_plan_or_a_blocked_one_brakes() {
     let step = drive(
         &mut controller(GateMode::Expert, None),
         &Inputs {
-            plan: Some(blocked),
+            plan: blocked.into(),
             ..inputs()
         },
     );
@@ -230,7 +233,7 @@ fn no_plan_or_a_blocked_one_brakes() {
     let step = drive(
         &mut controller(GateMode::Expert, None),
         &Inputs {
-            plan: Some(old_episode),
+            plan: old_episode.into(),
             ..inputs()
         },
     );
@@ -259,7 +262,7 @@ fn bad_observations_are_refused_and_the_last_good_one_stays() {
         let step = drive(
             &mut controller,
             &Inputs {
-                observation: Some(bad),
+                observation: bad.into(),
                 ..inputs()
             },
         );
@@ -289,7 +292,7 @@ fn derivatives_do_not_kick_on_the_first_tick_or_a_new_goal() {
     let step = drive(
         &mut controller,
         &Inputs {
-            observation: Some(slow),
+            observation: slow.into(),
             ..inputs()
         },
     );
@@ -300,8 +303,8 @@ fn derivatives_do_not_kick_on_the_first_tick_or_a_new_goal() {
     let mut faster = observation(later);
     faster.ego.speed_mps = 0.2;
     let next = Inputs {
-        observation: Some(faster),
-        plan: Some(plan(later)),
+        observation: faster.into(),
+        plan: plan(later).into(),
         ..Inputs::default()
     };
     let step = *controller.tick(&next, 6, later, Intent::Drive);
@@ -315,8 +318,8 @@ fn derivatives_do_not_kick_on_the_first_tick_or_a_new_goal() {
     let mut fastest = observation(latest);
     fastest.ego.speed_mps = 0.4;
     let next = Inputs {
-        observation: Some(fastest),
-        plan: Some(elsewhere),
+        observation: fastest.into(),
+        plan: elsewhere.into(),
         ..Inputs::default()
     };
     let step = *controller.tick(&next, 7, latest, Intent::Drive);
@@ -330,8 +333,8 @@ fn an_older_plan_is_moved_into_the_body_frame_of_now() {
     // The car has turned left by 0.2 rad on the spot since the plan was made.
     moved.ego.heading_world_rad = 0.2;
     let inputs = Inputs {
-        observation: Some(moved),
-        plan: Some(plan(NOW)),
+        observation: moved.into(),
+        plan: plan(NOW).into(),
         ..Inputs::default()
     };
     let step = *controller(GateMode::Expert, None).tick(&inputs, 6, later, Intent::Drive);
@@ -357,8 +360,8 @@ fn an_older_plan_is_moved_by_the_egos_motion_since_it_was_made() {
     let config = Config::default();
     let mut controller = Controller::new(config.clone(), PolicySlot::new(None));
     let inputs = Inputs {
-        observation: Some(moved),
-        plan: Some(older),
+        observation: moved.into(),
+        plan: older.into(),
         ..Inputs::default()
     };
     let step = *controller.tick(&inputs, 5, NOW, Intent::Drive);
@@ -378,7 +381,7 @@ fn an_older_plan_is_moved_by_the_egos_motion_since_it_was_made() {
     moved.header.taken_ns = later.0;
     (moved.ego.x_world_m, moved.ego.heading_world_rad) = (2.05, 0.29);
     let inputs = Inputs {
-        observation: Some(moved),
+        observation: moved.into(),
         ..Inputs::default()
     };
     let step = controller.tick(&inputs, 6, later, Intent::Drive);
@@ -401,8 +404,8 @@ fn actions_of_an_older_plan_are_taken_by_its_age() {
     for tick in 0..25_u64 {
         let now = NOW.after_ns(tick * SECOND / 100);
         let inputs = Inputs {
-            observation: Some(observation(now)),
-            plan: given.take(),
+            observation: observation(now).into(),
+            plan: given.take().into(),
             ..Inputs::default()
         };
         let step = controller.tick(&inputs, tick, now, Intent::Drive);
@@ -421,7 +424,7 @@ fn the_plans_age_limit_follows_a_slower_planner() {
         let mut controller = Controller::new(config, PolicySlot::new(None));
         controller.tick(&inputs(), 5, NOW, Intent::Drive);
         let next = Inputs {
-            observation: Some(observation(late)),
+            observation: observation(late).into(),
             ..Inputs::default()
         };
         let step = controller.tick(&next, 6, late, Intent::Drive);

@@ -4,7 +4,7 @@ use std::cell::Cell;
 
 use runtime::{Deadline, FixedRate, Flow, Member, SetUpError, Tick, TickLoop, TickSchedule};
 use shm_config::config::{Config, Late};
-use shm_config::message::{HealthState, Observation, Part, Plan};
+use shm_config::message::{Header, HealthState, Newest, Observation, Part, Plan};
 use shm_config::services::Process;
 use shm_config::{Instant, PlanTurns, RunGrid};
 
@@ -24,6 +24,8 @@ pub fn run(member: Member, ports: Ports) -> Result<(), SetUpError> {
 pub struct PlannerProcess {
     ports: Ports,
     planner: Planner,
+    /// The newest observation.
+    observation: Newest<Observation>,
     plan: Box<Plan>,
     grid: RunGrid,
     turns: PlanTurns,
@@ -35,11 +37,14 @@ pub struct PlannerProcess {
     late: Late,
 }
 
-/// An observation whose turn it is.
+/// It is the newest observation's turn.
 pub struct Due {
-    observation: Observation,
     /// When it was received, before it was checked: the tick begins then.
     received: Instant,
+    header: Header,
+    scheduled: Instant,
+    /// When it woke its readers.
+    published: Instant,
 }
 
 impl PlannerProcess {
@@ -52,6 +57,7 @@ impl PlannerProcess {
         Ok(Self {
             ports,
             planner: Planner::new(config).map_err(|error| SetUpError::Own(error.to_string()))?,
+            observation: Newest::default(),
             plan: Box::default(),
             grid: RunGrid::of(config),
             turns: PlanTurns::every(config.plan_ticks()),
@@ -64,15 +70,11 @@ impl PlannerProcess {
 
     /// The tick is done: counts it, and what was skipped before it.
     fn account(&mut self, run: &mut TickLoop, due: &Due, done: Instant) {
-        let observation = &due.observation;
-        let (taken, scheduled) = (
-            observation.header.taken(),
-            Instant(observation.scheduled_ns),
-        );
+        let (taken, scheduled) = (due.header.taken(), due.scheduled);
         let telemetry = &mut run.telemetry;
         telemetry.record_tick(Tick {
             due: scheduled,
-            released: Some(observation.published()),
+            released: Some(due.published),
             begun: due.received,
             done,
         });
@@ -92,7 +94,7 @@ impl PlannerProcess {
         telemetry.record_skipped(before, due.received);
         let deadline = scheduled.after_ns(self.schedule.period_ns());
         telemetry.note_deadline(Deadline {
-            tick: observation.header.tick,
+            tick: due.header.tick,
             deadline,
             done,
             skipped,
@@ -100,7 +102,7 @@ impl PlannerProcess {
         });
         let health = &mut telemetry.health;
         self.schedule.report(health);
-        health.header.tick = observation.header.tick;
+        health.header.tick = due.header.tick;
         health.late += u64::from(done > deadline);
         health.state = HealthState::Running.code();
     }
@@ -119,14 +121,19 @@ impl FixedRate for PlannerProcess {
             received.set(run.now());
             self.grid.admit(observation, received.get())
         };
-        if let Some(observation) = self.ports.observations.newest(door)
+        let has_come = self
+            .ports
+            .observations
+            .newest_into(&mut self.observation, door);
+        if let Some(observation) = self.observation.get().filter(|_| has_come)
             // Between two turns the controller moves the last plan on.
             && self.turns.take(&observation.header)
         {
-            let received = received.get();
             return Some(Due {
-                observation,
-                received,
+                received: received.get(),
+                header: observation.header,
+                scheduled: Instant(observation.scheduled_ns),
+                published: observation.published(),
             });
         }
         run.wait(None, run.now());
@@ -139,13 +146,15 @@ impl FixedRate for PlannerProcess {
         telemetry.begin(due.received);
         telemetry.end(Part::Admit, clock());
         let prepared = || telemetry.end(Part::Grid, clock());
-        self.planner
-            .plan_in_parts(&due.observation, &mut self.plan, prepared);
+        if let Some(observation) = self.observation.get() {
+            self.planner
+                .plan_in_parts(observation, &mut self.plan, prepared);
+        }
         let planned = clock();
         telemetry.end(Part::Search, planned);
         self.plan.planning_ns = planned.since_ns(due.received);
-        let deadline_ns = due.observation.scheduled_ns + self.schedule.period_ns();
-        let is_late = !self.lockstep && planned.0 > deadline_ns;
+        let deadline = due.scheduled.after_ns(self.schedule.period_ns());
+        let is_late = !self.lockstep && planned > deadline;
         if !is_late || self.plan.answer_late(self.late) {
             self.ports.plans.send(&mut self.plan);
         }

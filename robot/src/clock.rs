@@ -175,7 +175,9 @@ impl WorldClock {
         let now = run.now();
         let wait_ns = self.config.world_wait_ns();
         let until = *self.until.get_or_insert(now.after_ns(wait_ns));
-        let has_come = ports.commands.newest_into(&mut self.command, door);
+        let newest = ports.commands.newest(door);
+        let has_come = newest.is_some();
+        self.command = newest.or(self.command);
         if !has_come && now < until && !run.member.is_stopping() {
             run.wait(Some(until), now);
             return false;
@@ -200,7 +202,7 @@ impl WorldClock {
         let limit_ns = self.config.age_limit_ns(COMMAND.row.age_limit);
         let episode = self.episode;
         let door = |command: &Command| door::admit(command, clock(), limit_ns, episode);
-        ports.commands.newest_into(&mut self.command, door);
+        self.command = ports.commands.newest(door).or(self.command);
         let now = clock();
         let is_contested = self.contest.look(&run.member.wire, now);
         let is_late = self.missed > 0 && self.config.deadlines.world == Late::Brake;

@@ -51,8 +51,8 @@ impl Stack {
 
     /// The controller's tick with the last plan.
     pub fn control(&mut self, observation: &Observation) -> &Step {
-        self.inputs.observation = Some(*observation);
-        self.inputs.plan = Some(self.plan);
+        self.inputs.observation.keep(observation);
+        self.inputs.plan.keep(&self.plan);
         let Header { tick, .. } = observation.header;
         let now = observation.header.taken();
         self.controller.tick(&self.inputs, tick, now, Intent::Drive)

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use shm_config::Message;
-use shm_config::message::{Advice, Command, Observation, Plan, Step};
+use shm_config::message::{Advice, Command, Newest, Observation, Plan, Step};
 use shm_config::services::{Delivery, Process, Service};
 use shm_config::wire::{Doorbell, Publisher, Subscriber, Wire};
 
@@ -107,7 +107,7 @@ pub struct Port<M: Message> {
     subscriber: Subscriber<M>,
     bell: Option<Doorbell>,
     /// The last received message, which is sent back.
-    message: Option<M>,
+    message: Newest<M>,
     /// Changed between two blocks.
     pub check: Check,
 }
@@ -135,7 +135,7 @@ impl<M: Measured> Port<M> {
                 Wake::Bell => Some(wire.doorbell(end.process())?),
                 Wake::Spin | Wake::Grid => None,
             },
-            message: Some(M::full()),
+            message: Newest::from(M::full()),
             check: Check::Admit,
         })
     }
@@ -143,7 +143,7 @@ impl<M: Measured> Port<M> {
 
 impl<M: Measured> Link for Port<M> {
     fn send(&mut self) -> bool {
-        let message = self.message.as_mut();
+        let message = self.message.get_mut();
         message.is_some_and(|message| self.publisher.send(message))
     }
 

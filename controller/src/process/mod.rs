@@ -104,7 +104,7 @@ impl ControllerProcess {
         let now = run.now();
         self.swap.exchange(&mut self.controller);
         let due = self.waiting.tick(run, &mut self.ports, &mut self.inputs)?;
-        if self.inputs.observation.is_some() {
+        if self.inputs.observation.get().is_some() {
             self.observed = now;
         }
         Some(self.waiting.begin(&self.inputs, due, run.now()))
@@ -133,14 +133,16 @@ impl ControllerProcess {
             let admitted = takeover.admit(now, limit_ns);
             admitted.inspect(|()| at.takeover_ns = now.0)
         };
-        self.inputs.takeover = self.ports.takeovers.newest(door);
+        self.ports
+            .takeovers
+            .newest_into(&mut self.inputs.takeover, door);
     }
 
     /// The number of the tick, and whether it answers a new observation. A refused
     /// observation does not give the tick its number; neither does one whose own tick is
     /// over, because that number is used.
     fn number(&mut self, due: &DueTick, is_admitted: bool) -> (u64, Origin) {
-        let observation = self.inputs.observation.as_ref();
+        let observation = self.inputs.observation.get();
         let of_this_tick = observation.filter(|o| is_admitted && o.scheduled_ns == due.scheduled.0);
         let origin = of_this_tick.map(origin);
         match origin {
@@ -289,7 +291,7 @@ impl FixedRate for ControllerProcess {
         self.counted_refused = refused;
 
         run.telemetry.begin(started);
-        let observation = self.inputs.observation.as_ref();
+        let observation = self.inputs.observation.get();
         let released_ns = observation.map_or(0, |o| o.released_ns);
         let event = match (due.release, observation) {
             (Release::Observation, Some(observation)) => observation.published(),
@@ -309,7 +311,7 @@ impl FixedRate for ControllerProcess {
         let is_admitted = self.controller.admit(&self.inputs, now);
         let (tick, origin) = self.number(&due, is_admitted);
         self.controller.decide(tick, now, intent);
-        self.inputs = Inputs::default();
+        self.inputs.clear();
         let decided = clock();
         run.telemetry.end(Part::Decide, decided);
 

@@ -69,15 +69,17 @@ impl Waiting {
             let at = run.now();
             grid.admit(observation, at).inspect(|()| admitted = at)
         };
-        let newest = ports.observations.newest(door);
+        let has_come = ports
+            .observations
+            .newest_into(&mut inputs.observation, door);
         let now = run.now();
-        if let Some(observation) = newest {
-            let is_new = self.answered != Some(origin(&observation));
-            let due = self.due(&observation, is_new, now);
+        if let Some(observation) = inputs.observation.get().filter(|_| has_come) {
+            let is_new = self.answered != Some(origin(observation));
+            let due = self.due(observation, is_new, now);
+            inputs.admitted.observation_ns = admitted.0;
             // In lockstep nothing is read between two ticks, so that runs repeat.
-            if is_new || !self.lockstep {
-                inputs.observation = Some(observation);
-                inputs.admitted.observation_ns = admitted.0;
+            if !is_new && self.lockstep {
+                inputs.observation.clear();
             }
             if due.is_some() {
                 return due;
@@ -109,7 +111,7 @@ impl Waiting {
 
     /// The run's clock within the tick of these inputs.
     pub fn clock(&self, run: &TickLoop, inputs: &Inputs) -> RunClock {
-        match (self.lockstep, &inputs.observation) {
+        match (self.lockstep, inputs.observation.get()) {
             (true, Some(observation)) => RunClock::Stands(observation.header.taken()),
             _ => RunClock::Machine(run.member.clock),
         }
@@ -118,7 +120,7 @@ impl Waiting {
     /// The tick that is due now begins; it needs the plan of its observation where the
     /// planner makes one, and in lockstep the gate's answer to the step before.
     pub fn begin(&mut self, inputs: &Inputs, due: DueTick, now: Instant) -> Begun {
-        let header = inputs.observation.as_ref().map(|o| o.header);
+        let header = inputs.observation.get().map(|o| o.header);
         let until = match self.lockstep {
             true => now.after_ns(self.lockstep_wait_ns),
             false => due.scheduled.after_ns(self.plan_wait_ns),
@@ -140,7 +142,7 @@ impl Waiting {
         inputs: &mut Inputs,
         begun: &Begun,
     ) -> bool {
-        let header = inputs.observation.as_ref().map(|o| o.header);
+        let header = inputs.observation.get().map(|o| o.header);
         let tick = header.map(|header| header.tick);
         let episode = header.map(|header| header.episode);
         let clock = self.clock(run, inputs);
@@ -163,8 +165,8 @@ impl Waiting {
         if ports.advices.newest_into(&mut inputs.advice, advice_door) {
             self.gate_silent = false;
         }
-        let plan_tick = inputs.plan.as_ref().map(|plan| plan.header.tick);
-        let advice_tick = inputs.advice.as_ref().map(|advice| advice.header.tick);
+        let plan_tick = inputs.plan.get().map(|plan| plan.header.tick);
+        let advice_tick = inputs.advice.get().map(|advice| advice.header.tick);
         let planned = self.planner_silent || !begun.needs_plan || plan_tick == tick;
         let advised = !self.lockstep
             || !self.asks_gate

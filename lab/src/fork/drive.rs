@@ -190,16 +190,17 @@ impl Loop {
     fn tick(&mut self, observation: &Observation) -> Command {
         let Header { tick, .. } = observation.header;
         let now = observation.header.taken();
-        self.inputs.observation = Some(*observation);
-        self.inputs.plan = None;
+        self.inputs.observation.keep(observation);
+        self.inputs.plan.clear();
         if self.turns.take(observation.header()) {
             self.planner.plan(observation, &mut self.plan);
-            self.inputs.plan = Some(self.plan);
+            self.inputs.plan.keep(&self.plan);
         }
         let step = self.controller.tick(&self.inputs, tick, now, Intent::Drive);
         let command = step.command;
         if let Some(advisor) = &mut self.advisor {
-            self.inputs.advice = Some(advisor.consider(step, Instant(step.header.taken_ns)));
+            let advice = advisor.consider(step, Instant(step.header.taken_ns));
+            self.inputs.advice.keep(&advice);
         }
         command
     }

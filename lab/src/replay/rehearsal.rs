@@ -406,15 +406,15 @@ impl Rehearsal {
         inputs.admitted.advice_ns = planned_ns - 9_000;
         inputs.admitted.takeover_ns = planned_ns - 1_000;
         if !self.goes_wrong(40) {
-            inputs.observation = Some(*self.observation);
+            inputs.observation.keep(&self.observation);
         }
         // A plan that comes too late is read a tick later.
         if !self.goes_wrong(12) {
-            inputs.plan = self.plan.take();
+            inputs.plan = self.plan.take().into();
         }
-        inputs.advice = self.advice.take();
+        inputs.advice = self.advice.take().into();
         if self.config.gate.mode == GateMode::Human {
-            inputs.takeover = self.takeover(planned_ns);
+            inputs.takeover = self.takeover(planned_ns).into();
         }
         inputs
     }

@@ -11,6 +11,7 @@ mod frame;
 mod health;
 mod kept;
 mod learning;
+mod newest;
 mod observation;
 mod plan;
 mod policy;
@@ -35,6 +36,7 @@ pub use frame::{
 pub use health::{Grant, Health, HealthState, PARTS, Part, Scheduling};
 pub use kept::Kept;
 pub use learning::Learning;
+pub use newest::Newest;
 pub use observation::{BEAMS_MAX, Bend, CHECKPOINTS, Checkpoint, Ego, Observation, Road};
 pub use plan::{PLANNED_MAX, Plan, PlanOutcome, PlannedAction, WAYPOINTS_MAX, Waypoint};
 pub use policy::{PolicyState, PolicyStatus, WEIGHTS_BYTES_MAX, Weights};
@@ -90,6 +92,12 @@ pub trait Message: Layout + crate::layout::Travels + Copy + core::fmt::Debug + '
     /// only a part is used.
     fn used_bytes(&self) -> usize {
         size_of::<Self>()
+    }
+
+    /// Becomes equal to another message as far as that one is used; those bytes that it
+    /// does not use become zeros, or stay so.
+    fn assign(&mut self, from: &Self) {
+        *self = *from;
     }
 
     /// Checks everything about the content that does not depend on time.

@@ -117,8 +117,6 @@ crate::message! {
         pub advice_entry: Entry,
         /// The check of the takeover.
         pub takeover_entry: Entry,
-        /// The observation; the last admitted one when none arrived.
-        pub observation: Observation,
         /// The plan; the last admitted one when none arrived.
         pub plan: Plan,
         /// The advice in force.
@@ -163,6 +161,9 @@ crate::message! {
         pub takeover_used: u32,
         /// A [`Lateness`]: of the command.
         pub lateness: u32,
+        /// The observation; the last admitted one when none arrived. It ends the step, so that
+        /// beams which the scanner does not have are not sent.
+        pub observation: Observation,
     }
 }
 
@@ -260,7 +261,6 @@ impl Default for Step {
             plan_entry: Entry::default(),
             advice_entry: Entry::default(),
             takeover_entry: Entry::default(),
-            observation: Observation::default(),
             plan: Plan::default(),
             advice: Advice::default(),
             takeover: Takeover::default(),
@@ -289,12 +289,18 @@ impl Default for Step {
             stage: Stage::Unloaded.code(),
             takeover_used: 0,
             lateness: Lateness::OnTime.code(),
+            observation: Observation::default(),
         }
     }
 }
 
 impl Message for Step {
     header_accessors!();
+
+    /// As its observation.
+    fn used_bytes(&self) -> usize {
+        core::mem::offset_of!(Self, observation) + self.observation.used_bytes()
+    }
 
     fn check(&self) -> Result<(), Refusal> {
         self.before.check()?;

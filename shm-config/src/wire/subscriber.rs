@@ -9,7 +9,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory as Topic;
 
 use super::producers::Producers;
 use super::{Ipc, PUBLISHERS_MAX};
-use crate::message::{Header, Message, Refusal, RefusalKind};
+use crate::message::{Header, Message, Newest, Refusal, RefusalKind};
 use crate::services::{Process, Service, TakenFrom};
 
 type Port<M> = iceoryx2::port::subscriber::Subscriber<Ipc, M, ()>;
@@ -110,19 +110,27 @@ impl<M: Message> Subscriber<M> {
     /// [`Wire::refused`]: super::Wire::refused
     pub fn newest(&mut self, admit: impl FnMut(&M) -> Result<(), Refusal>) -> Option<M> {
         let mut newest = None;
-        self.newest_into(&mut newest, admit);
+        self.read(admit, |message| newest = Some(*message));
         newest
     }
 
     /// As [`Subscriber::newest`], into `kept`, which stays unchanged when no admissible
-    /// message arrived; returns whether one did. The message is copied once, because a
-    /// step has 11.4 kB.
+    /// message arrived; returns whether one did.
     pub fn newest_into(
         &mut self,
-        kept: &mut Option<M>,
-        mut admit: impl FnMut(&M) -> Result<(), Refusal>,
+        kept: &mut Newest<M>,
+        admit: impl FnMut(&M) -> Result<(), Refusal>,
     ) -> bool {
         let mut came = false;
+        self.read(admit, |message| {
+            kept.keep(message);
+            came = true;
+        });
+        came
+    }
+
+    /// Gives each admissible message since the last read, the newest last.
+    fn read(&mut self, mut admit: impl FnMut(&M) -> Result<(), Refusal>, mut give: impl FnMut(&M)) {
         // The number of reads is limited, so that a hostile publisher cannot block a
         // tick.
         for _ in 0..PUBLISHERS_MAX {
@@ -133,17 +141,13 @@ impl<M: Message> Subscriber<M> {
             let message = sample.payload();
             let is_expected = message.header().producer == last;
             match admit(message) {
-                Ok(()) => {
-                    *kept = Some(*message);
-                    came = true;
-                }
+                Ok(()) => give(message),
                 Err(refusal) => self.producers.count(refusal.kind()),
             }
             if self.holds_one && is_expected {
                 break;
             }
         }
-        came
     }
 
     /// Messages that were overwritten before they were read.

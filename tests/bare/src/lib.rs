@@ -56,8 +56,8 @@ impl Tick {
     pub fn answer(&mut self, observation: &Observation, tick: u64, now: Instant) -> &Step {
         self.planner.plan(observation, &mut self.plan);
         let inputs = Inputs {
-            observation: Some(*observation),
-            plan: Some(self.plan),
+            observation: (*observation).into(),
+            plan: self.plan.into(),
             admitted: AdmittedAt::default(),
             ..Inputs::default()
         };

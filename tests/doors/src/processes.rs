@@ -10,7 +10,7 @@ use learner::assembler::{Assembler, Counts, Labelling};
 use planner::Planner;
 use shm_config::config::planner::Method;
 use shm_config::config::{Clock, Config, GateMode};
-use shm_config::message::{Command, Observation, Plan, Step};
+use shm_config::message::{Command, Newest, Observation, Plan, Step};
 use shm_config::{Instant, Message};
 use sim::{World, WorldConfig};
 use vehicle::Action;
@@ -125,7 +125,7 @@ pub fn controller(bytes: &[u8]) -> Said {
         };
         if kind & 0x40 != 0 {
             is_admitted |= drive(&mut controller, &inputs, tick);
-            inputs = Inputs::default();
+            inputs.clear();
             tick += 1;
         }
     }
@@ -142,13 +142,13 @@ fn drive(controller: &mut Controller, inputs: &Inputs, tick: u64) -> bool {
 }
 
 /// Reads one message from the bytes; returns the rest.
-fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Option<M>) -> &'a [u8] {
+fn take<'a, M: Message>(bytes: &'a [u8], on_time: Option<Instant>, to: &mut Newest<M>) -> &'a [u8] {
     let (own, rest) = bytes.split_at(bytes.len().min(size_of::<M>()));
     let mut message = *read::<M>(own);
     if let Some(now) = on_time {
         message.header_mut().taken_ns = now.0;
     }
-    *to = Some(message);
+    to.keep(&message);
     rest
 }
 
