@@ -15,6 +15,7 @@
 //! | [`Recording`] | a folder or file that is read: entries in order of time, typed messages, attachments |
 //! | [`Writer`] | one file that is written |
 //! | [`schema`] | message layouts as ROS 2 definitions |
+//! | `taps` | the reading ends of all recorded services of a running set |
 //! | `standard` | topics of standard ROS 2 types, for viewers; readers leave them out |
 //! | [`Origin`], [`Channel`] | where a recording is from; what it has |
 //!
@@ -47,6 +48,8 @@ mod read;
 pub mod schema;
 #[cfg(feature = "standard")]
 pub mod standard;
+#[cfg(feature = "taps")]
+pub mod taps;
 mod write;
 
 pub use channel::Channel;

@@ -191,7 +191,9 @@ impl Logs {
             .with_target(false)
             .with_env_filter(
                 tracing_subscriber::EnvFilter::try_from_env("VLAPS_LOG")
-                    .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info")),
+                    // Zenoh, in a ROS robot's world, repeats its lines for each attempt to
+                    // connect; the world tells the first.
+                    .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=off")),
             )
             .init();
         Self { _guard: guard }

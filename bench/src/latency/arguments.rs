@@ -16,7 +16,9 @@ use crate::floor::Priority;
         every core (cpu), in memory (memory) or on the disk (disk), by stress-ng where it is \
         installed; a judge over HTTP that answers in 1 s (gate); a learner that trains and swaps \
         the weights (learner); all of these at once (all); the recorder, the live page with one \
-        browser (view) or with ten, one of which reads nothing (browsers). judges is one row for each behaviour of \
+        browser (view) or with ten, one of which reads nothing (browsers); the ROS bridge and \
+        10,000 foreign messages a second (ros), for which ./vlaps setup ros and the examples of ros/ \
+        have to be built. judges is one row for each behaviour of \
         a judge: answer at once or late, hang, refuse, send 10 MB, die; its first and its last row \
         have no judge, and the difference between these two is the machine's noise.\n\n\
         During each row the machine's own floor is measured by cyclictest at the same priority and \
@@ -108,6 +110,8 @@ pub enum Load {
     Browsers,
     /// Recorder and page with one browser.
     RecorderView,
+    /// The ROS bridge with a reader of all its topics, and 10,000 foreign messages a second.
+    Ros,
     /// One row for each behaviour of a judge.
     Judges,
 }
@@ -162,6 +166,8 @@ pub struct Beside {
     pub recorder: bool,
     /// Browsers that show the set.
     pub viewers: Viewers,
+    /// Whether the ROS bridge publishes the set to a flooded router.
+    pub ros: bool,
     /// Behaviour of the judge.
     pub judge: JudgeBehaviour,
 }
@@ -174,6 +180,7 @@ const NOTHING: Beside = Beside {
     learner: false,
     recorder: false,
     viewers: Viewers::Absent,
+    ros: false,
     judge: JudgeBehaviour::Absent,
 };
 const JUDGE: JudgeBehaviour = JudgeBehaviour::Answers { after_s: 1.0 };
@@ -231,6 +238,10 @@ impl Load {
                 recorder: true,
                 viewers: Viewers::One,
                 ..one("recorder-view")
+            },
+            Self::Ros => Beside {
+                ros: true,
+                ..one("ros")
             },
             Self::Judges => return judged(),
         }]

@@ -11,6 +11,7 @@ use super::arguments::Case;
 use super::buckets::{self, Series};
 use super::cyclictest::Cyclictest;
 use super::judges::RowJudge;
+use super::ros::RowRos;
 use super::row::{Row, planner};
 use super::stress::Stress;
 use super::viewers::RowPage;
@@ -47,6 +48,7 @@ pub fn drive(
     let mut stress = Stress::begin(&case.beside, (bench.maker, seconds), places)?;
     let place = (driven.name(), bench.scratch);
     let page = RowPage::start(case.beside.viewers, place, bench.clock)?;
+    let ros = RowRos::start(case.beside.ros, place)?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
     let counted = follow(bench, case, (&mut driven, &mut watch, &mut judge))?;
     // An interrupted row is discarded, even if the set has ended by itself.
@@ -57,6 +59,7 @@ pub fn drive(
     drop(stress);
     let stalls = noting.finish()?;
     page.map(RowPage::finish).transpose()?;
+    ros.map(RowRos::finish).transpose()?;
     watch.look();
     let seen = watch.finish();
     let summary = driven.summary()?;

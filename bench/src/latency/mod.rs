@@ -7,6 +7,7 @@ mod drive;
 mod judges;
 pub mod pairs;
 mod pictures;
+mod ros;
 pub mod row;
 mod row_store;
 mod stress;

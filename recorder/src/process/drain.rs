@@ -9,8 +9,8 @@ use shm_config::wire::{PUBLISHERS_MAX, Wire, WireError};
 
 use super::losses::{Losses, Lost};
 use super::ring::{Label, RingIn};
-use super::taps::{self, Tap};
 use crate::schema::ENCAPSULATION;
+use crate::taps::{self, Tap};
 use crate::write::Stamp;
 
 /// Bytes of one turn that are sorted by time; a turn with more is passed on in several

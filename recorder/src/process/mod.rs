@@ -16,7 +16,6 @@ mod ring;
 mod session;
 mod shown;
 mod storage;
-mod taps;
 mod triggers;
 mod writing;
 

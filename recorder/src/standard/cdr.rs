@@ -1,5 +1,6 @@
 //! XCDR1, little-endian: the encoding of ROS 2 messages.
 
+use super::messages::Frames;
 use crate::schema::ENCAPSULATION;
 
 /// A message that is written field by field. A field is aligned to its size, counted from
@@ -7,6 +8,8 @@ use crate::schema::ENCAPSULATION;
 #[derive(Debug, Default)]
 pub(super) struct Cdr {
     bytes: Vec<u8>,
+    /// How the frames are named in it.
+    pub(super) frames: Frames,
 }
 
 impl Cdr {
@@ -14,6 +17,14 @@ impl Cdr {
     pub(super) fn begin(&mut self) -> &mut Self {
         self.bytes.clear();
         self.bytes.extend_from_slice(&ENCAPSULATION);
+        self
+    }
+
+    /// A string that is one of the frames' names.
+    pub(super) fn frame(&mut self, name: impl Fn(&Frames) -> &str) -> &mut Self {
+        let frames = std::mem::take(&mut self.frames);
+        self.text(name(&frames));
+        self.frames = frames;
         self
     }
 

@@ -57,6 +57,32 @@ const TYPES: &[(&str, &str)] = &[
         "sensor_msgs/CompressedImage",
         "std_msgs/Header header\nstring format\nuint8[] data\n",
     ),
+    (
+        "ackermann_msgs/AckermannDrive",
+        "float32 steering_angle\nfloat32 steering_angle_velocity\nfloat32 speed\n\
+         float32 acceleration\nfloat32 jerk\n",
+    ),
+    (
+        "ackermann_msgs/AckermannDriveStamped",
+        "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n",
+    ),
+    (
+        "geometry_msgs/PoseWithCovariance",
+        "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
+    ),
+    (
+        "geometry_msgs/Twist",
+        "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+    ),
+    (
+        "geometry_msgs/TwistWithCovariance",
+        "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
+    ),
+    (
+        "nav_msgs/Odometry",
+        "std_msgs/Header header\nstring child_frame_id\n\
+         geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n",
+    ),
     ("diagnostic_msgs/KeyValue", "string key\nstring value\n"),
     (
         "diagnostic_msgs/DiagnosticStatus",
@@ -104,7 +130,7 @@ fn named(fields: &'static str) -> impl Iterator<Item = &'static str> {
 
 /// The definition of a type such as `nav_msgs/Path` in the format `ros2msg`, with all that
 /// are nested in it; empty for a type that is not in the list.
-pub(super) fn definition(name: &str) -> String {
+pub fn definition(name: &str) -> String {
     let own = fields(name).unwrap_or_default();
     let mut nested: Vec<&'static str> = named(own).collect();
     let mut text = String::from(own);

@@ -1,5 +1,7 @@
 //! The standard messages field by field, except for markers.
 
+use std::borrow::Cow;
+
 use shm_config::message::{Observation, Plan};
 use vehicle::Point;
 
@@ -9,6 +11,24 @@ use super::cdr::Cdr;
 pub const WORLD_FRAME: &str = "map";
 /// The frame of the car: x forward, y left, at its middle on the ground.
 pub const BODY_FRAME: &str = "base_link";
+
+/// How the frames are named.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Frames {
+    /// The one in which the car moves.
+    pub world: Cow<'static, str>,
+    /// The car's.
+    pub body: Cow<'static, str>,
+}
+
+impl Default for Frames {
+    fn default() -> Self {
+        Self {
+            world: WORLD_FRAME.into(),
+            body: BODY_FRAME.into(),
+        }
+    }
+}
 
 /// The frame of a scanner that is not at the car's middle: x forward, as the car's.
 pub const SCANNER_FRAME: &str = "scanner";
@@ -22,10 +42,10 @@ pub(super) enum Frame {
 }
 
 impl Frame {
-    fn name(self) -> &'static str {
+    fn name(self, frames: &Frames) -> &str {
         match self {
-            Self::World => WORLD_FRAME,
-            Self::Body => BODY_FRAME,
+            Self::World => &frames.world,
+            Self::Body => &frames.body,
             Self::Scanner => SCANNER_FRAME,
         }
     }
@@ -51,7 +71,8 @@ impl TimeStamp {
 
 /// `std_msgs/Header`.
 pub(super) fn header(cdr: &mut Cdr, time: TimeStamp, frame: Frame) {
-    cdr.i32(time.s).u32(time.ns).text(frame.name());
+    cdr.i32(time.s).u32(time.ns);
+    cdr.frame(|frames| frame.name(frames));
 }
 
 /// The quaternion x, y, z, w of a heading, rad counter-clockwise.
@@ -75,7 +96,7 @@ pub(super) fn transform(cdr: &mut Cdr, time: TimeStamp, observation: &Observatio
     let scanner = scan_frame(observation) == Frame::Scanner;
     cdr.begin().count(1 + usize::from(scanner));
     header(cdr, time, Frame::World);
-    cdr.text(BODY_FRAME);
+    cdr.frame(|frames| &frames.body);
     // A transform has the fields of a pose.
     pose(cdr, ego_world(observation));
     if scanner {
@@ -150,6 +171,25 @@ pub(super) fn path(cdr: &mut Cdr, time: TimeStamp, plan: Option<&Plan>) {
 pub(super) fn picture(cdr: &mut Cdr, time: TimeStamp, (format, data): (&str, &[u8])) {
     header(cdr.begin(), time, Frame::Body);
     cdr.text(format).octets(data);
+}
+
+/// What an Ackermann-steered car is asked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Drive {
+    /// Angle of the front wheels, rad, positive left.
+    pub steer_rad: f64,
+    /// Speed to reach, m/s.
+    pub speed_mps: f64,
+    /// Acceleration towards it, m/s².
+    pub accel_mps2: f64,
+}
+
+/// `ackermann_msgs/AckermannDriveStamped`.
+pub(super) fn drive(cdr: &mut Cdr, time: TimeStamp, drive: Drive) {
+    header(cdr.begin(), time, Frame::Body);
+    // Without limits for the wheels' turning rate and the jerk.
+    cdr.f32s([drive.steer_rad as f32, 0.0, drive.speed_mps as f32]);
+    cdr.f32s([drive.accel_mps2 as f32, 0.0]);
 }
 
 /// How something is, by its code in `diagnostic_msgs/DiagnosticStatus`.

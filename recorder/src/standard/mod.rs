@@ -29,11 +29,14 @@ use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use planner::Planner;
 use shm_config::Message as _;
+use shm_config::layout::Layout as _;
 use shm_config::config::Config;
 use shm_config::config::planner::Method;
-use shm_config::message::{Assessment, Driver, Frame, Health, Plan, Proposal, Step};
+use shm_config::message::{
+    Assessment, Driver, Frame, Health, PixelFormat, Plan, Proposal, Step,
+};
 use shm_config::palette;
-use shm_config::services::Process;
+use shm_config::services::{FRAME, Process, STEP, health};
 use vehicle::Point;
 
 use crate::Channel;
@@ -42,7 +45,8 @@ use cdr::Cdr;
 pub use geometry::{Bodies, Body, edges, rollout};
 use markers::{Kind, Marker, VETOED};
 use messages::TimeStamp;
-pub use messages::{BODY_FRAME, WORLD_FRAME};
+pub use definitions::definition;
+pub use messages::{BODY_FRAME, Drive, Frames, WORLD_FRAME};
 
 /// Time between two diagnoses, and between two search trees, ns: each tree is a search.
 const SLOWLY_NS: u64 = 1_000_000_000;
@@ -139,6 +143,8 @@ pub struct Standard {
     /// on what was before.
     planner: Option<Planner>,
     plan: Box<Plan>,
+    /// Memory for a step that is due.
+    step: Option<Box<Step>>,
     healths: BTreeMap<&'static str, (Process, Health)>,
     cdr: Cdr,
 }
@@ -158,8 +164,45 @@ impl Standard {
             bodies: Bodies::default(),
             planner,
             plan: Box::default(),
+            step: None,
             healths: BTreeMap::new(),
             cdr: Cdr::default(),
+        }
+    }
+
+    /// Names the frames otherwise.
+    pub fn set_frames(&mut self, frames: Frames) {
+        self.cdr.frames = frames;
+    }
+
+    /// From now on epoch time minus the run's clock is this, ns.
+    pub fn set_epoch_offset(&mut self, epoch_offset_ns: u64) {
+        self.epoch_offset_ns = epoch_offset_ns;
+    }
+
+    /// Gives what follows from a message of a service that was taken at this time of the
+    /// run's clock, if it is due; `memory` is that of the message.
+    pub fn message(&mut self, (service, taken_ns): (&str, u64), memory: &[u8], take: Take<'_>) {
+        if service == STEP.name {
+            // Most steps are not due, and copying one costs more than its look.
+            if self.is_due(taken_ns) {
+                let mut step = self.step.take().unwrap_or_default();
+                if step.copy_from(memory) {
+                    self.step(&step, take);
+                }
+                self.step = Some(step);
+            }
+        } else if service == FRAME.name {
+            if let Some(picture) = picture(memory) {
+                self.frame(taken_ns, picture, take);
+            }
+        } else if service.starts_with("health/")
+            && let Some(message) = Health::from_bytes(memory)
+        {
+            let process = Process::ALL.iter().find(|of| health(**of).name == service);
+            if let Some(process) = process {
+                self.note(*process, &message);
+            }
         }
     }
 
@@ -288,6 +331,30 @@ impl Standard {
     }
 }
 
+/// `ackermann_msgs/AckermannDriveStamped` of an epoch time, ns, for the car whose frame has
+/// this name.
+pub fn drive_cdr(epoch_ns: u64, body_frame: &str, drive: Drive) -> Vec<u8> {
+    let mut cdr = Cdr::default();
+    cdr.frames.body = body_frame.to_string().into();
+    messages::drive(&mut cdr, TimeStamp::of_ns(epoch_ns), drive);
+    cdr.bytes().to_vec()
+}
+
+/// Width, height and pixels of a frame in memory; `None` when it holds no whole picture.
+/// Field by field: a frame of two megabytes is not copied.
+fn picture(memory: &[u8]) -> Option<(u32, u32, &[u8])> {
+    let field = |name: &str| {
+        let field = Frame::FIELDS.iter().find(|field| field.name == name)?;
+        memory.get(field.offset..field.offset + field.size)
+    };
+    let number = |name: &str| Some(u32::from_le_bytes(field(name)?.try_into().ok()?));
+    let (width, height) = (number("width")?, number("height")?);
+    let PixelFormat::Rgb8 = PixelFormat::from_code(number("format")?)?;
+    let bytes = usize::try_from(Frame::bytes([width, height])).ok()?;
+    let pixels = field("pixels")?.get(..bytes)?;
+    Some((width, height, pixels))
+}
+
 /// Road, checkpoints, car, bodies that move, both rollouts, and who drives.
 fn scene(config: &Config, bodies: &Bodies, step: &Step) -> Vec<Marker> {
     let observation = &step.observation;
@@ -340,4 +407,31 @@ fn held(config: &Config, step: &Step, driver: Driver) -> Marker {
     };
     let path = path.unwrap_or_default();
     Marker::of_points((group, 0, Kind::LineStrip), (color, 1.0), 0.2, path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The memory of a frame that claims this width and height.
+    fn claiming(sides: [u32; 2]) -> Vec<u8> {
+        let mut memory = vec![0; size_of::<Frame>()];
+        for (name, side) in ["width", "height"].into_iter().zip(sides) {
+            let field = Frame::FIELDS.iter().find(|field| field.name == name);
+            let at = field.expect("a field").offset;
+            memory[at..at + 4].copy_from_slice(&side.to_le_bytes());
+        }
+        memory
+    }
+
+    #[test]
+    fn a_frame_that_claims_more_pixels_than_it_has_gives_no_picture() {
+        let memory = claiming([960, 720]);
+        let whole = picture(&memory).map(|(width, height, rgb)| (width, height, rgb.len()));
+        assert_eq!(whole, Some((960, 720, 960 * 720 * 3)));
+        for sides in [[960, 721], [u32::MAX, 720], [720, u32::MAX], [u32::MAX; 2]] {
+            assert_eq!(picture(&claiming(sides)), None, "{sides:?}");
+        }
+        assert_eq!(picture(&memory[..100]), None);
+    }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use crate::cli::failure::Failure;
-use crate::setup::{install, irsim, onnxruntime, package};
+use crate::setup::{install, irsim, onnxruntime, package, ros};
 
 /// Install what an optional part needs.
 #[derive(Debug, Args)]
@@ -18,6 +18,7 @@ use crate::setup::{install, irsim, onnxruntime, package};
         ./vlaps setup metadrive\n  \
         ./vlaps setup ir-sim\n  \
         ./vlaps setup onnxruntime\n  \
+        ./vlaps setup ros\n  \
         ./vlaps setup python && target/python/bin/python -c 'import vlaps'\n  \
         VLAPS_METADRIVE=$HOME/md-c29 ./vlaps setup metadrive --checkout ../metadrive"
 )]
@@ -46,6 +47,8 @@ pub enum Part {
     IrSim,
     /// ONNX Runtime, for policies that are no chain of layers: 60 MB.
     Onnxruntime,
+    /// The programs for ROS 2 over Zenoh: 230 packages, some minutes of compiling.
+    Ros,
     /// The Python package vlaps, built and installed into target/python: 150 MB.
     Python,
 }
@@ -61,6 +64,7 @@ pub fn setup(arguments: &Setup) -> Result<(), Failure> {
         }
         Part::IrSim => irsim::setup(arguments.python.as_deref()),
         Part::Onnxruntime => onnxruntime::setup(arguments.python.as_deref()),
+        Part::Ros => ros::setup(),
         Part::Python => package::setup(arguments.python.as_deref()),
     }
 }

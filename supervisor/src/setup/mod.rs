@@ -1,5 +1,5 @@
-//! Optional parts that need more than a build: MetaDrive, ir-sim, ONNX Runtime, the Python
-//! package, programs of a user.
+//! Optional parts that need more than a build: MetaDrive, ir-sim, ONNX Runtime, ROS 2, the
+//! Python package, programs of a user.
 
 pub mod checkout;
 pub mod environment;
@@ -10,3 +10,4 @@ pub mod onnxruntime;
 pub mod own_programs;
 pub mod package;
 pub mod pip;
+pub mod ros;

@@ -1,4 +1,5 @@
-//! One subscriber for each recorded service.
+//! One subscriber for each recorded service: for the recorder, and for a program beside the
+//! run that passes the messages on.
 
 use shm_config::Message;
 use shm_config::message::Header;
@@ -15,10 +16,10 @@ use crate::Channel;
 const TURN_MAX: usize = 8192;
 
 /// Takes the header and the memory of a message.
-pub(super) type Take<'a> = &'a mut dyn FnMut(&Header, &[u8]);
+pub type Take<'a> = &'a mut dyn FnMut(&Header, &[u8]);
 
 /// The reading end of one service.
-pub(super) trait Tap {
+pub trait Tap {
     /// Its channel.
     fn channel(&self) -> &Channel;
     /// Its row of the service table.
@@ -65,7 +66,7 @@ impl<M: Message> Tap for Typed<M> {
 ///
 /// # Errors
 /// As [`Wire::subscriber`].
-pub(super) fn open(wire: &Wire) -> Result<Vec<Box<dyn Tap>>, WireError> {
+pub fn open(wire: &Wire) -> Result<Vec<Box<dyn Tap>>, WireError> {
     let mut taps: Vec<Box<dyn Tap>> = Vec::new();
     macro_rules! open {
         ($($service:ident),+) => { $( open_row(wire, $service, &mut taps)?; )+ };

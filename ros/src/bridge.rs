@@ -1,0 +1,264 @@
+//! A run, read from outside, as ROS topics.
+//!
+//! It reads as one reader more, as `./vlaps record` does: it has no priority, rings no bell,
+//! publishes nothing into the run, and no process of the run waits for it or for the network.
+//!
+//! | topic | type | when |
+//! |---|---|---|
+//! | `/vlaps/step`, `/vlaps/health/world`, ... | `vlaps_msgs/msg/Step`, ... | each message of each recorded service, byte by byte |
+//! | `/vlaps/drive` | `ackermann_msgs/msg/AckermannDriveStamped` | at each step |
+//! | `/vlaps/path` | `nav_msgs/msg/Path` | at most 20 Hz |
+//! | `/vlaps/pose`, `/vlaps/scan`, `/vlaps/scene` | `PoseStamped`, `LaserScan`, `MarkerArray` | at most 20 Hz |
+//! | `/vlaps/tree` | `MarkerArray` | each second |
+//! | `/vlaps/picture` | `CompressedImage` | each picture for a judge |
+//! | `/tf` | `tf2_msgs/msg/TFMessage` | at most 20 Hz, with `publish_tf` |
+//! | `/diagnostics` | `diagnostic_msgs/msg/DiagnosticArray` | each second |
+//!
+//! A message is sent only while something subscribes to its topic.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use recorder::schema::ENCAPSULATION;
+use recorder::standard::{Frames, Standard, Topic, drive_cdr};
+use recorder::taps::{self, Tap};
+use shm_config::Message as _;
+use shm_config::config::{self, Config};
+use shm_config::layout::Layout as _;
+use shm_config::message::Step;
+use shm_config::run::{RunName, RunPaths};
+use shm_config::services::{Process, STEP};
+use shm_config::wire::Wire;
+
+use crate::names::TopicType;
+use crate::publisher::RosPublisher;
+use crate::session::{Connection, Link};
+use crate::setpoint::Setpoint;
+use crate::settings::Settings;
+use crate::wall::{Moment, Wall};
+
+/// Time between two reads: at 1,000 Hz five messages, of the 64 that a reader may be behind.
+const TURN: Duration = Duration::from_millis(5);
+/// Reads between two looks at router, clocks and supervisor, and between two attempts to
+/// connect: a second.
+const LOOK_TURNS: u64 = 200;
+/// As often as the live page.
+const STANDARD_HZ: f64 = 20.0;
+/// The node's name.
+const NODE: &str = "vlaps";
+
+/// What was sent until the end.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Sent {
+    /// Messages that the session took.
+    pub messages: u64,
+    /// Messages that it refused.
+    pub refused: u64,
+}
+
+/// Publishes a running set until it ends or `stop` is set. Nothing waits for a router: one
+/// that comes later gets what is published then.
+///
+/// # Errors
+/// One line: no such set runs, it is of another build, or the settings are wrong.
+pub fn run(name: &RunName, settings: &Settings, stop: &AtomicBool) -> Result<Sent, String> {
+    let paths = RunPaths::new(name.clone());
+    let Some(supervisor) = paths.supervisor_pid() else {
+        return Err(format!(
+            "run '{name}' is not running; `./vlaps status` shows what runs"
+        ));
+    };
+    let config = config::load(&paths.config_file()).map_err(|error| error.to_string())?;
+    let wire = Wire::join(name, Process::Recorder).map_err(|error| error.to_string())?;
+    wire.follow(supervisor).map_err(|error| error.to_string())?;
+    let mut taps = taps::open(&wire).map_err(|error| error.to_string())?;
+    let mut bridge = Bridge::new(&config, settings, &taps)?;
+    for turn in 0_u64.. {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        if turn.is_multiple_of(LOOK_TURNS) {
+            if paths.supervisor_pid() != Some(supervisor) {
+                break;
+            }
+            bridge.look(Moment::now());
+        }
+        bridge.turn(&mut taps, Moment::now());
+        std::thread::park_timeout(TURN);
+    }
+    Ok(bridge.sent)
+}
+
+struct Bridge {
+    config: Config,
+    settings: Settings,
+    wall: Wall,
+    connection: Connection,
+    standard: Standard,
+    setpoint: Setpoint,
+    /// Name and type of the topic of each tap, and that of the drive.
+    own: Vec<(String, TopicType)>,
+    drive: TopicType,
+    topics: Option<Topics>,
+    step: Box<Step>,
+    cdr: Vec<u8>,
+    sent: Sent,
+}
+
+/// What is declared in a session.
+struct Topics {
+    link: Link,
+    own: Vec<RosPublisher>,
+    drive: RosPublisher,
+    standard: BTreeMap<Topic, RosPublisher>,
+}
+
+impl Bridge {
+    fn new(config: &Config, settings: &Settings, taps: &[Box<dyn Tap>]) -> Result<Self, String> {
+        let prefix = &settings.prefix;
+        let own = taps.iter().map(|tap| {
+            let channel = tap.channel();
+            let topic = format!("{prefix}/{}", channel.service);
+            Ok((topic, TopicType::of(channel)?))
+        });
+        let moment = Moment::now();
+        // In lockstep the run's clock begins at 0.
+        let offset_ns = match config.run.is_lockstep() {
+            true => moment.epoch_ns,
+            false => moment.offset_ns(),
+        };
+        let mut standard = Standard::new(config, offset_ns, STANDARD_HZ);
+        standard.set_frames(Frames {
+            world: settings.world_frame.clone().into(),
+            body: settings.base_frame.clone().into(),
+        });
+        Ok(Self {
+            standard,
+            wall: Wall::new(moment),
+            connection: Connection::default(),
+            setpoint: Setpoint::new(config.vehicle),
+            own: own.collect::<Result<_, String>>()?,
+            drive: TopicType::standard("ackermann_msgs/AckermannDriveStamped")?,
+            topics: None,
+            step: Box::default(),
+            cdr: Vec::new(),
+            sent: Sent::default(),
+            config: config.clone(),
+            settings: settings.clone(),
+        })
+    }
+
+    /// Looks at what changes seldom.
+    fn look(&mut self, moment: Moment) {
+        if let Some(by_s) = self.wall.look(moment) {
+            tracing::warn!("the wall clock has jumped by {by_s:+.3} s; stamps follow it");
+            if !self.config.run.is_lockstep() {
+                self.standard.set_epoch_offset(self.wall.offset_ns());
+            }
+        }
+        let opened = match &self.topics {
+            Some(topics) => Ok(topics.link.is_connected()),
+            None => self.open().map(|()| true),
+        };
+        let router = &self.settings.router;
+        if let Some(line) = self.connection.note(opened == Ok(true), router) {
+            tracing::info!("{line}");
+        }
+    }
+
+    fn open(&mut self) -> Result<(), String> {
+        let mut link = Link::open(&self.settings, NODE)?;
+        let declared = self.own.iter();
+        let declared = declared.map(|(topic, of)| RosPublisher::declare(&mut link, topic, of));
+        let own = declared.collect::<Result<_, _>>()?;
+        let prefix = &self.settings.prefix;
+        let drive = RosPublisher::declare(&mut link, &format!("{prefix}/drive"), &self.drive)?;
+        let mut standard = BTreeMap::new();
+        for topic in Topic::ALL {
+            let Some(name) = self.name_of(topic) else {
+                continue;
+            };
+            let of = TopicType::of(&topic.channel())?;
+            standard.insert(topic, RosPublisher::declare(&mut link, &name, &of)?);
+        }
+        self.topics = Some(Topics {
+            link,
+            own,
+            drive,
+            standard,
+        });
+        Ok(())
+    }
+
+    /// The name of a standard topic in ROS; `None` for one that is not published.
+    fn name_of(&self, topic: Topic) -> Option<String> {
+        let prefix = &self.settings.prefix;
+        match topic {
+            Topic::Transform => self.settings.publish_tf.then(|| "/tf".into()),
+            Topic::Diagnostics => Some("/diagnostics".into()),
+            Topic::Plan => Some(format!("{prefix}/path")),
+            Topic::Pose => Some(format!("{prefix}/pose")),
+            Topic::Scan => Some(format!("{prefix}/scan")),
+            Topic::Scene => Some(format!("{prefix}/scene")),
+            Topic::Tree => Some(format!("{prefix}/tree")),
+            Topic::Picture => Some(format!("{prefix}/picture")),
+        }
+    }
+
+    /// Passes on all messages that wait.
+    fn turn(&mut self, taps: &mut [Box<dyn Tap>], moment: Moment) {
+        for (number, tap) in taps.iter_mut().enumerate() {
+            tap.update_connections();
+            let service = tap.channel().service.clone();
+            tap.drain(&mut |header, memory| {
+                self.pass_on(number, (&service, header.taken_ns), memory, moment);
+            });
+        }
+    }
+
+    fn pass_on(
+        &mut self,
+        number: usize,
+        (service, taken_ns): (&str, u64),
+        memory: &[u8],
+        moment: Moment,
+    ) {
+        // Without a router nothing is read of it, and nothing is made.
+        let Some(topics) = &mut self.topics else {
+            return;
+        };
+        let sent = &mut self.sent;
+        let mut put = |publisher: &mut RosPublisher, cdr: &[u8]| {
+            match publisher.put(moment.epoch_ns, cdr) {
+                true => sent.messages += 1,
+                false => sent.refused += 1,
+            }
+        };
+        let own = &mut topics.own[number];
+        if own.is_wanted() {
+            self.cdr.clear();
+            self.cdr.extend_from_slice(&ENCAPSULATION);
+            self.cdr.extend_from_slice(memory);
+            put(own, &self.cdr);
+        }
+        let standard = &mut topics.standard;
+        self.standard
+            .message((service, taken_ns), memory, &mut |topic, cdr| {
+                if let Some(publisher) = standard.get_mut(&topic)
+                    && publisher.is_wanted()
+                {
+                    put(publisher, cdr);
+                }
+            });
+        let is_driven = service == STEP.name && topics.drive.is_wanted();
+        if is_driven && self.step.copy_from(memory) && self.step.check().is_ok() {
+            let speed_mps = self.step.observation.ego.speed_mps;
+            let period_s = self.config.run.period_ns() as f64 * 1e-9;
+            let action = self.step.command.action();
+            let drive = self.setpoint.drive(action, speed_mps, period_s);
+            let cdr = drive_cdr(moment.epoch_ns, &self.settings.base_frame, drive);
+            put(&mut topics.drive, &cdr);
+        }
+    }
+}
