@@ -4,9 +4,6 @@
 //! of 33 bytes. A token on `@ros2_lv/...` shows a node or an endpoint to `ros2 topic list` and
 //! the like. Source: docs/design.md of <https://github.com/ros2/rmw_zenoh>.
 
-use hiroz_protocol::KeyExprFormat;
-use hiroz_protocol::entity::{EndpointEntity, EndpointKind, NodeEntity, TypeHash, TypeInfo};
-use hiroz_protocol::qos::{QosDurability, QosHistory, QosProfile};
 use recorder::Channel;
 use xxhash_rust::xxh3::xxh3_128;
 use zenoh::key_expr::KeyExpr;
@@ -82,7 +79,9 @@ pub enum End {
 /// A node of ROS in one session.
 #[derive(Debug, Clone)]
 pub struct Node {
-    entity: NodeEntity,
+    domain: usize,
+    session: ZenohId,
+    name: String,
     next: usize,
 }
 
@@ -100,11 +99,13 @@ pub struct Endpoint {
 impl Node {
     /// A node of this name in a domain.
     pub fn new(domain: usize, session: ZenohId, name: &str) -> Self {
-        let no_namespace = String::new();
-        let no_enclave = String::new();
-        let entity = NodeEntity::new(domain, session, 0, name.into(), no_namespace, no_enclave);
-        // The node has the number 0.
-        Self { entity, next: 1 }
+        Self {
+            domain,
+            session,
+            name: name.into(),
+            // The node has the number 0.
+            next: 1,
+        }
     }
 
     /// Where its token is.
@@ -112,44 +113,40 @@ impl Node {
     /// # Errors
     /// When its name is none.
     pub fn token(&self) -> Result<KeyExpr<'static>, String> {
-        let token = KeyExprFormat::RmwZenoh.node_liveliness_key_expr(&self.entity);
-        Ok(token.map_err(|error| error.to_string())?.0)
+        self.token_of((0, "NN"), "")
+    }
+
+    /// The token of the node or of an end of it; `%` stands for no enclave and no namespace.
+    fn token_of(&self, (id, kind): (usize, &str), more: &str) -> Result<KeyExpr<'static>, String> {
+        let (domain, session, name) = (self.domain, self.session, &self.name);
+        let token = format!("@ros2_lv/{domain}/{session}/0/{id}/{kind}/%/%/{name}{more}");
+        KeyExpr::try_from(token).map_err(|error| error.to_string())
     }
 
     /// Another end of a topic.
     ///
     /// # Errors
-    /// When the topic's name or the type's hash is none.
+    /// When the topic's name is none.
     pub fn endpoint(&mut self, topic: &str, of: &TopicType, end: End) -> Result<Endpoint, String> {
-        let hash = TypeHash::from_rihs_string(&of.hash);
-        let hash = hash.ok_or_else(|| format!("{}: is no type hash", of.hash))?;
+        let kind = match end {
+            End::Publisher => "MP",
+            End::Subscription | End::LateSubscription => "MS",
+        };
+        // A quality that is rmw_zenoh's default is left out; 1 is transient local.
         let durability = match end {
-            End::LateSubscription => QosDurability::TransientLocal,
-            End::Publisher | End::Subscription => QosDurability::Volatile,
+            End::LateSubscription => "1",
+            End::Publisher | End::Subscription => "",
         };
-        let entity = EndpointEntity {
-            id: self.next,
-            node: Some(self.entity.clone()),
-            kind: match end {
-                End::Publisher => EndpointKind::Publisher,
-                End::Subscription | End::LateSubscription => EndpointKind::Subscription,
-            },
-            topic: topic.into(),
-            type_info: Some(TypeInfo::new(&of.dds_name(), hash)),
-            qos: QosProfile {
-                durability,
-                history: QosHistory::from_depth(DEPTH),
-                ..QosProfile::default()
-            },
-        };
+        let quality = format!(":{durability}:,{DEPTH}:,:,:,,");
+        let (dds_name, hash) = (of.dds_name(), &of.hash);
+        let mangled = topic.replace('/', "%");
+        let more = format!("/{mangled}/{dds_name}/{hash}/{quality}");
+        let token = self.token_of((self.next, kind), &more)?;
         self.next += 1;
-        let format = KeyExprFormat::RmwZenoh;
-        let failed = |error: zenoh::Error| format!("{topic}: {error}");
-        let key = format.topic_key_expr(&entity).map_err(failed)?;
-        let token = format.liveliness_key_expr(&entity, &self.entity.z_id);
-        let token = token.map_err(failed)?.0;
+        let (domain, plain) = (self.domain, topic.trim_matches('/'));
+        let key = KeyExpr::try_from(format!("{domain}/{plain}/{dds_name}/{hash}"));
         Ok(Endpoint {
-            key: (*key).clone(),
+            key: key.map_err(|error| format!("{topic}: {error}"))?,
             gid: xxh3_128(token.as_bytes()).to_le_bytes(),
             token,
         })

@@ -201,7 +201,7 @@ impl RosRobot {
         let max_m = observation.lidar_max_m;
         let ranges = observation.ranges().iter().enumerate();
         let met = ranges.filter(|(_, range_m)| **range_m < max_m);
-        let met = met.map(|(beam, range_m)| (fan.point_body(beam, f64::from(*range_m))));
+        let met = met.map(|(beam, range_m)| fan.point_body(beam, f64::from(*range_m)));
         let mut returns: Vec<_> = met
             .map(|place| (place.y.atan2(place.x), place.coords.norm()))
             .collect();
