@@ -229,12 +229,11 @@ impl Bridge {
             return;
         };
         let sent = &mut self.sent;
-        let mut put = |publisher: &mut RosPublisher, cdr: &[u8]| {
-            match publisher.put(moment.epoch_ns, cdr) {
+        let mut put =
+            |publisher: &mut RosPublisher, cdr: &[u8]| match publisher.put(moment.epoch_ns, cdr) {
                 true => sent.messages += 1,
                 false => sent.refused += 1,
-            }
-        };
+            };
         let own = &mut topics.own[number];
         if own.is_wanted() {
             self.cdr.clear();

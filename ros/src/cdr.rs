@@ -165,17 +165,32 @@ mod tests {
         };
         for count in [u32::MAX, u32::MAX - 3, 301, 1 << 31] {
             let bytes = claims(count);
-            assert_eq!(Reader::new(&bytes).and_then(|mut reader| reader.text()), Err(CdrError::Short));
+            assert_eq!(
+                Reader::new(&bytes).and_then(|mut reader| reader.text()),
+                Err(CdrError::Short)
+            );
             let count = Reader::new(&bytes).and_then(|mut reader| reader.count(4, usize::MAX));
             assert_eq!(count, Err(CdrError::Short));
         }
         let bytes = claims(300);
-        assert_eq!(Reader::new(&bytes).and_then(|mut reader| reader.text()), Err(CdrError::Long));
+        assert_eq!(
+            Reader::new(&bytes).and_then(|mut reader| reader.text()),
+            Err(CdrError::Long)
+        );
         let bytes = claims(4);
-        assert_eq!(Reader::new(&bytes).and_then(|mut reader| reader.text()), Err(CdrError::Text));
+        assert_eq!(
+            Reader::new(&bytes).and_then(|mut reader| reader.text()),
+            Err(CdrError::Text)
+        );
         let bytes = [0, 1, 0, 0, 2, 0, 0, 0, 0xff, 0];
-        assert_eq!(Reader::new(&bytes).and_then(|mut reader| reader.text()), Err(CdrError::Text));
-        assert!(matches!(Reader::new(&[0, 3, 0, 0]), Err(CdrError::Encapsulation)));
+        assert_eq!(
+            Reader::new(&bytes).and_then(|mut reader| reader.text()),
+            Err(CdrError::Text)
+        );
+        assert!(matches!(
+            Reader::new(&[0, 3, 0, 0]),
+            Err(CdrError::Encapsulation)
+        ));
         assert!(matches!(Reader::new(&[0, 1]), Err(CdrError::Short)));
     }
 }

@@ -117,8 +117,13 @@ fn header(reader: &mut Reader<'_>) -> Result<Header, Refused> {
 fn flat(reader: &mut Reader<'_>) -> Result<(Pose, bool), Refused> {
     let [x_m, y_m, z_m] = reader.f64s()?;
     let [x, y, z, w] = reader.f64s()?;
-    if ![x_m, y_m, z_m].iter().all(|along_m| along_m.abs() <= PLACE_MAX_M) {
-        return Err(Refused("a place of it is not a number of metres up to 1,000,000"));
+    if ![x_m, y_m, z_m]
+        .iter()
+        .all(|along_m| along_m.abs() <= PLACE_MAX_M)
+    {
+        return Err(Refused(
+            "a place of it is not a number of metres up to 1,000,000",
+        ));
     }
     let norm = x * x + y * y + z * z + w * w;
     // NaN is not within.

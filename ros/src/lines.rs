@@ -27,12 +27,7 @@ struct Told {
 impl Lines {
     /// Notes trouble of this kind with a subject, such as a topic; returns the number of times
     /// that it has happened since it was last told if it is to be told now.
-    pub fn note(
-        &self,
-        subject: &'static str,
-        kind: &'static str,
-        now: Instant,
-    ) -> Option<u64> {
+    pub fn note(&self, subject: &'static str, kind: &'static str, now: Instant) -> Option<u64> {
         // A thread that panicked leaves times and counts, which are valid.
         let mut told = self.told.lock().unwrap_or_else(|error| error.into_inner());
         let is_full = told.len() >= KINDS_MAX;

@@ -9,7 +9,8 @@ use shm_config::text::{Printable, printable_lines};
 use vlaps_ros::bridge;
 use vlaps_ros::settings::Settings;
 
-const HELP: &str = "Publish a running set as ROS 2 topics over Zenoh, as one reader more, until the \
+const HELP: &str =
+    "Publish a running set as ROS 2 topics over Zenoh, as one reader more, until the \
 set ends or Ctrl-C.
 
 Usage: vlaps-ros RUN

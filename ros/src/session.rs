@@ -43,7 +43,10 @@ impl Link {
     /// # Errors
     /// When the session is closed.
     pub fn show(&self, endpoint: &Endpoint) -> Result<LivelinessToken, String> {
-        let token = self.session.liveliness().declare_token(endpoint.token.clone());
+        let token = self
+            .session
+            .liveliness()
+            .declare_token(endpoint.token.clone());
         token.wait().map_err(|error| first(&error))
     }
 
@@ -55,7 +58,9 @@ impl Link {
 
 fn config(router: &str) -> zenoh::Result<Config> {
     let mut config = Config::default();
-    let router = format!("{{\"endpoints\": [{router:?}], \"timeout_ms\": {ATTEMPT_MS}, \"exit_on_failure\": true}}");
+    let router = format!(
+        "{{\"endpoints\": [{router:?}], \"timeout_ms\": {ATTEMPT_MS}, \"exit_on_failure\": true}}"
+    );
     for (key, value) in [
         ("mode", "\"client\""),
         ("connect", router.as_str()),

@@ -177,7 +177,10 @@ impl Settings {
 /// Whether a name is an absolute one of a ROS topic.
 fn is_topic(name: &str) -> bool {
     let is_word = |word: &str| {
-        let starts = word.bytes().next().is_some_and(|byte| !byte.is_ascii_digit());
+        let starts = word
+            .bytes()
+            .next()
+            .is_some_and(|byte| !byte.is_ascii_digit());
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
         starts && word.bytes().all(plain)
     };
@@ -198,7 +201,8 @@ mod tests {
 
     #[test]
     fn a_file_gives_what_differs() {
-        let settings = read("domain = 7\n[robot]\nscan = \"/lidar/scan_1\"\nstamps = \"arrival\"\n");
+        let settings =
+            read("domain = 7\n[robot]\nscan = \"/lidar/scan_1\"\nstamps = \"arrival\"\n");
         let settings = settings.expect("settings");
         assert_eq!(settings.domain, 7);
         assert_eq!(settings.robot.scan, "/lidar/scan_1");
@@ -225,7 +229,10 @@ mod tests {
             ("[robot]\nstamps = \"sim\"", "sim"),
         ] {
             let error = read(text).expect_err(text);
-            assert!(error.contains(named) && error.contains("ros.toml"), "{error}");
+            assert!(
+                error.contains(named) && error.contains("ros.toml"),
+                "{error}"
+            );
             assert_eq!(error.lines().count(), 1, "{error}");
         }
     }

@@ -45,7 +45,9 @@ fn damage<T>(
             Err(_) => refused += 1,
         }
     }
-    decode(whole).map(|whole| check(&whole)).expect("undamaged, it passes");
+    decode(whole)
+        .map(|whole| check(&whole))
+        .expect("undamaged, it passes");
     refused
 }
 
@@ -61,36 +63,58 @@ fn a_damaged_scan_is_refused_or_within_range() {
 
 #[test]
 fn damaged_odometry_is_refused_or_within_range() {
-    let refused = damage(&odometry(1, [1.0, 2.0, 3.0], 4.0), Odometry::decode, |odometry| {
-        let at = odometry.pose.translation.vector;
-        assert!(at.iter().all(|along_m| along_m.abs() <= 1e6));
-        assert!(odometry.pose.rotation.angle().is_finite());
-        assert!(odometry.speed_mps.abs() <= 150.0);
-        assert!(odometry.yaw_rate_radps.abs() <= 100.0);
-    });
+    let refused = damage(
+        &odometry(1, [1.0, 2.0, 3.0], 4.0),
+        Odometry::decode,
+        |odometry| {
+            let at = odometry.pose.translation.vector;
+            assert!(at.iter().all(|along_m| along_m.abs() <= 1e6));
+            assert!(odometry.pose.rotation.angle().is_finite());
+            assert!(odometry.speed_mps.abs() <= 150.0);
+            assert!(odometry.yaw_rate_radps.abs() <= 100.0);
+        },
+    );
     assert!((TRIES / 10..TRIES).contains(&refused), "{refused}");
 }
 
 #[test]
 fn damaged_transforms_and_paths_are_refused_or_within_range() {
-    damage(&transform("a", "b", [1.0, 2.0, 3.0]), Transform::decode_all, |transforms| {
-        assert!(transforms.len() <= 256);
-        let mut frames = Frames::default();
-        let _ = frames.note(transforms.clone());
-        if let Place::Known(pose) = frames.place("b", "a") {
-            assert!(pose.translation.vector.iter().all(|along_m| along_m.is_finite()));
-        }
-    });
-    damage(&path("map", &[[0.0, 1.0], [2.0, 3.0]]), Path::decode, |path| {
-        let places = path.places.iter();
-        let mut numbers = places.flat_map(|place| [place.x, place.y]);
-        assert!(numbers.all(|along_m| along_m.abs() <= 1e6));
-    });
+    damage(
+        &transform("a", "b", [1.0, 2.0, 3.0]),
+        Transform::decode_all,
+        |transforms| {
+            assert!(transforms.len() <= 256);
+            let mut frames = Frames::default();
+            let _ = frames.note(transforms.clone());
+            if let Place::Known(pose) = frames.place("b", "a") {
+                assert!(
+                    pose.translation
+                        .vector
+                        .iter()
+                        .all(|along_m| along_m.is_finite())
+                );
+            }
+        },
+    );
+    damage(
+        &path("map", &[[0.0, 1.0], [2.0, 3.0]]),
+        Path::decode,
+        |path| {
+            let places = path.places.iter();
+            let mut numbers = places.flat_map(|place| [place.x, place.y]);
+            assert!(numbers.all(|along_m| along_m.abs() <= 1e6));
+        },
+    );
 }
 
 #[test]
 fn numbers_that_are_none_and_lists_that_are_too_long_are_refused() {
-    for [x_m, heading_rad] in [[f64::NAN, 0.0], [f64::INFINITY, 0.0], [1e7, 0.0], [0.0, f64::NAN]] {
+    for [x_m, heading_rad] in [
+        [f64::NAN, 0.0],
+        [f64::INFINITY, 0.0],
+        [1e7, 0.0],
+        [0.0, f64::NAN],
+    ] {
         assert!(Odometry::decode(&odometry(1, [x_m, 0.0, heading_rad], 0.0)).is_err());
         assert!(Transform::decode_all(&transform("a", "b", [x_m, 0.0, heading_rad])).is_err());
     }
@@ -98,13 +122,20 @@ fn numbers_that_are_none_and_lists_that_are_too_long_are_refused() {
         assert!(Odometry::decode(&odometry(1, [0.0; 3], speed_mps)).is_err());
     }
     let many = vec![[0.0, 0.0]; 10_001];
-    assert_eq!(Path::decode(&path("map", &many)), Err(Refused("a list of it is too long")));
+    assert_eq!(
+        Path::decode(&path("map", &many)),
+        Err(Refused("a list of it is too long"))
+    );
     let empty = Path::decode(&path("map", &[])).expect("an empty path is one");
     assert!(empty.places.is_empty());
     // Ranges that are none are directions in which nothing was met.
     for range_m in [f32::NAN, f32::INFINITY, -1.0, 31.0, 0.0] {
         let scan = LaserScan::decode(&scan(1, "laser", range_m)).expect("a scan");
-        assert!(scan.ranges_m.iter().all(|range_m| *range_m == f32::INFINITY));
+        assert!(
+            scan.ranges_m
+                .iter()
+                .all(|range_m| *range_m == f32::INFINITY)
+        );
     }
     let near = LaserScan::decode(&scan(1, "laser", f32::NEG_INFINITY)).expect("a scan");
     assert!(near.ranges_m.iter().all(|range_m| *range_m == 0.05));

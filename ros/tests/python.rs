@@ -46,7 +46,10 @@ fn fill(table: &Table, memory: &mut [u8], dice: &mut Xoshiro256PlusPlus) {
             nested => {
                 let nested = table.nested.iter().find(|table| table.name == nested);
                 let nested = nested.expect("a nested table");
-                let end = nested.fields.last().map_or(1, |last| last.offset + last.size);
+                let end = nested
+                    .fields
+                    .last()
+                    .map_or(1, |last| last.offset + last.size);
                 own.chunks_mut(end).for_each(|one| fill(nested, one, dice));
             }
         }
@@ -76,6 +79,7 @@ fn messages() -> Vec<serde_json::Value> {
     let mut step = Box::new(Step::default());
     step.header.taken_ns = 5_000_000_000;
     step.observation.beam_count = 4;
+    (step.observation_age_ns, step.plan_age_ns) = (0, 0);
     let mut standard = Standard::new(&Config::default(), 1_700_000_000_000_000_000, 10.0);
     let of_step = ("step", step.header.taken_ns);
     standard.message(of_step, step.as_bytes(), &mut |topic: Topic, cdr: &[u8]| {
@@ -89,7 +93,11 @@ fn messages() -> Vec<serde_json::Value> {
     };
     let short = "ackermann_msgs/AckermannDriveStamped";
     let drive = drive_cdr(1_700_000_000_000_000_001, "base_link", drive);
-    add("ackermann_msgs/msg/AckermannDriveStamped", &definition(short), &drive);
+    add(
+        "ackermann_msgs/msg/AckermannDriveStamped",
+        &definition(short),
+        &drive,
+    );
     let short = "nav_msgs/Odometry";
     let odometry = stage::odometry(7, [1.0, 2.0, 0.5], 3.0);
     add("nav_msgs/msg/Odometry", &definition(short), &odometry);
@@ -104,10 +112,14 @@ fn check(test: &str, library: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("messages.json");
     let all = messages();
-    assert!(all.len() > 20, "{}", all.len());
+    let names: Vec<_> = all.iter().map(|message| &message["name"]).collect();
+    assert!(all.len() > 20, "{names:?}");
     std::fs::write(&path, serde_json::to_vec(&all).expect("JSON")).expect("a file");
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/check.py");
-    let output = Command::new(python).args([script, library]).arg(&path).output();
+    let output = Command::new(python)
+        .args([script, library])
+        .arg(&path)
+        .output();
     let output = output.expect("Python runs");
     let text = String::from_utf8_lossy(&output.stdout);
     let error = String::from_utf8_lossy(&output.stderr);

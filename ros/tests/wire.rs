@@ -31,7 +31,10 @@ fn a_message_arrives_byte_by_byte_with_its_number_time_and_sender() {
     let address = free_router();
     let router = router(&address);
     let of = step_type();
-    let heard = hear(&router, &format!("0/vlaps/step/{}/{}", of.dds_name(), of.hash));
+    let heard = hear(
+        &router,
+        &format!("0/vlaps/step/{}/{}", of.dds_name(), of.hash),
+    );
     let mut link = Link::open(&settings(&address), "vlaps").expect("a session");
     let mut publisher = RosPublisher::declare(&mut link, "/vlaps/step", &of).expect("a topic");
     until("the subscription is seen", || publisher.is_wanted());
@@ -47,14 +50,21 @@ fn a_message_arrives_byte_by_byte_with_its_number_time_and_sender() {
         assert_eq!(attachment[16], 16);
     }
     // As `ros2 node list` and `ros2 topic list` find them.
-    let tokens = router.liveliness().get("@ros2_lv/0/**").wait().expect("tokens");
+    let tokens = router
+        .liveliness()
+        .get("@ros2_lv/0/**")
+        .wait()
+        .expect("tokens");
     let mut tokens: Vec<String> = std::iter::from_fn(|| tokens.recv().ok())
         .filter_map(|reply| Some(reply.result().ok()?.key_expr().to_string()))
         .collect();
     tokens.sort_unstable();
     assert_eq!(tokens.len(), 2, "{tokens:?}");
     assert!(tokens[0].ends_with("/0/0/NN/%/%/vlaps"), "{tokens:?}");
-    assert!(tokens[1].contains("/MP/%/%/vlaps/%vlaps%step/"), "{tokens:?}");
+    assert!(
+        tokens[1].contains("/MP/%/%/vlaps/%vlaps%step/"),
+        "{tokens:?}"
+    );
 }
 
 #[test]

@@ -29,12 +29,10 @@ use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
 use planner::Planner;
 use shm_config::Message as _;
-use shm_config::layout::Layout as _;
 use shm_config::config::Config;
 use shm_config::config::planner::Method;
-use shm_config::message::{
-    Assessment, Driver, Frame, Health, PixelFormat, Plan, Proposal, Step,
-};
+use shm_config::layout::Layout as _;
+use shm_config::message::{Assessment, Driver, Frame, Health, PixelFormat, Plan, Proposal, Step};
 use shm_config::palette;
 use shm_config::services::{FRAME, Process, STEP, health};
 use vehicle::Point;
@@ -42,10 +40,10 @@ use vehicle::Point;
 use crate::Channel;
 pub use branches::{Branch, branches};
 use cdr::Cdr;
+pub use definitions::definition;
 pub use geometry::{Bodies, Body, edges, rollout};
 use markers::{Kind, Marker, VETOED};
 use messages::TimeStamp;
-pub use definitions::definition;
 pub use messages::{BODY_FRAME, Drive, Frames, WORLD_FRAME};
 
 /// Time between two diagnoses, and between two search trees, ns: each tree is a search.

@@ -124,7 +124,9 @@ impl Car {
         let turn_rad = TAU / f64::from(BEAMS);
         let angles = [-TAU / 2.0, TAU / 2.0 - turn_rad, turn_rad];
         let to = angles.iter().fold(to, |to, angle_rad| to.f32(*angle_rad));
-        let to = [0.0, 0.05, 0.1, 60.0].iter().fold(to, |to, value| to.f32(*value));
+        let to = [0.0, 0.05, 0.1, 60.0]
+            .iter()
+            .fold(to, |to, value| to.f32(*value));
         let ranges = (0..BEAMS).map(|k| self.range_m(f64::from(k) * turn_rad - TAU / 2.0));
         ranges.fold(to.u32(BEAMS), Cdr::f32).u32(0)
     }
@@ -187,7 +189,9 @@ impl Cdr {
     }
 
     fn f64s(self, values: &[f64]) -> Self {
-        values.iter().fold(self, |to, value| to.put(value.to_le_bytes()))
+        values
+            .iter()
+            .fold(self, |to, value| to.put(value.to_le_bytes()))
     }
 
     fn text(self, text: &str) -> Self {
@@ -198,7 +202,10 @@ impl Cdr {
     }
 
     fn header(self, moment: Moment, frame: &str) -> Self {
-        let (s, ns) = (moment.epoch_ns / 1_000_000_000, moment.epoch_ns % 1_000_000_000);
+        let (s, ns) = (
+            moment.epoch_ns / 1_000_000_000,
+            moment.epoch_ns % 1_000_000_000,
+        );
         self.u32(s as u32).u32(ns as u32).text(frame)
     }
 

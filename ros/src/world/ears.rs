@@ -106,7 +106,12 @@ impl Ears {
         let names = &self.settings;
         let (now, late) = (End::Subscription, End::LateSubscription);
         let scan = ("scan", names.scan.as_str(), "sensor_msgs/LaserScan", now);
-        let odometry = ("odometry", names.odometry.as_str(), "nav_msgs/Odometry", now);
+        let odometry = (
+            "odometry",
+            names.odometry.as_str(),
+            "nav_msgs/Odometry",
+            now,
+        );
         let moving = ("TF", "/tf", "tf2_msgs/TFMessage", now);
         let fixed = ("TF", "/tf_static", "tf2_msgs/TFMessage", late);
         let path = ("path", names.path.as_str(), "nav_msgs/Path", late);
@@ -140,7 +145,11 @@ impl Ears {
             let heard = check_type(&sample, (&dds_name, &of.hash))
                 .and_then(|()| hear(&ears, &payload(&sample)?, moment));
             if let Err(refused) = heard {
-                ears.tell((what, &topic), refused, (sample.key_expr().as_str(), moment));
+                ears.tell(
+                    (what, &topic),
+                    refused,
+                    (sample.key_expr().as_str(), moment),
+                );
             }
         };
         let subscriber = match end {
@@ -173,7 +182,10 @@ impl Ears {
                 "{what}: {topic} comes as {name} {hash}, {}; refused{again}",
                 refused.0
             ),
-            _ => tracing::warn!("{what}: a message on {topic} is refused: {}{again}", refused.0),
+            _ => tracing::warn!(
+                "{what}: a message on {topic} is refused: {}{again}",
+                refused.0
+            ),
         }
     }
 
@@ -293,7 +305,11 @@ impl Ears {
     /// changed. Called ten times a second.
     pub fn lay_route(&self, moment: Moment) {
         let mut state = lock(&self.path);
-        let PathState { newest, number, made } = &mut *state;
+        let PathState {
+            newest,
+            number,
+            made,
+        } = &mut *state;
         let Some(path) = newest else {
             return;
         };
@@ -328,7 +344,9 @@ impl Ears {
         let mut rows: Vec<Row> = Vec::with_capacity(path.places.len());
         for place in &path.places {
             let place = world_from_path * place;
-            let is_new = rows.last().is_none_or(|last| (last.place - place).norm() > APART_M);
+            let is_new = rows
+                .last()
+                .is_none_or(|last| (last.place - place).norm() > APART_M);
             if is_new {
                 rows.push(Row {
                     place,

@@ -30,11 +30,15 @@ pub fn sweep(
     let beside_rad = half_rad + scan.increment_rad / 2.0 + sector_rad;
     // Ranges on each side of the nearest one that are in the sector, too; each stands for half
     // a gap on both of its sides.
-    let reach = (sector_rad / scan.increment_rad - 0.5 - ROUNDING).ceil().max(0.0) as usize;
+    let reach = (sector_rad / scan.increment_rad - 0.5 - ROUNDING)
+        .ceil()
+        .max(0.0) as usize;
     for (beam, range_m) in into.iter_mut().enumerate().take(fan.beams) {
         let off_rad = wrap_rad(fan.angle_rad(beam) - middle_rad);
         if !is_circle && off_rad.abs() > beside_rad {
-            return Err(Refused("it does not look where [scanner] says that beams look"));
+            return Err(Refused(
+                "it does not look where [scanner] says that beams look",
+            ));
         }
         let nearest = ((off_rad + half_rad) / scan.increment_rad).round().max(0.0) as usize;
         // Counted from one round on, so that no number is negative.
@@ -121,7 +125,11 @@ mod tests {
 
     #[test]
     fn fewer_ranges_serve_more_beams() {
-        let swept = swept(&scan(-90.0, 90.0, vec![1.0, 2.0, 3.0]), 0.0, &fan(181, 180.0));
+        let swept = swept(
+            &scan(-90.0, 90.0, vec![1.0, 2.0, 3.0]),
+            0.0,
+            &fan(181, 180.0),
+        );
         let swept = swept.expect("it covers the fan");
         assert_eq!([swept[0], swept[90], swept[180]], [1.0, 2.0, 3.0]);
         assert!(swept.iter().all(|range_m| *range_m < 50.0), "{swept:?}");

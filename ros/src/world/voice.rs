@@ -172,7 +172,10 @@ impl Speaker {
                  refused until it and the robot's agree"
             );
         }
-        let is_there = self.open.as_ref().is_some_and(|open| open.link.is_connected());
+        let is_there = self
+            .open
+            .as_ref()
+            .is_some_and(|open| open.link.is_connected());
         if let Some(line) = self.connection.note(is_there, &self.settings.router) {
             tracing::info!("{line}");
         }

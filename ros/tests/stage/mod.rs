@@ -101,11 +101,15 @@ impl Write {
     }
 
     pub fn f32s(self, values: &[f32]) -> Self {
-        values.iter().fold(self, |to, value| to.bytes(value.to_le_bytes()))
+        values
+            .iter()
+            .fold(self, |to, value| to.bytes(value.to_le_bytes()))
     }
 
     pub fn f64s(self, values: &[f64]) -> Self {
-        values.iter().fold(self, |to, value| to.bytes(value.to_le_bytes()))
+        values
+            .iter()
+            .fold(self, |to, value| to.bytes(value.to_le_bytes()))
     }
 
     pub fn text(self, text: &str) -> Self {
@@ -138,7 +142,9 @@ pub fn scan(epoch_ns: u64, frame: &str, range_m: f32) -> Vec<u8> {
 pub fn odometry(epoch_ns: u64, [x_m, y_m, heading_rad]: [f64; 3], speed_mps: f64) -> Vec<u8> {
     let to = Write::default().header(epoch_ns, "odom").text("base_link");
     let to = to.pose(x_m, y_m, heading_rad).f64s(&[f64::NAN; 36]);
-    to.f64s(&[speed_mps, 0.0, 0.0, 0.0, 0.0, 0.25]).f64s(&[0.0; 36]).0
+    to.f64s(&[speed_mps, 0.0, 0.0, 0.0, 0.0, 0.25])
+        .f64s(&[0.0; 36])
+        .0
 }
 
 /// One transform.
@@ -151,7 +157,11 @@ pub fn transform(parent: &str, child: &str, [x_m, y_m, heading_rad]: [f64; 3]) -
 pub fn path(frame: &str, places: &[[f64; 2]]) -> Vec<u8> {
     let to = Write::default().header(0, frame).u32(places.len() as u32);
     let poses = places.iter();
-    poses.fold(to, |to, [x_m, y_m]| to.header(0, frame).pose(*x_m, *y_m, 0.0)).0
+    poses
+        .fold(to, |to, [x_m, y_m]| {
+            to.header(0, frame).pose(*x_m, *y_m, 0.0)
+        })
+        .0
 }
 
 /// A standard type.
