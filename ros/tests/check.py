@@ -30,13 +30,12 @@ def with_mcap(messages):
 
 
 def with_cyclonedds(messages):
-    """The bytes through two participants of Cyclone DDS, on the names that ROS 2 uses."""
+    """The bytes through a writer and a reader of Cyclone DDS, under the names of ROS 2."""
     import time
-    from dataclasses import make_dataclass
 
     from cyclonedds.core import Policy, Qos
     from cyclonedds.domain import DomainParticipant
-    from cyclonedds.idl import IdlStruct, types
+    from cyclonedds.idl import make_idl_struct, types
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
@@ -69,20 +68,9 @@ def with_cyclonedds(messages):
                         of = types.array[of, int(length[:-1])]
                     fields.append((field, of))
                 package, _, short = name.rpartition("/")
-                dds = package.replace("/", "::") + "::dds_::" + short + "_"
-                base = IdlStruct
-                made[name] = type(base)(
-                    short + "_", (base,), {"__annotations__": dict(fields)}, typename=dds
-                ) if False else make_dataclass(
-                    short + "_", fields, bases=(_typed(dds),), namespace={}
-                )
+                dds = package.replace("/", ".") + ".dds_." + short + "_"
+                made[name] = make_idl_struct(short + "_", dds, dict(fields))
             return made[name]
-
-        def _typed(dds):
-            class Base(IdlStruct, typename=dds):
-                pass
-
-            return Base
 
         return make(message["name"])
 
