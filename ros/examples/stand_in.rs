@@ -75,7 +75,7 @@ fn router(address: &str) -> Result<Session, Failure> {
     config.insert_json5("mode", "\"router\"")?;
     config.insert_json5("listen/endpoints", &format!("[{address:?}]"))?;
     config.insert_json5("scouting/multicast/enabled", "false")?;
-    Ok(zenoh::open(config).wait()?)
+    zenoh::open(config).wait()
 }
 
 /// Reads every topic of the domain.

@@ -156,7 +156,8 @@ impl LaserScan {
             return Err(Refused("its angles are no angles"));
         }
         // A full circle may hold the first direction twice.
-        if !((count - 1) as f64 * increment_rad.abs() <= TAU + 1e-3) {
+        let whole_rad = (count - 1) as f64 * increment_rad.abs();
+        if !(0.0..=TAU + 1e-3).contains(&whole_rad) {
             return Err(Refused("its ranges are more than a full circle"));
         }
         if !(least_m >= 0.0 && most_m > least_m) {

@@ -130,7 +130,7 @@ pub struct RosRobot {
     /// The number of the path that was driven to its end.
     done: u64,
     /// Joined when the robot is dropped, after the last brake.
-    _thread: Option<VoiceThread>,
+    _thread: VoiceThread,
 }
 
 impl RosRobot {
@@ -144,25 +144,12 @@ impl RosRobot {
         }
         let (slots, heard) = slots();
         let (voice, thread) = VoiceThread::start(config, settings, slots)?;
-        let thread = Some(thread);
-        Ok(Self {
-            _thread: thread,
-            ..Self::with(config, settings, (heard, voice))
-        })
-    }
-
-    /// A robot without its connection.
-    pub(super) fn with(
-        config: &Config,
-        settings: &Settings,
-        (heard, voice): (Heard, Voice),
-    ) -> Self {
         let vehicle = config.vehicle;
         let half_width_m = match settings.robot.half_width_m {
             0.0 => vehicle.width_m,
             half_width_m => half_width_m,
         };
-        Self {
+        Ok(Self {
             heard,
             voice,
             setpoint: Setpoint::new(vehicle),
@@ -177,8 +164,8 @@ impl RosRobot {
             },
             located: None,
             done: 0,
-            _thread: None,
-        }
+            _thread: thread,
+        })
     }
 
     /// Road and checkpoints by the path; `None` without one to follow.
@@ -222,7 +209,7 @@ impl RosRobot {
     }
 
     /// Reads at this instant.
-    pub(super) fn read_at(&mut self, now: Instant, observation: &mut Observation) -> Reading {
+    fn read_at(&mut self, now: Instant, observation: &mut Observation) -> Reading {
         self.heard.seen.update();
         self.heard.moved.update();
         self.heard.course.update();

@@ -39,14 +39,6 @@ impl Voice {
         // One system call that never waits.
         self.thread.unpark();
     }
-
-    /// One whose commands nothing sends, and where they are left.
-    #[cfg(test)]
-    pub fn silent() -> (Self, Output<Drive>) {
-        let (drives, out) = triple_buffer(&Drive::default());
-        let thread = std::thread::current();
-        (Self { drives, thread }, out)
-    }
 }
 
 /// The thread. When it is dropped, the last command is still sent.
