@@ -1,8 +1,6 @@
 //! The check that each message passes: those that a reader takes, and those that the
 //! caller publishes, before they are sent.
 
-use std::cmp::Ordering;
-
 use shm_config::config::Config;
 use shm_config::message::{
     Advice, Command, Episode, Foresight, Frame, FrameRequest, Learning, Message, Observation, Plan,
@@ -88,24 +86,14 @@ impl Enter for Command {
     /// A process that has published an observation takes commands of its episode alone;
     /// in lockstep, the answer to it alone.
     fn enter(&self, door: &Door) -> Result<(), Refusal> {
-        door.admit(self, services::COMMAND.row.age_limit)?;
-        let Some((tick, expected)) = door.asked else {
-            return Ok(());
-        };
-        let episode = self.header.episode;
-        if episode != expected {
-            return Err(Refusal::Episode { episode, expected });
-        }
-        let ticks_ns = |ticks: u64| ticks.saturating_mul(door.period_ns);
-        match self.header.tick.cmp(&tick) {
-            Ordering::Less if door.is_lockstep => Err(Refusal::Stale {
-                age_ns: ticks_ns(tick - self.header.tick),
-                limit_ns: 0,
-            }),
-            Ordering::Greater if door.is_lockstep => Err(Refusal::Future {
-                ahead_ns: ticks_ns(self.header.tick - tick),
-            }),
-            _ => Ok(()),
+        match (door.asked, door.is_lockstep) {
+            (None, _) => door.admit(self, services::COMMAND.row.age_limit),
+            (Some((tick, episode)), true) => {
+                robot::door::admit_answer(self, tick, door.period_ns, episode)
+            }
+            (Some((_, episode)), false) => {
+                robot::door::admit(self, door.now(), door.command_age_ns, episode)
+            }
         }
     }
 }

@@ -145,6 +145,7 @@ impl<M: Enter> Port for Reader<M> {
 struct Writer<M: Message> {
     port: Publisher<M>,
     service: &'static str,
+    workspace: Workspace<M>,
 }
 
 impl<M: Enter> Port for Writer<M> {
@@ -162,8 +163,8 @@ impl<M: Enter> Port for Writer<M> {
     }
 
     fn publish(&mut self, door: &Door, message: &[u8]) -> Result<(), Failure> {
-        let mut message = admitted::<M>(self.service, door, message)?;
-        match self.port.send(&mut message) {
+        let message = self.workspace.admitted(self.service, door, message)?;
+        match self.port.send(message) {
             true => Ok(()),
             false => Err(no_space(self.service)),
         }
@@ -182,23 +183,43 @@ pub fn no_space(service: &str) -> Failure {
     }
 }
 
-/// The message of these bytes, not yet checked.
-///
-/// # Errors
-/// When their number is not the message's.
-pub fn read<M: Message>(service: &str, bytes: &[u8]) -> Result<Box<M>, Failure> {
-    check_length::<M>(service, bytes.len())?;
-    let message = M::from_bytes(bytes).map(Box::new);
-    message.ok_or_else(|| Failure::invalid(format!("{service}: wrong length")))
+/// Room for a message of the caller. It is allocated for the first one; those of later
+/// ticks are copied there.
+pub struct Workspace<M>(Option<Box<M>>);
+
+impl<M> Default for Workspace<M> {
+    fn default() -> Self {
+        Self(None)
+    }
 }
 
-/// A message of these bytes that has passed its check.
-fn admitted<M: Enter>(service: &str, door: &Door, bytes: &[u8]) -> Result<Box<M>, Failure> {
-    let message = read::<M>(service, bytes)?;
-    message
-        .enter(door)
-        .map_err(|refusal| Failure::refused(service, &refusal))?;
-    Ok(message)
+impl<M: Message> Workspace<M> {
+    /// The message of these bytes, not yet checked.
+    ///
+    /// # Errors
+    /// When their number is not the message's.
+    pub fn read(&mut self, service: &str, bytes: &[u8]) -> Result<&mut M, Failure> {
+        check_length::<M>(service, bytes.len())?;
+        match &mut self.0 {
+            Some(message) => {
+                message.copy_from(bytes);
+            }
+            None => self.0 = M::from_bytes(bytes).map(Box::new),
+        }
+        let message = self.0.as_deref_mut();
+        message.ok_or_else(|| Failure::invalid(format!("{service}: wrong length")))
+    }
+}
+
+impl<M: Enter> Workspace<M> {
+    /// A message of these bytes that has passed its check.
+    fn admitted(&mut self, service: &str, door: &Door, bytes: &[u8]) -> Result<&mut M, Failure> {
+        let message = self.read(service, bytes)?;
+        match message.enter(door) {
+            Ok(()) => Ok(message),
+            Err(refusal) => Err(Failure::refused(service, &refusal)),
+        }
+    }
 }
 
 /// Opens a port, where the service's row names the process.
@@ -271,7 +292,11 @@ fn read_with<M: Enter>(
 fn write_to<M: Enter>(wire: &Wire, service: Service<M>) -> Result<Box<dyn Port>, Failure> {
     let port = wire.publisher(service)?;
     let service = service.name;
-    Ok(Box::new(Writer { port, service }))
+    Ok(Box::new(Writer {
+        port,
+        service,
+        workspace: Workspace::default(),
+    }))
 }
 
 /// A frame has two megabytes, which do not belong on the stack of a caller: it is read
@@ -296,7 +321,8 @@ macro_rules! tables {
         pub fn admit(door: &Door, name: &str, message: &[u8]) -> Result<(), Failure> {
             row_of(name)?;
             $( if name == services::$name.name {
-                return admitted::<$message>(name, door, message).map(|_| ());
+                let mut workspace = Workspace::<$message>::default();
+                return workspace.admitted(name, door, message).map(|_| ());
             } )+
             Err(unopened(name))
         }
@@ -320,5 +346,34 @@ tables! {
     }
     read {
         FRAME,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_config::layout::Layout;
+
+    use super::*;
+
+    #[test]
+    fn only_the_first_message_of_a_workspace_is_allocated() {
+        let sent = [0.25, 0.5].map(|steer| {
+            let mut observation = Observation::default();
+            observation.ego.steer = steer;
+            observation
+        });
+        let mut workspace = Workspace::<Observation>::default();
+        let mut read = |observation: &Observation| {
+            let seen = workspace.read("observation", observation.as_bytes());
+            seen.expect("its length").ego.steer
+        };
+        let [first, later] = sent.each_ref().map(|observation| {
+            let mut steer = 0.0;
+            let counted = allocation_counter::measure(|| steer = read(observation));
+            (steer, counted.count_total)
+        });
+        assert_eq!((first, later), ((0.25, 1), (0.5, 0)));
+        let short = workspace.read("observation", &[0; 3]);
+        assert!(short.is_err(), "another length is refused");
     }
 }

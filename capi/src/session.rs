@@ -7,7 +7,7 @@ use clap::Parser;
 use robot::clock::Begin;
 use runtime::{Arguments, Member, SetUpError, TickLoop};
 use shm_config::Instant;
-use shm_config::message::HealthState;
+use shm_config::message::{HealthState, Observation, Plan, Progress};
 use shm_config::services::Process;
 use shm_config::time::monotonic;
 use shm_config::wire::Wire;
@@ -16,7 +16,7 @@ use crate::description;
 use crate::door::Door;
 use crate::failure::{Answer, Failure};
 use crate::planner::{self, PlannerSide};
-use crate::port::{self, Place, Port, Use};
+use crate::port::{self, Place, Port, Use, Workspace};
 use crate::world::{self, WorldSide};
 
 /// Ports that one process may open in its life: a number is not used again, so that a
@@ -49,7 +49,16 @@ pub struct Session {
     ports: Vec<Option<Box<dyn Port>>>,
     world: Option<WorldSide>,
     planner: Option<PlannerSide>,
+    messages: Messages,
     settings: toml::Table,
+}
+
+/// Room for what the loops are given.
+#[derive(Default)]
+struct Messages {
+    observation: Workspace<Observation>,
+    progress: Workspace<Progress>,
+    plan: Workspace<Plan>,
 }
 
 fn process_of(word: &str) -> Result<Process, Failure> {
@@ -100,6 +109,7 @@ impl Session {
             ports: Vec::with_capacity(PORTS_MAX),
             world: None,
             planner: None,
+            messages: Messages::default(),
             settings,
         })
     }
@@ -283,8 +293,8 @@ impl Session {
             return Err(Failure::invalid("vlaps_await_tick comes first"));
         };
         let messages = (
-            port::read("observation", observation)?,
-            port::read("progress", progress)?,
+            self.messages.observation.read("observation", observation)?,
+            &*self.messages.progress.read("progress", progress)?,
         );
         world.finish_tick(&mut self.run, &mut self.door, messages)
     }
@@ -297,7 +307,7 @@ impl Session {
     /// shared memory refuses its ports.
     pub fn await_observation(
         &mut self,
-    ) -> Result<Option<shm_config::message::Observation>, Failure> {
+    ) -> Result<Option<Observation>, Failure> {
         if self.planner.is_none() {
             check_is(self.process(), Process::Planner)?;
             self.check_no_writer(planner::PUBLISHED)?;
@@ -326,7 +336,7 @@ impl Session {
         let Some(planner) = &mut self.planner else {
             return Err(Failure::invalid("vlaps_await_observation comes first"));
         };
-        planner.answer(&mut self.run, port::read("plan", plan)?)
+        planner.answer(&mut self.run, self.messages.plan.read("plan", plan)?)
     }
 
     /// A number of the configuration by its key, such as `scanner.range_m`; true is 1.

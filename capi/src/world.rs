@@ -173,12 +173,12 @@ impl WorldSide {
         &mut self,
         run: &mut TickLoop,
         door: &mut Door,
-        (mut observation, progress): (Box<Observation>, Box<Progress>),
+        (observation, progress): (&mut Observation, &Progress),
     ) -> Result<Answer, Failure> {
         if self.next != Next::Finish {
             return Err(Failure::invalid("vlaps_await_tick comes first"));
         }
-        self.clock.date(&mut observation);
+        self.clock.date(observation);
         let refused = |service: &'static str| move |refusal| Failure::refused(service, &refusal);
         observation.check().map_err(refused(OBSERVATION.name))?;
         progress.check().map_err(refused(PROGRESS.name))?;
@@ -187,7 +187,7 @@ impl WorldSide {
             return Err(ends_as_it_begins(outcome));
         }
         let mut account = self.account.clone();
-        account.note(&observation.ego, &progress);
+        account.note(&observation.ego, progress);
         // The way is summed up here, and may overflow.
         let episode = episode_of(&account, &self.clock, Outcome::Stopped);
         episode.check().map_err(refused(EPISODE.name))?;
@@ -206,7 +206,7 @@ impl WorldSide {
         let mut told = Ok(());
         let is_sent = self
             .clock
-            .publish(run, ports, &mut observation, |clock, ports| {
+            .publish(run, ports, observation, |clock, ports| {
                 told = publish_progress(account, clock, ports, Outcome::Driving);
             });
         door.asked = Some((self.clock.tick(), self.clock.episode()));

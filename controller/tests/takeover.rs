@@ -54,7 +54,7 @@ impl Seat {
         let inputs = Inputs {
             observation: observation(self.now).into(),
             plan: plan(self.now, 0.0).into(),
-            takeover,
+            takeover: takeover.into(),
             ..Inputs::default()
         };
         self.tick_on(&inputs, Intent::Drive)
@@ -160,7 +160,7 @@ fn the_judge_vetoes_the_policy_and_not_the_person_but_judges_both() {
     assert_ne!(step.driver(), Driver::Policy);
 
     inputs.observation = Some(wall(seat.now));
-    inputs.takeover = Some(takeover(1, seat.now));
+    inputs.takeover = takeover(1, seat.now).into();
     let step = seat.tick_on(&inputs, Intent::Drive);
     assert!(step.expert_assessment.is_vetoed(), "it is recorded");
     assert_drove(&step, Driver::Expert, Reason::Takeover);

@@ -22,6 +22,11 @@ impl Beams {
             .extend((0..count).map(|beam| fan.direction_body(beam)));
     }
 
+    /// The directions of the fan prepared last.
+    pub(crate) fn directions_body(&self) -> &[Vector] {
+        &self.directions_body
+    }
+
     /// The points that were hit; a beam at its full range hit nothing.
     pub(crate) fn returns<'a>(
         &'a self,

@@ -12,6 +12,7 @@
 //! | [`scan`](mod@scan) | fills the lidar of an observation |
 //! | [`route`] | road and checkpoints of a map and a pose, or of the scan alone |
 //! | [`estimate`] | the car's motion from wheels, IMU and scan, where nothing knows the truth |
+//! | [`door`] | the checks of commands |
 //! | [`ports`] | its ports |
 //! | [`account`] | the commands that moved a car in one episode |
 //!
@@ -51,7 +52,7 @@ pub mod bicycle;
 #[cfg(feature = "process")]
 pub mod clock;
 #[cfg(feature = "process")]
-mod door;
+pub mod door;
 #[cfg(feature = "process")]
 pub mod driven;
 #[cfg(feature = "process")]

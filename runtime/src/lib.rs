@@ -5,6 +5,7 @@
 //! | `member` | arguments, configuration, membership, logs, stop signal, exit code |
 //! | `tick_loop` | the loop of every process with a fixed rate: heartbeat, connections, waiting, stop |
 //! | `schedule` | the grid of its ticks: due, skipped, missed |
+//! | `plan_ticks` | the ticks of a planner: its turns, late plans, the account |
 //! | `telemetry` | what a process reports: health, timing, deadlines, budgets |
 //! | `privileges` | real-time priority, own core, locked memory |
 //! | `contest` | detects two living producers of one state |
@@ -30,6 +31,7 @@ mod contest;
 mod fault;
 mod kernel;
 mod member;
+mod plan_ticks;
 mod privileges;
 mod schedule;
 mod telemetry;
@@ -38,6 +40,7 @@ mod tick_loop;
 pub use contest::Contest;
 pub use kernel::{Usage, set_fifo};
 pub use member::{Arguments, Member, SET_UP_FAILED, SetUpError, exit_code, join_as};
+pub use plan_ticks::PlanTicks;
 pub use privileges::{Ask, Privileges};
 pub use schedule::{DueTick, Release, TickSchedule};
 pub use telemetry::{Deadline, Skipped, Telemetry, Tick};

@@ -2,7 +2,7 @@ use shm_config::message::{Assessment, BEAMS_MAX, Observation, Verdict};
 use shm_config::settings::SafetyLimits;
 #[allow(unused_imports)]
 use vehicle::Float as _;
-use vehicle::{Action, Fan, Point, State, Vehicle, step};
+use vehicle::{Action, Point, Sight, State, Vehicle, step};
 
 use crate::RoadAhead;
 
@@ -17,7 +17,7 @@ const SIDEWALK_M: f64 = 0.2;
 /// body frame. Made once a tick, without allocation.
 pub struct Scene {
     returns_body: heapless::Vec<Point, BEAMS_MAX>,
-    fan: Fan,
+    sight: Sight,
     road: RoadAhead,
     checkpoint_body: Point,
     speed_mps: f64,
@@ -32,7 +32,7 @@ impl Scene {
         // Filled in place: room for 2,048 returns has 32 kB, which a move would copy.
         let mut scene = Self {
             returns_body: heapless::Vec::new(),
-            fan,
+            sight: fan.sight(),
             road: RoadAhead::new(observation),
             checkpoint_body: Point::new(checkpoint.x_body_m, checkpoint.y_body_m),
             speed_mps: observation.ego.speed_mps.max(0.0),
@@ -142,15 +142,17 @@ const FRONT_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// Whether a part of the front edge is where no beam looks and the car does not stand now.
 fn is_front_unseen(vehicle: &Vehicle, scene: &Scene, state: &State) -> bool {
-    if scene.fan.covers_all() {
+    let footprint = vehicle.footprint();
+    // No rollout gets farther than the clearance that is reported.
+    let width_m = footprint.width_m;
+    if scene.sight.covers_all(CLEARANCE_MAX_M, width_m) {
         return false;
     }
-    let footprint = vehicle.footprint();
     let [front_left, _, _, front_right] = footprint.corners(&state.pose());
     FRONT_SHARES
         .into_iter()
         .map(|share| front_left + (front_right - front_left) * share)
-        .any(|place| footprint.distance_m(place) > 0.0 && !scene.fan.covers(place))
+        .any(|place| footprint.distance_m(place) > 0.0 && !scene.sight.covers(place, width_m))
 }
 
 /// Least distance from a corner of the footprint to the road's edge, m.

@@ -46,6 +46,7 @@ mod bicycle;
 mod footprint;
 mod parameters;
 mod scanner;
+mod sight;
 
 pub use action::{Action, Control};
 pub use angle::{rem_euclid, wrap_rad};
@@ -53,6 +54,7 @@ pub use bicycle::{State, step};
 pub use footprint::Footprint;
 pub use parameters::{InvalidVehicle, Vehicle};
 pub use scanner::{BEAMS_MAX, Fan, Scanner};
+pub use sight::{Extent, Sight};
 
 /// A point, metres, in the frame its name begins with.
 pub type Point = nalgebra::Point2<f64>;

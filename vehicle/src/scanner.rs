@@ -176,24 +176,4 @@ impl Fan {
     pub fn seen_half_rad(&self) -> f64 {
         self.field_of_view_rad / 2.0 + (self.spacing_rad() / 2.0).min(BESIDE_MAX_RAD)
     }
-
-    /// Whether no direction is unseen: a full circle with at least one beam.
-    pub fn covers_all(&self) -> bool {
-        self.beams > 0 && self.is_circle()
-    }
-
-    /// Whether a point of the body frame is inside the field of view, or as little beside
-    /// it as [`Fan::seen_half_rad`] says. Its distance does not matter. A fan without beams
-    /// covers no point: it is that of a scanner that is dead.
-    pub fn covers(&self, point_body: Point) -> bool {
-        if self.covers_all() {
-            return true;
-        }
-        if self.beams == 0 {
-            return false;
-        }
-        let from_mount = point_body - self.mount_body;
-        let angle_rad = wrap_rad(from_mount.y.atan2(from_mount.x) - self.heading_rad);
-        angle_rad.abs() <= self.seen_half_rad().min(PI)
-    }
 }

@@ -1,100 +1,160 @@
 use shm_config::message::Observation;
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
-use vehicle::{Fan, Point, Vector};
+use vehicle::{Extent, Point, Sight, Vector};
 
-use super::Grid;
+use super::{Grid, WORD, from_column, to_column};
+use shm_config::settings::planner::CELLS_MAX;
 
-/// Two half-planes through the mount of a scanner: a wedge of at most half a turn.
-struct Wedge {
-    mount_body: Point,
-    /// Unit vectors along its right and its left limit.
-    limits_body: [Vector; 2],
+/// A half-plane: what is at most `beyond_m` behind the line through a point, along the
+/// line's normal.
+struct Half {
+    normal: Vector,
+    beyond_m: f64,
 }
 
-impl Wedge {
-    /// Between two angles, rad, the second at most half a turn left of the first.
-    fn new(fan: &Fan, right_rad: f64, left_rad: f64) -> Self {
-        let along = |angle_rad: f64| {
-            let (sin, cos) = angle_rad.sin_cos();
-            Vector::new(cos, sin)
-        };
-        Self {
-            mount_body: fan.mount_body,
-            limits_body: [along(right_rad), along(left_rad)],
+/// The part of a row inside of some half-planes through a point, m along x, first to last;
+/// the last may be less than the first.
+fn part_of_row(halves: &[Half], through: Point, y_m: f64) -> [f64; 2] {
+    let y_m = y_m - through.y;
+    let (mut first_m, mut last_m) = (f64::NEG_INFINITY, f64::INFINITY);
+    for Half { normal, beyond_m } in halves {
+        // a x + b >= 0.
+        let (a, b) = (normal.x, normal.y * y_m + beyond_m);
+        match a {
+            a if a > 0.0 => first_m = first_m.max(-b / a),
+            a if a < 0.0 => last_m = last_m.min(-b / a),
+            _ if b < 0.0 => return [0.0, -1.0],
+            _ => {}
         }
     }
+    [first_m + through.x, last_m + through.x]
+}
 
-    /// The part of a row inside, m along x, first to last; the last may be less than
-    /// the first.
-    fn part_of_row(&self, y_m: f64) -> [f64; 2] {
-        let y_m = y_m - self.mount_body.y;
-        let [right, left] = self.limits_body;
-        let (mut first_m, mut last_m) = (f64::NEG_INFINITY, f64::INFINITY);
-        // Left of the right limit, and right of the left one: each a x + b >= 0.
-        for (a, b) in [(-right.y, right.x * y_m), (left.y, -left.x * y_m)] {
-            match a {
-                a if a > 0.0 => first_m = first_m.max(-b / a),
-                a if a < 0.0 => last_m = last_m.min(-b / a),
-                _ if b < 0.0 => return [0.0, -1.0],
-                _ => {}
-            }
+/// Some columns of a row.
+#[derive(Clone, Copy)]
+struct Columns([u64; CELLS_MAX / WORD]);
+
+impl Columns {
+    const NONE: Self = Self([0; CELLS_MAX / WORD]);
+
+    /// Adds the columns from first to last, of those that there are.
+    fn add(&mut self, first: i64, last: i64) {
+        let first = first.max(0);
+        let last = last.min(CELLS_MAX as i64 - 1);
+        if first > last {
+            return;
         }
-        [first_m + self.mount_body.x, last_m + self.mount_body.x]
+        let (first, last) = (first as usize, last as usize);
+        for word in first / WORD..=last / WORD {
+            let from = if word == first / WORD { from_column(first) } else { !0 };
+            let to = if word == last / WORD { to_column(last) } else { !0 };
+            self.0[word] |= from & to;
+        }
     }
 }
 
 impl Grid {
-    /// Marks the cells ahead of the front bumper at which no beam looks: nothing says that
-    /// they are free. What is beside the body was ahead of it before; a turn of a long car
-    /// would be blocked there.
+    /// Marks the cells ahead of the front bumper at which the front of the body, without a
+    /// turn, would be where no beam looks: nothing says that they are free. What is beside
+    /// the body was ahead of it before; a turn of a long car would be blocked there.
     pub(super) fn mark_unseen(&mut self, observation: &Observation) {
-        let fan = observation.fan();
-        if fan.covers_all() {
+        let sight = observation.fan().sight();
+        let mount = sight.fan().mount_body;
+        let farthest = Vector::new(self.x_max_m() + mount.x.abs(), self.y_max_m() + mount.y.abs());
+        let has_no_gap = sight.has_no_gap(farthest.norm(), self.footprint.width_m);
+        if has_no_gap && sight.extent() == Extent::All {
             return;
         }
-        let last_column = self.columns as i64 - 1;
-        if fan.beams == 0 {
-            for row in 0..self.rows() {
-                self.mark_ahead(row, 0, last_column);
-            }
-            return;
-        }
-        let half_rad = fan.seen_half_rad();
-        if half_rad >= core::f64::consts::PI {
-            return;
-        }
-        let (right_rad, left_rad) = (fan.heading_rad - half_rad, fan.heading_rad + half_rad);
-        // A wedge of more than half a turn is no intersection of half-planes; the rest of
-        // the circle then is.
-        let sees_half = half_rad > core::f64::consts::FRAC_PI_2;
-        let wedge = match sees_half {
-            true => Wedge::new(&fan, left_rad, right_rad),
-            false => Wedge::new(&fan, right_rad, left_rad),
-        };
-        for row in 0..self.rows() {
-            let [first_m, last_m] = wedge.part_of_row(self.row_middle_m(row));
-            // Columns whose middle is inside; the conversion of infinities saturates.
-            let first = (first_m * self.cells_per_m - 0.5).ceil() as i64;
-            let last = (last_m * self.cells_per_m - 0.5).floor() as i64;
-            match (sees_half, first <= last) {
-                (true, true) => self.mark_ahead(row, first, last),
-                (true, false) => {}
-                (false, true) => {
-                    self.mark_ahead(row, 0, first.saturating_sub(1));
-                    self.mark_ahead(row, last.saturating_add(1), last_column);
+        // The corners of the front, a cell less: a scanner that sees just what is ahead of
+        // them sees a way.
+        let beside = self.footprint.width_m / 2.0 * self.cells_per_m - 1.0;
+        let beside = beside.max(0.0) as usize;
+        let bumper = (self.footprint.length_m / 2.0 * self.cells_per_m).ceil() as i64;
+        let mut ahead = Columns::NONE;
+        ahead.add(bumper, self.columns as i64 - 1);
+        let rows = self.rows();
+        for row in 0..rows {
+            let seen = self.seen(&sight, has_no_gap, self.row_middle_m(row));
+            for word in 0..self.columns.div_ceil(WORD) {
+                let unseen = ahead.0[word] & !seen.0[word];
+                if unseen == 0 {
+                    continue;
                 }
-                (false, false) => self.mark_ahead(row, 0, last_column),
+                for near in row.saturating_sub(beside)..=(row + beside).min(rows - 1) {
+                    self.words[word * rows + near] |= unseen;
+                }
             }
         }
     }
 
-    /// Marks some columns of a row, as far as they are ahead of the front bumper.
-    fn mark_ahead(&mut self, row: usize, first: i64, last: i64) {
-        let bumper = (self.footprint.length_m / 2.0 * self.cells_per_m).ceil() as i64;
-        let first = first.max(bumper);
-        if first <= last {
-            self.mark(row, first, last);
+    /// The columns of a row whose middle is seen.
+    fn seen(&self, sight: &Sight, has_no_gap: bool, y_m: f64) -> Columns {
+        let mut within = self.in_view(sight, y_m);
+        if has_no_gap {
+            return within;
         }
+        let mount = sight.fan().mount_body;
+        let mut beside = Columns::NONE;
+        for &along in self.beams.directions_body() {
+            let left = Vector::new(-along.y, along.x);
+            let strip = [
+                (along, 0.0),
+                (left, self.footprint.width_m),
+                (-left, self.footprint.width_m),
+            ]
+            .map(|(normal, beyond_m)| Half { normal, beyond_m });
+            let [first, last] = self.columns_of(part_of_row(&strip, mount, y_m));
+            beside.add(first, last);
+        }
+        for (within, beside) in within.0.iter_mut().zip(beside.0) {
+            *within &= beside;
+        }
+        within
+    }
+
+    /// The columns of a row whose middle is in the field of view.
+    fn in_view(&self, sight: &Sight, y_m: f64) -> Columns {
+        let mount = sight.fan().mount_body;
+        let [right, left] = sight.limits_body();
+        // Left of the right limit, and right of the left one.
+        let inside = [
+            Vector::new(-right.y, right.x),
+            Vector::new(left.y, -left.x),
+        ];
+        let all = CELLS_MAX as i64 - 1;
+        let mut columns = Columns::NONE;
+        match sight.extent() {
+            Extent::Nothing => {}
+            Extent::All => columns.add(0, all),
+            Extent::Narrow => {
+                let halves = inside.map(|normal| Half { normal, beyond_m: 0.0 });
+                let [first, last] = self.columns_of(part_of_row(&halves, mount, y_m));
+                columns.add(first, last);
+            }
+            // More than half a turn is no intersection of half-planes; the rest of the
+            // circle is.
+            Extent::Wide => {
+                let halves = inside.map(|normal| Half { normal: -normal, beyond_m: 0.0 });
+                let [first, last] = self.columns_of(part_of_row(&halves, mount, y_m));
+                match first <= last {
+                    true => {
+                        columns.add(0, first.saturating_sub(1));
+                        columns.add(last.saturating_add(1), all);
+                    }
+                    false => columns.add(0, all),
+                }
+            }
+        }
+        columns
+    }
+
+    /// The columns whose middle is in a part of a row; the conversion of infinities
+    /// saturates.
+    fn columns_of(&self, [first_m, last_m]: [f64; 2]) -> [i64; 2] {
+        [
+            (first_m * self.cells_per_m - 0.5).ceil() as i64,
+            (last_m * self.cells_per_m - 0.5).floor() as i64,
+        ]
     }
 }

@@ -1,6 +1,7 @@
+use crate::mpc::body::Body;
 use crate::mpc::line::{Line, Place};
 use crate::track::Sighting;
-use vehicle::{Fan, Point};
+use vehicle::{Point, Sight};
 
 /// Larger clearances count as this one, m.
 pub(crate) const FAR_M: f64 = 2.5;
@@ -13,6 +14,8 @@ const ROWS: usize = 88;
 const COLUMNS: usize = 80;
 /// The field reaches this far to either side, m.
 const SIDE_M: f64 = ACROSS_M * COLUMNS as f64 / 2.0;
+/// No place of the field is farther from the car, m, however the road bends.
+const REACH_M: f64 = BEGIN_M + ROWS as f64 * ALONG_M + SIDE_M;
 /// A body that shows a face this wide goes on behind it, m.
 const FACE_M: f64 = 0.7;
 /// How far it goes on, m: so that the way back into the lane is not planned
@@ -73,21 +76,34 @@ impl Field {
         }
     }
 
-    /// Marks the places ahead of the front bumper at which no beam looks: nothing says
-    /// that they are free. What is beside the body was ahead of it before.
-    pub(crate) fn mark_unseen(&mut self, line: &Line, fan: &Fan, bumper_m: f64) {
-        if fan.covers_all() {
+    /// Marks places of the body frame where something rests.
+    pub(crate) fn mark_resting(&mut self, line: &Line, places_body: impl Iterator<Item = Point>) {
+        for place_body in places_body {
+            self.mark(line.place(place_body));
+        }
+    }
+
+    /// Marks the places ahead of the front bumper at which no beam looks, or beside which
+    /// the side of the body would be where none does: nothing says that they are free. What
+    /// is beside the body was ahead of it before.
+    pub(crate) fn mark_unseen(&mut self, line: &Line, sight: &Sight, body: &Body) {
+        let width_m = 2.0 * body.half_width_m;
+        let reach_m = sight.fan().mount_body.coords.norm() + REACH_M;
+        if sight.covers_all(reach_m, width_m) {
             return;
         }
         for row in 0..ROWS {
             let along_m = BEGIN_M + (row as f64 + 0.5) * ALONG_M;
-            if along_m <= bumper_m {
+            if along_m <= body.half_length_m {
                 continue;
             }
             let body_from_road = line.body_from_road(along_m);
+            let is_seen = |left_m: f64| sight.covers(body_from_road * Point::new(0.0, left_m), width_m);
             for column in 0..COLUMNS {
                 let left_m = (column as f64 + 0.5) * ACROSS_M - SIDE_M;
-                if !fan.covers(body_from_road * Point::new(0.0, left_m)) {
+                let beside_m = body.half_width_m - ACROSS_M / 2.0;
+                let is_free = [0.0, -beside_m, beside_m].iter().all(|across_m| is_seen(left_m + across_m));
+                if !is_free {
                     self.clearance_m[row * COLUMNS + column] = 0.0;
                 }
             }

@@ -20,6 +20,7 @@ mod field;
 mod lattice;
 mod line;
 mod model;
+mod nearby;
 mod problem;
 mod sparse;
 mod speed;
@@ -37,6 +38,7 @@ use field::Field;
 use lattice::{Ground, Lattice, Path};
 use line::{Line, Place};
 use model::{Model, State};
+use nearby::Nearby;
 use problem::{Problem, Solution, Stage, Task};
 
 pub use problem::Effort;
@@ -60,6 +62,7 @@ pub struct Mpc {
     vehicle: Vehicle,
     body: Body,
     tracker: Tracker,
+    nearby: Nearby,
     field: Field,
     lattice: Lattice,
     problem: Problem,
@@ -102,6 +105,7 @@ impl Mpc {
             vehicle: config.vehicle,
             body: Body::new(&config.vehicle),
             tracker: Tracker::default(),
+            nearby: Nearby::default(),
             field: Field::new(),
             lattice: Lattice::new(),
             problem: Problem::new(&config.mpc, time_limit_s),
@@ -119,6 +123,7 @@ impl Mpc {
     pub fn forget(&mut self) {
         self.memory = None;
         self.tracker.forget();
+        self.nearby.forget();
     }
 
     /// Plans for one admitted observation.
@@ -150,10 +155,14 @@ impl Mpc {
     ) {
         let ego = self.remember(observation);
         let line = Line::new(observation);
+        let (sight, world_from_body) = (observation.fan().sight(), world_from_body(observation));
+        let sightings = self.tracker.sightings();
+        self.nearby
+            .update(&world_from_body, &sight, &self.body, sightings);
+        self.field.fill(&line, sightings, ego.speed_mps());
         self.field
-            .fill(&line, self.tracker.sightings(), ego.speed_mps());
-        self.field
-            .mark_unseen(&line, &observation.fan(), self.body.half_length_m);
+            .mark_resting(&line, self.nearby.places_body(&world_from_body));
+        self.field.mark_unseen(&line, &sight, &self.body);
         let road = &observation.road;
         let begin = Place {
             along_m: 0.0,

@@ -1,13 +1,14 @@
 //! Routes of CommonRoad scenarios (format 2020a): over the lanelets from the initial state of
 //! a planning problem to its goal.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use roxmltree::{Document, Node};
 use shm_config::file::read_text;
 use vehicle::{Point, Pose, pose};
 
+use super::lanelets::{Lanelet, Lanelets, holding, joined, way};
 use super::{Route, RouteError, Row};
 
 /// Longest file, bytes: a scenario also holds each state of each other vehicle, which are
@@ -23,13 +24,6 @@ pub struct Task {
     pub speed_mps: f64,
     /// The road to its goal.
     pub route: Route,
-}
-
-/// One lanelet.
-#[derive(Debug)]
-struct Lanelet {
-    rows: Vec<Row>,
-    successors: Vec<i64>,
 }
 
 /// Where a goal is.
@@ -62,7 +56,7 @@ fn task(text: &str) -> Result<Task, String> {
     if !root.has_tag_name("commonRoad") {
         return Err("it is no CommonRoad scenario".into());
     }
-    let mut lanelets = BTreeMap::new();
+    let mut lanelets = Lanelets::new();
     for node in children(root, "lanelet") {
         lanelets.insert(id(node, "id")?, lanelet(node)?);
     }
@@ -72,13 +66,15 @@ fn task(text: &str) -> Result<Task, String> {
     let heading_rad = number(child(child(initial, "orientation")?, "exact")?)?;
     let speed_mps = number(child(child(initial, "velocity")?, "exact")?)?;
     let goal = goal(child(problem, "goalState")?)?;
-    let way = way(&lanelets, start, &goal)?;
-    let mut rows: Vec<Row> = Vec::new();
-    for id in way {
-        // A lanelet begins where the one before it ends.
-        let joined = usize::from(!rows.is_empty());
-        rows.extend(&lanelets[&id].rows[joined..]);
+    let begins: Vec<i64> = holding(&lanelets, start).collect();
+    if begins.is_empty() {
+        return Err("the initial position is on no lanelet".into());
     }
+    let mut ends = goal.lanelets;
+    for place in goal.places {
+        ends.extend(holding(&lanelets, place));
+    }
+    let rows = joined(&lanelets, &way(&lanelets, begins, &ends)?);
     Ok(Task {
         map_from_start: pose(start.x, start.y, heading_rad),
         speed_mps,
@@ -156,57 +152,6 @@ fn goal(node: Node<'_, '_>) -> Result<Goal, String> {
         }
     }
     Ok(goal)
-}
-
-impl Lanelet {
-    /// Whether a place is on it.
-    fn holds(&self, place: Point) -> bool {
-        let Ok(route) = Route::new(self.rows.clone(), false) else {
-            return false;
-        };
-        let located = route.locate(place, None);
-        let (map_from_road, left_m, right_m) = route.at(located.along_m);
-        let beyond_m = map_from_road.inverse_transform_point(&place).x.abs();
-        beyond_m < BEYOND_MAX_M && (-right_m..=left_m).contains(&located.offset_m)
-    }
-}
-
-/// A place may be as far before or after a lanelet and still be on it, m.
-const BEYOND_MAX_M: f64 = 0.5;
-
-/// The lanelets from one that holds the start to one of the goal, the fewest.
-fn way(lanelets: &BTreeMap<i64, Lanelet>, start: Point, goal: &Goal) -> Result<Vec<i64>, String> {
-    let holding = |place: Point| {
-        let held = lanelets
-            .iter()
-            .filter(move |(_, lanelet)| lanelet.holds(place));
-        held.map(|(id, _)| *id)
-    };
-    let mut ends = goal.lanelets.clone();
-    ends.extend(goal.places.iter().flat_map(|place| holding(*place)));
-    let begins: Vec<i64> = holding(start).collect();
-    if begins.is_empty() {
-        return Err("the initial position is on no lanelet".into());
-    }
-    let mut before: BTreeMap<i64, Option<i64>> = begins.iter().map(|id| (*id, None)).collect();
-    let mut due = VecDeque::from(begins);
-    while let Some(id) = due.pop_front() {
-        if ends.contains(&id) {
-            let mut way = vec![id];
-            while let Some(Some(previous)) = before.get(&way[way.len() - 1]) {
-                way.push(*previous);
-            }
-            way.reverse();
-            return Ok(way);
-        }
-        for next in &lanelets[&id].successors {
-            if lanelets.contains_key(next) && !before.contains_key(next) {
-                before.insert(*next, Some(id));
-                due.push_back(*next);
-            }
-        }
-    }
-    Err("no way over successors leads to the goal; changes of lanes are not planned".into())
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ pub enum RouteError {
         /// What is wrong, and where.
         what: String,
     },
-    /// A scenario does not say what a route needs.
+    /// A scenario or a map does not say what a route needs.
     #[error("{path}: {what}", path = path.display())]
     Scenario {
         /// The file.

@@ -7,6 +7,8 @@
 pub mod commonroad;
 pub mod corridor;
 mod error;
+mod lanelets;
+pub mod lanelet2;
 mod line;
 mod table;
 

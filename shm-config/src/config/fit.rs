@@ -2,7 +2,8 @@
 
 use vehicle::Vehicle;
 
-use super::{Config, Controller, Kinodynamic, Mpc, Planner};
+use super::{Config, Controller, Informed, Kinodynamic, Mpc, Planner, Simulator};
+use crate::settings::planner::DISC_CELLS_MAX;
 
 /// The keys that a file or an option gave, with their sections.
 type Given = toml::Table;
@@ -29,7 +30,13 @@ impl Config {
     pub(super) fn fitted_to_vehicle(mut self, given: &Given) -> Self {
         let fit = Fit::new(given, &self.vehicle, self.sight_speed_mps());
         fit.sight(&mut self.planner, &mut self.mpc, self.scanner.range_m);
-        if self.vehicle == Vehicle::default() {
+        let is_default = self.vehicle == Vehicle::default();
+        // The paper's inflation belongs to its car on its maps. Between walls that the scanner
+        // sees, paths that do not hold the body are vetoed until the last step.
+        if !is_default || self.world.simulator == Simulator::IrSim {
+            fit.inflations(&mut self.planner, &mut self.informed);
+        }
+        if is_default {
             return self;
         }
         fit.planner(&mut self.planner);
@@ -55,8 +62,6 @@ struct Fit<'a> {
     car: &'a Vehicle,
     /// Its length over the default car's, at least 1.
     longer: f64,
-    /// Its width over the default car's.
-    wider: f64,
     /// Half of what it is longer, m.
     longer_m: f64,
     /// Half of what it is wider, m.
@@ -72,7 +77,6 @@ impl<'a> Fit<'a> {
             given,
             car,
             longer: (car.length_m / reference.length_m).max(1.0),
-            wider: car.width_m / reference.width_m,
             longer_m: (car.length_m - reference.length_m) / 2.0,
             wider_m: (car.width_m - reference.width_m) / 2.0,
             top_mps: sight_mps.min(SPEED_SHARE * car.max_speed_mps),
@@ -104,10 +108,22 @@ impl<'a> Fit<'a> {
         );
     }
 
+    /// What a path of the body's middle keeps from a return: half the width, the margin of
+    /// the safety check and the tracking error, as `informed.inflation_m` of the default car;
+    /// at most what the grid can draw.
+    fn inflations(&self, planner: &mut Planner, informed: &mut Informed) {
+        let grid_m = planner.cell_m * DISC_CELLS_MAX as f64;
+        let inflation_m = (Informed::default().inflation_m + self.wider_m).min(grid_m);
+        self.set("planner.inflation_m", &mut planner.inflation_m, inflation_m);
+        self.set(
+            "informed.inflation_m",
+            &mut informed.inflation_m,
+            inflation_m,
+        );
+    }
+
     fn planner(&self, planner: &mut Planner) {
         let p = *planner;
-        let inflation_m = p.inflation_m * self.wider;
-        self.set("planner.inflation_m", &mut planner.inflation_m, inflation_m);
         let margin_m = self.car.width_m / 2.0 + BESIDE_M;
         self.set(
             "planner.lane_margin_m",
