@@ -255,6 +255,7 @@ impl<'a> Campaign<'a> {
             folder: self.sandbox.folder.join("set"),
             rate_hz: self.rate_hz(number),
             seed: 1000 + number,
+            programs: self.arguments.programs.words(),
             overrides: self.arguments.overrides.clone(),
         }
     }

@@ -9,6 +9,7 @@ mod malformed;
 mod monitor;
 mod picture;
 mod planned;
+mod programs;
 mod results;
 mod sandbox;
 mod tested_set;
@@ -31,6 +32,7 @@ use campaign::Campaign;
 use lab::report::Machine;
 use lab::stop::Stop;
 use planned::Kind;
+use programs::Programs;
 use results::{Criteria, Row, Summary};
 use sandbox::Sandbox;
 use stack::Clock;
@@ -52,7 +54,8 @@ use supervisor::subcommand::{say, write_json_option};
         ./vlaps bench faults --faults 30 --seed 1\n  \
         ./vlaps bench faults --faults 2000 --out campaign --json faults.json\n  \
         ./vlaps bench faults --faults 2000 --out campaign --resume\n  \
-        ./vlaps bench faults --seed 1 --only 417"
+        ./vlaps bench faults --seed 1 --only 417\n  \
+        ./vlaps bench faults --world ./my-robot --planner ./my-planner"
 )]
 pub struct BenchFaults {
     /// Number of faults.
@@ -69,6 +72,8 @@ pub struct BenchFaults {
     /// Repeat only the fault of this number.
     #[arg(long, value_name = "K")]
     pub only: Option<u64>,
+    #[command(flatten)]
+    programs: Programs,
     /// Tick rate of all sets, instead of 100 and 10.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     pub rate: Option<f64>,
@@ -94,7 +99,7 @@ pub struct BenchFaults {
 }
 
 /// Keys that the campaign sets for each set, and the option that changes them.
-const OWN_KEYS: [(&str, &str); 10] = [
+const OWN_KEYS: [(&str, &str); 12] = [
     ("run.name", ""),
     ("run.folder", ""),
     ("run.clock", ""),
@@ -103,6 +108,8 @@ const OWN_KEYS: [(&str, &str); 10] = [
     ("run.duration_s", ""),
     ("run.rate_hz", "--rate"),
     ("run.faults", ""),
+    ("programs.world", "--world"),
+    ("programs.planner", "--planner"),
     // The gate and the learner always run, so that they can be faulted, too.
     ("gate.mode", ""),
     ("learner.enabled", ""),
@@ -226,11 +233,12 @@ fn exceptions(
     arguments: &BenchFaults,
     stall_ns: impl Fn(&Row) -> Option<u64>,
 ) -> Vec<String> {
-    let kinds: Vec<&str> = arguments.kinds.iter().map(|kind| kind.word()).collect();
-    let kinds = match kinds.is_empty() {
-        true => String::new(),
-        false => format!(" --kinds {}", kinds.join(",")),
-    };
+    let mut options = arguments.programs.words();
+    if !arguments.kinds.is_empty() {
+        let kinds: Vec<&str> = arguments.kinds.iter().map(|kind| kind.word()).collect();
+        options.extend(["--kinds".into(), kinds.join(",")]);
+    }
+    let options: String = options.iter().map(|word| format!(" {word}")).collect();
     let breaks = |row: &&Row| {
         let wrong = row.verdict != "ok" && !row.is_skipped();
         wrong
@@ -250,7 +258,7 @@ fn exceptions(
         });
         format!(
             "{} {} {}: safe {safe} by {}, {stall}{}, {}, {} unaccounted, {}; \
-             repeat: ./vlaps bench faults --seed {}{kinds} --only {} --rate {}",
+             repeat: ./vlaps bench faults --seed {}{options} --only {} --rate {}",
             row.kind,
             row.target,
             row.detail,

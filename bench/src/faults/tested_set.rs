@@ -39,6 +39,8 @@ pub struct SetOptions {
     pub rate_hz: f64,
     /// Seed of its first episode.
     pub seed: u64,
+    /// The words of `up` that name programs in place of those of the build.
+    pub programs: Vec<String>,
     /// More configuration keys.
     pub overrides: Vec<String>,
 }
@@ -101,6 +103,7 @@ impl SetOptions {
         let mut words = vec!["--run".into(), self.run.clone()];
         words.extend(["--seed".into(), self.seed.to_string()]);
         words.extend(["--rate".into(), self.rate_hz.to_string()]);
+        words.extend(self.programs.iter().cloned());
         for setting in self.settings() {
             words.extend(["--set".into(), setting]);
         }
