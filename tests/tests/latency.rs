@@ -6,8 +6,9 @@ use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::thread;
 
-use rustix::process::{Pid, Signal, getuid, kill_process_group};
+use rustix::process::{Pid, Signal, getuid, kill_process, kill_process_group};
 use serde_json::Value;
 use shm_config::run::{RunPaths, SHARED_MEMORY_DIR, USER_DIR};
 use tempfile::TempDir;
@@ -31,8 +32,67 @@ fn bench(words: &[&str], out: &Path) -> Child {
 
 /// A folder in memory. Where these benchmarks keep every core busy, the kernel's threads that
 /// write to a disk are served last: one fsync of a run's summary has waited for 13 s.
-fn folder() -> TempDir {
-    tempfile::tempdir_in(SHARED_MEMORY_DIR).expect("a folder")
+///
+/// All that works in it ends with it, also where the test fails: what still wrote would keep
+/// the folder, and the memory, for ever. A folder that a killed test left is removed by the
+/// next one.
+struct Folder(TempDir);
+
+/// How the folders' names begin; the id of the test's process follows.
+const FOLDERS: &str = "vlaps-tests-latency-";
+
+fn folder() -> Folder {
+    for entry in fs::read_dir(SHARED_MEMORY_DIR)
+        .expect("shared memory")
+        .flatten()
+    {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let test = name
+            .strip_prefix(FOLDERS)
+            .and_then(|rest| rest.split('-').next());
+        if test.is_some_and(|pid| !Path::new("/proc").join(pid).exists()) {
+            // Two tests may remove it at once.
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
+    let prefix = format!("{FOLDERS}{}-", std::process::id());
+    let folder = TempDir::with_prefix_in(prefix, SHARED_MEMORY_DIR);
+    Folder(folder.expect("a folder"))
+}
+
+impl Folder {
+    fn path(&self) -> &Path {
+        self.0.path()
+    }
+
+    /// The living processes that work in it.
+    fn workers(&self) -> Vec<Pid> {
+        let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
+        let works_here = processes.filter(|process| {
+            let place = fs::read_link(process.path().join("cwd"));
+            place.is_ok_and(|place| place.starts_with(self.path()))
+        });
+        works_here
+            .filter_map(|process| process.file_name().to_str()?.parse::<i32>().ok())
+            .filter_map(Pid::from_raw)
+            .collect()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        loop {
+            let workers = self.workers();
+            if workers.is_empty() {
+                return;
+            }
+            for pid in workers {
+                // It may have ended meanwhile.
+                let _ = kill_process(pid, Signal::KILL);
+            }
+            thread::yield_now();
+        }
+    }
 }
 
 /// Ctrl-C in the terminal: a signal to every process of the group.
