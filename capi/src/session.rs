@@ -305,9 +305,7 @@ impl Session {
     /// # Errors
     /// When this process is not the planner, a port publishes what the loop does, or
     /// shared memory refuses its ports.
-    pub fn await_observation(
-        &mut self,
-    ) -> Result<Option<Observation>, Failure> {
+    pub fn await_observation(&mut self) -> Result<Option<Observation>, Failure> {
         if self.planner.is_none() {
             check_is(self.process(), Process::Planner)?;
             self.check_no_writer(planner::PUBLISHED)?;

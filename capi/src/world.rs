@@ -204,11 +204,9 @@ impl WorldSide {
         }
         let (ports, account) = (&mut self.ports, &self.account);
         let mut told = Ok(());
-        let is_sent = self
-            .clock
-            .publish(run, ports, observation, |clock, ports| {
-                told = publish_progress(account, clock, ports, Outcome::Driving);
-            });
+        let is_sent = self.clock.publish(run, ports, observation, |clock, ports| {
+            told = publish_progress(account, clock, ports, Outcome::Driving);
+        });
         door.asked = Some((self.clock.tick(), self.clock.episode()));
         self.clock.end_instant(run);
         sent(is_sent, OBSERVATION.name)

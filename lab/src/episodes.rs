@@ -7,7 +7,7 @@ use std::sync::mpsc;
 
 use anyhow::Context;
 use hdrhistogram::Histogram;
-use shm_config::config::Config;
+use shm_config::config::{Config, Simulator};
 use shm_config::message::{Episode, Outcome};
 use sim::{World, WorldConfig};
 
@@ -16,7 +16,6 @@ use crate::stop::Stop;
 use stack::Clock;
 use stack::driver::{DriverKind, EpisodeDriver, planning_histogram};
 use stack::episode::drive;
-use supervisor::commands::up::arguments::WorldChoice;
 
 /// The episodes to drive, and their driver.
 #[derive(Clone, Debug)]
@@ -24,7 +23,7 @@ pub struct Task {
     /// The driver.
     pub driver: DriverKind,
     /// World.
-    pub world: WorldChoice,
+    pub world: Simulator,
     /// Seed of the first episode; each following episode adds one.
     pub first_seed: u64,
     /// Number of episodes.
@@ -54,8 +53,8 @@ pub fn evaluate(
     done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
     match task.world {
-        WorldChoice::Sim => evaluate_inside(task, config, (clock, &Stop::default()), done),
-        WorldChoice::Metadrive | WorldChoice::IrSim => outside::evaluate(task, config, clock, done),
+        Simulator::BuiltIn => evaluate_inside(task, config, (clock, &Stop::default()), done),
+        _ => outside::evaluate(task, config, clock, done),
     }
 }
 

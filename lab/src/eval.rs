@@ -6,11 +6,13 @@ use std::process::ExitCode;
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use shm_config::config::Simulator;
 use shm_config::counted;
 use stack::Clock;
 use stack::driver::DriverKind;
 use supervisor::cli::parsers::whole;
-use supervisor::commands::up::arguments::{SimulatorAlone, WorldChoice};
+use supervisor::commands::up::arguments::SimulatorAlone;
+use supervisor::setup::foreign::Foreign;
 use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
 use view::draw::failures;
 
@@ -50,12 +52,12 @@ pub struct Eval {
     /// World to drive in.
     #[arg(long, value_name = "WORLD", default_value = "sim",
           value_parser = SimulatorAlone)]
-    pub world: WorldChoice,
+    pub world: Simulator,
     /// Configuration and overrides.
     #[command(flatten)]
     pub configuration: Configuration,
-    /// Number of threads; default: the number of cores. In MetaDrive and ir-sim, each
-    /// thread runs a simulator of its own.
+    /// Number of threads; default: the number of cores. In worlds other than
+    /// sim, each thread runs a simulator of its own.
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub threads: Option<NonZeroUsize>,
     /// Draw failed episodes into this folder, at most 50; they are driven again in the
@@ -100,7 +102,7 @@ impl Subcommand for Eval {
         say(format_args!(
             "{} in {}, seeds {} to {last_seed}: {} on {} in {elapsed_s:.1} s",
             task.driver.word(),
-            task.world.name(),
+            Foreign::name_of(task.world),
             task.first_seed,
             counted(task.episodes, "episode"),
             counted(task.threads.get() as u64, "thread")

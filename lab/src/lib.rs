@@ -4,7 +4,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`eval`], [`episodes`], [`evaluation`] | `./vlaps eval`, many episodes, and their table |
-//! | [`outside`] | evaluation in the real MetaDrive and in ir-sim |
+//! | [`outside`] | evaluation in simulators with a process of their own |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`sweep`] | trainings under a judge with label noise, abstention or delay |
 //! | [`parity`] | comparison of the built-in world with recordings of MetaDrive |

@@ -9,7 +9,7 @@ use anyhow::Context;
 use clap::Args;
 use plotters::prelude::*;
 use serde::Serialize;
-use shm_config::config::Algorithm;
+use shm_config::config::{Algorithm, Simulator};
 use shm_config::counted;
 use supervisor::cli::parsers::whole;
 
@@ -20,7 +20,6 @@ use crate::train::results::Results;
 use crate::train::table::{INTERVALS, cell, over_seeds};
 use crate::train::train;
 use stack::Clock;
-use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
 use view::chart::FACE;
 use view::sheet::{Area, save_svg};
@@ -233,7 +232,7 @@ fn drive(
             seed: Some(arguments.seed),
             seeds: Some(arguments.seeds),
             expert: Some(ExpertChoice::Mpc),
-            world: Some(WorldChoice::Sim),
+            world: Some(Simulator::BuiltIn),
             out: Some(out.to_path_buf()),
             resume,
             report: false,

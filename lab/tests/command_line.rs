@@ -152,7 +152,8 @@ fn mistakes_are_named_with_exit_code_2() {
 
 #[test]
 fn an_evaluation_without_its_simulator_says_what_to_run() {
-    for (world, variable) in [("metadrive", "VLAPS_METADRIVE"), ("ir-sim", "VLAPS_IR_SIM")] {
+    for row in supervisor::setup::foreign::FOREIGN {
+        let (world, variable) = (row.part(), row.home_variable);
         let output = Command::new(env!("CARGO_BIN_EXE_vlaps-lab"))
             .args(["eval", "--world", world, "--episodes", "1"])
             .env(variable, scratch("no-simulator"))

@@ -79,16 +79,13 @@ impl FixedRate for PlannerProcess {
         let planned = clock();
         telemetry.end(Part::Search, planned);
         self.plan.planning_ns = planned.since_ns(due.received);
-        let is_to_send = self
-            .ticks
-            .is_to_send(observation, planned, &mut self.plan);
+        let is_to_send = self.ticks.is_to_send(observation, planned, &mut self.plan);
         if is_to_send {
             self.ports.plans.send(&mut self.plan);
         }
         let done = clock();
         telemetry.end(Part::Send, done);
-        self.ticks
-            .account(run, (observation, due.received), done);
+        self.ticks.account(run, (observation, due.received), done);
         Ok(Flow::Continue)
     }
 }

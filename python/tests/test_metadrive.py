@@ -26,7 +26,7 @@ MOTION = 19
 def metadrive():
     """The experiment's environment of the real simulator."""
     sys.path.insert(0, str(ROOT / "sim/metadrive"))
-    from prepare import EXPERIMENT, stub_assets
+    from check import EXPERIMENT, stub_assets
 
     stub_assets()
     from environment import ExperimentEnv, environment_config

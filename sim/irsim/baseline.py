@@ -13,8 +13,9 @@ import math
 from pathlib import Path
 
 import numpy as np
-from car import Car, settings_of
 from course import Course, draw
+
+from car import Car, settings_of
 from scene import SUB_STEP_S, environment, world_of
 
 # After `scene`, which loads ir-sim without its messages.

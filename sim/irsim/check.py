@@ -3,10 +3,11 @@
 import sys
 
 import numpy as np
-from car import DEFAULT_FILE, Car, Scanner, settings_of
 from course import draw
+
+from car import DEFAULT_FILE, Car, Scanner, settings_of
 from scene import SUB_STEP_S, Scene
-from world import process
+from episodes import process
 
 # After `scene`, which loads it without its messages.
 import irsim

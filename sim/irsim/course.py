@@ -5,9 +5,13 @@ car's width, its bends with the turning radius. Standard library alone.
 """
 
 import math
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from random import Random
 
+# The modules of all worlds in Python; so programs import this one first.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "foreign"))
 from car import Car
 
 #: Half of the road's width: this, and this many times the width of the car. A car of

@@ -18,17 +18,13 @@ with contextlib.redirect_stdout(io.StringIO()):
 import matplotlib.pyplot as plt
 import numpy as np
 import yaml
-from car import Car, Scanner
 from course import Course
+
+from car import Car, Scanner
 
 #: A step of ir-sim, s, at most: its step is an Euler step, and its steering takes effect
 #: one step late.
 SUB_STEP_S = 0.02
-
-
-def sub_step_s(period_s: float) -> float:
-    """The longest step up to `SUB_STEP_S` that divides a period."""
-    return period_s / math.ceil(period_s / SUB_STEP_S - 1e-9)
 
 
 def lidar_of(car: Car, scanner: Scanner) -> dict:
@@ -147,7 +143,9 @@ class Scene:
 
     @property
     def touched(self) -> str:
-        """What it touches, in words."""
+        """What it touches, in words; empty for nothing."""
+        if not self.touches:
+            return ""
         shapes = [touched.shape for touched in self.robot.collision_obj]
         return "a wall" if "linestring" in shapes else "an obstacle"
 
@@ -201,7 +199,16 @@ class Scene:
         return np.where(lost, self.scanner.range_m, ranges_m)
 
     @property
+    def route_m(self) -> float:
+        """Length of the course from start to goal, m."""
+        return self.course.goal_m - self.course.start_m
+
+    @property
+    def place(self) -> str:
+        """Where the car is, in words."""
+        return f"at {self.along_m:.1f} m"
+
+    @property
     def completion(self) -> float:
         """Share of the course that is driven."""
-        course = self.course
-        return (self.along_m - course.start_m) / (course.goal_m - course.start_m)
+        return (self.along_m - self.course.start_m) / self.route_m

@@ -6,8 +6,9 @@
 import math
 import unittest
 
-from car import ROOT, Car, settings_of
 from course import HEADING_MAX_RAD, draw
+
+from car import ROOT, Car, settings_of
 
 CARS = {path.name: Car.of(settings_of(path)) for path in sorted((ROOT / "vehicles").glob("*.toml"))}
 SEEDS = range(200)

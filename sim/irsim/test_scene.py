@@ -5,11 +5,12 @@ import math
 import unittest
 from dataclasses import replace
 
-from car import ROOT, Car, Scanner, settings_of
 from course import draw
 
+from car import ROOT, Car, Scanner, settings_of
+
 try:
-    from scene import SUB_STEP_S, Scene, sub_step_s
+    from scene import SUB_STEP_S, Scene
 except ImportError as error:
     if importlib.util.find_spec("irsim") is not None:
         raise
@@ -87,12 +88,6 @@ class Scenes(unittest.TestCase):
         here.scanner = replace(here.scanner, drop_probability=0.5)
         full = sum(range_m == here.scanner.range_m for range_m in here.ranges_m())
         self.assertTrue(400 < full < 700, full)
-
-    def test_a_step_divides_the_period(self):
-        for rate_hz in (10, 20, 40, 50, 100):
-            step_s = sub_step_s(1 / rate_hz)
-            self.assertLessEqual(step_s, SUB_STEP_S + 1e-12)
-            self.assertAlmostEqual(round(1 / rate_hz / step_s) * step_s, 1 / rate_hz)
 
 
 if __name__ == "__main__":

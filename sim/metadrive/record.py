@@ -10,7 +10,7 @@ import random
 
 import wire_layout as layout
 from environment import World
-from prepare import EXPERIMENT, SCANNER
+from check import EXPERIMENT, SCANNER
 
 
 def drive(observation, wobble):

@@ -79,7 +79,8 @@ fn a_fan_without_beams_covers_nothing() {
             assert!(!covers(&fan, point), "{field_of_view_deg}: {point}");
         }
     }
-    let covers_all = |beams: u32, deg: f64| scanner(beams, deg).fan().sight().covers_all(1.0, ANY_M);
+    let covers_all =
+        |beams: u32, deg: f64| scanner(beams, deg).fan().sight().covers_all(1.0, ANY_M);
     assert!(covers_all(1, 360.0) && !covers_all(240, 359.0));
 }
 
@@ -161,7 +162,10 @@ fn between_two_beams_a_place_is_seen_as_far_as_no_car_fits() {
         // Beams each 30 degrees, one of them straight ahead or 15 degrees beside it.
         let sight = scanner(beams, field_of_view_deg).fan().sight();
         let at = |far_m: f64, deg: f64| {
-            Point::new(far_m * deg.to_radians().cos(), far_m * deg.to_radians().sin())
+            Point::new(
+                far_m * deg.to_radians().cos(),
+                far_m * deg.to_radians().sin(),
+            )
         };
         let middle_deg = if beams == 12 { 15.0 } else { 30.0 };
         // 15 degrees beside a beam, 2 m are reached 7.73 m away.

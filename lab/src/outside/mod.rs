@@ -1,4 +1,4 @@
-//! Drives many episodes in a world that is a separate process: the real MetaDrive, or ir-sim.
+//! Drives many episodes in a world that is a separate process: such as the real MetaDrive.
 //!
 //! Each thread starts one world for its share of the seeds, as a run of its own, and
 //! answers every observation in lockstep, as the controller does.
@@ -54,8 +54,7 @@ pub fn evaluate(
         );
         return Err(Failure::Usage(line).into());
     }
-    let simulator = Simulator::from(task.world);
-    let foreign = Foreign::of(simulator).context("a simulator with a process of its own")?;
+    let foreign = Foreign::of(task.world).context("a simulator with a process of its own")?;
     let program = foreign.world()?;
     let mut signals = Signals::install().context("cannot handle signals")?;
     let (send, ended) = mpsc::channel();
@@ -64,7 +63,7 @@ pub fn evaluate(
         let workers: Vec<_> = (shares(task).into_iter().enumerate())
             .map(|(index, share)| {
                 let (program, stop, send) = (&program, &stop, send.clone());
-                let config = resolved(config, simulator, (index, share));
+                let config = resolved(config, task.world, (index, share));
                 scope.spawn(move || {
                     let driven = drive::drive(task.driver, (&config?, program), clock, stop, &send);
                     // Without this world's figures, those of the others are useless.
@@ -141,14 +140,13 @@ mod tests {
     use std::num::NonZeroUsize;
 
     use super::*;
-    use supervisor::commands::up::arguments::WorldChoice;
 
     #[test]
     fn shares_cover_every_seed_once() {
         for (episodes, threads) in [(1, 4), (4, 4), (7, 3), (50, 2)] {
             let task = Task {
                 driver: DriverKind::Lane,
-                world: WorldChoice::Metadrive,
+                world: Simulator::MetaDrive,
                 first_seed: 1000,
                 episodes,
                 threads: NonZeroUsize::new(threads).expect("not zero"),

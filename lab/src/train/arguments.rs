@@ -5,11 +5,11 @@ use std::process::ExitCode;
 
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
-use shm_config::config::Algorithm;
+use shm_config::config::{Algorithm, Simulator};
 use supervisor::cli::parsers::whole;
 
 use stack::Clock;
-use supervisor::commands::up::arguments::{SimulatorAlone, WorldChoice};
+use supervisor::commands::up::arguments::SimulatorAlone;
 use supervisor::subcommand::{Configuration, Output, Subcommand};
 
 use super::experiment::folder;
@@ -61,7 +61,7 @@ pub struct Train {
     pub expert: Option<ExpertChoice>,
     /// World to train in; default: sim.
     #[arg(long, value_name = "WORLD", value_parser = SimulatorAlone)]
-    pub world: Option<WorldChoice>,
+    pub world: Option<Simulator>,
     /// Folder of the experiment; default: runs/train-HOW.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,

@@ -9,7 +9,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::anyhow;
-use shm_config::config::Config;
+use shm_config::config::{Config, Simulator};
 
 use super::experiment::Experiment;
 use super::protocol::{EVALUATION_SEED, Protocol};
@@ -23,7 +23,6 @@ use crate::progress::Progress;
 use crate::stop::Stop;
 use stack::Clock;
 use stack::driver::DriverKind;
-use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::machine::signals::pause;
 use supervisor::subcommand::write_json;
 
@@ -154,7 +153,7 @@ fn watch(
         };
         let task = Task {
             driver: driver(&path),
-            world: WorldChoice::Sim,
+            world: Simulator::BuiltIn,
             first_seed: EVALUATION_SEED,
             episodes: protocol.episodes,
             threads,
@@ -201,7 +200,7 @@ fn evaluated(
     mut done: impl FnMut(u64),
 ) -> anyhow::Result<Option<Evaluation>> {
     let mut config = config.clone();
-    config.world.simulator = shm_config::config::Simulator::BuiltIn;
+    config.world.simulator = Simulator::BuiltIn;
     let mut count = 0;
     let drives = evaluate_inside(task, &config, watch, |_| {
         count += 1;
@@ -235,7 +234,7 @@ pub fn evaluate_finals(
         let protocol = Protocol::new(experiment, (seed.seed, out))?;
         let task = Task {
             driver: driver(&path),
-            world: WorldChoice::Sim,
+            world: Simulator::BuiltIn,
             first_seed: EVALUATION_SEED,
             episodes,
             threads: std::thread::available_parallelism()?,

@@ -6,14 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
-use shm_config::config::{Algorithm, text_of, vehicle_of};
+use shm_config::config::{Algorithm, Simulator, text_of, vehicle_of};
 use shm_config::file::read_text;
 use supervisor::cli::failure::Failure;
 use supervisor::commands::up::settings::DEFAULT_FILE;
 
 use super::arguments::{ExpertChoice, Train};
 use super::results::seed_folders;
-use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::subcommand::settings::key;
 
 /// File with the options of the experiment.
@@ -45,7 +44,7 @@ pub struct Experiment {
     /// The expert to learn from.
     pub expert: ExpertChoice,
     /// The world to train in.
-    pub world: WorldChoice,
+    pub world: Simulator,
     /// Overrides of the configuration, `KEY=VALUE`.
     pub set: Vec<String>,
     /// The configuration file, if there is one.
@@ -65,7 +64,7 @@ impl Default for Experiment {
             final_episodes: 1000,
             algorithm: Algorithm::Pvp,
             expert: ExpertChoice::Mpc,
-            world: WorldChoice::Sim,
+            world: Simulator::BuiltIn,
             set: Vec::new(),
             config: None,
         }
@@ -99,10 +98,13 @@ impl Experiment {
             .clone()
             .unwrap_or_default()
             .with(arguments, &given, &out);
-        if asked.world == WorldChoice::IrSim {
-            let line = "--world ir-sim: policies are trained in sim or metadrive, whose tasks \
-                are the same; ./vlaps up and ./vlaps eval drive in ir-sim";
-            return Err(Failure::Usage(line.into()).into());
+        if !matches!(asked.world, Simulator::BuiltIn | Simulator::MetaDrive) {
+            let world = asked.world.word();
+            let line = format!(
+                "--world {world}: policies are trained in sim or metadrive, whose tasks are the \
+                 same; ./vlaps up and ./vlaps eval drive in {world}"
+            );
+            return Err(Failure::Usage(line).into());
         }
         if let Some(begun) = begun {
             begun.check_extends(&asked, &out)?;

@@ -4,14 +4,13 @@ use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use shm_config::config::{Algorithm, Config, load};
+use shm_config::config::{Algorithm, Config, Simulator, load};
 use shm_config::run::name_max;
 use supervisor::cli::failure::Failure;
 use toml::{Table, Value};
 
 use super::experiment::Experiment;
 use super::results::CONFIG;
-use supervisor::commands::up::arguments::WorldChoice;
 use supervisor::subcommand::settings;
 
 /// First training seed; the seeds are 100 to 149.
@@ -242,7 +241,7 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
     if experiment.algorithm == Algorithm::Pvp {
         keys.extend(PVP.map(String::from));
     }
-    if experiment.world == WorldChoice::Metadrive {
+    if experiment.world == Simulator::MetaDrive {
         keys.push("world.simulator=metadrive".into());
     }
     keys

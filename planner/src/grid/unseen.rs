@@ -47,8 +47,16 @@ impl Columns {
         }
         let (first, last) = (first as usize, last as usize);
         for word in first / WORD..=last / WORD {
-            let from = if word == first / WORD { from_column(first) } else { !0 };
-            let to = if word == last / WORD { to_column(last) } else { !0 };
+            let from = if word == first / WORD {
+                from_column(first)
+            } else {
+                !0
+            };
+            let to = if word == last / WORD {
+                to_column(last)
+            } else {
+                !0
+            };
             self.0[word] |= from & to;
         }
     }
@@ -61,7 +69,10 @@ impl Grid {
     pub(super) fn mark_unseen(&mut self, observation: &Observation) {
         let sight = observation.fan().sight();
         let mount = sight.fan().mount_body;
-        let farthest = Vector::new(self.x_max_m() + mount.x.abs(), self.y_max_m() + mount.y.abs());
+        let farthest = Vector::new(
+            self.x_max_m() + mount.x.abs(),
+            self.y_max_m() + mount.y.abs(),
+        );
         let has_no_gap = sight.has_no_gap(farthest.norm(), self.footprint.width_m);
         if has_no_gap && sight.extent() == Extent::All {
             return;
@@ -118,24 +129,27 @@ impl Grid {
         let mount = sight.fan().mount_body;
         let [right, left] = sight.limits_body();
         // Left of the right limit, and right of the left one.
-        let inside = [
-            Vector::new(-right.y, right.x),
-            Vector::new(left.y, -left.x),
-        ];
+        let inside = [Vector::new(-right.y, right.x), Vector::new(left.y, -left.x)];
         let all = CELLS_MAX as i64 - 1;
         let mut columns = Columns::NONE;
         match sight.extent() {
             Extent::Nothing => {}
             Extent::All => columns.add(0, all),
             Extent::Narrow => {
-                let halves = inside.map(|normal| Half { normal, beyond_m: 0.0 });
+                let halves = inside.map(|normal| Half {
+                    normal,
+                    beyond_m: 0.0,
+                });
                 let [first, last] = self.columns_of(part_of_row(&halves, mount, y_m));
                 columns.add(first, last);
             }
             // More than half a turn is no intersection of half-planes; the rest of the
             // circle is.
             Extent::Wide => {
-                let halves = inside.map(|normal| Half { normal: -normal, beyond_m: 0.0 });
+                let halves = inside.map(|normal| Half {
+                    normal: -normal,
+                    beyond_m: 0.0,
+                });
                 let [first, last] = self.columns_of(part_of_row(&halves, mount, y_m));
                 match first <= last {
                     true => {

@@ -98,11 +98,14 @@ impl Field {
                 continue;
             }
             let body_from_road = line.body_from_road(along_m);
-            let is_seen = |left_m: f64| sight.covers(body_from_road * Point::new(0.0, left_m), width_m);
+            let is_seen =
+                |left_m: f64| sight.covers(body_from_road * Point::new(0.0, left_m), width_m);
             for column in 0..COLUMNS {
                 let left_m = (column as f64 + 0.5) * ACROSS_M - SIDE_M;
                 let beside_m = body.half_width_m - ACROSS_M / 2.0;
-                let is_free = [0.0, -beside_m, beside_m].iter().all(|across_m| is_seen(left_m + across_m));
+                let is_free = [0.0, -beside_m, beside_m]
+                    .iter()
+                    .all(|across_m| is_seen(left_m + across_m));
                 if !is_free {
                     self.clearance_m[row * COLUMNS + column] = 0.0;
                 }

@@ -48,9 +48,8 @@ impl Nearby {
             let place_body = body_from_world * place;
             place_body.coords.norm() < reach_m && !sight.covers(place_body, f64::INFINITY)
         });
-        let near = |sighting: &&Sighting| {
-            !sighting.moves() && sighting.point_body.coords.norm() < reach_m
-        };
+        let near =
+            |sighting: &&Sighting| !sighting.moves() && sighting.point_body.coords.norm() < reach_m;
         for sighting in sightings.iter().filter(near) {
             let place = world_from_body * sighting.point_body;
             let is_known = |known: &Point| (known - place).norm_squared() < APART_M * APART_M;

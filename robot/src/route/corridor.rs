@@ -222,9 +222,9 @@ mod tests {
             let free_m = SEARCH.free_m(scan().map(place));
             for (index, free_m) in free_m.into_iter().enumerate() {
                 let turn = nalgebra::Rotation2::new(-direction_rad(index));
-                let in_way = scan().map(|beam| turn * place(beam)).filter(|place| {
-                    place.x > 0.0 && place.y.abs() < SEARCH.half_width_m
-                });
+                let in_way = scan()
+                    .map(|beam| turn * place(beam))
+                    .filter(|place| place.x > 0.0 && place.y.abs() < SEARCH.half_width_m);
                 let least_m = in_way.fold(SEARCH.ahead_m, |least_m, place| least_m.min(place.x));
                 assert_eq!(free_m, least_m, "direction {index} from {x}, {y}");
             }

@@ -99,8 +99,15 @@ impl Map {
         }
         // Round the lanelet, forwards along the left bound: clockwise.
         let round = left.iter().chain(right.iter().rev());
-        let next = left.iter().skip(1).chain(right.iter().rev()).chain(&left[..1]);
-        let area: f64 = round.zip(next).map(|(a, b)| a.1.coords.perp(&b.1.coords)).sum();
+        let next = left
+            .iter()
+            .skip(1)
+            .chain(right.iter().rev())
+            .chain(&left[..1]);
+        let area: f64 = round
+            .zip(next)
+            .map(|(a, b)| a.1.coords.perp(&b.1.coords))
+            .sum();
         if area > 0.0 {
             left.reverse();
             right.reverse();
@@ -118,7 +125,9 @@ impl Map {
             let node = elements.nodes.get(id);
             let node = node.ok_or_else(|| format!("way {way}: the file has no node {id}"))?;
             let place = self.frame.of_node(node);
-            let is_same = bound.last().is_some_and(|(_, last)| (place - last).norm() < SAME_M);
+            let is_same = bound
+                .last()
+                .is_some_and(|(_, last)| (place - last).norm() < SAME_M);
             match (is_same, bound.len()) {
                 // The first node is the one that the lanelet before it ends with.
                 (true, 1) => {}

@@ -7,8 +7,8 @@
 pub mod commonroad;
 pub mod corridor;
 mod error;
-mod lanelets;
 pub mod lanelet2;
+mod lanelets;
 mod line;
 mod table;
 

@@ -3,25 +3,46 @@ use vehicle::{Scanner, Vehicle};
 
 use super::{OutOfRange, in_range};
 
-/// The simulator of the world.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Simulator {
+/// One row for each simulator: its variant, and its word in files and on the command line.
+macro_rules! simulators {
+    ($($(#[doc = $about:literal])* $name:ident = $word:literal,)*) => {
+        /// The simulator of the world.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+        pub enum Simulator {
+            $($(#[doc = $about])* #[serde(rename = $word)] $name,)*
+        }
+
+        impl Simulator {
+            /// All of them, the built-in world first.
+            pub const ALL: &[Self] = &[$(Self::$name),*];
+
+            /// Its word in files and on the command line.
+            pub fn word(self) -> &'static str {
+                match self {
+                    $(Self::$name => $word,)*
+                }
+            }
+        }
+    };
+}
+
+simulators! {
     /// The built-in world.
-    #[serde(rename = "sim")]
-    BuiltIn,
+    BuiltIn = "sim",
     /// The real MetaDrive, as `./vlaps setup metadrive` installs it.
-    #[serde(rename = "metadrive")]
-    MetaDrive,
+    MetaDrive = "metadrive",
     /// ir-sim, as `./vlaps setup ir-sim` installs it.
-    #[serde(rename = "ir-sim")]
-    IrSim,
+    IrSim = "ir-sim",
+    /// The F1TENTH gym, as `./vlaps setup f1tenth` installs it.
+    F1tenth = "f1tenth",
 }
 
 /// The world; the defaults are the paper's experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct World {
-    /// The simulator: sim, the built-in world; metadrive, the real one; or ir-sim.
+    /// The simulator: sim, the built-in world; metadrive, the real one; ir-sim; or
+    /// f1tenth.
     pub simulator: Simulator,
     /// Instants of the world per second, at each of which it moves and publishes: a
     /// multiple of run.rate_hz up to 1000; 0 for the same rate. At any rate, traffic

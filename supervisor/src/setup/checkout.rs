@@ -1,4 +1,4 @@
-//! MetaDrive from a checkout of its repository, in place of its release.
+//! A simulator's checkout, which the user made of its repository.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,20 +7,17 @@ use std::process::Command;
 use sha2::{Digest, Sha256};
 
 use crate::cli::failure::Failure;
+use crate::setup::foreign::Source;
 
-/// The folder of the package, in the repository and among the installed packages.
-const PACKAGE: &str = "metadrive";
-/// The environment of the experiment; a folder without this file is not MetaDrive.
-const LANDMARK: &str = "metadrive/envs/safe_metadrive_env.py";
-/// Not copied: models that are not used without a screen (`prepare.py` writes a stub),
-/// and files that Python creates itself.
+/// Not of the package: MetaDrive's models, which are not used without a screen (its
+/// `check.py` writes a stub), and files that Python creates itself.
 const LEFT_OUT: [&str; 2] = ["assets", "__pycache__"];
 
 /// A checkout in its present state.
 #[derive(Debug)]
 pub struct Checkout {
     folder: PathBuf,
-    /// The files to copy, relative to the folder, in order.
+    /// The files of its package, relative to the folder, in order.
     files: Vec<PathBuf>,
     identity: String,
 }
@@ -29,17 +26,18 @@ impl Checkout {
     /// Reads a checkout.
     ///
     /// # Errors
-    /// When it is not MetaDrive's, or cannot be read.
-    pub fn open(folder: &Path) -> Result<Checkout, Failure> {
-        if !folder.join(LANDMARK).is_file() {
+    /// When it is of another repository, or cannot be read.
+    pub fn open(source: &Source, folder: &Path) -> Result<Checkout, Failure> {
+        if !folder.join(source.landmark).is_file() {
             return Err(Failure::Usage(format!(
-                "--checkout {}: not a checkout of MetaDrive, {LANDMARK} is missing; name the \
-                 folder that git clone made of github.com/metadriverse/metadrive",
-                folder.display()
+                "--checkout {}: {} is missing; name the folder that git clone made of {}",
+                folder.display(),
+                source.landmark,
+                source.address
             )));
         }
         let mut files = Vec::new();
-        list(folder, Path::new(PACKAGE), &mut files)?;
+        list(folder, Path::new(source.package), &mut files)?;
         files.sort();
         let mut digest = Sha256::new();
         for file in &files {
@@ -53,13 +51,18 @@ impl Checkout {
             .collect();
         let commit = commit(folder).map_or(String::new(), |commit| format!("commit {commit}, "));
         Ok(Checkout {
-            folder: folder.to_path_buf(),
+            folder: read(folder.canonicalize(), folder)?,
             files,
             identity: format!("{commit}files {digest}"),
         })
     }
 
-    /// Its commit, if git knows it, and a digest of all files to copy.
+    /// Where it is.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Its commit, if git knows it, and a digest of the files of its package.
     pub fn identity(&self) -> &str {
         &self.identity
     }
@@ -78,11 +81,6 @@ impl Checkout {
         }
         Ok(())
     }
-}
-
-/// The folder of the installed package.
-pub fn installed(packages: &Path) -> PathBuf {
-    packages.join(PACKAGE)
 }
 
 /// All files below a folder; links to folders are not followed.
@@ -122,6 +120,13 @@ fn commit(folder: &Path) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::setup::foreign::{METADRIVE, Origin};
+
+    const SOURCE: Source = match METADRIVE.origin {
+        Origin::PackageOrCopy(source) => source,
+        _ => panic!("copied"),
+    };
+    const LANDMARK: &str = SOURCE.landmark;
 
     fn checkout(folder: &Path) {
         for (file, text) in [
@@ -140,11 +145,11 @@ mod tests {
     #[test]
     fn a_folder_that_is_not_metadrive_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
-        let error = Checkout::open(folder.path()).expect_err("empty");
-        assert!(error.to_string().contains("not a checkout of MetaDrive"));
+        let error = Checkout::open(&SOURCE, folder.path()).expect_err("empty");
+        assert!(error.to_string().contains("is missing"));
         // The folder of the package itself, one level too deep.
         checkout(folder.path());
-        Checkout::open(&folder.path().join("metadrive")).expect_err("the package itself");
+        Checkout::open(&SOURCE, &folder.path().join("metadrive")).expect_err("the package itself");
     }
 
     #[test]
@@ -152,17 +157,17 @@ mod tests {
         let (from, to) = (tempfile::tempdir(), tempfile::tempdir());
         let (from, to) = (from.expect("a folder"), to.expect("a folder"));
         checkout(from.path());
-        let before = Checkout::open(from.path()).expect("MetaDrive");
+        let before = Checkout::open(&SOURCE, from.path()).expect("MetaDrive");
         before.copy_into(to.path()).expect("room");
         assert!(to.path().join(LANDMARK).is_file());
-        assert!(installed(to.path()).join("version.py").is_file());
+        assert!(to.path().join("metadrive/version.py").is_file());
         for absent in ["metadrive/assets", "metadrive/envs/__pycache__", "setup.py"] {
             assert!(!to.path().join(absent).exists(), "{absent}");
         }
-        let again = Checkout::open(from.path()).expect("MetaDrive");
+        let again = Checkout::open(&SOURCE, from.path()).expect("MetaDrive");
         assert_eq!(before.identity(), again.identity());
         fs::write(from.path().join("metadrive/version.py"), "VERSION = '2'").expect("room");
-        let after = Checkout::open(from.path()).expect("MetaDrive");
+        let after = Checkout::open(&SOURCE, from.path()).expect("MetaDrive");
         assert_ne!(before.identity(), after.identity());
     }
 }

@@ -1,10 +1,11 @@
 //! Python environments of a set-up, and its steps.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
+use crate::setup::foreign::Version;
 use crate::setup::pip::{last_line, output_of};
 
 /// The steps of the set-up of a part, which is named by its word.
@@ -29,25 +30,17 @@ impl Steps {
     }
 }
 
-/// Makes a Python environment with the wanted Python, or with python3, which has to be of
-/// a version at least.
+/// Makes a Python environment with the wanted Python, or with the first on PATH that is of
+/// the right version.
 ///
 /// # Errors
 /// When there is no such Python, or it cannot make one.
 pub(crate) fn make_environment(
     steps: Steps,
-    (wanted, (major, minor)): (Option<&Path>, (u32, u32)),
+    (wanted, version): (Option<&Path>, Version),
     home: &Path,
 ) -> Result<(), Failure> {
-    let base = wanted.unwrap_or(Path::new("python3"));
-    let least = format!(
-        "import sys; sys.exit(sys.version_info < ({major}, {minor}) and 'Python {major}.{minor} \
-         or later is needed, and this is ' + sys.version.split()[0])"
-    );
-    let advice =
-        "name another Python with --python FILE; on Debian, python3-venv must be installed";
-    let what = format!("{} cannot be used", base.display());
-    steps.run(Command::new(base).args(["-c", &least]), &what, advice)?;
+    let base = find_python(wanted, version)?;
     say(format_args!(
         "making a Python environment in {} with {}",
         home.display(),
@@ -57,7 +50,52 @@ pub(crate) fn make_environment(
     steps.run(
         Command::new(base).args(["-m", "venv"]).arg(home),
         &what,
-        advice,
+        "on Debian, python3-venv must be installed",
     )?;
     Ok(())
+}
+
+/// Finds a Python of the right version.
+fn find_python(wanted: Option<&Path>, version: Version) -> Result<PathBuf, Failure> {
+    let (Version::Exactly(major, minor) | Version::Least(major, minor)) = version;
+    let named = PathBuf::from(format!("python{major}.{minor}"));
+    let candidates = match wanted {
+        Some(path) => vec![path.to_path_buf()],
+        None => vec!["python3".into(), named, "python".into()],
+    };
+    let mut found = Vec::new();
+    for candidate in candidates {
+        let Some(has) = version_of(&candidate) else {
+            continue;
+        };
+        let fits = match version {
+            Version::Exactly(..) => has == (major, minor),
+            Version::Least(..) => has >= (major, minor),
+        };
+        if fits {
+            return Ok(candidate);
+        }
+        found.push(format!("{} is {}.{}", candidate.display(), has.0, has.1));
+    }
+    let found = match found.as_slice() {
+        [] => "none was found".into(),
+        found => found.join(", "),
+    };
+    let later = match version {
+        Version::Exactly(..) => "",
+        Version::Least(..) => " or later",
+    };
+    Err(Failure::Usage(format!(
+        "Python {major}.{minor}{later} is needed, and {found}; install it, or name it with \
+         --python FILE"
+    )))
+}
+
+/// The version, such as 3 and 11; `None` when the program does not run.
+fn version_of(python: &Path) -> Option<(u32, u32)> {
+    let ask = "import sys; print(*sys.version_info[:2])";
+    let output = Command::new(python).args(["-c", ask]).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    let (major, minor) = text.trim().split_once(' ')?;
+    Some((major.parse().ok()?, minor.parse().ok()?))
 }

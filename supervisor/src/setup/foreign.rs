@@ -17,43 +17,133 @@ const ROOT_VARIABLE: &str = "VLAPS_ROOT";
 /// checkout. It is written after all checks.
 pub const DONE: &str = "installed.txt";
 
+/// In words, the world that needs no setup.
+pub const BUILT_IN: &str = "the built-in world";
+
 /// A simulator that is installed into a Python environment of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Foreign {
+    /// Its word in the configuration and in `./vlaps setup`, and the name of its folder
+    /// beside the build's.
+    pub simulator: Simulator,
     /// Its name in sentences.
     pub name: &'static str,
-    /// Its word in `./vlaps setup`, and the name of its folder beside the build's.
-    pub part: &'static str,
+    /// What its environment takes on the disk.
+    pub size: &'static str,
     /// The variable that names another folder of the Python environment.
     pub home_variable: &'static str,
-    /// Where the world's Python files are in the repository.
+    /// Where the world's Python files are in the repository: `world.py`, `requirements.txt`
+    /// and `check.py`, which ends the setup.
     folder: &'static str,
+    /// The Python that its packages exist for.
+    pub python: Version,
+    /// Where the simulator's own files come from.
+    pub origin: Origin,
+    /// Whether its world joins a run by libvlaps, which the setup then builds.
+    pub is_on_library: bool,
+    /// What drives there at once, as arguments of `up` after `--world`.
+    pub first_drive: &'static str,
+}
+
+/// The Python of an environment.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Version {
+    /// This one alone.
+    Exactly(u32, u32),
+    /// This one or a later one.
+    Least(u32, u32),
+}
+
+/// Where a simulator's own files come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// A package among its requirements.
+    Package,
+    /// A package among its requirements, or in place of it a checkout, which is copied.
+    PackageOrCopy(Source),
+    /// A checkout, which is read where it is.
+    Checkout(Source),
+}
+
+/// The repository of a simulator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Source {
+    /// Where git clones it from.
+    pub address: &'static str,
+    /// The folder of its package.
+    pub package: &'static str,
+    /// A file that a checkout of it has.
+    pub landmark: &'static str,
+    /// The name of its release in the requirements; empty without one.
+    pub release: &'static str,
 }
 
 /// The real MetaDrive.
 pub const METADRIVE: Foreign = Foreign {
+    simulator: Simulator::MetaDrive,
     name: "MetaDrive",
-    part: "metadrive",
+    size: "1 GB",
     home_variable: "VLAPS_METADRIVE",
     folder: "sim/metadrive",
+    // The only version that has packages of its graphics engine and can read TOML.
+    python: Version::Exactly(3, 11),
+    origin: Origin::PackageOrCopy(Source {
+        address: "github.com/metadriverse/metadrive",
+        package: "metadrive",
+        // The environment of the experiment.
+        landmark: "metadrive/envs/safe_metadrive_env.py",
+        release: "metadrive-simulator",
+    }),
+    is_on_library: false,
+    first_drive: "",
 };
 
-/// ir-sim.
-pub const IR_SIM: Foreign = Foreign {
-    name: "ir-sim",
-    part: "ir-sim",
-    home_variable: "VLAPS_IR_SIM",
-    folder: "sim/irsim",
-};
+/// One row for each.
+pub const FOREIGN: &[Foreign] = &[
+    METADRIVE,
+    Foreign {
+        simulator: Simulator::IrSim,
+        name: "ir-sim",
+        size: "400 MB",
+        home_variable: "VLAPS_IR_SIM",
+        folder: "sim/irsim",
+        python: Version::Least(3, 11),
+        origin: Origin::Package,
+        is_on_library: true,
+        first_drive: " --vehicle vehicles/car-1-10.toml",
+    },
+    Foreign {
+        simulator: Simulator::F1tenth,
+        name: "the F1TENTH gym",
+        size: "400 MB",
+        home_variable: "VLAPS_F1TENTH",
+        folder: "sim/f1tenth",
+        python: Version::Least(3, 11),
+        origin: Origin::Checkout(Source {
+            address: "github.com/f1tenth/f1tenth_gym",
+            package: "gym/f110_gym",
+            landmark: "gym/f110_gym/envs/base_classes.py",
+            release: "",
+        }),
+        is_on_library: true,
+        first_drive: " --vehicle vehicles/car-1-10.toml --driver mpc",
+    },
+];
 
 impl Foreign {
     /// The one that a world needs; `None` for the built-in world.
-    pub fn of(simulator: Simulator) -> Option<Self> {
-        match simulator {
-            Simulator::BuiltIn => None,
-            Simulator::MetaDrive => Some(METADRIVE),
-            Simulator::IrSim => Some(IR_SIM),
-        }
+    pub fn of(simulator: Simulator) -> Option<&'static Self> {
+        FOREIGN.iter().find(|row| row.simulator == simulator)
+    }
+
+    /// A simulator in words.
+    pub fn name_of(simulator: Simulator) -> &'static str {
+        Self::of(simulator).map_or(BUILT_IN, |row| row.name)
+    }
+
+    /// Its word in `./vlaps setup`.
+    pub fn part(&self) -> &'static str {
+        self.simulator.word()
     }
 
     /// The folder of the world's Python files.
@@ -79,7 +169,7 @@ impl Foreign {
     pub fn home(&self) -> Result<PathBuf, Failure> {
         match env::var_os(self.home_variable) {
             Some(home) => Ok(home.into()),
-            None => beside_the_build(self.part),
+            None => beside_the_build(self.part()),
         }
     }
 
@@ -96,7 +186,7 @@ impl Foreign {
                 "{}: {} is not set up there; run ./vlaps setup {}",
                 home.display(),
                 self.name,
-                self.part
+                self.part()
             )));
         }
         Ok(Program {

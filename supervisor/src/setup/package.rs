@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::cli::failure::Failure;
 use crate::cli::print::say;
 use crate::setup::environment::{Steps, make_environment};
-use crate::setup::foreign::{beside_the_build, python, root};
+use crate::setup::foreign::{Version, beside_the_build, python, root};
 
 /// What builds, runs and tests the package.
 const REQUIRED: [&str; 4] = [
@@ -20,7 +20,7 @@ const REQUIRED: [&str; 4] = [
 const CHECK: &str = "import sys, vlaps; env = vlaps.MetaDriveEnv(); env.reset(seed=0); \
      env.step([0.0, 0.5]); print('vlaps', vlaps.__version__, 'on Python', sys.version.split()[0])";
 /// The first Python that the package is built for.
-const LEAST: (u32, u32) = (3, 10);
+const LEAST: Version = Version::Least(3, 10);
 const STEPS: Steps = Steps("python");
 
 /// Builds the package's wheel and installs it with what it needs.

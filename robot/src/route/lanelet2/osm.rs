@@ -43,7 +43,8 @@ impl Elements {
         }
         let mut elements = Self::default();
         for xml in root.children().filter(Xml::is_element) {
-            if xml.attribute("action") == Some("delete") || xml.attribute("visible") == Some("false")
+            if xml.attribute("action") == Some("delete")
+                || xml.attribute("visible") == Some("false")
             {
                 continue;
             }
@@ -123,11 +124,13 @@ fn way(xml: Xml<'_, '_>) -> Result<Vec<i64>, String> {
 
 fn lanelet(xml: Xml<'_, '_>) -> Result<[i64; 2], String> {
     let bound = |role: &str| {
-        let mut members = xml.children().filter(|child| {
-            child.has_tag_name("member") && child.attribute("role") == Some(role)
-        });
+        let mut members = xml
+            .children()
+            .filter(|child| child.has_tag_name("member") && child.attribute("role") == Some(role));
         match (members.next(), members.next()) {
-            (Some(member), None) if member.attribute("type") == Some("way") => number(member, "ref"),
+            (Some(member), None) if member.attribute("type") == Some("way") => {
+                number(member, "ref")
+            }
             (Some(member), None) => Err(wrong(member, "type", member.attribute("type"))),
             (None, _) => Err(wrong(xml, role, "no member")),
             (Some(_), Some(_)) => Err(wrong(xml, role, "more than one member")),

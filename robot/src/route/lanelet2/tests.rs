@@ -51,7 +51,11 @@ fn map_of(node: impl Fn(i64, (f64, f64)) -> String) -> String {
         // Nothing uses it, and it has a node that the file has not.
         way(16, &[1, 999]),
     ];
-    let lanelets = [lanelet(101, 11, 12), lanelet(102, 13, 14), lanelet(103, 15, 11)];
+    let lanelets = [
+        lanelet(101, 11, 12),
+        lanelet(102, 13, 14),
+        lanelet(103, 15, 11),
+    ];
     format!(
         "<?xml version='1.0'?><osm version='0.6'>{nodes}{}{}\
          <relation id='200'><tag k='type' v='regulatory_element'/></relation></osm>",
@@ -92,13 +96,23 @@ fn a_route_goes_over_named_lanelets_or_successors() {
     let found = map.between(start, goal).expect("a route");
     assert_eq!(named, found);
     assert!(!named.is_closed());
-    assert!((named.length_m() - 90.0).abs() < 0.3, "{}", named.length_m());
+    assert!(
+        (named.length_m() - 90.0).abs() < 0.3,
+        "{}",
+        named.length_m()
+    );
     let (map_from_road, left_m, right_m) = named.at(25.0);
     assert!((map_from_road.translation.vector - Point::new(25.0, 0.0).coords).norm() < 1e-9);
     assert_eq!((left_m, right_m), (2.0, 2.0));
     // Its own row where the left bound has a place.
     assert_eq!(map.lanelets[&102].rows.len(), 3);
-    assert_eq!(read(&local("x", "y")).expect("a map").over(&[101, 102]).expect("a route"), named);
+    assert_eq!(
+        read(&local("x", "y"))
+            .expect("a map")
+            .over(&[101, 102])
+            .expect("a route"),
+        named
+    );
 }
 
 #[test]
@@ -108,13 +122,21 @@ fn degrees_are_metres_to_the_east_and_north_of_a_node() {
     // The node with the least number is at (0, 2).
     let (map_from_road, left_m, _) = route.at(25.0);
     let place = map_from_road.translation.vector;
-    assert!((place - Point::new(25.0, -2.0).coords).norm() < 1e-3, "{place}");
+    assert!(
+        (place - Point::new(25.0, -2.0).coords).norm() < 1e-3,
+        "{place}"
+    );
     assert!((left_m - 2.0).abs() < 1e-3);
     // A place 10 km away, by the length of the ellipsoid's arcs: the plane is 4 mm short.
-    let north = map.place(49.0 + 10_000.0 / DEGREE_M.0, 8.4).expect("a place");
+    let north = map
+        .place(49.0 + 10_000.0 / DEGREE_M.0, 8.4)
+        .expect("a place");
     assert!((north.coords.norm() - 10_000.0).abs() < 10.0, "{north}");
     let east = map.place(49.0, 8.4 + 10.0 / DEGREE_M.1).expect("a place");
-    assert!((east.x - 10.0).abs() < 1e-3 && (east.y + 2.0).abs() < 1e-3, "{east}");
+    assert!(
+        (east.x - 10.0).abs() < 1e-3 && (east.y + 2.0).abs() < 1e-3,
+        "{east}"
+    );
 }
 
 #[test]
@@ -126,7 +148,10 @@ fn bounds_that_are_drawn_backwards_are_turned() {
     let [plain, turned] = [text, turned].map(|text| read(&text).expect("a map"));
     // What is left of one lanelet is right of the one beside it.
     for ids in [vec![101, 102], vec![103]] {
-        assert_eq!(plain.over(&ids).expect("a route"), turned.over(&ids).expect("a route"));
+        assert_eq!(
+            plain.over(&ids).expect("a route"),
+            turned.over(&ids).expect("a route")
+        );
     }
 }
 
@@ -148,7 +173,11 @@ fn a_circle_of_lanelets_is_a_closed_route() {
         way(14, &[4, 8, 2]),
     ];
     let lanelets = [lanelet(21, 11, 12), lanelet(22, 13, 14)];
-    let map = read(&format!("{ring}{}{}</osm>", ways.concat(), lanelets.concat()));
+    let map = read(&format!(
+        "{ring}{}{}</osm>",
+        ways.concat(),
+        lanelets.concat()
+    ));
     let map = map.expect("a map");
     let round = map.over(&[21, 22]).expect("a route");
     assert!(round.is_closed());
@@ -165,13 +194,36 @@ fn what_gives_no_route_is_said_in_one_line() {
     let refused = |from: &str, to: &str, said: &str| {
         let text = text.replacen(from, to, 1);
         let error = read(&text).expect_err(said);
-        assert!(error.contains(said) && error.lines().count() == 1, "{said}: {error}");
+        assert!(
+            error.contains(said) && error.lines().count() == 1,
+            "{said}: {error}"
+        );
     };
-    refused("<osm version='0.6'>", "<gpx>", "expected 'gpx' tag, not 'osm'");
-    refused("<nd ref='3'/>", "<nd ref='77'/>", "lanelet 101: way 11: the file has no node 77");
-    refused("ref='12' role", "ref='77' role", "lanelet 101: the file has no way 77");
-    refused("type='way' ref='12'", "type='relation' ref='101'", "type=Some(\"relation\")");
-    refused("role='right'", "role='left'", "left=\"more than one member\"");
+    refused(
+        "<osm version='0.6'>",
+        "<gpx>",
+        "expected 'gpx' tag, not 'osm'",
+    );
+    refused(
+        "<nd ref='3'/>",
+        "<nd ref='77'/>",
+        "lanelet 101: way 11: the file has no node 77",
+    );
+    refused(
+        "ref='12' role",
+        "ref='77' role",
+        "lanelet 101: the file has no way 77",
+    );
+    refused(
+        "type='way' ref='12'",
+        "type='relation' ref='101'",
+        "type=Some(\"relation\")",
+    );
+    refused(
+        "role='right'",
+        "role='left'",
+        "left=\"more than one member\"",
+    );
     refused("role='right'", "role='centerline'", "right=\"no member\"");
     refused("<nd ref='3'/>", "", "way 11 has fewer than two places");
     refused("<node id='2'", "<node id='1'", "two elements have the id 1");
@@ -179,8 +231,16 @@ fn what_gives_no_route_is_said_in_one_line() {
     refused("lat='0'", "lat='91'", "lat=91.0");
     refused("lat='0'", "lat='nan'", "lat=NaN");
     refused("k='x' v='0'", "k='x' v='inf'", "x=\"inf\"");
-    refused("<tag k='x' v='0'/>", "", "9 of 10 nodes have local coordinates");
-    refused("v='50'", "v='5e7'", "is not a number of metres up to 1,000,000");
+    refused(
+        "<tag k='x' v='0'/>",
+        "",
+        "9 of 10 nodes have local coordinates",
+    );
+    refused(
+        "v='50'",
+        "v='5e7'",
+        "is not a number of metres up to 1,000,000",
+    );
     let error = read("<osm/>").expect_err("no lanelet");
     assert!(error.contains("it has no lanelet"), "{error}");
     let error = read("<commonRoad/>").expect_err("another format");
@@ -197,7 +257,9 @@ fn ways_that_lead_nowhere_are_refused() {
     assert!(said(map.over(&[101, 103])).contains("does not follow"));
     let (first, beside) = (Point::new(5.0, 0.0), Point::new(20.0, 4.0));
     assert!(said(map.between(first, beside)).contains("changes of lanes are not planned"));
-    assert!(said(map.between(Point::new(-90.0, 0.0), first)).contains("the start is on no lanelet"));
+    assert!(
+        said(map.between(Point::new(-90.0, 0.0), first)).contains("the start is on no lanelet")
+    );
     assert!(said(map.between(first, Point::new(0.0, 90.0))).contains("the goal is on no lanelet"));
 }
 
@@ -222,7 +284,8 @@ fn hostile_files_are_refused() {
 
 #[test]
 fn deleted_elements_are_not_read() {
-    let text = local("x", "y").replace("<relation id='103'>", "<relation id='103' action='delete'>");
+    let text =
+        local("x", "y").replace("<relation id='103'>", "<relation id='103' action='delete'>");
     let map = read(&text).expect("a map");
     assert_eq!(map.lanelets().collect::<Vec<_>>(), [101, 102]);
 }

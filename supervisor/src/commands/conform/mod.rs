@@ -54,7 +54,7 @@ use rig::Rig;
         ./vlaps conform sim"
 )]
 pub struct Conform {
-    /// The world: a program, as a path with a '/'; or sim, metadrive or ir-sim.
+    /// The world: a program, as a path with a '/'; or sim, metadrive, ir-sim or f1tenth.
     #[arg(value_name = "PROGRAM", value_parser = WorldOrProgram, required_unless_present = "act")]
     pub program: Option<UpWorld>,
     /// Configuration file; vlaps.toml of the current folder is read when present.

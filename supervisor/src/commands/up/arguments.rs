@@ -3,16 +3,16 @@
 use std::ffi::OsStr;
 use std::path::PathBuf;
 
-use clap::builder::{EnumValueParser, PossibleValue, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::{Args, ValueEnum};
-use serde::{Deserialize, Serialize};
 use shm_config::config::planner::Method;
 use shm_config::config::{GateMode, Simulator};
 use shm_config::run::RunName;
 use shm_config::shortened;
 
 use crate::cli::parsers::{Name, whole};
+use crate::setup::foreign::{BUILT_IN, Foreign};
 
 /// Start the process set and drive.
 #[derive(Debug, Default, Args)]
@@ -50,8 +50,8 @@ pub struct Up {
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
     pub lockstep: bool,
-    /// The world: sim, the built-in one; metadrive or ir-sim, which need `./vlaps setup
-    /// metadrive` or `./vlaps setup ir-sim` once; or a program of yours, as a path with a '/'.
+    /// The world: sim, the built-in one; metadrive, ir-sim or f1tenth, which need
+    /// `./vlaps setup` with this word once; or a program of yours, as a path with a '/'.
     #[arg(long, value_name = "WHICH|PROGRAM", value_parser = WorldOrProgram)]
     pub world: Option<UpWorld>,
     /// How the expert plans; the paper's RRT* without it.
@@ -174,7 +174,7 @@ impl From<GateChoice> for GateMode {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum UpWorld {
     /// A simulator.
-    Simulator(WorldChoice),
+    Simulator(Simulator),
     /// A user's program.
     Program(PathBuf),
 }
@@ -195,25 +195,26 @@ impl TypedValueParser for WorldOrProgram {
         if value.as_encoded_bytes().contains(&b'/') {
             return Ok(UpWorld::Program(value.into()));
         }
-        let simulator = EnumValueParser::<WorldChoice>::new();
-        let simulator = simulator.parse_ref(command, option, value)?;
-        Ok(UpWorld::Simulator(simulator))
+        let word = PossibleValuesParser::new(worlds()).parse_ref(command, option, value)?;
+        let named = |simulator: &&Simulator| simulator.word() == word;
+        let simulator = Simulator::ALL.iter().find(named);
+        Ok(UpWorld::Simulator(*simulator.expect("a word of the list")))
     }
 }
 
-/// The parser of [`WorldChoice`] for commands that drive no program of a user.
+/// The parser of [`Simulator`] for commands that drive no program of a user.
 #[derive(Debug, Clone, Copy)]
 pub struct SimulatorAlone;
 
 impl TypedValueParser for SimulatorAlone {
-    type Value = WorldChoice;
+    type Value = Simulator;
 
     fn parse_ref(
         &self,
         command: &clap::Command,
         option: Option<&clap::Arg>,
         value: &OsStr,
-    ) -> Result<WorldChoice, clap::Error> {
+    ) -> Result<Simulator, clap::Error> {
         match WorldOrProgram.parse_ref(command, option, value)? {
             UpWorld::Simulator(choice) => Ok(choice),
             UpWorld::Program(path) => {
@@ -228,52 +229,20 @@ impl TypedValueParser for SimulatorAlone {
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
-        Some(Box::new(
-            WorldChoice::value_variants()
-                .iter()
-                .filter_map(ValueEnum::to_possible_value),
-        ))
+        Some(Box::new(worlds()))
     }
 }
 
-/// The world simulator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum WorldChoice {
-    /// The built-in world.
-    Sim,
-    /// The real MetaDrive; see `./vlaps setup metadrive`.
-    Metadrive,
-    /// ir-sim; see `./vlaps setup ir-sim`.
-    IrSim,
-}
-
-impl WorldChoice {
-    /// As on the command line.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Sim => "sim",
-            Self::Metadrive => "metadrive",
-            Self::IrSim => "ir-sim",
+/// Each simulator with what it is.
+fn worlds() -> impl Iterator<Item = PossibleValue> {
+    Simulator::ALL.iter().map(|&simulator| {
+        let word = simulator.word();
+        match Foreign::of(simulator) {
+            None => PossibleValue::new(word).help(BUILT_IN),
+            Some(foreign) => {
+                let help = format!("{}; see `./vlaps setup {word}`", foreign.name);
+                PossibleValue::new(word).help(help)
+            }
         }
-    }
-
-    /// In words.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Sim => "the built-in world",
-            Self::Metadrive => "MetaDrive",
-            Self::IrSim => "ir-sim",
-        }
-    }
-}
-
-impl From<WorldChoice> for Simulator {
-    fn from(choice: WorldChoice) -> Self {
-        match choice {
-            WorldChoice::Sim => Self::BuiltIn,
-            WorldChoice::Metadrive => Self::MetaDrive,
-            WorldChoice::IrSim => Self::IrSim,
-        }
-    }
+    })
 }

@@ -171,7 +171,7 @@ fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)
     match &arguments.world {
         None => {}
         Some(UpWorld::Simulator(choice)) => {
-            let simulator = written(world, Some(Simulator::from(*choice)))?;
+            let simulator = written(world, Some(*choice))?;
             keys.extend(simulator.map(|simulator| (world, "world.simulator", simulator)));
             keys.push((world, "programs.world", "".into()));
         }
