@@ -190,7 +190,7 @@ fn stand(rig: &mut Rig, begin: impl FnOnce(&mut Rig) -> Tested) -> Result<(bool,
 }
 
 fn is_standing(rig: &Rig) -> bool {
-    rig.watched.moves_mps() < rig.pace.stands_mps
+    rig.watched.speed_mps().abs() < rig.pace.stands_mps
 }
 
 /// Lets the car come to a stand, which is no promise of its own.
@@ -202,7 +202,7 @@ pub(super) fn stands(rig: &mut Rig) -> Tested {
 fn stay(rig: &mut Rig) -> Result<f64, Failure> {
     let mut fastest_mps: f64 = 0.0;
     rig.watch(STAY_S + rig.pace.delay_s, |rig| {
-        fastest_mps = fastest_mps.max(rig.watched.moves_mps());
+        fastest_mps = fastest_mps.max(rig.watched.speed_mps().abs());
         Ok(false)
     })?;
     Ok(fastest_mps)

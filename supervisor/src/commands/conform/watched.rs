@@ -14,10 +14,6 @@ pub(super) struct Seen {
     pub(super) heading_rad: f64,
     pub(super) yaw_rate_radps: f64,
     pub(super) speed_mps: f64,
-    /// Where it is, m.
-    place_m: (f64, f64),
-    /// How fast its place changed since the observation before, m/s.
-    displaced_mps: f64,
 }
 
 /// Messages of the world since it was last started.
@@ -78,15 +74,6 @@ impl Count {
     }
 }
 
-impl Seen {
-    /// How fast the place changed since an earlier observation, m/s.
-    fn displaced_since(&self, last: &Self) -> f64 {
-        let (from_m, to_m) = (last.place_m, self.place_m);
-        let time_s = self.scheduled_ns.saturating_sub(last.scheduled_ns) as f64 * 1e-9;
-        (to_m.0 - from_m.0).hypot(to_m.1 - from_m.1) / time_s
-    }
-}
-
 impl Watched {
     /// Of a world in a run of this configuration.
     pub(super) fn new(config: &Config) -> Self {
@@ -131,13 +118,6 @@ impl Watched {
         self.newest().map_or(0.0, |seen| seen.speed_mps)
     }
 
-    /// How fast the car moves, m/s: by its speed and by its places. Under full brake
-    /// MetaDrive's car sways on its springs, at 0.2 m/s to and fro, and goes nowhere.
-    pub(super) fn moves_mps(&self) -> f64 {
-        self.newest()
-            .map_or(0.0, |seen| seen.speed_mps.abs().min(seen.displaced_mps))
-    }
-
     /// Takes an observation that was read at `now`.
     pub(super) fn see(&mut self, observation: &Observation, now: Instant) {
         self.observations += 1;
@@ -153,7 +133,7 @@ impl Watched {
         } else if let Err(refusal) = self.grid.admit(observation, released.max(header.taken())) {
             self.off_grid.note(|| refusal.to_string());
         }
-        let mut seen = Seen {
+        let seen = Seen {
             tick: header.tick,
             episode: header.episode,
             scheduled_ns: observation.scheduled_ns,
@@ -161,15 +141,10 @@ impl Watched {
             heading_rad: observation.ego.heading_world_rad,
             yaw_rate_radps: observation.ego.yaw_rate_radps,
             speed_mps: observation.ego.speed_mps,
-            place_m: (observation.ego.x_world_m, observation.ego.y_world_m),
-            displaced_mps: f64::INFINITY,
         };
         if let Some(last) = self.seen.last() {
             if last.tick == seen.tick && last.scheduled_ns == seen.scheduled_ns {
                 return;
-            }
-            if last.episode == seen.episode {
-                seen.displaced_mps = seen.displaced_since(last);
             }
             let instants = seen.scheduled_ns.saturating_sub(last.scheduled_ns) / self.period_ns;
             let ticks = seen.tick.saturating_sub(last.tick);
