@@ -159,7 +159,7 @@ fn the_judge_vetoes_the_policy_and_not_the_person_but_judges_both() {
     assert!(step.policy_assessment.is_vetoed());
     assert_ne!(step.driver(), Driver::Policy);
 
-    inputs.observation = Some(wall(seat.now));
+    inputs.observation = wall(seat.now).into();
     inputs.takeover = takeover(1, seat.now).into();
     let step = seat.tick_on(&inputs, Intent::Drive);
     assert!(step.expert_assessment.is_vetoed(), "it is recorded");

@@ -200,16 +200,16 @@ impl Recording {
         inputs.admitted.advice_ns = now.0 - self.draw.below(MS);
         inputs.admitted.takeover_ns = now.0;
         if !self.draw.one_in(25) {
-            inputs.observation = Some(self.observation(scheduled));
+            inputs.observation = self.observation(scheduled).into();
         }
         if !self.draw.one_in(8) {
-            inputs.plan = Some(self.plan(scheduled));
+            inputs.plan = self.plan(scheduled).into();
         }
         if self.draw.one_in(4) {
-            inputs.advice = Some(self.advice(now));
+            inputs.advice = self.advice(now).into();
         }
         if self.draw.one_in(2) {
-            inputs.takeover = Some(self.takeover(now));
+            inputs.takeover = self.takeover(now).into();
         }
         inputs
     }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use shm_config::config::planner::Method;
 use shm_config::config::{
-    Config, ConfigError, GateMode, Simulator, from_toml, load, text_of, vehicle_of, with_vehicle,
+    Config, ConfigError, GateMode, from_toml, load, text_of, vehicle_of, with_vehicle,
 };
 use shm_config::{file, shortened};
 use toml::{Table, Value};
