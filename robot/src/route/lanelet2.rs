@@ -232,7 +232,7 @@ type Bound = Vec<(i64, Point)>;
 /// Rows between two bounds: one wherever either of them has a place, by its share of the
 /// bound's length.
 fn rows(left: &Bound, right: &Bound) -> Vec<Row> {
-    let bounds = [left, right].map(|bound| Shares::of(bound));
+    let bounds = [left, right].map(Shares::of);
     let mut shares: Vec<f64> = bounds.iter().flat_map(|bound| bound.at.clone()).collect();
     shares.sort_by(f64::total_cmp);
     let mut rows: Vec<Row> = Vec::with_capacity(shares.len());
