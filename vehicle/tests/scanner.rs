@@ -195,7 +195,7 @@ proptest! {
         let beside = |beam: usize| {
             let along = fan.direction_body(beam);
             let is_ahead = along.dot(&from_mount) > 0.0;
-            is_ahead.then(|| along.perp(&from_mount).abs()).unwrap_or(f64::INFINITY)
+            if is_ahead { along.perp(&from_mount).abs() } else { f64::INFINITY }
         };
         let nearest_m = (0..fan.beams).map(beside).fold(f64::INFINITY, f64::min);
         let half_rad = if fan.is_circle() { PI } else { fan.seen_half_rad().min(PI) };
