@@ -38,9 +38,10 @@ fn what_the_configuration_allows_there_is_room_for() {
     // The largest disc of all, as a cross in the grid.
     let config = of(most);
     let mut observation = Observation {
-        beam_count: 1,
+        beam_count: 240,
         ..Observation::default()
     };
+    observation.ranges_m[..240].fill(observation.lidar_max_m);
     observation.ranges_m[0] = 10.02;
     observation.road.left_m = 50.0;
     observation.road.right_m = 50.0;

@@ -430,7 +430,7 @@ mod tests {
         let cases = arguments.cases();
         let slugs: std::collections::BTreeSet<_> = cases.iter().map(Case::slug).collect();
         assert_eq!(slugs.len(), cases.len(), "{slugs:?}");
-        assert_eq!(cases.len(), (11 + 10) * 3 * 2);
+        assert_eq!(cases.len(), (12 + 10) * 3 * 2);
         assert!(slugs.contains("100-hz-judge-answers-in-0.1-s-real-time"));
         // A row that is requested twice is measured once.
         arguments.rate.push(100.0);

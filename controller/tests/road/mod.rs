@@ -35,7 +35,7 @@ pub fn observation(now: Instant) -> Observation {
     };
     observation.header.taken_ns = now.0;
     observation.header.tick = TICK;
-    observation.ranges_m.fill(50.0);
+    observation.ranges_m[..240].fill(50.0);
     observation.road.left_m = 5.25;
     observation.road.right_m = 5.25;
     observation.ego.speed_mps = 5.0;

@@ -190,16 +190,33 @@ impl Check<'_> {
     /// The messages in the step against those that were recorded for themselves.
     fn copies(&self) -> Option<Found> {
         let step = self.step;
-        self.copy("observation", &step.observation, |all| &all.observations)
-            .or_else(|| self.copy("plan", &step.plan, |all| &all.plans))
-            .or_else(|| self.copy("advice", &step.advice, |all| &all.advice))
-            .or_else(|| self.copy("takeover", &step.takeover, |all| &all.takeovers))
+        self.input("observation", &step.observation, |all| &all.observations)
+            .or_else(|| self.input("plan", &step.plan, |all| &all.plans))
+            .or_else(|| self.input("advice", &step.advice, |all| &all.advice))
+            .or_else(|| self.input("takeover", &step.takeover, |all| &all.takeovers))
             .or_else(|| {
                 let is_sent = step.lateness != Lateness::HeldBack.code();
                 is_sent
                     .then(|| self.copy("command", &step.command, |all| &all.commands))
                     .flatten()
             })
+    }
+
+    /// An input in the step against the recorded one of its number; against the default where
+    /// none came yet.
+    fn input<M: Message + Default>(
+        &self,
+        name: &str,
+        copy: &M,
+        channel: impl Fn(&Messages) -> &Channel<M>,
+    ) -> Option<Found> {
+        if key(copy.header()) != (0, 0) {
+            return self.copy(name, copy, channel);
+        }
+        let found = shm_config::difference::first_difference(copy, &M::default())?;
+        let at = (self.stretch.number, &self.step.header);
+        let field = format!("{name}.{}", found.field);
+        Some(Found::new(PROCESS, at, field, (found.left, found.right)))
     }
 
     /// A message in the step against the recorded one of its number.
@@ -210,10 +227,6 @@ impl Check<'_> {
         channel: impl Fn(&Messages) -> &Channel<M>,
     ) -> Option<Found> {
         let (producer, sequence) = key(copy.header());
-        if (producer, sequence) == (0, 0) {
-            // None came yet.
-            return None;
-        }
         let at = (self.stretch.number, &self.step.header);
         let by_number = self
             .stretch

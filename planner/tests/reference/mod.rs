@@ -88,19 +88,29 @@ impl Dense {
                 (middle, start_m[0].min(start_m[1]))
             })
             .collect();
-        // In a scan without beams, all that is ahead of the front bumper is unseen.
-        let seen_m = match observation.ranges().is_empty() {
-            true => Vehicle::default().length_m / 2.0,
-            false => f64::INFINITY,
-        };
-        let occupied = |row: usize, column: usize| {
-            let middle = Point::new(
+        let middle = |row: usize, column: usize| {
+            Point::new(
                 (column as f64 + 0.5) * config.cell_m,
                 (row as f64 + 0.5 - half_rows as f64) * config.cell_m,
-            );
+            )
+        };
+        let car = Vehicle::default();
+        let sight = observation.fan().sight();
+        // Ahead of the bumper, where the front of the body would be beside the row.
+        let beside = (car.width_m / 2.0 / config.cell_m - 1.0).max(0.0) as usize;
+        let unseen = |row: usize, column: usize| {
+            let last = 2 * half_rows - 1;
+            let rows = row.saturating_sub(beside)..=(row + beside).min(last);
+            column as f64 * config.cell_m >= car.length_m / 2.0
+                && rows
+                    .into_iter()
+                    .any(|row| !sight.covers(middle(row, column), car.width_m))
+        };
+        let occupied = |row: usize, column: usize| {
+            let middle = middle(row, column);
             middle.y < right_m
                 || middle.y > left_m
-                || column as f64 * config.cell_m >= seen_m
+                || unseen(row, column)
                 || returns.iter().any(|(from, start_m)| {
                     let distance_m = (middle - from).norm();
                     distance_m <= config.inflation_m + EQUAL_M && distance_m < start_m - EQUAL_M

@@ -173,10 +173,12 @@ impl Map {
             path: self.path.clone(),
             what,
         };
+        if let Some(id) = ids.iter().find(|id| !self.lanelets.contains_key(id)) {
+            return Err(refused(format!("no lanelet {id}")));
+        }
         let mut length = 0;
         for (k, id) in ids.iter().enumerate() {
-            let lanelet = self.lanelets.get(id);
-            let lanelet = lanelet.ok_or_else(|| refused(format!("no lanelet {id}")))?;
+            let lanelet = &self.lanelets[id];
             length += lanelet.rows.len();
             if length > ROWS_MAX {
                 return Err(refused(format!("the route has more than {ROWS_MAX} rows")));
