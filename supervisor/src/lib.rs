@@ -12,7 +12,7 @@
 //! | [`telemetry`] | what the messages of a run add up to |
 //! | [`show`] | the live view and the summary |
 //! | [`takeover`] | keys of a human driver to takeover messages |
-//! | [`setup`] | MetaDrive, ir-sim, ONNX Runtime, ROS 2, programs of a user |
+//! | [`setup`] | foreign worlds, ONNX Runtime, ROS 2, programs of a user |
 //! | [`commands`] | one file or folder a command |
 //! | [`subcommand`] | what the programs of `eval`, `train`, `draw` and `bench` share |
 //!
@@ -42,9 +42,9 @@
 //!
 //! | what the supervisor observes | what it does |
 //! |---|---|
-//! | exit code 2 at the first start | shows the process's last log line and gives the run up: the same set-up would fail again |
+//! | exit code 2 at the first start: the process could not be set up | shows the process's last log line and gives the run up: the same set-up would fail again |
 //! | any exit of a user's program (`[programs]`) before it was ready | shows its last log lines and gives the run up |
-//! | exit code 2 later, any other exit, or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times; then gives the run up, or goes on without a recorder |
+//! | exit code 2 later, any other exit (101: a panic; 1: an exception of the MetaDrive world; 0: not the world), or a signal | restarts it after a pause that doubles, up to `supervisor.restarts_max` times; then gives the run up, or goes on without a recorder |
 //! | no health message for `supervisor.silence_s` | SIGKILL, which also ends a stopped process; then as above |
 //! | not ready within [`set::member::READY_LIMIT_NS`] ([`set::member::SCRIPT_READY_LIMIT_NS`] for a script) | gives up at the first start; SIGKILL and restart later |
 //! | the run's files are gone from the disk or /dev/shm | brakes the car and gives up: a restarted process could not join the others |
