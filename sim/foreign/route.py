@@ -146,7 +146,8 @@ def _checkpoint(start: tuple, pose: tuple, place: tuple, left_m: float) -> Check
     ahead_m, beside_m = from_pose(start, *place)
     x_m, y_m = from_pose(pose, *place)
     turn_rad = 2 * math.atan2(beside_m, ahead_m)
-    if abs(turn_rad) < STRAIGHT_RAD:
+    # At the end of a road the place is the pose, and the sign of its zeros says nothing.
+    if abs(turn_rad) < STRAIGHT_RAD or start[:2] == place:
         return Checkpoint(x_m, y_m, 0.0, 0.0, 0)
     side = 1 if beside_m > 0 else -1
     middle_m = (ahead_m**2 + beside_m**2) / (2 * abs(beside_m))

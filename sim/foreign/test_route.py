@@ -32,6 +32,13 @@ class Routes(unittest.TestCase):
         self.assertEqual((first.x_m, first.y_m), (1.0, 0.0))
         self.assertEqual(first, second)
 
+    def test_the_second_checkpoint_at_the_end_is_straight_in_each_direction(self):
+        for angle_rad in np.linspace(0.0, math.tau, 16, endpoint=False):
+            end = 20.0 * np.array([math.cos(angle_rad), math.sin(angle_rad)])
+            route = Route(np.array([[0.0, 0.0], end]), np.full(2, 2.0), np.full(2, 3.0), is_closed=False)
+            first, second = route.checkpoints((0.0, 0.0, angle_rad), 0.0)
+            self.assertEqual((first.side, second.side), (0, 0), angle_rad)
+
     def test_a_ring_bends_with_its_radius_all_the_way_round(self):
         for mirrored in (1, -1):
             route = ring()
