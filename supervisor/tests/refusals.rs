@@ -124,7 +124,7 @@ fn a_program_that_cannot_be_started_is_refused_with_its_option() {
     assert_refused(
         &folder,
         &["up", "--world", "smi"],
-        &["sim", "metadrive", "ir-sim", "f1tenth"],
+        &["sim", "metadrive", "ir-sim", "f1tenth", "commonroad"],
     );
     assert_refused(
         &folder,

@@ -1,4 +1,4 @@
-//! ir-sim and the F1TENTH gym as worlds. Without the Python environment of one, which
+//! ir-sim, the F1TENTH gym and CommonRoad as worlds. Without the Python environment of one, which
 //! `./vlaps setup` creates, its tests print that and pass.
 
 use std::path::{Path, PathBuf};
@@ -25,6 +25,11 @@ const F1TENTH: Simulator = Simulator {
     word: "f1tenth",
     variable: "VLAPS_F1TENTH",
     folder: "sim/f1tenth",
+};
+const COMMONROAD: Simulator = Simulator {
+    word: "commonroad",
+    variable: "VLAPS_COMMONROAD",
+    folder: "sim/commonroad",
 };
 
 impl Simulator {
@@ -97,6 +102,11 @@ fn ir_sim_scans_moves_and_judges_as_the_world_expects() {
 #[test]
 fn the_gym_scans_moves_and_judges_as_the_world_expects() {
     F1TENTH.test();
+}
+
+#[test]
+fn commonroad_reads_moves_and_judges_as_the_world_expects() {
+    COMMONROAD.test();
 }
 
 #[test]

@@ -35,14 +35,16 @@ simulators! {
     IrSim = "ir-sim",
     /// The F1TENTH gym, as `./vlaps setup f1tenth` installs it.
     F1tenth = "f1tenth",
+    /// CommonRoad scenarios, as `./vlaps setup commonroad` installs what drives them.
+    CommonRoad = "commonroad",
 }
 
 /// The world; the defaults are the paper's experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct World {
-    /// The simulator: sim, the built-in world; metadrive, the real one; ir-sim; or
-    /// f1tenth.
+    /// The simulator: sim, the built-in world; metadrive, the real one; ir-sim; f1tenth;
+    /// or commonroad.
     pub simulator: Simulator,
     /// Instants of the world per second, at each of which it moves and publishes: a
     /// multiple of run.rate_hz up to 1000; 0 for the same rate. At any rate, traffic

@@ -21,6 +21,7 @@ use crate::setup::{onnxruntime, package, ros, world};
         ./vlaps setup metadrive\n  \
         ./vlaps setup ir-sim\n  \
         ./vlaps setup f1tenth --checkout ../f1tenth_gym\n  \
+        ./vlaps setup commonroad --checkout ../commonroad-io\n  \
         ./vlaps setup onnxruntime\n  \
         ./vlaps setup ros\n  \
         ./vlaps setup python && target/python/bin/python -c 'import vlaps'\n  \
@@ -29,14 +30,14 @@ use crate::setup::{onnxruntime, package, ros, world};
 pub struct Setup {
     /// Which part.
     pub part: Part,
-    /// The checkout of a simulator's repository; of f1tenth always, of metadrive in place of
-    /// its release. It is only read.
+    /// The checkout of a simulator's repository; of f1tenth and commonroad always, of
+    /// metadrive in place of its release. It is only read.
     ///
-    /// The F1TENTH gym is in no package registry, so its files are read in the checkout, which
-    /// has to stay where it is. MetaDrive's are copied: the built-in world mirrors commit
-    /// c29cc37 of metadriverse/metadrive, and the release on the registry, 0.4.3, has older
-    /// lanes at in- and out-ramps, so figures that are compared need the commit. All other
-    /// packages stay as pinned.
+    /// The F1TENTH gym and CommonRoad's scenarios are in no package registry, so their files
+    /// are read in the checkout, which has to stay where it is. MetaDrive's are copied: the
+    /// built-in world mirrors commit c29cc37 of metadriverse/metadrive, and the release on the
+    /// registry, 0.4.3, has older lanes at in- and out-ramps, so figures that are compared need
+    /// the commit. All other packages stay as pinned.
     #[arg(long, value_name = "DIR")]
     pub checkout: Option<PathBuf>,
     /// The Python to install for; without it, python3 or python3.11.

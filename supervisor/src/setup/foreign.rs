@@ -128,6 +128,23 @@ pub const FOREIGN: &[Foreign] = &[
         is_on_library: true,
         first_drive: " --vehicle vehicles/car-1-10.toml --driver mpc",
     },
+    Foreign {
+        simulator: Simulator::CommonRoad,
+        name: "CommonRoad",
+        size: "400 MB",
+        home_variable: "VLAPS_COMMONROAD",
+        folder: "sim/commonroad",
+        python: Version::Least(3, 11),
+        // The scenarios; the packages are among the requirements.
+        origin: Origin::Checkout(Source {
+            address: "github.com/CommonRoad/commonroad-io",
+            package: "commonroad",
+            landmark: "commonroad/common/file_reader.py",
+            release: "",
+        }),
+        is_on_library: true,
+        first_drive: " --driver mpc --lockstep --episodes 8",
+    },
 ];
 
 impl Foreign {

@@ -82,8 +82,8 @@ fn opened(row: &Foreign, given: Option<&Path>, home: &Path) -> Result<Option<Che
         (Origin::Checkout(source), None) => match fs::read_to_string(home.join(CHECKOUT)) {
             Ok(folder) => Checkout::open(&source, Path::new(folder.trim())).map(Some),
             Err(_) => Err(Failure::Usage(format!(
-                "{} is in no package registry: run `git clone https://{}` and name its folder: \
-                 ./vlaps setup {part} --checkout DIR",
+                "{} needs files that no package has: run `git clone https://{}` and name its \
+                 folder: ./vlaps setup {part} --checkout DIR",
                 row.name, source.address
             ))),
         },

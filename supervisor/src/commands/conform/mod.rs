@@ -54,7 +54,8 @@ use rig::Rig;
         ./vlaps conform sim"
 )]
 pub struct Conform {
-    /// The world: a program, as a path with a '/'; or sim, metadrive, ir-sim or f1tenth.
+    /// The world: a program, as a path with a '/'; or sim, metadrive, ir-sim, f1tenth or
+    /// commonroad.
     #[arg(value_name = "PROGRAM", value_parser = WorldOrProgram, required_unless_present = "act")]
     pub program: Option<UpWorld>,
     /// Configuration file; vlaps.toml of the current folder is read when present.

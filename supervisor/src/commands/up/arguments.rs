@@ -50,8 +50,8 @@ pub struct Up {
     /// Run as fast as the processes answer; the same seed gives the same commands.
     #[arg(long)]
     pub lockstep: bool,
-    /// The world: sim, the built-in one; metadrive, ir-sim or f1tenth, which need
-    /// `./vlaps setup` with this word once; or a program of yours, as a path with a '/'.
+    /// The world: sim, the built-in one; metadrive, ir-sim, f1tenth or commonroad, which
+    /// need `./vlaps setup` with this word once; or a program of yours, as a path with a '/'.
     #[arg(long, value_name = "WHICH|PROGRAM", value_parser = WorldOrProgram)]
     pub world: Option<UpWorld>,
     /// How the expert plans; the paper's RRT* without it.
