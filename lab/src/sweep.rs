@@ -235,6 +235,7 @@ fn drive(
             world: Some(Simulator::BuiltIn),
             out: Some(out.to_path_buf()),
             resume,
+            held_back: false,
             report: false,
             configuration: Configuration {
                 config: None,

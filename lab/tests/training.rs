@@ -18,8 +18,8 @@ fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
          mean_length,mean_speed_mps\n",
     );
     let mut rows = String::from(
-        "steps,updates,lost,interventions,labels_expert,labels_policy,actor_loss,imitation_loss,\
-         critic_loss\n",
+        "steps,updates,lost,interventions,labels_expert,labels_policy,expert_queries,actor_loss,\
+         imitation_loss,critic_loss\n",
     );
     for block in 1..=blocks {
         let (steps, success) = (200 * block, block as f64 / blocks as f64);
@@ -29,10 +29,10 @@ fn seed(out: &Path, number: u64, blocks: u64, lost: u64) {
             "{steps},{success},{success},0.0,0.5,0.0,0.1,{success},700.0,4.5"
         )
         .expect("text");
-        let (others, labels) = (50 * block, 20 * block);
+        let (others, labels, queries) = (50 * block, 20 * block, 620 * block);
         writeln!(
             rows,
-            "{steps},{steps},{lost},{others},{labels},{labels},0.1,0.1,0.0"
+            "{steps},{steps},{lost},{others},{labels},{labels},{queries},0.1,0.1,0.0"
         )
         .expect("text");
     }
@@ -292,4 +292,33 @@ fn an_empty_folder_is_told() {
         said.contains("no block has been trained there yet"),
         "{said}"
     );
+}
+
+#[test]
+fn queries_and_held_back_episodes_are_reported() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 0, 10, 0);
+    let held_back = r#"{"steps": 2000, "episodes": 40, "success": {"mean": 0.75}}"#;
+    fs::write(out.path().join("seed-0/held-back.json"), held_back).expect("written");
+    let json = out.path().join("figures.json");
+    let output = train(
+        out.path(),
+        &["--report", "--json", json.to_str().expect("UTF-8")],
+    );
+    assert!(output.status.success(), "{output:?}");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let queries = row(&said, "expert queries");
+    assert!(
+        queries.contains("1240") && queries.contains("6200"),
+        "{queries}"
+    );
+    let name = "last policy, held-back episodes, 1 seed x 40 episodes";
+    assert!(said.contains(name), "{said}");
+    assert!(!said.contains("last policy, 1 seed"), "{said}");
+    let figures: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(&json).expect("the file")).expect("JSON");
+    assert_eq!(figures["seeds"][0]["expert_queries"], 6200);
+    assert_eq!(figures["seeds"][0]["held_back"]["success"]["mean"], 0.75);
+    let picture = fs::read_to_string(out.path().join("queries.svg")).expect("the picture");
+    assert!(picture.contains("expert queries"));
 }

@@ -11,7 +11,7 @@
 
 use std::collections::VecDeque;
 
-use shm_config::config::GateMode;
+use shm_config::config::{Algorithm, GateMode};
 use shm_config::message::{Driver, FEATURES, Preference, Reason, Step};
 use vehicle::Action;
 
@@ -49,12 +49,25 @@ pub struct Counts {
     pub unlabelled: u64,
     /// Steps at which the policy did not drive.
     pub interventions: u64,
+    /// Imagined states at which the expert was asked; no step was driven there.
+    pub imagined: u64,
 }
 
 impl Counts {
     /// Transitions made so far.
     pub fn transitions(&self) -> u64 {
         self.expert + self.policy + self.unlabelled
+    }
+
+    /// Answers of the expert that this algorithm learns from: those of driven steps and
+    /// those at imagined states.
+    pub fn expert_queries(&self, algorithm: Algorithm) -> u64 {
+        let driven = match algorithm {
+            // The expert's action is the target of every step.
+            Algorithm::Dagger => self.transitions(),
+            Algorithm::Pvp | Algorithm::Ppl | Algorithm::Bc | Algorithm::HgDagger => self.expert,
+        };
+        driven + self.imagined
     }
 
     /// Steps driven: received, or published while the learner was not connected.
@@ -75,6 +88,7 @@ impl Counts {
             policy: self.policy.max(other.policy),
             unlabelled: self.unlabelled.max(other.unlabelled),
             interventions: self.interventions.max(other.interventions),
+            imagined: self.imagined.max(other.imagined),
         }
     }
 }
@@ -164,6 +178,11 @@ impl Assembler {
     /// Controller and sequence number of the newest step.
     pub fn heard(&self) -> Option<(u32, u64)> {
         self.heard
+    }
+
+    /// Counts one imagined state at which the expert was asked.
+    pub fn count_imagined(&mut self) {
+        self.counts.imagined += 1;
     }
 
     /// Steps that become transitions once their successor and their label are known.

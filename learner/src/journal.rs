@@ -16,11 +16,11 @@ use crate::assembler::Counts;
 use crate::replay::{ACTIONS, Buffer, Replay, Then, Transition};
 
 /// The first bytes of the file: name and version of the format.
-const MAGIC: &[u8; 8] = b"VLREPL01";
+const MAGIC: &[u8; 8] = b"VLREPL02";
 /// Floating-point numbers in a transition.
 const NUMBERS: usize = 2 * FEATURES + 3 * ACTIONS;
 /// Counters beside each transition.
-const COUNTERS: usize = 11;
+const COUNTERS: usize = 12;
 /// Codes beside them: buffer, label, successor.
 const CODES: usize = 3;
 /// Bytes of a record: numbers, codes, counters, checksum.
@@ -269,6 +269,7 @@ fn counters(mark: &Mark) -> [u64; COUNTERS] {
         counts.policy,
         counts.unlabelled,
         counts.interventions,
+        counts.imagined,
         u64::from(mark.producer),
         mark.sequence,
         mark.updates,
@@ -360,6 +361,7 @@ fn decode(record: &[u8; RECORD]) -> Option<(Buffer, Transition, Mark)> {
         policy: word()?,
         unlabelled: word()?,
         interventions: word()?,
+        imagined: word()?,
     };
     let mark = Mark {
         counts,

@@ -19,6 +19,8 @@ pub struct Row {
     pub updates: u64,
     /// Counts of steps and transitions.
     pub counts: Counts,
+    /// Answers of the expert that were learnt from.
+    pub expert_queries: u64,
     /// Transitions in the buffer of steps that prefer the expert.
     pub expert_ring: u64,
     /// Transitions in the buffer of all other steps.
@@ -45,6 +47,8 @@ struct Line {
     unlabelled: u64,
     cut: u64,
     unseen: u64,
+    imagined: u64,
+    expert_queries: u64,
     expert_ring: u64,
     learner_ring: u64,
     predicted_ring: u64,
@@ -93,6 +97,7 @@ impl Metrics {
                 policy: line.labels_policy,
                 unlabelled: line.unlabelled,
                 interventions: line.interventions,
+                imagined: line.imagined,
             }),
         })
     }
@@ -118,6 +123,8 @@ impl Metrics {
             unlabelled: counts.unlabelled,
             cut: counts.cut,
             unseen: counts.unseen,
+            imagined: counts.imagined,
+            expert_queries: row.expert_queries,
             expert_ring: row.expert_ring,
             learner_ring: row.learner_ring,
             predicted_ring: row.predicted_ring,

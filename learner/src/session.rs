@@ -275,6 +275,7 @@ impl Session {
         }
         self.imagination = Some(imagination);
         for transition in made {
+            self.assembler.count_imagined();
             self.keep(Buffer::Predicted, transition);
         }
     }
@@ -315,6 +316,7 @@ impl Session {
             steps: self.state.steps,
             updates: self.state.updates,
             counts: mark.counts,
+            expert_queries: mark.counts.expert_queries(self.config.learner.algorithm),
             expert_ring: self.replay.len(Buffer::Expert) as u64,
             learner_ring: self.replay.len(Buffer::Learner) as u64,
             predicted_ring: self.replay.len(Buffer::Predicted) as u64,

@@ -65,6 +65,7 @@ fn mark(number: u64) -> Mark {
             policy: 6 * number,
             unlabelled: 7 * number,
             interventions: 8 * number,
+            imagined: 12 * number,
         },
         producer: 9 + number as u32,
         sequence: 10 * number,

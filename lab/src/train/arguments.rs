@@ -29,6 +29,7 @@ use super::train;
         ./vlaps train --algorithm dagger --steps 10000\n  \
         ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
         ./vlaps train --out runs/pvp --resume\n  \
+        ./vlaps train --out runs/pvp --resume --held-back\n  \
         ./vlaps train --out runs/pvp --report\n  \
         ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
 )]
@@ -68,9 +69,13 @@ pub struct Train {
     /// Continue the experiment in the folder.
     #[arg(long)]
     pub resume: bool,
+    /// Also evaluate the last policies on the held-back seeds 50000 and up, which no setting
+    /// was chosen on; with --resume after a training is complete.
+    #[arg(long)]
+    pub held_back: bool,
     /// Neither train nor evaluate: draw and print the results in the folder.
     #[arg(long, conflicts_with_all = ["resume", "steps", "seed", "seeds", "eval_episodes",
-          "final_episodes", "expert", "world", "config", "vehicle", "overrides"])]
+          "final_episodes", "held_back", "expert", "world", "config", "vehicle", "overrides"])]
     pub report: bool,
     /// Configuration and overrides.
     #[command(flatten)]

@@ -13,6 +13,8 @@ use view::sheet::{Area, Sheet, save};
 
 /// Size of the picture, pixels.
 const SIZE: (u32, u32) = (1360, 960);
+/// Size of the picture of success over queries, pixels.
+const QUERIES_SIZE: (u32, u32) = (720, 480);
 /// Height of the header with title and explanation, pixels.
 const HEAD: u32 = 92;
 /// Height of a panel's name and legend, pixels.
@@ -29,7 +31,10 @@ const NUMBER_PITCH: i32 = 13;
 const BLUE: RGBColor = RGBColor(31, 105, 178);
 const ORANGE: RGBColor = RGBColor(211, 84, 0);
 
-/// Number of steps, and a value.
+/// The usual x axis.
+const STEPS: &str = "training steps";
+
+/// Number of steps or queries, and a value.
 type Point = (f64, f64);
 
 /// One curve of a panel.
@@ -42,6 +47,8 @@ struct Curve {
 /// One of the four charts.
 struct Panel {
     title: &'static str,
+    /// Name of the x axis.
+    x: &'static str,
     curves: Vec<Curve>,
     /// Upper end of the y axis; `None` for the maximum of the curves.
     top: Option<f64>,
@@ -49,12 +56,45 @@ struct Panel {
     paper: Option<f64>,
 }
 
-/// Draws `curves.svg` and `curves.png` into the folder.
+/// Draws `curves.svg` and `queries.svg`, and the same as PNG, into the folder.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn draw(results: &Results, out: &Path) -> anyhow::Result<()> {
-    save(out, "curves", SIZE, |root| picture(results, root))
+    save(out, "curves", SIZE, |root| picture(results, root))?;
+    save(out, "queries", QUERIES_SIZE, |root| {
+        draw_panel(&root.margin(GAP / 2, GAP / 2, GAP, GAP), &queries(results))
+    })
+}
+
+/// Success over the expert's answers that were learnt from: methods that ask at imagined
+/// states need more of them in the same steps.
+fn queries(results: &Results) -> Panel {
+    let over = |metric: Metric, colour| Curve {
+        name: metric.name(),
+        colour,
+        seeds: each(results, |seed| {
+            let evaluations = seed.block_evaluations.iter();
+            evaluations
+                .filter_map(|evaluation| {
+                    let block = seed.blocks.iter();
+                    let mut block = block.filter(|block| block.steps == evaluation.steps);
+                    let queries = block.next()?.expert_queries as f64;
+                    Some((queries, evaluation.of(metric)))
+                })
+                .collect()
+        }),
+    };
+    Panel {
+        title: "Success over the expert's answers that were learnt from",
+        x: "expert queries",
+        curves: vec![
+            over(Metric::Success, BLUE),
+            over(Metric::StrictSuccess, ORANGE),
+        ],
+        top: Some(1.0),
+        paper: Some(0.86),
+    }
 }
 
 fn panels(results: &Results) -> [Panel; 4] {
@@ -82,6 +122,7 @@ fn panels(results: &Results) -> [Panel; 4] {
     };
     let panel = |title, curves, paper| Panel {
         title,
+        x: STEPS,
         curves,
         top: Some(1.0),
         paper,
@@ -113,6 +154,7 @@ fn panels(results: &Results) -> [Panel; 4] {
         ),
         Panel {
             title: "Cumulative interventions",
+            x: STEPS,
             curves: vec![interventions],
             top: None,
             paper: None,
@@ -166,7 +208,7 @@ fn draw_panel(area: &Area<'_>, panel: &Panel) -> anyhow::Result<()> {
     let is_share = panel.top.is_some();
     chart
         .configure_mesh()
-        .x_desc("training steps")
+        .x_desc(panel.x)
         .axis_desc_style((FACE, 15).into_font().color(&FAINT))
         .label_style((FACE, 15).into_font().color(&INK))
         .axis_style(FAINT)

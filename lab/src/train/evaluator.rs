@@ -14,7 +14,7 @@ use shm_config::config::{Config, Simulator};
 use super::experiment::Experiment;
 use super::protocol::{EVALUATION_SEED, Protocol};
 use super::results::{
-    BlockEvaluation, Results, append_block_evaluation, block_evaluations, policies,
+    BlockEvaluation, FinalSeeds, Results, append_block_evaluation, block_evaluations, policies,
 };
 use super::training::End;
 use crate::episodes::{Task, evaluate_inside};
@@ -210,23 +210,23 @@ fn evaluated(
     Ok(is_whole.then(|| Evaluation::new(task, &drives)))
 }
 
-/// Evaluates the last policy of each seed on many episodes, once.
+/// Evaluates the last policy of each training on many episodes of these seeds, once.
 ///
 /// # Errors
 /// If a policy cannot be read or a file cannot be written.
 pub fn evaluate_finals(
     experiment: &Experiment,
     results: &Results,
-    out: &Path,
+    (out, seeds): (&Path, FinalSeeds),
     (clock, stop): (Clock, &Stop),
 ) -> anyhow::Result<End> {
     for seed in &results.seeds {
         let Some((steps, path)) = policies(&seed.folder)?.pop() else {
             continue;
         };
-        let file = seed.folder.join("final.json");
+        let file = seed.folder.join(seeds.file());
         let episodes = experiment.final_episodes;
-        let last = seed.last.as_ref();
+        let last = seed.final_on(seeds);
         let is_known = last.is_some_and(|last| last.evaluation["episodes"] == episodes);
         if is_known || episodes == 0 {
             continue;
@@ -235,11 +235,14 @@ pub fn evaluate_finals(
         let task = Task {
             driver: driver(&path),
             world: Simulator::BuiltIn,
-            first_seed: EVALUATION_SEED,
+            first_seed: seeds.first(),
             episodes,
             threads: std::thread::available_parallelism()?,
         };
-        let name = format!("seed {}, last policy", seed.seed);
+        let name = match seeds {
+            FinalSeeds::Evaluation => format!("seed {}, last policy", seed.seed),
+            FinalSeeds::HeldBack => format!("seed {}, held-back episodes", seed.seed),
+        };
         let mut progress = Progress::begin(name, "episodes", (0, episodes), clock)?;
         let part = episodes.div_ceil(PARTS);
         let evaluation = evaluated(&task, &protocol.config, (clock, stop), |count| {

@@ -36,7 +36,7 @@ use crate::stop::Stop;
 use arguments::Train;
 use experiment::Experiment;
 use protocol::Protocol;
-use results::Results;
+use results::{FinalSeeds, Results};
 use stack::Clock;
 use supervisor::subcommand::{say, write_json_option};
 use training::End;
@@ -73,7 +73,13 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
     }
     let results = Results::read(&out)?;
     let watch = (clock, &stop);
-    let end = evaluator::evaluate_finals(&experiment, &results, &out, watch)?;
+    let mut end = End::Complete;
+    for seeds in FinalSeeds::ALL {
+        let is_asked = seeds == FinalSeeds::Evaluation || arguments.held_back;
+        if is_asked && end == End::Complete {
+            end = evaluator::evaluate_finals(&experiment, &results, (&out, seeds), watch)?;
+        }
+    }
     report_folder(arguments, &out)?;
     match end {
         End::Complete => Ok(()),
@@ -91,8 +97,8 @@ fn report_folder(arguments: &Train, out: &Path) -> anyhow::Result<()> {
         bail!("{}: no block has been trained there yet", out.display());
     }
     say(table::blocks(&results));
-    if let Some(finals) = table::finals(&results) {
-        say(finals);
+    for finals in FinalSeeds::ALL.map(|seeds| table::finals(&results, seeds)) {
+        finals.into_iter().for_each(say);
     }
     for note in table::notes(&results) {
         say(note);

@@ -19,6 +19,9 @@ const TRAINING_SEED: u64 = 100;
 const TRAINING_SEEDS: u32 = 50;
 /// First evaluation seed; the seeds are 1000 to 1049.
 pub const EVALUATION_SEED: u64 = 1000;
+/// First seed of the evaluation that is made once, at the very end: no setting was chosen
+/// with a look at it.
+pub const HELD_BACK_SEED: u64 = 50_000;
 /// Duration of a step, s.
 pub const STEP_S: f64 = 0.1;
 

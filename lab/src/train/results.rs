@@ -7,6 +7,7 @@ use anyhow::Context;
 use learner::journal::last_mark;
 use serde::{Deserialize, Serialize};
 
+use super::protocol::{EVALUATION_SEED, HELD_BACK_SEED};
 use crate::metric::Metric;
 
 /// Configuration file of a training's process set, in its folder.
@@ -67,6 +68,9 @@ pub struct Block {
     pub labels_expert: u64,
     /// Steps since the start whose label prefers the policy.
     pub labels_policy: u64,
+    /// Answers of the expert since the start that the algorithm learnt from, at driven steps
+    /// and at imagined states.
+    pub expert_queries: u64,
     /// Loss of the actor.
     pub actor_loss: f64,
     /// Loss of the imitation.
@@ -86,6 +90,36 @@ pub struct Final {
     pub evaluation: serde_json::Value,
 }
 
+/// An evaluation of last policies on many episodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FinalSeeds {
+    /// Seeds 1000 and up, whose first 50 also give the evaluation after each block.
+    Evaluation,
+    /// Seeds 50000 and up, on request.
+    HeldBack,
+}
+
+impl FinalSeeds {
+    /// Both, in the order in which they are printed.
+    pub const ALL: [FinalSeeds; 2] = [FinalSeeds::Evaluation, FinalSeeds::HeldBack];
+
+    /// The first seed.
+    pub fn first(self) -> u64 {
+        match self {
+            FinalSeeds::Evaluation => EVALUATION_SEED,
+            FinalSeeds::HeldBack => HELD_BACK_SEED,
+        }
+    }
+
+    /// Its file in the folder of a training.
+    pub fn file(self) -> &'static str {
+        match self {
+            FinalSeeds::Evaluation => "final.json",
+            FinalSeeds::HeldBack => "held-back.json",
+        }
+    }
+}
+
 /// One training.
 #[derive(Clone, Debug)]
 pub struct Seed {
@@ -99,9 +133,19 @@ pub struct Seed {
     pub block_evaluations: Vec<BlockEvaluation>,
     /// The evaluation of the last policy on many episodes, if there is one.
     pub last: Option<Final>,
+    /// The same on the held-back seeds.
+    pub held_back: Option<Final>,
 }
 
 impl Seed {
+    /// The last policy's evaluation on these seeds, if there is one.
+    pub fn final_on(&self, seeds: FinalSeeds) -> Option<&Final> {
+        match seeds {
+            FinalSeeds::Evaluation => self.last.as_ref(),
+            FinalSeeds::HeldBack => self.held_back.as_ref(),
+        }
+    }
+
     /// The configuration file of the process set.
     pub fn config_file(&self) -> PathBuf {
         self.folder.join(CONFIG)
@@ -145,7 +189,8 @@ impl Results {
                 seed,
                 blocks: blocks(&folder)?,
                 block_evaluations: block_evaluations(&folder)?,
-                last: last(&folder)?,
+                last: last(&folder, FinalSeeds::Evaluation)?,
+                held_back: last(&folder, FinalSeeds::HeldBack)?,
                 folder,
             };
             if !seed.blocks.is_empty() {
@@ -198,9 +243,11 @@ impl Results {
                 "seed": seed.seed,
                 "steps": seed.blocks.last().map(|block| block.steps),
                 "interventions": seed.blocks.last().map(|block| block.interventions),
+                "expert_queries": seed.blocks.last().map(|block| block.expert_queries),
                 "lost": seed.blocks.last().map(|block| block.lost),
                 "last_evaluation": seed.block_evaluations.last(),
                 "final": seed.last.as_ref().map(|last| &last.evaluation),
+                "held_back": seed.held_back.as_ref().map(|last| &last.evaluation),
             })
         });
         serde_json::json!({ "seeds": seeds.collect::<Vec<_>>() })
@@ -342,8 +389,8 @@ fn rows<T: for<'de> Deserialize<'de>>(path: &Path) -> anyhow::Result<Vec<T>> {
         .with_context(|| path.display().to_string())
 }
 
-fn last(folder: &Path) -> anyhow::Result<Option<Final>> {
-    let path = folder.join("final.json");
+fn last(folder: &Path, seeds: FinalSeeds) -> anyhow::Result<Option<Final>> {
+    let path = folder.join(seeds.file());
     let Ok(text) = fs::read_to_string(&path) else {
         return Ok(None);
     };

@@ -6,7 +6,7 @@ use comfy_table::Table;
 use shm_config::config::load;
 use shm_config::counted;
 
-use super::results::{BlockEvaluation, Results, Seed, policy_file};
+use super::results::{Block, BlockEvaluation, FinalSeeds, Results, Seed, policy_file};
 use super::warnings::{BlockWarning, warnings};
 use crate::metric::{FOOTNOTE, Metric};
 use crate::report::table;
@@ -103,22 +103,24 @@ pub fn blocks(results: &Results) -> Table {
         }));
         table.add_row(row);
     }
-    let mut row = vec![
-        "interventions, steps".to_string(),
-        String::new(),
-        String::new(),
+    let counts: [(&str, fn(&Block) -> u64); 2] = [
+        ("interventions, steps", |block| block.interventions),
+        ("expert queries", |block| block.expert_queries),
     ];
-    row.extend(columns.iter().map(|column| {
-        let at = column.of.iter().filter_map(|(seed, block_evaluation)| {
-            let block = seed
-                .blocks
-                .iter()
-                .find(|block| block.steps == block_evaluation.steps)?;
-            Some(block.interventions as f64)
-        });
-        cell(&at.collect::<Vec<_>>(), 0, f64::INFINITY)
-    }));
-    table.add_row(row);
+    for (name, of) in counts {
+        let mut row = vec![name.to_string(), String::new(), String::new()];
+        row.extend(columns.iter().map(|column| {
+            let at = column.of.iter().filter_map(|(seed, block_evaluation)| {
+                let block = seed
+                    .blocks
+                    .iter()
+                    .find(|block| block.steps == block_evaluation.steps)?;
+                Some(of(block) as f64)
+            });
+            cell(&at.collect::<Vec<_>>(), 0, f64::INFINITY)
+        }));
+        table.add_row(row);
+    }
     table
 }
 
@@ -147,15 +149,19 @@ fn column(results: &Results, of: impl Fn(&Seed) -> Option<BlockEvaluation>) -> O
 }
 
 /// The last policies on many episodes, mean over seeds; `None` before their evaluation.
-pub fn finals(results: &Results) -> Option<Table> {
+pub fn finals(results: &Results, seeds: FinalSeeds) -> Option<Table> {
     let lasts: Vec<_> = results
         .seeds
         .iter()
-        .filter_map(|seed| seed.last.as_ref())
+        .filter_map(|seed| seed.final_on(seeds))
         .collect();
     let first = lasts.first()?;
+    let which = match seeds {
+        FinalSeeds::Evaluation => "last policy",
+        FinalSeeds::HeldBack => "last policy, held-back episodes",
+    };
     let name = format!(
-        "last policy, {} x {}",
+        "{which}, {} x {}",
         counted(lasts.len(), "seed"),
         counted(
             first.evaluation["episodes"].as_u64().unwrap_or_default(),
@@ -268,7 +274,11 @@ fn warnings_of(seed: &Seed) -> Vec<String> {
 pub fn markdown(results: &Results) -> String {
     let mut text = String::new();
     let mut tables = vec![blocks(results)];
-    tables.extend(finals(results));
+    tables.extend(
+        FinalSeeds::ALL
+            .iter()
+            .filter_map(|seeds| finals(results, *seeds)),
+    );
     for mut table in tables {
         table.load_style(comfy_table::presets::ASCII_MARKDOWN);
         let _ = writeln!(text, "{table}\n");
