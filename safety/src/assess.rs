@@ -18,6 +18,8 @@ const SIDEWALK_M: f64 = 0.2;
 pub struct Scene {
     returns_body: heapless::Vec<Point, BEAMS_MAX>,
     sight: Sight,
+    /// The farthest place from the scanner that a rollout reaches, m.
+    reach_m: f64,
     road: RoadAhead,
     checkpoint_body: Point,
     speed_mps: f64,
@@ -33,13 +35,13 @@ impl Scene {
         let mut scene = Self {
             returns_body: heapless::Vec::new(),
             sight: fan.sight(),
+            // The argument is from the body's centre, the ranges are from the scanner.
+            reach_m: reach_m + fan.mount_body.coords.norm(),
             road: RoadAhead::new(observation),
             checkpoint_body: Point::new(checkpoint.x_body_m, checkpoint.y_body_m),
             speed_mps: observation.ego.speed_mps.max(0.0),
         };
-        // The reach is from the body's centre, the ranges are from the scanner.
-        let reach_m = reach_m + fan.mount_body.coords.norm();
-        let limit_m = observation.lidar_max_m.min(reach_m as f32);
+        let limit_m = observation.lidar_max_m.min(scene.reach_m as f32);
         for (beam, &range_m) in observation.ranges().iter().enumerate() {
             if range_m < limit_m {
                 // Cannot overflow: there is one place for each beam.
@@ -143,9 +145,8 @@ const FRONT_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 /// Whether a part of the front edge is where no beam looks and the car does not stand now.
 fn is_front_unseen(vehicle: &Vehicle, scene: &Scene, state: &State) -> bool {
     let footprint = vehicle.footprint();
-    // No rollout gets farther than the clearance that is reported.
     let width_m = footprint.width_m;
-    if scene.sight.covers_all(CLEARANCE_MAX_M, width_m) {
+    if scene.sight.covers_all(scene.reach_m, width_m) {
         return false;
     }
     let [front_left, _, _, front_right] = footprint.corners(&state.pose());

@@ -48,9 +48,8 @@ def pursued(scene: Scene) -> float:
 def ahead(scene: Scene) -> tuple[float, float]:
     """Gap to the next obstacle on the line, m, and its speed along it, m/s."""
     problem, best = scene.problem, (math.inf, 0.0)
-    later = [shape.centroid for _, shape in problem.obstacles(scene.step + 1)]
-    now = problem.obstacles(scene.step)
-    for k, (_, shape) in enumerate(now):
+    later = {number: shape.centroid for number, _, shape in problem.numbered(scene.step + 1)}
+    for number, _, shape in problem.numbered(scene.step):
         if shape.distance(shapely.Point(scene.pose[:2])) > FAR_M:
             continue
         corners = [problem.route.locate(*corner, scene.along_m) for corner in shape.exterior.coords[:-1]]
@@ -60,7 +59,8 @@ def ahead(scene: Scene) -> tuple[float, float]:
         gap_m = near_m - scene.along_m - scene.car.length_m / 2
         if near_m > scene.along_m and min(sides_m) < half_m and max(sides_m) > -half_m and gap_m < best[0]:
             # One that leaves the recording counts as standing.
-            speed_mps = math.dist(later[k].coords[0], shape.centroid.coords[0]) / problem.step_s if len(later) == len(now) else 0.0
+            there = later.get(number, shape.centroid)
+            speed_mps = math.dist(there.coords[0], shape.centroid.coords[0]) / problem.step_s
             best = (gap_m, speed_mps)
     return best
 

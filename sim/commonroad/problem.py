@@ -246,17 +246,24 @@ class Problem:
             return min(self.start_m + way_m, route.length_m)
         for along_m in np.arange(self.start_m, route.length_m, ROW_M / 2):
             if self.is_there(route.at(along_m)):
+                if along_m - self.start_m < ROUTE_MIN_M:
+                    raise Unusable("the middle of its lanelets begins in the goal, and the car does not")
                 return float(along_m)
         raise Unusable("the middle of its lanelets does not lead through the goal in the goal's direction")
 
     def obstacles(self, step: int) -> list[tuple[str, shapely.Polygon]]:
         """Kind and shape of each obstacle at a step."""
+        return [(kind, shape) for _, kind, shape in self.numbered(step)]
+
+    def numbered(self, step: int) -> list[tuple[tuple[int, int], str, shapely.Polygon]]:
+        """Each obstacle at a step: its number and that of the shape in it, its kind and its shape."""
         if step not in self._obstacles:
             found = []
             for obstacle in self.scenario.dynamic_obstacles + self.scenario.static_obstacles:
                 occupied = obstacle.occupancy_at_time(step)
                 shapes = [] if occupied is None else getattr(occupied.shape, "shapes", [occupied.shape])
-                found += [(obstacle.obstacle_type.value, shape.shapely_object) for shape in shapes]
+                kind, number = obstacle.obstacle_type.value, obstacle.obstacle_id
+                found += [((number, k), kind, shape.shapely_object) for k, shape in enumerate(shapes)]
             self._obstacles[step] = found
         return self._obstacles[step]
 

@@ -4,45 +4,28 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use shm_config::config::Simulator;
+use supervisor::setup::foreign::Foreign;
 use vlaps_tests::{Set, programs};
 
-/// A simulator in Python.
-struct Simulator {
-    /// Its word in `./vlaps setup`, and its folder beside the build's.
-    word: &'static str,
-    /// Names another folder.
-    variable: &'static str,
-    /// Its files in the repository.
-    folder: &'static str,
-}
+/// A simulator in Python: its row of the supervisor's table.
+struct World(Simulator);
 
-const IR_SIM: Simulator = Simulator {
-    word: "ir-sim",
-    variable: "VLAPS_IR_SIM",
-    folder: "sim/irsim",
-};
-const F1TENTH: Simulator = Simulator {
-    word: "f1tenth",
-    variable: "VLAPS_F1TENTH",
-    folder: "sim/f1tenth",
-};
-const COMMONROAD: Simulator = Simulator {
-    word: "commonroad",
-    variable: "VLAPS_COMMONROAD",
-    folder: "sim/commonroad",
-};
+impl World {
+    fn row(&self) -> &'static Foreign {
+        Foreign::of(self.0).expect("a row of the table")
+    }
 
-impl Simulator {
     /// The Python of the environment; `None`, with the reason on stderr, when there is
     /// none.
     fn python(&self) -> Option<PathBuf> {
         let beside = programs().parent().expect("the build's folder").to_owned();
-        let home = match std::env::var_os(self.variable) {
+        let home = match std::env::var_os(self.row().home_variable) {
             Some(home) => home.into(),
-            None => beside.join(self.word),
+            None => beside.join(self.row().part()),
         };
         if !home.join("installed.txt").is_file() {
-            let (home, word) = (home.display(), self.word);
+            let (home, word) = (home.display(), self.row().part());
             eprintln!("skipped: {home}: no {word}; run ./vlaps setup {word}");
             return None;
         }
@@ -52,7 +35,7 @@ impl Simulator {
     /// Runs the Python tests of the world, and those of what all these worlds use.
     fn test(&self) {
         let Some(python) = self.python() else { return };
-        for folder in [self.folder, "sim/foreign"] {
+        for folder in [self.row().folder, "sim/foreign"] {
             let mut command = Command::new(&python);
             let discover = ["-B", "-m", "unittest", "discover", "-s"];
             command.args(discover).arg(checkout().join(folder));
@@ -67,7 +50,13 @@ impl Simulator {
         let file = file.canonicalize().expect("a vehicle file");
         let file = file.display().to_string();
         let set = Set::new(label);
-        let world = ["--world", self.word, "--lockstep", "--driver", "mpc"];
+        let world = [
+            "--world",
+            self.row().part(),
+            "--lockstep",
+            "--driver",
+            "mpc",
+        ];
         let length = ["--vehicle", &file, "--seed", seed, "--episodes", "1"];
         let output = set.run(&[&world[..], &length[..]].concat());
         assert!(output.status.success(), "{output:?}\n{}", set.logs());
@@ -96,25 +85,25 @@ fn checkout() -> PathBuf {
 
 #[test]
 fn ir_sim_scans_moves_and_judges_as_the_world_expects() {
-    IR_SIM.test();
+    World(Simulator::IrSim).test();
 }
 
 #[test]
 fn the_gym_scans_moves_and_judges_as_the_world_expects() {
-    F1TENTH.test();
+    World(Simulator::F1tenth).test();
 }
 
 #[test]
 fn commonroad_reads_moves_and_judges_as_the_world_expects() {
-    COMMONROAD.test();
+    World(Simulator::CommonRoad).test();
 }
 
 #[test]
 fn the_small_car_arrives_in_ir_sim_with_the_same_commands_each_time() {
-    IR_SIM.drives_alike(["ir-a", "ir-b", "ir-c"]);
+    World(Simulator::IrSim).drives_alike(["ir-a", "ir-b", "ir-c"]);
 }
 
 #[test]
 fn the_small_car_drives_its_laps_in_the_gym_with_the_same_commands_each_time() {
-    F1TENTH.drives_alike(["f1-a", "f1-b", "f1-c"]);
+    World(Simulator::F1tenth).drives_alike(["f1-a", "f1-b", "f1-c"]);
 }

@@ -91,6 +91,18 @@ impl<'a> Campaign<'a> {
                     "the campaign in the folder has seed {seed}; give --seed {seed}"
                 ));
             }
+            let programs = self.arguments.programs.line();
+            if row.programs != programs {
+                let said = |line: &str| match line {
+                    "" => "without programs of yours".to_owned(),
+                    line => format!("with {line}"),
+                };
+                return refused(format!(
+                    "the campaign in the folder was made {}, not {}; give the same options",
+                    said(&row.programs),
+                    said(&programs)
+                ));
+            }
             let planned = PlannedFault::draw(row.seed, row.number, kinds(self.arguments));
             let drawn = (
                 planned.kind.word(),
@@ -180,6 +192,7 @@ impl<'a> Campaign<'a> {
             seed: self.arguments.seed,
             number,
             rate_hz: self.rate_hz(number),
+            programs: self.arguments.programs.line(),
             kind: planned.kind.word().into(),
             target: planned.target_name().into(),
             verdict: "ok".into(),

@@ -233,12 +233,13 @@ fn exceptions(
     arguments: &BenchFaults,
     stall_ns: impl Fn(&Row) -> Option<u64>,
 ) -> Vec<String> {
-    let mut options = arguments.programs.words();
+    let mut options = vec![arguments.programs.line()];
     if !arguments.kinds.is_empty() {
         let kinds: Vec<&str> = arguments.kinds.iter().map(|kind| kind.word()).collect();
-        options.extend(["--kinds".into(), kinds.join(",")]);
+        options.push(format!("--kinds {}", kinds.join(",")));
     }
-    let options: String = options.iter().map(|word| format!(" {word}")).collect();
+    let given = options.iter().filter(|option| !option.is_empty());
+    let options: String = given.map(|option| format!(" {option}")).collect();
     let breaks = |row: &&Row| {
         let wrong = row.verdict != "ok" && !row.is_skipped();
         wrong

@@ -30,10 +30,40 @@ impl Programs {
             .flatten()
             .collect()
     }
+
+    /// The options as one line for a shell.
+    pub fn line(&self) -> String {
+        self.words()
+            .iter()
+            .map(|word| quoted(word))
+            .collect::<Vec<_>>()
+            .join(" ")
+    }
+}
+
+/// A word as a shell reads it back: in quotes where it holds more than a plain path.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,".contains(c);
+    match !word.is_empty() && word.chars().all(is_plain) {
+        true => word.into(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
 }
 
 /// An empty path stays as it is; `up` refuses it by its name.
 fn absolute(path: &Path) -> String {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.into());
     whole.display().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::quoted;
+
+    #[test]
+    fn words_are_quoted_where_a_shell_would_split_them() {
+        assert_eq!(quoted("./my-robot"), "./my-robot");
+        assert_eq!(quoted("/a folder/it's"), r"'/a folder/it'\''s'");
+        assert_eq!(quoted(""), "''");
+    }
 }

@@ -24,6 +24,8 @@ pub struct Row {
     pub number: u64,
     /// Tick rate, Hz.
     pub rate_hz: f64,
+    /// The options that name foreign programs; empty without any.
+    pub programs: String,
     /// Kind of the fault.
     pub kind: String,
     /// Target process; empty for the machine, or for all processes.

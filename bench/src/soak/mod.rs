@@ -38,7 +38,8 @@ use verdict::{Flatness, Rule};
         and threads; of the run, its files in shared memory. The first fifth of the ticks, and \
         60,000 ticks at least, is warm-up. A process is flat if, over the remaining ticks, the \
         Theil-Sen slope of its anonymous memory is within the limit, the median of the last tenth \
-        exceeds that of the first by no more than another limit, it holds no more files or threads \
+        exceeds that of the first by no more than another limit (of shared memory, the length of its \
+        files does not grow at all: how much of it is used follows the readers), it holds no more files or threads \
         at the end than at the begin, and it was not restarted. The supervisor may grow by its list \
         of episodes. samples.csv, memory.svg and memory.png go to --out. Exit code 1 when a process \
         is not flat or the soak was stopped: after Ctrl-C the verdict covers the samples so far.\n\n\

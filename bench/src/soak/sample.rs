@@ -22,6 +22,9 @@ pub struct Held {
     pub memory_kb: u64,
     /// All resident memory, kB, including mapped files and shared memory.
     pub resident_kb: u64,
+    /// Of shared memory, the length of its files, kB: what may be used at most. 0 for a
+    /// process.
+    pub reserved_kb: u64,
     /// Open files.
     pub files: u64,
     /// Threads.
@@ -39,7 +42,7 @@ pub struct Sample {
 
 impl Sample {
     /// Header of the file of samples.
-    pub const HEADER: &str = "tick,name,pid,memory_kb,resident_kb,files,threads";
+    pub const HEADER: &str = "tick,name,pid,memory_kb,resident_kb,reserved_kb,files,threads";
 
     /// Samples the supervisor, its children, and the run's shared memory.
     ///
@@ -70,12 +73,13 @@ impl Sample {
         for held in &self.held {
             writeln!(
                 file,
-                "{},{},{},{},{},{},{}",
+                "{},{},{},{},{},{},{},{}",
                 self.tick,
                 held.name,
                 held.pid,
                 held.memory_kb,
                 held.resident_kb,
+                held.reserved_kb,
                 held.files,
                 held.threads
             )?;
@@ -103,6 +107,7 @@ fn process(proc: &Path, pid: u32, supervisor: u32) -> Option<Held> {
         pid,
         memory_kb: number("RssAnon:")?,
         resident_kb: number("VmRSS:")?,
+        reserved_kb: 0,
         files: fs::read_dir(proc.join("fd")).ok()?.count() as u64,
         threads: number("Threads:")?,
     })
@@ -110,17 +115,17 @@ fn process(proc: &Path, pid: u32, supervisor: u32) -> Option<Held> {
 
 fn shared_memory(paths: &RunPaths) -> anyhow::Result<Held> {
     let files = paths.shared_memory()?;
-    let bytes: u64 = files
-        .iter()
-        .filter_map(|file| fs::metadata(file).ok())
-        // Count the blocks in use: most files reserve space that was never written.
-        .map(|data| data.blocks() * 512)
-        .sum();
+    let found = files.iter().filter_map(|file| fs::metadata(file).ok());
+    // Most files reserve space that was never written: the blocks in use are counted apart.
+    let (used, reserved) = found.fold((0, 0), |(used, reserved), data| {
+        (used + data.blocks() * 512, reserved + data.len())
+    });
     Ok(Held {
         name: SHARED_MEMORY.into(),
         pid: 0,
-        memory_kb: bytes / 1024,
-        resident_kb: bytes / 1024,
+        memory_kb: used / 1024,
+        resident_kb: used / 1024,
+        reserved_kb: reserved / 1024,
         files: files.len() as u64,
         threads: 0,
     })

@@ -63,8 +63,11 @@ fn processor() -> Option<String> {
 fn binaries(config: &Config, folder: &Path) -> impl Iterator<Item = (String, String)> {
     Process::ALL.iter().filter_map(move |process| {
         let name = process.binary();
+        // The world of another simulator is a script in Python, not the program of the build.
+        let is_foreign = *process == Process::World && !config.has_built_in_world();
         let hash = match config.programs.of(*process) {
             Some(path) => sha256_of_file(path),
+            None if is_foreign => return None,
             None => sha256_of_file(&folder.join(name)),
         };
         Some((format!("binary.{name}"), hash.ok()?))

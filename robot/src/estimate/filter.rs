@@ -82,8 +82,8 @@ impl Filter {
     ///
     /// # Errors
     /// The measurement is not finite, out of range, of the future, older than the filter
-    /// accepts, there already, or without its keyframe. Nothing has changed then but the
-    /// counts.
+    /// accepts, there already, or without its keyframe. The state has not changed then;
+    /// of the last three kinds the clock has.
     pub fn add(
         &mut self,
         now: Instant,
@@ -146,12 +146,14 @@ impl Filter {
             let newest = self.newest;
             return Err(EstimateError::Clock { now, newest });
         }
-        self.newest = now;
-        self.forget();
         measurement.check()?;
         if taken > now {
             return Err(EstimateError::Future { taken, now });
         }
+        // Only a measurement that is in order moves the clock: a refused one far ahead would
+        // make all that follow it too late.
+        self.newest = now;
+        self.forget();
         // Before the first delay is over nothing is older than the start.
         let oldest = self
             .base

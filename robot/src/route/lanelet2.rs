@@ -20,6 +20,9 @@ use place::Frame;
 
 /// Longest file, bytes: 50 times the example map of Lanelet2, which has 371 lanelets.
 const BYTES_MAX: u64 = 32 << 20;
+/// Most rows of all lanelets together: 32 MB. Lanelets may share their bounds, so the
+/// length of a file limits them only by its square.
+const ROWS_OF_MAP_MAX: usize = 1 << 20;
 /// Two places of a bound nearer to each other than this are one, m.
 const SAME_M: f64 = 1e-3;
 
@@ -66,6 +69,7 @@ impl Map {
             ends: BTreeMap::new(),
             begins: BTreeMap::new(),
         };
+        let mut total = 0;
         for (&id, bounds) in &elements.lanelets {
             let named = |what: String| format!("lanelet {id}: {what}");
             let [left, right] = map.bounds(&elements, *bounds).map_err(named)?;
@@ -75,6 +79,13 @@ impl Map {
             }
             if let Some(pair) = ends(|bound| bound.last().map(|(node, _)| *node)) {
                 map.ends.insert(id, pair);
+            }
+            total += left.len().max(right.len());
+            if total > ROWS_OF_MAP_MAX {
+                return Err(format!(
+                    "its lanelets have more than {ROWS_OF_MAP_MAX} places; cut out the part that \
+                     the route needs"
+                ));
             }
             let lanelet = Lanelet {
                 rows: rows(&left, &right),

@@ -34,7 +34,7 @@ pub struct Foreign {
     pub home_variable: &'static str,
     /// Where the world's Python files are in the repository: `world.py`, `requirements.txt`
     /// and `check.py`, which ends the setup.
-    folder: &'static str,
+    pub folder: &'static str,
     /// The Python that its packages exist for.
     pub python: Version,
     /// Where the simulator's own files come from.
@@ -168,7 +168,7 @@ impl Foreign {
     /// # Errors
     /// When they are neither where this binary was built nor where `./vlaps` is.
     pub fn sources(&self) -> Result<PathBuf, Failure> {
-        let sources = root().join(self.folder);
+        let sources = root()?.join(self.folder);
         match sources.join("world.py").is_file() {
             true => Ok(sources),
             false => Err(Failure::Usage(format!(
@@ -214,12 +214,24 @@ impl Foreign {
     }
 }
 
-/// The folder of the repository: that of `./vlaps`, else the one that this was built from.
-pub fn root() -> PathBuf {
-    match env::var_os(ROOT_VARIABLE) {
-        Some(root) => PathBuf::from(root),
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join(".."),
+/// The folder of the repository: that of `./vlaps`, else the one above this binary.
+///
+/// # Errors
+/// When the binary is in no repository, as that of a package.
+pub fn root() -> Result<PathBuf, Failure> {
+    if let Some(root) = env::var_os(ROOT_VARIABLE) {
+        return Ok(root.into());
     }
+    let own = own_folder().unwrap_or_default();
+    let mut above = own.ancestors();
+    let found = above.find(|folder| folder.join("supervisor/Cargo.toml").is_file());
+    found.map(Path::to_path_buf).ok_or_else(|| {
+        Failure::Usage(
+            "this needs the repository, which the package does not hold: start it with ./vlaps of \
+             a checkout"
+                .into(),
+        )
+    })
 }
 
 /// A folder beside the build's own.

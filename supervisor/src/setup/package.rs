@@ -29,7 +29,7 @@ const STEPS: Steps = Steps("python");
 /// One line that says which step failed, why, and what to do.
 pub fn setup(wanted: Option<&Path>) -> Result<(), Failure> {
     let home = beside_the_build("python")?;
-    let manifest = root().join("python/Cargo.toml");
+    let manifest = root()?.join("python/Cargo.toml");
     let interpreter = python(&home);
     if !interpreter.is_file() {
         make_environment(STEPS, (wanted, LEAST), &home)?;

@@ -20,7 +20,7 @@ pub fn setup() -> Result<(), Failure> {
         Command::new("cargo")
             .args(["build", "--release", "--quiet", "--locked", "--bins"])
             .arg("--manifest-path")
-            .arg(root().join("ros").join("Cargo.toml"))
+            .arg(root()?.join("ros").join("Cargo.toml"))
             .arg("--target-dir")
             .arg(beside_the_build("")?)
             .env("CARGO_INCREMENTAL", "0"),

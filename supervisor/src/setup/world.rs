@@ -97,7 +97,7 @@ fn build_library(steps: Steps) -> Result<(), Failure> {
         Command::new("cargo")
             .args(arguments)
             .arg("--manifest-path")
-            .arg(root().join("Cargo.toml"))
+            .arg(root()?.join("Cargo.toml"))
             .env("CARGO_INCREMENTAL", "0"),
         "cannot build libvlaps",
         "check that cargo is on PATH",

@@ -312,12 +312,14 @@ pub(super) fn publishes(rig: &Rig, report: &mut Report) {
     let limit_s = rig.config.supervisor.silence_s;
     let silent_s = watched.silent_ns as f64 * 1e-9;
     let figure = format!(
-        "{} messages, at most {silent_s:.2} s apart; limit {limit_s} s",
-        watched.healths
+        "{} messages, at most {silent_s:.2} s apart; limit {limit_s} s; {} misdated",
+        watched.healths,
+        watched.misdated.of(watched.healths)
     );
+    let is_dated = watched.misdated.count == 0;
     report.add(
         "publishes health",
-        watched.healths > 1 && silent_s < limit_s,
+        watched.healths > 1 && silent_s < limit_s && is_dated,
         figure,
     );
     let figure = format!(

@@ -288,7 +288,7 @@ impl Rig {
             self.watched.episodes.push(episode);
         }
         while let Some(health) = ports.health.receive() {
-            self.watched.hear(health);
+            self.watched.hear(health, (self.clock)());
         }
         let watched = &mut self.watched;
         while let Some((count, is_valid)) = ports

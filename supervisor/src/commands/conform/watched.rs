@@ -4,6 +4,10 @@ use shm_config::config::Config;
 use shm_config::message::{Episode, Health, Message, Observation, Progress};
 use shm_config::{Instant, RunGrid};
 
+/// A health message dated farther than this from its arrival has a wrong instant, ns: a
+/// delay of the reader, which is under a second, explains no more.
+const DATED_NS: u64 = 10_000_000_000;
+
 /// What is kept of an observation.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seen {
@@ -47,6 +51,8 @@ pub(super) struct Watched {
     /// Longest time between two health messages, ns: by the world's own instants, so that
     /// a delay of this reader changes nothing.
     pub(super) silent_ns: u64,
+    /// Health messages whose instant is far from that of their arrival.
+    pub(super) misdated: Count,
     /// Timing messages, and the ticks that the newest counts.
     pub(super) timings: u64,
     pub(super) timed: u64,
@@ -95,6 +101,7 @@ impl Watched {
             unaccounted: Count::default(),
             heard_ns: None,
             silent_ns: 0,
+            misdated: Count::default(),
             timings: 0,
             timed: 0,
         }
@@ -169,10 +176,15 @@ impl Watched {
         }
     }
 
-    /// Takes a health message.
-    pub(super) fn hear(&mut self, health: Health) {
+    /// Takes a health message that arrived by `now`.
+    pub(super) fn hear(&mut self, health: Health, now: Instant) {
         self.healths += 1;
         let taken_ns = health.header.taken_ns;
+        let apart_ns = now.0.abs_diff(taken_ns);
+        if apart_ns > DATED_NS {
+            self.misdated
+                .note(|| format!("dated {:.1} s from its arrival", apart_ns as f64 * 1e-9));
+        }
         if let Some(heard_ns) = self.heard_ns.replace(taken_ns) {
             self.silent_ns = self.silent_ns.max(taken_ns.saturating_sub(heard_ns));
         }
