@@ -103,11 +103,12 @@ pub fn blocks(results: &Results) -> Table {
         }));
         table.add_row(row);
     }
-    let counts: [(&str, fn(&Block) -> u64); 2] = [
-        ("interventions, steps", |block| block.interventions),
-        ("expert queries", |block| block.expert_queries),
-    ];
-    for (name, of) in counts {
+    let interventions: CountOf = |block| block.interventions;
+    let queries: CountOf = |block| block.expert_queries;
+    for (name, of) in [
+        ("interventions, steps", interventions),
+        ("expert queries", queries),
+    ] {
         let mut row = vec![name.to_string(), String::new(), String::new()];
         row.extend(columns.iter().map(|column| {
             let at = column.of.iter().filter_map(|(seed, block_evaluation)| {
@@ -123,6 +124,9 @@ pub fn blocks(results: &Results) -> Table {
     }
     table
 }
+
+/// A count at the end of a block.
+type CountOf = fn(&Block) -> u64;
 
 /// One evaluation of each seed that has it; `None` if no seed has it.
 fn column(results: &Results, of: impl Fn(&Seed) -> Option<BlockEvaluation>) -> Option<Column<'_>> {
