@@ -217,10 +217,15 @@ enum vlaps_use {
 };
 
 typedef struct vlaps_header {
+    /* The tick of the run this belongs to; the grid index in real time. */
     uint64_t tick;
+    /* When it was taken, on the run's clock, ns. */
     uint64_t taken_ns;
+    /* Counts this producer's messages from 1; a gap is a loss. */
     uint64_t sequence;
+    /* The episode of the run, from 0. */
     uint32_t episode;
+    /* Process id of the producer; a change means it was restarted. */
     uint32_t producer;
 } vlaps_header;
 VLAPS_ASSERT(sizeof(vlaps_header) == 32, "vlaps_header");
@@ -231,12 +236,19 @@ VLAPS_ASSERT(offsetof(vlaps_header, episode) == 24, "vlaps_header.episode");
 VLAPS_ASSERT(offsetof(vlaps_header, producer) == 28, "vlaps_header.producer");
 
 typedef struct vlaps_ego {
+    /* Position in the world (odometry) frame, m. */
     double x_world_m;
+    /* Position in the world (odometry) frame, m. */
     double y_world_m;
+    /* Heading in the world frame, rad, counter-clockwise. */
     double heading_world_rad;
+    /* Speed along the heading, m/s. */
     double speed_mps;
+    /* Turning rate, rad/s, counter-clockwise; over the last period. */
     double yaw_rate_radps;
+    /* The steering last applied, normalised. */
     double steer;
+    /* The pedal last applied, normalised. */
     double pedal;
 } vlaps_ego;
 VLAPS_ASSERT(sizeof(vlaps_ego) == 56, "vlaps_ego");
@@ -249,10 +261,17 @@ VLAPS_ASSERT(offsetof(vlaps_ego, steer) == 40, "vlaps_ego.steer");
 VLAPS_ASSERT(offsetof(vlaps_ego, pedal) == 48, "vlaps_ego.pedal");
 
 typedef struct vlaps_road {
+    /* Distance from the car's centre to the road's left edge, m; negative beyond it. */
     double left_m;
+    /* Distance from the car's centre to the road's right edge, m; negative beyond it. */
     double right_m;
+    /* Heading of the car in the road frame, rad: positive points left of the lane. */
     double heading_rad;
+    /* Offset from the centre of the car's lane, m, positive **left**. */
     double offset_m;
+    /* Width of a lane, m: a checkpoint's bend is that of the leftmost lane's centre
+     * line, half of it from the left edge. 0 for a road without lanes, whose bend is
+     * that of its left edge. */
     double lane_width_m;
 } vlaps_road;
 VLAPS_ASSERT(sizeof(vlaps_road) == 40, "vlaps_road");
@@ -263,11 +282,17 @@ VLAPS_ASSERT(offsetof(vlaps_road, offset_m) == 24, "vlaps_road.offset_m");
 VLAPS_ASSERT(offsetof(vlaps_road, lane_width_m) == 32, "vlaps_road.lane_width_m");
 
 typedef struct vlaps_checkpoint {
+    /* Position, m, forward of the car. */
     double x_body_m;
+    /* Position, m, left of the car. */
     double y_body_m;
+    /* Radius of the bend of the road's leftmost lane, m; 0 when straight. */
     double bend_radius_m;
+    /* Angle of the bend, rad, never negative; 0 when straight. */
     double bend_angle_rad;
+    /* A `Bend`. */
     uint32_t bend;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_checkpoint;
 VLAPS_ASSERT(sizeof(vlaps_checkpoint) == 40, "vlaps_checkpoint");
@@ -279,19 +304,41 @@ VLAPS_ASSERT(offsetof(vlaps_checkpoint, bend) == 32, "vlaps_checkpoint.bend");
 VLAPS_ASSERT(offsetof(vlaps_checkpoint, reserved) == 36, "vlaps_checkpoint.reserved");
 
 typedef struct vlaps_observation {
+    /* Which tick, and when. */
     vlaps_header header;
+    /* The instant of the run's grid at which this tick was due, ns on the
+     * machine's clock. A world with a higher rate than the run publishes several
+     * observations of a tick; this instant and the tick are the same in all of
+     * them. */
     uint64_t scheduled_ns;
+    /* When the world's tick began, ns on the machine's clock. */
     uint64_t released_ns;
+    /* When the tick's first observation was published, which woke its readers,
+     * ns on the machine's clock. The same in all observations of a tick. */
     uint64_t published_ns;
+    /* The car. */
     vlaps_ego ego;
+    /* Its road. */
     vlaps_road road;
+    /* The next two checkpoints of the route; the last one repeats. */
     vlaps_checkpoint checkpoints[2];
+    /* Range of a beam that hits nothing, m. */
     float lidar_max_m;
+    /* How many beams are valid; evenly spaced, their angles are those of
+     * `Observation::fan`. */
     uint32_t beam_count;
+    /* Angle from the first beam to the last, rad; a full circle from 2π on, whose
+     * first beam looks along the scanner's heading. Else it looks along the right
+     * limit of the field of view. Counter-clockwise. */
     double field_of_view_rad;
+    /* Heading of the scanner in the body frame, rad. */
     double scanner_heading_rad;
+    /* Where the beams begin, m forward of the car's centre. */
     double scanner_x_body_m;
+    /* Where the beams begin, m left of the car's centre. */
     double scanner_y_body_m;
+    /* Range of beam k from where the beams begin, m, at most `lidar_max_m`. A beam
+     * at `lidar_max_m` hit nothing, or its return was dropped. */
     float ranges_m[2048];
 } vlaps_observation;
 VLAPS_ASSERT(sizeof(vlaps_observation) == 8464, "vlaps_observation");
@@ -311,8 +358,11 @@ VLAPS_ASSERT(offsetof(vlaps_observation, scanner_y_body_m) == 264, "vlaps_observ
 VLAPS_ASSERT(offsetof(vlaps_observation, ranges_m) == 272, "vlaps_observation.ranges_m");
 
 typedef struct vlaps_waypoint {
+    /* m, forward, in the body frame at the plan's observation. */
     double x_body_m;
+    /* m, left, in the body frame at the plan's observation. */
     double y_body_m;
+    /* Desired speed at this point, m/s. */
     double speed_mps;
 } vlaps_waypoint;
 VLAPS_ASSERT(sizeof(vlaps_waypoint) == 24, "vlaps_waypoint");
@@ -321,7 +371,9 @@ VLAPS_ASSERT(offsetof(vlaps_waypoint, y_body_m) == 8, "vlaps_waypoint.y_body_m")
 VLAPS_ASSERT(offsetof(vlaps_waypoint, speed_mps) == 16, "vlaps_waypoint.speed_mps");
 
 typedef struct vlaps_planned_action {
+    /* Normalised, in [-1, 1], positive left. */
     double steer;
+    /* Normalised, in [-1, 1], positive drives. */
     double pedal;
 } vlaps_planned_action;
 VLAPS_ASSERT(sizeof(vlaps_planned_action) == 16, "vlaps_planned_action");
@@ -329,22 +381,39 @@ VLAPS_ASSERT(offsetof(vlaps_planned_action, steer) == 0, "vlaps_planned_action.s
 VLAPS_ASSERT(offsetof(vlaps_planned_action, pedal) == 8, "vlaps_planned_action.pedal");
 
 typedef struct vlaps_plan {
+    /* The observation's tick; taken when the observation was. */
     vlaps_header header;
+    /* Pose of the body frame of the waypoints in the world frame: m. */
     double origin_x_world_m;
+    /* m. */
     double origin_y_world_m;
+    /* rad. */
     double origin_heading_world_rad;
+    /* The goal searched for, m forward. */
     double goal_x_body_m;
+    /* The goal searched for, m left. */
     double goal_y_body_m;
+    /* Length of the path, m. */
     double cost_m;
+    /* Time the planner took, ns on the machine's clock. */
     uint64_t planning_ns;
+    /* A `PlanOutcome`. */
     uint32_t outcome;
+    /* Iterations spent. */
     uint32_t iterations;
+    /* Nodes of the tree. */
     uint32_t nodes;
+    /* How many waypoints are valid. */
     uint32_t waypoint_count;
+    /* The path from the body's origin outwards; the origin itself first. */
     vlaps_waypoint waypoints[64];
+    /* How long each action holds, s. */
     double action_step_s;
+    /* The number of valid actions; 0 for a plan that is only a path. */
     uint32_t action_count;
+    /* A `Lateness`: of the plan. */
     uint32_t lateness;
+    /* The actions from the plan's observation on, in order. */
     vlaps_planned_action actions[32];
 } vlaps_plan;
 VLAPS_ASSERT(sizeof(vlaps_plan) == 2168, "vlaps_plan");
@@ -367,10 +436,15 @@ VLAPS_ASSERT(offsetof(vlaps_plan, lateness) == 1652, "vlaps_plan.lateness");
 VLAPS_ASSERT(offsetof(vlaps_plan, actions) == 1656, "vlaps_plan.actions");
 
 typedef struct vlaps_command {
+    /* The observation's tick; taken when the command was given. */
     vlaps_header header;
+    /* Steering, normalised, [-1, 1], positive left. */
     double steer;
+    /* Pedal, normalised, [-1, 1], negative brakes. */
     double pedal;
+    /* A `Driver`. */
     uint32_t driver;
+    /* A `Reason`. */
     uint32_t reason;
 } vlaps_command;
 VLAPS_ASSERT(sizeof(vlaps_command) == 56, "vlaps_command");
@@ -381,12 +455,19 @@ VLAPS_ASSERT(offsetof(vlaps_command, driver) == 48, "vlaps_command.driver");
 VLAPS_ASSERT(offsetof(vlaps_command, reason) == 52, "vlaps_command.reason");
 
 typedef struct vlaps_pd_state {
+    /* Heading to the lookahead waypoint, rad. */
     double heading_rad;
+    /* Desired speed minus the car's, m/s. */
     double speed_mps;
+    /* The goal that is tracked, world frame, x, m. */
     double goal_x_world_m;
+    /* The goal that is tracked, world frame, y, m. */
     double goal_y_world_m;
+    /* When the observation of the errors was taken, ns. */
     uint64_t taken_ns;
+    /* Its episode. */
     uint32_t episode;
+    /* 1 when there are errors, else 0. */
     uint32_t present;
 } vlaps_pd_state;
 VLAPS_ASSERT(sizeof(vlaps_pd_state) == 48, "vlaps_pd_state");
@@ -399,11 +480,17 @@ VLAPS_ASSERT(offsetof(vlaps_pd_state, episode) == 40, "vlaps_pd_state.episode");
 VLAPS_ASSERT(offsetof(vlaps_pd_state, present) == 44, "vlaps_pd_state.present");
 
 typedef struct vlaps_transfer_state {
+    /* Steering, normalised. */
     double steer;
+    /* Pedal, normalised. */
     double pedal;
+    /* A `Driver`. */
     uint32_t driver;
+    /* The episode of that command. */
     uint32_t episode;
+    /* 1 when there is a command, else 0. */
     uint32_t present;
+    /* 1 while the command moves towards the new driver's, else 0. */
     uint32_t is_easing;
 } vlaps_transfer_state;
 VLAPS_ASSERT(sizeof(vlaps_transfer_state) == 32, "vlaps_transfer_state");
@@ -415,12 +502,19 @@ VLAPS_ASSERT(offsetof(vlaps_transfer_state, present) == 24, "vlaps_transfer_stat
 VLAPS_ASSERT(offsetof(vlaps_transfer_state, is_easing) == 28, "vlaps_transfer_state.is_easing");
 
 typedef struct vlaps_before {
+    /* The state of the PD controller. */
     vlaps_pd_state pd;
+    /* The state of the hand-over. */
     vlaps_transfer_state transfer;
+    /* Messages refused since the controller started. */
     uint64_t refused;
+    /* 1 when an observation was admitted since then, else 0. */
     uint32_t has_observation;
+    /* 1 when a plan was admitted since then, else 0. */
     uint32_t has_plan;
+    /* 1 when advice was admitted since then, else 0. */
     uint32_t has_advice;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_before;
 VLAPS_ASSERT(sizeof(vlaps_before) == 104, "vlaps_before");
@@ -433,8 +527,12 @@ VLAPS_ASSERT(offsetof(vlaps_before, has_advice) == 96, "vlaps_before.has_advice"
 VLAPS_ASSERT(offsetof(vlaps_before, reserved) == 100, "vlaps_before.reserved");
 
 typedef struct vlaps_entry {
+    /* The clock at which the port admitted the message, ns on the run's clock; 0
+     * when none arrived. */
     uint64_t port_ns;
+    /* An `Admission`: the tick's own check, at the instant in the step's header. */
     uint32_t admission;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_entry;
 VLAPS_ASSERT(sizeof(vlaps_entry) == 16, "vlaps_entry");
@@ -443,18 +541,33 @@ VLAPS_ASSERT(offsetof(vlaps_entry, admission) == 8, "vlaps_entry.admission");
 VLAPS_ASSERT(offsetof(vlaps_entry, reserved) == 12, "vlaps_entry.reserved");
 
 typedef struct vlaps_advice {
+    /* The tick of the last step that the gate has read. */
     vlaps_header header;
+    /* The tick the judge was asked about. */
     uint64_t question_tick;
+    /* When the observation of the question was taken, ns. */
     uint64_t question_taken_ns;
+    /* When the answer arrived, ns on the run's clock. */
     uint64_t answered_ns;
+    /* The first instant at which the advice no longer holds, ns. */
     uint64_t holds_until_ns;
+    /* When the gate considered the step, ns on the run's clock: its answers and their
+     * hysteresis depend on it, so that advice can be recomputed. */
     uint64_t considered_ns;
+    /* Questions answered so far, failures and abstentions included. */
     uint64_t answers;
+    /* A `Preference`: the driver to choose, after dwell time and confirmations. */
     uint32_t preference;
+    /* A `Judge`. */
     uint32_t judge;
+    /* The steps that the newest answer labels begin here: when the observation of
+     * its question was taken, ns. */
     uint64_t label_from_ns;
+    /* They end before this instant, ns. */
     uint64_t label_until_ns;
+    /* A `Preference`: the newest answer. */
     uint32_t label;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_advice;
 VLAPS_ASSERT(sizeof(vlaps_advice) == 112, "vlaps_advice");
@@ -473,10 +586,15 @@ VLAPS_ASSERT(offsetof(vlaps_advice, label) == 104, "vlaps_advice.label");
 VLAPS_ASSERT(offsetof(vlaps_advice, reserved) == 108, "vlaps_advice.reserved");
 
 typedef struct vlaps_takeover {
+    /* The newest tick that the supervisor has read; taken when the keys were read. */
     vlaps_header header;
+    /* Steering, normalised, [-1, 1], positive left. */
     double steer;
+    /* Pedal, normalised, [-1, 1], negative brakes. */
     double pedal;
+    /* 1 while the person has taken over, else 0. */
     uint32_t active;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_takeover;
 VLAPS_ASSERT(sizeof(vlaps_takeover) == 56, "vlaps_takeover");
@@ -487,9 +605,13 @@ VLAPS_ASSERT(offsetof(vlaps_takeover, active) == 48, "vlaps_takeover.active");
 VLAPS_ASSERT(offsetof(vlaps_takeover, reserved) == 52, "vlaps_takeover.reserved");
 
 typedef struct vlaps_proposal {
+    /* Steering, normalised. */
     double steer;
+    /* Pedal, normalised. */
     double pedal;
+    /* 1 when there is a proposal, else 0. */
     uint32_t present;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_proposal;
 VLAPS_ASSERT(sizeof(vlaps_proposal) == 24, "vlaps_proposal");
@@ -499,11 +621,20 @@ VLAPS_ASSERT(offsetof(vlaps_proposal, present) == 16, "vlaps_proposal.present");
 VLAPS_ASSERT(offsetof(vlaps_proposal, reserved) == 20, "vlaps_proposal.reserved");
 
 typedef struct vlaps_assessment {
+    /* Least distance between footprint and any lidar return, m; negative
+     * inside; `CLEARANCE_MAX_M` when none is near. */
     double clearance_m;
+    /* Time to the first contact or to leaving the road, s; the horizon
+     * when there is none. */
     double safe_s;
+    /* Least distance between the car's centre line corners and the road's
+     * edge, m; negative beyond it. */
     double edge_m;
+    /* Progress towards the next checkpoint, m. */
     double progress_m;
+    /* A `Verdict`. */
     uint32_t verdict;
+    /* 1 when the safety check vetoes this proposal, else 0. */
     uint32_t veto;
 } vlaps_assessment;
 VLAPS_ASSERT(sizeof(vlaps_assessment) == 40, "vlaps_assessment");
@@ -515,9 +646,13 @@ VLAPS_ASSERT(offsetof(vlaps_assessment, verdict) == 32, "vlaps_assessment.verdic
 VLAPS_ASSERT(offsetof(vlaps_assessment, veto) == 36, "vlaps_assessment.veto");
 
 typedef struct vlaps_shadow_proposal {
+    /* Their proposal. */
     vlaps_proposal proposal;
+    /* Its verdict. */
     vlaps_assessment assessment;
+    /* Their version; 0 when none were asked. */
     uint64_t weights_version;
+    /* First 8 bytes of their SHA-256; 0 for none. */
     uint64_t weights_hash;
 } vlaps_shadow_proposal;
 VLAPS_ASSERT(sizeof(vlaps_shadow_proposal) == 80, "vlaps_shadow_proposal");
@@ -527,11 +662,17 @@ VLAPS_ASSERT(offsetof(vlaps_shadow_proposal, weights_version) == 64, "vlaps_shad
 VLAPS_ASSERT(offsetof(vlaps_shadow_proposal, weights_hash) == 72, "vlaps_shadow_proposal.weights_hash");
 
 typedef struct vlaps_timings {
+    /* The instant of the grid at which this tick was due. */
     uint64_t scheduled_ns;
+    /* When the world's tick began; 0 when there was no observation. */
     uint64_t released_ns;
+    /* When the controller began the tick. */
     uint64_t started_ns;
+    /* When the plan had arrived, or the wait for it ended. */
     uint64_t planned_ns;
+    /* When proposals and verdicts were complete. */
     uint64_t decided_ns;
+    /* When the command was sent. */
     uint64_t commanded_ns;
 } vlaps_timings;
 VLAPS_ASSERT(sizeof(vlaps_timings) == 48, "vlaps_timings");
@@ -543,34 +684,64 @@ VLAPS_ASSERT(offsetof(vlaps_timings, decided_ns) == 32, "vlaps_timings.decided_n
 VLAPS_ASSERT(offsetof(vlaps_timings, commanded_ns) == 40, "vlaps_timings.commanded_ns");
 
 typedef struct vlaps_step {
+    /* The controller's tick; taken when it admitted its inputs. */
     vlaps_header header;
+    /* The state with which it began. */
     vlaps_before before;
+    /* The check of the observation. */
     vlaps_entry observation_entry;
+    /* The check of the plan. */
     vlaps_entry plan_entry;
+    /* The check of the advice. */
     vlaps_entry advice_entry;
+    /* The check of the takeover. */
     vlaps_entry takeover_entry;
+    /* The plan; the last admitted one when none arrived. */
     vlaps_plan plan;
+    /* The advice in force. */
     vlaps_advice advice;
+    /* The newest takeover message. */
     vlaps_takeover takeover;
+    /* The expert's proposal, or the person's action after a takeover. */
     vlaps_proposal expert;
+    /* The proposal of the active policy. */
     vlaps_proposal policy;
+    /* The safety check of the expert's proposal. */
     vlaps_assessment expert_assessment;
+    /* The safety check of the policy's proposal. */
     vlaps_assessment policy_assessment;
+    /* The proposal of the policy in shadow mode. */
     vlaps_shadow_proposal shadow;
+    /* The command, its driver and its reason. */
     vlaps_command command;
+    /* The instants of the tick. */
     vlaps_timings timings;
+    /* Age of the observation, ns; `u64::MAX` when there is none. */
     uint64_t observation_age_ns;
+    /* Age of the plan, ns; `u64::MAX` when there is none. */
     uint64_t plan_age_ns;
+    /* Age of the advice's question, ns; `u64::MAX` when there is none. */
     uint64_t advice_age_ns;
+    /* Version of the weights that proposed; 0 for none. */
     uint64_t weights_version;
+    /* First 8 bytes of their SHA-256; 0 for none. */
     uint64_t weights_hash;
+    /* Ticks of the grid the controller skipped since it started. */
     uint64_t skipped;
+    /* Messages the controller refused since it started. */
     uint64_t refused;
+    /* Messages that the ports refused since the tick before. */
     uint64_t refused_at_ports;
+    /* An `Intent`: what the process asked of the tick. */
     uint32_t intent;
+    /* A `Stage`: of the policy. */
     uint32_t stage;
+    /* 1 when a person's action replaces the expert's, else 0. */
     uint32_t takeover_used;
+    /* A `Lateness`: of the command. */
     uint32_t lateness;
+    /* The observation; the last admitted one when none arrived. It ends the step, so that
+     * beams which the scanner does not have are not sent. */
     vlaps_observation observation;
 } vlaps_step;
 VLAPS_ASSERT(sizeof(vlaps_step) == 11392, "vlaps_step");
@@ -605,11 +776,19 @@ VLAPS_ASSERT(offsetof(vlaps_step, lateness) == 2924, "vlaps_step.lateness");
 VLAPS_ASSERT(offsetof(vlaps_step, observation) == 2928, "vlaps_step.observation");
 
 typedef struct vlaps_frame_request {
+    /* Tick, episode and instant of the observation to be shown. Where a tick has
+     * several instants, 0 ns requests the first. */
     vlaps_header header;
+    /* The proposals of the question, the expert's first, for `Foresight`; if one
+     * is absent, only the picture is requested. */
     vlaps_proposal proposals[2];
+    /* A `View`. */
     uint32_t view;
+    /* Pixels across. */
     uint32_t width;
+    /* Pixels down. */
     uint32_t height;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_frame_request;
 VLAPS_ASSERT(sizeof(vlaps_frame_request) == 96, "vlaps_frame_request");
@@ -621,10 +800,18 @@ VLAPS_ASSERT(offsetof(vlaps_frame_request, height) == 88, "vlaps_frame_request.h
 VLAPS_ASSERT(offsetof(vlaps_frame_request, reserved) == 92, "vlaps_frame_request.reserved");
 
 typedef struct vlaps_camera {
+    /* Row-major 3 x 4 matrix from homogeneous body coordinates (m; x forward,
+     * y left, z up from the ground) to homogeneous pixels (u right, v down).
+     * Its last row gives the distance along the optical axis, m; for
+     * orthographic views 1. */
     double pixel_from_body[12];
+    /* Position of the camera in the body frame, m. */
     double position_body_m[3];
+    /* Points nearer than this are not seen, m; for orthographic views 0. */
     double near_m;
+    /* A `View`. */
     uint32_t view;
+    /* 1 for an orthographic projection, 0 for a pinhole. */
     uint32_t orthographic;
 } vlaps_camera;
 VLAPS_ASSERT(sizeof(vlaps_camera) == 136, "vlaps_camera");
@@ -635,13 +822,21 @@ VLAPS_ASSERT(offsetof(vlaps_camera, view) == 128, "vlaps_camera.view");
 VLAPS_ASSERT(offsetof(vlaps_camera, orthographic) == 132, "vlaps_camera.orthographic");
 
 typedef struct vlaps_frame {
+    /* The observation's tick. */
     vlaps_header header;
+    /* The camera. */
     vlaps_camera camera;
+    /* Pixels across. */
     uint32_t width;
+    /* Pixels down. */
     uint32_t height;
+    /* A `PixelFormat`. */
     uint32_t format;
+    /* Not used. */
     uint32_t reserved;
+    /* Rows from the top, no padding between them. */
     uint8_t pixels[2073600];
+    /* Not used; keeps the size a multiple of eight. */
     uint64_t end;
 } vlaps_frame;
 VLAPS_ASSERT(sizeof(vlaps_frame) == 2073792, "vlaps_frame");
@@ -655,8 +850,13 @@ VLAPS_ASSERT(offsetof(vlaps_frame, pixels) == 184, "vlaps_frame.pixels");
 VLAPS_ASSERT(offsetof(vlaps_frame, end) == 2073784, "vlaps_frame.end");
 
 typedef struct vlaps_outlook {
+    /* Time until the end of the first tick in which a vehicle or an object is
+     * touched, s; the horizon when none is. */
     double contact_s;
+    /* Time until the car is out of the road, s; the horizon when it stays.
+     * That ends the episode: nothing is touched afterwards. */
     double out_s;
+    /* Share of the route gained, [-1, 1]. */
     double completion;
 } vlaps_outlook;
 VLAPS_ASSERT(sizeof(vlaps_outlook) == 24, "vlaps_outlook");
@@ -665,8 +865,11 @@ VLAPS_ASSERT(offsetof(vlaps_outlook, out_s) == 8, "vlaps_outlook.out_s");
 VLAPS_ASSERT(offsetof(vlaps_outlook, completion) == 16, "vlaps_outlook.completion");
 
 typedef struct vlaps_foresight {
+    /* Tick and episode of the question. */
     vlaps_header header;
+    /* How long each proposal is held, s. */
     double horizon_s;
+    /* The results, the expert's first. */
     vlaps_outlook outlooks[2];
 } vlaps_foresight;
 VLAPS_ASSERT(sizeof(vlaps_foresight) == 88, "vlaps_foresight");
@@ -675,11 +878,17 @@ VLAPS_ASSERT(offsetof(vlaps_foresight, horizon_s) == 32, "vlaps_foresight.horizo
 VLAPS_ASSERT(offsetof(vlaps_foresight, outlooks) == 40, "vlaps_foresight.outlooks");
 
 typedef struct vlaps_weights {
+    /* When it was offered. */
     vlaps_header header;
+    /* The version; it grows with every offer of a run. */
     uint64_t version;
+    /* How many bytes are valid. */
     uint64_t byte_count;
+    /* SHA-256 of the valid bytes. */
     uint8_t sha256[32];
+    /* The file. */
     uint8_t bytes[8388608];
+    /* Not used; keeps the size a multiple of eight. */
     uint64_t end;
 } vlaps_weights;
 VLAPS_ASSERT(sizeof(vlaps_weights) == 8388696, "vlaps_weights");
@@ -691,9 +900,13 @@ VLAPS_ASSERT(offsetof(vlaps_weights, bytes) == 80, "vlaps_weights.bytes");
 VLAPS_ASSERT(offsetof(vlaps_weights, end) == 8388688, "vlaps_weights.end");
 
 typedef struct vlaps_learning {
+    /* Its tick is that of the last step considered. */
     vlaps_header header;
+    /* Steps driven as the learner counts them: read and missed. */
     uint64_t steps;
+    /* Version of the weights last published; 0 for none. */
     uint64_t version;
+    /* Steps from one update to the next: `learner.block_steps`. */
     uint64_t block_steps;
 } vlaps_learning;
 VLAPS_ASSERT(sizeof(vlaps_learning) == 56, "vlaps_learning");
@@ -703,15 +916,27 @@ VLAPS_ASSERT(offsetof(vlaps_learning, version) == 40, "vlaps_learning.version");
 VLAPS_ASSERT(offsetof(vlaps_learning, block_steps) == 48, "vlaps_learning.block_steps");
 
 typedef struct vlaps_policy_status {
+    /* Its tick is that at which `state` began. */
     vlaps_header header;
+    /* Version in use, which may drive; 0 for none. */
     uint64_t version;
+    /* First 8 bytes of its SHA-256; 0 for none. */
     uint64_t hash;
+    /* Version last offered; 0 for none. */
     uint64_t offered_version;
+    /* First 8 bytes of its SHA-256; 0 for none. */
     uint64_t offered_hash;
+    /* The tick at which the weights last adopted began to propose, in shadow mode
+     * first. */
     uint64_t adopted_tick;
+    /* 1 when the version in use could not be written to the run's folder, so that
+     * a restart does not begin with it; else 0. */
     uint64_t unkept;
+    /* A `PolicyState`: that of the weights last offered. */
     uint32_t state;
+    /* Valid bytes of `refusal`. */
     uint32_t refusal_bytes;
+    /* Why they were refused or rolled back, UTF-8; empty else. */
     uint8_t refusal[248];
 } vlaps_policy_status;
 VLAPS_ASSERT(sizeof(vlaps_policy_status) == 336, "vlaps_policy_status");
@@ -727,18 +952,31 @@ VLAPS_ASSERT(offsetof(vlaps_policy_status, refusal_bytes) == 84, "vlaps_policy_s
 VLAPS_ASSERT(offsetof(vlaps_policy_status, refusal) == 88, "vlaps_policy_status.refusal");
 
 typedef struct vlaps_progress {
+    /* The world's tick. */
     vlaps_header header;
+    /* Seed of the episode. */
     uint64_t seed;
+    /* Share of the route driven, [0, 1]. */
     double completion;
+    /* Length of the route, m. */
     double route_m;
+    /* Speed, m/s. */
     double speed_mps;
+    /* Ticks of this episode so far. */
     uint64_t episode_ticks;
+    /* Ticks of this episode in contact with a vehicle. */
     uint64_t vehicle_contacts;
+    /* Ticks of this episode in contact with an object. */
     uint64_t object_contacts;
+    /* Ticks of this run on which the world braked without a recent command. */
     uint64_t braked;
+    /* Maximum age of an applied command, ns. */
     uint64_t command_age_max_ns;
+    /* Ticks of the grid the world skipped. */
     uint64_t skipped;
+    /* An `Outcome`. */
     uint32_t outcome;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_progress;
 VLAPS_ASSERT(sizeof(vlaps_progress) == 120, "vlaps_progress");
@@ -757,17 +995,29 @@ VLAPS_ASSERT(offsetof(vlaps_progress, outcome) == 112, "vlaps_progress.outcome")
 VLAPS_ASSERT(offsetof(vlaps_progress, reserved) == 116, "vlaps_progress.reserved");
 
 typedef struct vlaps_episode {
+    /* The world's last tick of the episode. */
     vlaps_header header;
+    /* Seed of the episode. */
     uint64_t seed;
+    /* Ticks driven. */
     uint64_t ticks;
+    /* Share of the route driven, [0, 1]. */
     double completion;
+    /* Length driven, m. */
     double driven_m;
+    /* Ticks in contact with a vehicle. */
     uint64_t vehicle_contacts;
+    /* Ticks in contact with an object. */
     uint64_t object_contacts;
+    /* Ticks on which the world braked without a recent command. */
     uint64_t braked;
+    /* An `Outcome`. */
     uint32_t outcome;
+    /* 1 when the last tick was in contact: the paper's crash. */
     uint32_t crash_last_step;
+    /* SHA-256 over the bits of all applied commands. */
     uint8_t command_digest[32];
+    /* Ticks of the grid skipped in this episode. */
     uint64_t skipped;
 } vlaps_episode;
 VLAPS_ASSERT(sizeof(vlaps_episode) == 136, "vlaps_episode");
@@ -785,27 +1035,50 @@ VLAPS_ASSERT(offsetof(vlaps_episode, command_digest) == 96, "vlaps_episode.comma
 VLAPS_ASSERT(offsetof(vlaps_episode, skipped) == 128, "vlaps_episode.skipped");
 
 typedef struct vlaps_health {
+    /* The last tick, and when the message was made. */
     vlaps_header header;
+    /* Ticks done since the process started. */
     uint64_t ticks;
+    /* Ticks of the grid skipped. */
     uint64_t skipped;
+    /* Ticks completed after their deadline. */
     uint64_t late;
+    /* Messages refused by a check, by `RefusalKind`(super::RefusalKind). */
     uint64_t refused[6];
+    /* Messages lost on queues it reads. */
     uint64_t lost;
+    /* When its first tick was due, ns on the run's clock. */
     uint64_t first_scheduled_ns;
+    /* When its next tick is due, ns on the run's clock. */
     uint64_t next_scheduled_ns;
+    /* Page faults of the tick's thread that needed no disk, since it was ready. */
     uint64_t minor_faults;
+    /* Page faults of the tick's thread that waited for the disk. */
     uint64_t major_faults;
+    /* Times that the kernel took the processor away from the tick's thread. */
     uint64_t involuntary_switches;
+    /* Ticks in which a part took longer than its budget, by `Part`. */
     uint64_t overruns[8];
+    /* A `HealthState`. */
     uint32_t state;
+    /* A `Grant`: real-time scheduling. */
     uint32_t priority;
+    /* A `Grant`: its own core. */
     uint32_t core;
+    /* A `Grant`: memory locked. */
     uint32_t memory;
+    /* The priority asked for; 0 for none. */
     uint32_t priority_asked;
+    /* The priority in force; 0 for none. */
     uint32_t priority_got;
+    /* A `Scheduling`: the one asked for. */
     uint32_t scheduling_asked;
+    /* A `Scheduling`: the one in force. */
     uint32_t scheduling_got;
+    /* The last process that sent messages of a service without being started for
+     * it; 0 for none. */
     uint32_t foreign_pid;
+    /* The `Process` in whose place it sent. */
     uint32_t foreign_as;
 } vlaps_health;
 VLAPS_ASSERT(sizeof(vlaps_health) == 256, "vlaps_health");
@@ -833,8 +1106,11 @@ VLAPS_ASSERT(offsetof(vlaps_health, foreign_pid) == 248, "vlaps_health.foreign_p
 VLAPS_ASSERT(offsetof(vlaps_health, foreign_as) == 252, "vlaps_health.foreign_as");
 
 typedef struct vlaps_histogram {
+    /* The largest duration seen, ns, exact. */
     uint64_t max_ns;
+    /* Durations counted. */
     uint64_t count;
+    /* Durations by bucket. */
     uint32_t buckets[2816];
 } vlaps_histogram;
 VLAPS_ASSERT(sizeof(vlaps_histogram) == 11280, "vlaps_histogram");
@@ -843,11 +1119,18 @@ VLAPS_ASSERT(offsetof(vlaps_histogram, count) == 8, "vlaps_histogram.count");
 VLAPS_ASSERT(offsetof(vlaps_histogram, buckets) == 16, "vlaps_histogram.buckets");
 
 typedef struct vlaps_late_tick {
+    /* The number of the tick in the run. */
     uint64_t tick;
+    /* From its deadline to its completion, ns; of a tick that ends skipped ones,
+     * from the deadline of the first of them. */
     uint64_t late_ns;
+    /* How long its longest part took, ns. */
     uint64_t part_ns;
+    /* Ticks that were skipped just before it. */
     uint64_t skipped;
+    /* A `Part`: the one that took longest. */
     uint32_t part;
+    /* Not used; 0. */
     uint32_t reserved;
 } vlaps_late_tick;
 VLAPS_ASSERT(sizeof(vlaps_late_tick) == 40, "vlaps_late_tick");
@@ -859,15 +1142,33 @@ VLAPS_ASSERT(offsetof(vlaps_late_tick, part) == 32, "vlaps_late_tick.part");
 VLAPS_ASSERT(offsetof(vlaps_late_tick, reserved) == 36, "vlaps_late_tick.reserved");
 
 typedef struct vlaps_timing {
+    /* When. */
     vlaps_header header;
+    /* From the scheduled instant to the begin of the tick; of a skipped one, to
+     * the begin of the tick after it. */
     vlaps_histogram release_lateness;
+    /* From the event that released the tick to its begin: the timer's instant
+     * (world), the publishing of the observation, or the end of the wait for one
+     * (planner, controller). A skipped tick, whose release the process did not
+     * see, counts from its scheduled instant, so that no duration is too short.
+     * Empty in a process that does not know what releases it, and in a world in
+     * lockstep. */
     vlaps_histogram wake_up;
+    /* From begin to end of the tick. */
     vlaps_histogram execution;
+    /* From the world's release of an observation to the command that answers
+     * it, by its tick (controller), else empty. */
     vlaps_histogram response;
+    /* Age of the observation when it was used (planner, controller), from the
+     * instant it was taken. */
     vlaps_histogram observation_age;
+    /* Age of the plan's observation when it was used (controller). */
     vlaps_histogram plan_age;
+    /* Age of the observation that the advice answers (controller). */
     vlaps_histogram advice_age;
+    /* How many of the late ticks are valid. */
     uint64_t late_count;
+    /* The ticks that were latest, in no order. */
     vlaps_late_tick late[20];
 } vlaps_timing;
 VLAPS_ASSERT(sizeof(vlaps_timing) == 79800, "vlaps_timing");
@@ -883,7 +1184,9 @@ VLAPS_ASSERT(offsetof(vlaps_timing, late_count) == 78992, "vlaps_timing.late_cou
 VLAPS_ASSERT(offsetof(vlaps_timing, late) == 79000, "vlaps_timing.late");
 
 typedef struct vlaps_roster {
+    /* When it was last changed. */
     vlaps_header header;
+    /* The process ids, by the code of the `Process`; 0 where there is none. */
     uint32_t pids[8];
 } vlaps_roster;
 VLAPS_ASSERT(sizeof(vlaps_roster) == 64, "vlaps_roster");
@@ -891,7 +1194,9 @@ VLAPS_ASSERT(offsetof(vlaps_roster, header) == 0, "vlaps_roster.header");
 VLAPS_ASSERT(offsetof(vlaps_roster, pids) == 32, "vlaps_roster.pids");
 
 typedef struct vlaps_kept {
+    /* The tick of the newest step that it has read; 0 before the first. */
     vlaps_header header;
+    /* Steps that it has read. */
     uint64_t steps;
 } vlaps_kept;
 VLAPS_ASSERT(sizeof(vlaps_kept) == 40, "vlaps_kept");
@@ -899,9 +1204,13 @@ VLAPS_ASSERT(offsetof(vlaps_kept, header) == 0, "vlaps_kept.header");
 VLAPS_ASSERT(offsetof(vlaps_kept, steps) == 32, "vlaps_kept.steps");
 
 typedef struct vlaps_fault {
+    /* When it was ordered. */
     vlaps_header header;
+    /* Duration, ns; for a slow loop only. */
     uint64_t duration_ns;
+    /* The `Process` that shall fail. */
     uint32_t target;
+    /* A `FaultKind`. */
     uint32_t kind;
 } vlaps_fault;
 VLAPS_ASSERT(sizeof(vlaps_fault) == 48, "vlaps_fault");
@@ -911,18 +1220,32 @@ VLAPS_ASSERT(offsetof(vlaps_fault, target) == 40, "vlaps_fault.target");
 VLAPS_ASSERT(offsetof(vlaps_fault, kind) == 44, "vlaps_fault.kind");
 
 typedef struct vlaps_tick {
+    /* The tick of the run. */
     uint64_t tick;
+    /* Seed of the episode. */
     uint64_t seed;
+    /* When the instant was due, ns on the machine's clock. */
     uint64_t scheduled_ns;
+    /* When the world was woken for it, ns on the machine's clock. */
     uint64_t released_ns;
+    /* The instant, ns on the run's clock. */
     uint64_t taken_ns;
+    /* Instants missed just before this one. */
     uint64_t missed;
+    /* Time to move by, s: since the last instant, missed ones included; 0 when an
+     * episode begins. */
     double step_s;
+    /* The steering to obey, normalised, positive left. */
     double steer;
+    /* The pedal to obey, normalised, negative brakes. */
     double pedal;
+    /* The episode of the run, from 0. */
     uint32_t episode;
+    /* 1 when an episode begins: put the car at the start of the episode `seed`. */
     uint32_t begins;
+    /* 1 when no command was young enough, so that the action is the brake. */
     uint32_t braked;
+    /* Not used. */
     uint32_t reserved;
 } vlaps_tick;
 VLAPS_ASSERT(sizeof(vlaps_tick) == 88, "vlaps_tick");
@@ -995,6 +1318,13 @@ int vlaps_is_lockstep(void);
 
 /* A number of the run's configuration, such as "scanner.range_m"; true is 1. */
 int vlaps_setting(const char *key, double *number);
+
+/* For a world: writes the section [scanner] of the run into an observation (lidar_max_m,
+ * beam_count, field_of_view_rad and the place of the scanner), and where each beam looks
+ * into an array with room for `count` directions, rad counter-clockwise from the heading
+ * of the body; VLAPS_BEAMS_MAX is always enough. The beams begin at scanner_x_body_m,
+ * scanner_y_body_m. */
+int vlaps_beams(vlaps_observation *observation, double *directions_rad, size_t count);
 
 /* The loop of a world: its grid, the age limit of commands, the brake, the episodes.
  * vlaps_await_tick waits for the next instant; VLAPS_ENDED: exit with 0. The answer to

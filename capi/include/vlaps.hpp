@@ -9,6 +9,7 @@
 #include <string>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "vlaps.h"
 
@@ -96,6 +97,16 @@ class member {
         const int64_t pid = vlaps_pid_of(process);
         checked(pid < 0 ? static_cast<int>(pid) : 0);
         return pid;
+    }
+
+    /// For a world: writes the run's scanner into an observation. Returns where each beam
+    /// looks, rad counter-clockwise from the heading of the body; the beams begin at
+    /// scanner_x_body_m, scanner_y_body_m.
+    std::vector<double> beams(vlaps_observation &observation) const {
+        std::vector<double> directions_rad(VLAPS_BEAMS_MAX);
+        checked(vlaps_beams(&observation, directions_rad.data(), directions_rad.size()));
+        directions_rad.resize(observation.beam_count);
+        return directions_rad;
     }
 
     /// A world's next instant; false: exit with 0.

@@ -334,6 +334,44 @@ pub unsafe extern "C" fn vlaps_setting(key: *const c_char, value: *mut f64) -> c
     }) as c_int
 }
 
+/// Where the beams of the run's scanner look, into an observation and an array.
+///
+/// # Safety
+/// `observation` is NULL or an observation; `directions_rad` is NULL or has `count` doubles.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn vlaps_beams(
+    observation: *mut c_void,
+    directions_rad: *mut f64,
+    count: usize,
+) -> c_int {
+    within(|session| {
+        let size = size_of::<Observation>();
+        // SAFETY: the caller's promise.
+        let shown = unsafe { bytes(observation, size)? };
+        let mut shown = Observation::from_bytes(shown)
+            .ok_or_else(|| Failure::invalid("observation: wrong length"))?;
+        let fan = session.show_scanner(&mut shown);
+        if count < fan.beams {
+            return Err(Failure::invalid(format!(
+                "scanner.beams is {}, and there is room for {count} directions",
+                fan.beams
+            )));
+        }
+        // SAFETY: the caller's promise.
+        let (place, directions) = unsafe {
+            (
+                place(observation, size)?,
+                place(directions_rad.cast(), fan.beams * size_of::<f64>())?,
+            )
+        };
+        for (beam, direction) in directions.chunks_exact_mut(size_of::<f64>()).enumerate() {
+            direction.write_copy_of_slice(&fan.angle_rad(beam).to_ne_bytes());
+        }
+        place.write_copy_of_slice(shown.as_bytes());
+        code(Answer::Ok)
+    }) as c_int
+}
+
 /// Waits for the world's next tick.
 ///
 /// # Safety

@@ -2,7 +2,7 @@
 //! and closed lists of `shm-config`, and the structs of this library.
 
 use serde_json::{Map, Value, json};
-use shm_config::layout::{FNV_BASIS, Layout, Table, fnv1a};
+use shm_config::layout::{FNV_BASIS, Field, Layout, Table, fnv1a};
 use shm_config::message::{
     Admission, BEAMS_MAX, Bend, Driver, FEATURES, FaultKind, Grant, HealthState, Intent, Judge,
     Lateness, Outcome, PLANNED_MAX, Part, PixelFormat, PlanOutcome, PolicyState, Preference,
@@ -126,13 +126,26 @@ pub fn lists() -> Vec<List> {
     ]
 }
 
-/// Everything as JSON: `layout`, `messages` (name, bytes, fields of name, type and
-/// offset), `lists` (name, words with codes), `services` (name, message).
+/// What a field is, in lines. Links of the source are words in another language.
+pub fn documented(field: &Field) -> Vec<String> {
+    let lines = field.doc.iter();
+    lines
+        .map(|line| line.trim().replace("[`", "`").replace("`]", "`"))
+        .collect()
+}
+
+/// Everything as JSON: `layout`, `messages` (name, bytes, fields of name, type, offset and
+/// doc), `lists` (name, words with codes), `services` (name, message).
 pub fn json() -> Value {
     let message = |table: &&'static Table| {
-        let fields = table.fields.iter().map(
-            |field| json!({"name": field.name, "type": field.type_name, "offset": field.offset}),
-        );
+        let fields = table.fields.iter().map(|field| {
+            json!({
+                "name": field.name,
+                "type": field.type_name,
+                "offset": field.offset,
+                "doc": documented(field).join(" "),
+            })
+        });
         json!({
             "name": table.name,
             "bytes": size(table),

@@ -7,7 +7,7 @@ use std::fmt::Write;
 
 use shm_config::layout::Table;
 
-use crate::description::{CONSTANTS, List, layout, lists, size, tables};
+use crate::description::{CONSTANTS, List, documented, layout, lists, size, tables};
 
 /// The part before the messages.
 const TOP: &str = include_str!("header/top.h");
@@ -91,6 +91,8 @@ fn message(out: &mut String, table: &Table) {
     let name = format!("vlaps_{}", snake(table.name));
     line(out, &format!("\ntypedef struct {name} {{"));
     for part in table.fields {
+        let said = documented(part).join("\n     * ");
+        line(out, &format!("    /* {said} */"));
         line(out, &format!("    {};", field(part.type_name, part.name)));
     }
     line(out, &format!("}} {name};"));

@@ -11,6 +11,7 @@ use shm_config::message::{HealthState, Observation, Plan, Progress};
 use shm_config::services::Process;
 use shm_config::time::monotonic;
 use shm_config::wire::Wire;
+use vehicle::Fan;
 
 use crate::description;
 use crate::door::Door;
@@ -354,6 +355,14 @@ impl Session {
                 "no key '{key}'; `./vlaps config` prints all"
             ))),
         }
+    }
+
+    /// Writes the run's scanner into an observation; where its beams look.
+    pub fn show_scanner(&self, observation: &mut Observation) -> Fan {
+        let scanner = &self.run.member.config.scanner;
+        observation.set_fan(&scanner.fan());
+        observation.lidar_max_m = scanner.range_m as f32;
+        observation.fan()
     }
 
     /// Whether the run's clock is simulated.

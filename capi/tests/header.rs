@@ -39,6 +39,20 @@ fn one_code_or_constant_changes_the_hash() {
 }
 
 #[test]
+fn every_field_of_the_header_says_what_it_is() {
+    let said = "    /* Speed along the heading, m/s. */\n    double speed_mps;\n";
+    assert!(CHECKED_IN.contains(said));
+    for table in vlaps::description::tables() {
+        for field in table.fields {
+            let lines = vlaps::description::documented(field);
+            let name = format!("{}.{}", table.name, field.name);
+            assert!(!lines.concat().is_empty(), "{name}");
+            assert!(!lines.concat().contains("*/"), "{name}");
+        }
+    }
+}
+
+#[test]
 fn every_field_of_a_message_is_asserted_with_its_offset() {
     for (name, table) in [
         ("vlaps_observation", Observation::TABLE),

@@ -27,12 +27,12 @@ struct Car {
     bool touches_box() const { return std::hypot(x_m - BOX_X_M, y_m - BOX_Y_M) < BOX_RADIUS_M + 1; }
 };
 
-// The range along a ray to the corridor's walls and to the box, m.
-double range(const Car &car, double angle_rad, double most_m) {
+// The range from a place along a ray to the corridor's walls and to the box, m.
+double range(double x_m, double y_m, double angle_rad, double most_m) {
     const double dx = std::cos(angle_rad), dy = std::sin(angle_rad);
     double found_m = most_m;
-    if (std::abs(dy) > 1e-9) found_m = std::min(found_m, (std::copysign(HALF_WIDTH_M, dy) - car.y_m) / dy);
-    const double bx = BOX_X_M - car.x_m, by = BOX_Y_M - car.y_m, along_m = bx * dx + by * dy;
+    if (std::abs(dy) > 1e-9) found_m = std::min(found_m, (std::copysign(HALF_WIDTH_M, dy) - y_m) / dy);
+    const double bx = BOX_X_M - x_m, by = BOX_Y_M - y_m, along_m = bx * dx + by * dy;
     const double off2 = bx * bx + by * by - along_m * along_m, left = BOX_RADIUS_M * BOX_RADIUS_M - off2;
     if (along_m > 0 && left > 0) found_m = std::min(found_m, along_m - std::sqrt(left));
     return std::max(found_m, 0.0);
@@ -41,17 +41,18 @@ double range(const Car &car, double angle_rad, double most_m) {
 void observe(const Car &car, vlaps_observation &seen, const vlaps::member &run) {
     seen.ego = {car.x_m, car.y_m, car.heading_rad, car.speed_mps, car.yaw_radps, car.steer, car.pedal};
     seen.road = {HALF_WIDTH_M - car.y_m, HALF_WIDTH_M + car.y_m, car.heading_rad, car.y_m, 0};
-    seen.field_of_view_rad = 2 * M_PI;
+    const double c = std::cos(car.heading_rad), s = std::sin(car.heading_rad);
     const double ahead_m[] = {std::min(car.x_m + 50, LENGTH_M), LENGTH_M};
     for (int k = 0; k < 2; k++) {
-        const double dx = ahead_m[k] - car.x_m, c = std::cos(car.heading_rad), s = std::sin(car.heading_rad);
+        const double dx = ahead_m[k] - car.x_m;
         seen.checkpoints[k] = {c * dx - s * car.y_m, -s * dx - c * car.y_m, 0, 0, VLAPS_BEND_STRAIGHT, 0};
     }
-    seen.lidar_max_m = static_cast<float>(run.setting("scanner.range_m"));
-    seen.beam_count = static_cast<uint32_t>(run.setting("scanner.beams"));
-    for (uint32_t k = 0; k < seen.beam_count; k++)
-        seen.ranges_m[k] = static_cast<float>(
-            range(car, car.heading_rad + 2 * M_PI * k / seen.beam_count, seen.lidar_max_m));
+    float *place = seen.ranges_m;
+    for (const double direction_rad : run.beams(seen)) {
+        const double x_m = seen.scanner_x_body_m, y_m = seen.scanner_y_body_m;
+        *place++ = range(car.x_m + c * x_m - s * y_m, car.y_m + s * x_m + c * y_m,
+                         car.heading_rad + direction_rad, seen.lidar_max_m);
+    }
 }
 
 int main(int argc, char **argv) {

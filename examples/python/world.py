@@ -31,18 +31,18 @@ class Car:
         self.x_m += self.speed_mps * math.cos(self.heading_rad) * dt
         self.y_m += self.speed_mps * math.sin(self.heading_rad) * dt
 
-    def range(self, angle_rad, most_m):
-        """The range along a ray to the corridor's walls and to the box, m."""
+    def range(self, place_m, angle_rad, most_m):
+        """The range from a place along a ray to the corridor's walls and to the box, m."""
         dx, dy = math.cos(angle_rad), math.sin(angle_rad)
-        wall_m = (math.copysign(HALF_WIDTH_M, dy) - self.y_m) / dy if dy else most_m
+        wall_m = (math.copysign(HALF_WIDTH_M, dy) - place_m[1]) / dy if dy else most_m
         found_m = min(wall_m, most_m)
-        bx, by = BOX_M[0] - self.x_m, BOX_M[1] - self.y_m
+        bx, by = BOX_M[0] - place_m[0], BOX_M[1] - place_m[1]
         along_m = bx * dx + by * dy
         if along_m > 0 and (left := BOX_RADIUS_M**2 + along_m**2 - bx * bx - by * by) > 0:
             found_m = min(found_m, along_m - math.sqrt(left))
         return max(found_m, 0.0)
 
-    def observe(self, seen, beams, lidar_m):
+    def observe(self, seen, beams_rad):
         moves = (self.speed_mps, self.yaw_radps, self.steer, self.pedal)
         seen.ego = process.Ego(self.x_m, self.y_m, self.heading_rad, *moves)
         left_m, right_m = HALF_WIDTH_M - self.y_m, HALF_WIDTH_M + self.y_m
@@ -51,15 +51,16 @@ class Car:
         for k, ahead_m in enumerate((min(self.x_m + 50, LENGTH_M), LENGTH_M)):
             dx, dy = ahead_m - self.x_m, -self.y_m
             seen.checkpoints[k] = process.Checkpoint(cos * dx + sin * dy, cos * dy - sin * dx)
-        seen.lidar_max_m, seen.beam_count, seen.field_of_view_rad = lidar_m, beams, math.tau
-        angles_rad = [self.heading_rad + math.tau * k / beams for k in range(beams)]
-        seen.ranges_m[:beams] = [self.range(angle_rad, lidar_m) for angle_rad in angles_rad]
+        x_m, y_m = seen.scanner_x_body_m, seen.scanner_y_body_m
+        place_m = self.x_m + cos * x_m - sin * y_m, self.y_m + sin * x_m + cos * y_m
+        for k, beam_rad in enumerate(beams_rad):
+            seen.ranges_m[k] = self.range(place_m, self.heading_rad + beam_rad, seen.lidar_max_m)
 
 
 def main():
     run = process.Member("world")
-    beams, lidar_m = int(run.setting("scanner.beams")), run.setting("scanner.range_m")
     car, seen, progress = Car(run), process.Observation(), process.Progress()
+    beams_rad = run.beams(seen)
     while tick := run.await_tick():
         if tick.begins:
             car, progress = Car(run), process.Progress(route_m=GOAL_M - 5)
@@ -71,7 +72,7 @@ def main():
         if car.x_m >= GOAL_M or abs(car.y_m) > HALF_WIDTH_M:
             ends = process.Outcome
             progress.outcome = ends.ARRIVED if car.x_m >= GOAL_M else ends.OUT_OF_ROAD
-        car.observe(seen, beams, lidar_m)
+        car.observe(seen, beams_rad)
         run.finish_tick(seen, progress)
 
 

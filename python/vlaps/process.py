@@ -126,6 +126,7 @@ class _Library:
             "now_ns": [wide],
             "is_lockstep": [number],
             "setting": [number, text, ctypes.POINTER(ctypes.c_double)],
+            "beams": [number, of["Observation"], ctypes.POINTER(ctypes.c_double), size],
             "await_tick": [number, tick],
             "finish_tick": [number, of["Observation"], of["Progress"]],
             "await_observation": [number, of["Observation"]],
@@ -150,7 +151,9 @@ class _Library:
 
     def _struct(self, message: dict[str, Any]) -> Any:
         fields = [(field["name"], self._type(field["type"])) for field in message["fields"]]
-        struct = type(message["name"], (_Struct,), {"__slots__": (), "_fields_": fields})
+        said = "\n".join(f"{field['name']}: {field['doc']}" for field in message["fields"])
+        names = {"__slots__": (), "__doc__": said, "_fields_": fields}
+        struct = type(message["name"], (_Struct,), names)
         offsets = [getattr(struct, name).offset for name, _ in fields]
         expected = [field["offset"] for field in message["fields"]]
         if (ctypes.sizeof(struct), offsets) != (message["bytes"], expected):
@@ -275,6 +278,15 @@ class Member:
         """Sleeps until a message comes, at most `limit_ns` and 20 ms. False: exit with 0."""
         answer = self._calls.vlaps_wait(limit_ns)
         return self._library.check(answer) != _ENDED
+
+    def beams(self, observation: Any) -> list[float]:
+        """For a world: writes the run's scanner into an observation. Returns where each beam
+        looks, rad counter-clockwise from the heading of the body; the beams begin at
+        `scanner_x_body_m`, `scanner_y_body_m`."""
+        place = self._library.place(observation, "Observation")
+        directions = (ctypes.c_double * len(observation.ranges_m))()
+        self._library.check(self._calls.vlaps_beams(place, directions, len(directions)))
+        return directions[: observation.beam_count]
 
     def await_tick(self) -> Any:
         """A world's next tick; None: exit with 0."""

@@ -16,6 +16,9 @@ pub struct Field {
     pub offset: usize,
     /// Bytes.
     pub size: usize,
+    /// What it is: the lines of the doc comment in the source.
+    /// No part of the fingerprint.
+    pub doc: &'static [&'static str],
 }
 
 /// The field table of a message, with those of the messages nested in it.
@@ -117,7 +120,8 @@ pub const fn is_packed(fields: &[Field], size: usize) -> bool {
 }
 
 /// Declares a message: `#[repr(C)]`, every field public, its size pinned, its
-/// layout recorded.
+/// layout recorded. Fields have doc comments and no other attributes: the comments are in
+/// the layout, too, for other languages.
 ///
 /// Fields of a nested message type are listed after `nested`, so that a change
 /// inside one changes the fingerprint of everything that holds it.
@@ -126,14 +130,14 @@ macro_rules! message {
     (
         $(#[$meta:meta])*
         pub struct $name:ident: $size:literal bytes $(, nested [$($nested:ty),+])? {
-            $( $(#[$field_meta:meta])* pub $field:ident: $type:ty, )+
+            $( $(#[doc = $doc:literal])* pub $field:ident: $type:ty, )+
         }
     ) => {
         $(#[$meta])*
         #[derive(Debug, Clone, Copy, PartialEq)]
         #[repr(C)]
         pub struct $name {
-            $( $(#[$field_meta])* pub $field: $type, )+
+            $( $(#[doc = $doc])* pub $field: $type, )+
         }
 
         impl $crate::layout::Layout for $name {
@@ -149,6 +153,7 @@ macro_rules! message {
                         }
                         size_of_field(|message: &$name| &message.$field)
                     },
+                    doc: &[ $( $doc, )* ],
                 }, )+
             ];
             const FINGERPRINT: u64 = {

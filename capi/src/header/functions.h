@@ -55,6 +55,13 @@ int vlaps_is_lockstep(void);
 /* A number of the run's configuration, such as "scanner.range_m"; true is 1. */
 int vlaps_setting(const char *key, double *number);
 
+/* For a world: writes the section [scanner] of the run into an observation (lidar_max_m,
+ * beam_count, field_of_view_rad and the place of the scanner), and where each beam looks
+ * into an array with room for `count` directions, rad counter-clockwise from the heading
+ * of the body; VLAPS_BEAMS_MAX is always enough. The beams begin at scanner_x_body_m,
+ * scanner_y_body_m. */
+int vlaps_beams(vlaps_observation *observation, double *directions_rad, size_t count);
+
 /* The loop of a world: its grid, the age limit of commands, the brake, the episodes.
  * vlaps_await_tick waits for the next instant; VLAPS_ENDED: exit with 0. The answer to
  * each is vlaps_finish_tick; headers, instants and counts are filled in. An outcome of

@@ -139,7 +139,7 @@ static void loops(void) {
     vlaps_plan plan;
     vlaps_progress progress;
     vlaps_observation seen;
-    double number = 0;
+    double number = 0, directions_rad[240];
     memset(&plan, 0, sizeof plan);
     memset(&progress, 0, sizeof progress);
     memset(&seen, 0, sizeof seen);
@@ -153,6 +153,12 @@ static void loops(void) {
     EXPECT(vlaps_setting("scanner.beams", NULL), VLAPS_INVALID, "NULL");
     EXPECT(vlaps_setting("run.name", &number), VLAPS_INVALID, "is no number");
     EXPECT(vlaps_setting("run.speed", &number), VLAPS_INVALID, "no key 'run.speed'");
+    EXPECT(vlaps_beams(&seen, directions_rad, 240), VLAPS_OK, "");
+    EXPECT((int64_t)seen.beam_count, 240, "");
+    EXPECT((int64_t)(directions_rad[60] * 180 / 3.14159265358979), 90, "");
+    EXPECT(vlaps_beams(&seen, directions_rad, 239), VLAPS_INVALID, "room for 239");
+    EXPECT(vlaps_beams(&seen, NULL, 240), VLAPS_INVALID, "NULL");
+    EXPECT(vlaps_beams(NULL, directions_rad, 240), VLAPS_INVALID, "NULL");
     EXPECT(vlaps_pid_of("planner"), getpid(), "");
     EXPECT(vlaps_pid_of("pilot"), VLAPS_INVALID, "no process 'pilot'");
 }
