@@ -26,6 +26,8 @@ enum Flaw {
     OffGrid,
     /// Each tenth range is not a number.
     NanRanges,
+    /// It shows one beam less than the run's scanner has.
+    OneBeamLess,
     /// It ends with exit code 3.
     BadEnd,
     /// It ends before it is ready.
@@ -75,6 +77,9 @@ impl Robot for Car {
                 .step_by(10)
                 .for_each(|range| *range = f32::NAN);
         }
+        if self.flaw == Flaw::OneBeamLess {
+            observation.beam_count -= 1;
+        }
         Reading::Fresh
     }
 
@@ -101,6 +106,7 @@ fn flaw() -> Result<Flaw, SetUpError> {
         "patient" => Flaw::Patient,
         "off-grid" => Flaw::OffGrid,
         "nan-ranges" => Flaw::NanRanges,
+        "one-beam-less" => Flaw::OneBeamLess,
         "bad-end" => Flaw::BadEnd,
         "dies-at-start" => Flaw::DiesAtStart,
         other => return Err(SetUpError::Own(format!("VLAPS_FLAW={other}: no such flaw"))),

@@ -143,6 +143,11 @@ fn a_world_that_steers_the_wrong_way_is_found() {
 }
 
 #[test]
+fn a_world_with_another_scanner_is_found() {
+    assert_breaks("one-beam-less", &["shows the scanner of the run"]);
+}
+
+#[test]
 fn a_world_with_invalid_ranges_is_found() {
     assert_breaks("nan-ranges", &["observations are valid"]);
 }

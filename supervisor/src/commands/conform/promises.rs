@@ -292,6 +292,11 @@ pub(super) fn publishes(rig: &Rig, report: &mut Report) {
         watched.invalid.of(count),
     );
     report.add(
+        "shows the scanner of the run",
+        none(&watched.other_scanner),
+        watched.other_scanner.of(count),
+    );
+    report.add(
         "observations are on the grid",
         none(&watched.off_grid),
         watched.off_grid.of(count),

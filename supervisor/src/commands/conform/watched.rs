@@ -3,6 +3,7 @@
 use shm_config::config::Config;
 use shm_config::message::{Episode, Health, Message, Observation, Progress};
 use shm_config::{Instant, RunGrid};
+use vehicle::Scanner;
 
 /// A health message dated farther than this from its arrival has a wrong instant, ns: a
 /// delay of the reader, which is under a second, explains no more.
@@ -24,12 +25,15 @@ pub(super) struct Seen {
 pub(super) struct Watched {
     grid: RunGrid,
     period_ns: u64,
+    scanner: Scanner,
     /// All valid observations of its ticks, one of each tick.
     pub(super) seen: Vec<Seen>,
     /// Observations in all.
     pub(super) observations: u64,
     /// Those with invalid content; why the first is.
     pub(super) invalid: Count,
+    /// Those of another scanner than the run's; the first difference.
+    pub(super) other_scanner: Count,
     /// Those off the grid, or at a wrong time.
     pub(super) off_grid: Count,
     /// Those whose tick is not that of their instant, or of an earlier episode.
@@ -80,15 +84,59 @@ impl Count {
     }
 }
 
+/// What an observation shows of its scanner that is not the run's.
+fn difference(scanner: &Scanner, observation: &Observation) -> Option<String> {
+    let fan = scanner.fan();
+    let rows = [
+        (
+            "beam_count",
+            f64::from(observation.beam_count),
+            fan.beams as f64,
+        ),
+        (
+            "lidar_max_m",
+            observation.lidar_max_m.into(),
+            scanner.range_m,
+        ),
+        (
+            "field_of_view_rad",
+            observation.field_of_view_rad,
+            fan.field_of_view_rad,
+        ),
+        (
+            "scanner_heading_rad",
+            observation.scanner_heading_rad,
+            fan.heading_rad,
+        ),
+        (
+            "scanner_x_body_m",
+            observation.scanner_x_body_m,
+            fan.mount_body.x,
+        ),
+        (
+            "scanner_y_body_m",
+            observation.scanner_y_body_m,
+            fan.mount_body.y,
+        ),
+    ];
+    // The range has 32 bits.
+    let found = rows
+        .into_iter()
+        .find(|(_, shown, is)| (shown - is).abs() > 1e-4);
+    found.map(|(field, shown, is)| format!("{field} is {shown}, in [scanner] {is}"))
+}
+
 impl Watched {
     /// Of a world in a run of this configuration.
     pub(super) fn new(config: &Config) -> Self {
         Self {
             grid: RunGrid::of(config),
             period_ns: config.run.period_ns(),
+            scanner: config.scanner,
             seen: Vec::new(),
             observations: 0,
             invalid: Count::default(),
+            other_scanner: Count::default(),
             off_grid: Count::default(),
             misnumbered: Count::default(),
             lost: 0,
@@ -131,6 +179,9 @@ impl Watched {
         if let Err(refusal) = observation.check() {
             self.invalid.note(|| refusal.to_string());
             return;
+        }
+        if let Some(difference) = difference(&self.scanner, observation) {
+            self.other_scanner.note(|| difference);
         }
         let header = observation.header;
         let released = Instant(observation.released_ns);
