@@ -3,32 +3,24 @@
 #[path = "../examples/serial/link.rs"]
 mod link;
 
+mod machine;
+#[path = "../examples/corridor/report.rs"]
+mod report;
+
 use std::fs::File;
 use std::io::{Read, Write};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use link::{Frames, Order, Report, frame};
-use robot::{Action, Bicycle, Vehicle};
+use link::{Frames, Order, frame};
+use machine::{BEAMS, Machine, STEP};
+use report::Report;
+use robot::{Action, Observation};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::time::Timespec;
-use shm_config::message::BEAMS_MAX;
+use shm_config::message::{BEAMS_MAX, Message};
 use vlaps_tests::Set;
-
-/// Time from report to report, s, and for poll.
-const STEP_S: f64 = 0.02;
-const STEP: Timespec = Timespec {
-    tv_sec: 0,
-    tv_nsec: 20_000_000,
-};
-/// Steps without an order after which the machine brakes by itself.
-const PATIENCE: u32 = 13;
-
-/// Beams of the machine's lidar.
-const BEAMS: u32 = 72;
 
 fn action_of(order: Order) -> Action {
     Action {
@@ -37,57 +29,33 @@ fn action_of(order: Order) -> Action {
     }
 }
 
-/// The machine: a car in the corridor of the example, that reports this many ranges until
-/// it is told to end. Returns how far it came, m, and the last order.
+/// The machine at the end of the line, which reports this many ranges until it is told to
+/// end. Returns how far it came, m, and the last order.
 fn machine(mut line: File, beams: u32, ends: &AtomicBool) -> (f64, Action) {
-    let mut car = Bicycle::new(Vehicle::default());
+    let mut machine = Machine::new();
     let (mut frames, mut bytes) = (Frames::default(), [0; 256]);
-    let (mut action, mut silent) = (Action::BRAKE, 0);
-    let mut ordered = action;
+    let mut last = Action::BRAKE;
     while !ends.load(Ordering::Relaxed) {
         let mut ready = [PollFd::new(&line, PollFlags::IN)];
+        let mut ordered = None;
         if poll(&mut ready, Some(&STEP)).is_ok_and(|ready| ready > 0)
             && let Ok(count) = line.read(&mut bytes)
-            && let Some(order) = frames.newest(&bytes[..count])
         {
-            silent = 0;
-            action = action_of(order);
-            ordered = action;
+            ordered = frames.newest(&bytes[..count]).map(action_of);
         }
-        silent += 1;
-        if silent > PATIENCE {
-            action = Action::BRAKE;
-        }
-        car.advance(action, STEP_S);
-        let heading_rad = car.state.heading_rad;
-        let ranges_m = (0..beams).map(|beam| {
-            let sin = (heading_rad + f64::from(beam) * 5_f64.to_radians()).sin();
-            let wall_m = if sin > 0.0 {
-                3.0 - car.state.position.y
-            } else {
-                3.0 + car.state.position.y
-            };
-            (wall_m / sin.abs()) as f32
-        });
-        let report = Report {
-            x_m: car.state.position.x as f32,
-            y_m: car.state.position.y as f32,
-            heading_rad: heading_rad as f32,
-            speed_mps: car.state.speed_mps as f32,
-            yaw_rate_radps: car.yaw_rate_radps as f32,
-            ranges_m: ranges_m.collect(),
-        };
+        last = ordered.unwrap_or(last);
+        machine.step(ordered);
         // Noise on the line, which costs no report but its own.
         let noise = [17, 0, 3, 255, 0];
         let _ = line
             .write_all(&noise)
-            .and_then(|()| line.write_all(&frame(&report)));
+            .and_then(|()| line.write_all(&frame(&machine.report(beams))));
     }
     // Orders that have not been read yet. The line does not wait for more.
     while let Ok(count @ 1..) = line.read(&mut bytes) {
-        ordered = frames.newest(&bytes[..count]).map_or(ordered, action_of);
+        last = frames.newest(&bytes[..count]).map_or(last, action_of);
     }
-    (car.state.position.x, ordered)
+    (machine.driven_m(), last)
 }
 
 /// A run with a machine whose lidar gives this many ranges: how far it came, m, its last
@@ -105,22 +73,11 @@ fn drive(run: &str, beams: u32) -> (f64, Action, Set) {
     let ends = Arc::new(AtomicBool::new(false));
     let until = ends.clone();
     let firmware = std::thread::spawn(move || machine(File::from(line), beams, &until));
-    let test = std::env::current_exe().expect("the test's own path");
-    let profile = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
-    let world: PathBuf = profile.join("examples/serial");
-    let world = world.display().to_string();
     let set = Set::new(run);
-    let lidar = format!("scanner.beams={BEAMS}");
-    let options = ["--world", &world, "--duration", "6", "--set", &lidar];
-    let mut command = set.up_command(&[], &options);
-    let output = command
-        .env("VLAPS_SERIAL", &name)
-        .output()
-        .expect("it runs");
+    let output = machine::run(&set, "serial", "VLAPS_SERIAL", &name);
     ends.store(true, Ordering::Relaxed);
     let (driven_m, ordered) = firmware.join().expect("the machine");
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(0), "{told}{}", set.logs());
+    machine::ended_well(&set, &output);
     (driven_m, ordered, set)
 }
 
@@ -172,21 +129,35 @@ fn a_report_of_the_largest_lidar_is_a_frame() {
 
 #[test]
 fn a_missing_line_is_one_line() {
-    let test = std::env::current_exe().expect("the test's own path");
-    let profile = test.ancestors().nth(2).expect("target/PROFILE/deps/TEST");
-    let world = profile.join("examples/serial").display().to_string();
     let set = Set::new("noline");
-    let mut command = set.up_command(&[], &["--world", &world]);
-    let output = command
-        .env("VLAPS_SERIAL", "/dev/no-line")
-        .output()
-        .expect("it runs");
+    let output = machine::run(&set, "serial", "VLAPS_SERIAL", "/dev/no-line");
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{told}");
     assert!(
         told.contains("VLAPS_SERIAL=/dev/no-line: No such file"),
         "{told}"
     );
+}
+
+#[test]
+fn a_report_makes_an_observation_that_is_accepted() {
+    let mut observation = Observation {
+        beam_count: BEAMS,
+        ..Observation::default()
+    };
+    let report = Report {
+        y_m: 1.0,
+        ..Machine::new().report(BEAMS)
+    };
+    report.fill(&mut observation);
+    assert_eq!(observation.check(), Ok(()));
+    assert_eq!(
+        (observation.road.left_m, observation.road.right_m),
+        (2.0, 4.0)
+    );
+    // Straight ahead there is no wall, and to the left one at three metres.
+    assert_eq!(observation.ranges_m[0], observation.lidar_max_m);
+    assert_eq!(observation.ranges_m[18], 3.0);
 }
 
 #[test]

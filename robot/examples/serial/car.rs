@@ -6,19 +6,16 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::sync::{Arc, Mutex, Once};
 use std::thread;
 
-use robot::{Action, Checkpoint, Ego, Observation, Reading, Road, Robot, Status, scan};
+use robot::{Action, Observation, Reading, Robot, Status};
 use rustix::fs::OFlags;
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
-use super::link::{Frames, Order, Report, frame};
+use super::link::{Frames, Order, frame};
+use super::report::Report;
 
 /// 11.5 kB/s: 11 reports a second with 240 ranges, which have 1.0 kB, or 36 with 72. The
 /// run's rate has to be lower, or ticks without a report are skipped: `run.rate_hz`.
 const BAUD: u32 = 115_200;
-/// Half of the corridor's width, m.
-const HALF_WIDTH_M: f64 = 3.0;
-/// Places of the two checkpoints ahead, m.
-const AHEAD_M: [f64; 2] = [20.0, 40.0];
 
 /// The machine at the end of the line.
 pub struct Car {
@@ -100,36 +97,7 @@ impl Robot for Car {
         let Some(report) = newest else {
             return Reading::Lost;
         };
-        let (y_m, heading_rad) = (f64::from(report.y_m), f64::from(report.heading_rad));
-        observation.ego = Ego {
-            x_world_m: report.x_m.into(),
-            y_world_m: y_m,
-            heading_world_rad: heading_rad,
-            speed_mps: report.speed_mps.into(),
-            yaw_rate_radps: report.yaw_rate_radps.into(),
-            ..observation.ego
-        };
-        observation.road = Road {
-            left_m: HALF_WIDTH_M - y_m,
-            right_m: HALF_WIDTH_M + y_m,
-            heading_rad,
-            offset_m: y_m,
-            lane_width_m: 0.0,
-        };
-        let (sin, cos) = heading_rad.sin_cos();
-        observation.checkpoints = AHEAD_M.map(|ahead_m| Checkpoint {
-            x_body_m: ahead_m * cos - y_m * sin,
-            y_body_m: -ahead_m * sin - y_m * cos,
-            ..Checkpoint::default()
-        });
-        let fan = observation.fan();
-        scan(observation, |direction_rad| {
-            let beam = fan.beam_at(direction_rad).round() as usize;
-            report
-                .ranges_m
-                .get(beam)
-                .map_or(f64::NAN, |range_m| f64::from(*range_m))
-        });
+        report.fill(observation);
         Reading::Fresh
     }
 

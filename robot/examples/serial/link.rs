@@ -22,22 +22,6 @@ pub struct Order {
     pub pedal: f32,
 }
 
-/// What the machine senses.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Report {
-    /// Odometry: place, m, and heading, rad, counter-clockwise.
-    pub x_m: f32,
-    pub y_m: f32,
-    pub heading_rad: f32,
-    /// Speed along the heading, m/s.
-    pub speed_mps: f32,
-    /// Turning rate, rad/s, counter-clockwise.
-    pub yaw_rate_radps: f32,
-    /// Ranges of the lidar, m: one of each beam of the section `[scanner]`, in their order.
-    /// NaN or infinity is a beam without a return. None at all is a lidar that is dead.
-    pub ranges_m: Vec<f32>,
-}
-
 /// A body as a frame with its end.
 pub fn frame<T: Serialize>(body: &T) -> Vec<u8> {
     // Writing numbers to memory has no error.

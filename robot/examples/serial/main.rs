@@ -8,6 +8,8 @@
 
 mod car;
 mod link;
+#[path = "../corridor/report.rs"]
+mod report;
 
 use std::process::ExitCode;
 
