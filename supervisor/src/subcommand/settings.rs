@@ -139,7 +139,8 @@ pub fn config(files: [Option<&Path>; 2], overrides: &[String]) -> Result<Config,
         if rate_hz != 0.0 && (rate_hz - DECISION_HZ).abs() > 1e-9 {
             return Err(Failure::Usage(format!(
                 "{key} = {rate_hz}: episodes are driven here at {DECISION_HZ} Hz, \
-                 the rate of the car's physics; leave the key out"
+                 the rate of the car's physics; leave the key out, or override it with \
+                 --set {key}={DECISION_HZ}"
             )));
         }
     }
@@ -169,6 +170,18 @@ mod tests {
             assert!(text.starts_with("run.rate_hz = "), "{rate}: {text}");
             assert!(error.downcast_ref::<Failure>().is_some(), "{rate}");
         }
+    }
+
+    #[test]
+    fn the_rate_of_a_vehicle_can_be_overridden_where_episodes_are_driven() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("car.toml");
+        std::fs::write(&file, "[run]\nrate_hz = 20.0\n").expect("a vehicle file");
+        let told = config([None, Some(&file)], &[]).expect_err("another rate");
+        let remedy = "run.rate_hz=10";
+        assert!(told.to_string().ends_with(remedy), "{told}");
+        let config = config([None, Some(&file)], &[remedy.into()]).expect("a configuration");
+        assert_eq!(config.run.rate_hz, 10.0);
     }
 
     #[test]
