@@ -1,7 +1,9 @@
 """Policies of torch and of Stable-Baselines3 as files."""
 
 import importlib.util
+from functools import partial
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -29,6 +31,16 @@ def test_a_module_of_torch_is_written(tmp_path):
     both = [vlaps.evaluate(one, range(1000, 1004), quiet=True, horizon=30) for one in (net, policy)]
     assert [one.seed for one in both[0].episodes] == [one.seed for one in both[1].episodes]
     assert both[0]["completion"].mean == pytest.approx(both[1]["completion"].mean, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, partial(gymnasium.make_vec, num_envs=3)])
+def test_torchrl_checks_the_environment(make):
+    pytest.importorskip("torchrl")
+    from torchrl.envs import GymWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    vector = {"autoreset_mode": "Disabled"} if isinstance(make, partial) else {}
+    check_env_specs(GymWrapper(make(vlaps.ENV_ID, num_scenarios=3, **vector)))
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C, SAC, TD3])
