@@ -22,6 +22,7 @@ mod diagnoses;
 mod geometry;
 mod markers;
 mod messages;
+mod topic;
 
 use std::collections::BTreeMap;
 
@@ -37,7 +38,6 @@ use shm_config::palette;
 use shm_config::services::{FRAME, Process, STEP, health};
 use vehicle::Point;
 
-use crate::Channel;
 pub use branches::{Branch, branches};
 use cdr::Cdr;
 pub use definitions::definition;
@@ -45,84 +45,12 @@ pub use geometry::{Bodies, Body, edges, rollout};
 use markers::{Kind, Marker, VETOED};
 use messages::TimeStamp;
 pub use messages::{BODY_FRAME, Drive, Frames, WORLD_FRAME};
+pub use topic::{Topic, Wanted};
 
 /// Time between two diagnoses, and between two search trees, ns: each tree is a search.
 const SLOWLY_NS: u64 = 1_000_000_000;
 /// Quality of pictures, in percent.
 const QUALITY: u8 = 85;
-
-/// One standard topic.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Topic {
-    /// Where the car is, as a transform.
-    Transform,
-    /// Where the car is.
-    Pose,
-    /// The plan in force.
-    Plan,
-    /// The lidar.
-    Scan,
-    /// Road, car, bodies that move, rollouts.
-    Scene,
-    /// The search tree of the plan.
-    Tree,
-    /// The picture that a judge was asked about.
-    Picture,
-    /// How drive and processes are doing.
-    Diagnostics,
-}
-
-impl Topic {
-    /// All, in the order in which they are written.
-    pub const ALL: [Self; 8] = [
-        Self::Transform,
-        Self::Pose,
-        Self::Plan,
-        Self::Scan,
-        Self::Scene,
-        Self::Tree,
-        Self::Picture,
-        Self::Diagnostics,
-    ];
-
-    /// The topic's name, without the `/` before it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Transform => "tf",
-            Self::Pose => "ros/pose",
-            Self::Plan => "ros/plan",
-            Self::Scan => "ros/scan",
-            Self::Scene => "ros/scene",
-            Self::Tree => "ros/tree",
-            Self::Picture => "ros/picture",
-            Self::Diagnostics => "diagnostics",
-        }
-    }
-
-    /// Package and name of its type.
-    fn type_name(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Transform => ("tf2_msgs", "TFMessage"),
-            Self::Pose => ("geometry_msgs", "PoseStamped"),
-            Self::Plan => ("nav_msgs", "Path"),
-            Self::Scan => ("sensor_msgs", "LaserScan"),
-            Self::Scene | Self::Tree => ("visualization_msgs", "MarkerArray"),
-            Self::Picture => ("sensor_msgs", "CompressedImage"),
-            Self::Diagnostics => ("diagnostic_msgs", "DiagnosticArray"),
-        }
-    }
-
-    /// Its channel.
-    pub fn channel(self) -> Channel {
-        let (package, name) = self.type_name();
-        Channel {
-            service: self.name().into(),
-            schema: format!("{package}/msg/{name}"),
-            definition: definitions::definition(&format!("{package}/{name}")),
-            layout: String::new(),
-        }
-    }
-}
 
 /// Takes a topic's message as CDR.
 pub type Take<'a> = &'a mut dyn FnMut(Topic, &[u8]);
@@ -144,6 +72,7 @@ pub struct Standard {
     /// Memory for a step that is due.
     step: Option<Box<Step>>,
     healths: BTreeMap<&'static str, (Process, Health)>,
+    wanted: Wanted,
     cdr: Cdr,
 }
 
@@ -164,6 +93,7 @@ impl Standard {
             plan: Box::default(),
             step: None,
             healths: BTreeMap::new(),
+            wanted: Wanted::ALL,
             cdr: Cdr::default(),
         }
     }
@@ -178,12 +108,18 @@ impl Standard {
         self.epoch_offset_ns = epoch_offset_ns;
     }
 
+    /// From now on only these topics are made; at first, all are. What nothing reads costs no
+    /// search tree and no JPEG then.
+    pub fn set_wanted(&mut self, wanted: Wanted) {
+        self.wanted = wanted;
+    }
+
     /// Gives what follows from a message of a service that was taken at this time of the
     /// run's clock, if it is due; `memory` is that of the message.
     pub fn message(&mut self, (service, taken_ns): (&str, u64), memory: &[u8], take: Take<'_>) {
         if service == STEP.name {
             // Most steps are not due, and copying one costs more than its look.
-            if self.is_due(taken_ns) {
+            if self.wanted.needs_steps() && self.is_due(taken_ns) {
                 let mut step = self.step.take().unwrap_or_default();
                 if step.copy_from(memory) {
                     self.step(&step, take);
@@ -191,7 +127,9 @@ impl Standard {
                 self.step = Some(step);
             }
         } else if service == FRAME.name {
-            if let Some(picture) = picture(memory) {
+            if self.wanted.has(Topic::Picture)
+                && let Some(picture) = picture(memory)
+            {
                 self.frame(taken_ns, picture, take);
             }
         } else if service.starts_with("health/")
@@ -234,33 +172,44 @@ impl Standard {
         };
         let is_slow_due =
             now_ns >= self.slowly_due_ns || now_ns.saturating_add(SLOWLY_NS) < self.slowly_due_ns;
+        let wanted = self.wanted;
         if is_slow_due {
             self.slowly_due_ns = now_ns.saturating_add(SLOWLY_NS);
-            self.diagnose(step, take);
+            if wanted.has(Topic::Diagnostics) {
+                self.diagnose(step, take);
+            }
         }
         // A step without an observation shows nothing.
         if step.observation_age_ns == u64::MAX {
             return;
         }
-        self.bodies.follow(step);
-        let (observation, time) = (
-            &step.observation,
-            self.stamp(step.observation.header.taken_ns),
-        );
+        let observation = &step.observation;
+        let time = self.stamp(observation.header.taken_ns);
         let cdr = &mut self.cdr;
-        messages::transform(cdr, time, observation);
-        take(Topic::Transform, cdr.bytes());
-        messages::ego_pose(cdr, time, observation);
-        take(Topic::Pose, cdr.bytes());
-        let plan = (step.plan_age_ns != u64::MAX).then_some(&step.plan);
-        messages::path(cdr, time, plan);
-        take(Topic::Plan, cdr.bytes());
-        messages::scan(cdr, time, observation);
-        take(Topic::Scan, cdr.bytes());
-        let scene = scene(&self.config, &self.bodies, step);
-        markers::write(cdr, time, &scene);
-        take(Topic::Scene, cdr.bytes());
-        if is_slow_due {
+        if wanted.has(Topic::Transform) {
+            messages::transform(cdr, time, observation);
+            take(Topic::Transform, cdr.bytes());
+        }
+        if wanted.has(Topic::Pose) {
+            messages::ego_pose(cdr, time, observation);
+            take(Topic::Pose, cdr.bytes());
+        }
+        if wanted.has(Topic::Plan) {
+            let plan = (step.plan_age_ns != u64::MAX).then_some(&step.plan);
+            messages::path(cdr, time, plan);
+            take(Topic::Plan, cdr.bytes());
+        }
+        if wanted.has(Topic::Scan) {
+            messages::scan(cdr, time, observation);
+            take(Topic::Scan, cdr.bytes());
+        }
+        if wanted.has(Topic::Scene) {
+            self.bodies.follow(step);
+            let scene = scene(&self.config, &self.bodies, step);
+            markers::write(cdr, time, &scene);
+            take(Topic::Scene, cdr.bytes());
+        }
+        if is_slow_due && wanted.has(Topic::Tree) {
             self.tree(step, time, take);
         }
     }
@@ -420,6 +369,33 @@ mod tests {
             memory[at..at + 4].copy_from_slice(&side.to_le_bytes());
         }
         memory
+    }
+
+    /// The topics that a step and a picture give while these are wanted.
+    fn given(wanted: Wanted) -> Vec<Topic> {
+        let mut step = Box::new(Step::default());
+        step.header.taken_ns = 5_000_000_000;
+        (step.observation_age_ns, step.plan_age_ns) = (0, 0);
+        let mut standard = Standard::new(&Config::default(), 0, 10.0);
+        standard.set_wanted(wanted);
+        let mut given = Vec::new();
+        let mut take = |topic, _: &[u8]| given.push(topic);
+        standard.message((STEP.name, 5_000_000_000), step.as_bytes(), &mut take);
+        let frame = claiming([8, 6]);
+        standard.message((FRAME.name, 5_000_000_000), &frame, &mut take);
+        given
+    }
+
+    #[test]
+    fn what_is_not_wanted_is_not_made() {
+        let mut all = given(Wanted::ALL);
+        all.sort_unstable();
+        assert_eq!(all, Topic::ALL);
+        for topic in Topic::ALL {
+            assert_eq!(given(Wanted::of(|of| of == topic)), [topic]);
+        }
+        assert_eq!(given(Wanted::NONE), []);
+        assert!(!Wanted::of(|topic| topic == Topic::Picture).needs_steps());
     }
 
     #[test]
