@@ -14,14 +14,14 @@
 //! | `/tf` | `tf2_msgs/msg/TFMessage` | at most 20 Hz, with `publish_tf` |
 //! | `/diagnostics` | `diagnostic_msgs/msg/DiagnosticArray` | each second |
 //!
-//! A message is sent only while something subscribes to its topic.
+//! A message is made and sent only while something subscribes to its topic.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use recorder::schema::ENCAPSULATION;
-use recorder::standard::{Frames, Standard, Topic, drive_cdr};
+use recorder::standard::{Frames, Standard, Topic, Wanted, drive_cdr};
 use recorder::taps::{self, Tap};
 use shm_config::Message as _;
 use shm_config::config::{self, Config};
@@ -43,6 +43,9 @@ const TURN: Duration = Duration::from_millis(5);
 /// Reads between two looks at router, clocks and supervisor, and between two attempts to
 /// connect: a second.
 const LOOK_TURNS: u64 = 200;
+/// Reads between two looks at which standard topics something subscribes to: 20 Hz, as often
+/// as they are made.
+const ASK_TURNS: u64 = 10;
 /// As often as the live page.
 const STANDARD_HZ: f64 = 20.0;
 /// The node's name.
@@ -84,6 +87,9 @@ pub fn run(name: &RunName, settings: &Settings, stop: &AtomicBool) -> Result<Sen
             }
             bridge.look(Moment::now());
         }
+        if turn.is_multiple_of(ASK_TURNS) {
+            bridge.ask();
+        }
         bridge.turn(&mut taps, Moment::now());
         std::thread::park_timeout(TURN);
     }
@@ -102,6 +108,8 @@ struct Bridge {
     drive: TopicType,
     topics: Option<Topics>,
     step: Box<Step>,
+    /// Producer, episode and number of the step that the set point was last moved by.
+    driven: Option<(u32, u32, u64)>,
     cdr: Vec<u8>,
     sent: Sent,
 }
@@ -133,6 +141,8 @@ impl Bridge {
             world: settings.world_frame.clone().into(),
             body: settings.base_frame.clone().into(),
         });
+        // Until it is asked what something subscribes to.
+        standard.set_wanted(Wanted::NONE);
         Ok(Self {
             standard,
             wall: Wall::new(moment),
@@ -142,6 +152,7 @@ impl Bridge {
             drive: TopicType::standard("ackermann_msgs/AckermannDriveStamped")?,
             topics: None,
             step: Box::default(),
+            driven: None,
             cdr: Vec::new(),
             sent: Sent::default(),
             config: config.clone(),
@@ -151,12 +162,7 @@ impl Bridge {
 
     /// Looks at what changes seldom.
     fn look(&mut self, moment: Moment) {
-        if let Some(by_s) = self.wall.look(moment) {
-            tracing::warn!("the wall clock has jumped by {by_s:+.3} s; stamps follow it");
-            if !self.config.run.is_lockstep() {
-                self.standard.set_epoch_offset(self.wall.offset_ns());
-            }
-        }
+        self.follow_clock(moment);
         let opened = match &self.topics {
             Some(topics) => Ok(topics.link.is_connected()),
             None => self.open().map(|()| true),
@@ -165,6 +171,25 @@ impl Bridge {
         if let Some(line) = self.connection.note(opened == Ok(true), router) {
             tracing::info!("{line}");
         }
+    }
+
+    /// Stamps follow every step of the wall clock; only a large one is told.
+    fn follow_clock(&mut self, moment: Moment) {
+        if let Some(by_s) = self.wall.look(moment) {
+            tracing::warn!("the wall clock has jumped by {by_s:+.3} s; stamps follow it");
+        }
+        if !self.config.run.is_lockstep() {
+            self.standard.set_epoch_offset(self.wall.offset_ns());
+        }
+    }
+
+    /// Asks which standard topics something subscribes to: only those are made.
+    fn ask(&mut self) {
+        let topics = self.topics.as_ref().map(|topics| &topics.standard);
+        self.standard.set_wanted(Wanted::of(|topic| {
+            let publisher = topics.and_then(|standard| standard.get(&topic));
+            publisher.is_some_and(RosPublisher::is_wanted)
+        }));
     }
 
     fn open(&mut self) -> Result<(), String> {
@@ -244,20 +269,191 @@ impl Bridge {
         let standard = &mut topics.standard;
         self.standard
             .message((service, taken_ns), memory, &mut |topic, cdr| {
-                if let Some(publisher) = standard.get_mut(&topic)
-                    && publisher.is_wanted()
-                {
+                if let Some(publisher) = standard.get_mut(&topic) {
                     put(publisher, cdr);
                 }
             });
-        let is_driven = service == STEP.name && topics.drive.is_wanted();
-        if is_driven && self.step.copy_from(memory) && self.step.check().is_ok() {
+        if service != STEP.name {
+            return;
+        }
+        if !topics.drive.is_wanted() {
+            // Whatever subscribes later is told the speed of then.
+            self.driven = None;
+        } else if self.step.copy_from(memory) && self.step.check().is_ok() {
+            let header = &self.step.header;
+            let own = (header.producer, header.episode, header.sequence);
+            let before = self.driven.replace(own);
+            if before.is_none_or(|(producer, episode, sequence)| {
+                (producer, episode, sequence + 1) != own
+            }) {
+                self.setpoint.forget();
+            }
             let speed_mps = self.step.observation.ego.speed_mps;
             let period_s = self.config.run.period_ns() as f64 * 1e-9;
             let action = self.step.command.action();
             let drive = self.setpoint.drive(action, speed_mps, period_s);
             let cdr = drive_cdr(moment.epoch_ns, &self.settings.base_frame, drive);
             put(&mut topics.drive, &cdr);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Receiver, channel};
+
+    use recorder::Channel;
+    use shm_config::Instant;
+    use zenoh::{Session, Wait};
+
+    use super::*;
+
+    /// What does not happen within this time never does.
+    const LOST: Duration = Duration::from_secs(30);
+
+    /// A bridge to a router in this process, which has no subscriber yet.
+    fn connected() -> (Bridge, Session) {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = format!("tcp/{}", free.local_addr().expect("its address"));
+        drop(free);
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", "\"router\"".to_string()),
+            ("listen/endpoints", format!("[{address:?}]")),
+            ("scouting/multicast/enabled", "false".into()),
+        ] {
+            config.insert_json5(key, &value).expect(key);
+        }
+        let router = zenoh::open(config).wait().expect("a router");
+        let settings = Settings {
+            router: address,
+            ..Settings::default()
+        };
+        let mut bridge = bridge(&settings);
+        bridge.open().expect("the router is there");
+        (bridge, router)
+    }
+
+    /// A bridge that has steps to pass on.
+    fn bridge(settings: &Settings) -> Bridge {
+        let mut bridge = Bridge::new(&Config::default(), settings, &[]).expect("a bridge");
+        let of = TopicType::of(&Channel::named("step").expect("a channel"));
+        bridge.own.push(("/vlaps/step".into(), of.expect("a type")));
+        bridge
+    }
+
+    fn hear(router: &Session, key: &str) -> Receiver<Vec<u8>> {
+        let (into, out) = channel();
+        router
+            .declare_subscriber(key.to_string())
+            .callback(move |sample| drop(into.send(sample.payload().to_bytes().into_owned())))
+            .background()
+            .wait()
+            .expect("a subscription");
+        out
+    }
+
+    /// Waits until the bridge knows of a subscriber.
+    fn until(mut holds: impl FnMut() -> bool) {
+        let begun = Moment::now().now;
+        while !holds() {
+            let waited_ns = Moment::now().now.since_ns(begun);
+            assert!(u128::from(waited_ns) < LOST.as_nanos(), "never subscribed");
+            std::thread::park_timeout(Duration::from_millis(5));
+        }
+    }
+
+    /// A step of a car that cruises.
+    fn step(sequence: u64) -> Box<Step> {
+        let mut step = Box::new(Step::default());
+        step.header.sequence = sequence;
+        step.header.taken_ns = sequence * 100_000_000;
+        step.observation.ego.speed_mps = 10.0;
+        step.command.pedal = 0.0;
+        (step.observation_age_ns, step.plan_age_ns) = (0, 0);
+        step
+    }
+
+    fn pass_on(bridge: &mut Bridge, step: &Step) {
+        let of = (STEP.name, step.header.taken_ns);
+        bridge.pass_on(0, of, step.as_bytes(), Moment::now());
+    }
+
+    #[test]
+    fn a_drive_that_is_subscribed_to_later_goes_on_from_the_measured_speed() {
+        let (mut bridge, router) = connected();
+        for sequence in 1..50 {
+            pass_on(&mut bridge, &step(sequence));
+        }
+        assert_eq!(bridge.sent, Sent::default());
+        let heard = hear(&router, "0/vlaps/drive/*/*");
+        until(|| {
+            let topics = bridge.topics.as_ref();
+            topics.is_some_and(|topics| topics.drive.is_wanted())
+        });
+        // After a step that was lost, too.
+        for sequence in [50, 51, 90] {
+            pass_on(&mut bridge, &step(sequence));
+            let cdr = heard.recv_timeout(LOST).expect("a drive");
+            let speed = cdr[cdr.len() - 12..][..4].try_into().expect("four bytes");
+            assert_eq!(f32::from_le_bytes(speed), 10.0, "step {sequence}");
+        }
+    }
+
+    #[test]
+    fn what_nothing_subscribes_to_is_not_made() {
+        let (mut bridge, router) = connected();
+        bridge.ask();
+        let made = |bridge: &mut Bridge, step: &Step| {
+            let (mut made, of) = (Vec::new(), (STEP.name, step.header.taken_ns));
+            let mut take = |topic, _: &[u8]| made.push(topic);
+            bridge.standard.message(of, step.as_bytes(), &mut take);
+            made
+        };
+        assert_eq!(made(&mut bridge, &step(1)), []);
+        let heard = hear(&router, "0/vlaps/pose/*/*");
+        until(|| {
+            bridge.ask();
+            !made(&mut bridge, &step(2)).is_empty()
+        });
+        assert_eq!(made(&mut bridge, &step(30)), [Topic::Pose]);
+        pass_on(&mut bridge, &step(60));
+        assert!(heard.recv_timeout(LOST).is_ok());
+        assert_eq!(bridge.sent.messages, 1);
+    }
+
+    #[test]
+    fn stamps_follow_small_steps_of_the_wall_clock() {
+        let mut bridge = bridge(&Settings::default());
+        let begun = Moment {
+            now: Instant(1_000_000_000),
+            epoch_ns: 1_700_000_000_000_000_000,
+        };
+        bridge.wall = Wall::new(begun);
+        bridge.standard.set_wanted(Wanted::ALL);
+        let stamp_ns = |bridge: &mut Bridge, tick: u64| {
+            let mut step = step(tick * 10);
+            step.observation.header.taken_ns = tick * 1_000_000_000;
+            let (mut stamp_ns, of) = (None, (STEP.name, step.header.taken_ns));
+            bridge
+                .standard
+                .message(of, step.as_bytes(), &mut |topic, cdr| {
+                    if topic == Topic::Pose {
+                        let word = |at: usize| cdr[at..at + 4].try_into().expect("four bytes");
+                        let (s, ns) = (u32::from_le_bytes(word(4)), u32::from_le_bytes(word(8)));
+                        stamp_ns = Some(u64::from(s) * 1_000_000_000 + u64::from(ns));
+                    }
+                });
+            stamp_ns.expect("a pose")
+        };
+        // 5 ms each second: no step of it is a jump.
+        for second in 1..=20 {
+            bridge.follow_clock(Moment {
+                now: begun.now.after_ns(second * 1_000_000_000),
+                epoch_ns: begun.epoch_ns + second * 1_005_000_000,
+            });
+            let expected_ns = begun.epoch_ns + second * 1_005_000_000;
+            assert_eq!(stamp_ns(&mut bridge, 1 + second), expected_ns);
         }
     }
 }

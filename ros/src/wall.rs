@@ -1,16 +1,17 @@
 //! The wall clock beside the monotonic clock.
 //!
 //! Stamps of ROS 2 messages are wall time; a run has the monotonic clock, which is never set.
-//! The difference of the two changes slowly while a time service adjusts the wall clock, and
-//! at once when it is set.
+//! A time service that adjusts the rate of the wall clock adjusts that of Linux's monotonic
+//! clock alike. So the difference of the two changes only when the wall clock is set, be it by
+//! hours or, as time services of virtual machines do, by milliseconds again and again.
 
 use std::time::SystemTime;
 
 use shm_config::Instant;
 use shm_config::time::monotonic;
 
-/// A change of the difference from look to look that counts as a jump, ns. A time service
-/// that adjusts without a jump does so by at most 0.5 ms each second.
+/// A change of the difference from look to look that is told, ns. Smaller ones are followed
+/// without a line: some time services make one every few seconds.
 const JUMP_NS: u64 = 10_000_000;
 
 /// Both clocks at one moment.
@@ -66,7 +67,7 @@ impl Wall {
     }
 
     /// Takes the difference of this moment; by how much the wall clock has jumped since the
-    /// last look, s, if it has.
+    /// last look, s, if that is to be told.
     pub fn look(&mut self, moment: Moment) -> Option<f64> {
         let before_ns = std::mem::replace(&mut self.offset_ns, moment.offset_ns());
         let has_jumped = before_ns.abs_diff(self.offset_ns) > JUMP_NS;
@@ -86,10 +87,11 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_clock_that_is_set_has_jumped_and_one_that_is_adjusted_has_not() {
+    fn a_large_jump_is_told_once_and_a_small_one_is_only_followed() {
         let mut wall = Wall::new(moment(100, 1_000_000_000_100));
         assert_eq!(wall.offset_ns(), 1_000_000_000_000);
         assert_eq!(wall.look(moment(1_000_000_100, 1_001_000_500_100)), None);
+        assert_eq!(wall.offset_ns(), 1_000_000_500_000);
         let jumped_s = wall.look(moment(2_000_000_100, 1_005_000_500_100));
         assert_eq!(jumped_s, Some(3.0));
         let jumped_s = wall.look(moment(2_000_000_100, 2_500_100));
