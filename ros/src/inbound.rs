@@ -21,6 +21,9 @@ const YAW_RATE_MAX_RADPS: f64 = 100.0;
 const INCREMENT_MIN_RAD: f64 = 1e-5;
 /// Least cosine between two vertical axes that count as parallel: 10 degrees.
 const LEVEL_MIN: f64 = 0.985;
+/// One range of so many may be an error: a scanner of which more than half fails is broken or
+/// covered.
+const MEASURED_SHARE: usize = 2;
 /// Fewest bytes of a header, and of a pose or transform.
 const HEADER_BYTES: usize = 12;
 const POSE_BYTES: usize = 56;
@@ -59,7 +62,7 @@ pub struct LaserScan {
     pub first_rad: f64,
     /// From range to range, rad; positive.
     pub increment_rad: f64,
-    /// Metres; infinity where nothing was met.
+    /// Metres; infinity where nothing was met, NaN where nothing was measured.
     pub ranges_m: Vec<f32>,
 }
 
@@ -136,8 +139,9 @@ fn flat(reader: &mut Reader<'_>) -> Result<(Pose, bool), Refused> {
 }
 
 impl LaserScan {
-    /// Decodes and checks. A range that is NaN, or outside the scanner's limits, met nothing
-    /// (REP 117); negative infinity is something too near to measure.
+    /// Decodes and checks. By REP 117 infinity met nothing, negative infinity is something too
+    /// near to measure, and NaN is an error of the scanner; so is a range below its least. A
+    /// range above its greatest met nothing within its limits.
     ///
     /// # Errors
     /// What is wrong with the message.
@@ -164,12 +168,23 @@ impl LaserScan {
             return Err(Refused("its least and greatest range are none"));
         }
         let mut ranges_m = Vec::with_capacity(count);
+        let mut unmeasured = 0;
         for _ in 0..count {
             ranges_m.push(match reader.f32()? {
                 range_m if range_m == f32::NEG_INFINITY => least_m,
                 range_m if (least_m..=most_m).contains(&range_m) => range_m,
-                _ => f32::INFINITY,
+                range_m if range_m > most_m => f32::INFINITY,
+                _ => {
+                    unmeasured += 1;
+                    f32::NAN
+                }
             });
+        }
+        if unmeasured > count / MEASURED_SHARE {
+            return Err(Refused(
+                "more than half of its ranges are NaN or below range_min, which are errors of \
+                 the scanner (REP 117): a driver has to send inf where nothing is met",
+            ));
         }
         // A scanner that turns clockwise, or is read so.
         let is_clockwise = increment_rad < 0.0;

@@ -54,7 +54,8 @@ fn damage<T>(
 #[test]
 fn a_damaged_scan_is_refused_or_within_range() {
     let refused = damage(&scan(1, "laser", 3.0), LaserScan::decode, |scan| {
-        assert!(scan.ranges_m.iter().all(|range_m| *range_m >= 0.0));
+        let is_range = |range_m: &f32| range_m.is_nan() || *range_m >= 0.0;
+        assert!(scan.ranges_m.iter().all(is_range));
         assert!(scan.first_rad.is_finite() && scan.increment_rad > 0.0);
         assert!((1..=16_384).contains(&scan.ranges_m.len()));
     });
@@ -128,8 +129,8 @@ fn numbers_that_are_none_and_lists_that_are_too_long_are_refused() {
     );
     let empty = Path::decode(&path("map", &[])).expect("an empty path is one");
     assert!(empty.places.is_empty());
-    // Ranges that are none are directions in which nothing was met.
-    for range_m in [f32::NAN, f32::INFINITY, -1.0, 31.0, 0.0] {
+    // Nothing was met.
+    for range_m in [f32::INFINITY, 31.0] {
         let scan = LaserScan::decode(&scan(1, "laser", range_m)).expect("a scan");
         assert!(
             scan.ranges_m
@@ -137,8 +138,32 @@ fn numbers_that_are_none_and_lists_that_are_too_long_are_refused() {
                 .all(|range_m| *range_m == f32::INFINITY)
         );
     }
+    // Nothing was measured: a scanner that is covered or broken does not see a free way.
+    for range_m in [f32::NAN, -1.0, 0.0, 0.04] {
+        assert!(
+            LaserScan::decode(&scan(1, "laser", range_m)).is_err(),
+            "{range_m}"
+        );
+    }
     let near = LaserScan::decode(&scan(1, "laser", f32::NEG_INFINITY)).expect("a scan");
     assert!(near.ranges_m.iter().all(|range_m| *range_m == 0.05));
+}
+
+#[test]
+fn some_ranges_may_be_errors_and_more_than_half_may_not() {
+    let with_errors = |count: usize| {
+        let mut ranges_m = [3.0; 360];
+        ranges_m[..count].fill(f32::NAN);
+        LaserScan::decode(&stage::scan_of(1, "laser", &ranges_m))
+    };
+    for count in [1, 180] {
+        let scan = with_errors(count).expect("a scan");
+        let errors = scan.ranges_m.iter().filter(|range_m| range_m.is_nan());
+        assert_eq!(errors.count(), count);
+        assert_eq!(scan.ranges_m[359], 3.0);
+    }
+    let refused = with_errors(181).expect_err("a broken scanner");
+    assert!(refused.0.contains("NaN"), "{refused}");
 }
 
 #[test]

@@ -48,6 +48,15 @@ pub fn settings(address: &str) -> Settings {
     }
 }
 
+/// The tokens of nodes and of ends of topics that a router knows.
+pub fn tokens(router: &Session) -> Vec<String> {
+    let tokens = router.liveliness().get("@ros2_lv/0/**").wait();
+    let tokens = tokens.expect("tokens");
+    std::iter::from_fn(|| tokens.recv().ok())
+        .filter_map(|reply| Some(reply.result().ok()?.key_expr().to_string()))
+        .collect()
+}
+
 /// What arrives on a key.
 pub fn hear(session: &Session, key: &str) -> Receiver<Sample> {
     let (into, out) = channel();
@@ -132,15 +141,31 @@ impl Write {
 
 /// A scan over the full circle, one range each degree.
 pub fn scan(epoch_ns: u64, frame: &str, range_m: f32) -> Vec<u8> {
-    let turn = std::f32::consts::TAU / 360.0;
+    scan_of(epoch_ns, frame, &[range_m; 360])
+}
+
+/// A scan over the full circle with these ranges, m.
+pub fn scan_of(epoch_ns: u64, frame: &str, ranges_m: &[f32]) -> Vec<u8> {
+    let turn = std::f32::consts::TAU / ranges_m.len() as f32;
+    let half = turn * (ranges_m.len() / 2) as f32;
     let to = Write::default().header(epoch_ns, frame);
-    let to = to.f32s(&[-180.0 * turn, 179.0 * turn, turn, 0.0, 0.0, 0.05, 30.0]);
-    to.u32(360).f32s(&[range_m; 360]).u32(0).0
+    let to = to.f32s(&[-half, half - turn, turn, 0.0, 0.0, 0.05, 30.0]);
+    to.u32(ranges_m.len() as u32).f32s(ranges_m).u32(0).0
 }
 
 /// Odometry at a place.
-pub fn odometry(epoch_ns: u64, [x_m, y_m, heading_rad]: [f64; 3], speed_mps: f64) -> Vec<u8> {
-    let to = Write::default().header(epoch_ns, "odom").text("base_link");
+pub fn odometry(epoch_ns: u64, pose: [f64; 3], speed_mps: f64) -> Vec<u8> {
+    odometry_in("odom", epoch_ns, pose, speed_mps)
+}
+
+/// Odometry at a place of a frame.
+pub fn odometry_in(
+    frame: &str,
+    epoch_ns: u64,
+    [x_m, y_m, heading_rad]: [f64; 3],
+    speed_mps: f64,
+) -> Vec<u8> {
+    let to = Write::default().header(epoch_ns, frame).text("base_link");
     let to = to.pose(x_m, y_m, heading_rad).f64s(&[f64::NAN; 36]);
     to.f64s(&[speed_mps, 0.0, 0.0, 0.0, 0.0, 0.25])
         .f64s(&[0.0; 36])
