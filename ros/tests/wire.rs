@@ -50,14 +50,7 @@ fn a_message_arrives_byte_by_byte_with_its_number_time_and_sender() {
         assert_eq!(attachment[16], 16);
     }
     // As `ros2 node list` and `ros2 topic list` find them.
-    let tokens = router
-        .liveliness()
-        .get("@ros2_lv/0/**")
-        .wait()
-        .expect("tokens");
-    let mut tokens: Vec<String> = std::iter::from_fn(|| tokens.recv().ok())
-        .filter_map(|reply| Some(reply.result().ok()?.key_expr().to_string()))
-        .collect();
+    let mut tokens = stage::tokens(&router);
     tokens.sort_unstable();
     assert_eq!(tokens.len(), 2, "{tokens:?}");
     assert!(tokens[0].ends_with("/0/0/NN/%/%/vlaps"), "{tokens:?}");

@@ -4,18 +4,18 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use robot::route::{Route, Row};
 use shm_config::Instant;
 use shm_config::config::Config;
 use triple_buffer::Input;
-use vehicle::{Fan, Point, Pose, Vehicle, pose};
+use vehicle::{Fan, Point, pose};
 use zenoh::Wait;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::sample::Sample;
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig};
 
+use super::lay::{Laying, Road};
 use super::robot::{Course, Moved, Seen, Slots};
-use super::sweep::sweep;
+use super::sweep::Sweep;
 use crate::frames::{Frames, Place};
 use crate::inbound::{Header, LaserScan, Odometry, Path, Refused, Transform};
 use crate::lines::Lines;
@@ -34,38 +34,27 @@ const TRANSFORM_NS: u64 = 2_000_000_000;
 const MOUNT_MAX_M: f64 = 0.05;
 /// A topic without a message that can be used is told after this time, ns.
 const SILENT_NS: u64 = 1_000_000_000;
-/// Poses of a path that are nearer to each other than this count once, m.
-const APART_M: f64 = 1e-2;
 
 /// What all messages need.
 pub struct Ears {
     base_frame: String,
     settings: crate::settings::Robot,
-    vehicle: Vehicle,
     fan: Fan,
-    range_m: f32,
+    sweep: Sweep,
+    road: Road,
     lines: Lines,
     frames: Mutex<Frames>,
-    /// The frame of the odometry.
-    world_frame: Mutex<String>,
+    /// The frame of the odometry, and the number of times that it has changed.
+    world_frame: Mutex<(String, u64)>,
     /// When the first scan came.
     begun: Mutex<Option<Instant>>,
-    path: Mutex<PathState>,
+    path: Mutex<Laying>,
     /// When the last scan and the last odometry came that could be used.
     scan_ns: AtomicU64,
     odometry_ns: AtomicU64,
     seen: Mutex<Input<Seen>>,
     moved: Mutex<Input<Moved>>,
     course: Mutex<Input<Course>>,
-}
-
-/// The newest path, and what was made of it.
-#[derive(Debug, Default)]
-struct PathState {
-    newest: Option<Path>,
-    number: u64,
-    /// Number of the path and its frame's place that the tick has.
-    made: Option<(u64, Pose)>,
 }
 
 /// The subscriptions of a session, and that others see them.
@@ -79,12 +68,20 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Ears {
     /// For a run with this configuration.
     pub fn new(config: &Config, settings: &Settings, slots: Slots) -> Self {
+        let fan = config.scanner.fan();
+        let road = Road {
+            half_width_m: match settings.robot.half_width_m {
+                0.0 => config.vehicle.width_m,
+                half_width_m => half_width_m,
+            },
+            is_closed: settings.robot.closed_path,
+        };
         Self {
             base_frame: settings.base_frame.clone(),
             settings: settings.robot.clone(),
-            vehicle: config.vehicle,
-            fan: config.scanner.fan(),
-            range_m: config.scanner.range_m as f32,
+            fan,
+            sweep: Sweep::new(fan, config.scanner.range_m, config.vehicle.width_m),
+            road,
             lines: Lines::default(),
             frames: Mutex::default(),
             world_frame: Mutex::default(),
@@ -244,8 +241,7 @@ impl Ears {
         // A scan that is refused half-way is not published.
         let into = seen.input_buffer_mut();
         into.taken = Some(taken);
-        let swept = (self.range_m, into.ranges_m.as_mut_slice());
-        sweep(&scan, heading_rad, &self.fan, swept)?;
+        self.sweep.fill(&scan, heading_rad, &mut into.ranges_m)?;
         seen.publish();
         self.scan_ns.store(moment.now.0, Ordering::Relaxed);
         Ok(())
@@ -254,16 +250,18 @@ impl Ears {
     fn odometry(&self, bytes: &[u8], moment: Moment) -> Result<(), Refused> {
         let odometry = Odometry::decode(bytes)?;
         let taken = self.taken(&odometry.header, moment)?;
-        {
+        let frame = {
             let mut frame = lock(&self.world_frame);
-            if *frame != odometry.header.frame {
-                *frame = odometry.header.frame;
+            if frame.0 != odometry.header.frame {
+                *frame = (odometry.header.frame, frame.1 + 1);
             }
-        }
+            frame.1
+        };
         // The car's centre moves as the base frame does, on the line through both.
         let centre_x_m = -self.settings.base_x_m;
         lock(&self.moved).write(Moved {
             taken: Some(taken),
+            frame,
             pose: odometry.pose * pose(centre_x_m, 0.0, 0.0),
             speed_mps: odometry.speed_mps,
             yaw_rate_radps: odometry.yaw_rate_radps,
@@ -279,10 +277,7 @@ impl Ears {
 
     /// A path has no age: it holds until the next.
     fn path(&self, bytes: &[u8], _moment: Moment) -> Result<(), Refused> {
-        let path = Path::decode(bytes)?;
-        let mut state = lock(&self.path);
-        state.newest = Some(path);
-        state.number += 1;
+        lock(&self.path).note(Path::decode(bytes)?);
         Ok(())
     }
 
@@ -304,59 +299,25 @@ impl Ears {
     /// Makes a route of the newest path, when it or its place in the odometry's frame has
     /// changed. Called ten times a second.
     pub fn lay_route(&self, moment: Moment) {
-        let mut state = lock(&self.path);
-        let PathState {
-            newest,
-            number,
-            made,
-        } = &mut *state;
-        let Some(path) = newest else {
+        let mut laying = lock(&self.path);
+        let (world_frame, frame) = lock(&self.world_frame).clone();
+        // Before the first odometry there is nothing to lay it into.
+        if frame == 0 {
+            return;
+        }
+        let place = |of: &str| lock(&self.frames).place(of, &world_frame);
+        let Some(laid) = laying.lay((frame, place), self.road) else {
             return;
         };
-        let world_frame = lock(&self.world_frame).clone();
-        let place = lock(&self.frames).place(&path.header.frame, &world_frame);
-        let route = match place {
-            Place::Known(world_from_path) if *made == Some((*number, world_from_path)) => return,
-            Place::Known(world_from_path) => {
-                *made = Some((*number, world_from_path));
-                self.route(path, world_from_path)
-            }
-            Place::Tilted => Err(Refused("by TF its frame is not level")),
-            Place::Unknown => Err(Refused(
-                "TF does not say where its frame is in that of the odometry",
-            )),
-        };
         let topic = &self.settings.path;
-        if let Err(refused) = &route {
+        if let Err(refused) = &laid {
             self.tell(("path", topic), *refused, ("", moment));
         }
         lock(&self.course).write(Course {
-            number: *number,
-            route: route.ok(),
+            number: laying.number(),
+            frame,
+            route: laid.unwrap_or_default(),
         });
-    }
-
-    fn route(&self, path: &Path, world_from_path: Pose) -> Result<Route, Refused> {
-        let half_width_m = match self.settings.half_width_m {
-            0.0 => self.vehicle.width_m,
-            half_width_m => half_width_m,
-        };
-        let mut rows: Vec<Row> = Vec::with_capacity(path.places.len());
-        for place in &path.places {
-            let place = world_from_path * place;
-            let is_new = rows
-                .last()
-                .is_none_or(|last| (last.place - place).norm() > APART_M);
-            if is_new {
-                rows.push(Row {
-                    place,
-                    left_m: half_width_m,
-                    right_m: half_width_m,
-                });
-            }
-        }
-        Route::new(rows, self.settings.closed_path)
-            .map_err(|_| Refused("it has no two places apart, or lies too far away"))
     }
 }
 

@@ -23,6 +23,8 @@ const ARRIVED_LENGTHS: f64 = 0.5;
 const CORRIDOR_LENGTHS: f64 = 30.0;
 /// The directions that a corridor needs, to each side, degrees.
 const CORRIDOR_DEG: i32 = 80;
+/// Most returns that a corridor is looked for among.
+const RETURNS_MAX: usize = BEAMS_MAX + 2 * CORRIDOR_DEG as usize + 1;
 
 /// The newest scan on the run's beams.
 #[derive(Debug, Clone)]
@@ -47,6 +49,8 @@ impl Default for Seen {
 pub struct Moved {
     /// When it was taken; `None` before the first.
     pub taken: Option<Instant>,
+    /// The number of times that its frame has changed.
+    pub frame: u64,
     /// The car's centre.
     pub pose: Pose,
     /// Forward, m/s.
@@ -59,6 +63,7 @@ impl Default for Moved {
     fn default() -> Self {
         Self {
             taken: None,
+            frame: 0,
             pose: Pose::identity(),
             speed_mps: 0.0,
             yaw_rate_radps: 0.0,
@@ -69,8 +74,10 @@ impl Default for Moved {
 /// The newest path.
 #[derive(Debug, Clone, Default)]
 pub struct Course {
-    /// Counts the paths that came; 0 before the first.
+    /// Counts the different paths that came; 0 before the first.
     pub number: u64,
+    /// That of the odometry whose frame it is in: see [`Moved::frame`].
+    pub frame: u64,
     /// In the frame of the odometry; `None` for a path that cannot be followed.
     pub route: Option<Route>,
 }
@@ -124,7 +131,11 @@ pub struct RosRobot {
     follows_path: bool,
     ahead_min_m: f64,
     arrived_m: f64,
+    width_m: f64,
     search: Search,
+    /// Direction, rad from the heading, and range, m, of each return, and of each direction
+    /// in which no beam looks.
+    returns: Vec<(f64, f64)>,
     /// Where on the path it is, and the path's number.
     located: Option<(u64, Located)>,
     /// The number of the path that was driven to its end.
@@ -157,6 +168,8 @@ impl RosRobot {
             follows_path: !settings.robot.path.is_empty(),
             ahead_min_m: AHEAD_LENGTHS * vehicle.length_m,
             arrived_m: ARRIVED_LENGTHS * vehicle.length_m,
+            width_m: vehicle.width_m,
+            returns: Vec::with_capacity(RETURNS_MAX),
             search: Search {
                 half_width_m,
                 ahead_m: CORRIDOR_LENGTHS * vehicle.length_m,
@@ -176,6 +189,10 @@ impl RosRobot {
             return None;
         }
         let moved = self.heard.moved.peek_output_buffer();
+        // The path is laid into another frame within a tenth of a second.
+        if course.frame != moved.frame {
+            return None;
+        }
         let last = self.located.filter(|(number, _)| *number == course.number);
         let ahead_m = (moved.speed_mps * AHEAD_S).max(self.ahead_min_m);
         let last_m = last.map(|(_, located)| located.along_m);
@@ -183,25 +200,24 @@ impl RosRobot {
     }
 
     /// Road and checkpoints by the scan.
-    fn search(&self, observation: &mut Observation) {
-        let fan = observation.fan();
-        let max_m = observation.lidar_max_m;
+    fn search(&mut self, observation: &mut Observation) {
+        let (fan, max_m) = (observation.fan(), observation.lidar_max_m);
         let ranges = observation.ranges().iter().enumerate();
         let met = ranges.filter(|(_, range_m)| **range_m < max_m);
         let met = met.map(|(beam, range_m)| fan.point_body(beam, f64::from(*range_m)));
-        let mut returns: Vec<_> = met
-            .map(|place| (place.y.atan2(place.x), place.coords.norm()))
-            .collect();
+        let met = met.map(|place| (place.y.atan2(place.x), place.coords.norm()));
         // Where no beam looks there is no way.
         let near_m = 1.9 * self.search.half_width_m;
-        for degree in -CORRIDOR_DEG..=CORRIDOR_DEG {
+        let (sight, width_m) = (fan.sight(), self.width_m);
+        let unseen = (-CORRIDOR_DEG..=CORRIDOR_DEG).filter_map(|degree| {
             let angle_rad = f64::from(degree).to_radians();
             let place = robot::Point::new(near_m * angle_rad.cos(), near_m * angle_rad.sin());
-            if !fan.covers(place) {
-                returns.push((angle_rad, near_m));
-            }
-        }
-        self.search.fill(observation, returns);
+            (!sight.covers(place, width_m)).then_some((angle_rad, near_m))
+        });
+        self.returns.clear();
+        // They fit: nothing is allocated.
+        self.returns.extend(met.chain(unseen));
+        self.search.fill(observation, self.returns.iter().copied());
     }
 
     fn is_young(&self, taken: Option<Instant>, now: Instant) -> bool {
@@ -237,11 +253,8 @@ impl RosRobot {
                 self.located = Some((number, located));
                 Reading::Fresh
             }
-            // A robot without a path stands.
-            None => {
-                self.located = None;
-                Reading::Lost
-            }
+            // A robot without a path stands. Where it is on one that returns stays known.
+            None => Reading::Lost,
         }
     }
 }
