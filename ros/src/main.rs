@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use shm_config::run::RunName;
+use shm_config::secret;
 use shm_config::text::{Printable, printable_lines};
 use vlaps_ros::bridge;
 use vlaps_ros::settings::Settings;
@@ -27,6 +28,11 @@ fn main() -> ExitCode {
     if ["-h", "--help"].contains(&word.as_str()) {
         println!("{HELP}");
         return ExitCode::SUCCESS;
+    }
+    // It needs no key, and talks to a network.
+    if let Err(error) = secret::take() {
+        eprintln!("vlaps-ros: cannot take the keys out of the environment: {error}");
+        return ExitCode::from(2);
     }
     tracing_subscriber::fmt()
         .with_writer(|| Printable(std::io::stderr()))
