@@ -59,7 +59,8 @@ pub fn drive(
     drop(stress);
     let stalls = noting.finish()?;
     page.map(RowPage::finish).transpose()?;
-    ros.map(RowRos::finish).transpose()?;
+    let expected = (case.rate_hz, seconds);
+    ros.map(|ros| ros.finish(expected)).transpose()?;
     watch.look();
     let seen = watch.finish();
     let summary = driven.summary()?;

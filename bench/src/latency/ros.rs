@@ -9,7 +9,10 @@ use anyhow::{Context, bail};
 use super::beside;
 
 /// Foreign messages a second.
-const FLOOD_HZ: u32 = 10_000;
+const FLOOD_HZ: f64 = 10_000.0;
+/// A row counts only if this share of the messages was sent that its rate and duration give:
+/// the programs begin a moment after the set does, and a loaded machine is slow.
+const LEAST_SHARE: f64 = 0.5;
 /// How the programs are built.
 const HINT: &str = "build it with cargo build --release --manifest-path ros/Cargo.toml --bins \
                     --examples --target-dir target";
@@ -49,36 +52,140 @@ impl RowRos {
             }
             let mut command = beside(&program.to_string_lossy());
             command.args(words).env("VLAPS_ROS", &settings);
-            command.stdin(Stdio::null()).stdout(Stdio::null());
-            let child = command.stderr(Stdio::null()).spawn();
+            command.stdin(Stdio::null()).stdout(Stdio::piped());
+            let child = command.stderr(Stdio::piped()).spawn();
             row.programs.push(child.context("cannot start it")?);
         }
         Ok(Some(row))
     }
 
-    /// Ends both.
+    /// Ends both, and checks by their own counts that there were messages beside the set.
     ///
     /// # Errors
-    /// If one has ended before.
-    pub fn finish(mut self) -> anyhow::Result<()> {
-        for program in &mut self.programs {
-            if let Some(status) = program.try_wait()? {
-                bail!("bridge or flood ended during the row: {status}");
+    /// If one has failed, or fewer messages passed than a set at this rate for these seconds
+    /// and the flood give.
+    pub fn finish(mut self, (rate_hz, seconds): (f64, f64)) -> anyhow::Result<()> {
+        let mut lines = Vec::new();
+        for (program, name) in self.programs.drain(..).zip(["the flood", "the bridge"]) {
+            lines.push(last_line(program).with_context(|| format!("{name} of the row"))?);
+        }
+        let [flood, bridge] = lines.as_slice() else {
+            bail!("no flood and bridge ran");
+        };
+        for (line, what, of_hz) in [
+            (flood, " foreign messages sent", FLOOD_HZ),
+            // Each step is one message at least.
+            (bridge, " messages sent", rate_hz),
+            (flood, " others heard", rate_hz),
+        ] {
+            let least = of_hz * seconds * LEAST_SHARE;
+            let count = count(line, what).with_context(|| format!("no count of{what}: {line}"))?;
+            if (count as f64) < least {
+                bail!("{count}{what} during the row, where {least} is the least: {line}");
             }
         }
         Ok(())
     }
 }
 
+/// Ends a program, if it has not ended by itself, and gives the last line that it printed. The
+/// bridge ends with its set.
+fn last_line(mut program: Child) -> anyhow::Result<String> {
+    end(&mut program)?;
+    let output = program.wait_with_output()?;
+    let lines = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    if !output.status.success() {
+        let (status, told) = (output.status, lines(&output.stderr));
+        bail!("{status}: {}", told.lines().last().unwrap_or_default());
+    }
+    let printed = lines(&output.stdout);
+    Ok(printed.lines().last().unwrap_or_default().into())
+}
+
+/// The number before some words of a line.
+fn count(line: &str, words: &str) -> Option<u64> {
+    let (before, _) = line.split_once(words)?;
+    before.rsplit(' ').next()?.parse().ok()
+}
+
+/// Asks a program to end.
+fn end(program: &mut Child) -> std::io::Result<()> {
+    if program.try_wait()?.is_none() {
+        // Ours, and not waited for yet: the id is its own.
+        let pid = rustix::process::Pid::from_child(program);
+        let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+    }
+    Ok(())
+}
+
 impl Drop for RowRos {
     fn drop(&mut self) {
         for mut program in self.programs.drain(..) {
-            if let Ok(None) = program.try_wait() {
-                // Ours, and not waited for yet: the id is its own.
-                let pid = rustix::process::Pid::from_child(&program);
-                let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
+            if end(&mut program).is_ok() {
                 let _ = program.wait();
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+
+    use super::*;
+
+    /// Programs that have ended.
+    fn row(flood: &str, bridge: &str) -> RowRos {
+        let child = |script: &str| {
+            let mut command = Command::new("sh");
+            command.args(["-c", script]).stdout(Stdio::piped());
+            let mut child = command.stderr(Stdio::piped()).spawn().expect("a shell");
+            child.wait().expect("its end");
+            child
+        };
+        RowRos {
+            programs: vec![child(flood), child(bridge)],
+        }
+    }
+
+    fn told(flood: &str, bridge: &str) -> String {
+        let finished = row(flood, bridge).finish((100.0, 10.0));
+        finished.map_or_else(|error| format!("{error:#}"), |()| "counted".into())
+    }
+
+    const FLOOD: &str = "echo '10.0 s: 100000 foreign messages sent, 900 others heard'";
+    const BRIDGE: &str = "echo '3000 messages sent, 0 refused'";
+
+    #[test]
+    fn a_row_whose_bridge_or_flood_was_not_there_is_refused() {
+        assert_eq!(told(FLOOD, BRIDGE), "counted");
+        let silent = "echo '0 messages sent, 0 refused'";
+        assert!(told(FLOOD, silent).contains("0 messages sent during the row"));
+        assert!(told(FLOOD, "exit 0").contains("no count of messages sent"));
+        let alone = "echo '10.0 s: 100000 foreign messages sent, 0 others heard'";
+        assert!(told(alone, BRIDGE).contains("0 others heard during the row"));
+        let slow = "echo '10.0 s: 400 foreign messages sent, 900 others heard'";
+        assert!(told(slow, BRIDGE).contains("400 foreign messages sent"));
+        let taken = "echo 'the port is taken' >&2; exit 1";
+        let told = told(taken, BRIDGE);
+        assert!(
+            told.contains("the flood") && told.contains("the port is taken"),
+            "{told}"
+        );
+    }
+
+    #[test]
+    fn a_program_that_runs_is_asked_to_end_and_then_says_its_count() {
+        // It waits until it is asked.
+        let waits =
+            format!("trap \"{BRIDGE}; exit 0\" TERM; echo up; while :; do sleep 0.02; done");
+        let mut command = Command::new("sh");
+        command.args(["-c", &waits]).stdout(Stdio::piped());
+        let mut program = command.stderr(Stdio::piped()).spawn().expect("a shell");
+        let mut up = [0; 3];
+        let out = program.stdout.as_mut().expect("a pipe");
+        std::io::Read::read_exact(out, &mut up).expect("it is up");
+        let line = last_line(program).expect("a line");
+        assert_eq!(count(&line, " messages sent"), Some(3000), "{line}");
     }
 }
