@@ -1,25 +1,30 @@
 use shm_config::message::{BEAMS_MAX, Observation};
-use vehicle::{Fan, Point, Vector};
+use vehicle::{Fan, Point, Sight, Vector};
 
-/// The directions of the lidar's beams in the body frame, kept between plans
-/// because the sine and cosine of 240 beams cost more than the grid.
+/// The directions of the lidar's beams in the body frame, and what they see, kept between
+/// plans because the sine and cosine of 240 beams cost more than the grid.
 #[derive(Debug, Default)]
 pub(crate) struct Beams {
-    fan: Option<Fan>,
+    sight: Option<Sight>,
     directions_body: heapless::Vec<Vector, BEAMS_MAX>,
 }
 
 impl Beams {
     /// Directions for the beams of this fan, at most the capacity.
     pub(crate) fn prepare(&mut self, fan: Fan) {
-        if self.fan == Some(fan) {
+        if self.sight.is_some_and(|sight| *sight.fan() == fan) {
             return;
         }
-        self.fan = Some(fan);
+        self.sight = Some(fan.sight());
         self.directions_body.clear();
         let count = fan.beams.min(BEAMS_MAX);
         self.directions_body
             .extend((0..count).map(|beam| fan.direction_body(beam)));
+    }
+
+    /// What the fan prepared last sees.
+    pub(crate) fn sight(&self) -> Option<Sight> {
+        self.sight
     }
 
     /// The directions of the fan prepared last.

@@ -10,16 +10,22 @@ use crate::corridor::Corridor;
 use crate::memory::own_words;
 use crate::memory::{GridWords, Place, exactly};
 use crate::segment::{Run, Segment};
+#[cfg(feature = "std")]
+use levels::Levels;
 use shm_config::settings::planner::DISC_CELLS_MAX;
 
 mod arc;
+#[cfg(feature = "std")]
+mod levels;
 mod road;
 mod unseen;
 
 /// Most points of the body that are protected at the start.
 pub(crate) const STARTS_MAX: usize = 4;
 /// A line whose bounding box is not free is tested in pieces of so many rows.
-const BAND_ROWS: usize = 8;
+const PIECE_ROWS: usize = 8;
+/// Beams that are looked at together.
+const BEAMS: usize = 16;
 /// Cells in a word.
 const WORD: usize = u64::BITS as usize;
 
@@ -84,6 +90,8 @@ pub struct Grid {
     /// 64 columns a word, the lowest bit nearest to the car. All rows of the first
     /// 64 columns, then of the next: the rows of a rectangle lie side by side.
     words: Place<[u64]>,
+    #[cfg(feature = "std")]
+    levels: Levels,
 }
 
 impl Grid {
@@ -121,6 +129,8 @@ impl Grid {
             footprint: Vehicle::default().footprint(),
             starts: heapless::Vec::from_array([0]),
             words: exactly(words, word_count(config)),
+            #[cfg(feature = "std")]
+            levels: Levels::new(word_count(config)),
         }
     }
 
@@ -164,50 +174,82 @@ impl Grid {
     pub fn fill(&mut self, observation: &Observation) {
         self.corridor = Corridor::lane(&observation.road, self.lane_margin_m, self.y_max_m())
             .with_start(self.cell_m);
+        let first = self.row_after(0, |y_m| y_m < self.corridor.right_m);
+        let end = self.row_after(first, |y_m| y_m <= self.corridor.left_m);
         let rows = self.rows();
-        let is_right = |row: &usize| self.row_middle_m(*row) < self.corridor.right_m;
-        let first = (0..rows).take_while(is_right).count();
-        let is_free = |row: &usize| self.row_middle_m(*row) <= self.corridor.left_m;
-        let free = first..first + (first..rows).take_while(is_free).count();
-        self.words.fill(!0);
         for words in self.words.chunks_exact_mut(rows) {
-            words[free.clone()].fill(0);
+            words[..first].fill(!0);
+            words[first..end].fill(0);
+            words[end..].fill(!0);
         }
         self.stamp_returns(observation);
-        self.mark_unseen(observation);
+        self.mark_unseen();
+        #[cfg(feature = "std")]
+        self.levels.begin(first..end);
+    }
+
+    /// The first row, from some row on, whose middle's y, m, has a property no longer that
+    /// rows have up to a place.
+    fn row_after(&self, from: usize, has: impl Fn(f64) -> bool) -> usize {
+        let (mut low, mut high) = (from, self.rows());
+        while low < high {
+            let middle = (low + high) / 2;
+            match has(self.row_middle_m(middle)) {
+                true => low = middle + 1,
+                false => high = middle,
+            }
+        }
+        low
     }
 
     /// Marks what the lidar saw.
     fn stamp_returns(&mut self, observation: &Observation) {
         let fan = observation.fan();
         self.beams.prepare(fan);
+        let (ranges_m, max_m) = (observation.ranges(), observation.lidar_max_m);
         let mut last = None;
-        for beam in 0..fan.beams {
-            // One by one, so that the rows can be written between: the directions of 2,048
-            // beams have 32 kB and are never moved.
-            let Some(return_body) = self.beams.hit(observation, fan.mount_body, beam) else {
-                continue;
-            };
-            let cell = self.signed_cell(return_body);
-            // Near obstacles put many beams into one cell.
-            if last.replace(cell) == Some(cell) {
+        for first in (0..fan.beams).step_by(BEAMS) {
+            let beams = first..fan.beams.min(first + BEAMS);
+            let is_any_hit = |any: bool, range_m: &f32| any | (*range_m < max_m);
+            if !ranges_m[beams.clone()].iter().fold(false, is_any_hit) {
                 continue;
             }
-            self.stamp(cell.0, cell.1);
-            // A return on the x axis belongs to the rows on both sides of it;
-            // with one of them the car would see all that is straight ahead a
-            // little to the left.
-            if return_body.y == 0.0 {
-                self.stamp(cell.0, cell.1 - 1);
+            for beam in beams {
+                // One by one, so that the rows can be written between: the directions of
+                // 2,048 beams have 32 kB and are never moved.
+                let hit = self.beams.hit(observation, fan.mount_body, beam);
+                if let Some(return_body) = hit {
+                    self.stamp_return(return_body, &mut last);
+                }
             }
+        }
+    }
+
+    /// Marks the disc around a return.
+    fn stamp_return(&mut self, return_body: Point, last: &mut Option<(i64, i64)>) {
+        let cell = self.signed_cell(return_body);
+        // Near obstacles put many beams into one cell.
+        if last.replace(cell) == Some(cell) {
+            return;
+        }
+        self.stamp(cell.0, cell.1);
+        // A return on the x axis belongs to the rows on both sides of it;
+        // with one of them the car would see all that is straight ahead a
+        // little to the left.
+        if return_body.y == 0.0 {
+            self.stamp(cell.0, cell.1 - 1);
         }
     }
 
     /// Column and row, the row counted from the x axis: 0 is the first on the
     /// left, -1 the first on the right. Either may be outside the grid.
     fn signed_cell(&self, point_body: Point) -> (i64, i64) {
-        let column = (point_body.x * self.cells_per_m).floor() as i64;
-        let row = (point_body.y.abs() * self.cells_per_m).floor() as i64;
+        // Truncating, which is floor for what is positive: floor is a call of the library on
+        // processors without an instruction for it. What saturates is outside the grid.
+        let x = point_body.x * self.cells_per_m;
+        let toward_zero = x as i32;
+        let column = i64::from(toward_zero) - i64::from(f64::from(toward_zero) > x);
+        let row = i64::from((point_body.y.abs() * self.cells_per_m) as i32);
         (column, if point_body.y < 0.0 { -1 - row } else { row })
     }
 
@@ -253,27 +295,17 @@ impl Grid {
         }
         let first = first.max(0) as usize;
         let last = (last as usize).min(self.columns - 1);
-        for (start, mask) in self.words_of(first, last) {
-            self.words[start + row] |= mask;
-        }
-    }
-
-    /// The words that hold some columns: where those of all rows start, and
-    /// the columns' bits in each.
-    fn words_of(&self, first: usize, last: usize) -> impl Iterator<Item = (usize, u64)> + use<> {
         let rows = self.rows();
-        let (head, tail) = (first / WORD, last / WORD);
-        (head..=tail).map(move |word| {
-            let from_first = if word == head { from_column(first) } else { !0 };
-            let to_last = if word == tail { to_column(last) } else { !0 };
-            (word * rows, from_first & to_last)
-        })
+        for (word, mask) in words_of(first, last) {
+            self.words[word * rows + row] |= mask;
+        }
     }
 
     /// Whether any cell of a run is occupied.
     fn any(&self, run: Run) -> bool {
-        self.words_of(run.first, run.last)
-            .any(|(start, mask)| self.words[start + run.row] & mask != 0)
+        let rows = self.rows();
+        words_of(run.first, run.last)
+            .any(|(word, mask)| self.words[word * rows + run.row] & mask != 0)
     }
 
     /// Whether a cell is occupied; everything outside the grid is.
@@ -316,6 +348,7 @@ impl Grid {
     /// no points are sampled. A cell counts as touched when the line comes
     /// within a billionth of a cell, so rounding errs to the occupied side. A
     /// line that leaves the grid is not free.
+    #[inline(always)]
     pub fn is_segment_free(&self, from_body: Point, to_body: Point) -> bool {
         let bounds = Point::new(self.columns as f64, self.rows() as f64);
         let cells = |point: Point| {
@@ -332,31 +365,71 @@ impl Grid {
             return false;
         }
         let segment = Segment::new(from, to, self.columns - 1, self.rows() - 1);
-        let rows = segment.rows();
         // The bounding box of most lines is free: it is tested first.
-        if self.is_rectangle_free(rows, segment.columns()) {
-            return true;
-        }
-        // For most other lines, the bounding boxes of pieces are free.
-        let (first, last) = rows;
+        self.is_rectangle_free(segment.rows(), segment.columns()) || self.is_line_free(&segment)
+    }
+
+    /// Whether the cells that a line touches are free, row by row.
+    #[inline(never)]
+    fn is_line_free(&self, segment: &Segment) -> bool {
+        // The bounding boxes of pieces of most lines are free.
+        let (first, last) = segment.rows();
         let columns_in = segment.columns_in();
-        (first..=last).step_by(BAND_ROWS).all(|row| {
-            let band = (row, last.min(row + BAND_ROWS - 1));
-            self.is_rectangle_free(band, columns_in(band))
-                || (band.0..=band.1).all(|row| {
+        (first..=last).step_by(PIECE_ROWS).all(|row| {
+            let piece = (row, last.min(row + PIECE_ROWS - 1));
+            self.is_rectangle_free(piece, columns_in(piece))
+                || (piece.0..=piece.1).all(|row| {
                     let (first, last) = columns_in((row, row));
                     !self.any(Run { row, first, last })
                 })
         })
     }
 
+    /// Puts rows together before a search, up to a distance ahead, m.
+    #[cfg(feature = "std")]
+    pub(crate) fn level(&mut self, x_max_m: f64) {
+        let columns = ((x_max_m * self.cells_per_m) as usize + 2).min(self.columns);
+        let rows = self.rows();
+        self.levels.fill(&self.words, rows, columns.div_ceil(WORD));
+    }
+
     /// Whether the cells of some rows and columns, first to last, are free.
+    #[inline(always)]
     fn is_rectangle_free(&self, rows: (usize, usize), columns: (usize, usize)) -> bool {
-        self.words_of(columns.0, columns.1).all(|(start, mask)| {
-            let words = &self.words[start + rows.0..=start + rows.1];
-            words.iter().fold(0, |all, word| all | word) & mask == 0
+        #[cfg(feature = "std")]
+        if let Some(is_free) = self
+            .levels
+            .is_free(&self.words, self.rows(), (rows, columns))
+        {
+            return is_free;
+        }
+        self.is_each_row_free(rows, columns)
+    }
+
+    /// The same, row by row.
+    #[inline(never)]
+    fn is_each_row_free(&self, rows: (usize, usize), columns: (usize, usize)) -> bool {
+        let all_rows = self.rows();
+        words_of(columns.0, columns.1).all(|(word, mask)| {
+            let words = &self.words[word * all_rows..][rows.0..=rows.1];
+            together(words) & mask == 0
         })
     }
+}
+
+/// What is occupied in any of some words.
+fn together(words: &[u64]) -> u64 {
+    words.iter().fold(0, |all, word| all | word)
+}
+
+/// The words of a row that hold some columns, and the columns' bits in each.
+fn words_of(first: usize, last: usize) -> impl Iterator<Item = (usize, u64)> {
+    let (head, tail) = (first / WORD, last / WORD);
+    (head..=tail).map(move |word| {
+        let from_first = if word == head { from_column(first) } else { !0 };
+        let to_last = if word == tail { to_column(last) } else { !0 };
+        (word, from_first & to_last)
+    })
 }
 
 /// The bits of a word from this column on.

@@ -11,7 +11,7 @@ use crate::memory::own_words;
 use crate::memory::{GridWords, Place};
 use crate::rrt_star::{header, write_outcome};
 use crate::sampler::{Region, Sampler};
-use crate::search::Search;
+use crate::search::{Search, widely};
 use crate::tree::Tree;
 
 /// The paper's planner with two additions: it begins with the rest of its last path, and
@@ -138,13 +138,21 @@ impl Informed {
     ) {
         self.grid.fill(observation);
         let goal_body = choose_goal(&self.grid, &self.config, observation);
+        #[cfg(feature = "std")]
+        self.grid.level(goal_body.x);
         prepared();
-        self.search.tree.restart(Point::origin());
+        let region = Region::before(goal_body, &self.grid);
+        self.search.restart(&region, self.config.iterations);
         self.warm_nodes = 0;
-        let mut spent = self.remember(observation);
-        spent += self.connect(goal_body, self.config.iterations - spent);
         let sampler = Sampler::new(self.config.seed, &observation.header);
-        self.grow(goal_body, sampler, spent);
+        widely(
+            #[inline(always)]
+            || {
+                let mut spent = self.remember(observation);
+                spent += self.connect(goal_body, self.config.iterations - spent);
+                self.grow(goal_body, &region, sampler, spent);
+            },
+        );
         *out = Plan {
             goal_x_body_m: goal_body.x,
             goal_y_body_m: goal_body.y,
@@ -152,7 +160,7 @@ impl Informed {
             nodes: self.search.tree.len() as u32,
             ..header(observation, out)
         };
-        write_outcome(&self.config, &self.search, goal_body, out);
+        write_outcome(&self.config, &mut self.search, goal_body, out);
         self.memory = Some(Memory {
             header: observation.header,
             world_from_plan: out.world_from_plan(),
@@ -194,6 +202,7 @@ impl Informed {
 
     /// Extends the node nearest to the goal straight to it; returns the iterations used,
     /// at most `most`.
+    #[inline(always)]
     fn connect(&mut self, goal_body: Point, most: u32) -> u32 {
         for spent in 0..most {
             let before = self.search.tree.len();
@@ -210,22 +219,17 @@ impl Informed {
     }
 
     /// Spends the rest of the budget on samples.
-    fn grow(&mut self, goal_body: Point, mut sampler: Sampler, spent: u32) {
-        let corridor = self.grid.corridor();
-        let region = Region {
-            x_max_m: goal_body.x.clamp(0.0, self.grid.x_max_m()),
-            right_m: corridor.right_m,
-            left_m: corridor.left_m,
-        };
+    #[inline(always)]
+    fn grow(&mut self, goal_body: Point, region: &Region, mut sampler: Sampler, spent: u32) {
         for _ in spent..self.config.iterations {
             let best = self.search.reached(goal_body, self.config.goal_radius_m);
             let biased = self.config.goal_bias > 0.0 && sampler.unit() < self.config.goal_bias;
             let sample_body = match best {
                 _ if biased => goal_body,
-                None => sampler.point_body(&region),
+                None => sampler.point_body(region),
                 Some(best) => {
                     let cost_m = self.search.tree.cost_m(best) + self.config.goal_radius_m;
-                    Ellipse::new(goal_body, cost_m).point_body(&region, &mut sampler)
+                    Ellipse::new(goal_body, cost_m).point_body(region, &mut sampler)
                 }
             };
             self.search.extend(&self.grid, &self.config, sample_body);

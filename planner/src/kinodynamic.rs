@@ -285,8 +285,8 @@ impl Kinodynamic {
     }
 
     /// The node nearest to the goal, if the path to it is long enough to drive.
-    fn nearest(&self, goal: &Pose) -> Option<usize> {
-        let tree = &self.search.tree;
+    fn nearest(&mut self, goal: &Pose) -> Option<usize> {
+        let tree = &mut self.search.tree;
         let (end, _) = tree.nearest(goal.translation.vector.into());
         let far_enough = tree.point(end).coords.norm() >= self.config.partial_min_m;
         (end != 0 && far_enough).then_some(end)

@@ -40,6 +40,7 @@
 #![cfg_attr(not(feature = "std"), no_std)]
 
 mod beams;
+mod buckets;
 mod centre_line;
 mod corridor;
 mod dubins;

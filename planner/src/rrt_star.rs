@@ -93,6 +93,8 @@ impl RrtStar {
         grid.fill(observation);
         let goal_body = choose_goal(grid, config, observation);
         let sampler = Sampler::new(config.seed, &observation.header);
+        #[cfg(feature = "std")]
+        grid.level(goal_body.x);
         prepared();
         search.grow(grid, config, goal_body, sampler);
         *out = Plan {
@@ -125,7 +127,7 @@ pub(crate) fn header(observation: &Observation, out: &Plan) -> Plan {
 /// Writes what was found, and the path to it.
 pub(crate) fn write_outcome(
     config: &PlannerConfig,
-    search: &Search,
+    search: &mut Search,
     goal_body: Point,
     out: &mut Plan,
 ) {
@@ -137,7 +139,11 @@ pub(crate) fn write_outcome(
 }
 
 /// What was found, and the node where the path ends.
-fn end(config: &PlannerConfig, search: &Search, goal_body: Point) -> (PlanOutcome, Option<usize>) {
+fn end(
+    config: &PlannerConfig,
+    search: &mut Search,
+    goal_body: Point,
+) -> (PlanOutcome, Option<usize>) {
     if let Some(end) = search.reached(goal_body, config.goal_radius_m) {
         return (PlanOutcome::Reached, Some(end));
     }

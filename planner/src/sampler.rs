@@ -3,6 +3,8 @@ use rand_xoshiro::{SplitMix64, Xoshiro256PlusPlus};
 use shm_config::message::Header;
 use vehicle::Point;
 
+use crate::grid::Grid;
+
 /// The rectangle of the body frame that samples are drawn from: from the origin
 /// to the goal along x, the corridor along y.
 #[derive(Debug, Clone, Copy)]
@@ -10,6 +12,18 @@ pub(crate) struct Region {
     pub(crate) x_max_m: f64,
     pub(crate) right_m: f64,
     pub(crate) left_m: f64,
+}
+
+impl Region {
+    /// Of the plans to a goal on a grid.
+    pub(crate) fn before(goal_body: Point, grid: &Grid) -> Self {
+        let corridor = grid.corridor();
+        Self {
+            x_max_m: goal_body.x.clamp(0.0, grid.x_max_m()),
+            right_m: corridor.right_m,
+            left_m: corridor.left_m,
+        }
+    }
 }
 
 /// The random numbers of one plan.

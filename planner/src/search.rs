@@ -1,47 +1,42 @@
+use shm_config::settings::planner::NODES_MAX;
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
 use vehicle::Point;
 
 use crate::PlannerConfig;
+use crate::buckets::{Found, Reach, Spread};
 use crate::grid::Grid;
 use crate::sampler::{Region, Sampler};
-use crate::tree::{CHUNKS_MAX, Edge, LANES, Tree, lane_of, least_chunk};
+use crate::tree::{Edge, Tree};
 
 /// A sample this close to a node is that node, m; a tree of equal points would
 /// have edges of no length.
 const SAME_M: f64 = 1e-6;
 
-/// What the nodes of a chunk are to a new node; infinite outside the rewire
-/// radius.
-#[derive(Debug, Clone, Copy)]
-struct Near {
-    distance_m: [f64; LANES],
-    /// Cost of the new node with each as its parent, m; infinite once the edge
-    /// turned out to be blocked.
-    cost_via_m: [f64; LANES],
-}
-
 /// RRT* of Sec. 4.1.1 with all its memory.
 #[derive(Debug)]
 pub struct Search {
     pub(crate) tree: Tree,
-    /// As many count as the tree had chunks before the new node.
-    near: [Near; CHUNKS_MAX],
-    near_count: usize,
+    children: heapless::Vec<u16, NODES_MAX>,
 }
 
 impl Search {
     /// Without nodes.
     pub const fn empty() -> Self {
-        let none = Near {
-            distance_m: [f64::INFINITY; LANES],
-            cost_via_m: [f64::INFINITY; LANES],
-        };
         Self {
             tree: Tree::new(),
-            near: [none; CHUNKS_MAX],
-            near_count: 0,
+            children: heapless::Vec::new(),
         }
+    }
+
+    /// Only the start is left; the other nodes will be in the region.
+    pub(crate) fn restart(&mut self, region: &Region, iterations: u32) {
+        let spread = Spread {
+            low: Point::new(0.0, region.right_m),
+            high: Point::new(region.x_max_m, region.left_m),
+            nodes: iterations,
+        };
+        self.tree.restart(Point::origin(), &spread);
     }
 
     /// Grows a new tree from the origin and always spends the whole budget.
@@ -56,25 +51,26 @@ impl Search {
         goal_body: Point,
         mut sampler: Sampler,
     ) {
-        let corridor = grid.corridor();
-        let region = Region {
-            x_max_m: goal_body.x.clamp(0.0, grid.x_max_m()),
-            right_m: corridor.right_m,
-            left_m: corridor.left_m,
-        };
-        self.tree.restart(Point::origin());
-        for _ in 0..config.iterations {
-            // Without a bias no number is drawn for it.
-            let sample_body = if config.goal_bias > 0.0 && sampler.unit() < config.goal_bias {
-                goal_body
-            } else {
-                sampler.point_body(&region)
-            };
-            self.extend(grid, config, sample_body);
-        }
+        let region = Region::before(goal_body, grid);
+        self.restart(&region, config.iterations);
+        widely(
+            #[inline(always)]
+            || {
+                for _ in 0..config.iterations {
+                    // Without a bias no number is drawn for it.
+                    let is_goal = config.goal_bias > 0.0 && sampler.unit() < config.goal_bias;
+                    let sample_body = match is_goal {
+                        true => goal_body,
+                        false => sampler.point_body(&region),
+                    };
+                    self.extend(grid, config, sample_body);
+                }
+            },
+        );
     }
 
     /// One iteration: extend, choose the parent, rewire.
+    #[inline(always)]
     pub(crate) fn extend(&mut self, grid: &Grid, config: &PlannerConfig, sample_body: Point) {
         let (nearest, square) = self.tree.nearest(sample_body);
         let distance_m = square.sqrt();
@@ -92,6 +88,7 @@ impl Search {
 
     /// Adds a point that can be reached straight from a node: chooses the parent,
     /// rewires. `None` when the way there is not free, or the tree is full.
+    #[inline(always)]
     pub(crate) fn insert(
         &mut self,
         grid: &Grid,
@@ -103,117 +100,109 @@ impl Search {
         if !grid.is_segment_free(from_body, point_body) {
             return None;
         }
-        let least = self.find_near(point_body, config.rewire_radius_m);
-        let edge = self.choose_parent(
-            grid,
-            point_body,
-            least,
-            Edge {
-                parent: from,
-                // The distance between the points as stored, not the step: costs are then
-                // exact sums.
-                length_m: (point_body - from_body).norm_squared().sqrt(),
-            },
-        );
+        let nearest = Edge {
+            parent: from,
+            // The distance between the points as stored, not the step: costs are then
+            // exact sums.
+            length_m: (point_body - from_body).norm_squared().sqrt(),
+        };
+        self.tree.measure(point_body);
+        let edge = self.choose_parent(grid, config, point_body, nearest);
         let index = self.tree.push(point_body, edge)?;
-        self.rewire(grid, index);
+        self.rewire(grid, config, index);
         Some(index)
-    }
-
-    /// Measures the way from every node within the radius; the chunk with the
-    /// cheapest parent, and the new node's cost with that one, m.
-    ///
-    /// The loop covers all nodes, also those outside the radius: at the paper's 200
-    /// iterations a vectorised loop over all is cheaper than a selection of the nodes
-    /// inside, and than buckets.
-    fn find_near(&mut self, point_body: Point, radius_m: f64) -> (usize, f64) {
-        let limit = radius_m * radius_m;
-        let chunks = self.tree.chunks();
-        self.near_count = chunks.len();
-        least_chunk(self.near.iter_mut().zip(chunks).map(|(near, chunk)| {
-            let squares = chunk.squares(point_body);
-            for (lane, &square) in squares.iter().enumerate() {
-                let distance_m = square.sqrt();
-                let distance_m = if square <= limit {
-                    distance_m
-                } else {
-                    f64::INFINITY
-                };
-                near.distance_m[lane] = distance_m;
-                near.cost_via_m[lane] = chunk.cost_m[lane] + distance_m;
-            }
-            near.cost_via_m
-        }))
     }
 
     /// The cheapest parent with a free edge. The nearest node, whose edge is
     /// known to be free, is the fallback; so only cheaper ones are looked at,
-    /// the cheapest first, and most searches test a single edge.
+    /// the cheapest first, and most searches test a single edge. Of equals the first.
+    #[inline(always)]
     fn choose_parent(
         &mut self,
         grid: &Grid,
+        config: &PlannerConfig,
         point_body: Point,
-        mut least: (usize, f64),
         nearest: Edge,
     ) -> Edge {
         let limit_m = self.tree.cost_m(nearest.parent) + nearest.length_m;
-        let near = &mut self.near[..self.near_count];
-        loop {
-            let (at, cost_m) = least;
-            if cost_m >= limit_m {
-                return nearest;
-            }
-            let chunk = &mut near[at];
-            let lane = lane_of(&chunk.cost_via_m, cost_m);
-            let parent = at * LANES + lane;
-            if grid.is_segment_free(self.tree.point(parent), point_body) {
+        let limits_m = (limit_m, config.rewire_radius_m);
+        let mut blocked = None;
+        while let Some(via) = self.tree.cheapest_via(point_body, limits_m, blocked) {
+            let parent = via.index as usize;
+            let parent_body = self.tree.point(parent);
+            if grid.is_segment_free(parent_body, point_body) {
                 return Edge {
                     parent,
-                    length_m: chunk.distance_m[lane],
+                    length_m: (parent_body - point_body).norm_squared().sqrt(),
                 };
             }
-            chunk.cost_via_m[lane] = f64::INFINITY;
-            least = least_chunk(near.iter().map(|near| near.cost_via_m));
+            blocked = Some(via);
+        }
+        nearest
+    }
+
+    /// Makes the new node the parent of each near node that it makes cheaper, in the
+    /// order they were made.
+    #[inline(always)]
+    fn rewire(&mut self, grid: &Grid, config: &PlannerConfig, index: usize) {
+        let Self { tree, children, .. } = self;
+        let point_body = tree.point(index);
+        let cost_m = tree.cost_m(index);
+        children.clear();
+        let reach = Reach::of_children(cost_m, config.rewire_radius_m);
+        tree.each_within(point_body, reach, |found| {
+            if cost_m + found.square.sqrt() < found.cost_m {
+                let _ = children.push(found.index);
+            }
+        });
+        children.sort_unstable();
+        for &other in &*children {
+            let other = usize::from(other);
+            let other_body = tree.point(other);
+            let length_m = (other_body - point_body).norm_squared().sqrt();
+            // Rewiring only lowers costs; so all that pass now are among those that
+            // passed at the beginning.
+            if cost_m + length_m < tree.cost_m(other)
+                && grid.is_segment_free(point_body, other_body)
+            {
+                let edge = Edge {
+                    parent: index,
+                    length_m,
+                };
+                tree.rewire(other, edge);
+            }
         }
     }
 
-    /// Makes the new node the parent of each near node that it makes cheaper.
-    fn rewire(&mut self, grid: &Grid, index: usize) {
-        let point_body = self.tree.point(index);
-        let cost_m = self.tree.cost_m(index);
-        for (chunk, near) in self.near[..self.near_count].iter().enumerate() {
-            let costs_m = self.tree.chunks()[chunk].cost_m;
-            let mut any = false;
-            for (distance_m, old_m) in near.distance_m.iter().zip(costs_m) {
-                any |= cost_m + distance_m < old_m;
-            }
-            if !any {
-                continue;
-            }
-            for (lane, &distance_m) in near.distance_m.iter().enumerate() {
-                let other = chunk * LANES + lane;
-                // Rewiring only lowers costs; so no node that the test of the whole
-                // chunk excluded would pass now.
-                if cost_m + distance_m < self.tree.cost_m(other)
-                    && grid.is_segment_free(point_body, self.tree.point(other))
-                {
-                    let edge = Edge {
-                        parent: index,
-                        length_m: distance_m,
-                    };
-                    self.tree.rewire(other, edge);
+    /// The cheapest node in the goal ball; of equals the first.
+    #[inline(always)]
+    pub(crate) fn reached(&mut self, goal_body: Point, radius_m: f64) -> Option<usize> {
+        let mut best: Option<Found> = None;
+        self.tree.measure(goal_body);
+        self.tree
+            .each_within(goal_body, Reach::of_all(radius_m), |found| {
+                let is_better =
+                    best.is_none_or(|best| (found.cost_m, found.index) < (best.cost_m, best.index));
+                if is_better {
+                    best = Some(found);
                 }
-            }
-        }
-    }
-
-    /// The cheapest node in the goal ball.
-    pub(crate) fn reached(&self, goal_body: Point, radius_m: f64) -> Option<usize> {
-        let in_ball = |&index: &usize| {
-            (self.tree.point(index) - goal_body).norm_squared() <= radius_m * radius_m
-        };
-        (0..self.tree.len())
-            .filter(in_ball)
-            .min_by(|&a, &b| self.tree.cost_m(a).total_cmp(&self.tree.cost_m(b)))
+            });
+        best.map(|best| usize::from(best.index))
     }
 }
+
+/// Calls a function with the widest vectors of this machine, as far as all that it calls is
+/// inlined. The width changes no bit of a result: no product and sum are fused.
+#[cfg(feature = "std")]
+pub(crate) fn widely(run: impl FnOnce()) {
+    pulp::Arch::new().dispatch(run);
+}
+
+/// Calls a function, with the vectors that the program is built for.
+#[cfg(not(feature = "std"))]
+pub(crate) fn widely(run: impl FnOnce()) {
+    run();
+}
+
+#[cfg(test)]
+mod tests;

@@ -26,6 +26,7 @@ pub(crate) struct Segment {
 impl Segment {
     /// Both ends are inside the grid; an end on the grid's outer edge touches
     /// the cells inside it.
+    #[inline(always)]
     pub(crate) fn new(from: Point, to: Point, last_column: usize, last_row: usize) -> Self {
         // Upwards, so that rows are entered at their lower edge.
         let (from, to) = if from.y <= to.y {
@@ -42,11 +43,13 @@ impl Segment {
     }
 
     /// First and last row of all that it touches.
+    #[inline(always)]
     pub(crate) fn rows(&self) -> (usize, usize) {
         cells(self.from.y, self.to.y, self.last_row)
     }
 
     /// First and last column of all that it touches.
+    #[inline(always)]
     pub(crate) fn columns(&self) -> (usize, usize) {
         let (low, high) = (self.from.x.min(self.to.x), self.from.x.max(self.to.x));
         cells(low, high, self.last_column)
@@ -74,6 +77,7 @@ impl Segment {
 }
 
 /// First and last cell that an interval touches along one axis, at most `last`.
+#[inline(always)]
 pub(crate) fn cells(low: f64, high: f64, last: usize) -> (usize, usize) {
     // 32 bits hold every count of cells, and convert at a fraction of the cost
     // of 64. Truncating is floor for what is positive, and saturates.

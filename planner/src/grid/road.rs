@@ -3,7 +3,7 @@ use shm_config::message::Observation;
 use vehicle::Float as _;
 use vehicle::Point;
 
-use super::{Grid, STARTS_MAX};
+use super::{Grid, STARTS_MAX, words_of};
 use crate::centre_line::CentreLine;
 use crate::corridor::Corridor;
 
@@ -55,12 +55,14 @@ impl Grid {
             .map(|start_m| (start_m * self.cells_per_m).floor() as i64)
             .collect();
         self.stamp_returns(observation);
-        self.mark_unseen(observation);
+        self.mark_unseen();
         for start in 0..self.starts.len() {
             let column = self.starts[start].max(0) as usize;
             self.clear(self.half_rows, column, column);
             self.clear(self.half_rows - 1, column, column);
         }
+        #[cfg(feature = "std")]
+        self.levels.begin(0..self.rows());
     }
 
     /// Frees the road, piece by piece.
@@ -141,8 +143,9 @@ impl Grid {
 
     /// Frees the columns `first..=last` of a row of the grid.
     fn clear(&mut self, row: usize, first: usize, last: usize) {
-        for (start, mask) in self.words_of(first, last) {
-            self.words[start + row] &= !mask;
+        let rows = self.rows();
+        for (word, mask) in words_of(first, last) {
+            self.words[word * rows + row] &= !mask;
         }
     }
 }

@@ -1,4 +1,3 @@
-use shm_config::message::Observation;
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
 use vehicle::{Extent, Point, Sight, Vector};
@@ -66,8 +65,10 @@ impl Grid {
     /// Marks the cells ahead of the front bumper at which the front of the body, without a
     /// turn, would be where no beam looks: nothing says that they are free. What is beside
     /// the body was ahead of it before; a turn of a long car would be blocked there.
-    pub(super) fn mark_unseen(&mut self, observation: &Observation) {
-        let sight = observation.fan().sight();
+    pub(super) fn mark_unseen(&mut self) {
+        let Some(sight) = self.beams.sight() else {
+            return;
+        };
         let mount = sight.fan().mount_body;
         let farthest = Vector::new(
             self.x_max_m() + mount.x.abs(),

@@ -6,9 +6,10 @@ use vehicle::Float as _;
 use vehicle::{Point, Pose, Vector};
 
 use super::body::Body;
+use crate::buckets::{LANES, Spread};
 use crate::dubins::Dubins;
 use crate::grid::Grid;
-use crate::tree::{CHUNKS_MAX, Edge, LANES, Tree};
+use crate::tree::{CHUNKS_MAX, Edge, Tree};
 
 /// Shorter curves are not edges, m.
 const SAME_M: f64 = 1e-6;
@@ -75,7 +76,7 @@ impl Search {
 
     /// Only the car is left, and the way to the goal if a single curve is one.
     pub(super) fn restart(&mut self, grid: &Grid, question: &Question) {
-        self.tree.restart(Point::origin());
+        self.tree.restart(Point::origin(), &Spread::UNKNOWN);
         self.poses.clear();
         self.headings_rad.clear();
         self.goal = None;
@@ -111,7 +112,7 @@ impl Search {
 
     /// The sample, or the place as far along the curve to it as the reach is,
     /// when every node is farther away.
-    fn approach(&self, question: &Question, sample: &Pose) -> Option<Pose> {
+    fn approach(&mut self, question: &Question, sample: &Pose) -> Option<Pose> {
         let (nearest, square) = self.tree.nearest(sample.translation.vector.into());
         if square.is_nan() || square < SAME_M * SAME_M {
             return None;
