@@ -14,6 +14,7 @@
 //! | [`ipc`] | message latency beside bare iceoryx2, Cyclone DDS and Zenoh |
 //! | [`replaying`] | replays and forks of recordings |
 //! | [`faults`] | running sets under injected faults |
+//! | [`scale`] | how each cost grows with its work; a fleet from measured costs |
 //! | [`soak`] | memory growth of a set over millions of ticks |
 //!
 //! | module | shared by them |
@@ -50,6 +51,7 @@ pub mod photography;
 pub mod planning;
 mod products;
 pub mod replaying;
+pub mod scale;
 pub mod soak;
 pub mod speed;
 pub mod stalls;
@@ -72,6 +74,7 @@ supervisor::subcommands! {
         IpcEcho(ipc::IpcEcho),
         Replay(replaying::BenchReplay),
         Faults(faults::BenchFaults),
+        Scale(scale::BenchScale),
         Soak(soak::BenchSoak),
     }
 }

@@ -2,7 +2,7 @@
 //! strict one.
 
 use std::num::NonZeroUsize;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc;
 
 use anyhow::Context;
@@ -32,12 +32,50 @@ pub struct Task {
     pub threads: NonZeroUsize,
 }
 
+impl Task {
+    /// The seeds of its episodes.
+    pub fn seeds(&self) -> impl Iterator<Item = u64> {
+        (0..self.episodes).map(|index| self.first_seed.wrapping_add(index))
+    }
+}
+
+/// A driven episode.
+pub struct DrivenEpisode {
+    /// How it ended.
+    pub episode: Episode,
+    /// Time of each plan, us; `None` for drivers that do not plan.
+    pub planning_us: Option<Histogram<u64>>,
+}
+
 /// Results of the episodes.
 pub struct Drives {
     /// The episodes, sorted by seed.
     pub episodes: Vec<Episode>,
     /// Time of each plan, us.
     pub planning_us: Histogram<u64>,
+}
+
+impl Drives {
+    /// Without an episode.
+    pub fn none() -> Drives {
+        Drives {
+            episodes: Vec::new(),
+            planning_us: planning_histogram(),
+        }
+    }
+
+    /// Adds an episode.
+    ///
+    /// # Errors
+    /// If its planning times do not fit into the histogram.
+    pub fn add(&mut self, driven: DrivenEpisode) -> anyhow::Result<()> {
+        self.episodes.push(driven.episode);
+        if let Some(planning_us) = driven.planning_us {
+            let added = self.planning_us.add(planning_us);
+            added.context("planning times")?;
+        }
+        Ok(())
+    }
 }
 
 /// Drives all episodes in the task's world; calls `done` with each finished episode, in
@@ -50,11 +88,19 @@ pub fn evaluate(
     task: &Task,
     config: &Config,
     clock: Clock,
-    done: impl FnMut(&Episode),
+    mut done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
     match task.world {
         Simulator::BuiltIn => evaluate_inside(task, config, (clock, &Stop::default()), done),
-        _ => outside::evaluate(task, config, clock, done),
+        _ => {
+            let mut drives = Drives::none();
+            outside::evaluate(task, config, clock, |driven| {
+                done(&driven.episode);
+                drives.add(driven)
+            })?;
+            drives.episodes.sort_by_key(|episode| episode.seed);
+            Ok(drives)
+        }
     }
 }
 
@@ -66,61 +112,78 @@ pub fn evaluate(
 pub fn evaluate_inside(
     task: &Task,
     config: &Config,
-    (clock, stop): (Clock, &Stop),
+    watch: (Clock, &Stop),
     mut done: impl FnMut(&Episode),
 ) -> anyhow::Result<Drives> {
-    let next = AtomicU64::new(0);
+    let seeds: Vec<u64> = task.seeds().collect();
+    let mut drives = Drives::none();
+    evaluate_seeds((task, &seeds), config, watch, |driven| {
+        done(&driven.episode);
+        drives.add(driven)
+    })?;
+    drives.episodes.sort_by_key(|episode| episode.seed);
+    Ok(drives)
+}
+
+/// Drives the episodes of these seeds in the built-in world, and hands over each when it is
+/// finished, in any order.
+///
+/// # Errors
+/// As [`evaluate_inside`], and the first error of `done`.
+pub fn evaluate_seeds(
+    (task, seeds): (&Task, &[u64]),
+    config: &Config,
+    (clock, stop): (Clock, &Stop),
+    mut done: impl FnMut(DrivenEpisode) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let next = AtomicUsize::new(0);
     let (send, ended) = mpsc::channel();
-    let threads = task.threads.get().min(task.episodes.max(1) as usize);
+    let threads = task.threads.get().min(seeds.len().max(1));
     std::thread::scope(|scope| {
         let workers: Vec<_> = (0..threads)
             .map(|_| {
                 let (next, send) = (&next, send.clone());
-                scope.spawn(move || work((task, config), (clock, stop), next, &send))
+                let given = (task.driver, seeds);
+                scope.spawn(move || work(given, config, (clock, stop), (next, &send)))
             })
             .collect();
         drop(send);
-        let mut episodes: Vec<Episode> = Vec::new();
-        for episode in ended {
-            done(&episode);
-            episodes.push(episode);
+        for driven in ended {
+            // Without a receiver the workers end.
+            done(driven)?;
         }
-        let mut planning_us = planning_histogram();
         for worker in workers {
-            let times = match worker.join() {
+            match worker.join() {
                 Ok(worked) => worked?,
                 Err(panic) => std::panic::resume_unwind(panic),
-            };
-            planning_us.add(times).context("planning times")?;
+            }
         }
-        episodes.sort_by_key(|episode| episode.seed);
-        Ok(Drives {
-            episodes,
-            planning_us,
-        })
+        Ok(())
     })
 }
 
 /// Drives episodes until none is left.
 fn work(
-    (task, config): (&Task, &Config),
+    (driver, seeds): (DriverKind, &[u64]),
+    config: &Config,
     (clock, stop): (Clock, &Stop),
-    next: &AtomicU64,
-    send: &mpsc::Sender<Episode>,
-) -> anyhow::Result<Histogram<u64>> {
+    (next, send): (&AtomicUsize, &mpsc::Sender<DrivenEpisode>),
+) -> anyhow::Result<()> {
     let mut world = World::new(WorldConfig::from(config))?;
-    let mut driver = EpisodeDriver::new(task.driver, config, clock)?;
+    let mut driver = EpisodeDriver::new(driver, config, clock)?;
     let period_ns = config.run.period_ns();
     loop {
         let index = next.fetch_add(1, Ordering::Relaxed);
-        if index >= task.episodes || stop.is_asked() {
-            return Ok(driver.planning_us().clone());
-        }
-        let seed = task.first_seed.wrapping_add(index);
+        let Some(&seed) = seeds.get(index).filter(|_| !stop.is_asked()) else {
+            return Ok(());
+        };
         let driven = drive(&mut world, &mut driver, (seed, period_ns), |_| {});
-        let episode = driven.with_context(|| format!("seed {seed}"))?;
-        if send.send(episode).is_err() {
-            return Ok(driver.planning_us().clone());
+        let driven = DrivenEpisode {
+            episode: driven.with_context(|| format!("seed {seed}"))?,
+            planning_us: driver.take_planning_us(),
+        };
+        if send.send(driven).is_err() {
+            return Ok(());
         }
     }
 }

@@ -12,6 +12,7 @@
 //! | [`fork`] | a recorded run, driven on from a tick |
 //! | [`regress`] | the events of many recordings, driven again by another policy |
 //! | [`export`] | a recording as an animation, tables or a dataset |
+//! | [`shard`] | work in parts: `--shard I/N`, and their merge |
 //! | [`metric`] | keys and names of the figures |
 //! | [`statistics`] | means with 95 % confidence intervals, quantiles |
 //! | [`report`] | tables, and the description of the machine |
@@ -36,6 +37,7 @@ pub mod progress;
 pub mod regress;
 pub mod replay;
 pub mod report;
+pub mod shard;
 pub mod statistics;
 pub mod stop;
 pub mod sweep;

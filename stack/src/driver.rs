@@ -262,6 +262,12 @@ impl EpisodeDriver {
     pub fn planning_us(&self) -> &Histogram<u64> {
         &self.planning_us
     }
+
+    /// The planning times since the last call, us; `None` without any.
+    pub fn take_planning_us(&mut self) -> Option<Histogram<u64>> {
+        (!self.planning_us.is_empty())
+            .then(|| std::mem::replace(&mut self.planning_us, planning_histogram()))
+    }
 }
 
 /// The bytes of a regular file.

@@ -3,6 +3,7 @@
 use clap::{Parser, Subcommand};
 
 use crate::commands::clean::Clean;
+use crate::commands::cluster::Cluster;
 use crate::commands::config::ConfigArguments;
 use crate::commands::conform::Conform;
 use crate::commands::delegate::Delegated;
@@ -63,7 +64,7 @@ pub enum Command {
     #[command(disable_help_flag = true)]
     Eval(Delegated),
     /// Measure: parity, sim, planner, mpc, policy, learner, swap, judge, latency, ipc, faults,
-    /// replay, soak.
+    /// replay, scale, soak.
     #[command(disable_help_flag = true)]
     Bench(Delegated),
     /// Show a running set, or a recording, as a page for a browser.
@@ -84,6 +85,8 @@ pub enum Command {
     /// Drive on from a recorded tick: with another policy, planner, judge or setting.
     #[command(disable_help_flag = true)]
     Fork(Delegated),
+    /// Print the script with which a cluster does a command's work in parts.
+    Cluster(Cluster),
     /// Drive on from every veto, takeover, contact and late tick of many recordings.
     #[command(disable_help_flag = true)]
     Regress(Delegated),

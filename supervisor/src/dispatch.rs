@@ -4,7 +4,7 @@ use crate::Clock;
 use crate::arguments::Command;
 use crate::cli::failure::Failure;
 use crate::commands::delegate::{BENCH, JUDGE, LAB, RECORDER, VIEW, delegate};
-use crate::commands::{clean, config, conform, doctor, down, setup, status, swap, up};
+use crate::commands::{clean, cluster, config, conform, doctor, down, setup, status, swap, up};
 
 /// Carries out a command; those of other programs are handed over.
 ///
@@ -20,6 +20,7 @@ pub fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Clean(arguments) => clean::clean(arguments),
         Command::Record(words) => delegate(RECORDER, &["record"], words),
         Command::Setup(arguments) => setup::setup(arguments),
+        Command::Cluster(arguments) => cluster::cluster(arguments),
         Command::Config(arguments) => config::config(arguments),
         Command::Conform(arguments) => conform::conform(arguments, clock),
         Command::Eval(words) => delegate(LAB, &["eval"], words),

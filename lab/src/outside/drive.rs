@@ -4,7 +4,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Sender;
 use std::time::Duration;
 
-use hdrhistogram::Histogram;
 use shm_config::config::Config;
 use shm_config::message::{Command, Episode, Header, Message, Observation};
 use shm_config::services::{COMMAND, EPISODE, OBSERVATION, Process};
@@ -15,6 +14,7 @@ use supervisor::run::shared_memory::{Need, check_shared_memory, shared_memory};
 use supervisor::set::launch::Program;
 
 use super::world::WorldProcess;
+use crate::episodes::DrivenEpisode;
 use stack::Clock;
 use stack::driver::{DriverKind, EpisodeDriver};
 
@@ -59,8 +59,8 @@ pub fn drive(
     (config, program): (&Config, &Program),
     clock: Clock,
     stop: &AtomicBool,
-    send: &Sender<Episode>,
-) -> anyhow::Result<Histogram<u64>> {
+    send: &Sender<DrivenEpisode>,
+) -> anyhow::Result<()> {
     // Dropped in reverse order: the run's files are removed after all ports are closed.
     let (place, _) = Place::take(config.run.name.parse()?)?;
     check_shared_memory(shared_memory()?.0, &Need::of(config))?;
@@ -82,8 +82,12 @@ pub fn drive(
         let exit = world.ended()?;
         while let Some(episode) = ports.episodes.receive() {
             left = left.saturating_sub(1);
-            if send.send(episode).is_err() {
-                return Ok(wheel.driver.planning_us().clone());
+            let driven = DrivenEpisode {
+                episode,
+                planning_us: wheel.driver.take_planning_us(),
+            };
+            if send.send(driven).is_err() {
+                return Ok(());
             }
         }
         if let Some(observation) = ports.observations.newest(Message::check) {
@@ -99,7 +103,7 @@ pub fn drive(
         ports.update_connections();
         roster.update_connections();
     }
-    Ok(wheel.driver.planning_us().clone())
+    Ok(())
 }
 
 /// A driver that is reset at the begin of each episode.

@@ -11,16 +11,14 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
 use anyhow::Context;
-use hdrhistogram::Histogram;
 use shm_config::config::{Clock as RunClock, Config, GateMode, Simulator};
-use shm_config::message::Episode;
 use supervisor::cli::failure::Failure;
 use supervisor::machine::signals::Signals;
 use supervisor::setup::foreign::Foreign;
 
-use crate::episodes::{Drives, Task};
+use crate::episodes::{DrivenEpisode, Task};
 use stack::Clock;
-use stack::driver::{DriverKind, planning_histogram};
+use stack::driver::DriverKind;
 
 /// Maximum sleep between two checks for a signal.
 const LOOK: Duration = Duration::from_millis(50);
@@ -35,18 +33,18 @@ struct Share {
     episodes: u64,
 }
 
-/// Drives all episodes in the simulator of the task; calls `done` with each finished episode, in
+/// Drives all episodes in the simulator of the task; hands over each finished episode, in
 /// any order. A signal to stop ends all worlds.
 ///
 /// # Errors
 /// If the driver needs the built-in world, the simulator is not set up, a world ends early,
-/// or a stop is requested.
+/// or a stop is requested; the first error of `done`.
 pub fn evaluate(
     task: &Task,
     config: &Config,
     clock: Clock,
-    mut done: impl FnMut(&Episode),
-) -> anyhow::Result<Drives> {
+    mut done: impl FnMut(DrivenEpisode) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
     if task.driver == DriverKind::Idm {
         let world = task.world.word();
         let line = format!(
@@ -73,34 +71,27 @@ pub fn evaluate(
             })
             .collect();
         drop(send);
-        let mut episodes: Vec<Episode> = Vec::new();
+        let mut kept = Ok(());
         loop {
             match ended.recv_timeout(LOOK) {
-                Ok(episode) => {
-                    done(&episode);
-                    episodes.push(episode);
-                }
-                Err(RecvTimeoutError::Timeout) => {}
+                Ok(driven) if kept.is_ok() => kept = done(driven),
+                Ok(_) | Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            stop.fetch_or(signals.take_stops() > 0, Ordering::Relaxed);
+            let is_over = signals.take_stops() > 0 || kept.is_err();
+            stop.fetch_or(is_over, Ordering::Relaxed);
         }
-        let mut planning_us = planning_histogram();
         for worker in workers {
-            let times: Histogram<u64> = match worker.join() {
+            match worker.join() {
                 Ok(worked) => worked?,
                 Err(panic) => std::panic::resume_unwind(panic),
-            };
-            planning_us.add(times).context("planning times")?;
+            }
         }
-        if stop.load(Ordering::Relaxed) {
-            return Err(Failure::GivenUp("stopped by a signal".into()).into());
+        kept?;
+        match stop.load(Ordering::Relaxed) {
+            true => Err(Failure::GivenUp("stopped by a signal".into()).into()),
+            false => Ok(()),
         }
-        episodes.sort_by_key(|episode| episode.seed);
-        Ok(Drives {
-            episodes,
-            planning_us,
-        })
     })
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use shm_config::message::{Outcome, Step};
 
 use crate::fork::course::Course;
@@ -10,7 +10,7 @@ use crate::fork::drive::contacts;
 use crate::replay::rebuild::Rebuilt;
 
 /// What happened.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// The safety check vetoed the driver in charge.
@@ -50,7 +50,7 @@ impl Kind {
 }
 
 /// What became of the car within the time that is looked at; a worse one is larger.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum End {
     /// It arrived.

@@ -1,6 +1,7 @@
 //! `./vlaps regress`: the events of many recordings, driven again by another policy.
 
 pub mod events;
+mod shards;
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -11,11 +12,12 @@ use std::sync::Mutex;
 use anyhow::{Context, bail};
 use clap::Args;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use shm_config::config::Config;
 use shm_config::counted;
 use shm_config::message::{Episode, Outcome};
 use stack::Clock;
+use supervisor::cli::failure::Failure;
 use supervisor::subcommand::{Output, Subcommand, say, seconds, write_json_option};
 
 use crate::fork::course::{Course, Until};
@@ -28,6 +30,7 @@ use crate::replay::recorded::Recorded;
 use crate::replay::source::Source;
 use crate::replay::worlds::is_built_in;
 use crate::report::table;
+use crate::shard::Shard;
 use events::{End, Event, Kind, Trace, events};
 
 /// Drive on from every veto, takeover, contact and late tick of many recordings.
@@ -38,18 +41,24 @@ use events::{End, Event, Kind, Trace, events};
         it in the recording. Vetoes, takeovers, contacts and late ticks that follow each other \
         within a second are one event. An event got worse when the car now touches something \
         or leaves the road and did not before, or no longer arrives.\n\n\
-        Exit code: 0, no event got worse; 1, one did; 2, a recording cannot be rebuilt.\n\n\
+        --shard I/N drives on from the I-th of N parts of the events, on any machine; the same \
+        command continues after Ctrl-C or a kill. --report merges the parts in --out and says which \
+        are missing.\n\n\
+        Exit code: 0, no event got worse; 1, one did, or parts are missing; 2, a recording cannot \
+        be rebuilt.\n\n\
         Examples:\n  \
         ./vlaps regress runs --policy policy.onnx\n  \
-        ./vlaps regress incidents --policy policy.onnx --seconds 10 --lead 2 --json regress.json"
+        ./vlaps regress incidents --policy policy.onnx --seconds 10 --lead 2 --json regress.json\n  \
+        ./vlaps regress incidents --policy policy.onnx --shard 3/8 --out runs/regress\n  \
+        ./vlaps regress --out runs/regress --report"
 )]
 pub struct Regress {
     /// A folder with recordings: MCAP files of one run, or folders with them.
-    #[arg(value_name = "FOLDER")]
-    pub folder: PathBuf,
+    #[arg(value_name = "FOLDER", required_unless_present = "report")]
+    pub folder: Option<PathBuf>,
     /// The policy.
-    #[arg(long, value_name = "FILE")]
-    pub policy: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "report")]
+    pub policy: Option<PathBuf>,
     /// Look at so long after the fork, s.
     #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
     pub seconds: f64,
@@ -59,13 +68,23 @@ pub struct Regress {
     /// With another setting, such as gate.mode=rules; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub overrides: Vec<String>,
+    /// Drive on from part I of N of the events, such as 3/8, and keep them in --out.
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "json")]
+    pub shard: Option<Shard>,
+    /// Folder of the parts; it may be shared by machines, or be copied together.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Do not drive: merge the parts in --out and print the figures.
+    #[arg(long, requires = "out", conflicts_with_all = ["shard", "folder", "policy", "seconds",
+          "lead", "overrides"])]
+    pub report: bool,
     /// Write the figures to this file, too.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
 }
 
 /// One event.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// The recording.
     pub recording: String,
@@ -94,10 +113,37 @@ struct Figures {
     recordings: usize,
     /// Time that was driven, s.
     driven_s: f64,
-    /// How long all of it took, s.
-    elapsed_s: f64,
-    /// Forks in a minute, without the reading of the recordings.
-    forks_per_minute: f64,
+    /// How long all of it took, s; `None` of merged parts, which have no clock in common.
+    elapsed_s: Option<f64>,
+    /// Forks in a minute, without the reading of the recordings; `None` of merged parts.
+    forks_per_minute: Option<f64>,
+}
+
+impl Figures {
+    /// Of the rows with the time that each drove, ns.
+    fn of(driven: Vec<(Row, u64)>, recordings: usize) -> Figures {
+        let driven_s = driven
+            .iter()
+            .map(|(_, driven_ns)| *driven_ns as f64 * 1e-9)
+            .sum();
+        let rows: Vec<Row> = driven.into_iter().map(|(row, _)| row).collect();
+        Figures {
+            worse: rows.iter().filter(|row| row.worse).count(),
+            better: rows.iter().filter(|row| row.new < row.recorded).count(),
+            recordings,
+            driven_s,
+            elapsed_s: None,
+            forks_per_minute: None,
+            rows,
+        }
+    }
+
+    fn exit_code(&self) -> ExitCode {
+        match self.worse {
+            0 => ExitCode::SUCCESS,
+            _ => ExitCode::from(1),
+        }
+    }
 }
 
 /// An event that is to be driven on.
@@ -118,24 +164,60 @@ struct Terms {
 
 impl Subcommand for Regress {
     fn outputs(&self) -> Vec<Output> {
-        vec![Output::json(&self.json)]
+        vec![
+            Output::Folder("--out", self.shard.and(self.out.clone())),
+            Output::json(&self.json),
+        ]
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        match (&self.out, self.report, self.shard) {
+            (Some(out), true, _) => return self.report_shards(out),
+            (Some(out), false, Some(shard)) => {
+                self.drive_shard((shard, out), clock).map_err(cannot)?;
+                return Ok(ExitCode::SUCCESS);
+            }
+            (Some(_), false, None) => {
+                let line = "--out: needs --shard I/N, which drives a part, or --report";
+                return Err(Failure::Usage(line.into()).into());
+            }
+            (None, _, _) => {}
+        }
         let figures = self.figures(clock).map_err(cannot)?;
         tell(&figures);
         write_json_option(&self.json, &figures)?;
-        Ok(match figures.worse {
-            0 => ExitCode::SUCCESS,
-            _ => ExitCode::from(1),
-        })
+        Ok(figures.exit_code())
     }
 }
 
 impl Regress {
     fn figures(&self, clock: Clock) -> anyhow::Result<Figures> {
         let begun = clock();
-        let recordings = recordings(&self.folder)?;
+        let (terms, jobs) = self.jobs(clock)?;
+        let bar = Progress::begin("drive".into(), "events", (0, jobs.len() as u64), clock)?;
+        let bar = Mutex::new((bar, 0));
+        let forking = clock();
+        let driven: anyhow::Result<Vec<(Row, u64)>> = jobs
+            .into_par_iter()
+            .map(|job| {
+                let row = self.drive(job, &terms, clock);
+                step(&bar);
+                row
+            })
+            .collect();
+        end(bar);
+        let driven = driven?;
+        let minutes = clock().since_ns(forking) as f64 * 1e-9 / 60.0;
+        Ok(Figures {
+            elapsed_s: Some(clock().since_ns(begun) as f64 * 1e-9),
+            forks_per_minute: Some(driven.len() as f64 / minutes.max(1e-9)),
+            ..Figures::of(driven, terms.len())
+        })
+    }
+
+    /// The events of all recordings, in their order.
+    fn jobs(&self, clock: Clock) -> anyhow::Result<(Vec<Terms>, Vec<Job>)> {
+        let recordings = recordings(self.folder()?)?;
         let total = recordings.len() as u64;
         let bar = Progress::begin("read".into(), "recordings", (0, total), clock)?;
         let bar = Mutex::new((bar, 0));
@@ -152,35 +234,16 @@ impl Regress {
             .collect();
         end(bar);
         let (terms, jobs): (Vec<Terms>, Vec<Vec<Job>>) = read?.into_iter().unzip();
-        let jobs: Vec<Job> = jobs.into_iter().flatten().collect();
-        let bar = Progress::begin("drive".into(), "events", (0, jobs.len() as u64), clock)?;
-        let bar = Mutex::new((bar, 0));
-        let forking = clock();
-        let driven: anyhow::Result<Vec<(Row, u64)>> = jobs
-            .into_par_iter()
-            .map(|job| {
-                let row = self.drive(job, &terms, clock);
-                step(&bar);
-                row
-            })
-            .collect();
-        end(bar);
-        let driven = driven?;
-        let driven_s: f64 = driven
-            .iter()
-            .map(|(_, driven_ns)| *driven_ns as f64 * 1e-9)
-            .sum();
-        let minutes = clock().since_ns(forking) as f64 * 1e-9 / 60.0;
-        let rows: Vec<Row> = driven.into_iter().map(|(row, _)| row).collect();
-        Ok(Figures {
-            worse: rows.iter().filter(|row| row.worse).count(),
-            better: rows.iter().filter(|row| row.new < row.recorded).count(),
-            recordings: recordings.len(),
-            driven_s,
-            elapsed_s: clock().since_ns(begun) as f64 * 1e-9,
-            forks_per_minute: rows.len() as f64 / minutes.max(1e-9),
-            rows,
-        })
+        Ok((terms, jobs.into_iter().flatten().collect()))
+    }
+
+    /// The folder of the recordings; the command line has it but for a report.
+    fn folder(&self) -> anyhow::Result<&Path> {
+        self.folder.as_deref().context("FOLDER is missing")
+    }
+
+    fn policy(&self) -> anyhow::Result<&Path> {
+        self.policy.as_deref().context("--policy is missing")
     }
 
     /// The events of a recording, each with the state from which it is driven on.
@@ -281,7 +344,7 @@ impl Regress {
         let Terms { config, mover } = &terms[job.of];
         let seed = job.start.rebuilt.world.seed();
         let forked = job.start.observation.header.tick;
-        let policy = read_policy(&self.policy, config, clock)?;
+        let policy = read_policy(self.policy()?, config, clock)?;
         let drive = Drive {
             config,
             mover,
@@ -363,14 +426,16 @@ fn tell(figures: &Figures) {
         ]);
     }
     say(rows);
+    let rate = match (figures.elapsed_s, figures.forks_per_minute) {
+        (Some(elapsed_s), Some(rate)) => format!(" in {elapsed_s:.1} s, {rate:.0} forks a minute"),
+        (_, _) => String::new(),
+    };
     say(format_args!(
-        "{} of {}: {} worse, {} better; {:.0} s driven in {:.1} s, {:.0} forks a minute",
+        "{} of {}: {} worse, {} better; {:.0} s driven{rate}",
         counted(figures.rows.len() as u64, "event"),
         counted(figures.recordings as u64, "recording"),
         figures.worse,
         figures.better,
         figures.driven_s,
-        figures.elapsed_s,
-        figures.forks_per_minute
     ));
 }

@@ -13,7 +13,8 @@ use supervisor::commands::up::arguments::SimulatorAlone;
 use supervisor::subcommand::{Configuration, Output, Subcommand};
 
 use super::experiment::folder;
-use super::train;
+use super::{shards, train};
+use crate::shard::Shard;
 
 /// Train a policy while the process set drives: the paper's experiment.
 #[derive(Debug, Args)]
@@ -23,6 +24,10 @@ use super::train;
         1049 without intervention (Sec. 5). The same seed gives the same policies. Ctrl-C stops \
         (exit code 1), --resume continues with the options of the beginning unless they are \
         given again.\n\n\
+        --shard I/N trains the I-th of N parts of the seeds, on any machine. The same command \
+        continues after Ctrl-C or a kill; a training that was interrupted begins again, because its \
+        policy would be another one. --report merges the parts in --out and says which are missing \
+        (exit code 1).\n\n\
         Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; results/learning.md \
         compares them.\n\n\
         Examples:\n  \
@@ -31,6 +36,7 @@ use super::train;
         ./vlaps train --out runs/pvp --resume\n  \
         ./vlaps train --out runs/pvp --resume --held-back\n  \
         ./vlaps train --out runs/pvp --report\n  \
+        ./vlaps train --algorithm ppl --seeds 8 --shard 3/8 --out runs/ppl\n  \
         ./vlaps up --policy runs/train-dagger/policy.onnx --gate policy"
 )]
 pub struct Train {
@@ -73,8 +79,12 @@ pub struct Train {
     /// was chosen on; with --resume after a training is complete.
     #[arg(long)]
     pub held_back: bool,
+    /// Train part I of N of the seeds, such as 3/8, in the folder of --out, which may be shared
+    /// by machines or be copied together.
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with_all = ["resume", "held_back", "json"])]
+    pub shard: Option<Shard>,
     /// Neither train nor evaluate: draw and print the results in the folder.
-    #[arg(long, conflicts_with_all = ["resume", "steps", "seed", "seeds", "eval_episodes",
+    #[arg(long, conflicts_with_all = ["shard", "resume", "steps", "seed", "seeds", "eval_episodes",
           "final_episodes", "held_back", "expert", "world", "config", "vehicle", "overrides"])]
     pub report: bool,
     /// Configuration and overrides.
@@ -88,6 +98,7 @@ pub struct Train {
 impl Subcommand for Train {
     fn outputs(&self) -> Vec<Output> {
         let folder = match &self.out {
+            Some(folder) if self.shard.is_some() => Output::Folder("--out", Some(folder.clone())),
             Some(folder) => Output::FolderOfParent("--out", Some(folder.clone())),
             None => Output::Folder("--out", Some(folder(self))),
         };
@@ -95,7 +106,11 @@ impl Subcommand for Train {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        train(self, clock)?;
+        match (self.report, self.shard) {
+            (true, _) => return shards::report(self, &folder(self)),
+            (false, Some(shard)) => shards::train(self, (shard, &folder(self)), clock)?,
+            (false, None) => train(self, clock)?,
+        }
         Ok(ExitCode::SUCCESS)
     }
 }

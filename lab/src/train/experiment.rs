@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use shm_config::config::{Algorithm, Simulator, text_of, vehicle_of};
-use shm_config::file::read_text;
+use shm_config::file::{Durable, read_text, replace};
 use supervisor::cli::failure::Failure;
 use supervisor::commands::up::settings::DEFAULT_FILE;
 
 use super::arguments::{ExpertChoice, Train};
 use super::results::seed_folders;
+use crate::shard::merge::is_sharded;
 use supervisor::subcommand::settings::key;
 
 /// File with the options of the experiment.
@@ -93,11 +94,60 @@ impl Experiment {
             (None, false) => check_free(&out)?,
             (Some(_), true) => {}
         }
+        if is_sharded(&out)? {
+            return Err(Failure::Usage(format!(
+                "{}: contains shards; --shard I/N continues one, --report merges them",
+                out.display()
+            ))
+            .into());
+        }
+        let asked = begun.clone().unwrap_or_default().asked(arguments, &out)?;
+        if let Some(begun) = begun {
+            begun.check_extends(&asked, &out)?;
+        }
+        Ok((asked, out))
+    }
+
+    /// The requested experiment for a part in this folder; no file is changed.
+    ///
+    /// # Errors
+    /// If the folder contains an experiment without parts or other files.
+    pub fn of_shard(arguments: &Train, out: &Path) -> anyhow::Result<Experiment> {
+        let is_free = match Experiment::read(out)? {
+            Some(_) => Err(Failure::Usage(format!(
+                "{}: contains an experiment that began without --shard; --resume continues it, \
+                 --out DIR begins another",
+                out.display()
+            ))
+            .into()),
+            None => check_free(out),
+        };
+        // Read last: another part may have begun the folder meanwhile.
+        if !is_sharded(out)? {
+            is_free?;
+        }
+        Experiment::default().asked(arguments, out)
+    }
+
+    /// The requested experiment of a row of a sweep that is done in parts; no file is changed.
+    ///
+    /// # Errors
+    /// If the row was begun without parts, or contains other files.
+    pub fn of_row(arguments: &Train, sweep: &Path, row: &Path) -> anyhow::Result<Experiment> {
+        if !is_sharded(sweep)? && Experiment::read(row)?.is_some() && !is_sharded(sweep)? {
+            return Err(Failure::Usage(format!(
+                "{}: contains a sweep that began without --shard; the same command without it \
+                 continues, --out DIR begins another",
+                sweep.display()
+            ))
+            .into());
+        }
+        Experiment::default().asked(arguments, row)
+    }
+
+    fn asked(self, arguments: &Train, out: &Path) -> anyhow::Result<Experiment> {
         let given = overrides(arguments)?;
-        let asked = begun
-            .clone()
-            .unwrap_or_default()
-            .with(arguments, &given, &out);
+        let asked = self.with(arguments, &given, out);
         if !matches!(asked.world, Simulator::BuiltIn | Simulator::MetaDrive) {
             let world = asked.world.word();
             let line = format!(
@@ -106,10 +156,7 @@ impl Experiment {
             );
             return Err(Failure::Usage(line).into());
         }
-        if let Some(begun) = begun {
-            begun.check_extends(&asked, &out)?;
-        }
-        Ok((asked, out))
+        Ok(asked)
     }
 
     /// The experiment in a folder; `None` without one. Seeds in a folder without an options
@@ -144,7 +191,9 @@ impl Experiment {
         let note = toml::to_string(self)?;
         for (file, text) in [(CONFIG, config.unwrap_or_default()), (FILE, note)] {
             let file = out.join(file);
-            fs::write(&file, text).with_context(|| file.display().to_string())?;
+            // Another part may write the same at this moment.
+            replace(&file, text.as_bytes(), Durable::No)
+                .with_context(|| file.display().to_string())?;
         }
         Ok(())
     }
@@ -229,13 +278,25 @@ pub fn folder(arguments: &Train) -> PathBuf {
 /// # Errors
 /// If another process holds the lock, or the folder cannot be created.
 pub fn lock(out: &Path) -> anyhow::Result<File> {
+    lock_with(out, File::try_lock)
+}
+
+/// As [`lock`], but shared with other parts of the same experiment.
+///
+/// # Errors
+/// As [`lock`].
+pub fn lock_shared(out: &Path) -> anyhow::Result<File> {
+    lock_with(out, File::try_lock_shared)
+}
+
+fn lock_with(out: &Path, try_lock: fn(&File) -> Result<(), TryLockError>) -> anyhow::Result<File> {
     fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     let path = out.join(LOCK);
     let named = || path.display().to_string();
     let mut options = File::options();
     let file = options.write(true).create(true).truncate(false);
     let file = file.open(&path).with_context(named)?;
-    match file.try_lock() {
+    match try_lock(&file) {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => bail!(
             "{}: is being trained in by another ./vlaps train; stop that one first, or choose \
@@ -257,7 +318,8 @@ fn check_free(out: &Path) -> anyhow::Result<()> {
     };
     for entry in entries {
         let name = entry?.file_name();
-        if name != LOCK {
+        let is_lock = name == LOCK || name.to_string_lossy().starts_with(".shard-");
+        if !is_lock {
             let message = format!(
                 "--out {}: contains {}, but no experiment; a training might replace files there; name \
                  a new or an empty folder",

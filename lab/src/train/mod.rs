@@ -8,6 +8,7 @@
 //! | [`training`] | one training: runs the process set in lockstep |
 //! | [`evaluator`] | evaluates 50 episodes without intervention after every block |
 //! | [`results`] | reads the results from the folders |
+//! | [`shards`] | trainings in parts: `--shard I/N` |
 //! | [`warnings`] | warnings about blocks that taught nothing, or whose policy did not drive |
 //! | [`curves`] | Figure 4, as SVG and PNG |
 //! | [`table`] | Table 1, and the mean over seeds |
@@ -22,6 +23,7 @@ pub mod evaluator;
 pub mod experiment;
 pub mod protocol;
 pub mod results;
+pub mod shards;
 pub mod table;
 pub mod tensorboard;
 pub mod training;
@@ -47,9 +49,6 @@ use training::End;
 /// If the configuration is invalid, a folder contains another experiment, the process
 /// set fails, or a stop is requested.
 pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
-    if arguments.report {
-        return report_folder(arguments, &experiment::folder(arguments));
-    }
     let stop = Stop::listen()?;
     let (experiment, out) = Experiment::open(arguments)?;
     let protocols: Vec<Protocol> = experiment
@@ -96,33 +95,42 @@ fn report_folder(arguments: &Train, out: &Path) -> anyhow::Result<()> {
     if results.seeds.is_empty() {
         bail!("{}: no block has been trained there yet", out.display());
     }
-    say(table::blocks(&results));
-    for finals in FinalSeeds::ALL.map(|seeds| table::finals(&results, seeds)) {
+    tell(out, &results);
+    write_json_option(&arguments.json, &results.summary())
+}
+
+/// Prints the results of a folder.
+fn tell(out: &Path, results: &Results) {
+    say(table::blocks(results));
+    for finals in FinalSeeds::ALL.map(|seeds| table::finals(results, seeds)) {
         finals.into_iter().for_each(say);
     }
-    for note in table::notes(&results) {
+    for note in table::notes(results) {
         say(note);
     }
-    write_json_option(&arguments.json, &results.summary())?;
     say(format_args!(
         "{}: curves.svg, curves.png, table.md, policy.onnx (the best), seed-*/",
         out.display()
     ));
-    Ok(())
 }
 
 /// Makes plots, tables and the best policy from the results in the folders.
 fn report(out: &Path) -> anyhow::Result<Results> {
     let results = Results::read(out)?;
-    if results.seeds.is_empty() {
-        return Ok(results);
+    if !results.seeds.is_empty() {
+        write(out, &results)?;
     }
-    curves::draw(&results, out)?;
-    tensorboard::write(&results, out)?;
-    fs::write(out.join("table.md"), table::markdown(&results)).context("table.md")?;
+    Ok(results)
+}
+
+/// Writes plots, tables and the best policy.
+fn write(out: &Path, results: &Results) -> anyhow::Result<()> {
+    curves::draw(results, out)?;
+    tensorboard::write(results, out)?;
+    fs::write(out.join("table.md"), table::markdown(results)).context("table.md")?;
     if let Some(best) = results.best() {
         let file = best.policy();
         fs::copy(&file, out.join("policy.onnx")).with_context(|| file.display().to_string())?;
     }
-    Ok(results)
+    Ok(())
 }

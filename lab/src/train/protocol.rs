@@ -164,7 +164,7 @@ fn check_own(overrides: &[String]) -> Result<(), Failure> {
 
 /// A run name made of the folder's name (shortened), a checksum of its whole path, and the
 /// seed: experiments in folders of the same name can run at the same time.
-fn run_name(out: &Path, seed: u64) -> String {
+pub(super) fn run_name(out: &Path, seed: u64) -> String {
     let out = whole(out);
     let folder = out.file_name().unwrap_or_default().to_string_lossy();
     let name = folder.chars().map(|c| match c.is_ascii_alphanumeric() {

@@ -146,6 +146,32 @@ impl Seed {
         }
     }
 
+    /// Reads the folder of a training.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    pub fn read(seed: u64, folder: PathBuf) -> anyhow::Result<Seed> {
+        Ok(Seed {
+            seed,
+            blocks: blocks(&folder)?,
+            block_evaluations: block_evaluations(&folder)?,
+            last: last(&folder, FinalSeeds::Evaluation)?,
+            held_back: last(&folder, FinalSeeds::HeldBack)?,
+            folder,
+        })
+    }
+
+    /// Whether all steps are trained, every block is evaluated, and the last policy too.
+    pub fn is_complete(&self, steps: u64, final_episodes: u64) -> bool {
+        let trained = self.blocks.last().map(|block| block.steps);
+        let evaluated = self.block_evaluations.last().map(|block| block.steps);
+        let last = self.last.as_ref();
+        let last = last.and_then(|last| last.evaluation["episodes"].as_u64());
+        trained == Some(steps)
+            && evaluated == Some(steps)
+            && (final_episodes == 0 || last == Some(final_episodes))
+    }
+
     /// The configuration file of the process set.
     pub fn config_file(&self) -> PathBuf {
         self.folder.join(CONFIG)
@@ -185,14 +211,7 @@ impl Results {
     pub fn read(out: &Path) -> anyhow::Result<Results> {
         let mut seeds = Vec::new();
         for (seed, folder) in seed_folders(out)? {
-            let seed = Seed {
-                seed,
-                blocks: blocks(&folder)?,
-                block_evaluations: block_evaluations(&folder)?,
-                last: last(&folder, FinalSeeds::Evaluation)?,
-                held_back: last(&folder, FinalSeeds::HeldBack)?,
-                folder,
-            };
+            let seed = Seed::read(seed, folder)?;
             if !seed.blocks.is_empty() {
                 seeds.push(seed);
             }
@@ -361,6 +380,7 @@ pub fn append_block_evaluation(
 ) -> anyhow::Result<()> {
     let path = block_evaluations_path(folder);
     let named = || path.display().to_string();
+    cut_torn_row(&path).with_context(named)?;
     let is_new = !path.exists();
     let file = fs::OpenOptions::new()
         .create(true)
@@ -372,6 +392,26 @@ pub fn append_block_evaluation(
         .from_writer(file);
     writer.serialize(block_evaluation).with_context(named)?;
     writer.flush().with_context(named)
+}
+
+/// Removes the incomplete last row that a killed process left: the next row would continue
+/// it.
+fn cut_torn_row(path: &Path) -> std::io::Result<()> {
+    let bytes = match fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error),
+    };
+    let whole = bytes.iter().rposition(|byte| *byte == b'\n');
+    match whole.map_or(0, |end| end + 1) {
+        length if length == bytes.len() => Ok(()),
+        // Without a header the file is begun again.
+        0 => fs::remove_file(path),
+        length => fs::OpenOptions::new()
+            .write(true)
+            .open(path)?
+            .set_len(length as u64),
+    }
 }
 
 /// The rows of a CSV file; none if it does not exist. An incomplete last row, which is being

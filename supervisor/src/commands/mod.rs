@@ -1,6 +1,7 @@
 //! The commands: each has its arguments and its run in one file or folder.
 
 pub mod clean;
+pub mod cluster;
 pub mod config;
 pub mod conform;
 pub mod delegate;

@@ -1,5 +1,7 @@
 //! `./vlaps eval`.
 
+mod shards;
+
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,6 +12,7 @@ use shm_config::config::Simulator;
 use shm_config::counted;
 use stack::Clock;
 use stack::driver::DriverKind;
+use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 use supervisor::commands::up::arguments::SimulatorAlone;
 use supervisor::setup::foreign::Foreign;
@@ -20,6 +23,7 @@ use crate::episodes::{Task, evaluate};
 use crate::evaluation::Evaluation;
 use crate::metric::FOOTNOTE;
 use crate::progress::left;
+use crate::shard::Shard;
 
 /// Drive many episodes and print success, contacts and completion.
 #[derive(Debug, Args)]
@@ -28,12 +32,18 @@ use crate::progress::left;
         threads. The expert consists of the same planner and controller as in \
         `./vlaps up --lockstep --gate expert` and gives the same commands; rrt-star, informed, \
         kinodynamic and mpc are the expert with that planner.method.\n\n\
+        --shard I/N drives the I-th of N parts, on any machine, and keeps each episode in --out as \
+        soon as it ends; the same command continues after Ctrl-C or a kill. --report merges the \
+        parts in --out and says which are missing (exit code 1); with all of them the figures are \
+        those of one piece, bit by bit, but for the planning time.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
         ./vlaps eval --driver mpc --episodes 200\n  \
         ./vlaps eval --driver policy.onnx --episodes 200\n  \
         ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
-        ./vlaps eval --driver expert --world metadrive --episodes 50"
+        ./vlaps eval --driver expert --world metadrive --episodes 50\n  \
+        ./vlaps eval --driver mpc --episodes 8000 --shard 3/8 --out runs/mpc\n  \
+        ./vlaps eval --out runs/mpc --report --json mpc.json"
 )]
 pub struct Eval {
     /// Driver: expert, rrt-star, informed, kinodynamic, mpc, lane, idm, or a policy file
@@ -64,6 +74,16 @@ pub struct Eval {
     /// built-in world.
     #[arg(long, value_name = "DIR")]
     pub draw: Option<PathBuf>,
+    /// Drive part I of N of the episodes, such as 3/8, and keep them in --out.
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with_all = ["draw", "json"])]
+    pub shard: Option<Shard>,
+    /// Folder of the parts; it may be shared by machines, or be copied together.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Do not drive: merge the parts in --out and print the figures.
+    #[arg(long, requires = "out", conflicts_with_all = ["shard", "draw", "driver", "episodes",
+          "first_seed", "world", "threads", "config", "vehicle", "overrides"])]
+    pub report: bool,
     /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -73,11 +93,21 @@ impl Subcommand for Eval {
     fn outputs(&self) -> Vec<Output> {
         vec![
             Output::Folder("--draw", self.draw.clone()),
+            // A report of a folder that is missing makes none.
+            Output::Folder("--out", self.shard.and(self.out.clone())),
             Output::json(&self.json),
         ]
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        match (&self.out, self.report, self.shard) {
+            (Some(out), true, _) => return shards::report(self, out),
+            (Some(_), false, None) => {
+                let line = "--out: needs --shard I/N, which drives a part, or --report";
+                return Err(Failure::Usage(line.into()).into());
+            }
+            (_, _, _) => {}
+        }
         let config = self.configuration.resolve()?;
         let cores = std::thread::available_parallelism()?;
         // Further threads would wait for a core or have no episode.
@@ -90,6 +120,10 @@ impl Subcommand for Eval {
             episodes: self.episodes,
             threads: asked.min(of_use),
         };
+        if let (Some(shard), Some(out)) = (self.shard, &self.out) {
+            shards::drive(self, (shard, out), (&task, &config), clock)?;
+            return Ok(ExitCode::SUCCESS);
+        }
         let bar = ProgressBar::new(task.episodes);
         let style = "{elapsed_precise} {wide_bar} {pos}/{len} episodes, {left}";
         bar.set_style(ProgressStyle::with_template(style)?.with_key("left", left(0)));
@@ -114,12 +148,7 @@ impl Subcommand for Eval {
                 counted(task.episodes, "episode")
             ));
         }
-        say(evaluation.table());
-        say(FOOTNOTE);
-        if let Some(failures) = evaluation.failure_table() {
-            say("failures by the strict metric, with their seeds:");
-            say(failures);
-        }
+        print(&evaluation);
         if let Some(folder) = &self.draw {
             let seeds: Vec<u64> = evaluation
                 .failures
@@ -131,6 +160,16 @@ impl Subcommand for Eval {
         }
         write_json_option(&self.json, &evaluation)?;
         Ok(ExitCode::SUCCESS)
+    }
+}
+
+/// Prints the figures and the failures.
+fn print(evaluation: &Evaluation) {
+    say(evaluation.table());
+    say(FOOTNOTE);
+    if let Some(failures) = evaluation.failure_table() {
+        say("failures by the strict metric, with their seeds:");
+        say(failures);
     }
 }
 

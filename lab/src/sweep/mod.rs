@@ -1,28 +1,31 @@
 //! `sweep`: trains policies under a judge with label noise, abstention or delay and
 //! measures the effect on the policy and on the training drives.
 
+mod picture;
+mod shards;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Args;
-use plotters::prelude::*;
 use serde::Serialize;
 use shm_config::config::{Algorithm, Simulator};
 use shm_config::counted;
+use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 
 use crate::report::{Machine, table};
+use crate::shard::Shard;
+use crate::shard::merge::is_sharded;
 use crate::train::arguments::{ExpertChoice, Train, algorithm};
 use crate::train::experiment::Experiment;
 use crate::train::results::Results;
-use crate::train::table::{INTERVALS, cell, over_seeds};
+use crate::train::table::{INTERVALS, cell};
 use crate::train::train;
 use stack::Clock;
 use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
-use view::chart::FACE;
-use view::sheet::{Area, save_svg};
 
 /// Train under a judge with one defect at a time: label noise, abstention, delay.
 #[derive(Debug, Args)]
@@ -32,9 +35,13 @@ use view::sheet::{Area, save_svg};
         without a defect. Results are kept in --out: the same command continues a stopped sweep. To \
         combine sweeps of other seeds, move their seed-N folders into one sweep's folders and run \
         --report.\n\n\
+        --shard I/N does the I-th of N parts of the trainings of all rows, on any machine. The \
+        same command continues after Ctrl-C or a kill; a training that was interrupted begins \
+        again. --report merges the parts in --out and says which are missing (exit code 1).\n\n\
         Examples:\n  \
         ./vlaps sweep --seeds 5\n  \
         ./vlaps sweep --algorithm pvp --steps 20000 --seeds 3 --out runs/sweep-pvp\n  \
+        ./vlaps sweep --seeds 8 --shard 3/8 --out runs/sweep-8\n  \
         ./vlaps sweep --out runs/sweep-pvp --report"
 )]
 pub struct Sweep {
@@ -56,8 +63,12 @@ pub struct Sweep {
     /// Folder for all trainings, the table and the plot.
     #[arg(long, value_name = "DIR", default_value = "runs/sweep")]
     pub out: PathBuf,
+    /// Do part I of N of all trainings, such as 3/8; --out may be shared by machines, or be
+    /// copied together.
+    #[arg(long, value_name = "I/N", requires = "out", conflicts_with = "json")]
+    pub shard: Option<Shard>,
     /// Do not train: print and draw the results in the folder.
-    #[arg(long, conflicts_with_all = ["algorithm", "steps", "seed", "seeds", "final_episodes",
+    #[arg(long, conflicts_with_all = ["shard", "algorithm", "steps", "seed", "seeds", "final_episodes",
           "overrides"])]
     pub report: bool,
     /// Override any key of the configuration; repeatable.
@@ -74,51 +85,87 @@ impl Subcommand for Sweep {
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        let conditions = Machine::here()?;
-        let flawed = SWEPT
-            .iter()
-            .flat_map(|&(flaw, values)| values.iter().map(move |&value| Some((flaw, value))));
-        let mut rows = Vec::new();
-        let mut common = None;
-        for flawed in std::iter::once(None).chain(flawed) {
-            let out = self.out.join(name(flawed));
-            if !self.report {
-                drive(self, flawed, &out, clock)?;
-            }
-            let Some(experiment) = Experiment::read(&out)? else {
-                continue;
+        if let Some(shard) = self.shard {
+            shards::drive(self, shard, clock)?;
+            return Ok(ExitCode::SUCCESS);
+        }
+        if is_sharded(&self.out)? {
+            return match self.report {
+                true => shards::report(self),
+                false => Err(Failure::Usage(format!(
+                    "{}: contains shards; --shard I/N continues one, --report merges them",
+                    self.out.display()
+                ))
+                .into()),
             };
-            let row = read(&out, flawed)?;
-            if !row.trainings.is_empty() {
-                rows.push(row);
-                common.get_or_insert(experiment);
+        }
+        if !self.report {
+            for flawed in rows() {
+                drive(self, flawed, clock)?;
             }
         }
-        let experiment = common.with_context(|| {
+        let swept = swept(&self.out)?.with_context(|| {
             let out = self.out.display();
             format!("{out}: contains no finished training of a sweep; check --out")
         })?;
-        let swept = Swept {
-            rows,
-            algorithm: experiment.algorithm.word().into(),
-            steps: experiment.steps,
-            episodes: experiment.final_episodes,
-            conditions,
-        };
-        let plot = self.out.join("sweep.svg");
-        draw(&swept, &plot).with_context(|| plot.display().to_string())?;
-        print(&swept.rows);
-        say(format_args!(
-            "{}, {}, {} each; {}; plot: {}\n{INTERVALS}",
-            swept.algorithm,
-            counted(swept.steps, "step"),
-            counted(swept.episodes, "episode"),
-            swept.conditions,
-            plot.display()
-        ));
+        tell(&swept, &self.out)?;
         write_json_option(&self.json, &swept)?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// The rows: the training without a defect first.
+fn rows() -> impl Iterator<Item = Option<(Flaw, f64)>> {
+    let flawed = SWEPT
+        .iter()
+        .flat_map(|&(flaw, values)| values.iter().map(move |&value| Some((flaw, value))));
+    std::iter::once(None).chain(flawed)
+}
+
+/// All finished trainings of a sweep; `None` without one.
+fn swept(out: &Path) -> anyhow::Result<Option<Swept>> {
+    let mut common = None;
+    let mut found = Vec::new();
+    for flawed in rows() {
+        let out = out.join(name(flawed));
+        let Some(experiment) = Experiment::read(&out)? else {
+            continue;
+        };
+        let row = read(&Results::read(&out)?, flawed)?;
+        if !row.trainings.is_empty() {
+            found.push(row);
+            common.get_or_insert(experiment);
+        }
+    }
+    common
+        .map(|experiment| of_rows(found, &experiment))
+        .transpose()
+}
+
+fn of_rows(rows: Vec<Row>, experiment: &Experiment) -> anyhow::Result<Swept> {
+    Ok(Swept {
+        rows,
+        algorithm: experiment.algorithm.word().into(),
+        steps: experiment.steps,
+        episodes: experiment.final_episodes,
+        conditions: Machine::here()?,
+    })
+}
+
+/// Draws and prints.
+fn tell(swept: &Swept, out: &Path) -> anyhow::Result<()> {
+    let plot = out.join("sweep.svg");
+    picture::draw(swept, &plot).with_context(|| plot.display().to_string())?;
+    print(&swept.rows);
+    say(format_args!(
+        "{}, {}, {} each; {}; plot: {}\n{INTERVALS}",
+        swept.algorithm,
+        counted(swept.steps, "step"),
+        counted(swept.episodes, "episode"),
+        swept.conditions,
+        plot.display()
+    ));
+    Ok(())
 }
 
 /// A defect of the judge.
@@ -210,32 +257,33 @@ fn name(flawed: Option<(Flaw, f64)>) -> String {
 }
 
 /// Runs the missing trainings of a row.
-fn drive(
-    arguments: &Sweep,
-    flawed: Option<(Flaw, f64)>,
-    out: &Path,
-    clock: Clock,
-) -> anyhow::Result<()> {
-    let mut overrides = arguments.overrides.clone();
-    if let Some((flaw, value)) = flawed {
-        overrides.push(format!("{}={value:?}", flaw.key()));
-    }
-    let resume = Experiment::read(out)?.is_some();
-    train(
-        &Train {
-            algorithm: Some(arguments.algorithm),
-            steps: Some(arguments.steps),
+fn drive(arguments: &Sweep, flawed: Option<(Flaw, f64)>, clock: Clock) -> anyhow::Result<()> {
+    let resume = Experiment::read(&arguments.out.join(name(flawed)))?.is_some();
+    train(&arguments.of_row(flawed, resume), clock)
+}
+
+impl Sweep {
+    /// The trainings of a row.
+    fn of_row(&self, flawed: Option<(Flaw, f64)>, resume: bool) -> Train {
+        let mut overrides = self.overrides.clone();
+        if let Some((flaw, value)) = flawed {
+            overrides.push(format!("{}={value:?}", flaw.key()));
+        }
+        Train {
+            algorithm: Some(self.algorithm),
+            steps: Some(self.steps),
             // Only the last policy is evaluated on many episodes; the earlier ones only
             // contribute to the learning curve.
             eval_episodes: Some(10),
-            final_episodes: Some(arguments.final_episodes),
-            seed: Some(arguments.seed),
-            seeds: Some(arguments.seeds),
+            final_episodes: Some(self.final_episodes),
+            seed: Some(self.seed),
+            seeds: Some(self.seeds),
             expert: Some(ExpertChoice::Mpc),
             world: Some(Simulator::BuiltIn),
-            out: Some(out.to_path_buf()),
+            out: Some(self.out.join(name(flawed))),
             resume,
             held_back: false,
+            shard: None,
             report: false,
             configuration: Configuration {
                 config: None,
@@ -243,15 +291,14 @@ fn drive(
                 overrides,
             },
             json: None,
-        },
-        clock,
-    )
+        }
+    }
 }
 
 /// Reads the finished trainings of a row.
-fn read(out: &Path, flawed: Option<(Flaw, f64)>) -> anyhow::Result<Row> {
+fn read(results: &Results, flawed: Option<(Flaw, f64)>) -> anyhow::Result<Row> {
     let mut trainings = Vec::new();
-    for seed in &Results::read(out)?.seeds {
+    for seed in &results.seeds {
         let Some(last) = &seed.last else {
             continue;
         };
@@ -352,124 +399,9 @@ fn print(rows: &[Row]) {
     say(table);
 }
 
-const SIZE: (u32, u32) = (1360, 460);
-/// A curve: name, colour and figure.
-type Curve = (&'static str, RGBColor, fn(&Training) -> f64);
-const CURVES: [Curve; 3] = [
-    (
-        "strict success of the last policy",
-        RGBColor(31, 105, 178),
-        |training| training.strict_success,
-    ),
-    (
-        "unsafe episodes while training",
-        RGBColor(211, 84, 0),
-        |training| training.unsafe_episodes,
-    ),
-    (
-        "steps the policy drove while training",
-        RGBColor(110, 118, 129),
-        |training| training.policy_share,
-    ),
-];
-
-/// Draws a curve through the means of the rows, and a small dot for each training.
-fn draw(swept: &Swept, path: &Path) -> anyhow::Result<()> {
-    save_svg(path, SIZE, |root| picture(swept, root))
-}
-
-fn picture(swept: &Swept, root: &Area<'_>) -> anyhow::Result<()> {
-    let title = format!(
-        "{}, {}: effect of the judge's defects (means; a dot for each training)",
-        swept.algorithm,
-        counted(swept.steps, "step")
-    );
-    let body = root.titled(&title, (FACE, 24))?;
-    for (area, (flaw, values)) in body.split_evenly((1, 3)).iter().zip(SWEPT) {
-        let end = values.last().copied().unwrap_or(1.0);
-        let mut chart = ChartBuilder::on(area)
-            .margin(14)
-            .x_label_area_size(46)
-            .y_label_area_size(44)
-            .build_cartesian_2d(-0.02 * end..1.03 * end, 0.0..1.03)?;
-        chart
-            .configure_mesh()
-            .x_desc(flaw.words())
-            .axis_desc_style((FACE, 16))
-            .label_style((FACE, 14))
-            .light_line_style(WHITE)
-            .draw()?;
-        for (name, colour, of) in CURVES {
-            let of_flaw: Vec<&Row> = swept
-                .rows
-                .iter()
-                .filter(|row| row.flaw.is_none_or(|other| other == flaw))
-                .collect();
-            let means = of_flaw
-                .iter()
-                .map(|row| (row.value, over_seeds(&row.each(of)).0));
-            let line = LineSeries::new(means, colour.stroke_width(2));
-            chart
-                .draw_series(line)?
-                .label(name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour));
-            let each = of_flaw
-                .iter()
-                .flat_map(|row| row.each(of).into_iter().map(|figure| (row.value, figure)));
-            let dots = each.map(|at| Circle::new(at, 3, colour.mix(0.6).filled()));
-            chart.draw_series(dots)?;
-        }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.8))
-            .label_font((FACE, 13))
-            .draw()?;
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
-    use super::{CURVES, Flaw, Row, SWEPT, Swept, Training, draw, name};
-    use crate::report::Machine;
-
-    fn row(flaw: Option<Flaw>, value: f64, seeds: u64) -> Row {
-        let training = |seed| Training {
-            seed,
-            success: 0.9,
-            strict_success: 0.8,
-            out_of_road: 0.05,
-            unsafe_episodes: 0.1,
-            policy_share: 0.6,
-            vetoed_share: 0.01,
-        };
-        Row {
-            flaw,
-            value,
-            trainings: (0..seeds).map(training).collect(),
-        }
-    }
-
-    #[test]
-    fn the_plot_has_a_dot_for_each_training() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("sweep.svg");
-        let swept = Swept {
-            rows: vec![row(None, 0.0, 3), row(Some(Flaw::Noise), 0.1, 2)],
-            algorithm: "hg-dagger".into(),
-            steps: 6000,
-            episodes: 500,
-            conditions: Machine::here().expect("a machine"),
-        };
-        draw(&swept, &path).expect("drawn");
-        let drawn = fs::read_to_string(&path).expect("an SVG");
-        // The training without a defect is in each chart, that with noise in one.
-        let dots = CURVES.len() * (3 * SWEPT.len() + 2);
-        assert_eq!(drawn.matches("<circle").count(), dots);
-    }
+    use super::{Flaw, name};
 
     #[test]
     fn each_row_has_its_own_folder() {

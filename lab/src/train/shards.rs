@@ -1,0 +1,258 @@
+//! Trainings in parts. A piece is the training of one seed.
+//!
+//! A training that is interrupted and resumed goes on with other episodes than one that
+//! is not, so that its policy is another one. For the figures of one piece, bit by bit,
+//! an interrupted training of a part begins again; what it had trained is removed. A
+//! training whose evaluations alone were interrupted goes on.
+
+use std::fs;
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use serde::{Deserialize, Serialize};
+use shm_config::counted;
+use shm_config::run::RunPaths;
+use supervisor::machine::signals::pause;
+use supervisor::run::leftovers::{Cleaned, clean_run};
+use supervisor::subcommand::{say, write_json_option};
+
+use super::arguments::Train;
+use super::experiment::{self, Experiment};
+use super::protocol::Protocol;
+use super::results::{self, Results, Seed, policy_file};
+use super::training::{self, End};
+use super::{evaluator, report_folder, tell, write};
+use crate::shard::Shard;
+use crate::shard::folder::ShardWork;
+use crate::shard::merge::{Merged, MissingParts, is_sharded, missing_parts};
+use crate::shard::terms::Terms;
+use crate::stop::Stop;
+use stack::Clock;
+
+/// The unit of the pieces.
+const UNIT: &str = "training";
+/// Interval and number of checks whether the process set of a killed training has ended: it
+/// notices within a second.
+const LOOK: Duration = Duration::from_millis(100);
+const LOOKS: u32 = 300;
+
+/// A finished training in the file of a part; its results are in its folder.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrainingResult {
+    seed: u64,
+    /// SHA-256 of the last policy, hexadecimal: a folder that is copied in part differs.
+    policy_sha256: String,
+}
+
+impl TrainingResult {
+    /// Of a training whose folder is complete; `None` if it is not.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    pub fn of(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Option<Self>> {
+        let folder = out.join(format!("seed-{seed}"));
+        let policy = folder.join(policy_file(experiment.steps));
+        let found = Seed::read(seed, folder)?;
+        let is_complete = found.is_complete(experiment.steps, experiment.final_episodes);
+        let Some(bytes) = fs::read(policy).ok().filter(|_| is_complete) else {
+            return Ok(None);
+        };
+        let sha256 = policy::sha256(&bytes);
+        Ok(Some(TrainingResult {
+            seed,
+            policy_sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
+        }))
+    }
+}
+
+/// Trains the seeds of a part that are left.
+///
+/// # Errors
+/// If the part cannot be worked on, a training fails, or a stop is requested.
+pub fn train(arguments: &Train, (shard, out): (Shard, &Path), clock: Clock) -> anyhow::Result<()> {
+    let stop = Stop::listen()?;
+    let experiment = Experiment::of_shard(arguments, out)?;
+    let terms = terms("train", shard, &experiment, out)?;
+    let pieces = u64::from(experiment.seeds);
+    let _lock = experiment::lock_shared(out)?;
+    let label = experiment.algorithm.word();
+    let mut work = ShardWork::open::<TrainingResult>(out, shard, &terms, (pieces, label))?;
+    experiment.write(out)?;
+    work.redo_unless(|piece, result: &TrainingResult| {
+        let found = TrainingResult::of(&experiment, (experiment.seed + piece, out))?;
+        Ok(found.as_ref() == Some(result))
+    })?;
+    if work.was_complete(UNIT) {
+        return Ok(());
+    }
+    for piece in work.left().clone() {
+        let seed = experiment.seed + piece;
+        match train_seed(&experiment, (seed, out), &stop, clock)? {
+            Some(result) => work.keep(piece, &result)?,
+            None => break,
+        }
+    }
+    work.finish(UNIT)
+}
+
+/// The terms of an experiment, whichever seeds a part trains.
+///
+/// # Errors
+/// If the configuration is invalid.
+pub fn terms(
+    command: &str,
+    shard: Shard,
+    experiment: &Experiment,
+    out: &Path,
+) -> anyhow::Result<Terms> {
+    let mut terms = Terms::new(command, shard);
+    terms.add("--algorithm", experiment.algorithm.word());
+    terms.add("--steps", experiment.steps);
+    terms.add("--seed", experiment.seed);
+    terms.add("--seeds", experiment.seeds);
+    terms.add("--eval-episodes", experiment.eval_episodes);
+    terms.add("--final-episodes", experiment.final_episodes);
+    terms.add("--expert", experiment.expert.key());
+    terms.add("--world", experiment.world.word());
+    let protocol = Protocol::new(experiment, (experiment.seed, out))?;
+    terms.add_config(&protocol.config)?;
+    Ok(terms)
+}
+
+/// Trains and evaluates one seed; `None` after a stop request.
+///
+/// # Errors
+/// If the training fails.
+pub fn train_seed(
+    experiment: &Experiment,
+    (seed, out): (u64, &Path),
+    stop: &Stop,
+    clock: Clock,
+) -> anyhow::Result<Option<TrainingResult>> {
+    let folder = out.join(format!("seed-{seed}"));
+    if folder.exists() && !is_in_one_piece(&folder, experiment.steps)? {
+        begin_again(experiment, (seed, out), &folder)?;
+    }
+    let protocol = Protocol::new(experiment, (seed, out))?;
+    if let End::Stopped { .. } = training::train(&protocol, stop, clock)? {
+        return Ok(None);
+    }
+    let seeds = vec![Seed::read(seed, folder.clone())?];
+    let watch = (clock, stop);
+    let end = evaluator::evaluate_finals(experiment, &Results { seeds }, out, watch)?;
+    if let End::Stopped { .. } = end {
+        return Ok(None);
+    }
+    match TrainingResult::of(experiment, (seed, out))? {
+        Some(result) => Ok(Some(result)),
+        None => bail!(
+            "{}: the training ended, but its results are not complete; the same command tries \
+             again",
+            folder.display()
+        ),
+    }
+}
+
+/// Whether one process set drove all steps of a training, to its end.
+fn is_in_one_piece(folder: &Path, steps: u64) -> anyhow::Result<bool> {
+    let named = || folder.display().to_string();
+    let mut summaries = Vec::new();
+    for entry in fs::read_dir(folder).with_context(named)? {
+        let path = entry.with_context(named)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with("summary-") && name.ends_with(".json") {
+            summaries.push(path);
+        }
+    }
+    let [summary] = &summaries[..] else {
+        return Ok(false);
+    };
+    let text = fs::read_to_string(summary).with_context(named)?;
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+    Ok(summary["ended"] == "finished" && results::steps(folder)? == steps)
+}
+
+/// Removes the folder of an interrupted training, after its process set has ended: that of
+/// a killed process may live for a moment longer.
+fn begin_again(
+    experiment: &Experiment,
+    (seed, out): (u64, &Path),
+    folder: &Path,
+) -> anyhow::Result<()> {
+    // The configuration within may not be read: it may be incomplete.
+    let name = super::protocol::run_name(out, seed);
+    let paths = RunPaths::new(name.parse()?);
+    let mut looks = 0;
+    while let Cleaned::Alive = clean_run(&paths)? {
+        looks += 1;
+        if looks > LOOKS {
+            bail!(
+                "{}: a process set of this training still drives; ./vlaps down --run {name} stops \
+                 it",
+                folder.display()
+            );
+        }
+        pause(LOOK);
+    }
+    let trained = results::steps(folder).unwrap_or(0);
+    if trained > 0 {
+        say(format_args!(
+            "seed {seed}: was interrupted after {trained} of {}; it begins again",
+            counted(experiment.steps, "step")
+        ));
+    }
+    fs::remove_dir_all(folder).with_context(|| folder.display().to_string())
+}
+
+/// Results with what is missing of them.
+#[derive(Serialize)]
+struct Partial {
+    #[serde(flatten)]
+    summary: serde_json::Value,
+    missing: MissingParts,
+}
+
+/// Reports the trainings in a folder; of a folder with parts the complete ones, and what is
+/// missing. Exit code 1: something is missing.
+///
+/// # Errors
+/// If the folder holds no training, or parts of different work.
+pub fn report(arguments: &Train, out: &Path) -> anyhow::Result<ExitCode> {
+    if !is_sharded(out)? {
+        report_folder(arguments, out)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let merged = Merged::<TrainingResult>::read(out, "train")?;
+    let experiment = Experiment::read(out)?;
+    let experiment = experiment.with_context(|| out.display().to_string())?;
+    let mut seeds = Vec::new();
+    let missing = merged.missing_unless(|piece, result| {
+        let seed = experiment.seed + piece;
+        let found = TrainingResult::of(&experiment, (seed, out))?;
+        if found.as_ref() != Some(result) {
+            let folder = out.join(format!("seed-{seed}"));
+            say(format_args!(
+                "{}: is not the complete training that its shard names, counted as missing",
+                folder.display()
+            ));
+            return Ok(false);
+        }
+        seeds.push(Seed::read(seed, out.join(format!("seed-{seed}")))?);
+        Ok(true)
+    })?;
+    let results = Results { seeds };
+    if !results.seeds.is_empty() {
+        write(out, &results)?;
+        tell(out, &results);
+    }
+    let summary = results.summary();
+    let Some(missing) = missing_parts(&missing) else {
+        write_json_option(&arguments.json, &summary)?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    missing.tell(&merged.header, UNIT);
+    write_json_option(&arguments.json, &Partial { summary, missing })?;
+    Ok(ExitCode::from(1))
+}
