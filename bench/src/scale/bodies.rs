@@ -2,7 +2,7 @@
 
 use shm_config::config::Config;
 
-use super::beams::Drive;
+use super::beams::{Drive, Timed};
 use super::sweep::{Bench, Cost};
 
 /// Traffic in thousandths of the density; 60 is the paper's 0.06 cars per 10 m of lane.
@@ -17,7 +17,7 @@ pub fn measure(value: u64, bench: &Bench) -> anyhow::Result<Option<Cost>> {
     let mut config = Config::default();
     config.world.traffic_density = value as f64 * 1e-3;
     let mut drive = Drive::new(&config)?;
-    let turns = bench.turns(|| drive.tick_us(bench))?;
+    let turns = bench.turns(|| drive.turn_us(bench, Timed::Tick))?;
     Ok(turns.map(|turns| Cost {
         work: drive.bodies as f64 / drive.ticks as f64,
         turns,

@@ -2,7 +2,7 @@
 //!
 //! | module | work | cost |
 //! |---|---|---|
-//! | [`beams`] | beams of the scanner | a tick of the world |
+//! | [`beams`] | beams of the scanner | an observation |
 //! | [`bodies`] | cars and obstacles in the world | a tick of the world |
 //! | [`plans`] | iterations of RRT* | a plan |
 //! | [`worlds`] | worlds of a batch | a step of the batch; memory |
@@ -278,6 +278,7 @@ fn print(results: &ScaleResults) {
 /// A number with three digits.
 pub fn figure(value: f64) -> String {
     match value.abs() {
+        0.0 => "0".into(),
         large if large >= 99.95 => format!("{value:.0}"),
         middle if middle >= 9.995 => format!("{value:.1}"),
         small if small >= 0.0995 => format!("{value:.2}"),

@@ -28,7 +28,7 @@ pub struct Bench {
 /// The costs that are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Sweep {
-    /// A tick of the world over the beams of its scanner.
+    /// An observation over the beams of the scanner.
     Beams,
     /// A tick of the world over the cars and obstacles in it.
     Bodies,
@@ -114,7 +114,8 @@ impl Sweep {
     /// The cost with its unit.
     pub fn cost(self) -> &'static str {
         match self {
-            Sweep::Beams | Sweep::Bodies => "tick of the world, us of processor",
+            Sweep::Beams => "observation, us of processor",
+            Sweep::Bodies => "tick of the world, us of processor",
             Sweep::Plans => "plan, us of processor",
             Sweep::Worlds => "step of the batch, us of processor",
             Sweep::Memory => "memory of the batch, kB",

@@ -70,6 +70,14 @@ impl Flow {
     }
 }
 
+/// Time of a core that receives the messages of one car, s in each second.
+pub fn receiving_s(flows: &[Flow]) -> f64 {
+    let each = flows
+        .iter()
+        .map(|flow| flow.messages_per_s * (MESSAGE_S + flow.message_bytes * BYTE_S));
+    each.sum()
+}
+
 /// Rates of the messages that an event causes, 1/s; the second is the direction.
 const EVENTS: [(&str, f64, Direction); 6] = [
     ("frame_request", QUESTIONS_HZ, Direction::ToCar),

@@ -18,7 +18,9 @@ use serde::Serialize;
 use supervisor::subcommand::{say, write_json_option};
 
 use super::{BenchScale, figure};
-use costs::{ANSWER_S, ANSWERS_AT_ONCE, BLOCK, Flow, MESSAGE_S, QUESTIONS_HZ, SERVER_CORES, flows};
+use costs::{
+    ANSWER_S, ANSWERS_AT_ONCE, BLOCK, Flow, QUESTIONS_HZ, SERVER_CORES, flows, receiving_s,
+};
 use model::{Break, Part, block_s, of_actors, of_cars, repair, transitions_per_s};
 use queue::{Queue, Queued, Sending};
 
@@ -104,10 +106,11 @@ pub fn run(arguments: &BenchScale) -> anyhow::Result<ExitCode> {
         waiting_max: (ANSWERS_AT_ONCE / ANSWER_S / QUESTIONS_HZ) as usize,
         sending: Sending::Periodic,
     };
+    let messages_per_s = flows.iter().map(|flow| flow.messages_per_s).sum();
     let messages = Queue {
         members: 0,
-        messages_per_s: flows.iter().map(|flow| flow.messages_per_s).sum(),
-        service_s: MESSAGE_S,
+        messages_per_s,
+        service_s: receiving_s(&flows) / messages_per_s,
         servers: SERVER_CORES as u64,
         waiting_max: STEP_QUEUE,
         sending: Sending::Periodic,

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::costs::{
     ANSWER_S, ANSWERS_AT_ONCE, BLOCK, BYTE_S, Flow, INFERENCE_S, MESSAGE_S, POLICY_BYTES,
     POLICY_PERIOD_S, QUESTIONS_HZ, RATE_HZ, SERVER_BYTES_S, SERVER_CORES, SERVER_MEMORY_BYTES,
-    UPDATE_S, UPLINK_BYTES_S, WORLD_TICK_S, WORLDS, transition_bytes,
+    UPDATE_S, UPLINK_BYTES_S, WORLD_TICK_S, WORLDS, receiving_s, transition_bytes,
 };
 
 /// Most parts that are repaired one after the other: more than there are parts.
@@ -209,7 +209,6 @@ pub fn of_cars(flows: &[Flow]) -> Vec<Part> {
     let sum = |of: fn(&Flow) -> f64| flows.iter().map(of).sum::<f64>();
     let bytes = sum(Flow::bytes_per_s);
     let messages = sum(|flow| flow.messages_per_s);
-    let receiving_s = sum(|flow| flow.messages_per_s * (MESSAGE_S + flow.message_bytes * BYTE_S));
     let queue = sum(|flow| flow.queue_bytes);
     let timing = flows.iter().filter(|flow| flow.service == "timing/*");
     let timing: f64 = timing.map(Flow::bytes_per_s).sum();
@@ -244,7 +243,7 @@ pub fn of_cars(flows: &[Flow]) -> Vec<Part> {
         part(
             "receiving of messages",
             format!("{messages:.0} messages/s"),
-            receiving_s / SERVER_CORES,
+            receiving_s(flows) / SERVER_CORES,
             Remedy::More {
                 how: "servers, each for a share of the cars",
             },
