@@ -22,7 +22,7 @@ const MOUNTED: &str = "/results/";
 #[derive(Debug, Args)]
 #[command(
     after_help = "The words after -- are a command of ./vlaps with --out, the folder of the parts; \
-        the script adds --shard. ./vlaps COMMAND --out DIR --report merges them.\n\n\
+        the script adds --shard. The same command with --out DIR --report merges them.\n\n\
         Examples:\n  \
         ./vlaps cluster slurm -- eval --driver mpc --episodes 8000 --out runs/mpc | sbatch\n  \
         ./vlaps cluster slurm --shards 9 -- sweep --out runs/sweep > sweep.sh\n  \
