@@ -36,15 +36,27 @@ fn panels(results: &ScaleResults, root: &Area<'_>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The range of positive values with a margin; (1, 10) without any.
-fn range(values: impl Iterator<Item = f64>) -> (f64, f64) {
+/// The decades that hold all positive values; (1, 10) without any.
+fn decades(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let usable = values.filter(|value| *value > 0.0 && value.is_finite());
     let (low, high) = usable.fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
         (low.min(value), high.max(value))
     });
-    match low.is_finite() {
-        true => (low / 1.5, high * 1.5),
-        false => (1.0, 10.0),
+    if !low.is_finite() {
+        return (1.0, 10.0);
+    }
+    let low = low.log10().floor();
+    let high = high.log10().ceil().max(low + 1.0);
+    (10.0_f64.powf(low), 10.0_f64.powf(high))
+}
+
+/// Powers of ten alone: the numbers between them overlap.
+fn label(value: f64) -> String {
+    let exponent = value.log10();
+    match (exponent - exponent.round()).abs() < 1e-6 {
+        true if exponent > -0.5 => format!("{value:.0}"),
+        true => format!("{value:.*}", -exponent.round() as usize),
+        false => String::new(),
     }
 }
 
@@ -55,7 +67,7 @@ fn panel(measured: &Measured, area: &Area<'_>) -> anyhow::Result<()> {
             .iter()
             .filter(|row| row.work > 0.0 && row.median > 0.0)
     };
-    let (left, right) = range(rows().map(|row| row.work));
+    let (left, right) = decades(rows().map(|row| row.work));
     let (low, high) =
         range(rows().flat_map(|row| [row.median, row.quartiles[0], row.quartiles[1]]));
     let exponent = measured
@@ -76,8 +88,8 @@ fn panel(measured: &Measured, area: &Area<'_>) -> anyhow::Result<()> {
         .label_style((FACE, 12))
         .bold_line_style(GRID)
         .light_line_style(WHITE)
-        .x_label_formatter(&|value| super::figure(*value))
-        .y_label_formatter(&|value| super::figure(*value))
+        .x_label_formatter(&|value| label(*value))
+        .y_label_formatter(&|value| label(*value))
         .draw()?;
     if let Some(fit) = measured.fit {
         let ends = [left, right].map(|work| (work, fit.at(work)));
@@ -100,6 +112,15 @@ mod tests {
     use super::super::rows::{Row, Settings};
     use super::super::sweep::{Cost, Sweep};
     use super::*;
+
+    #[test]
+    fn axes_are_whole_decades_with_their_powers_as_labels() {
+        assert_eq!(decades([3.0, 0.5].into_iter()), (0.1, 10.0));
+        assert_eq!(decades([1.0, f64::NAN, 0.0].into_iter()), (1.0, 10.0));
+        assert_eq!(decades(std::iter::empty()), (1.0, 10.0));
+        let labels = [0.01, 0.1, 1.0, 2.0, 1000.0].map(label);
+        assert_eq!(labels, ["0.01", "0.1", "1", "", "1000"]);
+    }
 
     #[test]
     fn each_cost_has_a_panel_with_its_exponent_and_a_dot_for_each_row() {
