@@ -69,7 +69,7 @@ fn panel(measured: &Measured, area: &Area<'_>) -> anyhow::Result<()> {
     };
     let (left, right) = decades(rows().map(|row| row.work));
     let (low, high) =
-        range(rows().flat_map(|row| [row.median, row.quartiles[0], row.quartiles[1]]));
+        decades(rows().flat_map(|row| [row.median, row.quartiles[0], row.quartiles[1]]));
     let exponent = measured
         .fit
         .map(|fit| format!(": exponent {:.2}", fit.exponent));
