@@ -21,7 +21,7 @@ use supervisor::subcommand::{say, write_json_option};
 use super::arguments::Train;
 use super::experiment::{self, Experiment};
 use super::protocol::Protocol;
-use super::results::{self, Results, Seed, policy_file};
+use super::results::{self, FinalSeeds, Results, Seed, policy_file};
 use super::training::{self, End};
 use super::{evaluator, report_folder, tell, write};
 use crate::shard::Shard;
@@ -141,7 +141,12 @@ pub fn train_seed(
     }
     let seeds = vec![Seed::read(seed, folder.clone())?];
     let watch = (clock, stop);
-    let end = evaluator::evaluate_finals(experiment, &Results { seeds }, out, watch)?;
+    let end = evaluator::evaluate_finals(
+        experiment,
+        &Results { seeds },
+        (out, FinalSeeds::Evaluation),
+        watch,
+    )?;
     if let End::Stopped { .. } = end {
         return Ok(None);
     }
