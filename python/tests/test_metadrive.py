@@ -26,12 +26,12 @@ MOTION = 19
 def metadrive():
     """The experiment's environment of the real simulator."""
     sys.path.insert(0, str(ROOT / "sim/metadrive"))
-    from check import EXPERIMENT, stub_assets
+    from check import EXPERIMENT, SCANNER, stub_assets
 
     stub_assets()
     from environment import ExperimentEnv, environment_config
 
-    return ExperimentEnv(environment_config(EXPERIMENT))
+    return ExperimentEnv(environment_config(EXPERIMENT, SCANNER))
 
 
 def events(terminated, truncated, info):
