@@ -20,15 +20,16 @@ from pathlib import Path
 import ray
 
 ROOT = Path(__file__).resolve().parents[2]
+#: What is built is used, on every node the same.
+ENVIRONMENT = {"VLAPS_NO_BUILD": "1"}
 #: Exit code of a wrong command line: the same in every part, so that no further part begins.
 USAGE = 2
 
 
 def part(words: list[str], number: int, of: int, root: str, folder: str) -> tuple[int, int, str]:
     """Runs one part; its number, its exit code, and the end of its output."""
-    # What is built is used, on every node the same.
-    environment = {**os.environ, "VLAPS_NO_BUILD": "1"}
     command = [f"{root}/vlaps", *words, "--shard", f"{number}/{of}"]
+    environment = {**os.environ, **ENVIRONMENT}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
     return number, done.returncode, (done.stdout + done.stderr)[-1000:]
 
@@ -36,7 +37,8 @@ def part(words: list[str], number: int, of: int, root: str, folder: str) -> tupl
 def report(words: list[str]) -> int:
     """Merges the parts; its exit code says whether all are there."""
     out = words[words.index("--out") + 1]
-    return subprocess.run([f"{ROOT}/vlaps", words[0], "--out", out, "--report"]).returncode
+    command = [f"{ROOT}/vlaps", words[0], "--out", out, "--report"]
+    return subprocess.run(command, env={**os.environ, **ENVIRONMENT}).returncode
 
 
 def main() -> int:
