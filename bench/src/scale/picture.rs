@@ -68,8 +68,15 @@ fn panel(measured: &Measured, area: &Area<'_>) -> anyhow::Result<()> {
             .filter(|row| row.work > 0.0 && row.median > 0.0)
     };
     let (left, right) = decades(rows().map(|row| row.work));
-    let (low, high) =
-        decades(rows().flat_map(|row| [row.median, row.quartiles[0], row.quartiles[1]]));
+    let line: Vec<(f64, f64)> = (measured.fit.iter())
+        .flat_map(|fit| {
+            // From the first row to the last; the library bends what leaves the panel.
+            let ends = [rows().next(), rows().next_back()].into_iter().flatten();
+            ends.map(|row| (row.work, fit.at(row.work)))
+        })
+        .collect();
+    let costs = rows().flat_map(|row| [row.median, row.quartiles[0], row.quartiles[1]]);
+    let (low, high) = decades(costs.chain(line.iter().map(|(_, cost)| *cost)));
     let exponent = measured
         .fit
         .map(|fit| format!(": exponent {:.2}", fit.exponent));
@@ -91,10 +98,7 @@ fn panel(measured: &Measured, area: &Area<'_>) -> anyhow::Result<()> {
         .x_label_formatter(&|value| label(*value))
         .y_label_formatter(&|value| label(*value))
         .draw()?;
-    if let Some(fit) = measured.fit {
-        let ends = [left, right].map(|work| (work, fit.at(work)));
-        chart.draw_series(LineSeries::new(ends, LINE.stroke_width(2)))?;
-    }
+    chart.draw_series(LineSeries::new(line, LINE.stroke_width(2)))?;
     let spans = rows().map(|row| {
         let [low, high] = row.quartiles;
         PathElement::new([(row.work, low), (row.work, high)], DOT.stroke_width(2))
