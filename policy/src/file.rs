@@ -2,12 +2,12 @@ use prost::Message;
 use sha2::{Digest, Sha256};
 use shm_config::message::{FEATURES, WEIGHTS_BYTES_MAX};
 
+use crate::chain::all_finite;
 use crate::forward::ACTIONS;
 use crate::metadata::{self, Probe, Provenance};
-use crate::mlp::all_finite;
 use crate::onnx::{
-    ATTRIBUTE_INT, Attribute, Dimension, FLOAT, Graph, Model, Node, OperatorSet, Shape, Tensor,
-    TensorType, Type, ValueInfo,
+    ATTRIBUTE_INT, Attribute, Dimension, Entry, FLOAT, Graph, Model, Node, OperatorSet, Shape,
+    Tensor, TensorType, Type, ValueInfo,
 };
 use crate::{Activation, Layer, Mlp, Refusal, graph, scan};
 
@@ -100,6 +100,38 @@ pub fn decode(bytes: &[u8]) -> Result<PolicyFile, Refusal> {
 /// # Errors
 /// As [`decode`].
 pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal> {
+    let (model, graph) = model(bytes)?;
+    let (provenance, probes) = match metadata::read(&model.metadata_props)? {
+        Some((provenance, probes)) => (Some(provenance), probes),
+        None => (None, Vec::new()),
+    };
+    graph::check(&graph, Mlp::SHAPE)?;
+    let net = match graph::layers(&graph, Mlp::SHAPE)? {
+        Some(layers) => {
+            let mut mlp = Mlp::new(layers)?;
+            check_answers(&probes, tolerance, |features| mlp.infer(features))?;
+            Net::Mlp {
+                mlp: Box::new(mlp),
+                names: names(&graph),
+            }
+        }
+        None => Net::Graph(names(&graph)),
+    };
+    // Last: the checks before it name the fault more exactly.
+    metadata::check_graph(&model.metadata_props, || graph_hash(&graph))?;
+    Ok(PolicyFile {
+        net,
+        provenance,
+        probes,
+        sha256: sha256(bytes),
+    })
+}
+
+/// The message of a file and its graph, after the checks of size and format.
+///
+/// # Errors
+/// The first check that fails.
+pub(crate) fn model(bytes: &[u8]) -> Result<(Model, Graph), Refusal> {
     if bytes.is_empty() {
         return Err(Refusal::Empty);
     }
@@ -110,42 +142,19 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
         });
     }
     scan::scan(bytes)?;
-    let model = Model::decode(bytes).map_err(|_| Refusal::NotOnnx("a field is broken"))?;
-    let Some(graph) = &model.graph else {
+    let mut model = Model::decode(bytes).map_err(|_| Refusal::NotOnnx("a field is broken"))?;
+    let Some(graph) = model.graph.take() else {
         return Err(match model.ir_version {
             0 => Refusal::NotOnnx("it has neither a version nor a graph"),
             _ => Refusal::Truncated("its head: no graph follows"),
         });
-    };
-    let (provenance, probes) = match metadata::read(&model.metadata_props)? {
-        Some((provenance, probes)) => (Some(provenance), probes),
-        None => (None, Vec::new()),
     };
     if !model.functions.is_empty() {
         return Err(Refusal::UnknownOperator(
             "a function of the file's own".into(),
         ));
     }
-    graph::check(graph)?;
-    let net = match graph::layers(graph)? {
-        Some(layers) => {
-            let mut mlp = Mlp::new(layers)?;
-            check_answers(&probes, tolerance, |features| mlp.infer(features))?;
-            Net::Mlp {
-                mlp: Box::new(mlp),
-                names: names(graph),
-            }
-        }
-        None => Net::Graph(names(graph)),
-    };
-    // Last: the checks before it name the fault more exactly.
-    metadata::check_graph(&model.metadata_props, || graph_hash(graph))?;
-    Ok(PolicyFile {
-        net,
-        provenance,
-        probes,
-        sha256: sha256(bytes),
-    })
+    Ok((model, graph))
 }
 
 /// A net answers with finite numbers, and answers its probes as the file says. A caller
@@ -220,7 +229,18 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
             Probe { features, action }
         })
         .collect();
-    let graph = graph_of(mlp.layers());
+    let ends = Ends {
+        name: "policy",
+        input: "features",
+        output: "action",
+    };
+    let graph = graph_of(mlp.layers(), &ends);
+    let entries = metadata::write(provenance, &probes, &graph_hash(&graph));
+    joined(entries, graph)
+}
+
+/// The bytes of a file: the metadata, then the graph.
+pub(crate) fn joined(metadata_props: Vec<Entry>, graph: Graph) -> Vec<u8> {
     let head = Model {
         ir_version: IR_VERSION,
         producer_name: "vlaps".into(),
@@ -229,7 +249,7 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
             domain: String::new(),
             version: OPERATOR_SET,
         }],
-        metadata_props: metadata::write(provenance, &probes, &graph_hash(&graph)),
+        metadata_props,
         ..Model::default()
     };
     let tail = Model {
@@ -242,24 +262,34 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
     bytes
 }
 
+/// What a graph, its input and its output are called.
+pub(crate) struct Ends<'a> {
+    pub name: &'a str,
+    pub input: &'a str,
+    pub output: &'a str,
+}
+
 /// SHA-256 of a graph as this crate encodes it, hex.
-fn graph_hash(graph: &Graph) -> String {
+pub(crate) fn graph_hash(graph: &Graph) -> String {
     let hash = sha256(&graph.encode_to_vec());
     hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn graph_of(layers: &[Layer]) -> Graph {
+pub(crate) fn graph_of(layers: &[Layer], ends: &Ends) -> Graph {
+    let width = |layer: Option<&Layer>, of: fn(&Layer) -> usize| layer.map_or(0, of);
+    let inputs = width(layers.first(), |layer| layer.inputs);
+    let outputs = width(layers.last(), |layer| layer.outputs);
     let mut graph = Graph {
-        name: "policy".into(),
-        input: vec![row("features", FEATURES)],
-        output: vec![row("action", ACTIONS)],
+        name: ends.name.into(),
+        input: vec![row(ends.input, inputs)],
+        output: vec![row(ends.output, outputs)],
         ..Graph::default()
     };
-    let mut current = "features".to_string();
-    let last = layers.len() - 1;
+    let mut current = ends.input.to_string();
+    let last = layers.len().saturating_sub(1);
     for (k, layer) in layers.iter().enumerate() {
         let name = |what: &str, is_end: bool| match is_end && k == last {
-            true => "action".into(),
+            true => ends.output.into(),
             false => format!("layer{k}.{what}"),
         };
         let activation = match layer.activation {

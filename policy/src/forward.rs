@@ -177,21 +177,30 @@ impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
     /// more are ignored.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {
         let [x, y] = &mut self.workspace;
-        forward(self.layers, [x, y], features, self.arch)
+        match *forward(self.layers, [x, y], features, self.arch) {
+            [steer, pedal, ..] => [steer, pedal],
+            // `new` has checked that there are two.
+            _ => [f32::NAN; ACTIONS],
+        }
     }
 }
 
-/// The forward pass. The layers follow on each other, and both rows of the workspace
-/// hold the widest of them.
-pub(crate) fn forward<B: AsRef<[[f32; BLOCK]]>>(
+/// The forward pass: the outputs of the last layer. The layers follow on each other, and
+/// both rows of the workspace hold the widest of them.
+pub(crate) fn forward<'a, B: AsRef<[[f32; BLOCK]]>>(
     layers: &[PackedLayer<B>],
-    [mut x, mut y]: [&mut [f32]; 2],
+    [mut x, mut y]: [&'a mut [f32]; 2],
     features: &[f32],
     arch: pulp::Arch,
-) -> [f32; ACTIONS] {
-    let count = features.len().min(FEATURES);
+) -> &'a [f32] {
+    let (inputs, outputs) = match layers {
+        [first, .., last] => (first.inputs, last.outputs),
+        [only] => (only.inputs, only.outputs),
+        [] => (0, 0),
+    };
+    let count = features.len().min(inputs);
     x[..count].copy_from_slice(&features[..count]);
-    x[count..FEATURES].fill(0.0);
+    x[count..inputs].fill(0.0);
     for layer in layers {
         arch.dispatch(Product {
             blocks: layer.blocks.as_ref(),
@@ -201,7 +210,7 @@ pub(crate) fn forward<B: AsRef<[[f32; BLOCK]]>>(
         activate(layer.activation, &mut y[..layer.outputs]);
         core::mem::swap(&mut x, &mut y);
     }
-    [x[0], x[1]]
+    &x[..outputs]
 }
 
 fn activate(activation: Activation, y: &mut [f32]) {

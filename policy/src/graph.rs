@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use shm_config::message::FEATURES;
-
-use crate::forward::{ACTIONS, LAYERS_MAX};
-use crate::mlp::{WIDTH_MAX, all_finite, wrong_shape};
+use crate::chain::{Shape, all_finite, wrong_shape};
+use crate::forward::LAYERS_MAX;
+use crate::mlp::WIDTH_MAX;
 use crate::onnx::{ATTRIBUTE_INT, EXTERNAL, FLOAT, Graph, INT64, Node, Tensor, ValueInfo};
 use crate::{Activation, Layer, Refusal};
 
@@ -70,7 +69,7 @@ const NODES_MAX: usize = 1000;
 /// # Errors
 /// The first check that fails. Operators are checked before shapes and weights, which
 /// have no meaning for an unknown operator.
-pub fn check(graph: &Graph) -> Result<(), Refusal> {
+pub fn check(graph: &Graph, shape: Shape) -> Result<(), Refusal> {
     if graph.node.len() > NODES_MAX {
         return Err(Refusal::TooMany {
             what: "operators",
@@ -112,18 +111,18 @@ pub fn check(graph: &Graph) -> Result<(), Refusal> {
         return Err(wrong_shape(
             "the graph",
             format!("{} inputs", inputs(graph).len()),
-            format!("one, of {FEATURES} features"),
+            format!("one, of {} numbers", shape.inputs),
         ));
     };
     let [output] = &graph.output[..] else {
         return Err(wrong_shape(
             "the graph",
             format!("{} outputs", graph.output.len()),
-            format!("one, of {ACTIONS} actions"),
+            format!("one, of {} numbers", shape.outputs),
         ));
     };
-    check_value("the input", inputs(graph)[0], FEATURES)?;
-    check_value("the output", output, ACTIONS)
+    check_value("the input", inputs(graph)[0], shape.inputs)?;
+    check_value("the output", output, shape.outputs)
 }
 
 /// The inputs that are no constants: old exporters list those, too.
@@ -228,7 +227,7 @@ fn floats(tensor: &Tensor) -> Vec<f32> {
 ///
 /// # Errors
 /// When it is such a chain, but not of the right shape.
-pub fn layers(graph: &Graph) -> Result<Option<Vec<Layer>>, Refusal> {
+pub fn layers(graph: &Graph, shape: Shape) -> Result<Option<Vec<Layer>>, Refusal> {
     let mut constants: BTreeMap<&str, &Tensor> = graph
         .initializer
         .iter()
@@ -236,7 +235,7 @@ pub fn layers(graph: &Graph) -> Result<Option<Vec<Layer>>, Refusal> {
         .collect();
     let mut current = inputs(graph)[0].name.as_str();
     let mut layers: Vec<Layer> = Vec::new();
-    let mut width = FEATURES;
+    let mut width = shape.inputs;
     for node in &graph.node {
         let [output] = &node.output[..] else {
             return Ok(None);
@@ -251,7 +250,7 @@ pub fn layers(graph: &Graph) -> Result<Option<Vec<Layer>>, Refusal> {
             constants.insert(output, tensor);
             continue;
         }
-        let Some(link) = link(node, current, &constants, layers.last()) else {
+        let Some(link) = link(node, current, &constants, (layers.last(), width)) else {
             return Ok(None);
         };
         match link {
@@ -303,7 +302,7 @@ fn link(
     node: &Node,
     current: &str,
     constants: &BTreeMap<&str, &Tensor>,
-    last: Option<&Layer>,
+    (last, width): (Option<&Layer>, usize),
 ) -> Option<Link> {
     let inputs: Vec<&str> = node.input.iter().map(String::as_str).collect();
     let constant = |name: &str| constants.get(name).copied();
@@ -332,8 +331,7 @@ fn link(
             Some(Link::Nothing)
         }
         ("Reshape", [x, shape]) if *x == current => {
-            let width = last.map_or(FEATURES, |layer| layer.outputs) as i64;
-            keeps_row(&integers(constant(shape)?), width).then_some(Link::Nothing)
+            keeps_row(&integers(constant(shape)?), width as i64).then_some(Link::Nothing)
         }
         _ => None,
     }

@@ -45,6 +45,10 @@
 #![cfg_attr(not(feature = "std"), no_std)]
 
 #[cfg(feature = "std")]
+mod chain;
+#[cfg(feature = "std")]
+mod chain_file;
+#[cfg(feature = "std")]
 pub mod drawn;
 #[cfg(feature = "std")]
 mod file;
@@ -62,6 +66,10 @@ mod refusal;
 #[cfg(feature = "std")]
 mod scan;
 
+#[cfg(feature = "std")]
+pub use chain::{Chain, Shape};
+#[cfg(feature = "std")]
+pub use chain_file::{ChainFile, decode_chain, encode_chain};
 #[cfg(feature = "std")]
 pub use file::{
     Names, Net, PolicyFile, TOLERANCE, check_answers, check_hash, decode, decode_within, encode,

@@ -1,8 +1,9 @@
 use shm_config::message::{FEATURES, OBSERVATION_LAYOUT};
 
 use crate::Refusal;
+use crate::chain::all_finite;
+use crate::chain_file::{KIND_KEY, wrong_kind};
 use crate::forward::ACTIONS;
-use crate::mlp::all_finite;
 use crate::onnx::Entry;
 
 /// The format that this crate writes, and the only one it reads.
@@ -11,10 +12,10 @@ pub const FORMAT_VERSION: u32 = 1;
 pub const PROBES_MAX: usize = 64;
 
 /// The prefix of our keys; keys without it belong to the exporter and are ignored.
-const PREFIX: &str = "vlaps.";
+pub(crate) const PREFIX: &str = "vlaps.";
 
 /// The key of the graph's hash; older files do not have it.
-const GRAPH_KEY: &str = "graph_sha256";
+pub(crate) const GRAPH_KEY: &str = "graph_sha256";
 
 /// How a net was made.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -95,6 +96,9 @@ pub fn read(entries: &[Entry]) -> Result<Option<(Provenance, Vec<Probe>)>, Refus
     if !entries.iter().any(|entry| entry.key.starts_with(PREFIX)) {
         return Ok(None);
     }
+    if let Ok(kind) = text(entries, KIND_KEY) {
+        return Err(wrong_kind(kind, "policy"));
+    }
     let format = number(entries, "format")?;
     if format != u64::from(FORMAT_VERSION) {
         return Err(broken(
@@ -136,7 +140,7 @@ fn short(text: &str) -> String {
     text.chars().take(40).collect()
 }
 
-fn broken(key: &str, what: &str) -> Refusal {
+pub(crate) fn broken(key: &str, what: &str) -> Refusal {
     Refusal::Metadata {
         key: format!("{PREFIX}{key}"),
         what: what.into(),
