@@ -33,6 +33,9 @@ pub struct Judged {
     pub failed: u64,
     /// The faults of the questions without an answer, in one word each.
     pub faults: BTreeMap<String, u64>,
+    /// Counts of a distilled net; `None` where none is asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub net: Option<NetCounts>,
     /// Cost, US dollars.
     pub cost_usd: f64,
     /// Records or pictures that could not be stored.
@@ -41,6 +44,32 @@ pub struct Judged {
     /// empty if it always got them.
     #[serde(default)]
     pub trouble: String,
+}
+
+/// What became of the questions to a distilled net.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NetCounts {
+    /// Questions that the net answered.
+    pub answered: u64,
+    /// Questions that it passed on to the slow judge, because it was not sure.
+    pub passed_on: u64,
+    /// Answers of the net beside which the slow judge answered, too.
+    pub audited: u64,
+    /// Those of them in which both chose the same driver.
+    pub agreed: u64,
+}
+
+impl fmt::Display for NetCounts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "the net answered {} and passed on {}; both were asked {} and agreed {}",
+            self.answered,
+            self.passed_on,
+            counted(self.audited, "time"),
+            counted(self.agreed, "time")
+        )
+    }
 }
 
 /// The text appended to the answers for the policy, if some of them said "similar".
@@ -66,6 +95,9 @@ impl fmt::Display for Judged {
         )?;
         if self.cost_usd > 0.0 {
             write!(f, "; {:.4} USD", self.cost_usd)?;
+        }
+        if let Some(net) = &self.net {
+            write!(f, "\n  {net}")?;
         }
         if !self.faults.is_empty() {
             let faults = self

@@ -60,6 +60,8 @@ pub mod python;
 pub mod run;
 #[cfg(feature = "wire")]
 pub mod secret;
+#[cfg(feature = "std")]
+pub mod seen;
 pub mod services;
 pub mod settings;
 #[cfg(feature = "std")]

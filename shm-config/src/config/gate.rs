@@ -13,6 +13,16 @@ pub enum When {
     Matters,
 }
 
+/// The slow judge behind a distilled one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PassTo {
+    /// The vision-language model of section `vlm`.
+    Vlm,
+    /// Exact geometry, as with `rules`.
+    Rules,
+}
+
 /// The gate process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -47,6 +57,18 @@ pub struct Gate {
     pub takeover_steer: f64,
     /// The same for the pedal; PVP4Real's human has 1.28.
     pub takeover_pedal: f64,
+    /// For `distilled`: the file that `./vlaps judge distil` has written.
+    pub distilled: String,
+    /// For `distilled`: the judge that is asked what the net does not know: `vlm` or
+    /// `rules`.
+    pub pass_to: PassTo,
+    /// For `distilled`: share of the questions that the net has answered which the slow
+    /// judge is asked, too, to count how often both agree. Its answer has no effect.
+    pub audit: f64,
+    /// Ask the world of each question what would follow if either proposal were held, for
+    /// the record alone, also where the judge sees no picture. The built-in world knows
+    /// it.
+    pub foresight: bool,
     /// For `replay`: the folder with the questions of a recorded run.
     pub recording: String,
     /// Keep every question in `runs/NAME/judge`, for `./vlaps judge audit`.
@@ -73,6 +95,11 @@ impl Default for Gate {
             // results/learning.md compares other thresholds.
             takeover_steer: 0.1,
             takeover_pedal: 0.5,
+            distilled: String::new(),
+            pass_to: PassTo::Vlm,
+            // One question in twenty costs a twentieth of the slow judge alone.
+            audit: 0.05,
+            foresight: false,
             recording: String::new(),
             record: true,
         }
@@ -91,6 +118,7 @@ impl Gate {
         in_range("gate.dwell_s", self.dwell_s, 0.0..=3600.0)?;
         in_range("gate.takeover_steer", self.takeover_steer, 0.0..=2.0)?;
         in_range("gate.takeover_pedal", self.takeover_pedal, 0.0..=2.0)?;
+        in_range("gate.audit", self.audit, 0.0..=1.0)?;
         in_range("gate.confirmations", self.confirmations, 1..=100)?;
         in_range("gate.in_flight", self.in_flight, 1..=16)
     }
@@ -121,6 +149,11 @@ impl Gate {
                 "\"\"".into(),
                 "the folder runs/NAME/judge of a recorded run when gate.mode is replay",
             ),
+            (GateMode::Distilled, _) if self.distilled.is_empty() => refuse(
+                "gate.distilled",
+                "\"\"".into(),
+                "the file that ./vlaps judge distil has written when gate.mode is distilled",
+            ),
             _ => Ok(()),
         }
     }
@@ -134,9 +167,15 @@ impl Gate {
     pub fn asks_model(&self) -> bool {
         match self.mode {
             GateMode::Vlm | GateMode::Paper => true,
+            GateMode::Distilled => self.pass_to == PassTo::Vlm,
             GateMode::Rules | GateMode::Replay => false,
             GateMode::Expert | GateMode::Policy | GateMode::Human | GateMode::Takeover => false,
         }
+    }
+
+    /// Whether the gate process asks the world for pictures, or for what would follow.
+    pub fn asks_world(&self) -> bool {
+        self.asks_model() || (self.foresight && self.has_process())
     }
 
     /// How long an answer labels the recorded steps, ns.

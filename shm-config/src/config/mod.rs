@@ -33,7 +33,7 @@ pub use crate::settings::{
     Controller, GateMode, Informed, Kinodynamic, Late, OutOfRange, Planner, SafetyLimits, planner,
 };
 pub use deadlines::Deadlines;
-pub use gate::{FaultyJudge, Gate, When};
+pub use gate::{FaultyJudge, Gate, PassTo, When};
 pub use learner::{Algorithm, Learner};
 pub use load::{ConfigError, from_toml};
 #[cfg(feature = "wire")]
@@ -129,7 +129,9 @@ impl Config {
 
     /// Refuses a policy, and a learner, with a scanner that no policy is trained with.
     fn check_policy_fits(&self) -> Result<(), OutOfRange> {
+        let is_distilled = self.gate.mode == GateMode::Distilled;
         let (key, value) = match (self.policy.file.as_str(), self.learner.enabled) {
+            ("", false) if is_distilled => ("gate.mode", "distilled".into()),
             ("", false) => return Ok(()),
             ("", true) => ("learner.enabled", "true".into()),
             (file, _) => ("policy.file", format!("{file:?}")),
@@ -168,10 +170,14 @@ impl Config {
     /// a slow judge, ns on the machine's clock.
     pub fn peer_wait_ns(&self) -> u64 {
         let model_s = match self.gate.asks_model() {
-            true => self.vlm.deadline_s + Self::PICTURE_S,
+            true => self.vlm.deadline_s,
             false => 0.0,
         };
-        ((self.limits.lockstep_wait_s + model_s) * 1e9) as u64
+        let picture_s = match self.gate.asks_world() {
+            true => Self::PICTURE_S,
+            false => 0.0,
+        };
+        ((self.limits.lockstep_wait_s + model_s + picture_s) * 1e9) as u64
     }
 
     /// Time that a question takes beside its deadline, s: the frame and two pictures.

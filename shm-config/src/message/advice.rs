@@ -26,6 +26,8 @@ crate::word_list! {
         Human = 3 "human",
         /// Answers from a recording.
         Recorded = 5 "recorded",
+        /// A net distilled from recorded answers, with a slow judge behind it.
+        Distilled = 6 "distilled",
     }
 }
 

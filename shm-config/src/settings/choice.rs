@@ -12,6 +12,10 @@ pub enum GateMode {
     /// the world waits for the answer. Lockstep only. It sets further keys of `gate`,
     /// `vlm` and `controller` (`shm-config/src/config/preset.rs`).
     Paper,
+    /// The gate process asks a small net that was distilled from recorded answers
+    /// (`distilled`), and a slow judge (`pass_to`) about the scenes that the net does not
+    /// know.
+    Distilled,
     /// The answers of a recorded run.
     Replay,
     /// Always the expert; no gate process.
@@ -30,7 +34,7 @@ impl GateMode {
     /// Whether the mode has a process that publishes advice.
     pub fn is_advised(self) -> bool {
         match self {
-            Self::Rules | Self::Vlm | Self::Paper | Self::Replay => true,
+            Self::Rules | Self::Vlm | Self::Paper | Self::Distilled | Self::Replay => true,
             Self::Expert | Self::Policy | Self::Human | Self::Takeover => false,
         }
     }
