@@ -25,7 +25,7 @@ fn the_stand_in_is_right_and_asking_twice_reduces_its_bias() {
     let Command::Bench(Bench::Judge(arguments)) = arguments.command else {
         panic!("no judge: {words}");
     };
-    let rows = measure(&arguments, &Config::default(), no_clock, || {}).expect("measured");
+    let rows = measure(&arguments, &Config::default(), (no_clock, None), || {}).expect("measured");
     let [once, twice, biased, mended] = rows.as_slice() else {
         panic!("two servers, each asked once and twice: {rows:?}");
     };

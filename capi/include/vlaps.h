@@ -153,6 +153,7 @@ enum vlaps_judge {
     VLAPS_JUDGE_VLM = 2,
     VLAPS_JUDGE_HUMAN = 3,
     VLAPS_JUDGE_RECORDED = 5,
+    VLAPS_JUDGE_DISTILLED = 6,
 };
 
 enum vlaps_verdict {

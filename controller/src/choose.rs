@@ -100,6 +100,7 @@ fn wanted(input: &ArbitrationInput) -> (Driver, Reason) {
         | GateMode::Rules
         | GateMode::Vlm
         | GateMode::Paper
+        | GateMode::Distilled
         | GateMode::Replay => {}
     }
     if let Some(reason) = blocking_reason(input.stage) {

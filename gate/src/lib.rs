@@ -2,7 +2,8 @@
 //!
 //! Steps come in. [`query`] defines what a judge is asked, [`judge`] holds the judges,
 //! and [`advice`] turns their answers into advice that expires. A vision-language model
-//! is shown a [`presentation`] of the question, and [`model`] asks it over HTTP. The
+//! is shown a [`presentation`] of the question, and [`model`] asks it over HTTP; a
+//! [`distilled`] net answers most questions in its place. The
 //! [`record`] keeps all questions and answers. Nothing here can delay a tick; the check
 //! within the tick is the crate `safety`.
 //!
@@ -23,6 +24,7 @@
 //! ```
 
 pub mod advice;
+pub mod distilled;
 pub mod judge;
 pub mod model;
 pub mod ports;

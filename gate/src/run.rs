@@ -89,7 +89,7 @@ impl Gate {
             false => begun,
         };
         if let Some(occasion) = self.advisor.ask(step) {
-            self.log.asked(step, occasion, self.advisor.kind());
+            self.log.asked(step, occasion, self.advisor.queue());
         }
         if lockstep {
             self.await_answers(now);

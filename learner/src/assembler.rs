@@ -338,7 +338,14 @@ impl Assembler {
             (_, Some(Reason::Unloaded | Reason::Shadow | Reason::Faulty | Reason::Late)) => {
                 Some(Preference::Abstain)
             }
-            (GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay, _) => None,
+            (
+                GateMode::Rules
+                | GateMode::Vlm
+                | GateMode::Paper
+                | GateMode::Distilled
+                | GateMode::Replay,
+                _,
+            ) => None,
         }
     }
 

@@ -93,8 +93,8 @@ pub enum Command {
     /// Write a recording as an animation, as tables, or as a dataset.
     #[command(disable_help_flag = true)]
     Export(Delegated),
-    /// Audit what a judge was asked and said, ask another model the same, or serve a stand-in
-    /// for a model.
+    /// Audit what a judge was asked and said, ask another model the same, train a small net
+    /// on it, or serve a stand-in for a model.
     #[command(disable_help_flag = true)]
     Judge(Delegated),
 }

@@ -12,8 +12,14 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("runtime", &["shm-config"]),
     ("planner", &["vehicle", "shm-config", "runtime"]),
     ("safety", &["vehicle", "shm-config"]),
-    ("gate", &["vehicle", "shm-config", "runtime", "safety"]),
-    ("judge", &["vehicle", "shm-config", "gate"]),
+    (
+        "gate",
+        &["vehicle", "shm-config", "runtime", "safety", "policy"],
+    ),
+    (
+        "judge",
+        &["vehicle", "shm-config", "policy", "gate", "learner"],
+    ),
     ("policy", &["vehicle", "shm-config"]),
     (
         "controller",

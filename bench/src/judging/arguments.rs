@@ -15,6 +15,7 @@ use supervisor::subcommand::Configuration;
         Examples:\n  \
         ./vlaps bench judge --json judge.json\n  \
         ./vlaps bench judge --scenes 500 --view top_down\n  \
+        ./vlaps bench judge --net judge.onnx\n  \
         ./vlaps bench judge --server http://127.0.0.1:8080/v1 --set vlm.price_in_usd=0 --set vlm.price_out_usd=0"
 )]
 pub struct BenchJudge {
@@ -35,6 +36,9 @@ pub struct BenchJudge {
     /// Measure this server instead of the stand-ins; section vlm holds its other settings.
     #[arg(long, value_name = "URL", conflicts_with = "bias")]
     pub server: Option<String>,
+    /// Also ask this distilled judge, and measure how long an answer takes.
+    #[arg(long, value_name = "FILE.onnx")]
+    pub net: Option<PathBuf>,
     /// Record questions and pictures into this folder, for ./vlaps judge audit.
     #[arg(long, value_name = "DIR")]
     pub record: Option<PathBuf>,

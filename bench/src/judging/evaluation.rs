@@ -18,6 +18,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::Rng;
 use serde::Serialize;
 use shm_config::config::{View, Vlm};
+use shm_config::seen::Seen;
 use vehicle::Vehicle;
 
 use super::scenes::Scene;
@@ -222,6 +223,7 @@ fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
         preset: vlm.prompt.word().into(),
         model: vlm.model_name().into(),
         speed_mps: scene.speed_mps,
+        observation: Some(Box::new(Seen::new(&scene.observation))),
         expert: Some(scene.proposed[0]),
         policy: Some(scene.proposed[1]),
         preference: preference_of(&askings),
@@ -230,6 +232,7 @@ fn record(scene: &Scene, askings: Vec<Asking>, vlm: &Vlm) -> Record {
         cost_usd: askings.iter().map(|asking| asking.cost_usd).sum(),
         heard_tick: 0,
         heard_ns: 0,
+        net: None,
         foresight: Some(scene.outlooks),
         aftermath: None,
         askings,

@@ -3,6 +3,7 @@
 //! reduces it.
 
 mod arguments;
+pub mod distilled;
 pub mod evaluation;
 pub mod scenes;
 
@@ -21,6 +22,7 @@ use shm_config::config::{Config, STAND_IN, View, Vlm};
 use shm_config::counted;
 
 pub use arguments::{BenchJudge, Views};
+use distilled::{Distilled, Meter};
 use evaluation::{Evaluation, ONCE, Row};
 use lab::report::{Machine, table};
 use scenes::{Search, search};
@@ -32,6 +34,8 @@ use supervisor::subcommand::{say, write_json};
 #[derive(Debug, Serialize)]
 struct Rows<'a> {
     rows: &'a [Row],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distilled: Option<&'a Distilled>,
     conditions: Conditions,
 }
 
@@ -67,7 +71,10 @@ impl Subcommand for BenchJudge {
         let bar = ProgressBar::new(u64::from(self.scenes));
         let style = "{elapsed_precise} {wide_bar} {pos}/{len} scenes, {eta} left";
         bar.set_style(ProgressStyle::with_template(style)?);
-        let rows = measure(self, &config, clock, || bar.inc(1))?;
+        let net = self.net.as_ref();
+        let net = net.map(|path| Meter::open(path, config.vehicle, clock));
+        let mut net = net.transpose()?;
+        let rows = measure(self, &config, (clock, net.as_mut()), || bar.inc(1))?;
         bar.finish_and_clear();
         if rows.iter().all(Row::is_unanswered) {
             bail!(
@@ -80,6 +87,8 @@ impl Subcommand for BenchJudge {
         if self.server.is_none() {
             say("The stand-in is not a model: it judges by the colours of the pixels.");
         }
+        let distilled = net.map(|net| net.figures());
+        distilled.iter().for_each(distilled::print);
         let Some(path) = &self.json else {
             return Ok(ExitCode::SUCCESS);
         };
@@ -95,6 +104,7 @@ impl Subcommand for BenchJudge {
             path,
             &Rows {
                 rows: &rows,
+                distilled: distilled.as_ref(),
                 conditions,
             },
         )?;
@@ -109,7 +119,7 @@ impl Subcommand for BenchJudge {
 pub fn measure(
     arguments: &BenchJudge,
     config: &Config,
-    clock: Clock,
+    (clock, mut net): (Clock, Option<&mut Meter>),
     asked: impl Fn(),
 ) -> anyhow::Result<Vec<Row>> {
     let views: &[View] = match arguments.view {
@@ -150,6 +160,9 @@ pub fn measure(
         .build()?;
     search(&wanted, config, clock, |scene| {
         let showing = evaluation::showing(&mut chance);
+        if let Some(net) = &mut net {
+            net.ask(&scene);
+        }
         for evaluation in &mut evaluations {
             runtime.block_on(evaluation.ask(&scene, showing))?;
         }

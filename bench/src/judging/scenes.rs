@@ -35,6 +35,8 @@ pub struct Scene {
     pub tick: u64,
     /// Speed of the car, m/s.
     pub speed_mps: f64,
+    /// What the car saw.
+    pub observation: Box<Observation>,
     /// The expert's action and a possible action of a policy, with the safety check's
     /// measurements of both.
     pub proposed: [Proposed; 2],
@@ -217,6 +219,7 @@ impl Drive<'_> {
                 seed,
                 tick,
                 speed_mps,
+                observation: Box::new(*observation),
                 proposed: [proposed(expert)?, proposed(policy)?],
                 outlooks,
                 shots: Vec::new(),

@@ -70,9 +70,9 @@ impl Advisor {
         self.queue.awaited()
     }
 
-    /// What kind of judge is asked.
-    pub fn kind(&self) -> JudgeKind {
-        self.queue.kind()
+    /// The judge that is asked.
+    pub fn queue(&self) -> &dyn QueryQueue {
+        &*self.queue
     }
 
     /// Takes the answers that have arrived; [`Advisor::hear`] publishes them.
@@ -151,6 +151,6 @@ impl Advisor {
 
     /// What all answers have cost so far, US dollars.
     pub fn cost_usd(&self) -> f64 {
-        self.cost_usd
+        self.cost_usd + self.queue.unheard_cost_usd()
     }
 }

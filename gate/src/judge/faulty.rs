@@ -86,4 +86,12 @@ impl QueryQueue for FaultyJudge {
     fn wants(&self, step: &Step) -> Option<bool> {
         self.queue.wants(step)
     }
+
+    fn pieces(&self) -> usize {
+        self.queue.pieces()
+    }
+
+    fn unheard_cost_usd(&self) -> f64 {
+        self.queue.unheard_cost_usd()
+    }
 }

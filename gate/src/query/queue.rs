@@ -25,6 +25,16 @@ pub trait QueryQueue {
     fn wants(&self, _step: &Step) -> Option<bool> {
         None
     }
+
+    /// Pieces of evidence that follow each question; more are announced by a piece.
+    fn pieces(&self) -> usize {
+        usize::from(self.kind() == JudgeKind::Vlm)
+    }
+
+    /// What the answers that [`QueryQueue::take`] has not given have cost, US dollars.
+    fn unheard_cost_usd(&self) -> f64 {
+        0.0
+    }
 }
 
 /// A judge that answers at once, on the caller's thread.

@@ -13,7 +13,8 @@ use shm_config::text::printable_json;
 use super::store::{Lost, Store, StoreError};
 use super::{Filed, tally};
 
-/// Records that may wait for the disk. Further ones are lost, and counted.
+/// Records that may wait for the disk. Further ones are lost in real time, and counted; a
+/// run in lockstep waits for the disk.
 const WAITING_MAX: usize = 64;
 
 /// Longest summary that is read back, bytes.
@@ -24,6 +25,7 @@ const SUMMARY_BYTES_MAX: u64 = 1 << 16;
 pub struct Archive {
     entries: Option<SyncSender<Entry>>,
     thread: Option<JoinHandle<()>>,
+    is_lockstep: bool,
     lost: u64,
     /// The counts as they were last sent to the thread.
     trouble: String,
@@ -60,14 +62,17 @@ impl Archive {
         let thread = thread::spawn(move || {
             write_summary(&run_folder, &judged);
             while let Ok(entry) = inbox.recv() {
-                match entry {
-                    Entry::Record(filed) => {
-                        tally::count(&mut judged, &filed.record);
-                        if let Some(store) = &mut store {
-                            judged.lost = keep(store, *filed);
+                // One summary for all entries that have come meanwhile.
+                for entry in std::iter::once(entry).chain(inbox.try_iter()) {
+                    match entry {
+                        Entry::Record(filed) => {
+                            tally::count(&mut judged, &filed.record);
+                            if let Some(store) = &mut store {
+                                judged.lost = keep(store, *filed);
+                            }
                         }
+                        Entry::Trouble(trouble) => judged.trouble = trouble,
                     }
-                    Entry::Trouble(trouble) => judged.trouble = trouble,
                 }
                 write_summary(&run_folder, &judged);
             }
@@ -78,12 +83,14 @@ impl Archive {
         Ok(Self {
             entries: Some(entries),
             thread: Some(thread),
+            is_lockstep: config.run.is_lockstep(),
             lost: 0,
             trouble: String::new(),
         })
     }
 
-    /// Sends records to the thread; those that do not fit into its queue are lost.
+    /// Sends records to the thread; in real time those that do not fit into its queue are
+    /// lost.
     pub fn keep(&mut self, filed: Vec<Filed>) {
         for filed in filed {
             if !self.hand_over(Entry::Record(Box::new(filed))) {
@@ -102,8 +109,14 @@ impl Archive {
 
     /// Sends an entry; returns whether the queue had room.
     fn hand_over(&self, entry: Entry) -> bool {
-        let entries = self.entries.as_ref();
-        entries.is_some_and(|entries| entries.try_send(entry).is_ok())
+        let Some(entries) = &self.entries else {
+            return false;
+        };
+        match self.is_lockstep {
+            // The run's clock stands still meanwhile.
+            true => entries.send(entry).is_ok(),
+            false => entries.try_send(entry).is_ok(),
+        }
     }
 
     /// Waits until everything sent is written.

@@ -3,6 +3,7 @@
 //! A run's folder holds `judge/questions.jsonl` and `judge/pictures/`.
 
 mod archive;
+mod net_opinion;
 mod query_log;
 pub mod store;
 mod tally;
@@ -10,8 +11,10 @@ mod word;
 
 use serde::{Deserialize, Serialize};
 use shm_config::message::{Assessment, Preference, Proposal};
+use shm_config::seen::Seen;
 
 pub use archive::Archive;
+pub use net_opinion::{NetOpinion, Unsure};
 pub use query_log::{Evidence, Filed, QueryLog};
 
 use crate::model::Asked;
@@ -19,7 +22,7 @@ use crate::presentation::{Party, Prompt, Reply, Showing};
 use crate::query::Occasion;
 
 /// Version of the format; a reader refuses a newer one.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// One question, its answer and its aftermath.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,6 +48,9 @@ pub struct Record {
     pub model: String,
     /// Speed of the car, m/s.
     pub speed_mps: f64,
+    /// What the car saw; `None` in records of format 1.
+    #[serde(default)]
+    pub observation: Option<Box<Seen>>,
     /// The expert's proposal; `None` if there was none.
     pub expert: Option<Proposed>,
     /// The policy's proposal; `None` if there was none.
@@ -64,6 +70,9 @@ pub struct Record {
     pub heard_tick: u64,
     /// When the answer was heard, on the run's clock, ns.
     pub heard_ns: u64,
+    /// What a distilled net thought of the question; `None` where none was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub net: Option<NetOpinion>,
     /// What the simulator foresaw for both proposals; `None` if it foresaw nothing.
     pub foresight: Option<[Outlook; 2]>,
     /// What happened in the 3 s after the question; `None` when the run ended earlier.
@@ -73,7 +82,10 @@ pub struct Record {
 impl Record {
     /// The answer, with "similar" as a case of its own.
     pub fn said(&self) -> Said {
-        Said::of(self.preference, &self.askings)
+        match &self.net {
+            Some(net) if net.passed_on.is_none() => net.said(self.preference),
+            _ => Said::of(self.preference, &self.askings),
+        }
     }
 
     /// Why there is no answer, in one word; `None` if there is one.

@@ -1,12 +1,13 @@
 use std::collections::VecDeque;
 
 use safety::CLEARANCE_MAX_M;
-use shm_config::message::{Driver, Judge as JudgeKind, Reason, Step};
+use shm_config::message::{Driver, Preference, Reason, Step};
+use shm_config::seen::Seen;
 use shm_config::{Instant, Message};
 
 use crate::presentation::picture::Picture;
-use crate::query::{Answer, Occasion};
-use crate::record::{Aftermath, Asking, Outlook, Proposed, Record, VERSION};
+use crate::query::{Answer, Occasion, QueryQueue};
+use crate::record::{Aftermath, Asking, NetOpinion, Outlook, Proposed, Record, VERSION, word};
 
 /// How long the steps after a question are watched, ns.
 const AFTERMATH_NS: u64 = 3_000_000_000;
@@ -35,6 +36,14 @@ pub struct Evidence {
     pub foresight: Option<[Outlook; 2]>,
     /// Why the server gets no more questions; [`crate::model::Asker::trouble`].
     pub trouble: Option<String>,
+    /// What a distilled net thought.
+    pub net: Option<NetOpinion>,
+    /// The slow judge's answer beside that of the net, and `None` in it for a failure.
+    pub audit: Option<Option<Preference>>,
+    /// Cost beside that of the answer, US dollars.
+    pub cost_usd: f64,
+    /// Further pieces of evidence that follow this one.
+    pub follow: usize,
 }
 
 /// A finished record, with its pictures.
@@ -59,8 +68,8 @@ struct Case {
     record: Record,
     pictures: Vec<Picture>,
     is_heard: bool,
-    /// Evidence is still expected.
-    awaits_evidence: bool,
+    /// Pieces of evidence that are still expected.
+    pieces: usize,
     aftermath: Aftermath,
     is_over: bool,
 }
@@ -77,7 +86,7 @@ impl QueryLog {
     }
 
     /// Notes a question about this step.
-    pub fn asked(&mut self, step: &Step, occasion: Occasion, kind: JudgeKind) {
+    pub fn asked(&mut self, step: &Step, occasion: Occasion, judge: &dyn QueryQueue) {
         self.asked += 1;
         if self.open.len() == OPEN_MAX
             && let Some(case) = self.open.pop_front()
@@ -93,10 +102,11 @@ impl QueryLog {
                 episode: header.episode,
                 taken_ns: header.taken_ns,
                 occasion,
-                judge: kind.to_string(),
+                judge: judge.kind().to_string(),
                 preset: String::new(),
                 model: String::new(),
                 speed_mps: step.observation.ego.speed_mps,
+                observation: Some(Box::new(Seen::new(&step.observation))),
                 expert: Proposed::new(&step.expert, &step.expert_assessment),
                 policy: Proposed::new(&step.policy, &step.policy_assessment),
                 askings: Vec::new(),
@@ -106,12 +116,13 @@ impl QueryLog {
                 cost_usd: 0.0,
                 heard_tick: 0,
                 heard_ns: 0,
+                net: None,
                 foresight: None,
                 aftermath: None,
             },
             pictures: Vec::new(),
             is_heard: false,
-            awaits_evidence: kind == JudgeKind::Vlm,
+            pieces: judge.pieces(),
             aftermath: Aftermath {
                 ticks: 0,
                 expert: 0,
@@ -131,14 +142,27 @@ impl QueryLog {
             return;
         };
         let record = &mut case.record;
-        record.preset = evidence.preset;
-        record.model = evidence.model;
+        if !evidence.preset.is_empty() || !evidence.model.is_empty() {
+            (record.preset, record.model) = (evidence.preset, evidence.model);
+        }
         record.askings.extend(evidence.askings);
-        record.fault = evidence.fault;
-        record.latency_s = record.latency_s.max(evidence.latency_s);
+        let net = record.net.as_ref();
+        let is_answered = net.is_some_and(|net| net.passed_on.is_none());
+        // The slow judge's fault and latency are not those of the net's answer.
+        if !is_answered {
+            if !evidence.fault.is_empty() {
+                record.fault = evidence.fault;
+            }
+            record.latency_s = record.latency_s.max(evidence.latency_s);
+        }
+        record.net = evidence.net.or(record.net.take());
+        if let (Some(net), Some(audit)) = (&mut record.net, evidence.audit) {
+            net.audit = Some(word::of(audit).into());
+        }
+        record.cost_usd += evidence.cost_usd;
         record.foresight = record.foresight.or(evidence.foresight);
         case.pictures.extend(evidence.pictures);
-        case.awaits_evidence = false;
+        case.pieces = (case.pieces + evidence.follow).saturating_sub(1);
     }
 
     /// Adds the answer of a question.
@@ -153,7 +177,7 @@ impl QueryLog {
             let failure = answer.preference.err();
             record.fault = failure.map_or_else(String::new, |failure| failure.word().into());
         }
-        record.cost_usd = answer.cost_usd;
+        record.cost_usd += answer.cost_usd;
         record.heard_tick = tick;
         record.heard_ns = now.0;
     }
@@ -176,7 +200,7 @@ impl QueryLog {
         let mut open = VecDeque::with_capacity(OPEN_MAX);
         for case in self.open.drain(..) {
             let waited_ns = now_ns.saturating_sub(case.record.taken_ns);
-            let is_complete = case.is_heard && !case.awaits_evidence;
+            let is_complete = case.is_heard && case.pieces == 0;
             match case.is_over && (is_complete || waited_ns > patience_ns) {
                 true => self.filed.push(case.file()),
                 false => open.push_back(case),

@@ -1,4 +1,5 @@
 //! Records for the tests.
+#![allow(dead_code, reason = "each test uses a part of it")]
 
 use gate::presentation::picture::{Encoding, Picture, encode};
 use gate::presentation::{Hue, Party, Reply, Showing};
@@ -13,7 +14,6 @@ pub const SHOWING: Showing = Showing {
 };
 
 /// A picture of a few bytes.
-#[allow(dead_code)] // not every test keeps one
 pub fn picture(shade: u8) -> Picture {
     let image = image::RgbImage::from_pixel(64, 64, image::Rgb([shade, 80, 90]));
     encode(&image, Encoding::Png).expect("a picture")
@@ -65,6 +65,7 @@ pub fn record(askings: Vec<Asking>, preference: Option<Preference>, safer: Party
         preset: "blind".into(),
         model: "a-model".into(),
         speed_mps: 8.0,
+        observation: None,
         expert: Some(proposed),
         policy: Some(proposed),
         latency_s: askings.iter().map(|asking| asking.latency_s).sum(),
@@ -74,6 +75,7 @@ pub fn record(askings: Vec<Asking>, preference: Option<Preference>, safer: Party
         fault: String::new(),
         heard_tick: 50,
         heard_ns: 5_000_000_000,
+        net: None,
         foresight: Some([outlook(Party::Expert), outlook(Party::Policy)]),
         aftermath: None,
     }

@@ -210,7 +210,11 @@ impl Loop {
 pub fn advisor(config: &Config) -> Option<Advisor> {
     let has_gate = match config.gate.mode {
         GateMode::Expert | GateMode::Policy | GateMode::Human | GateMode::Takeover => false,
-        GateMode::Rules | GateMode::Vlm | GateMode::Paper | GateMode::Replay => true,
+        GateMode::Rules
+        | GateMode::Vlm
+        | GateMode::Paper
+        | GateMode::Distilled
+        | GateMode::Replay => true,
     };
     let rules = || Box::new(Immediate::new(Rules::new(config.vehicle, config.safety)));
     has_gate.then(|| {

@@ -129,6 +129,7 @@ impl Living {
         let told = Told::default();
         let queue: Box<dyn QueryQueue> = match config.gate.mode {
             GateMode::Vlm | GateMode::Paper => Box::new(Recorded::new(JudgeKind::Vlm, &told)),
+            GateMode::Distilled => Box::new(Recorded::new(JudgeKind::Distilled, &told)),
             GateMode::Replay => Box::new(Recorded::new(JudgeKind::Recorded, &told)),
             GateMode::Rules
             | GateMode::Expert
@@ -152,7 +153,10 @@ impl Living {
     fn consider(&mut self, step: &Step, recorded: &Advice, mode: GateMode) -> Advice {
         let now = Instant(recorded.considered_ns);
         self.advisor.ask(step);
-        let is_model = matches!(mode, GateMode::Vlm | GateMode::Paper | GateMode::Replay);
+        let is_model = matches!(
+            mode,
+            GateMode::Vlm | GateMode::Paper | GateMode::Distilled | GateMode::Replay
+        );
         if is_model && recorded.answers != self.last.answers {
             self.told.borrow_mut().push_back(answer(recorded));
         }

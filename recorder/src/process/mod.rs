@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Result<(), SetUpError> {
     let place = RecordingFolder::of_run(config, supervisor).map_err(|error| own(&error))?;
     let judge = config
         .gate
-        .asks_model()
+        .asks_world()
         .then(|| PathBuf::from(&config.run.folder).join("judge"));
     let parts = Parts {
         keep: config.keeps(),

@@ -54,7 +54,7 @@ impl Need {
             true => OFFERS_BY_HAND + OFFERS_OF_LEARNER,
             false => OFFERS_BY_HAND,
         };
-        let frames = match config.gate.asks_model() {
+        let frames = match config.gate.asks_world() {
             true => FRAMES,
             false => 0,
         };

@@ -142,6 +142,9 @@ pub enum GateChoice {
     Vlm,
     /// As in the paper: asks every 10 s, and the world waits. Implies --lockstep.
     Paper,
+    /// A small net distilled from recorded answers (gate.distilled); a slow judge
+    /// (gate.pass_to) answers what the net does not know.
+    Distilled,
     /// The answers of a recorded run (gate.recording).
     Replay,
     /// Always the expert; no gate process.
@@ -161,6 +164,7 @@ impl From<GateChoice> for GateMode {
             GateChoice::Rules => Self::Rules,
             GateChoice::Vlm => Self::Vlm,
             GateChoice::Paper => Self::Paper,
+            GateChoice::Distilled => Self::Distilled,
             GateChoice::Replay => Self::Replay,
             GateChoice::Expert => Self::Expert,
             GateChoice::Policy => Self::Policy,
