@@ -7,8 +7,9 @@ use clap::{Args, Parser, Subcommand};
 use judge::standin::{Options, ServerFault};
 
 use crate::auditing::{AuditArguments, ReplayArguments};
+use crate::distilling::DistilArguments;
 
-/// Audit a judge, ask another model the same questions, or serve a stand-in
+/// Audit a judge, ask another model the same questions, distil a judge, or serve a stand-in
 #[derive(Debug, Parser)]
 #[command(name = "vlaps-judge", bin_name = "./vlaps judge", version)]
 pub struct Arguments {
@@ -35,6 +36,8 @@ pub enum Command {
     Audit(AuditArguments),
     /// Ask another model the questions of a run
     Replay(ReplayArguments),
+    /// Train a small net on recorded questions, which answers in place of a slow judge
+    Distil(DistilArguments),
 }
 
 /// How the stand-in behaves.
@@ -101,7 +104,7 @@ fn server_faults() -> impl clap::builder::TypedValueParser<Value = ServerFault> 
     })
 }
 
-fn number(text: &str) -> Result<f64, String> {
+pub fn number(text: &str) -> Result<f64, String> {
     text.parse().map_err(|_| "must be a number".into())
 }
 
@@ -113,7 +116,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
     }
 }
 
-fn share(text: &str) -> Result<f64, String> {
+pub fn share(text: &str) -> Result<f64, String> {
     let share = number(text)?;
     match (0.0..=1.0).contains(&share) {
         true => Ok(share),

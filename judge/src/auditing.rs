@@ -12,20 +12,16 @@ use indicatif::{ProgressBar, ProgressStyle};
 use judge::audit::{Figures, page};
 use judge::replay::{Comparison, Replay, Step};
 use judge::statistics::Share;
-use shm_config::config::{Config, from_toml};
 use shm_config::judged::of_these_similar;
 use shm_config::text::printable_json;
 use shm_config::{counted, secret};
-use toml::{Table, Value};
 
+use crate::configuration::config;
 use crate::print::say;
 
 /// Maximum size of the pictures copied beside a page, bytes: twice the default limit of
 /// a run's pictures (vlm.record_bytes_max).
 const COPIED_BYTES_MAX: u64 = 1_000_000_000;
-
-/// Read from the current folder if it exists and no other file is given.
-const DEFAULT_FILE: &str = "vlaps.toml";
 
 /// Write a page with the questions and answers of a run, and their accuracy.
 #[derive(Debug, Args)]
@@ -211,7 +207,7 @@ fn share(share: Share) -> String {
 /// folder cannot be written.
 pub fn replay(arguments: &ReplayArguments) -> anyhow::Result<()> {
     let records = read(&arguments.folder)?;
-    let vlm = config(arguments)?.vlm;
+    let vlm = config(arguments.config.as_deref(), &arguments.overrides)?.vlm;
     // The API key that is read after this line is never written to a core file.
     secret::forbid_dumps().context("cannot keep the key out of core files")?;
     secret::take_named(&vlm.key_env).context("cannot take the key out of the environment")?;
@@ -316,46 +312,6 @@ fn compare(before: &Records, now: &Records) {
     for records in [before, now] {
         print_figures(records, &Figures::of(&records.questions));
     }
-}
-
-/// The configuration of the run with overrides.
-fn config(arguments: &ReplayArguments) -> anyhow::Result<Config> {
-    let default = PathBuf::from(DEFAULT_FILE);
-    let file = arguments
-        .config
-        .clone()
-        .or_else(|| default.is_file().then_some(default));
-    let (mut table, origin) = match file {
-        Some(path) => {
-            let text = std::fs::read_to_string(&path)
-                .with_context(|| format!("cannot read {}", path.display()))?;
-            from_toml(&text, &path.display().to_string())?;
-            (text.parse::<Table>()?, path.display().to_string())
-        }
-        None => (Table::new(), "the command line".into()),
-    };
-    for text in &arguments.overrides {
-        let (key, value) = text
-            .split_once('=')
-            .with_context(|| format!("--set {text}: must be KEY=VALUE"))?;
-        let (section, key) = key
-            .split_once('.')
-            .with_context(|| format!("--set {text}: KEY must have a section, such as vlm.model"))?;
-        let section = table
-            .entry(section)
-            .or_insert_with(|| Value::Table(Table::new()));
-        let section = section.as_table_mut().context("a section is not a value")?;
-        section.insert(key.into(), parsed(value));
-    }
-    Ok(from_toml(&table.to_string(), &origin)?)
-}
-
-/// Parses a TOML value; other text is a string, so that names need no quotes.
-fn parsed(text: &str) -> Value {
-    let line: Result<Table, _> = format!("value = {text}").parse();
-    line.ok()
-        .and_then(|mut table| table.remove("value"))
-        .unwrap_or_else(|| text.into())
 }
 
 /// A name with all characters replaced that cannot be part of a file name.

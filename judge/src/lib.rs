@@ -1,6 +1,6 @@
 //! The offline tools behind `./vlaps judge`. They audit the questions and answers of a
-//! judge in a run ([`audit`]), ask another model the same questions ([`replay`]), and
-//! serve a stand-in that speaks a model's protocol for tests and offline work
+//! judge in a run ([`audit`]), ask another model the same questions ([`replay`]), train a
+//! small net that answers in its place ([`distil`]), and serve a stand-in that speaks a model's protocol for tests and offline work
 //! ([`standin`]). The stand-in is not a model.
 //!
 //! ```
@@ -10,6 +10,7 @@
 //! ```
 
 pub mod audit;
+pub mod distil;
 pub mod pixels;
 pub mod replay;
 pub mod standin;

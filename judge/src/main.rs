@@ -2,6 +2,8 @@
 
 mod arguments;
 mod auditing;
+mod configuration;
+mod distilling;
 mod print;
 mod serving;
 
@@ -26,6 +28,7 @@ fn main() -> ExitCode {
         Command::Serve(arguments) => serving::serve(&arguments),
         Command::Audit(arguments) => auditing::audit(&arguments),
         Command::Replay(arguments) => auditing::replay(&arguments),
+        Command::Distil(arguments) => distilling::distil(&arguments),
     });
     match done {
         Ok(()) => ExitCode::SUCCESS,
