@@ -97,4 +97,10 @@ pub enum Command {
     /// on it, or serve a stand-in for a model.
     #[command(disable_help_flag = true)]
     Judge(Delegated),
+    /// Other machines: invite a judge, a learner or a view; serve rows; show what was refused.
+    #[command(disable_help_flag = true)]
+    Link(Delegated),
+    /// Be the judge, learner, view or recorder of a set that drives on another machine.
+    #[command(disable_help_flag = true)]
+    Join(Delegated),
 }

@@ -8,6 +8,7 @@ mod deadlines;
 mod fit;
 mod gate;
 mod learner;
+mod link;
 mod load;
 mod mpc;
 mod policy;
@@ -35,6 +36,7 @@ pub use crate::settings::{
 pub use deadlines::Deadlines;
 pub use gate::{FaultyJudge, Gate, PassTo, When};
 pub use learner::{Algorithm, Learner};
+pub use link::{Link, is_address};
 pub use load::{ConfigError, from_toml};
 #[cfg(feature = "wire")]
 pub use load::{load, text_of};
@@ -68,6 +70,8 @@ pub struct Config {
     pub world: World,
     /// Programs of yours in place of those of the build.
     pub programs: Programs,
+    /// Processes on other machines.
+    pub link: Link,
     /// RRT*.
     pub planner: Planner,
     /// RRT* with a memory, in place of the paper's.
@@ -110,6 +114,7 @@ impl Config {
         self = self.checked_vehicle()?;
         self.world.check(&self.vehicle, &self.scanner)?;
         self.programs.check(&self.gate)?;
+        self.link.check(&self)?;
         self.planner.check()?;
         self.informed.check(self.planner.cell_m)?;
         self.kinodynamic.check()?;

@@ -66,6 +66,19 @@ impl<M: Message> Publisher<M> {
         sample.is_some_and(|sample| written(sample, message, self.used).send().is_ok())
     }
 
+    /// Publishes a message of another machine with the number and the producer that it has,
+    /// so that its readers count what was lost on the way, and wakes them. Returns as
+    /// [`Publisher::send`].
+    pub fn pass_on(&mut self, message: &M) -> bool {
+        self.used = self.used.max(message.used_bytes());
+        let sample = self.loaned.take().or_else(|| self.port.loan_uninit().ok());
+        let sent = sample.is_some_and(|sample| written(sample, message, self.used).send().is_ok());
+        for bell in &self.bells {
+            let _ = bell.notify();
+        }
+        sent
+    }
+
     /// Connects to readers that came since the last message, gives them the
     /// history, and loans the sample of the next message. To be called between
     /// ticks, so that no tick pays for it.

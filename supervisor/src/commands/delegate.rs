@@ -34,6 +34,9 @@ pub const VIEW: &str = "vlaps-view";
 /// The program of `judge`, with an HTTP client and a server.
 pub const JUDGE: &str = "vlaps-judge";
 
+/// The program of `link` and `join`, of a workspace of its own.
+pub const LINK: &str = "vlaps-link";
+
 /// Executes another program of the build in place of this one; returns only on an
 /// error.
 ///
@@ -47,8 +50,10 @@ pub fn delegate(name: &str, command: &[&str], rest: &Delegated) -> Result<(), Fa
     // That program may ask a judge itself, or start a supervisor whose gate does.
     secret::hand_on(&mut become_it);
     let error = become_it.args(command).args(&rest.words).exec();
-    Err(Failure::GivenUp(format!(
-        "{}: {error}; build it with cargo build --release --workspace --bins",
-        program.display()
-    )))
+    let build = match name {
+        LINK => "./vlaps setup link",
+        _ => "cargo build --release --workspace --bins",
+    };
+    let program = program.display();
+    Err(Failure::GivenUp(format!("{program}: {error}; build it with {build}")))
 }

@@ -24,6 +24,7 @@ use crate::setup::{onnxruntime, package, ros, world};
         ./vlaps setup commonroad --checkout ../commonroad-io\n  \
         ./vlaps setup onnxruntime\n  \
         ./vlaps setup ros\n  \
+        ./vlaps setup link\n  \
         ./vlaps setup python && target/python/bin/python -c 'import vlaps'\n  \
         VLAPS_METADRIVE=$HOME/md-c29 ./vlaps setup metadrive --checkout ../metadrive"
 )]
@@ -54,6 +55,8 @@ pub enum Part {
     Onnxruntime,
     /// The programs for ROS 2.
     Ros,
+    /// The programs for other machines.
+    Link,
     /// The Python package vlaps.
     Python,
 }
@@ -61,7 +64,7 @@ pub enum Part {
 static PARTS: LazyLock<Vec<Part>> = LazyLock::new(|| {
     let worlds = FOREIGN.iter().map(Part::World);
     worlds
-        .chain([Part::Onnxruntime, Part::Ros, Part::Python])
+        .chain([Part::Onnxruntime, Part::Ros, Part::Link, Part::Python])
         .collect()
 });
 
@@ -80,6 +83,9 @@ impl ValueEnum for Part {
                 .help("ONNX Runtime, for policies that are no chain of layers: 60 MB"),
             Self::Ros => PossibleValue::new("ros")
                 .help("The programs for ROS 2 over Zenoh: 230 packages, some minutes of compiling"),
+            Self::Link => PossibleValue::new("link").help(
+                "The programs for other machines over Zenoh: 240 packages, some minutes of compiling",
+            ),
             Self::Python => PossibleValue::new("python")
                 .help("The Python package vlaps, built and installed into target/python: 150 MB"),
         })
@@ -96,6 +102,7 @@ pub fn setup(arguments: &Setup) -> Result<(), Failure> {
         Part::World(row) => world::setup(row, python, arguments.checkout.as_deref()),
         Part::Onnxruntime => onnxruntime::setup(python),
         Part::Ros => ros::setup(),
+        Part::Link => ros::setup_link(),
         Part::Python => package::setup(python),
     }
 }

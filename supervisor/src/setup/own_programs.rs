@@ -8,22 +8,45 @@ use shm_config::services::Process;
 use shm_config::text::printable;
 
 use crate::cli::failure::Failure;
+use crate::machine::programs::binaries;
 use crate::set::launch::Program;
 use crate::setup::foreign::Foreign;
 
 /// The processes that may be a user's program.
 const REPLACEABLE: [Process; 3] = [Process::World, Process::Planner, Process::Gate];
 
-/// The programs of a run that are not those of the build: the user's, and a simulator that
-/// is not the built-in one.
+/// The programs of a run that are not those of the build: the user's, those that stand for
+/// processes of other machines, and a simulator that is not the built-in one.
 ///
 /// # Errors
 /// When one of them cannot be started.
 pub fn of_run(config: &Config) -> Result<Vec<Program>, Failure> {
     let mut programs = of(config)?;
+    programs.extend(of_link(config)?);
     let has_world = config.programs.of(Process::World).is_some();
     if let (false, Some(foreign)) = (has_world, Foreign::of(config.world.simulator)) {
         programs.push(foreign.world()?);
+    }
+    Ok(programs)
+}
+
+/// The programs that stand in the place of processes on other machines.
+fn of_link(config: &Config) -> Result<Vec<Program>, Failure> {
+    let mut programs = Vec::new();
+    for process in [Process::Gate, Process::Learner] {
+        let Some((name, _)) = config.link.of(process) else {
+            continue;
+        };
+        let path = binaries()?.join(name);
+        check(&path).map_err(|why| {
+            let shown = path.display();
+            Failure::Usage(format!("{shown}: {why}; `./vlaps setup link` builds it"))
+        })?;
+        programs.push(Program {
+            process,
+            path,
+            script: None,
+        });
     }
     Ok(programs)
 }

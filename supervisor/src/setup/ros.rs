@@ -1,4 +1,4 @@
-//! `setup ros`: builds the programs of `ros/`, a workspace of its own.
+//! `setup ros`, `setup link`: build the programs of `ros/` and `link/`, workspaces of their own.
 
 use std::process::Command;
 
@@ -7,26 +7,42 @@ use crate::cli::print::say;
 use crate::setup::environment::Steps;
 use crate::setup::foreign::{beside_the_build, root};
 
-const STEPS: Steps = Steps("ros");
+/// Builds `vlaps-ros` and `vlaps-ros-world`.
+///
+/// # Errors
+/// As [`build`].
+pub fn setup() -> Result<(), Failure> {
+    build("ros")?;
+    say("ready: target/release/vlaps-ros RUN, ./vlaps up --world target/release/vlaps-ros-world");
+    Ok(())
+}
 
-/// Builds `vlaps-ros` and `vlaps-ros-world` into the build's own folder, so that what both
-/// workspaces have in common is compiled once.
+/// Builds `vlaps-link` and the programs that stand for processes of other machines.
+///
+/// # Errors
+/// As [`build`].
+pub fn setup_link() -> Result<(), Failure> {
+    build("link")?;
+    say("ready: ./vlaps link invite, ./vlaps up --judge HOST:PORT, ./vlaps join");
+    Ok(())
+}
+
+/// Builds a workspace of its own into the build's own folder, so that what the workspaces
+/// have in common is compiled once.
 ///
 /// # Errors
 /// One line that says which step failed, why, and what to do.
-pub fn setup() -> Result<(), Failure> {
-    say("building Zenoh and both programs; the first time takes some minutes");
-    STEPS.run(
+fn build(workspace: &'static str) -> Result<(), Failure> {
+    say("building Zenoh and the programs; the first time takes some minutes");
+    Steps(workspace).run(
         Command::new("cargo")
             .args(["build", "--release", "--quiet", "--locked", "--bins"])
             .arg("--manifest-path")
-            .arg(root()?.join("ros").join("Cargo.toml"))
+            .arg(root()?.join(workspace).join("Cargo.toml"))
             .arg("--target-dir")
             .arg(beside_the_build("")?)
             .env("CARGO_INCREMENTAL", "0"),
-        "cannot build ros/",
+        &format!("cannot build {workspace}/"),
         "check that cargo is on PATH and reaches its registry",
-    )?;
-    say("ready: target/release/vlaps-ros RUN, ./vlaps up --world target/release/vlaps-ros-world");
-    Ok(())
+    )
 }

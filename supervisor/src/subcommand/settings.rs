@@ -119,6 +119,8 @@ pub fn config(files: [Option<&Path>; 2], overrides: &[String]) -> Result<Config,
         ("programs.world", &config.programs.world),
         ("programs.planner", &config.programs.planner),
         ("programs.gate", &config.programs.gate),
+        ("link.judge", &config.link.judge),
+        ("link.learner", &config.link.learner),
     ] {
         if !program.is_empty() {
             return Err(Failure::Usage(format!(

@@ -33,7 +33,8 @@ use crate::setup::foreign::{BUILT_IN, Foreign};
         ./vlaps up --duration 60 --late-ticks\n  \
         ./vlaps up --lockstep --vehicle vehicles/truck.toml --driver mpc --episodes 1\n  \
         ./vlaps up --rate 20 --run second --set world.traffic_density=0.1\n  \
-        ./vlaps up --world ./my-robot --planner ./my-planner"
+        ./vlaps up --world ./my-robot --planner ./my-planner\n  \
+        ./vlaps up --judge 0.0.0.0:7450 --learner 0.0.0.0:7451"
 )]
 pub struct Up {
     /// Seed of the first episode; each further one adds one.
@@ -63,9 +64,13 @@ pub struct Up {
     /// The gate, which decides between expert and policy.
     #[arg(long, value_name = "WHICH")]
     pub gate: Option<GateChoice>,
-    /// A program of yours that publishes advice, in place of the gate process of the build.
-    #[arg(long, value_name = "PROGRAM")]
+    /// In place of the gate process of the build: a program of yours that publishes advice, or
+    /// a judge on another machine, for which the set waits at HOST:PORT of this one.
+    #[arg(long, value_name = "PROGRAM|HOST:PORT")]
     pub judge: Option<PathBuf>,
+    /// A learner on another machine, for which the set waits at HOST:PORT of this one.
+    #[arg(long, value_name = "HOST:PORT")]
+    pub learner: Option<String>,
     /// Keys of --gate human from this file of at most 1 MiB in place of the terminal.
     #[arg(long, value_name = "FILE")]
     pub keys: Option<PathBuf>,

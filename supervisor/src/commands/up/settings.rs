@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use shm_config::config::planner::Method;
 use shm_config::config::{
-    Config, ConfigError, GateMode, from_toml, load, text_of, vehicle_of, with_vehicle,
+    Config, ConfigError, GateMode, from_toml, is_address, load, text_of, vehicle_of, with_vehicle,
 };
 use shm_config::{file, shortened};
 use toml::{Table, Value};
@@ -190,8 +190,17 @@ fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)
         }
         None => {}
     }
+    let address = arguments.judge.as_deref().and_then(address_of);
     match &arguments.judge {
+        Some(_) if address.is_some() => {
+            keys.push(("--judge", "link.judge", address.unwrap_or_default().into()));
+            keys.push(("--judge", "programs.gate", "".into()));
+            if arguments.gate.is_none() {
+                keys.push(("--judge", "gate.mode", "rules".into()));
+            }
+        }
         Some(path) => {
+            keys.push(("--judge", "link.judge", "".into()));
             let path = own_programs::of_option("--judge", path)?;
             keys.push(("--judge", "programs.gate", path.into()));
             // The controller takes its advice as that of any judge that answers at once.
@@ -201,10 +210,22 @@ fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)
         }
         None if arguments.gate.is_some() => {
             keys.push(("--gate", "programs.gate", "".into()));
+            keys.push(("--gate", "link.judge", "".into()));
         }
         None => {}
     }
+    if let Some(address) = &arguments.learner {
+        keys.push(("--learner", "link.learner", address.clone().into()));
+        keys.push(("--learner", "learner.enabled", true.into()));
+    }
     Ok(keys)
+}
+
+/// The address of a judge on another machine; `None` for a program. A program whose name
+/// reads as an address needs a '/'.
+fn address_of(judge: &Path) -> Option<String> {
+    let text = judge.to_str()?;
+    (!text.contains('/') && is_address(text)).then(|| text.into())
 }
 
 /// The absolute path, because the processes of a run may have different working

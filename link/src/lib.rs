@@ -1,0 +1,41 @@
+//! Judge, learner, view and recorder of a running set on other machines, over Zenoh.
+//!
+//! Whatever the network does, no tick is late, nothing is lost uncounted, and no command
+//! comes from elsewhere. `docs/machines.md` is the guide, decision 0045 says why it is built
+//! like this.
+//!
+//! | module | holds |
+//! |---|---|
+//! | [`role`] | the roles, and which rows each hears and sends |
+//! | [`keys`], [`certificate`] | the secrets of a run, invitations |
+//! | [`packet`], [`hello`] | what travels |
+//! | [`flow`] | numbers, acknowledgements and losses of each row |
+//! | [`clock_map`] | the other machine's clock |
+//! | [`live`], [`host`], [`peer`] | a session, and both of its ends, without network or clock |
+//! | [`refusal`], [`dating`], [`rows`] | the doors |
+//! | [`carrier`] | Zenoh |
+//! | [`station`], [`stand_in`], [`serve`] | the vehicle's processes |
+//! | [`mirror`], [`program`], [`join`] | the other machine's |
+//! | [`report`] | what both have done |
+
+pub mod carrier;
+pub mod certificate;
+pub mod clock_map;
+pub mod dating;
+pub mod flow;
+pub mod hello;
+pub mod host;
+pub mod join;
+pub mod keys;
+pub mod live;
+pub mod mirror;
+pub mod packet;
+pub mod peer;
+pub mod program;
+pub mod refusal;
+pub mod report;
+pub mod role;
+pub mod rows;
+pub mod serve;
+pub mod stand_in;
+pub mod station;
