@@ -100,7 +100,7 @@ impl ClockMap {
             round_trip_ns,
             at: t4,
         };
-        if let Some(best) = self.best(t4) {
+        if let Some(best) = self.best(t4).copied() {
             let apart = offset_ns.abs_diff(best.offset_ns);
             if apart > best.uncertainty_ns(t4) + sample.uncertainty_ns(t4) {
                 self.doubtful += 1;

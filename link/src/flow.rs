@@ -220,7 +220,73 @@ impl Outbox {
 struct Incoming {
     last: Option<u64>,
     acknowledged: u64,
+    /// Messages before their turn: at most a window of them.
+    early: BTreeMap<u64, Parcel>,
     received: Received,
+}
+
+impl Incoming {
+    fn take(&mut self, parcel: Parcel, passage: Passage, give: &mut dyn FnMut(Parcel)) {
+        let received = &mut self.received;
+        let (sequence, oldest) = (parcel.sequence, parcel.oldest);
+        // What was before the first message that comes went to a process before this one, or
+        // was dropped, which its sender counts.
+        let last = match (self.last, passage) {
+            (Some(last), _) => last,
+            (None, Passage::Every) => oldest - 1,
+            (None, Passage::Newest) => sequence - 1,
+        };
+        if sequence <= last || self.early.contains_key(&sequence) {
+            match sequence == last || passage == Passage::Every {
+                true => received.doubled += 1,
+                false => received.reordered += 1,
+            }
+            // The acknowledgement may be what was lost.
+            self.acknowledged = 0;
+            return;
+        }
+        if passage == Passage::Newest {
+            received.skipped += sequence - last - 1;
+            received.messages += 1;
+            self.last = Some(sequence);
+            return give(parcel);
+        }
+        // What the sender does not have any more will not come, but may be here already.
+        let mut last = last;
+        while last + 1 < oldest {
+            last += 1;
+            match self.early.remove(&last) {
+                Some(early) => {
+                    received.messages += 1;
+                    give(early);
+                }
+                None => {
+                    let next = self.early.keys().next().copied().unwrap_or(oldest);
+                    let next = next.min(oldest);
+                    received.lost += next - last;
+                    last = next - 1;
+                }
+            }
+        }
+        if sequence > last + 1 {
+            received.reordered += 1;
+            // One that is further ahead than its sender may be comes again.
+            if sequence - last <= WINDOW_EVERY {
+                self.early.insert(sequence, parcel);
+            }
+            self.last = Some(last);
+            return;
+        }
+        last = sequence;
+        received.messages += 1;
+        give(parcel);
+        while let Some(early) = self.early.remove(&(last + 1)) {
+            last += 1;
+            received.messages += 1;
+            give(early);
+        }
+        self.last = Some(last);
+    }
 }
 
 /// What came from one peer.
@@ -230,43 +296,10 @@ pub struct Inbox {
 }
 
 impl Inbox {
-    /// Whether a message is the next of its row; others are counted and dropped.
-    pub fn admits(&mut self, parcel: &Parcel, passage: Passage) -> bool {
-        let incoming = self.rows.entry(parcel.row).or_default();
-        let received = &mut incoming.received;
-        let (sequence, oldest) = (parcel.sequence, parcel.oldest);
-        // What was before the first message that comes went to a process before this one, or
-        // was dropped, which its sender counts.
-        let last = match (incoming.last, passage) {
-            (Some(last), _) => last,
-            (None, Passage::Every) => oldest.saturating_sub(1),
-            (None, Passage::Newest) => sequence.saturating_sub(1),
-        };
-        if sequence <= last {
-            match sequence == last || passage == Passage::Every {
-                true => received.doubled += 1,
-                false => received.reordered += 1,
-            }
-            // The acknowledgement may be what was lost.
-            incoming.acknowledged = 0;
-            return false;
-        }
-        let skipped = sequence - last - 1;
-        match passage {
-            Passage::Newest => received.skipped += skipped,
-            Passage::Every if skipped == 0 => {}
-            Passage::Every => {
-                let gone = oldest.saturating_sub(last + 1).min(skipped);
-                if gone < skipped {
-                    received.reordered += 1;
-                    return false;
-                }
-                received.lost += gone;
-            }
-        }
-        received.messages += 1;
-        incoming.last = Some(sequence);
-        true
+    /// Gives a message and those that waited for it, in their order; nothing when it was
+    /// received before, or is before its turn.
+    pub fn take(&mut self, parcel: Parcel, passage: Passage, give: &mut dyn FnMut(Parcel)) {
+        self.rows.entry(parcel.row).or_default().take(parcel, passage, give);
     }
 
     /// Gives what is not acknowledged yet.
@@ -322,12 +355,10 @@ mod tests {
                     }
                 }
             });
-            let (here, later) = on_the_way.into_iter().partition(|(at, _)| *at <= turn);
+            let (here, later): (Vec<_>, _) = on_the_way.into_iter().partition(|(at, _)| *at <= turn);
             on_the_way = later;
             for (_, parcel) in here {
-                if inbox.admits(&parcel, passage) {
-                    arrived.push(number(&parcel));
-                }
+                inbox.take(parcel, passage, &mut |parcel| arrived.push(number(&parcel)));
             }
             inbox.acknowledge(|_, last| {
                 if !random.random_ratio(1, 10) {
@@ -380,7 +411,7 @@ mod tests {
         let mut arrived = Vec::new();
         outbox.push(ROW, Passage::Every, message(0));
         outbox.due(Instant(0), 50 * MS, &mut |parcel| {
-            assert!(inbox.admits(&parcel, Passage::Every));
+            inbox.take(parcel, Passage::Every, &mut |_| {});
         });
         inbox.acknowledge(|row, last| outbox.acknowledge(row, last, Instant(0)));
         for k in 1..=QUEUE_MAX as u64 + dropped {
@@ -391,9 +422,7 @@ mod tests {
             let mut parcels = Vec::new();
             outbox.due(now, 50 * MS, &mut |parcel| parcels.push(parcel));
             for parcel in parcels {
-                if inbox.admits(&parcel, Passage::Every) {
-                    arrived.push(number(&parcel));
-                }
+                inbox.take(parcel, Passage::Every, &mut |parcel| arrived.push(number(&parcel)));
             }
             inbox.acknowledge(|row, last| outbox.acknowledge(row, last, now));
         }

@@ -324,9 +324,10 @@ impl Host {
                 if !claim.role.may_send(row) {
                     return Err(Reason::NotAllowed);
                 }
-                if guest.inbox.admits(&parcel, row.passage(claim.role)) {
-                    self.events.push(Event::Message(claim, row, parcel.bytes));
-                }
+                let events = &mut self.events;
+                guest.inbox.take(parcel, row.passage(claim.role), &mut |parcel| {
+                    events.push(Event::Message(claim, row, parcel.bytes));
+                });
             }
         }
         Ok(())

@@ -206,7 +206,7 @@ impl RunKeys {
             make_folders(above)?;
         }
         let folder = Folder::make(&path, Entry::Private)?;
-        let text = serde_json::to_string_pretty(self)?;
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
         folder.replace(&file_name(run), text.as_bytes(), Durable::Yes)?;
         make_private(&path.join(file_name(run)))
     }
@@ -305,7 +305,7 @@ impl Bundle {
     pub fn write(&self, path: &std::path::Path) -> io::Result<()> {
         use std::io::Write as _;
         use std::os::unix::fs::OpenOptionsExt as _;
-        let text = serde_json::to_string_pretty(self)?;
+        let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
         let mut file = std::fs::OpenOptions::new()
             .write(true)
             .create_new(true)

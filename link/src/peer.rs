@@ -187,9 +187,10 @@ impl Peer {
                 if !self.claim.role.hears(row) {
                     return Err(Reason::NotAllowed);
                 }
-                if self.inbox.admits(&parcel, row.passage(self.claim.role)) {
-                    self.news.push(News::Message(row, parcel.bytes));
-                }
+                let news = &mut self.news;
+                self.inbox.take(parcel, row.passage(self.claim.role), &mut |parcel| {
+                    news.push(News::Message(row, parcel.bytes));
+                });
             }
         }
         Ok(())

@@ -101,7 +101,7 @@ pub fn of_peer(peer: &Peer, address: &str, now: Instant) -> Value {
 /// # Errors
 /// When the folder refuses.
 pub fn write(path: &Path, report: &Value) -> io::Result<()> {
-    let mut text = serde_json::to_string_pretty(report)?;
+    let mut text = serde_json::to_string_pretty(report).map_err(io::Error::other)?;
     text.push('\n');
     replace(path, text.as_bytes(), Durable::No)
 }

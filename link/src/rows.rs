@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use ring::signature::{ED25519, Ed25519KeyPair, UnparsedPublicKey};
 use shm_config::Message;
+use shm_config::layout::Layout as _;
 use shm_config::message::{Frame, WEIGHTS_BYTES_MAX, Weights};
 
 use crate::keys::{Identity, sha256};

@@ -92,7 +92,7 @@ fn used_bytes(service: &str, memory: &[u8]) -> usize {
         name if name == STEP.name => {
             // The beams end the observation, which ends the step.
             let end = memory.iter().rposition(|byte| *byte != 0);
-            let least = offset_of!(Step, observation) + offset_of!(Observation, lidar);
+            let least = offset_of!(Step, observation) + offset_of!(Observation, ranges_m);
             end.map_or(least, |end| (end + 1).max(least))
         }
         _ => memory.len(),

@@ -270,3 +270,29 @@ fn the_stand_in_has_a_name_of_its_own_and_is_free() {
     };
     assert_eq!(priced.prices_usd(), [1.0, 0.0], "unless it is told");
 }
+
+/// A process on another machine needs an address, and a place to stand in.
+#[test]
+fn an_address_of_another_machine_is_checked_with_what_it_needs() {
+    let with = |text: &str| from_toml(text, "test").map(|config| config.link);
+    let link = with("[gate]\nmode = \"rules\"\n[link]\njudge = \"0.0.0.0:7450\"\n");
+    assert_eq!(link.expect("a judge elsewhere").judge, "0.0.0.0:7450");
+    let link = with("[learner]\nenabled = true\n[link]\nlearner = \"car.local:7451\"\n");
+    assert_eq!(link.expect("a learner elsewhere").learner, "car.local:7451");
+    for (text, named) in [
+        ("[link]\njudge = \"7450\"\n", "link.judge"),
+        ("[link]\njudge = \":7450\"\n", "link.judge"),
+        ("[link]\njudge = \"host:0\"\n", "link.judge"),
+        ("[link]\njudge = \"ho st:1\"\n", "link.judge"),
+        ("[gate]\nmode = \"expert\"\n[link]\njudge = \"a:1\"\n", "link.judge"),
+        ("[link]\nlearner = \"a:1\"\n", "link.learner"),
+        ("[programs]\ngate = \"/a\"\n[link]\njudge = \"a:1\"\n", "link.judge"),
+        (
+            "[learner]\nenabled = true\n[link]\njudge = \"a:1\"\nlearner = \"a:1\"\n",
+            "link.learner",
+        ),
+    ] {
+        let error = with(text).expect_err(text).to_string();
+        assert!(error.contains(named), "{error}");
+    }
+}
