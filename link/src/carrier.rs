@@ -76,8 +76,14 @@ fn common(mode: &str) -> Vec<(&'static str, Value)> {
         ("transport/shared_memory/enabled", json!(false)),
         ("transport/link/protocols", json!(["tls"])),
         ("transport/link/tx/lease", json!(LEASE_MS)),
-        ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", json!(HELD_US)),
-        ("transport/link/rx/max_message_size", json!(MESSAGE_BYTES_MAX)),
+        (
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop",
+            json!(HELD_US),
+        ),
+        (
+            "transport/link/rx/max_message_size",
+            json!(MESSAGE_BYTES_MAX),
+        ),
         ("transport/unicast/open_timeout", json!(ATTEMPT_MS)),
         ("transport/unicast/accept_timeout", json!(2 * ATTEMPT_MS)),
         ("transport/link/tls/enable_mtls", json!(true)),
@@ -130,21 +136,31 @@ impl Listener {
     /// # Errors
     /// One line: the address is none of this machine, or is taken.
     pub fn open(keys: &RunKeys, address: &str) -> Result<Self, String> {
-        let Certified { certificate, key } =
-            keys.authority.vehicle().map_err(|error| error.to_string())?;
+        let Certified { certificate, key } = keys
+            .authority
+            .vehicle()
+            .map_err(|error| error.to_string())?;
         let mut settings = common("peer");
         settings.extend([
             ("listen/endpoints", json!([format!("tls/{address}")])),
             ("listen/exit_on_failure", json!(true)),
             ("connect/endpoints", json!([])),
-            ("transport/link/tls/root_ca_certificate_base64", encoded(&keys.authority.certificate)),
-            ("transport/link/tls/listen_certificate_base64", encoded(&certificate)),
-            ("transport/link/tls/listen_private_key_base64", encoded(&key)),
+            (
+                "transport/link/tls/root_ca_certificate_base64",
+                encoded(&keys.authority.certificate),
+            ),
+            (
+                "transport/link/tls/listen_certificate_base64",
+                encoded(&certificate),
+            ),
+            (
+                "transport/link/tls/listen_private_key_base64",
+                encoded(&key),
+            ),
         ]);
         let opened = zenoh::open(config(settings)?).wait();
-        let session = opened.map_err(|error| {
-            format!("cannot listen at {address}: {}", first(&error))
-        })?;
+        let session =
+            opened.map_err(|error| format!("cannot listen at {address}: {}", first(&error)))?;
         let prefix = prefix(keys.identity);
         let (sender, inbound) = sync_channel(INBOUND_MAX);
         let flooded = Arc::new(AtomicU64::new(0));
@@ -215,12 +231,18 @@ impl Connection {
                     "exit_on_failure": true,
                 }),
             ),
-            ("transport/link/tls/root_ca_certificate_base64", encoded(&bundle.authority)),
+            (
+                "transport/link/tls/root_ca_certificate_base64",
+                encoded(&bundle.authority),
+            ),
             (
                 "transport/link/tls/connect_certificate_base64",
                 encoded(&bundle.certificate.certificate),
             ),
-            ("transport/link/tls/connect_private_key_base64", encoded(&bundle.certificate.key)),
+            (
+                "transport/link/tls/connect_private_key_base64",
+                encoded(&bundle.certificate.key),
+            ),
             // The run's own authority makes one certificate of a vehicle, whatever its
             // address is.
             ("transport/link/tls/verify_name_on_connect", json!(false)),
@@ -313,8 +335,13 @@ impl Work {
                 continue;
             };
             let receive = receiver(self.sender.clone(), self.flooded.clone());
-            let subscriber = session.declare_subscriber(&self.keys[1]).callback(receive).wait();
-            self.shared.is_open.store(subscriber.is_ok(), Ordering::Relaxed);
+            let subscriber = session
+                .declare_subscriber(&self.keys[1])
+                .callback(receive)
+                .wait();
+            self.shared
+                .is_open
+                .store(subscriber.is_ok(), Ordering::Relaxed);
             if subscriber.is_ok() {
                 self.pass_on(&session);
             }

@@ -65,9 +65,14 @@ impl Authority {
         let made = OffsetDateTime::from_unix_timestamp(self.made_epoch_s)
             .map_err(|error| io::Error::other(format!("the authority's date: {error}")))?;
         let mut params = CertificateParams::default();
-        params.distinguished_name.push(DnType::CommonName, &*self.name);
+        params
+            .distinguished_name
+            .push(DnType::CommonName, &*self.name);
         params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
-        params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::DigitalSignature];
+        params.key_usages = vec![
+            KeyUsagePurpose::KeyCertSign,
+            KeyUsagePurpose::DigitalSignature,
+        ];
         params.not_before = made - BEFORE;
         params.not_after = made + Duration::days(AUTHORITY_DAYS);
         Ok(params)

@@ -195,7 +195,10 @@ mod tests {
             map.take(ping(at, 5_000_000, (way.0 * MS, way.1 * MS)));
         }
         let mapped = map.mapped(700 * MS).expect("a map");
-        assert_eq!((mapped.offset_ns, mapped.round_trip_ns), (5_000_000, 2 * MS));
+        assert_eq!(
+            (mapped.offset_ns, mapped.round_trip_ns),
+            (5_000_000, 2 * MS)
+        );
         assert!(mapped.uncertainty_ns >= MS);
     }
 
@@ -204,7 +207,10 @@ mod tests {
         let mut map = ClockMap::default();
         map.take(ping(MS, 0, (MS, MS)));
         let at = |s: u64| map.mapped(s * 1_000 * MS).expect("a map").uncertainty_ns;
-        assert!((at(11) - at(1)).abs_diff(1_000_000) < 1_000, "100 ppm over 10 s");
+        assert!(
+            (at(11) - at(1)).abs_diff(1_000_000) < 1_000,
+            "100 ppm over 10 s"
+        );
     }
 
     #[test]
@@ -217,9 +223,15 @@ mod tests {
         assert_eq!(map.take(ping(4_200 * MS, 60_000_000, way)), Shown::Doubtful);
         assert_eq!(map.take(ping(4_400 * MS, 0, way)), Shown::Agrees);
         for k in [23, 24] {
-            assert_eq!(map.take(ping(k * 200 * MS, 60_000_000, way)), Shown::Doubtful);
+            assert_eq!(
+                map.take(ping(k * 200 * MS, 60_000_000, way)),
+                Shown::Doubtful
+            );
         }
-        assert_eq!(map.take(ping(5_000 * MS, 60_000_000, way)), Shown::Jumped(60_000_000));
+        assert_eq!(
+            map.take(ping(5_000 * MS, 60_000_000, way)),
+            Shown::Jumped(60_000_000)
+        );
         assert_eq!(map.jumps, 1);
         let mapped = map.mapped(5_010 * MS).expect("a map");
         assert_eq!(mapped.offset_ns, 60_000_000);
@@ -242,14 +254,34 @@ mod tests {
         let mut map = ClockMap::default();
         let (early, late) = (MS, 2 * MS);
         for stamps in [
-            Stamps { t1: late, t2: 0, t3: 0, t4: early },
-            Stamps { t1: 0, t2: late, t3: early, t4: late },
-            Stamps { t1: 0, t2: 0, t3: u64::MAX, t4: early },
+            Stamps {
+                t1: late,
+                t2: 0,
+                t3: 0,
+                t4: early,
+            },
+            Stamps {
+                t1: 0,
+                t2: late,
+                t3: early,
+                t4: late,
+            },
+            Stamps {
+                t1: 0,
+                t2: 0,
+                t3: u64::MAX,
+                t4: early,
+            },
         ] {
             assert_eq!(map.take(stamps), Shown::Impossible);
         }
         assert_eq!(map.mapped(late), None);
-        let far = Stamps { t1: 0, t2: u64::MAX, t3: u64::MAX, t4: early };
+        let far = Stamps {
+            t1: 0,
+            t2: u64::MAX,
+            t3: u64::MAX,
+            t4: early,
+        };
         assert_eq!(map.take(far), Shown::Impossible);
     }
 }

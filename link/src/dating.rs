@@ -89,7 +89,8 @@ impl Dating {
         // A label has no tick, only the instant of its question, which is this machine's.
         if advice.label_from_ns > 0 || advice.label_until_ns > 0 {
             let from_ns = advice.label_from_ns;
-            self.find(|driven| driven.observation.1 == from_ns).ok_or(Reason::Undated)?;
+            self.find(|driven| driven.observation.1 == from_ns)
+                .ok_or(Reason::Undated)?;
             advice.label_until_ns = from_ns.saturating_add(self.label_ns);
         }
         Ok(())
@@ -140,7 +141,10 @@ mod tests {
         assert_eq!(dating.date(&mut advice, now), Ok(()));
         let asked_ns = START_NS + 15 * PERIOD_NS;
         assert_eq!(advice.question_taken_ns, asked_ns);
-        assert_eq!(advice.holds_until_ns, asked_ns + (Gate::default().hold_s * 1e9) as u64);
+        assert_eq!(
+            advice.holds_until_ns,
+            asked_ns + (Gate::default().hold_s * 1e9) as u64
+        );
         assert_eq!(advice.header.taken_ns, START_NS + 20 * PERIOD_NS + 1_000);
         assert_eq!((advice.answered_ns, advice.considered_ns), (now.0, now.0));
     }
@@ -157,7 +161,11 @@ mod tests {
         ] {
             let mut wrong = advice();
             change(&mut wrong);
-            assert_eq!(dating.date(&mut wrong, now), Err(Reason::Undated), "{wrong:?}");
+            assert_eq!(
+                dating.date(&mut wrong, now),
+                Err(Reason::Undated),
+                "{wrong:?}"
+            );
         }
     }
 

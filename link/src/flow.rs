@@ -207,7 +207,9 @@ impl Outbox {
 
     /// What each row has sent.
     pub fn sent(&self) -> impl Iterator<Item = (RowId, Sent)> {
-        self.rows.iter().map(|(row, outgoing)| (*row, outgoing.sent))
+        self.rows
+            .iter()
+            .map(|(row, outgoing)| (*row, outgoing.sent))
     }
 
     /// Whether everything is acknowledged.
@@ -299,7 +301,10 @@ impl Inbox {
     /// Gives a message and those that waited for it, in their order; nothing when it was
     /// received before, or is before its turn.
     pub fn take(&mut self, parcel: Parcel, passage: Passage, give: &mut dyn FnMut(Parcel)) {
-        self.rows.entry(parcel.row).or_default().take(parcel, passage, give);
+        self.rows
+            .entry(parcel.row)
+            .or_default()
+            .take(parcel, passage, give);
     }
 
     /// Gives what is not acknowledged yet.
@@ -315,7 +320,9 @@ impl Inbox {
 
     /// What each row has received.
     pub fn received(&self) -> impl Iterator<Item = (RowId, Received)> {
-        self.rows.iter().map(|(row, incoming)| (*row, incoming.received))
+        self.rows
+            .iter()
+            .map(|(row, incoming)| (*row, incoming.received))
     }
 }
 
@@ -355,7 +362,8 @@ mod tests {
                     }
                 }
             });
-            let (here, later): (Vec<_>, _) = on_the_way.into_iter().partition(|(at, _)| *at <= turn);
+            let (here, later): (Vec<_>, _) =
+                on_the_way.into_iter().partition(|(at, _)| *at <= turn);
             on_the_way = later;
             for (_, parcel) in here {
                 inbox.take(parcel, passage, &mut |parcel| arrived.push(number(&parcel)));
@@ -385,8 +393,14 @@ mod tests {
             assert_eq!(arrived, (1..=500).collect::<Vec<_>>(), "seed {seed}");
             let received = inbox.received().next().expect("a row").1;
             assert_eq!((received.messages, received.lost), (500, 0), "seed {seed}");
-            assert!(received.doubled > 0 && received.reordered > 0, "seed {seed}");
-            assert!(outbox.sent().next().expect("a row").1.again > 0, "seed {seed}");
+            assert!(
+                received.doubled > 0 && received.reordered > 0,
+                "seed {seed}"
+            );
+            assert!(
+                outbox.sent().next().expect("a row").1.again > 0,
+                "seed {seed}"
+            );
         }
     }
 
@@ -422,7 +436,9 @@ mod tests {
             let mut parcels = Vec::new();
             outbox.due(now, 50 * MS, &mut |parcel| parcels.push(parcel));
             for parcel in parcels {
-                inbox.take(parcel, Passage::Every, &mut |parcel| arrived.push(number(&parcel)));
+                inbox.take(parcel, Passage::Every, &mut |parcel| {
+                    arrived.push(number(&parcel))
+                });
             }
             inbox.acknowledge(|row, last| outbox.acknowledge(row, last, now));
         }
@@ -452,7 +468,9 @@ mod tests {
         }
         let due = |outbox: &mut Outbox, at: u64| {
             let mut numbers = Vec::new();
-            outbox.due(Instant(at), 50 * MS, &mut |parcel| numbers.push(parcel.sequence));
+            outbox.due(Instant(at), 50 * MS, &mut |parcel| {
+                numbers.push(parcel.sequence)
+            });
             numbers
         };
         assert_eq!(due(&mut outbox, 0).len(), 10);

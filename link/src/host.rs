@@ -171,7 +171,11 @@ impl Host {
             Err(reason) => {
                 let mut body = hello.nonce.to_vec();
                 body.extend_from_slice(&reason.code().to_le_bytes());
-                self.out.push((hello.claim.role, peer, seal(Kind::Refusal, (0, 0), &body, &no_key())));
+                self.out.push((
+                    hello.claim.role,
+                    peer,
+                    seal(Kind::Refusal, (0, 0), &body, &no_key()),
+                ));
                 Err(reason)
             }
         }
@@ -193,7 +197,11 @@ impl Host {
         if !packet.is_of(&key) {
             return Err(Reason::WrongKey);
         }
-        let others = || self.guests.values().filter(|guest| guest.claim.peer != claim.peer);
+        let others = || {
+            self.guests
+                .values()
+                .filter(|guest| guest.claim.peer != claim.peer)
+        };
         let lives = |guest: &Guest| guest.live.as_ref().is_some_and(|live| !live.is_silent(now));
         let has_seat = match self.seats {
             Seats::One(_) => !others().any(lives),
@@ -272,11 +280,7 @@ impl Host {
         }
     }
 
-    fn take(
-        &mut self,
-        packet: &Packet<'_>,
-        (came, now): (Instant, Instant),
-    ) -> Result<(), Reason> {
+    fn take(&mut self, packet: &Packet<'_>, (came, now): (Instant, Instant)) -> Result<(), Reason> {
         let is_of = |live: &Live| live.session == packet.session;
         let guest = self.guests.values_mut().find(|guest| {
             guest.live.as_ref().is_some_and(is_of)
@@ -325,9 +329,11 @@ impl Host {
                     return Err(Reason::NotAllowed);
                 }
                 let events = &mut self.events;
-                guest.inbox.take(parcel, row.passage(claim.role), &mut |parcel| {
-                    events.push(Event::Message(claim, row, parcel.bytes));
-                });
+                guest
+                    .inbox
+                    .take(parcel, row.passage(claim.role), &mut |parcel| {
+                        events.push(Event::Message(claim, row, parcel.bytes));
+                    });
             }
         }
         Ok(())
@@ -342,9 +348,7 @@ impl Host {
             };
             let over = match () {
                 () if epoch_s >= claim.expires_epoch_s => Some("its invitation has ended"),
-                () if self.keys.revoked.contains(&claim.peer) => {
-                    Some("its invitation was revoked")
-                }
+                () if self.keys.revoked.contains(&claim.peer) => Some("its invitation was revoked"),
                 () if live.is_silent(now) => Some("it is silent"),
                 () => None,
             };

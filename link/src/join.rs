@@ -55,7 +55,11 @@ pub struct Options {
 /// What the program publishes, to be sent back.
 enum Answers {
     Judge(Subscriber<Advice>, Subscriber<FrameRequest>),
-    Learner(Subscriber<Learning>, Subscriber<Weights>, Box<Ed25519KeyPair>),
+    Learner(
+        Subscriber<Learning>,
+        Subscriber<Weights>,
+        Box<Ed25519KeyPair>,
+    ),
     None,
 }
 
@@ -81,6 +85,8 @@ struct Join<'a> {
     looked: Instant,
     reported: Instant,
     last_refusal: Option<Reason>,
+    /// That no vehicle answers is told once.
+    is_told: bool,
     report: PathBuf,
 }
 
@@ -94,7 +100,8 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
     let io_failed = |error: std::io::Error| format!("{}: {error}", folder.display());
     make_folders(&folder).map_err(io_failed)?;
     let made = Folder::open(&folder, Entry::Readable).map_err(io_failed)?;
-    made.make_inside("logs", Entry::Readable).map_err(io_failed)?;
+    made.make_inside("logs", Entry::Readable)
+        .map_err(io_failed)?;
     let (now, _) = clocks();
     let mut join = Join {
         options,
@@ -108,6 +115,7 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
         looked: Instant(0),
         reported: Instant(0),
         last_refusal: None,
+        is_told: false,
         report: folder.join("link-join.json"),
     };
     tracing::info!(address = options.address, role = role.word(), "joins");
@@ -162,7 +170,7 @@ impl Join<'_> {
         match news {
             News::Joined(vehicle) => {
                 self.heard = now;
-                self.last_refusal = None;
+                (self.last_refusal, self.is_told) = (None, false);
                 if vehicle == Vehicle::New {
                     (self.shift, self.pings) = (None, 0);
                 }
@@ -215,7 +223,11 @@ impl Join<'_> {
     /// Draws the map of the vehicle's clock, once: a question and its answer then differ by
     /// nothing. What the map is off by is added to all ages.
     fn map(&mut self, now: Instant) {
-        let mapped = self.peer.live.as_ref().and_then(|live| live.clock.mapped(now.0));
+        let mapped = self
+            .peer
+            .live
+            .as_ref()
+            .and_then(|live| live.clock.mapped(now.0));
         let Some(mapped) = mapped else {
             return;
         };
@@ -362,6 +374,11 @@ impl Join<'_> {
         if self.peer.live.is_none() && now.since_ns(self.heard) > ANSWER_NS {
             self.heard = now;
             self.connection.renew();
+            if !self.is_told {
+                self.is_told = true;
+                let address = &self.options.address;
+                tracing::warn!(address, "no vehicle answers; tries on");
+            }
         }
         if now.since_ns(self.reported) >= report::REPORT_NS {
             self.reported = now;

@@ -155,7 +155,9 @@ pub fn folder() -> io::Result<PathBuf> {
     let config = home("XDG_CONFIG_HOME").map(PathBuf::from);
     let config = config.or_else(|| Some(PathBuf::from(home("HOME")?).join(".config")));
     let config = config.ok_or_else(|| {
-        io::Error::other(format!("HOME is not set; name a folder for the keys by {VARIABLE}"))
+        io::Error::other(format!(
+            "HOME is not set; name a folder for the keys by {VARIABLE}"
+        ))
     })?;
     Ok(config.join("vlaps").join("link"))
 }
@@ -182,9 +184,8 @@ impl RunKeys {
     /// When the file is not the user's own, or damaged.
     pub fn read(run: &RunName) -> io::Result<Option<Self>> {
         let path = folder()?.join(file_name(run));
-        let named = |error: io::Error| {
-            io::Error::new(error.kind(), format!("{}: {error}", path.display()))
-        };
+        let named =
+            |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let text = match private_text(&path) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -277,9 +278,8 @@ impl Bundle {
     /// # Errors
     /// When it is no bundle, or others may read it.
     pub fn read(path: &std::path::Path) -> io::Result<Self> {
-        let named = |error: io::Error| {
-            io::Error::new(error.kind(), format!("{}: {error}", path.display()))
-        };
+        let named =
+            |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let text = private_text(path).map_err(named)?;
         let bundle: Self = serde_json::from_str(&text).map_err(|error| {
             named(io::Error::other(format!(
@@ -422,7 +422,8 @@ mod tests {
     use super::*;
 
     fn bundle(keys: &RunKeys, role: Role) -> Bundle {
-        keys.invite(role, "127.0.0.1:7450", 4_000_000_000).expect("an invitation")
+        keys.invite(role, "127.0.0.1:7450", 4_000_000_000)
+            .expect("an invitation")
     }
 
     fn is_of(keys: &RunKeys, claim: &Claim, bundle: &Bundle) -> bool {
@@ -439,11 +440,26 @@ mod tests {
         let other = RunKeys::make("drive").expect("keys");
         assert!(!is_of(&other, &claim, &bundle));
         for changed in [
-            Claim { role: Role::Learner, ..claim },
-            Claim { expires_epoch_s: claim.expires_epoch_s + 1, ..claim },
-            Claim { peer: Identity([0; 16]), ..claim },
-            Claim { run: other.identity, ..claim },
-            Claim { signer: [1; 32], ..claim },
+            Claim {
+                role: Role::Learner,
+                ..claim
+            },
+            Claim {
+                expires_epoch_s: claim.expires_epoch_s + 1,
+                ..claim
+            },
+            Claim {
+                peer: Identity([0; 16]),
+                ..claim
+            },
+            Claim {
+                run: other.identity,
+                ..claim
+            },
+            Claim {
+                signer: [1; 32],
+                ..claim
+            },
         ] {
             assert!(!is_of(&keys, &changed, &bundle), "{changed:?}");
         }
@@ -456,11 +472,17 @@ mod tests {
         let path = folder.path().join("a.bundle");
         let keys = RunKeys::make("drive").expect("keys");
         bundle(&keys, Role::Learner).write(&path).expect("written");
-        let mode = std::fs::metadata(&path).expect("a file").permissions().mode();
+        let mode = std::fs::metadata(&path)
+            .expect("a file")
+            .permissions()
+            .mode();
         assert_eq!(mode & 0o777, 0o600);
         let read = Bundle::read(&path).expect("read");
         assert_eq!(read.role().expect("a role"), Role::Learner);
-        assert!(bundle(&keys, Role::Judge).write(&path).is_err(), "it is not replaced");
+        assert!(
+            bundle(&keys, Role::Judge).write(&path).is_err(),
+            "it is not replaced"
+        );
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).expect("a mode");
         let error = Bundle::read(&path).err().expect("refused").to_string();
         assert!(error.contains("chmod 600"), "{error}");

@@ -188,11 +188,13 @@ fn invite(arguments: &Invite) -> Result<u8, String> {
         }
     };
     let expires_epoch_s = clocks().1 + arguments.hours * 3600;
-    let bundle = keys.invite(*role, &arguments.address, expires_epoch_s).map_err(failed)?;
+    let bundle = keys
+        .invite(*role, &arguments.address, expires_epoch_s)
+        .map_err(failed)?;
     let out = arguments.out.display();
-    bundle.write(&arguments.out).map_err(|error| {
-        format!("{out}: {error}; choose a name that no file has")
-    })?;
+    bundle
+        .write(&arguments.out)
+        .map_err(|error| format!("{out}: {error}; choose a name that no file has"))?;
     let (peer, hours) = (bundle.peer, arguments.hours);
     println!(
         "{out}: an invitation for one {role}, {hours} h, peer {peer}\n\
@@ -241,7 +243,8 @@ fn status(arguments: &Status) -> Result<u8, String> {
     }
     if let Some(path) = &arguments.json {
         let text = serde_json::to_string_pretty(&all).map_err(|error| error.to_string())?;
-        std::fs::write(path, text + "\n").map_err(|error| format!("{}: {error}", path.display()))?;
+        std::fs::write(path, text + "\n")
+            .map_err(|error| format!("{}: {error}", path.display()))?;
     }
     if all.is_empty() {
         println!("run '{run}' has no link: neither --judge, --learner, serve nor join");
@@ -291,7 +294,11 @@ fn join_run(arguments: &Join) -> Result<u8, String> {
         (Some((run, at)), Some(bundle)) => (bundle.clone(), Some((run, at))),
         (None, None) => (PathBuf::from(&arguments.target), None),
         (Some(_), None) => return Err("RUN@HOST:PORT needs --bundle FILE, the invitation".into()),
-        (None, Some(_)) => return Err("name the invitation once: as the argument, or RUN@HOST:PORT with --bundle".into()),
+        (None, Some(_)) => {
+            return Err(
+                "name the invitation once: as the argument, or RUN@HOST:PORT with --bundle".into(),
+            );
+        }
     };
     let bundle = Bundle::read(&path).map_err(|error| error.to_string())?;
     let invited = bundle.role().map_err(|error| error.to_string())?;
@@ -300,14 +307,17 @@ fn join_run(arguments: &Join) -> Result<u8, String> {
     }
     if let Some((run, _)) = target.filter(|(run, _)| *run != bundle.run) {
         let (path, own) = (path.display(), &bundle.run);
-        return Err(format!("{path}: is an invitation of run '{own}', not of '{run}'"));
+        return Err(format!(
+            "{path}: is an invitation of run '{own}', not of '{run}'"
+        ));
     }
     let at = target.map_or(Ok(bundle.address.clone()), |(_, at)| address(at))?;
     let name = match &arguments.run {
         Some(name) => name.clone(),
         None => {
             let name = format!("{}-{invited}", bundle.run);
-            name.parse().map_err(|error| format!("{error}; choose one with --run NAME"))?
+            name.parse()
+                .map_err(|error| format!("{error}; choose one with --run NAME"))?
         }
     };
     let own = match &arguments.config {

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::mem::offset_of;
 
+use shm_config::Message;
 use shm_config::config::Config;
 use shm_config::file::{Durable, replace};
 use shm_config::layout::Layout as _;
@@ -19,7 +20,6 @@ use shm_config::services::{
     timing,
 };
 use shm_config::wire::{Publisher, Wire, WireError};
-use shm_config::Message;
 
 use crate::refusal::Reason;
 use crate::role::{Role, RowId};
@@ -101,7 +101,9 @@ impl Write for Pictures {
         let header = part(offset_of!(Frame, header), size_of::<Header>())?;
         let camera = part(offset_of!(Frame, camera), size_of::<Camera>())?;
         let width = part(offset_of!(Frame, width), 4)?;
-        let pixels = bytes.get(offset_of!(Frame, pixels)..).ok_or(Reason::Content)?;
+        let pixels = bytes
+            .get(offset_of!(Frame, pixels)..)
+            .ok_or(Reason::Content)?;
         let mut header = Header::from_bytes(header).ok_or(Reason::Content)?;
         let camera = Camera::from_bytes(camera).ok_or(Reason::Content)?;
         let width = width.try_into().map(u32::from_le_bytes).unwrap_or_default();
@@ -158,7 +160,11 @@ impl Mirror {
     /// # Errors
     /// When the run lives already, or shared memory refuses.
     pub fn open(config: &Config, role: Role, origin: &Origin) -> Result<Self, String> {
-        let name: RunName = config.run.name.parse().map_err(|error| format!("{error}"))?;
+        let name: RunName = config
+            .run
+            .name
+            .parse()
+            .map_err(|error| format!("{error}"))?;
         let paths = RunPaths::new(name.clone());
         let lock = paths.hold_supervisor().map_err(|error| error.to_string())?;
         let lock = lock.ok_or_else(|| {
@@ -166,7 +172,9 @@ impl Mirror {
         })?;
         let cleaned = paths.clean_if_dead().map_err(|error| error.to_string())?;
         if cleaned.is_none() {
-            return Err(format!("a process of run '{name}' lives; choose another --run NAME"));
+            return Err(format!(
+                "a process of run '{name}' lives; choose another --run NAME"
+            ));
         }
         let text = toml::to_string(config).map_err(|error| error.to_string())?;
         let failed = |error: &dyn std::fmt::Display| format!("run '{name}': {error}");

@@ -159,7 +159,10 @@ mod tests {
         let key = hmac::Key::new(hmac::HMAC_SHA256, &[7; 32]);
         let whole = seal(Kind::Message, (3, 4), b"body", &key);
         let packet = Packet::parse(&whole).expect("a packet");
-        assert_eq!((packet.session, packet.counter, packet.body), (3, 4, &b"body"[..]));
+        assert_eq!(
+            (packet.session, packet.counter, packet.body),
+            (3, 4, &b"body"[..])
+        );
         assert!(packet.is_of(&key));
         for cut in 0..whole.len() {
             let is_taken = Packet::parse(&whole[..cut]).is_some_and(|packet| packet.is_of(&key));

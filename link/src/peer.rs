@@ -166,11 +166,7 @@ impl Peer {
         }
     }
 
-    fn take(
-        &mut self,
-        packet: &Packet<'_>,
-        (came, now): (Instant, Instant),
-    ) -> Result<(), Reason> {
+    fn take(&mut self, packet: &Packet<'_>, (came, now): (Instant, Instant)) -> Result<(), Reason> {
         let live = self.live.as_mut().ok_or(Reason::NoSession)?;
         if live.session != packet.session {
             return Err(Reason::NoSession);
@@ -188,9 +184,10 @@ impl Peer {
                     return Err(Reason::NotAllowed);
                 }
                 let news = &mut self.news;
-                self.inbox.take(parcel, row.passage(self.claim.role), &mut |parcel| {
-                    news.push(News::Message(row, parcel.bytes));
-                });
+                self.inbox
+                    .take(parcel, row.passage(self.claim.role), &mut |parcel| {
+                        news.push(News::Message(row, parcel.bytes));
+                    });
             }
         }
         Ok(())
@@ -217,7 +214,10 @@ impl Peer {
             Some(live) => live.due((&mut self.outbox, &mut self.inbox), now, &mut |bytes| {
                 out.push(bytes);
             }),
-            None if self.greeted.is_none_or(|last| now.since_ns(last) >= HELLO_NS) => {
+            None if self
+                .greeted
+                .is_none_or(|last| now.since_ns(last) >= HELLO_NS) =>
+            {
                 self.greeted = Some(now);
                 let hello = Hello {
                     claim: self.claim,

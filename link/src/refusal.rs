@@ -72,6 +72,10 @@ impl Refused {
 
 impl Serialize for Refused {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(Reason::ALL.iter().map(|reason| (reason.word(), self.of(*reason))))
+        serializer.collect_map(
+            Reason::ALL
+                .iter()
+                .map(|reason| (reason.word(), self.of(*reason))),
+        )
     }
 }

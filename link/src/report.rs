@@ -34,7 +34,9 @@ fn rows(outbox: &Outbox, inbox: &Inbox) -> BTreeMap<&'static str, RowReport> {
         rows.entry(row.service().unwrap_or("?")).or_default().sent = Some(sent);
     }
     for (row, received) in inbox.received() {
-        rows.entry(row.service().unwrap_or("?")).or_default().received = Some(received);
+        rows.entry(row.service().unwrap_or("?"))
+            .or_default()
+            .received = Some(received);
     }
     rows
 }

@@ -68,9 +68,7 @@ impl RowId {
         };
         match single {
             Some((code, row)) => (row.leaves != Leaves::No).then_some(Self(*code)),
-            None => {
-                family(&HEALTH.row, HEALTH_FIRST).or_else(|| family(&TIMING.row, TIMING_FIRST))
-            }
+            None => family(&HEALTH.row, HEALTH_FIRST).or_else(|| family(&TIMING.row, TIMING_FIRST)),
         }
     }
 
@@ -184,7 +182,14 @@ mod tests {
             };
             assert_eq!(sends, expected, "{role}");
         }
-        for service in ["command", "plan", "observation", "takeover", "fault", "roster"] {
+        for service in [
+            "command",
+            "plan",
+            "observation",
+            "takeover",
+            "fault",
+            "roster",
+        ] {
             assert_eq!(RowId::of(service), None, "{service}");
         }
     }

@@ -114,12 +114,24 @@ mod tests {
         step.header.tick = 7;
         step.advice.header.episode = 3;
         let bytes = bytes_of(&step);
-        assert!(bytes.len() < size_of::<Step>(), "beams that are not there do not travel");
+        assert!(
+            bytes.len() < size_of::<Step>(),
+            "beams that are not there do not travel"
+        );
         assert_eq!(message_of::<Step>(&bytes), Ok(step));
         step.expert.steer = f64::NAN;
-        assert_eq!(message_of::<Step>(&bytes_of(&step)).err(), Some(Reason::Content));
-        let advice = Advice { preference: 9, ..Advice::default() };
-        assert_eq!(message_of::<Advice>(&bytes_of(&advice)).err(), Some(Reason::Content));
+        assert_eq!(
+            message_of::<Step>(&bytes_of(&step)).err(),
+            Some(Reason::Content)
+        );
+        let advice = Advice {
+            preference: 9,
+            ..Advice::default()
+        };
+        assert_eq!(
+            message_of::<Advice>(&bytes_of(&advice)).err(),
+            Some(Reason::Content)
+        );
         let long = vec![0; size_of::<Advice>() + 1];
         assert_eq!(message_of::<Advice>(&long).err(), Some(Reason::Content));
     }
@@ -149,14 +161,23 @@ mod tests {
             SignedPolicy::of(bytes, run, &public(key)).err()
         };
         assert_eq!(refused(&bytes, run, &other), Some(Reason::Unsigned));
-        assert_eq!(refused(&bytes, Identity([6; 16]), &signer), Some(Reason::Unsigned));
+        assert_eq!(
+            refused(&bytes, Identity([6; 16]), &signer),
+            Some(Reason::Unsigned)
+        );
         for place in 0..bytes.len() {
             let mut changed = bytes.to_vec();
             changed[place] ^= 1;
-            assert!(refused(&changed, run, &signer).is_some(), "byte {place} changed");
+            assert!(
+                refused(&changed, run, &signer).is_some(),
+                "byte {place} changed"
+            );
         }
         for cut in 0..bytes.len() {
-            assert!(refused(&bytes[..cut], run, &signer).is_some(), "cut to {cut} bytes");
+            assert!(
+                refused(&bytes[..cut], run, &signer).is_some(),
+                "cut to {cut} bytes"
+            );
         }
     }
 }

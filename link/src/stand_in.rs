@@ -9,8 +9,8 @@
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use runtime::{Arguments, Member, SetUpError, Telemetry, Tick};
-use shm_config::Message;
 use shm_config::Instant;
+use shm_config::Message;
 use shm_config::message::{
     Advice, Foresight, Frame, FrameRequest, HealthState, Learning, PolicyStatus, Step, Weights,
 };
@@ -81,7 +81,11 @@ impl Common {
     fn open(process: Process, role: Role, arguments: &Arguments) -> Result<Self, SetUpError> {
         #[allow(clippy::disallowed_methods)] // a process entry point chooses the clock
         let member = Member::join(process, arguments, monotonic)?;
-        let address = member.config.link.of(process).map(|(_, address)| address.to_string());
+        let address = member
+            .config
+            .link
+            .of(process)
+            .map(|(_, address)| address.to_string());
         let address = address.ok_or_else(|| {
             SetUpError::Own(format!("link.{role} is empty: no address to listen at"))
         })?;
@@ -122,7 +126,8 @@ impl Common {
 
     fn close(mut self) {
         self.station.close(self.member.now());
-        self.telemetry.enter(HealthState::Finished, self.member.now());
+        self.telemetry
+            .enter(HealthState::Finished, self.member.now());
     }
 
     /// Counts a message that did not pass a door.
@@ -225,7 +230,10 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
             }
         }
         if ports.steps.lost() > lost {
-            tracing::warn!(steps = ports.steps.lost() - lost, "lost before they were read");
+            tracing::warn!(
+                steps = ports.steps.lost() - lost,
+                "lost before they were read"
+            );
             lost = ports.steps.lost();
         }
         if let Some(status) = ports.statuses.newest(Message::check) {
@@ -256,7 +264,9 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
 
 fn offer(ports: &mut LearnerPorts, claim: &Claim, bytes: &[u8]) -> Result<(), Reason> {
     let policy = SignedPolicy::of(bytes, claim.run, &claim.signer)?;
-    let sent = ports.weights.offer(policy.version, policy.sha256, policy.file);
+    let sent = ports
+        .weights
+        .offer(policy.version, policy.sha256, policy.file);
     tracing::info!(
         version = policy.version,
         bytes = policy.file.len(),

@@ -57,8 +57,17 @@ impl Station {
     ///
     /// # Errors
     /// One line: the run has invited no peer, or the address cannot be used.
-    pub fn open(config: &Config, seats: Seats, address: &str, now: Instant) -> Result<Self, String> {
-        let name: RunName = config.run.name.parse().map_err(|error| format!("{error}"))?;
+    pub fn open(
+        config: &Config,
+        seats: Seats,
+        address: &str,
+        now: Instant,
+    ) -> Result<Self, String> {
+        let name: RunName = config
+            .run
+            .name
+            .parse()
+            .map_err(|error| format!("{error}"))?;
         let keys = RunKeys::read(&name).map_err(|error| error.to_string())?;
         let keys = keys.ok_or_else(|| {
             format!(
@@ -91,7 +100,8 @@ impl Station {
             let Some(arrived) = self.listener.receive() else {
                 break;
             };
-            self.host.receive(&arrived.bytes, (arrived.at, now), epoch_s);
+            self.host
+                .receive(&arrived.bytes, (arrived.at, now), epoch_s);
         }
         let flooded = self.listener.take_flooded();
         self.host.refused.add(Reason::Flooded, flooded);

@@ -33,7 +33,8 @@ fn a_judge_hears_steps_and_its_advice_arrives() {
     let mut step = Step::default();
     step.header.tick = 5;
     line.host.push(row(STEP.name), bytes_of(&step));
-    line.peer.push(row(ADVICE.name), bytes_of(&Advice::default()));
+    line.peer
+        .push(row(ADVICE.name), bytes_of(&Advice::default()));
     line.run(20);
     let heard = |news: &News| matches!(news, News::Message(is, _) if *is == row(STEP.name));
     assert!(line.news.iter().any(heard));
@@ -41,7 +42,11 @@ fn a_judge_hears_steps_and_its_advice_arrives() {
     assert!(line.events.iter().any(came));
     assert_eq!(line.host.refused.all(), 0);
     let clock = &line.peer.live.as_ref().expect("a session").clock;
-    assert!(clock.mapped(line.now.0).is_some_and(|map| map.offset_ns.abs() < 10_000_000));
+    assert!(
+        clock
+            .mapped(line.now.0)
+            .is_some_and(|map| map.offset_ns.abs() < 10_000_000)
+    );
 }
 
 #[test]
@@ -66,9 +71,15 @@ fn no_role_sends_what_another_may() {
         line.run(300);
         line.peer.push(row(service), bytes_of(&Learning::default()));
         line.run(20);
-        let taken = line.events.iter().filter(|event| matches!(event, Event::Message(..)));
+        let taken = line
+            .events
+            .iter()
+            .filter(|event| matches!(event, Event::Message(..)));
         assert_eq!(taken.count(), 0, "{role} sends {service}");
-        assert!(line.host.refused.of(Reason::NotAllowed) > 0, "{role} sends {service}");
+        assert!(
+            line.host.refused.of(Reason::NotAllowed) > 0,
+            "{role} sends {service}"
+        );
     }
 }
 
@@ -87,11 +98,17 @@ fn no_command_comes_from_elsewhere() {
         line.run(300);
         for code in 0..=u8::MAX {
             if !role.may_send(RowId(code)) {
-                line.peer.push(RowId(code), bytes_of(&Step::default().command));
+                line.peer
+                    .push(RowId(code), bytes_of(&Step::default().command));
             }
         }
         line.run(50);
-        assert!(!line.events.iter().any(|event| matches!(event, Event::Message(..))));
+        assert!(
+            !line
+                .events
+                .iter()
+                .any(|event| matches!(event, Event::Message(..)))
+        );
         assert!(line.host.refused.of(Reason::NotAllowed) >= 250);
     }
 }
@@ -101,7 +118,12 @@ fn refused(host: Host, peer: Peer, epoch_s: u64) -> (Reason, Line) {
     line.epoch_s = epoch_s;
     line.run(600);
     assert!(line.peer.live.is_none(), "it must not join");
-    assert!(!line.events.iter().any(|event| matches!(event, Event::Joined(_))));
+    assert!(
+        !line
+            .events
+            .iter()
+            .any(|event| matches!(event, Event::Joined(_)))
+    );
     let told = line.news.iter().find_map(|news| match news {
         News::Refused(reason) => Some(*reason),
         _ => None,
@@ -120,14 +142,20 @@ fn each_wrong_peer_is_refused_with_its_own_reason() {
     // Of another run.
     let other = vlaps_link::keys::RunKeys::make("drive").expect("keys");
     let foreign = bundle(&other, Role::Judge);
-    assert_eq!(refused(host(), peer(foreign.clone()), 1).0, Reason::OtherRun);
+    assert_eq!(
+        refused(host(), peer(foreign.clone()), 1).0,
+        Reason::OtherRun
+    );
     // Of another run, which names this one.
     let mut liar = foreign;
     liar.identity = keys().identity;
     assert_eq!(refused(host(), peer(liar), 1).0, Reason::WrongKey);
     // Of another role, honestly and with a changed word.
     let learner = bundle(&keys(), Role::Learner);
-    assert_eq!(refused(host(), peer(learner.clone()), 1).0, Reason::WrongRole);
+    assert_eq!(
+        refused(host(), peer(learner.clone()), 1).0,
+        Reason::WrongRole
+    );
     let mut liar = learner;
     liar.role = "judge".into();
     assert_eq!(refused(host(), peer(liar), 1).0, Reason::WrongKey);
@@ -158,11 +186,19 @@ fn an_invitation_that_ends_or_is_revoked_ends_its_session() {
             true => line.host.revoke(vec![claim.peer]),
             false => line.epoch_s = claim.expires_epoch_s,
         }
-        line.peer.push(row(ADVICE.name), bytes_of(&Advice::default()));
+        line.peer
+            .push(row(ADVICE.name), bytes_of(&Advice::default()));
         line.host.poll(line.now, line.epoch_s);
         line.run(300);
-        assert!(line.events.iter().any(|event| matches!(event, Event::Left(..))));
-        let taken = line.events.iter().filter(|event| matches!(event, Event::Message(..)));
+        assert!(
+            line.events
+                .iter()
+                .any(|event| matches!(event, Event::Left(..)))
+        );
+        let taken = line
+            .events
+            .iter()
+            .filter(|event| matches!(event, Event::Message(..)));
         assert_eq!(taken.count(), 0);
     }
 }
@@ -194,7 +230,8 @@ fn what_was_recorded_and_is_sent_again_changes_nothing() {
     line.tape = Some(Vec::new());
     line.run(300);
     for _ in 0..5 {
-        line.peer.push(row(ADVICE.name), bytes_of(&Advice::default()));
+        line.peer
+            .push(row(ADVICE.name), bytes_of(&Advice::default()));
         line.run(10);
     }
     let messages = |line: &Line| {
@@ -211,7 +248,10 @@ fn what_was_recorded_and_is_sent_again_changes_nothing() {
     line.events.extend(line.host.take_events());
     assert_eq!(messages(&line), 5);
     let replayed = line.host.refused.of(Reason::Replayed) - before.of(Reason::Replayed);
-    let hellos = tape.iter().filter(|bytes| bytes[4] == Kind::Hello.code() as u8).count();
+    let hellos = tape
+        .iter()
+        .filter(|bytes| bytes[4] == Kind::Hello.code() as u8)
+        .count();
     assert_eq!(replayed as usize, tape.len() - hellos);
     // The hellos have opened nothing: the session that lives goes on.
     line.run(300);
@@ -239,7 +279,8 @@ fn two_thousand_hostile_frames_are_counted_and_change_nothing() {
     let mut line = line(Role::Judge);
     line.tape = Some(Vec::new());
     line.run(300);
-    line.peer.push(row(ADVICE.name), bytes_of(&Advice::default()));
+    line.peer
+        .push(row(ADVICE.name), bytes_of(&Advice::default()));
     line.run(20);
     let tape = line.tape.take().expect("a tape");
     let before = line.events.len();
@@ -309,12 +350,19 @@ fn a_cut_connection_is_begun_again_and_what_was_missed_arrives() {
     }
     let rejoined = rejoined.expect("it joins again");
     assert!(rejoined < 2_000 * MS, "{rejoined} ns");
-    let ticks: Vec<u64> = line.news.iter().filter_map(|news| match news {
-        News::Message(is, bytes) if *is == row(STEP.name) => {
-            Some(vlaps_link::rows::message_of::<Step>(bytes).expect("a step").header.tick)
-        }
-        _ => None,
-    }).collect();
+    let ticks: Vec<u64> = line
+        .news
+        .iter()
+        .filter_map(|news| match news {
+            News::Message(is, bytes) if *is == row(STEP.name) => Some(
+                vlaps_link::rows::message_of::<Step>(bytes)
+                    .expect("a step")
+                    .header
+                    .tick,
+            ),
+            _ => None,
+        })
+        .collect();
     assert_eq!(ticks, (1..=340).collect::<Vec<_>>());
 }
 
@@ -326,7 +374,8 @@ fn a_vehicle_that_is_started_anew_is_joined_anew() {
     line.run(2_500);
     assert!(line.peer.live.is_some());
     assert_eq!(line.peer.joins, 2);
-    line.peer.push(row(ADVICE.name), bytes_of(&Advice::default()));
+    line.peer
+        .push(row(ADVICE.name), bytes_of(&Advice::default()));
     line.run(20);
     let came = |event: &&Event| matches!(event, Event::Message(..));
     assert_eq!(line.events.iter().filter(came).count(), 1);

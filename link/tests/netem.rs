@@ -46,7 +46,9 @@ impl Cable {
             run(&["ip", "netns", "add", name])?;
             run(&["ip", "-n", name, "link", "set", "lo", "up"])?;
         }
-        run(&["ip", "link", "add", x, "netns", a, "type", "veth", "peer", "name", y, "netns", b])?;
+        run(&[
+            "ip", "link", "add", x, "netns", a, "type", "veth", "peer", "name", y, "netns", b,
+        ])?;
         for (name, end, at) in [(a, x, "10.77.0.1/24"), (b, y, "10.77.0.2/24")] {
             run(&["ip", "-n", name, "addr", "add", at, "dev", end])?;
             run(&["ip", "-n", name, "link", "set", end, "up"])?;
@@ -58,7 +60,9 @@ impl Cable {
     /// Sets both ends.
     fn netem(&self, words: &str) -> Result<(), String> {
         for (name, end) in self.names.iter().zip(&self.ends) {
-            let mut all = vec!["tc", "-n", name, "qdisc", "replace", "dev", end, "root", "netem"];
+            let mut all = vec![
+                "tc", "-n", name, "qdisc", "replace", "dev", end, "root", "netem",
+            ];
             all.extend(words.split(' '));
             run(&all)?;
         }
@@ -94,22 +98,30 @@ impl Drop for Cable {
 
 fn cable(number: u32) -> Option<Cable> {
     let made = Cable::new(number);
-    made.inspect_err(|why| println!("skipped: networks that fail: {why}")).ok()
+    made.inspect_err(|why| println!("skipped: networks that fail: {why}"))
+        .ok()
 }
 
 fn epoch_s() -> f64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("a date");
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .expect("a date");
     since.as_secs_f64()
 }
 
 /// When each session of the other machine began, s since 1970.
 fn joined_at(join: &Running) -> Vec<f64> {
     let text = join.text();
-    let lines = text.lines().filter(|line| line.contains(" joined vehicle="));
+    let lines = text
+        .lines()
+        .filter(|line| line.contains(" joined vehicle="));
     lines
         .filter_map(|line| {
             let stamp = line.split_whitespace().next()?;
-            let output = Command::new("date").args(["-d", stamp, "+%s.%N"]).output().ok()?;
+            let output = Command::new("date")
+                .args(["-d", stamp, "+%s.%N"])
+                .output()
+                .ok()?;
             String::from_utf8_lossy(&output.stdout).trim().parse().ok()
         })
         .collect()
@@ -157,7 +169,14 @@ fn a_judge_over_networks_that_fail() {
         cable.netem(network).expect("a network");
         let mut up = stage.up(&[&drive[..], &["--judge", &address]].concat());
         let mut join = stage.join(&bundle);
-        let advices = || count(&stage.vehicle_report("judge"), "advice", "received", "messages");
+        let advices = || {
+            count(
+                &stage.vehicle_report("judge"),
+                "advice",
+                "received",
+                "messages",
+            )
+        };
         wait_for("advice", || advices() > 10);
         assert_eq!(up.wait(), Some(0), "{}", up.text());
         join.end();
@@ -182,7 +201,9 @@ fn a_partition_is_survived_and_ends_within_two_seconds() {
     let mut up = stage.up(&["--policy", &policy, "--duration", "60", "--judge", &address]);
     let mut join = stage.join(&bundle);
     let report = || stage.vehicle_report("judge");
-    wait_for("advice", || count(&report(), "advice", "received", "messages") > 10);
+    wait_for("advice", || {
+        count(&report(), "advice", "received", "messages") > 10
+    });
     cable.netem("loss 100%").expect("a partition");
     wait_for("the session's end", || !is_joined(&report()));
     std::thread::park_timeout(Duration::from_secs(12));
@@ -193,7 +214,9 @@ fn a_partition_is_survived_and_ends_within_two_seconds() {
     let rejoined_s = joined_at(&join)[sessions] - healed_s;
     println!("rejoined {rejoined_s:.3} s after a partition of 12 s");
     let before = count(&report(), "advice", "received", "messages");
-    wait_for("advice", || count(&report(), "advice", "received", "messages") > before + 10);
+    wait_for("advice", || {
+        count(&report(), "advice", "received", "messages") > before + 10
+    });
     assert_eq!(up.wait(), Some(0), "{}", up.text());
     join.end();
     print_row("partition of 12 s", &stage);
@@ -210,13 +233,24 @@ fn a_learner_loses_no_step_to_loss_and_partition() {
     let bundle = stage.invite("learner", &address, "learner.bundle");
     cable.netem("delay 10ms 5ms loss 5%").expect("a network");
     let mut up = stage.up(&[
-        "--gate", "policy", "--duration", "45", "--learner", &address, "--set",
-        "learner.algorithm=dagger", "--set", "learner.block_steps=50", "--set",
+        "--gate",
+        "policy",
+        "--duration",
+        "45",
+        "--learner",
+        &address,
+        "--set",
+        "learner.algorithm=dagger",
+        "--set",
+        "learner.block_steps=50",
+        "--set",
         "learner.updates=20",
     ]);
     let mut join = stage.join(&bundle);
     let report = || stage.vehicle_report("learner");
-    wait_for("a policy", || count(&report(), "weights", "received", "messages") > 0);
+    wait_for("a policy", || {
+        count(&report(), "weights", "received", "messages") > 0
+    });
     cable.netem("loss 100%").expect("a partition");
     std::thread::park_timeout(Duration::from_secs(6));
     cable.netem("delay 10ms 5ms loss 5%").expect("a network");
@@ -224,7 +258,9 @@ fn a_learner_loses_no_step_to_loss_and_partition() {
     let received = |key: &str| count(&stage.report(&run, "join"), "step", "received", key);
     let steps = || count(&report(), "step", "sent", "messages");
     wait_for("a time after it", || steps() > 380);
-    wait_for("the steps of the partition", || received("messages") + 20 > steps());
+    wait_for("the steps of the partition", || {
+        received("messages") + 20 > steps()
+    });
     println!(
         "steps sent {}, received {}, lost {}, doubled {}, reordered {}, policies {}",
         steps(),
@@ -239,6 +275,11 @@ fn a_learner_loses_no_step_to_loss_and_partition() {
     assert_eq!(up.wait(), Some(0), "{}", up.text());
     join.end();
     let summary = stage.summary();
-    assert!(summary["weights"].as_array().is_some_and(|rows| !rows.is_empty()), "{summary}");
+    assert!(
+        summary["weights"]
+            .as_array()
+            .is_some_and(|rows| !rows.is_empty()),
+        "{summary}"
+    );
     assert_eq!(summary["restarts"], 0);
 }

@@ -18,14 +18,25 @@ fn the_car_drives_by_the_advice_of_a_judge_elsewhere() {
     let policy = file(POLICY);
     let mut up = stage.up(&["--judge", &address, "--policy", &policy, "--duration", "40"]);
     let mut join = stage.join(&bundle);
-    let advices = || count(&stage.vehicle_report("judge"), "advice", "received", "messages");
+    let advices = || {
+        count(
+            &stage.vehicle_report("judge"),
+            "advice",
+            "received",
+            "messages",
+        )
+    };
     wait_for("advice from the other machine", || advices() > 30);
     // The judge's machine dies.
     join.kill();
-    wait_for("the session's end", || !is_joined(&stage.vehicle_report("judge")));
+    wait_for("the session's end", || {
+        !is_joined(&stage.vehicle_report("judge"))
+    });
     let before = advices();
     let mut join = stage.join(&bundle);
-    wait_for("advice again", || advices() > before + 20 || advices() < before && advices() > 20);
+    wait_for("advice again", || {
+        advices() > before + 20 || advices() < before && advices() > 20
+    });
     assert_eq!(up.wait(), Some(0), "{}", up.text());
     assert!(matches!(join.end(), Some(0)), "{}", join.text());
     let summary = stage.summary();
@@ -54,9 +65,18 @@ fn a_judge_elsewhere_judges_bit_by_bit_as_one_beside() {
     assert_eq!(up.wait(), Some(0), "{}", up.text());
     join.end();
     let far = stage.summary();
-    assert_eq!(far["command_digest"], beside["command_digest"], "{}", join.text());
+    assert_eq!(
+        far["command_digest"],
+        beside["command_digest"],
+        "{}",
+        join.text()
+    );
     assert_eq!(far["reasons"], beside["reasons"]);
-    assert!(far["share"]["policy"].as_f64() > Some(0.1), "{}", far["reasons"]);
+    assert!(
+        far["share"]["policy"].as_f64() > Some(0.1),
+        "{}",
+        far["reasons"]
+    );
 }
 
 /// A learner elsewhere learns from the same steps and makes the same policy as one beside,
@@ -65,8 +85,17 @@ fn a_judge_elsewhere_judges_bit_by_bit_as_one_beside() {
 fn a_learner_elsewhere_makes_the_same_policies_as_one_beside() {
     let Some(stage) = Stage::new() else { return };
     let drive = [
-        "--lockstep", "--episodes", "1", "--gate", "policy", "--set", "learner.block_steps=100",
-        "--set", "learner.updates=20", "--set", "learner.algorithm=dagger",
+        "--lockstep",
+        "--episodes",
+        "1",
+        "--gate",
+        "policy",
+        "--set",
+        "learner.block_steps=100",
+        "--set",
+        "learner.updates=20",
+        "--set",
+        "learner.algorithm=dagger",
     ];
     let mut here = stage.up(&[&drive[..], &["--set", "learner.enabled=true"]].concat());
     assert_eq!(here.wait(), Some(0), "{}", here.text());
@@ -80,10 +109,25 @@ fn a_learner_elsewhere_makes_the_same_policies_as_one_beside() {
     let report = stage.vehicle_report("learner");
     join.end();
     let far = stage.summary();
-    assert_eq!(far["command_digest"], beside["command_digest"], "{}", join.text());
-    assert_eq!(far["weights"].as_array().map(Vec::len), beside["weights"].as_array().map(Vec::len));
-    assert!(far["weights"].as_array().is_some_and(|rows| rows.len() > 2), "{}", far["weights"]);
-    assert!(count(&report, "weights", "received", "messages") > 2, "{report}");
+    assert_eq!(
+        far["command_digest"],
+        beside["command_digest"],
+        "{}",
+        join.text()
+    );
+    assert_eq!(
+        far["weights"].as_array().map(Vec::len),
+        beside["weights"].as_array().map(Vec::len)
+    );
+    assert!(
+        far["weights"].as_array().is_some_and(|rows| rows.len() > 2),
+        "{}",
+        far["weights"]
+    );
+    assert!(
+        count(&report, "weights", "received", "messages") > 2,
+        "{report}"
+    );
     assert_eq!(count(&report, "step", "sent", "lost"), 0);
     assert_eq!(report["refused_total"], 0, "{report}");
 }
@@ -136,7 +180,9 @@ fn a_view_elsewhere_sees_steps_and_health() {
     let address = stage.address();
     let bundle = stage.invite("view", &address, "view.bundle");
     let mut up = stage.up(&["--duration", "25"]);
-    wait_for("the set", || stage.path(&format!("runs/{}/logs", stage.run())).exists());
+    wait_for("the set", || {
+        stage.path(&format!("runs/{}/logs", stage.run())).exists()
+    });
     let mut serve = None;
     wait_for("a server", || {
         let mut running = stage.start(
@@ -145,7 +191,10 @@ fn a_view_elsewhere_sees_steps_and_health() {
             &["serve", &stage.run(), "--listen", &address],
         );
         std::thread::park_timeout(std::time::Duration::from_millis(700));
-        let lives = running.child.as_mut().is_some_and(|child| matches!(child.try_wait(), Ok(None)));
+        let lives = running
+            .child
+            .as_mut()
+            .is_some_and(|child| matches!(child.try_wait(), Ok(None)));
         serve = lives.then_some(running);
         lives
     });

@@ -284,9 +284,15 @@ fn an_address_of_another_machine_is_checked_with_what_it_needs() {
         ("[link]\njudge = \":7450\"\n", "link.judge"),
         ("[link]\njudge = \"host:0\"\n", "link.judge"),
         ("[link]\njudge = \"ho st:1\"\n", "link.judge"),
-        ("[gate]\nmode = \"expert\"\n[link]\njudge = \"a:1\"\n", "link.judge"),
+        (
+            "[gate]\nmode = \"expert\"\n[link]\njudge = \"a:1\"\n",
+            "link.judge",
+        ),
         ("[link]\nlearner = \"a:1\"\n", "link.learner"),
-        ("[programs]\ngate = \"/a\"\n[link]\njudge = \"a:1\"\n", "link.judge"),
+        (
+            "[programs]\ngate = \"/a\"\n[link]\njudge = \"a:1\"\n",
+            "link.judge",
+        ),
         (
             "[learner]\nenabled = true\n[link]\njudge = \"a:1\"\nlearner = \"a:1\"\n",
             "link.learner",

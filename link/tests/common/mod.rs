@@ -27,7 +27,8 @@ pub fn keys() -> RunKeys {
 
 /// An invitation.
 pub fn bundle(keys: &RunKeys, role: Role) -> Bundle {
-    keys.invite(role, "127.0.0.1:7450", END_EPOCH_S).expect("an invitation")
+    keys.invite(role, "127.0.0.1:7450", END_EPOCH_S)
+        .expect("an invitation")
 }
 
 /// Both ends and what lies between them. A packet takes no time.
@@ -75,7 +76,8 @@ impl Line {
                     tape.push(bytes.clone());
                 }
                 if !self.is_cut {
-                    self.host.receive(&bytes, (self.now, self.now), self.epoch_s);
+                    self.host
+                        .receive(&bytes, (self.now, self.now), self.epoch_s);
                 }
             }
             self.host.poll(self.now, self.epoch_s);

@@ -17,7 +17,12 @@ const LOOKS: u32 = 1_200;
 /// The folder of the built programs; `None` where the main build is not beside.
 pub fn programs() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_BIN_EXE_vlaps-link")).parent()?;
-    let needed = ["vlaps-supervisor", "vlaps-gate", "vlaps-learner", "vlaps-world"];
+    let needed = [
+        "vlaps-supervisor",
+        "vlaps-gate",
+        "vlaps-learner",
+        "vlaps-world",
+    ];
     let is_built = needed.iter().all(|name| folder.join(name).exists());
     if !is_built {
         println!(
@@ -84,7 +89,11 @@ impl Stage {
     /// An address that is free now.
     pub fn address(&self) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-        format!("{}:{}", self.host, listener.local_addr().expect("an address").port())
+        format!(
+            "{}:{}",
+            self.host,
+            listener.local_addr().expect("an address").port()
+        )
     }
 
     fn command(&self, machine: &Machine, program: &str, words: &[&str]) -> Command {
@@ -97,7 +106,9 @@ impl Stage {
                 command
             }
         };
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the root");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .parent()
+            .expect("the root");
         command
             .args(words)
             .current_dir(self.folder.path())
@@ -109,7 +120,9 @@ impl Stage {
 
     /// Runs a program of this machine to its end.
     pub fn output(&self, program: &str, words: &[&str]) -> Output {
-        self.command(&Vec::new(), program, words).output().expect("it starts")
+        self.command(&Vec::new(), program, words)
+            .output()
+            .expect("it starts")
     }
 
     /// Starts a program; its output goes to a file.
@@ -134,9 +147,23 @@ impl Stage {
     pub fn invite(&self, role: &str, address: &str, name: &str) -> String {
         let out = self.path(name).display().to_string();
         let run = self.run();
-        let words = ["invite", "--run", &run, "--as", role, "--address", address, "--out", &out];
+        let words = [
+            "invite",
+            "--run",
+            &run,
+            "--as",
+            role,
+            "--address",
+            address,
+            "--out",
+            &out,
+        ];
         let output = self.output("vlaps-link", &words);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
         out
     }
 
@@ -176,7 +203,9 @@ impl Stage {
 
 /// A file of the repository.
 pub fn file(name: &str) -> String {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the root");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the root");
     root.join(name).display().to_string()
 }
 
@@ -250,13 +279,21 @@ impl Drop for Running {
 pub fn count(report: &Value, row: &str, way: &str, key: &str) -> u64 {
     let peers = report["peers"].as_array().cloned().unwrap_or_default();
     let own = [report.clone()];
-    let all = if peers.is_empty() { own.to_vec() } else { peers };
-    all.iter().filter_map(|peer| peer["rows"][row][way][key].as_u64()).sum()
+    let all = if peers.is_empty() {
+        own.to_vec()
+    } else {
+        peers
+    };
+    all.iter()
+        .filter_map(|peer| peer["rows"][row][way][key].as_u64())
+        .sum()
 }
 
 /// Whether a peer is in a session.
 pub fn is_joined(report: &Value) -> bool {
     let peers = report["peers"].as_array().cloned().unwrap_or_default();
-    peers.iter().any(|peer| peer["session"]["is_joined"] == true)
+    peers
+        .iter()
+        .any(|peer| peer["session"]["is_joined"] == true)
         || report["session"]["is_joined"] == true
 }

@@ -54,9 +54,11 @@ impl Link {
                 let expected = "empty, or learner.enabled = true";
                 refused("link.learner", &self.learner, expected)
             }
-            () if !self.judge.is_empty() && self.judge == self.learner => {
-                refused("link.learner", &self.learner, "another port than link.judge")
-            }
+            () if !self.judge.is_empty() && self.judge == self.learner => refused(
+                "link.learner",
+                &self.learner,
+                "another port than link.judge",
+            ),
             () => Ok(()),
         }
     }

@@ -55,5 +55,7 @@ pub fn delegate(name: &str, command: &[&str], rest: &Delegated) -> Result<(), Fa
         _ => "cargo build --release --workspace --bins",
     };
     let program = program.display();
-    Err(Failure::GivenUp(format!("{program}: {error}; build it with {build}")))
+    Err(Failure::GivenUp(format!(
+        "{program}: {error}; build it with {build}"
+    )))
 }

@@ -44,5 +44,6 @@ fn build(workspace: &'static str) -> Result<(), Failure> {
             .env("CARGO_INCREMENTAL", "0"),
         &format!("cannot build {workspace}/"),
         "check that cargo is on PATH and reaches its registry",
-    )
+    )?;
+    Ok(())
 }
