@@ -123,6 +123,11 @@ impl ClockMap {
         Shown::Agrees
     }
 
+    /// How many samples it holds.
+    pub fn samples(&self) -> usize {
+        self.samples.len()
+    }
+
     fn best(&self, now: u64) -> Option<&Sample> {
         let samples = self.samples.iter();
         samples.min_by_key(|sample| sample.uncertainty_ns(now))

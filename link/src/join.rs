@@ -1,27 +1,31 @@
 //! The side that joins: the vehicle's rows in a run of this machine, an unchanged program on
 //! them, and what it publishes back.
 
+use std::collections::VecDeque;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ring::signature::Ed25519KeyPair;
 use shm_config::config::Config;
 use shm_config::file::{Entry, Folder, make_folders};
-use shm_config::message::{Advice, FrameRequest, Learning, Weights};
+use shm_config::message::{Advice, FrameRequest, Health, HealthState, Learning, Weights};
 use shm_config::run::{Origin, RunName, RunPaths};
-use shm_config::services::{ADVICE, FRAME_REQUEST, LEARNING, WEIGHTS};
+use shm_config::services::{ADVICE, FRAME_REQUEST, LEARNING, WEIGHTS, health};
 use shm_config::wire::{Subscriber, WireError};
 use shm_config::{Instant, Message};
 
 use crate::carrier::Connection;
+use crate::clock_map::ClockMap;
+use crate::flow::QUEUE_MAX;
 use crate::keys::Bundle;
 use crate::mirror::{Mirror, Shift, local_config, remove};
 use crate::peer::{News, Peer, Vehicle};
 use crate::program::{Look, Program};
 use crate::refusal::Reason;
 use crate::report;
-use crate::role::{CONFIG, Role, RowId};
+use crate::role::{CONFIG, Passage, Role, RowId};
 use crate::rows::{bytes_of, signed_bytes};
 use crate::stand_in::clocks;
 
@@ -33,9 +37,9 @@ const TURN_MAX: usize = 256;
 const LOOK_NS: u64 = 20_000_000;
 /// The vehicle has this long to answer until the connection is made anew, ns.
 const ANSWER_NS: u64 = 1_500_000_000;
-/// A map of the vehicle's clock begins at this many round trips; the first ones include the
-/// start of the connection.
-const PINGS: u32 = 3;
+/// The vehicle's clock is mapped after this many round trips: the first ones include the start
+/// of the connection.
+const SAMPLES: usize = 3;
 /// The vehicle's clock may be this far off from the map in use until it is drawn anew, ns: a
 /// tenth of the shortest time that advice is held.
 const OFF_NS_MAX: u64 = 100_000_000;
@@ -67,6 +71,11 @@ enum Answers {
 struct Local {
     program: Option<Program>,
     answers: Answers,
+    /// The program's health: it hears nothing that is published before it is ready.
+    health: Option<Subscriber<Health>>,
+    is_ready: bool,
+    /// What came before that.
+    held: VecDeque<(RowId, Arc<[u8]>)>,
     mirror: Mirror,
     text: String,
     lockstep: bool,
@@ -80,7 +89,6 @@ struct Join<'a> {
     connection: Connection,
     local: Option<Local>,
     shift: Option<Shift>,
-    pings: u32,
     heard: Instant,
     looked: Instant,
     reported: Instant,
@@ -110,7 +118,6 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
         connection: Connection::open(&options.bundle, &options.address)?,
         local: None,
         shift: None,
-        pings: 0,
         heard: now,
         looked: Instant(0),
         reported: Instant(0),
@@ -126,6 +133,33 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
     ended
 }
 
+impl Local {
+    /// Keeps a message until the program is ready: of newest rows the newest, of others as
+    /// many as a reader may fall behind. What is dropped here shows as a gap of numbers.
+    fn hold(&mut self, role: Role, row: RowId, bytes: Arc<[u8]>) {
+        if row.passage(role) == Passage::Newest {
+            self.held.retain(|(held, _)| *held != row);
+        }
+        if self.held.len() == QUEUE_MAX {
+            self.held.pop_front();
+        }
+        self.held.push_back((row, bytes));
+    }
+
+    /// Whether the program has become ready just now.
+    fn becomes_ready(&mut self) -> bool {
+        let health = self
+            .health
+            .as_mut()
+            .and_then(|port| port.newest(Message::check));
+        let state = health.and_then(|health| HealthState::from_code(health.state));
+        let is_set_up = matches!(state, Some(HealthState::Ready | HealthState::Running));
+        let becomes = is_set_up && !self.is_ready;
+        self.is_ready |= is_set_up;
+        becomes
+    }
+}
+
 impl Join<'_> {
     fn work(&mut self, stop: &AtomicBool) -> Result<(), String> {
         while !stop.load(Ordering::Relaxed) {
@@ -135,6 +169,7 @@ impl Join<'_> {
                 self.hear(news, now)?;
             }
             self.map(now);
+            self.release();
             self.answer();
             self.peer.poll(now);
             self.flush();
@@ -172,7 +207,7 @@ impl Join<'_> {
                 self.heard = now;
                 (self.last_refusal, self.is_told) = (None, false);
                 if vehicle == Vehicle::New {
-                    (self.shift, self.pings) = (None, 0);
+                    self.shift = None;
                 }
                 tracing::info!(vehicle = ?vehicle, "joined");
             }
@@ -197,7 +232,10 @@ impl Join<'_> {
                 let text = text.map_err(|_| "the vehicle's configuration is no text")?;
                 self.configure(text)?;
             }
-            News::Message(row, bytes) => self.write(row, &bytes),
+            News::Message(row, bytes) => match &mut self.local {
+                Some(local) if !local.is_ready => local.hold(self.role, row, bytes),
+                _ => self.write(row, &bytes),
+            },
         }
         Ok(())
     }
@@ -220,21 +258,32 @@ impl Join<'_> {
         }
     }
 
+    /// Gives a program that has become ready what came before.
+    fn release(&mut self) {
+        let is_mapped = self.shift.is_some();
+        let Some(local) = self.local.as_mut().filter(|_| is_mapped) else {
+            return;
+        };
+        if local.becomes_ready() {
+            local.mirror.update_connections();
+            for (row, bytes) in std::mem::take(&mut local.held) {
+                self.write(row, &bytes);
+            }
+        }
+    }
+
     /// Draws the map of the vehicle's clock, once: a question and its answer then differ by
     /// nothing. What the map is off by is added to all ages.
     fn map(&mut self, now: Instant) {
-        let mapped = self
-            .peer
-            .live
-            .as_ref()
-            .and_then(|live| live.clock.mapped(now.0));
-        let Some(mapped) = mapped else {
+        let clock = self.peer.live.as_ref().map(|live| &live.clock);
+        let samples = clock.map_or(0, ClockMap::samples);
+        let Some(mapped) = clock.and_then(|clock| clock.mapped(now.0)) else {
             return;
         };
         let late_ns = i64::try_from(mapped.uncertainty_ns).unwrap_or(i64::MAX);
         let shift = Shift((-mapped.offset_ns).saturating_sub(late_ns));
         match self.shift {
-            None if self.pings < PINGS => self.pings += 1,
+            None if samples < SAMPLES => {}
             None => {
                 let ahead_ms = mapped.offset_ns as f64 * 1e-6;
                 let uncertainty_ms = mapped.uncertainty_ns as f64 * 1e-6;
@@ -283,7 +332,17 @@ impl Join<'_> {
             Role::Recorder => tracing::info!("`./vlaps record {name} --out DIR` records it"),
             Role::Judge | Role::Learner => {}
         }
+        let health = match self.role.stands_for() {
+            Some(process) => {
+                let port = mirror.wire.latest(health(process));
+                Some(port.map_err(|error| error.to_string())?)
+            }
+            None => None,
+        };
         self.local = Some(Local {
+            is_ready: program.is_none(),
+            held: VecDeque::new(),
+            health,
             program,
             answers,
             mirror,
@@ -389,18 +448,21 @@ impl Join<'_> {
         let Some(local) = &mut self.local else {
             return Ok(());
         };
-        match (&mut local.program, self.role.stands_for()) {
-            (Some(program), Some(process)) => match program.look(now) {
-                Look::Same => {}
+        if let (Some(program), Some(process)) = (&mut local.program, self.role.stands_for()) {
+            match program.look(now) {
+                Look::Same => local.is_ready &= program.is_running(),
                 Look::Started(pid) => {
+                    local.is_ready = false;
                     local.mirror.name(process, pid);
                     local.mirror.wire.sweep();
                 }
                 Look::GivenUp(why) => return Err(why),
-            },
-            _ => {}
+            }
         }
         local.mirror.update_connections();
+        if let Some(health) = &mut local.health {
+            health.update_connections();
+        }
         match &mut local.answers {
             Answers::Judge(advices, requests) => {
                 advices.update_connections();

@@ -6,10 +6,11 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use arguments::{Invite, Join, Link, LinkCommand, LinkStatus, Revoke, Serve, address};
 use clap::{Parser, Subcommand};
 use serde_json::Value;
-use shm_config::config::{Config, is_address, load};
-use shm_config::run::{RunName, RunPaths};
+use shm_config::config::{Config, load};
+use shm_config::run::RunPaths;
 use shm_config::secret;
 use shm_config::text::{Printable, printable_lines};
 use vlaps_link::join::{Options, join};
@@ -18,20 +19,12 @@ use vlaps_link::role::Role;
 use vlaps_link::serve::serve;
 use vlaps_link::stand_in::clocks;
 
+#[path = "../../supervisor/src/commands/link.rs"]
+mod arguments;
+
 /// Judge, learner, view and recorder of a set on other machines.
 #[derive(Parser)]
-#[command(
-    name = "vlaps-link",
-    bin_name = "./vlaps link",
-    version,
-    after_help = "Examples:\n  \
-        ./vlaps link invite --run drive --as judge --address 192.168.7.2:7450 --out judge.bundle\n  \
-        ./vlaps up --run drive --judge 192.168.7.2:7450\n  \
-        ./vlaps join judge.bundle                    on the other machine\n  \
-        ./vlaps link serve drive --listen 192.168.7.2:7452\n  \
-        ./vlaps link status drive\n\n\
-        Guide: docs/machines.md. Exit code 1: it ran and the answer is no; 2: it could not run."
-)]
+#[command(name = "vlaps", bin_name = "./vlaps", version)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -39,103 +32,14 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Make an invitation for one peer of one role: its key and certificate, in one file.
-    Invite(Invite),
-    /// End the effect of an invitation, within two seconds also of a session that lives.
-    Revoke(Revoke),
-    /// Let views and recorders of other machines read a running set.
-    Serve(Serve),
-    /// Show the peers of a run, and what was refused.
-    Status(Status),
-    /// Be the judge, learner, view or recorder of a set that drives on another machine.
-    #[command(
-        bin_name = "./vlaps join",
-        after_help = "Examples:\n  \
-            ./vlaps join judge.bundle\n  \
-            ./vlaps join drive@192.168.7.2:7450 --as judge --bundle judge.bundle\n  \
-            ./vlaps join learner.bundle --run far --config model.toml"
-    )]
+    /// Other machines.
+    Link(Link),
+    /// Join a set that drives on another machine.
     Join(Join),
 }
 
-#[derive(clap::Args)]
-struct Invite {
-    /// The run.
-    #[arg(long, value_name = "NAME", default_value = "default")]
-    run: RunName,
-    /// What the peer may be.
-    #[arg(long = "as", value_name = "ROLE", value_parser = role)]
-    role: Role,
-    /// Where the peer reaches the vehicle.
-    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
-    address: String,
-    /// How long the invitation holds, hours.
-    #[arg(long, value_name = "H", default_value_t = 168, value_parser = clap::value_parser!(u64).range(1..=8760))]
-    hours: u64,
-    /// The file to write, for its user alone. It is a secret: carry it as one.
-    #[arg(long, value_name = "FILE")]
-    out: PathBuf,
-}
-
-#[derive(clap::Args)]
-struct Revoke {
-    /// The run.
-    #[arg(long, value_name = "NAME", default_value = "default")]
-    run: RunName,
-    /// The peer's identity, which invite and status print.
-    peer: String,
-}
-
-#[derive(clap::Args)]
-struct Serve {
-    /// The run.
-    run: RunName,
-    /// An address of this machine.
-    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
-    listen: String,
-}
-
-#[derive(clap::Args)]
-struct Status {
-    /// The run.
-    #[arg(default_value = "default")]
-    run: RunName,
-    /// Write all of it to this file, too.
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-}
-
-#[derive(clap::Args)]
-struct Join {
-    /// The invitation, or RUN@HOST:PORT with --bundle.
-    #[arg(value_name = "BUNDLE|RUN@HOST:PORT")]
-    target: String,
-    /// What to be; it has to be the role of the invitation.
-    #[arg(long = "as", value_name = "ROLE", value_parser = role)]
-    role: Option<Role>,
-    /// The invitation.
-    #[arg(long, value_name = "FILE")]
-    bundle: Option<PathBuf>,
-    /// Name of the run on this machine; RUN-ROLE without it.
-    #[arg(long, value_name = "NAME")]
-    run: Option<RunName>,
-    /// This machine's configuration: of it the address and the key of a judge's model count.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-}
-
 fn role(word: &str) -> Result<Role, String> {
-    Role::from_word(word).ok_or_else(|| {
-        let words: Vec<_> = Role::ALL.iter().map(|role| role.word()).collect();
-        format!("there is none of that name; one of {}", words.join(", "))
-    })
-}
-
-fn address(text: &str) -> Result<String, String> {
-    match is_address(text) {
-        true => Ok(text.into()),
-        false => Err("write it as HOST:PORT, such as 192.168.7.2:7450".into()),
-    }
+    Role::from_word(word).ok_or_else(|| format!("there is no role {word}"))
 }
 
 fn main() -> ExitCode {
@@ -150,10 +54,12 @@ fn main() -> ExitCode {
         .with_env_filter("info,zenoh=off")
         .init();
     let done = taken.and_then(|()| match command {
-        Command::Invite(arguments) => invite(&arguments),
-        Command::Revoke(arguments) => revoke(&arguments),
-        Command::Serve(arguments) => serve_run(&arguments),
-        Command::Status(arguments) => status(&arguments),
+        Command::Link(Link { command }) => match &command {
+            LinkCommand::Invite(arguments) => invite(arguments),
+            LinkCommand::Revoke(arguments) => revoke(arguments),
+            LinkCommand::Serve(arguments) => serve_run(arguments),
+            LinkCommand::Status(arguments) => status(arguments),
+        },
         Command::Join(arguments) => join_run(&arguments),
     });
     match done {
@@ -175,7 +81,8 @@ fn stop_flag() -> Result<Arc<AtomicBool>, String> {
 }
 
 fn invite(arguments: &Invite) -> Result<u8, String> {
-    let Invite { run, role, .. } = arguments;
+    let Invite { run, .. } = arguments;
+    let role = role(&arguments.role)?;
     let failed = |error: io::Error| error.to_string();
     let keys = match RunKeys::read(run).map_err(failed)? {
         Some(keys) => keys,
@@ -189,7 +96,7 @@ fn invite(arguments: &Invite) -> Result<u8, String> {
     };
     let expires_epoch_s = clocks().1 + arguments.hours * 3600;
     let bundle = keys
-        .invite(*role, &arguments.address, expires_epoch_s)
+        .invite(role, &arguments.address, expires_epoch_s)
         .map_err(failed)?;
     let out = arguments.out.display();
     bundle
@@ -223,7 +130,7 @@ fn serve_run(arguments: &Serve) -> Result<u8, String> {
     serve(&arguments.run, &arguments.listen, &stop).map(|()| 0)
 }
 
-fn status(arguments: &Status) -> Result<u8, String> {
+fn status(arguments: &LinkStatus) -> Result<u8, String> {
     let run = &arguments.run;
     let origin = RunPaths::new(run.clone()).origin();
     let folder = origin.map_or(PathBuf::from(format!("runs/{run}")), |origin| origin.folder);
@@ -302,7 +209,11 @@ fn join_run(arguments: &Join) -> Result<u8, String> {
     };
     let bundle = Bundle::read(&path).map_err(|error| error.to_string())?;
     let invited = bundle.role().map_err(|error| error.to_string())?;
-    if arguments.role.is_some_and(|role| role != invited) {
+    if arguments
+        .role
+        .as_ref()
+        .is_some_and(|role| role != invited.word())
+    {
         return Err(format!("{}: is an invitation as {invited}", path.display()));
     }
     if let Some((run, _)) = target.filter(|(run, _)| *run != bundle.run) {

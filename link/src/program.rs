@@ -109,6 +109,11 @@ impl Program {
         }
     }
 
+    /// Whether it runs.
+    pub fn is_running(&self) -> bool {
+        self.child.is_some()
+    }
+
     fn last_line(&self) -> String {
         let log = self.log.display();
         let text = shm_config::file::read_text(&self.log, 1 << 20).unwrap_or_default();

@@ -155,7 +155,7 @@ fn those_who_may_not_join_are_refused_and_counted() {
         wait_for("a wrong key", || reason("wrong_key"));
     }
     {
-        let words = ["revoke", "--run", &stage.run(), &peer_of(&good)];
+        let words = ["link", "revoke", "--run", &stage.run(), &peer_of(&good)];
         assert!(stage.output("vlaps-link", &words).status.success());
         std::thread::park_timeout(std::time::Duration::from_secs(3));
         let _join = stage.join(&good);
@@ -166,7 +166,7 @@ fn those_who_may_not_join_are_refused_and_counted() {
     let summary = stage.summary();
     accounted(&summary);
     assert_eq!(summary["restarts"], 0);
-    let status = stage.output("vlaps-link", &["status", &stage.run()]);
+    let status = stage.output("vlaps-link", &["link", "status", &stage.run()]);
     let status = String::from_utf8_lossy(&status.stdout).into_owned();
     for word in ["wrong_role", "wrong_key", "revoked"] {
         assert!(status.contains(&format!("refused {word}")), "{status}");
@@ -188,7 +188,7 @@ fn a_view_elsewhere_sees_steps_and_health() {
         let mut running = stage.start(
             &stage.vehicle,
             "vlaps-link",
-            &["serve", &stage.run(), "--listen", &address],
+            &["link", "serve", &stage.run(), "--listen", &address],
         );
         std::thread::park_timeout(std::time::Duration::from_millis(700));
         let lives = running

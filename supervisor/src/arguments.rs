@@ -8,6 +8,7 @@ use crate::commands::config::ConfigArguments;
 use crate::commands::conform::Conform;
 use crate::commands::delegate::Delegated;
 use crate::commands::down::Down;
+use crate::commands::link::{Join, Link};
 use crate::commands::setup::Setup;
 use crate::commands::status::Status;
 use crate::commands::swap::Swap;
@@ -98,9 +99,7 @@ pub enum Command {
     #[command(disable_help_flag = true)]
     Judge(Delegated),
     /// Other machines: invite a judge, a learner or a view; serve rows; show what was refused.
-    #[command(disable_help_flag = true)]
-    Link(Delegated),
+    Link(Link),
     /// Be the judge, learner, view or recorder of a set that drives on another machine.
-    #[command(disable_help_flag = true)]
-    Join(Delegated),
+    Join(Join),
 }

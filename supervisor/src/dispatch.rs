@@ -3,7 +3,7 @@
 use crate::Clock;
 use crate::arguments::Command;
 use crate::cli::failure::Failure;
-use crate::commands::delegate::{BENCH, JUDGE, LAB, LINK, RECORDER, VIEW, delegate};
+use crate::commands::delegate::{BENCH, Delegated, JUDGE, LAB, LINK, RECORDER, VIEW, delegate};
 use crate::commands::{clean, cluster, config, conform, doctor, down, setup, status, swap, up};
 
 /// Carries out a command; those of other programs are handed over.
@@ -33,8 +33,7 @@ pub fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Replay(words) => delegate(LAB, &["replay"], words),
         Command::Fork(words) => delegate(LAB, &["fork"], words),
         Command::Regress(words) => delegate(LAB, &["regress"], words),
-        Command::Link(words) => delegate(LINK, &[], words),
-        Command::Join(words) => delegate(LINK, &["join"], words),
+        Command::Link(_) | Command::Join(_) => delegate(LINK, &[], &Delegated::own()),
         Command::Export(words) => delegate(LAB, &["export"], words),
     }
 }

@@ -148,6 +148,7 @@ impl Stage {
         let out = self.path(name).display().to_string();
         let run = self.run();
         let words = [
+            "link",
             "invite",
             "--run",
             &run,

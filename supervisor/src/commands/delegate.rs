@@ -22,6 +22,14 @@ pub struct Delegated {
     pub words: Vec<OsString>,
 }
 
+impl Delegated {
+    /// The words of this process, which it has parsed itself.
+    pub fn own() -> Self {
+        let words = std::env::args_os().skip(1).collect();
+        Self { words }
+    }
+}
+
 /// The program of `eval`, `train`, `sweep`, `replay`, `fork`, `regress`, `export` and
 /// `draw`. The supervisor does not link it: it holds the built-in world and all drivers.
 pub const LAB: &str = "vlaps-lab";

@@ -7,6 +7,7 @@ pub mod conform;
 pub mod delegate;
 pub mod doctor;
 pub mod down;
+pub mod link;
 pub mod setup;
 pub mod status;
 pub mod swap;

@@ -354,4 +354,25 @@ mod tests {
         };
         assert_eq!(programs(judged), ["/my/planner", "/bin/sh"]);
     }
+
+    #[test]
+    fn an_address_is_a_judge_elsewhere_and_a_path_a_program() {
+        let far = |judge: &str| {
+            let resolved = resolve(&Up {
+                judge: Some(judge.into()),
+                learner: Some("0.0.0.0:7451".into()),
+                ..Up::default()
+            });
+            resolved.expect("a configuration")
+        };
+        let config = far("0.0.0.0:7450");
+        assert_eq!(config.link.judge, "0.0.0.0:7450");
+        assert_eq!(config.link.learner, "0.0.0.0:7451");
+        assert!(config.learner.enabled && config.programs.gate.is_empty());
+        let config = far("/bin/sh");
+        assert_eq!(
+            (config.link.judge.as_str(), config.programs.gate.as_str()),
+            ("", "/bin/sh")
+        );
+    }
 }

@@ -1,7 +1,7 @@
-//! The link over networks that fail: two network namespaces with a virtual cable between
-//! them, and `netem` on both of its ends. The other machine has another monotonic clock, too.
-//!
-//! Prints one row for each network. Correctness, not speed: both machines are this one.
+//! Two machines as far as the kernel can make them of one: two network namespaces with a
+//! virtual cable between them, and another monotonic clock on the other side.
+
+#![allow(clippy::disallowed_methods)] // a test measures time
 
 #[path = "common/sets.rs"]
 mod sets;
@@ -53,20 +53,20 @@ impl Cable {
             run(&["ip", "-n", name, "addr", "add", at, "dev", end])?;
             run(&["ip", "-n", name, "link", "set", end, "up"])?;
         }
-        cable.netem("delay 1ms")?;
         Ok(cable)
     }
 
-    /// Sets both ends.
-    fn netem(&self, words: &str) -> Result<(), String> {
-        for (name, end) in self.names.iter().zip(&self.ends) {
-            let mut all = vec![
-                "tc", "-n", name, "qdisc", "replace", "dev", end, "root", "netem",
-            ];
-            all.extend(words.split(' '));
-            run(&all)?;
-        }
-        Ok(())
+    /// Takes the vehicle's end of the cable away, or puts it back.
+    fn set(&self, state: &str) -> Result<(), String> {
+        run(&[
+            "ip",
+            "-n",
+            &self.names[0],
+            "link",
+            "set",
+            &self.ends[0],
+            state,
+        ])
     }
 
     /// A stage whose vehicle is on one end and whose other machine is on the other, with a
@@ -149,47 +149,6 @@ fn print_row(network: &str, stage: &Stage) {
     );
 }
 
-#[test]
-fn a_judge_over_networks_that_fail() {
-    let Some(cable) = cable(0) else { return };
-    let Some(stage) = cable.stage() else { return };
-    let policy = file(POLICY);
-    let drive = ["--policy", policy.as_str(), "--duration", "20"];
-    let mut up = stage.up(&[&drive[..], &["--gate", "rules"]].concat());
-    assert_eq!(up.wait(), Some(0), "{}", up.text());
-    print_row("the judge beside the car", &stage);
-    let address = stage.address();
-    let bundle = stage.invite("judge", &address, "judge.bundle");
-    for network in [
-        "delay 1ms",
-        "delay 1ms loss 10%",
-        "delay 100ms 20ms",
-        "delay 20ms 10ms reorder 25% 50% duplicate 5%",
-    ] {
-        cable.netem(network).expect("a network");
-        let mut up = stage.up(&[&drive[..], &["--judge", &address]].concat());
-        let mut join = stage.join(&bundle);
-        let advices = || {
-            count(
-                &stage.vehicle_report("judge"),
-                "advice",
-                "received",
-                "messages",
-            )
-        };
-        wait_for("advice", || advices() > 10);
-        assert_eq!(up.wait(), Some(0), "{}", up.text());
-        join.end();
-        print_row(network, &stage);
-        let summary = stage.summary();
-        assert_eq!(summary["restarts"], 0, "{network}");
-        assert!(summary["share"]["policy"].as_f64() > Some(0.0), "{network}");
-        let report = stage.vehicle_report("judge");
-        let refused = report["refused_total"].as_u64().expect("a count");
-        assert_eq!(refused, 0, "{network}: {}", report["refused"]);
-    }
-}
-
 /// A partition: the expert drives, and the judge is back within two seconds of its end.
 #[test]
 fn a_partition_is_survived_and_ends_within_two_seconds() {
@@ -204,11 +163,11 @@ fn a_partition_is_survived_and_ends_within_two_seconds() {
     wait_for("advice", || {
         count(&report(), "advice", "received", "messages") > 10
     });
-    cable.netem("loss 100%").expect("a partition");
+    cable.set("down").expect("a partition");
     wait_for("the session's end", || !is_joined(&report()));
     std::thread::park_timeout(Duration::from_secs(12));
     let sessions = joined_at(&join).len();
-    cable.netem("delay 1ms").expect("a network");
+    cable.set("up").expect("a network");
     let healed_s = epoch_s();
     wait_for("a new session", || joined_at(&join).len() > sessions);
     let rejoined_s = joined_at(&join)[sessions] - healed_s;
@@ -218,68 +177,9 @@ fn a_partition_is_survived_and_ends_within_two_seconds() {
         count(&report(), "advice", "received", "messages") > before + 10
     });
     assert_eq!(up.wait(), Some(0), "{}", up.text());
-    join.end();
+    // `unshare` passes no signal on; it ends its child when it is killed.
+    join.kill();
     print_row("partition of 12 s", &stage);
     assert!(rejoined_s < 2.0, "{rejoined_s} s");
     assert_eq!(stage.summary()["restarts"], 0);
-}
-
-/// A learner over a network that loses a tenth: each step arrives, once and in order.
-#[test]
-fn a_learner_loses_no_step_to_loss_and_partition() {
-    let Some(cable) = cable(2) else { return };
-    let Some(stage) = cable.stage() else { return };
-    let address = stage.address();
-    let bundle = stage.invite("learner", &address, "learner.bundle");
-    cable.netem("delay 10ms 5ms loss 5%").expect("a network");
-    let mut up = stage.up(&[
-        "--gate",
-        "policy",
-        "--duration",
-        "45",
-        "--learner",
-        &address,
-        "--set",
-        "learner.algorithm=dagger",
-        "--set",
-        "learner.block_steps=50",
-        "--set",
-        "learner.updates=20",
-    ]);
-    let mut join = stage.join(&bundle);
-    let report = || stage.vehicle_report("learner");
-    wait_for("a policy", || {
-        count(&report(), "weights", "received", "messages") > 0
-    });
-    cable.netem("loss 100%").expect("a partition");
-    std::thread::park_timeout(Duration::from_secs(6));
-    cable.netem("delay 10ms 5ms loss 5%").expect("a network");
-    let run = stage.other_run();
-    let received = |key: &str| count(&stage.report(&run, "join"), "step", "received", key);
-    let steps = || count(&report(), "step", "sent", "messages");
-    wait_for("a time after it", || steps() > 380);
-    wait_for("the steps of the partition", || {
-        received("messages") + 20 > steps()
-    });
-    println!(
-        "steps sent {}, received {}, lost {}, doubled {}, reordered {}, policies {}",
-        steps(),
-        received("messages"),
-        received("lost"),
-        received("doubled"),
-        received("reordered"),
-        count(&report(), "weights", "received", "messages"),
-    );
-    assert_eq!(received("lost"), 0);
-    assert_eq!(count(&report(), "step", "sent", "lost"), 0);
-    assert_eq!(up.wait(), Some(0), "{}", up.text());
-    join.end();
-    let summary = stage.summary();
-    assert!(
-        summary["weights"]
-            .as_array()
-            .is_some_and(|rows| !rows.is_empty()),
-        "{summary}"
-    );
-    assert_eq!(summary["restarts"], 0);
 }

@@ -1,0 +1,237 @@
+//! The link over a network that fails, between real process sets: one row for each network.
+//! The proxy of `common/proxy.rs` is that network, so these tests need no privilege.
+
+#![allow(clippy::disallowed_methods)] // a test measures time
+
+#[path = "common/proxy.rs"]
+mod proxy;
+#[path = "common/sets.rs"]
+mod sets;
+
+use std::time::{Duration, Instant};
+
+use proxy::Proxy;
+use sets::{Running, Stage, count, file, is_joined, wait_for};
+
+const POLICY: &str = "results/learning/ppl-10000.onnx";
+
+/// A vehicle, its proxy, and a bundle.
+struct Rig {
+    stage: Stage,
+    proxy: Proxy,
+    address: String,
+    bundle: String,
+    role: &'static str,
+}
+
+impl Rig {
+    fn new(role: &'static str) -> Option<Self> {
+        let stage = Stage::new()?;
+        let address = stage.address();
+        let bundle = stage.invite(role, &address, "peer.bundle");
+        Some(Self {
+            proxy: Proxy::new(&address),
+            stage,
+            address,
+            bundle,
+            role,
+        })
+    }
+
+    fn join(&self) -> Running {
+        let target = format!("{}@{}", self.stage.run(), self.proxy.address);
+        let run = self.stage.other_run();
+        let words = ["join", &target, "--bundle", &self.bundle, "--run", &run];
+        self.stage.start(&self.stage.other, "vlaps-link", &words)
+    }
+
+    fn advices(&self) -> u64 {
+        count(
+            &self.stage.vehicle_report(self.role),
+            "advice",
+            "received",
+            "messages",
+        )
+    }
+
+    fn print(&self, network: &str) {
+        let summary = self.stage.summary();
+        let lateness = &summary["release_lateness_us"];
+        let report = self.stage.vehicle_report("judge");
+        let clock = &report["peers"][0]["session"]["clock"];
+        let advice = |key: &str| count(&report, "advice", "received", key);
+        println!(
+            "| {network} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {} | {} |",
+            summary["ticks"],
+            summary["skipped"],
+            lateness["p99"],
+            lateness["max"],
+            advice("messages"),
+            advice("skipped"),
+            advice("reordered") + advice("doubled"),
+            summary["share"]["policy"].as_f64().unwrap_or(f64::NAN),
+            clock["round_trip_ms"],
+            report["refused_total"],
+        );
+    }
+}
+
+#[test]
+fn a_judge_over_networks_that_fail() {
+    let Some(rig) = Rig::new("judge") else { return };
+    let stage = &rig.stage;
+    let policy = file(POLICY);
+    let drive = ["--policy", policy.as_str(), "--duration", "20"];
+    println!(
+        "| network | ticks | skipped | lateness p99, us | max, us | advice | skipped | again or \
+         late | policy drove | round trip, ms | refused |"
+    );
+    let mut up = stage.up(&[&drive[..], &["--gate", "rules"]].concat());
+    assert_eq!(up.wait(), Some(0), "{}", up.text());
+    rig.print("none: judge beside the car");
+    for (network, set) in [
+        ("loopback", [0, 0, 0]),
+        ("10 % come 250 ms late, as after a loss", [1, 0, 10]),
+        ("100 ms each way, 20 ms jitter", [100, 20, 0]),
+        ("100 ms each way, 40 ms jitter, 10 % late", [100, 40, 10]),
+    ] {
+        rig.proxy.set(set);
+        let mut up = stage.up(&[&drive[..], &["--judge", &rig.address]].concat());
+        let mut join = rig.join();
+        wait_for("advice", || rig.advices() > 10);
+        assert_eq!(up.wait(), Some(0), "{}", up.text());
+        join.end();
+        rig.print(network);
+        let summary = stage.summary();
+        assert_eq!(summary["restarts"], 0, "{network}");
+        assert!(
+            summary["share"]["policy"].as_f64() > Some(0.0),
+            "{network}: {}",
+            join.text()
+        );
+        let report = stage.vehicle_report("judge");
+        assert_eq!(
+            report["refused_total"], 0,
+            "{network}: {}",
+            report["refused"]
+        );
+    }
+}
+
+/// Half open for ten seconds, then reset: each time the expert drives, and the judge is back
+/// within two seconds.
+#[test]
+fn a_cut_cable_and_a_reset_end_within_two_seconds() {
+    let Some(rig) = Rig::new("judge") else { return };
+    let stage = &rig.stage;
+    let policy = file(POLICY);
+    let mut up = stage.up(&[
+        "--policy",
+        &policy,
+        "--duration",
+        "50",
+        "--judge",
+        &rig.address,
+    ]);
+    let mut join = rig.join();
+    wait_for("advice", || rig.advices() > 10);
+    let sessions = |join: &Running| join.text().matches(" joined ").count();
+    let mut rejoined_s = Vec::new();
+    for resets in [false, true] {
+        let before = sessions(&join);
+        if !resets {
+            rig.proxy.cut(true);
+            wait_for("the session's end", || {
+                !is_joined(&stage.vehicle_report("judge"))
+            });
+            std::thread::park_timeout(Duration::from_secs(10));
+        }
+        let healed = Instant::now();
+        match resets {
+            true => rig.proxy.reset(),
+            false => rig.proxy.cut(false),
+        }
+        wait_for("a new session", || sessions(&join) > before);
+        rejoined_s.push(healed.elapsed().as_secs_f64());
+        let advices = rig.advices();
+        wait_for("advice", || rig.advices() > advices + 5);
+    }
+    println!(
+        "rejoined {:.3} s after the cut, {:.3} s after the reset",
+        rejoined_s[0], rejoined_s[1]
+    );
+    assert_eq!(up.wait(), Some(0), "{}", up.text());
+    join.end();
+    rig.print("half open for 10 s, then reset");
+    assert!(rejoined_s[0] < 2.0, "{rejoined_s:?}");
+    // The silence has to be noticed first.
+    assert!(rejoined_s[1] < 3.0, "{rejoined_s:?}");
+    let summary = stage.summary();
+    assert!(
+        summary["reasons"]["expert"]["expired"].as_u64() > Some(0),
+        "{}",
+        summary["reasons"]
+    );
+    assert_eq!(summary["restarts"], 0);
+}
+
+/// A learner over a network that loses, and a cut: each step arrives, once and in order.
+#[test]
+fn a_learner_loses_no_step_to_loss_and_a_cut() {
+    let Some(rig) = Rig::new("learner") else {
+        return;
+    };
+    let stage = &rig.stage;
+    rig.proxy.set([10, 5, 5]);
+    let mut up = stage.up(&[
+        "--gate",
+        "policy",
+        "--duration",
+        "45",
+        "--learner",
+        &rig.address,
+        "--set",
+        "learner.algorithm=dagger",
+        "--set",
+        "learner.block_steps=50",
+        "--set",
+        "learner.updates=20",
+    ]);
+    let mut join = rig.join();
+    let report = || stage.vehicle_report("learner");
+    let policies = || count(&report(), "weights", "received", "messages");
+    wait_for("a policy", || policies() > 0);
+    rig.proxy.cut(true);
+    std::thread::park_timeout(Duration::from_secs(6));
+    rig.proxy.cut(false);
+    let run = stage.other_run();
+    let received = |key: &str| count(&stage.report(&run, "join"), "step", "received", key);
+    let before = policies();
+    wait_for("a policy after it", || policies() > before);
+    wait_for("the steps of the cut", || {
+        received("messages") + 20 > count(&report(), "step", "sent", "messages")
+    });
+    assert_eq!(up.wait(), Some(0), "{}", up.text());
+    println!(
+        "steps sent {}, sent again {}, received {}, lost {}, doubled {}, reordered {}, policies {}",
+        count(&report(), "step", "sent", "messages"),
+        count(&report(), "step", "sent", "again"),
+        received("messages"),
+        received("lost"),
+        received("doubled"),
+        received("reordered"),
+        policies(),
+    );
+    join.end();
+    assert_eq!(
+        (received("lost"), count(&report(), "step", "sent", "lost")),
+        (0, 0)
+    );
+    let summary = stage.summary();
+    assert!(
+        summary["weights"]
+            .as_array()
+            .is_some_and(|rows| !rows.is_empty())
+    );
+    assert_eq!(summary["restarts"], 0);
+}
