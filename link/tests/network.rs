@@ -132,6 +132,10 @@ fn a_cut_cable_and_a_reset_end_within_two_seconds() {
         "50",
         "--judge",
         &rig.address,
+        "--set",
+        "gate.period_s=1",
+        "--set",
+        "gate.hold_s=2",
     ]);
     let mut join = rig.join();
     wait_for("advice", || rig.advices() > 10);

@@ -16,7 +16,18 @@ fn the_car_drives_by_the_advice_of_a_judge_elsewhere() {
     let address = stage.address();
     let bundle = stage.invite("judge", &address, "judge.bundle");
     let policy = file(POLICY);
-    let mut up = stage.up(&["--judge", &address, "--policy", &policy, "--duration", "40"]);
+    let mut up = stage.up(&[
+        "--judge",
+        &address,
+        "--policy",
+        &policy,
+        "--duration",
+        "40",
+        "--set",
+        "gate.period_s=1",
+        "--set",
+        "gate.hold_s=2",
+    ]);
     let mut join = stage.join(&bundle);
     let advices = || {
         count(
@@ -32,11 +43,11 @@ fn the_car_drives_by_the_advice_of_a_judge_elsewhere() {
     wait_for("the session's end", || {
         !is_joined(&stage.vehicle_report("judge"))
     });
+    // The advice in force expires.
+    std::thread::park_timeout(std::time::Duration::from_secs(3));
     let before = advices();
     let mut join = stage.join(&bundle);
-    wait_for("advice again", || {
-        advices() > before + 20 || advices() < before && advices() > 20
-    });
+    wait_for("advice again", || advices() > 20 && advices() != before);
     assert_eq!(up.wait(), Some(0), "{}", up.text());
     assert!(matches!(join.end(), Some(0)), "{}", join.text());
     let summary = stage.summary();
@@ -120,7 +131,9 @@ fn a_learner_elsewhere_makes_the_same_policies_as_one_beside() {
         beside["weights"].as_array().map(Vec::len)
     );
     assert!(
-        far["weights"].as_array().is_some_and(|rows| rows.len() > 2),
+        far["weights"]
+            .as_array()
+            .is_some_and(|rows| rows.len() >= 2),
         "{}",
         far["weights"]
     );
