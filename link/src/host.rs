@@ -68,8 +68,16 @@ pub struct Guest {
     pub joins: u64,
     key: hmac::Key,
     instance: Option<u64>,
-    /// A session that is offered, with the process that asked.
-    offered: Option<(Live, u64)>,
+    offered: Option<Offer>,
+}
+
+/// A session that is offered to a peer, and begins with its first packet.
+struct Offer {
+    live: Live,
+    /// The random numbers of the hello and of the process that asked.
+    nonce: [u8; 16],
+    instance: u64,
+    answer: Vec<u8>,
 }
 
 /// The vehicle's side.
@@ -219,6 +227,17 @@ impl Host {
 
     fn offer(&mut self, hello: &Hello, key: hmac::Key, now: Instant) -> Result<(), Reason> {
         let claim = hello.claim;
+        // The hello came again because the answer is slow: it gets the same answer, so that
+        // the session exists which the peer begins with the first one.
+        let offered = self
+            .guests
+            .get(&claim.peer)
+            .and_then(|guest| guest.offered.as_ref());
+        if let Some(offer) = offered.filter(|offer| offer.nonce == hello.nonce) {
+            self.out
+                .push((claim.role, claim.peer, offer.answer.clone()));
+            return Ok(());
+        }
         // Without random numbers there is no session; the peer asks again.
         let own_nonce = random().map_err(|_| Reason::NoSession)?;
         let welcome = Welcome {
@@ -263,8 +282,13 @@ impl Host {
         };
         // A later invitation cannot have the same identity, but another end or signer.
         (guest.claim, guest.key) = (claim, key);
-        guest.offered = Some((Live::new(welcome.session(), ends, now), hello.instance));
         let answer = seal(Kind::Welcome, (0, 0), &welcome.body(), &guest.key);
+        guest.offered = Some(Offer {
+            live: Live::new(welcome.session(), ends, now),
+            nonce: hello.nonce,
+            instance: hello.instance,
+            answer: answer.clone(),
+        });
         self.out.push((claim.role, claim.peer, answer));
         Ok(())
     }
@@ -284,16 +308,19 @@ impl Host {
         let is_of = |live: &Live| live.session == packet.session;
         let guest = self.guests.values_mut().find(|guest| {
             guest.live.as_ref().is_some_and(is_of)
-                || guest.offered.as_ref().is_some_and(|(live, _)| is_of(live))
+                || guest
+                    .offered
+                    .as_ref()
+                    .is_some_and(|offer| is_of(&offer.live))
         });
         let guest = guest.ok_or(Reason::NoSession)?;
         let claim = guest.claim;
-        if let Some((live, instance)) = guest.offered.as_mut()
-            && is_of(live)
+        if let Some(offer) = guest.offered.as_mut()
+            && is_of(&offer.live)
         {
-            live.open(packet, now)?;
-            let instance = *instance;
-            guest.live = guest.offered.take().map(|(live, _)| live);
+            offer.live.open(packet, now)?;
+            let instance = offer.instance;
+            guest.live = guest.offered.take().map(|offer| offer.live);
             guest.joins += 1;
             guest.outbox.begin_again();
             if guest.instance.replace(instance) != Some(instance) {

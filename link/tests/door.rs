@@ -380,3 +380,19 @@ fn a_vehicle_that_is_started_anew_is_joined_anew() {
     let came = |event: &&Event| matches!(event, Event::Message(..));
     assert_eq!(line.events.iter().filter(came).count(), 1);
 }
+
+/// Answers take longer than the time between two hellos.
+#[test]
+fn a_peer_far_away_joins() {
+    let mut line = line(Role::Judge);
+    line.delay_ms = 400;
+    line.run(2_000);
+    assert!(line.peer.live.is_some());
+    line.peer
+        .push(row(ADVICE.name), bytes_of(&Advice::default()));
+    line.run(1_000);
+    let came = |event: &&Event| matches!(event, Event::Message(..));
+    assert_eq!(line.events.iter().filter(came).count(), 1);
+    assert_eq!(line.peer.joins, 1);
+    assert_eq!(line.host.refused.all(), 0);
+}

@@ -121,7 +121,7 @@ fn a_judge_over_networks_that_fail() {
 /// Half open for ten seconds, then reset: each time the expert drives, and the judge is back
 /// within two seconds.
 #[test]
-fn a_cut_cable_and_a_reset_end_within_two_seconds() {
+fn a_cut_cable_ends_within_two_seconds_and_a_reset_ends_no_session() {
     let Some(rig) = Rig::new("judge") else { return };
     let stage = &rig.stage;
     let policy = file(POLICY);
@@ -137,39 +137,36 @@ fn a_cut_cable_and_a_reset_end_within_two_seconds() {
         "--set",
         "gate.hold_s=2",
     ]);
-    let mut join = rig.join();
+    let join = rig.join();
     wait_for("advice", || rig.advices() > 10);
-    let sessions = |join: &Running| join.text().matches(" joined ").count();
-    let mut rejoined_s = Vec::new();
-    for resets in [false, true] {
-        let before = sessions(&join);
-        if !resets {
-            rig.proxy.cut(true);
-            wait_for("the session's end", || {
-                !is_joined(&stage.vehicle_report("judge"))
-            });
-            std::thread::park_timeout(Duration::from_secs(10));
-        }
-        let healed = Instant::now();
-        match resets {
-            true => rig.proxy.reset(),
-            false => rig.proxy.cut(false),
-        }
-        wait_for("a new session", || sessions(&join) > before);
-        rejoined_s.push(healed.elapsed().as_secs_f64());
-        let advices = rig.advices();
-        wait_for("advice", || rig.advices() > advices + 5);
-    }
+    let sessions = || join.text().matches(" joined ").count();
+    let before = sessions();
+    rig.proxy.cut(true);
+    wait_for("the session's end", || {
+        !is_joined(&stage.vehicle_report("judge"))
+    });
+    std::thread::park_timeout(Duration::from_secs(10));
+    let healed = Instant::now();
+    rig.proxy.cut(false);
+    wait_for("a new session", || sessions() > before);
+    let rejoined_s = healed.elapsed().as_secs_f64();
+    let advices = rig.advices();
+    wait_for("advice", || rig.advices() > advices + 5);
+    // Zenoh connects again by itself; the session outlives the connection.
+    let advices = rig.advices();
+    let reset = Instant::now();
+    rig.proxy.reset();
+    wait_for("advice after the reset", || rig.advices() > advices + 10);
+    let advised_s = reset.elapsed().as_secs_f64();
     println!(
-        "rejoined {:.3} s after the cut, {:.3} s after the reset",
-        rejoined_s[0], rejoined_s[1]
+        "rejoined {rejoined_s:.3} s after the cut; the eleventh advice {advised_s:.3} s after \
+         the reset"
     );
     assert_eq!(up.wait(), Some(0), "{}", up.text());
+    let mut join = join;
     join.end();
     rig.print("half open for 10 s, then reset");
-    assert!(rejoined_s[0] < 2.0, "{rejoined_s:?}");
-    // The silence has to be noticed first.
-    assert!(rejoined_s[1] < 3.0, "{rejoined_s:?}");
+    assert!(rejoined_s < 2.0, "{rejoined_s}");
     let summary = stage.summary();
     assert!(
         summary["reasons"]["expert"]["expired"].as_u64() > Some(0),
@@ -238,4 +235,50 @@ fn a_learner_loses_no_step_to_loss_and_a_cut() {
             .is_some_and(|rows| !rows.is_empty())
     );
     assert_eq!(summary["restarts"], 0);
+}
+
+/// Two thousand frames of noise on the vehicle's socket, and connections that say nothing:
+/// nothing joins, nothing is adopted, and the judge that is there goes on.
+#[test]
+fn two_thousand_hostile_frames_on_the_socket_change_nothing() {
+    use std::io::Write as _;
+    let Some(rig) = Rig::new("judge") else { return };
+    let stage = &rig.stage;
+    let mut up = stage.up(&["--duration", "30", "--judge", &rig.address]);
+    let mut join = rig.join();
+    wait_for("advice", || rig.advices() > 10);
+    let before = rig.advices();
+    let mut silent = Vec::new();
+    let mut frames = 0;
+    for number in 0..200_u32 {
+        let Ok(mut stream) = std::net::TcpStream::connect(&rig.address) else {
+            continue;
+        };
+        for frame in 0..10_u32 {
+            // TLS records, Zenoh's own frames and plain noise, by turns.
+            let kind = [0x16, 0x17, 0x00, 0xff][(frame % 4) as usize];
+            let mut bytes = vec![kind, 3, 1, (number % 256) as u8, (frame * 25) as u8];
+            bytes.extend((0..200).map(|place| (place * number + frame) as u8));
+            frames += u32::from(stream.write_all(&bytes).is_ok());
+        }
+        if number % 10 == 0 {
+            silent.push(stream);
+        }
+    }
+    let advices = rig.advices();
+    wait_for("advice beside the noise", || rig.advices() > advices + 20);
+    drop(silent);
+    assert_eq!(up.wait(), Some(0), "{}", up.text());
+    join.end();
+    rig.print("noise on the socket");
+    println!("{frames} frames were taken by the kernel, advice before {before}");
+    assert!(frames >= 200);
+    let report = stage.vehicle_report("judge");
+    assert_eq!(
+        report["peers"].as_array().map(Vec::len),
+        Some(1),
+        "{report}"
+    );
+    assert_eq!(report["peers"][0]["session"]["sessions"], 1, "{report}");
+    assert_eq!(stage.summary()["restarts"], 0);
 }

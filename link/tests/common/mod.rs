@@ -2,6 +2,7 @@
 
 #![allow(dead_code)] // each test program uses a part
 
+use std::collections::VecDeque;
 use std::sync::OnceLock;
 
 use shm_config::Instant;
@@ -31,7 +32,7 @@ pub fn bundle(keys: &RunKeys, role: Role) -> Bundle {
         .expect("an invitation")
 }
 
-/// Both ends and what lies between them. A packet takes no time.
+/// Both ends and what lies between them.
 pub struct Line {
     /// The vehicle.
     pub host: Host,
@@ -41,6 +42,10 @@ pub struct Line {
     pub now: Instant,
     /// The date.
     pub epoch_s: u64,
+    /// A packet takes this long, ms.
+    pub delay_ms: u64,
+    to_host: VecDeque<(Instant, Vec<u8>)>,
+    to_peer: VecDeque<(Instant, Vec<u8>)>,
     /// Nothing arrives.
     pub is_cut: bool,
     /// Every packet that went to the vehicle.
@@ -59,6 +64,9 @@ impl Line {
             peer,
             now: Instant(1_000 * MS),
             epoch_s: 1,
+            delay_ms: 0,
+            to_host: VecDeque::new(),
+            to_peer: VecDeque::new(),
             is_cut: false,
             tape: None,
             events: Vec::new(),
@@ -70,21 +78,28 @@ impl Line {
     pub fn run(&mut self, ms: u64) {
         for _ in 0..ms {
             self.now = self.now.after_ns(MS);
-            self.peer.poll(self.now);
+            let now = self.now;
+            let arrives = now.after_ns(self.delay_ms * MS);
+            self.peer.poll(now);
             for bytes in self.peer.take_out() {
                 if let Some(tape) = &mut self.tape {
                     tape.push(bytes.clone());
                 }
                 if !self.is_cut {
-                    self.host
-                        .receive(&bytes, (self.now, self.now), self.epoch_s);
+                    self.to_host.push_back((arrives, bytes));
                 }
             }
-            self.host.poll(self.now, self.epoch_s);
+            while let Some((_, bytes)) = self.to_host.pop_front_if(|(at, _)| *at <= now) {
+                self.host.receive(&bytes, (now, now), self.epoch_s);
+            }
+            self.host.poll(now, self.epoch_s);
             for (_, peer, bytes) in self.host.take_out() {
                 if !self.is_cut && peer == self.peer.claim().peer {
-                    self.peer.receive(&bytes, (self.now, self.now));
+                    self.to_peer.push_back((arrives, bytes));
                 }
+            }
+            while let Some((_, bytes)) = self.to_peer.pop_front_if(|(at, _)| *at <= now) {
+                self.peer.receive(&bytes, (now, now));
             }
             self.events.extend(self.host.take_events());
             self.news.extend(self.peer.take_news());
