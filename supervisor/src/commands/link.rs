@@ -102,7 +102,7 @@ pub struct LinkStatus {
         Examples:\n  \
         ./vlaps join judge.bundle\n  \
         ./vlaps join drive@192.168.7.2:7450 --as judge --bundle judge.bundle\n  \
-        ./vlaps join learner.bundle --run far"
+        ./vlaps join far.bundle --run far"
 )]
 pub struct Join {
     /// The invitation, or RUN@HOST:PORT with --bundle.
