@@ -20,7 +20,7 @@ use crate::carrier::Connection;
 use crate::clock_map::ClockMap;
 use crate::flow::QUEUE_MAX;
 use crate::keys::Bundle;
-use crate::mirror::{Mirror, Shift, local_config, remove};
+use crate::mirror::{Mirror, Shift, instants, local_config, remove};
 use crate::peer::{News, Peer, Vehicle};
 use crate::program::{Look, Program};
 use crate::refusal::Reason;
@@ -389,15 +389,7 @@ impl Join<'_> {
         match &mut local.answers {
             Answers::Judge(advices, requests) => {
                 if let Some(mut advice) = advices.newest(Message::check) {
-                    for at_ns in [
-                        &mut advice.header.taken_ns,
-                        &mut advice.question_taken_ns,
-                        &mut advice.answered_ns,
-                        &mut advice.considered_ns,
-                        &mut advice.holds_until_ns,
-                        &mut advice.label_from_ns,
-                        &mut advice.label_until_ns,
-                    ] {
+                    for at_ns in instants(&mut advice) {
                         *at_ns = shift.there(*at_ns);
                     }
                     push(ADVICE.name, bytes_of(&advice));

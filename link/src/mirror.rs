@@ -12,12 +12,13 @@ use shm_config::config::Config;
 use shm_config::file::{Durable, replace};
 use shm_config::layout::Layout as _;
 use shm_config::message::{
-    Camera, Episode, Foresight, Frame, Header, Health, PolicyStatus, Progress, Roster, Step, Timing,
+    Advice, Camera, Episode, Foresight, Frame, Header, Health, Learning, PolicyStatus, Progress,
+    Roster, Step, Timing,
 };
 use shm_config::run::{Origin, RunLock, RunName, RunPaths};
 use shm_config::services::{
-    EPISODE, FORESIGHT, FRAME, POLICY_STATUS, PROGRESS, Process, ROSTER, STEP, Service, health,
-    timing,
+    ADVICE, EPISODE, FORESIGHT, FRAME, LEARNING, POLICY_STATUS, PROGRESS, Process, ROSTER, STEP,
+    Service, health, timing,
 };
 use shm_config::wire::{Publisher, Wire, WireError};
 
@@ -52,9 +53,30 @@ trait Dated: Message {
     }
 }
 
+/// The instants of advice, all on the run's clock.
+pub fn instants(advice: &mut Advice) -> [&mut u64; 7] {
+    [
+        &mut advice.header.taken_ns,
+        &mut advice.question_taken_ns,
+        &mut advice.answered_ns,
+        &mut advice.considered_ns,
+        &mut advice.holds_until_ns,
+        &mut advice.label_from_ns,
+        &mut advice.label_until_ns,
+    ]
+}
+
+impl Dated for Advice {
+    fn dated(&mut self, shift: Shift) {
+        for at_ns in instants(self) {
+            *at_ns = shift.here(*at_ns);
+        }
+    }
+}
 impl Dated for Episode {}
 impl Dated for Foresight {}
 impl Dated for Health {}
+impl Dated for Learning {}
 impl Dated for PolicyStatus {}
 impl Dated for Progress {}
 impl Dated for Timing {}
@@ -206,6 +228,8 @@ impl Mirror {
         mirror.mirror(role, POLICY_STATUS)?;
         mirror.mirror(role, PROGRESS)?;
         if role.stands_for().is_none() {
+            mirror.mirror(role, ADVICE)?;
+            mirror.mirror(role, LEARNING)?;
             for process in Process::ALL {
                 mirror.mirror(role, health(*process))?;
                 mirror.mirror(role, timing(*process))?;

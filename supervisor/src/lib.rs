@@ -12,7 +12,7 @@
 //! | [`telemetry`] | what the messages of a run add up to |
 //! | [`show`] | the live view and the summary |
 //! | [`takeover`] | keys of a human driver to takeover messages |
-//! | [`setup`] | foreign worlds, ONNX Runtime, ROS 2, programs of a user |
+//! | [`setup`] | foreign worlds, ONNX Runtime, ROS 2, other machines, programs of a user |
 //! | [`commands`] | one file or folder a command |
 //! | [`subcommand`] | what the programs of `eval`, `train`, `draw` and `bench` share |
 //!
