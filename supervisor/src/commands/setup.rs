@@ -84,7 +84,7 @@ impl ValueEnum for Part {
             Self::Ros => PossibleValue::new("ros")
                 .help("The programs for ROS 2 over Zenoh: 230 packages, some minutes of compiling"),
             Self::Link => PossibleValue::new("link").help(
-                "The programs for other machines over Zenoh: 240 packages, some minutes of compiling",
+                "The programs for other machines over Zenoh: 190 packages more, some minutes of compiling",
             ),
             Self::Python => PossibleValue::new("python")
                 .help("The Python package vlaps, built and installed into target/python: 150 MB"),
