@@ -38,6 +38,9 @@ pub struct Schedule {
     pub seed: u64,
 }
 
+/// A question's index among the samples, and its label.
+type Labelled = (usize, Label);
+
 /// Trains the members one after the other; `passed` is called after each pass over the
 /// questions.
 pub fn train(
@@ -46,7 +49,7 @@ pub fn train(
     schedule: &Schedule,
     mut passed: impl FnMut(usize),
 ) -> Vec<Network> {
-    let labelled = |indices: &[usize]| -> Vec<(usize, Label)> {
+    let labelled = |indices: &[usize]| -> Vec<Labelled> {
         let label = |index: &usize| Some((*index, samples[*index].label(schedule.learn)?));
         indices.iter().filter_map(label).collect()
     };
@@ -93,7 +96,7 @@ impl Member {
     fn learn(
         mut self,
         samples: &[Sample],
-        (learn, stop): (&[(usize, Label)], &[(usize, Label)]),
+        (learn, stop): (&[Labelled], &[Labelled]),
         mut passed: impl FnMut(),
     ) -> Network {
         let mut order = learn.to_vec();
@@ -123,7 +126,7 @@ impl Member {
         best.1
     }
 
-    fn update(&mut self, samples: &[Sample], batch: &[(usize, Label)]) {
+    fn update(&mut self, samples: &[Sample], batch: &[Labelled]) {
         let Batch {
             inputs,
             delta,
@@ -192,7 +195,7 @@ fn slopes(outputs: [[f32; OUTPUTS]; 2], label: Label) -> [[f64; OUTPUTS]; 2] {
 }
 
 /// The mean loss of these questions; 0 without any.
-fn loss(network: &Network, samples: &[Sample], of: &[(usize, Label)]) -> f64 {
+fn loss(network: &Network, samples: &[Sample], of: &[Labelled]) -> f64 {
     let mut inputs = Vec::with_capacity(of.len() * 2 * INPUTS);
     for (index, _) in of {
         let rows = &samples[*index].seen;
