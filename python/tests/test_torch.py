@@ -77,7 +77,7 @@ class Doubled(nn.Module):
 @pytest.mark.parametrize(
     ("net", "error", "message"),
     [
-        (Doubled(), ValueError, "off by"),
+        (Doubled(), ValueError, "differ by"),
         (Reordered(), ValueError, "refused"),
         (nn.Sequential(nn.Linear(259, 2), nn.Sigmoid()), TypeError, "Sigmoid"),
         (nn.Sequential(nn.Tanh(), nn.Linear(259, 2)), TypeError, "follow"),
