@@ -108,7 +108,7 @@ impl Protocol {
 }
 
 /// The sections of the configuration that affect learning.
-const SAME: [&str; 12] = [
+const SAME: [&str; 13] = [
     "vehicle",
     "scanner",
     "world",
@@ -117,7 +117,8 @@ const SAME: [&str; 12] = [
     "kinodynamic",
     "mpc",
     "controller",
-    "judge",
+    "safety",
+    "faulty_judge",
     "gate",
     "policy",
     "learner",
@@ -255,6 +256,14 @@ mod tests {
     use shm_config::run::RunName;
 
     use super::*;
+
+    #[test]
+    fn the_sections_that_affect_learning_exist() {
+        let all = Table::try_from(Config::default()).expect("a table");
+        for section in SAME {
+            assert!(all.contains_key(section), "{section}");
+        }
+    }
 
     #[test]
     fn a_long_folder_makes_a_name_that_a_run_can_have() {
