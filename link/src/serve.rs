@@ -14,6 +14,7 @@ use shm_config::services::{FRAME, Leaves, Process, STEP};
 use shm_config::wire::Wire;
 
 use crate::host::Seats;
+use crate::mirror::remove;
 use crate::role::RowId;
 use crate::stand_in::clocks;
 use crate::station::Station;
@@ -65,6 +66,10 @@ pub fn serve(name: &RunName, address: &str, stop: &AtomicBool) -> Result<(), Str
     // a while to close.
     drop(taps);
     drop(wire);
+    // The supervisor may have given up waiting for this reader.
+    if let Ok(Some(_lock)) = paths.hold_supervisor() {
+        remove(&paths);
+    }
     station.close(clocks().0);
     Ok(())
 }
