@@ -1,9 +1,11 @@
-//! How long a plan takes: `cargo run --release -p planner --example plan_speed [METHOD]`.
+//! How long a plan takes:
+//! `cargo run --release -p planner --example plan_speed [METHOD [ITERATIONS]]`.
 //!
 //! Plans for synthetic scenes (straight roads and bends of 15 to 60 m, up to
 //! four cars, barriers or rows of cones, 240 beams) and prints the whole plan,
 //! the grid within it, and the rest, in microseconds. METHOD is one of the
-//! configuration's, such as kinodynamic; without it, the paper's.
+//! configuration's, such as kinodynamic; without it, the paper's. ITERATIONS is
+//! `planner.iterations`; without it, the configuration's.
 #![allow(clippy::disallowed_methods)]
 
 use std::hint::black_box;
@@ -21,8 +23,11 @@ const ROUNDS: usize = 20;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let method = std::env::args().nth(1).unwrap_or("rrt_star".into());
-    let configuration = format!("[planner]\nmethod = \"{method}\"");
-    let configuration: Config = shm_config::config::from_toml(&configuration, "METHOD")?;
+    let mut configuration = format!("planner.method = \"{method}\"\n");
+    if let Some(iterations) = std::env::args().nth(2) {
+        configuration += &format!("planner.iterations = {iterations}\n");
+    }
+    let configuration: Config = shm_config::config::from_toml(&configuration, "arguments")?;
     let config = configuration.planner;
     let scenes: Vec<Observation> = (0..SCENES).map(course::random_scene).collect();
     let mut planner = Planner::new(&configuration)?;

@@ -33,6 +33,7 @@ impl Beams {
     }
 
     /// The points that were hit; a beam at its full range hit nothing.
+    #[cfg(feature = "std")]
     pub(crate) fn returns<'a>(
         &'a self,
         observation: &'a Observation,

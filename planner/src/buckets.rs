@@ -6,15 +6,19 @@
 //! what is worked out for a node does, and each of these operations keeps the order of
 //! what it is given; so a bound is never farther away than a node in it.
 
+mod block;
+mod lanes;
+
 use heapless::Vec;
 use shm_config::settings::planner::NODES_MAX;
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
 use vehicle::{Point, Vector};
 
-/// Nodes of a block, and buckets of a group: loops over so many become vector instructions,
-/// of as many lanes as the function they are inlined into may use.
-pub(crate) const LANES: usize = 8;
+use block::{Block, Group};
+pub(crate) use lanes::LANES;
+use lanes::{least_of, less, mask, more, take_lowest};
+
 /// Most buckets: 4,096 nodes are then 64 in each.
 const BUCKETS_MAX: usize = 64;
 const GROUPS_MAX: usize = BUCKETS_MAX / LANES;
@@ -51,77 +55,6 @@ impl Spread {
         high: Point::new(0.0, 0.0),
         nodes: 0,
     };
-}
-
-/// Nodes of one bucket. Lanes after the last node are infinitely far away.
-#[derive(Debug, Clone, Copy)]
-struct Block {
-    x_m: [f64; LANES],
-    y_m: [f64; LANES],
-    cost_m: [f64; LANES],
-    /// As numbers of the same width, which vector instructions compare together.
-    index: [f64; LANES],
-    /// The next block of the bucket.
-    next: u16,
-    bucket: u16,
-}
-
-impl Block {
-    /// Squared distances to a point, m².
-    #[inline(always)]
-    fn squares(&self, point_body: Point) -> [f64; LANES] {
-        let mut squares = [0.0; LANES];
-        for (lane, square) in squares.iter_mut().enumerate() {
-            let (dx_m, dy_m) = (self.x_m[lane] - point_body.x, self.y_m[lane] - point_body.y);
-            *square = dx_m * dx_m + dy_m * dy_m;
-        }
-        squares
-    }
-}
-
-/// The bounds of some buckets: of the places of their nodes, and of the costs.
-#[derive(Debug, Clone, Copy)]
-struct Group {
-    low_x_m: [f64; LANES],
-    high_x_m: [f64; LANES],
-    low_y_m: [f64; LANES],
-    high_y_m: [f64; LANES],
-    /// The least cost.
-    least_m: [f64; LANES],
-    /// At least the greatest cost.
-    most_m: [f64; LANES],
-    /// Squared distances to the point that was measured last, m².
-    squares: [f64; LANES],
-    first: [u16; LANES],
-    last: [u16; LANES],
-    /// Nodes in the last block.
-    filled: [u16; LANES],
-}
-
-impl Group {
-    const EMPTY: Self = Self {
-        low_x_m: [f64::INFINITY; LANES],
-        high_x_m: [f64::NEG_INFINITY; LANES],
-        low_y_m: [f64::INFINITY; LANES],
-        high_y_m: [f64::NEG_INFINITY; LANES],
-        least_m: [f64::INFINITY; LANES],
-        most_m: [f64::NEG_INFINITY; LANES],
-        squares: [f64::INFINITY; LANES],
-        first: [NONE; LANES],
-        last: [NONE; LANES],
-        filled: [LANES as u16; LANES],
-    };
-
-    #[inline(always)]
-    fn measure(&mut self, point_body: Point) {
-        for lane in 0..LANES {
-            let apart =
-                |low_m: f64, high_m: f64, at_m: f64| more(more(low_m - at_m, at_m - high_m), 0.0);
-            let dx_m = apart(self.low_x_m[lane], self.high_x_m[lane], point_body.x);
-            let dy_m = apart(self.low_y_m[lane], self.high_y_m[lane], point_body.y);
-            self.squares[lane] = dx_m * dx_m + dy_m * dy_m;
-        }
-    }
 }
 
 /// How far from a point a node may be, by its cost: a cost times this sign and a length, m,
@@ -460,16 +393,32 @@ impl Best {
     /// Takes the nodes of a block in.
     #[inline(always)]
     fn take(&mut self, block: &Block, point_body: Point, limit: f64, after: &Via) {
+        // One simple loop after the other: of a single one the compiler may make no vectors.
         let squares = block.squares(point_body);
+        let mut costs_m = squares.map(f64::sqrt);
+        for (cost_m, from_m) in costs_m.iter_mut().zip(&block.cost_m) {
+            *cost_m += from_m;
+        }
+        let mut better = [false; LANES];
         for lane in 0..LANES {
-            let (cost_m, index) = (block.cost_m[lane] + squares[lane].sqrt(), block.index[lane]);
-            let (best_m, first) = (self.cost_m[lane], self.index[lane]);
-            let is_less = (cost_m < best_m) | ((cost_m == best_m) & (index < first));
+            let (cost_m, index) = (costs_m[lane], block.index[lane]);
+            let is_less = (cost_m < self.cost_m[lane])
+                | ((cost_m == self.cost_m[lane]) & (index < self.index[lane]));
             let is_after =
                 (cost_m > after.cost_m) | ((cost_m == after.cost_m) & (index > after.index));
-            let is_better = is_less & is_after & (squares[lane] <= limit);
-            self.cost_m[lane] = if is_better { cost_m } else { best_m };
-            self.index[lane] = if is_better { index } else { first };
+            better[lane] = is_less & is_after & (squares[lane] <= limit);
+        }
+        for lane in 0..LANES {
+            self.cost_m[lane] = if better[lane] {
+                costs_m[lane]
+            } else {
+                self.cost_m[lane]
+            };
+            self.index[lane] = if better[lane] {
+                block.index[lane]
+            } else {
+                self.index[lane]
+            };
         }
     }
 }
@@ -503,46 +452,6 @@ fn each_in(
         at = block.next;
     }
     most_m.into_iter().fold(f64::NEG_INFINITY, more)
-}
-
-/// A bit for each lane that is true, the lowest for the first.
-#[inline(always)]
-fn mask(lanes: [bool; LANES]) -> u64 {
-    // In lanes as wide as the numbers that were compared.
-    let mut bits = [0; LANES];
-    for (lane, bit) in bits.iter_mut().enumerate() {
-        *bit = if lanes[lane] { 1 << lane } else { 0 };
-    }
-    let [a, b, c, d, e, f, g, h] = bits;
-    ((a | e) | (c | g)) | ((b | f) | (d | h))
-}
-
-/// The lowest bit of a mask, which is cleared.
-#[inline(always)]
-fn take_lowest(mask: &mut u64) -> Option<usize> {
-    let lane = mask.trailing_zeros() as usize;
-    *mask &= mask.wrapping_sub(1);
-    (lane < LANES).then_some(lane)
-}
-
-/// The least of some numbers, by halves: a single running minimum would be a chain of
-/// dependent comparisons.
-#[inline(always)]
-fn least_of(numbers: &[f64; LANES]) -> f64 {
-    let [a, b, c, d, e, f, g, h] = *numbers;
-    less(less(less(a, e), less(c, g)), less(less(b, f), less(d, h)))
-}
-
-/// The lesser of two numbers that are numbers: one instruction.
-#[inline(always)]
-fn less(a: f64, b: f64) -> f64 {
-    if a < b { a } else { b }
-}
-
-/// The greater of two numbers that are numbers.
-#[inline(always)]
-fn more(a: f64, b: f64) -> f64 {
-    if a > b { a } else { b }
 }
 
 #[cfg(test)]

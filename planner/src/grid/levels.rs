@@ -106,3 +106,6 @@ fn put_together(words: &[u64], fours: &mut [u64], apart: usize) {
         *four = a[index] | b[index] | c[index] | d[index];
     }
 }
+
+#[cfg(test)]
+mod tests;
