@@ -309,6 +309,8 @@ impl Buckets {
         least.0
     }
 
+    // Other forms of this loop did not become vector instructions.
+    #[allow(clippy::needless_range_loop)]
     #[inline(always)]
     fn nearest_in(&self, bucket: usize, point_body: Point, best: &mut Nearest) {
         let mut at = self.groups[bucket / LANES].first[bucket % LANES];
