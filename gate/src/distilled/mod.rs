@@ -2,7 +2,7 @@
 //!
 //! [`features`] turns a question into numbers, the same in training and in driving; a
 //! [`DistilledNet`] gives an [`Opinion`] of them and says whether it is sure. The tool
-//! `./vlaps judge distil` trains the net and writes its file ([`file`]); the gate asks
+//! `./vlaps judge distil` trains the net and writes its file ([`mod@file`]); the gate asks
 //! it before any slow judge (`crate::judge::Distilled`). Arithmetic only: no clock, no
 //! thread.
 

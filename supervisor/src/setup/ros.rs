@@ -10,7 +10,7 @@ use crate::setup::foreign::{beside_the_build, root};
 /// Builds `vlaps-ros` and `vlaps-ros-world`.
 ///
 /// # Errors
-/// As [`build`].
+/// One line that says which step failed, why, and what to do.
 pub fn setup() -> Result<(), Failure> {
     build("ros")?;
     say("ready: target/release/vlaps-ros RUN, ./vlaps up --world target/release/vlaps-ros-world");
@@ -20,7 +20,7 @@ pub fn setup() -> Result<(), Failure> {
 /// Builds `vlaps-link` and the programs that stand for processes of other machines.
 ///
 /// # Errors
-/// As [`build`].
+/// One line that says which step failed, why, and what to do.
 pub fn setup_link() -> Result<(), Failure> {
     build("link")?;
     say("ready: ./vlaps link invite, ./vlaps up --judge HOST:PORT, ./vlaps join");
