@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 /* The hash of all layouts, codes and constants below. A library with another one refuses to join. */
-#define VLAPS_LAYOUT UINT64_C(0x554bb77593e0e29b)
+#define VLAPS_LAYOUT UINT64_C(0xf360a9eba839f6f7)
 
 #define VLAPS_BEAMS_MAX 2048
 #define VLAPS_WAYPOINTS_MAX 64
