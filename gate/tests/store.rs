@@ -117,10 +117,10 @@ fn a_line_that_is_no_record_is_named_by_its_number() {
         error.contains("questions.jsonl, line 3: missing field"),
         "{error}"
     );
-    fs::write(&path, "{\"version\": 2, \"news\": 1}\n").expect("written");
+    fs::write(&path, "{\"version\": 3, \"news\": 1}\n").expect("written");
     let error = read(folder.path()).expect_err("newer").to_string();
     assert!(
-        error.contains("line 1: format 2, this program knows 1"),
+        error.contains("line 1: format 3, this program knows 2"),
         "{error}"
     );
 }
