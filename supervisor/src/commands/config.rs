@@ -35,6 +35,7 @@ const SOURCES: &[&str] = &[
     include_str!("../../../shm-config/src/config/deadlines.rs"),
     include_str!("../../../shm-config/src/config/world.rs"),
     include_str!("../../../shm-config/src/config/programs.rs"),
+    include_str!("../../../shm-config/src/config/link.rs"),
     include_str!("../../../shm-config/src/settings/planner.rs"),
     include_str!("../../../shm-config/src/settings/informed.rs"),
     include_str!("../../../shm-config/src/settings/kinodynamic.rs"),

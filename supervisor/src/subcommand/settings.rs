@@ -178,7 +178,7 @@ mod tests {
     fn the_rate_of_a_vehicle_can_be_overridden_where_episodes_are_driven() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("car.toml");
-        std::fs::write(&file, "[run]\nrate_hz = 20.0\n").expect("a vehicle file");
+        std::fs::write(&file, "[vehicle]\n\n[run]\nrate_hz = 20.0\n").expect("a vehicle file");
         let told = config([None, Some(&file)], &[]).expect_err("another rate");
         let remedy = "run.rate_hz=10";
         assert!(told.to_string().ends_with(remedy), "{told}");
