@@ -56,7 +56,10 @@ pub struct Counts {
 impl Counts {
     /// Transitions made so far.
     pub fn transitions(&self) -> u64 {
-        self.expert + self.policy + self.unlabelled
+        // A file may hold any numbers.
+        self.expert
+            .saturating_add(self.policy)
+            .saturating_add(self.unlabelled)
     }
 
     /// Answers of the expert that this algorithm learns from: those of driven steps and
@@ -67,12 +70,12 @@ impl Counts {
             Algorithm::Dagger => self.transitions(),
             Algorithm::Pvp | Algorithm::Ppl | Algorithm::Bc | Algorithm::HgDagger => self.expert,
         };
-        driven + self.imagined
+        driven.saturating_add(self.imagined)
     }
 
     /// Steps driven: received, or published while the learner was not connected.
     pub fn driven(&self) -> u64 {
-        self.steps + self.lost
+        self.steps.saturating_add(self.lost)
     }
 
     /// The larger of the two values of each count. Both count the same steps from the

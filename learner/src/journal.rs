@@ -56,7 +56,7 @@ impl Mark {
         let sequence = match self.sequence {
             // The controller is unknown.
             0 => 0,
-            sequence => sequence + further,
+            sequence => sequence.saturating_add(further),
         };
         Mark {
             counts,
