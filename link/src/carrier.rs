@@ -243,7 +243,7 @@ impl Connection {
                 "transport/link/tls/connect_private_key_base64",
                 encoded(&bundle.certificate.key),
             ),
-            // The run's own authority makes one certificate of a vehicle, whatever its
+            // The run's own authority makes one certificate of a vehicle, at any of its
             // address is.
             ("transport/link/tls/verify_name_on_connect", json!(false)),
         ]);

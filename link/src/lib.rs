@@ -1,6 +1,6 @@
 //! Judge, learner, view and recorder of a running set on other machines, over Zenoh.
 //!
-//! Whatever the network does, no tick is late, nothing is lost uncounted, and no command
+//! A fault of the network makes no tick late and loses nothing uncounted, and no command
 //! comes from elsewhere. `docs/machines.md` is the guide, decision 0045 says why it is built
 //! like this.
 //!

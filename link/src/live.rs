@@ -79,7 +79,7 @@ impl Live {
         seal(kind, (self.session, self.sent), body, &self.ends.send)
     }
 
-    /// Whether a packet is of this session, unchanged, and not received before.
+    /// Whether a packet is of this connection, unchanged, and not received before.
     ///
     /// # Errors
     /// Why it is refused.

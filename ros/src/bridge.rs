@@ -277,7 +277,7 @@ impl Bridge {
             return;
         }
         if !topics.drive.is_wanted() {
-            // Whatever subscribes later is told the speed of then.
+            // A later subscriber gets the speed of that time.
             self.driven = None;
         } else if self.step.copy_from(memory) && self.step.check().is_ok() {
             let header = &self.step.header;

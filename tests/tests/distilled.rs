@@ -110,14 +110,14 @@ fn a_net_answers_first_and_passes_on_and_runs_repeat() {
 fn a_slow_judge_that_fails_lets_the_expert_drive() {
     let set = Set::new("failing");
     // Nothing listens there.
-    let nobody = [
+    let unreachable = [
         "--set",
         "gate.pass_to=vlm",
         "--set",
         "vlm.server=http://127.0.0.1:9/v1",
     ];
     // From above 1 on it never answers.
-    let (code, json) = drive(&set, &file(UNSURE), &nobody);
+    let (code, json) = drive(&set, &file(UNSURE), &unreachable);
     assert_eq!(code, 0, "{json}");
     assert_eq!(json["judge"]["net"]["answered"], 0, "{json}");
     assert_eq!(json["share"]["policy"], 0.0, "{json}");

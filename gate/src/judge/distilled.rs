@@ -22,7 +22,7 @@ const AUDITS_MAX: usize = 64;
 /// other questions go to a slow judge. A share of the net's answers is audited: the slow
 /// judge is asked, too, and its answer is recorded and has no effect.
 ///
-/// Whatever fails, no answer is invented: a net that gives no number is not sure, and the
+/// A failure gives no answer: a net that gives no number is not sure, and the
 /// failure of the slow judge is a failure.
 pub struct Distilled {
     net: DistilledNet,

@@ -94,7 +94,7 @@ fn serve(
         (Err(error), _) => return tracing::error!(%error, "no foresight"),
         (_, Err(error)) => return tracing::error!(%error, "no foresight"),
     };
-    // Nobody looks at the picture: the smallest one.
+    // The picture is not used: the smallest one.
     let vlm = Vlm {
         view: View::TopDown,
         width_px: *FRAME_SIDES_PX.start(),

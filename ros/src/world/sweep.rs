@@ -23,7 +23,7 @@ const GAP: Refused = Refused(
 
 /// Fills the beams of a fan from scans.
 ///
-/// Whatever reads an observation takes it that each beam was measured: a place beside a beam
+/// Readers of an observation assume that each beam was measured: a place beside a beam
 /// by at most the car's width is seen. So a beam has to lie between two measured ranges that
 /// leave no room for more than that between them, or along a measured range. Anything else
 /// refuses the scan: what is not seen shall not pass for free.

@@ -161,7 +161,7 @@ pub fn of_actors() -> Vec<Part> {
             rate * UPDATE_S,
             Remedy::Less {
                 factor: 0.0,
-                how: "as many updates as the learner can make, whatever the number of steps",
+                how: "as many updates as the learner can make, at any number of steps",
             },
         ),
         part(
