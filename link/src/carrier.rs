@@ -243,8 +243,8 @@ impl Connection {
                 "transport/link/tls/connect_private_key_base64",
                 encoded(&bundle.certificate.key),
             ),
-            // The run's own authority makes one certificate of a vehicle, at any of its
-            // address is.
+            // The run's own authority makes one certificate of a vehicle, which is valid
+            // at each of its addresses.
             ("transport/link/tls/verify_name_on_connect", json!(false)),
         ]);
         let config = config(settings)?;
