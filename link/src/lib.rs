@@ -16,11 +16,15 @@
 //! | [`carrier`] | Zenoh |
 //! | [`station`], [`stand_in`], [`serve`] | the vehicle's processes |
 //! | [`mirror`], [`program`], [`join`] | the other machine's |
+//! | [`arguments`], [`commands`] | the command line, and what each command does |
 //! | [`report`] | what both have done |
 
+#[path = "../../supervisor/src/commands/link.rs"]
+pub mod arguments;
 pub mod carrier;
 pub mod certificate;
 pub mod clock_map;
+pub mod commands;
 pub mod dating;
 pub mod flow;
 pub mod hello;
