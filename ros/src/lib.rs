@@ -19,6 +19,7 @@
 
 pub mod bridge;
 pub mod cdr;
+pub mod command;
 pub mod frames;
 pub mod inbound;
 pub mod lines;

@@ -1,23 +1,9 @@
 //! `vlaps-ros`: a running set as ROS 2 topics.
 
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
-use shm_config::run::RunName;
-use shm_config::secret;
 use shm_config::text::{Printable, printable_lines};
-use vlaps_ros::bridge;
-use vlaps_ros::settings::Settings;
-
-const HELP: &str =
-    "Publish a running set as ROS 2 topics over Zenoh, as one reader more, until the \
-set ends or Ctrl-C.
-
-Usage: vlaps-ros RUN
-
-The environment variable VLAPS_ROS names a file of settings: docs/ros.md.
-Exit code 2: no such run, or the settings are wrong.";
+use vlaps_ros::command::{HELP, publish};
 
 fn main() -> ExitCode {
     let words: Vec<String> = std::env::args().skip(1).collect();
@@ -28,11 +14,6 @@ fn main() -> ExitCode {
     if ["-h", "--help"].contains(&word.as_str()) {
         println!("{HELP}");
         return ExitCode::SUCCESS;
-    }
-    // It needs no key, and talks to a network.
-    if let Err(error) = secret::take() {
-        eprintln!("vlaps-ros: cannot take the keys out of the environment: {error}");
-        return ExitCode::from(2);
     }
     tracing_subscriber::fmt()
         .with_writer(|| Printable(std::io::stderr()))
@@ -52,15 +33,4 @@ fn main() -> ExitCode {
             ExitCode::from(2)
         }
     }
-}
-
-fn publish(word: &str) -> Result<bridge::Sent, String> {
-    let name: RunName = word.parse().map_err(|error| format!("{error}"))?;
-    let settings = Settings::load()?;
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
-        let registered = signal_hook::flag::register(signal, stop.clone());
-        registered.map_err(|error| format!("cannot handle signals: {error}"))?;
-    }
-    bridge::run(&name, &settings, &stop)
 }
