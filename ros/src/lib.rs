@@ -9,6 +9,7 @@
 //! | [`names`] | key expressions, liveliness tokens, attachments |
 //! | [`session`] | one connection to the router, and what is told of it |
 //! | [`publisher`] | a ROS topic that is published |
+//! | [`command`] | the command line of `vlaps-ros` |
 //! | [`bridge`] | a run, read from outside, as ROS topics: the program `vlaps-ros` |
 //! | [`cdr`], [`inbound`] | messages from ROS, checked |
 //! | [`frames`] | poses of frames in each other, from TF |
