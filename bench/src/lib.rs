@@ -51,6 +51,7 @@ pub mod photography;
 pub mod planning;
 mod products;
 pub mod replaying;
+mod rows;
 pub mod scale;
 pub mod soak;
 pub mod speed;

@@ -37,6 +37,7 @@ pub mod progress;
 pub mod regress;
 pub mod replay;
 pub mod report;
+mod sections;
 pub mod shard;
 pub mod statistics;
 pub mod stop;

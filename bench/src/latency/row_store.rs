@@ -3,19 +3,17 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use supervisor::cli::failure::Failure;
 
 use super::arguments::{Case, Settings};
 use super::buckets::{self, Series};
 use super::row::Row;
+use crate::rows::RowFolder;
 use supervisor::subcommand::write_json;
 
-/// The folder of finished rows, if one was given.
+/// The rows in the folder of finished ones, if one was given.
 #[derive(Debug)]
-pub struct RowStore {
-    folder: Option<PathBuf>,
-}
+pub struct RowStore(RowFolder);
 
 impl RowStore {
     /// Creates the folder.
@@ -23,16 +21,11 @@ impl RowStore {
     /// # Errors
     /// If it cannot be created.
     pub fn open(out: Option<&Path>) -> anyhow::Result<Self> {
-        let folder = out.map(|out| out.join("rows"));
-        if let Some(folder) = &folder {
-            fs::create_dir_all(folder).with_context(|| format!("--out {}", folder.display()))?;
-        }
-        Ok(Self { folder })
+        RowFolder::open(out).map(Self)
     }
 
     fn file(&self, case: &Case, ending: &str) -> Option<PathBuf> {
-        let folder = self.folder.as_ref()?;
-        Some(folder.join(format!("{}.{ending}", case.slug())))
+        self.0.file(&format!("{}.{ending}", case.slug()))
     }
 
     /// The row of a case if it was measured with the same settings.

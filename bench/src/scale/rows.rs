@@ -9,6 +9,7 @@ use shm_config::file::{Durable, replace};
 use supervisor::cli::failure::Failure;
 
 use super::sweep::{Cost, Late, Sweep};
+use crate::rows::RowFolder;
 
 /// Version of the way that rows are measured; other ones are not comparable.
 const METHOD: u32 = 1;
@@ -90,11 +91,9 @@ impl Row {
     }
 }
 
-/// The folder of finished rows, if one was given.
+/// The rows in the folder of finished ones, if one was given.
 #[derive(Debug)]
-pub struct RowStore {
-    folder: Option<PathBuf>,
-}
+pub struct RowStore(RowFolder);
 
 impl RowStore {
     /// Creates the folder.
@@ -102,16 +101,11 @@ impl RowStore {
     /// # Errors
     /// If it cannot be created.
     pub fn open(out: Option<&Path>) -> anyhow::Result<Self> {
-        let folder = out.map(|out| out.join("rows"));
-        if let Some(folder) = &folder {
-            fs::create_dir_all(folder).with_context(|| format!("--out {}", folder.display()))?;
-        }
-        Ok(Self { folder })
+        RowFolder::open(out).map(Self)
     }
 
     fn file(&self, sweep: Sweep, value: u64) -> Option<PathBuf> {
-        let folder = self.folder.as_ref()?;
-        Some(folder.join(format!("{}-{value}.json", sweep.word())))
+        self.0.file(&format!("{}-{value}.json", sweep.word()))
     }
 
     /// The row if it was measured with the same settings. A row that cannot be read is
@@ -158,10 +152,7 @@ impl RowStore {
 
     /// Removes the rows of a sweep, so that they are measured again.
     pub fn forget(&self, sweep: Sweep) {
-        let entries = self
-            .folder
-            .as_ref()
-            .and_then(|folder| fs::read_dir(folder).ok());
+        let entries = self.0.path().and_then(|folder| fs::read_dir(folder).ok());
         for entry in entries.into_iter().flatten().flatten() {
             let name = entry.file_name().to_string_lossy().into_owned();
             let rest = name.strip_prefix(sweep.word());

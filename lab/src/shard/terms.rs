@@ -10,28 +10,13 @@ use shm_config::config::Config;
 use toml::{Table, Value};
 
 use super::Shard;
+use crate::sections::DECISIVE;
 
 /// Number of differences that an error names.
 const NAMED: usize = 3;
 
-/// The sections of the configuration that figures may depend on; the others say where and
-/// beside what it runs.
-const SECTIONS: [&str; 14] = [
-    "vehicle",
-    "scanner",
-    "world",
-    "planner",
-    "informed",
-    "kinodynamic",
-    "mpc",
-    "controller",
-    "safety",
-    "faulty_judge",
-    "gate",
-    "policy",
-    "learner",
-    "vlm",
-];
+/// Figures also depend on the model that is asked.
+const MODEL: &str = "vlm";
 
 /// The terms by name.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -62,7 +47,7 @@ impl Terms {
     /// If the configuration has no text.
     pub fn add_config(&mut self, config: &Config) -> anyhow::Result<()> {
         let table = Table::try_from(config).context("the configuration")?;
-        for section in SECTIONS {
+        for section in DECISIVE.into_iter().chain([MODEL]) {
             if let Some(value) = table.get(section) {
                 self.add_value(section, value);
             }

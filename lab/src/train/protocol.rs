@@ -11,6 +11,7 @@ use toml::{Table, Value};
 
 use super::experiment::Experiment;
 use super::results::CONFIG;
+use crate::sections::DECISIVE;
 use supervisor::subcommand::settings;
 
 /// First training seed; the seeds are 100 to 149.
@@ -87,7 +88,7 @@ impl Protocol {
         let begun = Table::try_from(load(&file)?)?;
         let now = Table::try_from(&self.config)?;
         let mut differences = Vec::new();
-        for section in SAME {
+        for section in DECISIVE {
             compare(
                 section,
                 begun.get(section),
@@ -106,23 +107,6 @@ impl Protocol {
         Ok(())
     }
 }
-
-/// The sections of the configuration that affect learning.
-const SAME: [&str; 13] = [
-    "vehicle",
-    "scanner",
-    "world",
-    "planner",
-    "informed",
-    "kinodynamic",
-    "mpc",
-    "controller",
-    "safety",
-    "faulty_judge",
-    "gate",
-    "policy",
-    "learner",
-];
 
 /// Collects the keys with different values, as `key = begun, not now`.
 fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<String>) {
@@ -256,14 +240,6 @@ mod tests {
     use shm_config::run::RunName;
 
     use super::*;
-
-    #[test]
-    fn the_sections_that_affect_learning_exist() {
-        let all = Table::try_from(Config::default()).expect("a table");
-        for section in SAME {
-            assert!(all.contains_key(section), "{section}");
-        }
-    }
 
     #[test]
     fn a_long_folder_makes_a_name_that_a_run_can_have() {

@@ -54,6 +54,17 @@ impl Remedy {
 }
 
 impl Part {
+    /// One that all members share.
+    fn shared(name: &'static str, demand: String, load_per_member: f64, remedy: Remedy) -> Self {
+        Self {
+            name,
+            demand,
+            load_per_member,
+            is_own: false,
+            remedy,
+        }
+    }
+
     /// The share of its capacity that a fleet takes; above 1 it breaks.
     pub fn load(&self, members: u64) -> f64 {
         match self.is_own {
@@ -138,13 +149,7 @@ pub fn block_s() -> f64 {
 pub fn of_actors() -> Vec<Part> {
     let rate = transitions_per_s();
     let bytes = transition_bytes();
-    let part = |name, demand, load_per_member, remedy| Part {
-        name,
-        demand,
-        load_per_member,
-        is_own: false,
-        remedy,
-    };
+    let part = Part::shared;
     vec![
         Part {
             is_own: true,
@@ -217,13 +222,7 @@ pub fn of_cars(flows: &[Flow]) -> Vec<Part> {
         factor: 1.0 - timing / bytes * (1.0 - 1.0 / 120.0),
         how: "histograms (timing/*) once a minute in place of twice a second",
     };
-    let part = |name, demand, load_per_member, remedy| Part {
-        name,
-        demand,
-        load_per_member,
-        is_own: false,
-        remedy,
-    };
+    let part = Part::shared;
     vec![
         Part {
             is_own: true,
