@@ -4,6 +4,7 @@
 #[path = "common/sets.rs"]
 mod sets;
 
+use serde_json::Value;
 use sets::{Stage, count, file, is_joined, wait_for};
 
 const POLICY: &str = "results/learning/ppl-10000.onnx";
@@ -59,21 +60,30 @@ fn the_car_drives_by_the_advice_of_a_judge_elsewhere() {
     assert_eq!(summary["restarts"], 0);
 }
 
-/// In lockstep the same seed gives the same commands with the judge here and elsewhere.
-#[test]
-fn a_judge_elsewhere_judges_bit_by_bit_as_one_beside() {
-    let Some(stage) = Stage::new() else { return };
-    let policy = file(POLICY);
-    let drive = ["--lockstep", "--episodes", "1", "--policy", &policy];
-    let mut here = stage.up(&[&drive[..], &["--gate", "rules"]].concat());
+/// Drives in lockstep with the process beside the car, then elsewhere: the commands are the
+/// same. Both summaries, and the vehicle's report of the second drive.
+fn here_and_elsewhere(
+    stage: &Stage,
+    role: &str,
+    drive: &[&str],
+    own: &[&str],
+) -> (Value, Value, Value) {
+    let mut here = stage.up(&[drive, own].concat());
     assert_eq!(here.wait(), Some(0), "{}", here.text());
     let beside = stage.summary();
     let address = stage.address();
-    let bundle = stage.invite("judge", &address, "judge.bundle");
+    let bundle = stage.invite(role, &address, &format!("{role}.bundle"));
     let mut join = stage.join(&bundle);
-    let far = ["--judge", &address, "--set", "limits.lockstep_wait_s=30"];
-    let mut up = stage.up(&[&drive[..], &far].concat());
+    let option = format!("--{role}");
+    let far = [
+        option.as_str(),
+        &address,
+        "--set",
+        "limits.lockstep_wait_s=30",
+    ];
+    let mut up = stage.up(&[drive, &far].concat());
     assert_eq!(up.wait(), Some(0), "{}", up.text());
+    let report = stage.vehicle_report(role);
     join.end();
     let far = stage.summary();
     assert_eq!(
@@ -82,6 +92,16 @@ fn a_judge_elsewhere_judges_bit_by_bit_as_one_beside() {
         "{}",
         join.text()
     );
+    (beside, far, report)
+}
+
+/// In lockstep the same seed gives the same commands with the judge here and elsewhere.
+#[test]
+fn a_judge_elsewhere_judges_bit_by_bit_as_one_beside() {
+    let Some(stage) = Stage::new() else { return };
+    let policy = file(POLICY);
+    let drive = ["--lockstep", "--episodes", "1", "--policy", &policy];
+    let (beside, far, _) = here_and_elsewhere(&stage, "judge", &drive, &["--gate", "rules"]);
     assert_eq!(far["reasons"], beside["reasons"]);
     assert!(
         far["share"]["policy"].as_f64() > Some(0.1),
@@ -108,24 +128,8 @@ fn a_learner_elsewhere_makes_the_same_policies_as_one_beside() {
         "--set",
         "learner.algorithm=dagger",
     ];
-    let mut here = stage.up(&[&drive[..], &["--set", "learner.enabled=true"]].concat());
-    assert_eq!(here.wait(), Some(0), "{}", here.text());
-    let beside = stage.summary();
-    let address = stage.address();
-    let bundle = stage.invite("learner", &address, "learner.bundle");
-    let mut join = stage.join(&bundle);
-    let far = ["--learner", &address, "--set", "limits.lockstep_wait_s=30"];
-    let mut up = stage.up(&[&drive[..], &far].concat());
-    assert_eq!(up.wait(), Some(0), "{}", up.text());
-    let report = stage.vehicle_report("learner");
-    join.end();
-    let far = stage.summary();
-    assert_eq!(
-        far["command_digest"],
-        beside["command_digest"],
-        "{}",
-        join.text()
-    );
+    let own = ["--set", "learner.enabled=true"];
+    let (beside, far, report) = here_and_elsewhere(&stage, "learner", &drive, &own);
     assert_eq!(
         far["weights"].as_array().map(Vec::len),
         beside["weights"].as_array().map(Vec::len)
@@ -227,7 +231,7 @@ fn a_view_elsewhere_sees_steps_and_health() {
 }
 
 /// Every tick that was due was driven or is counted as skipped.
-fn accounted(summary: &serde_json::Value) {
+fn accounted(summary: &Value) {
     let number = |key: &str| summary[key].as_f64().expect(key);
     let due = number("elapsed_s") / number("period_s");
     assert_eq!(due.round(), number("ticks") + number("skipped"));
@@ -235,7 +239,7 @@ fn accounted(summary: &serde_json::Value) {
 
 fn peer_of(bundle: &str) -> String {
     let text = std::fs::read_to_string(bundle).expect("a bundle");
-    let bundle: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let bundle: Value = serde_json::from_str(&text).expect("JSON");
     bundle["peer"].as_str().expect("a peer").into()
 }
 
