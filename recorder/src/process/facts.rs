@@ -62,7 +62,9 @@ fn processor() -> Option<String> {
 /// The SHA-256 of the program of each process: the user's, or the one beside this program.
 fn binaries(config: &Config, folder: &Path) -> impl Iterator<Item = (String, String)> {
     Process::ALL.iter().filter_map(move |process| {
-        let name = process.binary();
+        // A process of another machine has a program that stands in its place here.
+        let stand_in = config.link.of(*process).map(|(program, _)| program);
+        let name = stand_in.unwrap_or_else(|| process.binary());
         // The world of another simulator is a script in Python, not the program of the build.
         let is_foreign = *process == Process::World && !config.has_built_in_world();
         let hash = match config.programs.of(*process) {
