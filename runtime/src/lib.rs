@@ -30,6 +30,7 @@
 mod contest;
 mod fault;
 mod kernel;
+mod log;
 mod member;
 mod plan_ticks;
 mod privileges;
