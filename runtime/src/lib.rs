@@ -30,7 +30,6 @@
 mod contest;
 mod fault;
 mod kernel;
-mod log;
 mod member;
 mod plan_ticks;
 mod privileges;

@@ -12,12 +12,12 @@ use shm_config::config::{Config, ConfigError, load};
 use shm_config::run::{InvalidRunName, RunName};
 use shm_config::secret;
 use shm_config::services::Process;
-use shm_config::text::printable_lines;
+use shm_config::text::{Printable, printable_lines};
 use shm_config::time::{Clock, Instant};
 use shm_config::wire::{Wire, WireError};
 
 use crate::Privileges;
-use crate::log::Logs;
+use crate::kernel::set_ordinary;
 use crate::privileges::Ask;
 
 /// The exit code of a process that could not be set up. At the first
@@ -74,6 +74,21 @@ pub struct Member {
     _logs: Option<Logs>,
 }
 
+/// The logging thread; dropping it writes out the queued lines when the process ends.
+struct Logs {
+    _guard: tracing_appender::non_blocking::WorkerGuard,
+}
+
+impl Drop for Logs {
+    /// The guard waits for its thread in a loop, and that thread has no privileges. If
+    /// this thread kept its real-time priority, it could keep the logging thread from
+    /// the core; both would then wait for as long as the kernel lets a real-time thread
+    /// run, as would every other thread on that core.
+    fn drop(&mut self) {
+        set_ordinary();
+    }
+}
+
 impl Member {
     /// Joins the run of the configuration. [`Member::apply_privileges`] asks for
     /// real-time privileges later, when everything is allocated.
@@ -93,9 +108,7 @@ impl Member {
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
             signal_hook::flag::register(signal, stop.clone())?;
         }
-        let logs = Logs::start().map_err(|error| {
-            SetUpError::Own(format!("cannot start the thread of the log: {error}"))
-        })?;
+        let logs = Logs::start();
         let config = load(&arguments.config)?;
         let wire = join_as(&config.run.name.parse()?, process)?;
         // In lockstep every process runs without a pause; real-time priority would
@@ -167,6 +180,26 @@ impl Member {
     }
 }
 
+impl Logs {
+    /// Starts a logging thread. Lines are dropped when the disk is too slow, so no disk
+    /// delays a process.
+    fn start() -> Self {
+        let (writer, guard) = tracing_appender::non_blocking(Printable(std::io::stderr()));
+        tracing_subscriber::fmt()
+            .with_writer(writer)
+            .with_ansi(false)
+            .with_target(false)
+            .with_env_filter(
+                tracing_subscriber::EnvFilter::try_from_env("VLAPS_LOG")
+                    // Zenoh, in a ROS robot's world, repeats its lines for each attempt to
+                    // connect; the world tells the first.
+                    .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("info,zenoh=off")),
+            )
+            .init();
+        Self { _guard: guard }
+    }
+}
+
 /// Joins a run as the process that the supervisor has started. It takes state only from
 /// processes that the supervisor's roster names, and waits until the roster names this
 /// process too.
@@ -208,5 +241,25 @@ pub fn exit_code(process: Process, result: Result<(), SetUpError>) -> ExitCode {
             );
             ExitCode::from(SET_UP_FAILED)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_config::message::Scheduling;
+
+    use super::*;
+    use crate::kernel::{own_scheduling, set_fifo};
+
+    #[test]
+    fn a_process_that_ends_waits_for_its_log_without_privileges() {
+        if set_fifo(1).is_err() {
+            println!("skipped: the log of a real-time thread: no real-time priority here");
+            return;
+        }
+        assert_eq!(own_scheduling().0, Scheduling::Fifo);
+        let (_, guard) = tracing_appender::non_blocking(std::io::sink());
+        drop(Logs { _guard: guard });
+        assert_eq!(own_scheduling(), (Scheduling::Ordinary, 0));
     }
 }
