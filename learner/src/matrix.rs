@@ -1,6 +1,6 @@
 //! The only place that passes slices to the matrix library.
 
-use gemm::Parallelism;
+use gemm_common::Parallelism;
 
 /// A matrix in a slice: element `(r, c)` is `data[r * row_stride + c * column_stride]`.
 #[derive(Clone, Copy)]
@@ -57,18 +57,24 @@ pub enum Old {
 pub fn product(out: &mut [f32], old: Old, a: View, b: View) {
     assert_eq!(a.columns, b.rows, "inner sizes differ");
     assert_eq!(out.len(), a.rows * b.columns, "a result of another size");
+    // The kernel wants an output whose columns follow one another. Rows that do are the
+    // columns of the transposed product: transpose(a b) = transpose(b) transpose(a).
+    let (a, b, row_stride, column_stride) = match b.columns {
+        0 | 1 => (a, b, b.columns, 1),
+        columns => (b.transposed(), a.transposed(), 1, columns),
+    };
     // SAFETY: `View::new` and `transposed` keep every (row, column) within the
     // slice, the asserts above keep the sizes equal, and `out` is borrowed
     // mutably, so nothing else reads or writes it.
     #[allow(unsafe_code)]
     unsafe {
-        gemm::gemm(
+        gemm_f32::gemm::f32::get_gemm_fn()(
             a.rows,
             b.columns,
             a.columns,
             out.as_mut_ptr(),
-            1,
-            b.columns as isize,
+            column_stride as isize,
+            row_stride as isize,
             old == Old::Add,
             a.data.as_ptr(),
             a.column_stride as isize,
