@@ -391,12 +391,14 @@ mod tests {
             let topics = bridge.topics.as_ref();
             topics.is_some_and(|topics| topics.drive.is_wanted())
         });
-        // After a step that was lost, too.
-        for sequence in [50, 51, 90] {
-            pass_on(&mut bridge, &step(sequence));
+        // After steps that were lost, too, in which the car was accelerated by others.
+        for (sequence, speed_mps) in [(50, 10.0), (51, 10.0), (90, 12.0)] {
+            let mut step = step(sequence);
+            step.observation.ego.speed_mps = speed_mps;
+            pass_on(&mut bridge, &step);
             let cdr = heard.recv_timeout(LOST).expect("a drive");
             let speed = cdr[cdr.len() - 12..][..4].try_into().expect("four bytes");
-            assert_eq!(f32::from_le_bytes(speed), 10.0, "step {sequence}");
+            assert_eq!(f32::from_le_bytes(speed), speed_mps, "step {sequence}");
         }
     }
 

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use shm_config::file::read_text;
+use vehicle::Vehicle;
 
 /// The variable with the path of the file.
 pub const VARIABLE: &str = "VLAPS_ROS";
@@ -60,6 +61,16 @@ pub struct Robot {
     pub half_width_m: f64,
     /// Whether the path goes round and round.
     pub closed_path: bool,
+}
+
+impl Robot {
+    /// Half of the width of the road, m, for this car.
+    pub fn half_width_m(&self, vehicle: &Vehicle) -> f64 {
+        match self.half_width_m {
+            0.0 => vehicle.width_m,
+            half_width_m => half_width_m,
+        }
+    }
 }
 
 /// What says when a message was taken.

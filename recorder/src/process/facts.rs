@@ -129,6 +129,8 @@ fn commit(folder: &Path) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use shm_config::config::Simulator;
+
     use super::*;
 
     #[test]
@@ -153,5 +155,28 @@ mod tests {
             expected.map(|(process, hash)| (format!("binary.{}", process.binary()), hash));
         let found: BTreeMap<String, String> = binaries(&config, folder.path()).collect();
         assert_eq!(found, BTreeMap::from(expected));
+    }
+
+    #[test]
+    fn what_stands_for_a_process_elsewhere_is_hashed_by_its_own_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in [
+            "vlaps-world",
+            "vlaps-planner",
+            "vlaps-gate",
+            "vlaps-link-judge",
+        ] {
+            fs::write(folder.path().join(name), name).expect("a program");
+        }
+        let mut config = Config::default();
+        config.link.judge = "0.0.0.0:7450".into();
+        config.world.simulator = Simulator::MetaDrive;
+        let found: Vec<String> = binaries(&config, folder.path())
+            .map(|(key, _)| key)
+            .collect();
+        assert_eq!(found.len(), 2, "{found:?}");
+        for key in ["binary.vlaps-planner", "binary.vlaps-link-judge"] {
+            assert!(found.iter().any(|found| found == key), "{found:?}");
+        }
     }
 }

@@ -70,10 +70,7 @@ impl Ears {
     pub fn new(config: &Config, settings: &Settings, slots: Slots) -> Self {
         let fan = config.scanner.fan();
         let road = Road {
-            half_width_m: match settings.robot.half_width_m {
-                0.0 => config.vehicle.width_m,
-                half_width_m => half_width_m,
-            },
+            half_width_m: settings.robot.half_width_m(&config.vehicle),
             is_closed: settings.robot.closed_path,
         };
         Self {

@@ -63,8 +63,8 @@ impl Laying {
     /// frames that the odometry has had.
     ///
     /// # Errors
-    /// What is wrong with the path or with the place of its frame. Then it is tried again at
-    /// the next call.
+    /// What is wrong with the path, once, or with the place of its frame, which is tried again
+    /// at the next call.
     pub fn lay(
         &mut self,
         (frame, place): (u64, impl FnOnce(&str) -> Place),

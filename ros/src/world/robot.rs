@@ -156,10 +156,7 @@ impl RosRobot {
         let (slots, heard) = slots();
         let (voice, thread) = VoiceThread::start(config, settings, slots)?;
         let vehicle = config.vehicle;
-        let half_width_m = match settings.robot.half_width_m {
-            0.0 => vehicle.width_m,
-            half_width_m => half_width_m,
-        };
+        let half_width_m = settings.robot.half_width_m(&vehicle);
         Ok(Self {
             heard,
             voice,

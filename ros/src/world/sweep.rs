@@ -17,8 +17,8 @@ const ALONG: f64 = 0.25;
 
 const OUTSIDE: Refused = Refused("it does not look where [scanner] says that beams look");
 const GAP: Refused = Refused(
-    "neighbouring ranges of it leave room for the car within range_m of [scanner]: its angle \
-     increment is too large, or ranges between are NaN or below range_min",
+    "a place within range_m of [scanner] is farther than the car's width from each of its ranges: \
+     its angle increment is too large, or ranges between are NaN or below range_min",
 );
 
 /// Fills the beams of a fan from scans.

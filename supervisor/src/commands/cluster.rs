@@ -146,7 +146,7 @@ fn slurm(job: &Job) -> Result<String, Failure> {
 
 fn kubernetes(arguments: &PodJob) -> Result<String, Failure> {
     let job = &arguments.job;
-    let (name, out) = job.check()?;
+    let (_, out) = job.check()?;
     if !out.starts_with(MOUNTED) {
         return Err(Failure::Usage(format!(
             "--out {out}: must be below {MOUNTED}, where the pods mount the volume"
@@ -155,7 +155,7 @@ fn kubernetes(arguments: &PodJob) -> Result<String, Failure> {
     let text = |word: &String| serde_json::Value::from(word.replace("$(", "$$(")).to_string();
     let words: Vec<String> = job.words.iter().map(text).collect();
     Ok(without_head(KUBERNETES, "apiVersion")
-        .replace("vlaps-eval", &format!("vlaps-{name}"))
+        .replace("vlaps-eval", &job_name(out))
         .replace("completions: 8", &format!("completions: {}", job.shards))
         .replace("parallelism: 8", &format!("parallelism: {}", job.shards))
         .replace("+1/8\"", &format!("+1/{}\"", job.shards))
@@ -169,6 +169,17 @@ fn kubernetes(arguments: &PodJob) -> Result<String, Failure> {
             &format!("claimName: {}", text(&arguments.claim)),
         )
         .replace(POD_COMMAND, &words.join(", ")))
+}
+
+/// The name of the Job, from the folder of the parts below the volume: a Job cannot be
+/// changed, so other work needs another name. A label of DNS has 63 letters at most.
+fn job_name(out: &str) -> String {
+    let below = out.strip_prefix(MOUNTED).unwrap_or(out).to_lowercase();
+    let words = below.split(|c: char| !c.is_ascii_alphanumeric());
+    let words: Vec<&str> = words.filter(|word| !word.is_empty()).collect();
+    let mut name = format!("vlaps-{}", words.join("-"));
+    name.truncate(63);
+    name.trim_end_matches('-').into()
 }
 
 /// A word as a shell reads it again.
@@ -222,7 +233,13 @@ mod tests {
 
     #[test]
     fn the_manifest_has_the_command_as_it_was_given() {
-        let words = ["sweep", "--out", "/results/s", "--set", "a=\"$(HOME)\""];
+        let words = [
+            "sweep",
+            "--out",
+            "/results/My_sweep/",
+            "--set",
+            "a=\"$(HOME)\"",
+        ];
         let arguments = PodJob {
             image: "registry:5000/vlaps@sha256:0".into(),
             claim: "mine".into(),
@@ -230,19 +247,22 @@ mod tests {
         };
         let manifest = kubernetes(&arguments).expect("a manifest");
         for line in [
-            "  name: vlaps-sweep",
+            "  name: vlaps-my-sweep",
             "  completions: 9",
             "  parallelism: 9",
             "          image: \"registry:5000/vlaps@sha256:0\"",
             "            claimName: \"mine\"",
             "              cpu: \"3\"",
-            r#"          args: ["sweep", "--out", "/results/s", "--set", "a=\"$$(HOME)\"", "--shard=$(JOB_COMPLETION_INDEX)+1/9"]"#,
+            r#"          args: ["sweep", "--out", "/results/My_sweep/", "--set", "a=\"$$(HOME)\"", "--shard=$(JOB_COMPLETION_INDEX)+1/9"]"#,
         ] {
             assert!(
                 manifest.lines().any(|other| other == line),
                 "{line}: {manifest}"
             );
         }
+        let cores = manifest.lines().filter(|line| line.contains("cpu: \"3\""));
+        assert_eq!(cores.count(), 2, "requests and limits: {manifest}");
+        assert_eq!(job_name(&format!("/results/{}-", "a".repeat(56))).len(), 62);
     }
 
     #[test]

@@ -82,7 +82,7 @@ impl ValueEnum for Part {
             Self::Onnxruntime => PossibleValue::new("onnxruntime")
                 .help("ONNX Runtime, for policies that are no chain of layers: 60 MB"),
             Self::Ros => PossibleValue::new("ros")
-                .help("The programs for ROS 2 over Zenoh: 230 packages, some minutes of compiling"),
+                .help("The programs for ROS 2 over Zenoh: 180 packages more, some minutes of compiling"),
             Self::Link => PossibleValue::new("link").help(
                 "The programs for other machines over Zenoh: 190 packages more, some minutes of compiling",
             ),

@@ -12,6 +12,7 @@ use shm_config::run::RunName;
 use shm_config::shortened;
 
 use crate::cli::parsers::{Name, whole};
+use crate::commands::link::address;
 use crate::setup::foreign::{BUILT_IN, Foreign};
 
 /// Start the process set and drive.
@@ -69,7 +70,7 @@ pub struct Up {
     #[arg(long, value_name = "PROGRAM|HOST:PORT")]
     pub judge: Option<PathBuf>,
     /// A learner on another machine, for which the set waits at HOST:PORT of this one.
-    #[arg(long, value_name = "HOST:PORT")]
+    #[arg(long, value_name = "HOST:PORT", value_parser = address)]
     pub learner: Option<String>,
     /// Keys of --gate human from this file of at most 1 MiB in place of the terminal.
     #[arg(long, value_name = "FILE")]

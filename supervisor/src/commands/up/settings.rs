@@ -195,9 +195,6 @@ fn programs_of(arguments: &Up) -> Result<Vec<(&'static str, &'static str, Value)
         Some(_) if address.is_some() => {
             keys.push(("--judge", "link.judge", address.unwrap_or_default().into()));
             keys.push(("--judge", "programs.gate", "".into()));
-            if arguments.gate.is_none() {
-                keys.push(("--judge", "gate.mode", "rules".into()));
-            }
         }
         Some(path) => {
             keys.push(("--judge", "link.judge", "".into()));
@@ -369,6 +366,16 @@ mod tests {
         assert_eq!(config.link.judge, "0.0.0.0:7450");
         assert_eq!(config.link.learner, "0.0.0.0:7451");
         assert!(config.learner.enabled && config.programs.gate.is_empty());
+        assert_eq!(config.gate.mode, GateMode::Rules);
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("mine.toml");
+        std::fs::write(&file, "[gate]\nmode = \"vlm\"\n").expect("a file");
+        let config = resolve(&Up {
+            config: Some(file),
+            judge: Some("0.0.0.0:7450".into()),
+            ..Up::default()
+        });
+        assert_eq!(config.expect("a configuration").gate.mode, GateMode::Vlm);
         let config = far("/bin/sh");
         assert_eq!(
             (config.link.judge.as_str(), config.programs.gate.as_str()),
