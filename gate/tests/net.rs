@@ -2,10 +2,13 @@
 //! no failure becomes a preference.
 
 use std::collections::VecDeque;
+use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
 
 use gate::advice::Advisor;
-use gate::distilled::{About, DistilledNet, INPUTS, OUTPUTS, Range, assemble, decode, encode};
+use gate::distilled::{
+    About, DistilledNet, INPUTS, OUTPUTS, Range, assemble, decode, encode, read,
+};
 use gate::judge::Distilled;
 use gate::query::{Answer, Failure, QueryQueue, Question};
 use gate::record::{Evidence, Unsure};
@@ -301,6 +304,24 @@ fn a_scan_that_the_net_does_not_know_is_passed_on() {
 }
 
 #[test]
+fn an_overflow_in_the_net_is_no_opinion() {
+    let mut layers = layers();
+    // Finite for equal inputs, as the file's check gives them; infinite where steering and
+    // pedal differ in sign.
+    (layers[0].weights[PEDAL], layers[0].weights[PEDAL - 1]) = (3e38, -3e38);
+    let net = assemble(layers, about(0.9)).expect("a net");
+    let net = decode(&encode(&net)).expect("a good file");
+    let (mut advisor, evidence) = advisor(net, &[Err(Failure::Unavailable)], 0.0);
+    let mut step = step(0, [1.0, 0.0]);
+    step.expert.steer = -1.0;
+    let advice = advisor.consider(&step, step.observation.header.taken());
+    assert_eq!((advice.label(), advice.answers), (Preference::Abstain, 1));
+    let net = evidence.try_iter().next().and_then(|evidence| evidence.net);
+    let net = net.expect("an opinion");
+    assert_eq!((net.passed_on, net.expert), (Some(Unsure::Unfit), None));
+}
+
+#[test]
 fn an_audit_is_recorded_and_has_no_effect() {
     let answers = [Ok(Preference::Policy), Err(Failure::Timeout)];
     let (mut advisor, evidence) = advisor(net(0.9), &answers, 1.0);
@@ -330,6 +351,110 @@ fn an_audit_is_recorded_and_has_no_effect() {
         1.0,
         "an audit costs what a question costs"
     );
+}
+
+/// A slow judge that has room for so many questions, and answers none of them yet.
+struct Silent {
+    capacity: usize,
+    open: usize,
+}
+
+impl QueryQueue for Silent {
+    fn kind(&self) -> Kind {
+        Kind::Rules
+    }
+
+    fn put(&mut self, _: Question) -> bool {
+        let has_room = self.open < self.capacity;
+        self.open += usize::from(has_room);
+        has_room
+    }
+
+    fn take(&mut self, _: Instant) -> Option<Answer> {
+        None
+    }
+
+    fn awaited(&self) -> usize {
+        self.open
+    }
+}
+
+#[test]
+fn audits_leave_room_for_a_doubtful_question() {
+    let (sender, evidence) = channel();
+    let slow = Silent {
+        capacity: 2,
+        open: 0,
+    };
+    let nets = (net(0.9), Vehicle::default());
+    let mut judge = Distilled::new(nets, Box::new(slow), 1.0, (sender, clock));
+    assert!(judge.put(Question::about(&step(0, [0.5, -0.5]))), "audited");
+    assert!(judge.put(Question::about(&step(1, [0.5, -0.5]))), "sure");
+    assert!(judge.put(Question::about(&step(2, [0.1, 0.1]))), "in doubt");
+    let follow: Vec<_> = evidence.try_iter().map(|piece| piece.follow).collect();
+    assert_eq!(follow, [1, 0, 0], "the audit's result alone");
+}
+
+/// A judge whose answers are delayed, so that no run in lockstep waits for them.
+struct Late {
+    asked: VecDeque<Question>,
+    due: Instant,
+}
+
+impl QueryQueue for Late {
+    fn kind(&self) -> Kind {
+        Kind::Rules
+    }
+
+    fn put(&mut self, question: Question) -> bool {
+        self.asked.push_back(question);
+        true
+    }
+
+    fn take(&mut self, now: Instant) -> Option<Answer> {
+        let question = (now >= self.due)
+            .then(|| self.asked.pop_front())
+            .flatten()?;
+        Some(Answer::free(question.id(), Preference::Policy))
+    }
+
+    fn awaited(&self) -> usize {
+        0
+    }
+}
+
+#[test]
+fn no_audit_is_forgotten_while_its_answer_is_delayed() {
+    // As many as `FaultyJudge` delays, and `gate.in_flight` at its maximum.
+    const OPEN: u64 = 64 + 16;
+    let (sender, evidence) = channel();
+    let due = Instant(SECOND);
+    let slow = Late {
+        asked: VecDeque::new(),
+        due,
+    };
+    let nets = (net(0.9), Vehicle::default());
+    let mut judge = Distilled::new(nets, Box::new(slow), 1.0, (sender, clock));
+    for tick in 0..OPEN {
+        assert!(judge.put(Question::about(&step(tick, [0.5, -0.5]))));
+        let answer = judge.take(Instant(0)).expect("the net's answer");
+        assert_eq!(answer.preference, Ok(Preference::Expert));
+    }
+    assert_eq!(judge.take(due), None, "an audit decides nothing");
+    let audits = evidence.try_iter().filter(|piece| piece.audit.is_some());
+    assert_eq!(audits.count() as u64, OPEN);
+}
+
+#[test]
+fn a_pipe_and_an_endless_file_are_refused_at_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let pipe = folder.path().join("judge.onnx");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.is_ok_and(|status| status.success()), "a pipe");
+    for path in [Path::new("/dev/zero"), &pipe] {
+        let reason = read(path).expect_err("refused").to_string();
+        assert!(reason.contains("is no regular file"), "{reason}");
+    }
 }
 
 #[test]

@@ -226,6 +226,33 @@ mod tests {
         }
     }
 
+    /// When this fails because the meaning of a feature has changed, raise [`VERSION`] and
+    /// update the numbers: nets that were trained for the old meaning are then refused
+    /// instead of answering wrongly. A change of the rollout's vehicle changes them, too.
+    #[test]
+    fn the_meaning_of_the_features_is_pinned() {
+        let mut question = question();
+        question.observation.ego.pedal = -0.25;
+        for (checkpoint, bend) in question
+            .observation
+            .checkpoints
+            .iter_mut()
+            .zip([Bend::Left, Bend::Right])
+        {
+            (checkpoint.bend_radius_m, checkpoint.bend_angle_rad) = (20.0, 0.5);
+            checkpoint.bend = bend.code();
+        }
+        let rows = party_features(&question, &Vehicle::default(), Side::Seen);
+        let found: Vec<String> = rows
+            .expect("features")
+            .iter()
+            .map(|row| row.map(|value| format!("{value:.6}")).join(" "))
+            .collect();
+        assert_eq!(VERSION, 1);
+        assert_eq!(found.join("\n"), include_str!("features.txt").trim());
+        assert_eq!(format!("{QUESTION_LAYOUT:016x}"), "191b3cb04821b37a");
+    }
+
     #[test]
     fn every_place_of_a_row_is_filled_and_limited() {
         let question = question();

@@ -15,11 +15,10 @@
 //! | `vlaps.judge.questions` `vlaps.judge.seed` `vlaps.judge.commit` | how it was trained |
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use policy::{Chain, Refusal, Shape, decode_chain, encode_chain};
+use shm_config::file;
 use shm_config::message::WEIGHTS_BYTES_MAX;
 
 use super::features::{INPUTS, QUESTION_LAYOUT};
@@ -125,19 +124,13 @@ pub enum FileError {
 /// Reads and checks the file of a distilled judge.
 ///
 /// # Errors
-/// When it cannot be read, or a check fails.
+/// When it cannot be read, is no regular file or longer than a policy may be, or a check fails.
 pub fn read(path: &Path) -> Result<DistilledNet, FileError> {
     let unreadable = |source| FileError::Unreadable {
         path: path.into(),
         source,
     };
-    let file = File::open(path).map_err(unreadable)?;
-    let mut bytes = Vec::new();
-    // One byte more than may be, so that a larger file is seen as such.
-    let most = WEIGHTS_BYTES_MAX as u64 + 1;
-    file.take(most)
-        .read_to_end(&mut bytes)
-        .map_err(unreadable)?;
+    let bytes = file::read(path, WEIGHTS_BYTES_MAX as u64).map_err(unreadable)?;
     decode(&bytes).map_err(|refusal| FileError::Refused {
         path: path.into(),
         refusal,

@@ -100,10 +100,11 @@ impl DistilledNet {
             }
         }
         let [expert, policy, similar] = mean;
+        // Rounding may exceed 1. Unlike `min`, `clamp` keeps NaN, which is no opinion.
         let opinion = Opinion {
-            expert: expert.min(1.0),
-            policy: policy.min(1.0),
-            similar: similar.min(1.0),
+            expert: expert.clamp(0.0, 1.0),
+            policy: policy.clamp(0.0, 1.0),
+            similar: similar.clamp(0.0, 1.0),
             is_novel: rows.iter().any(|row| self.about.range.is_outside(row)),
         };
         opinion.is_valid().then_some(opinion)

@@ -3,24 +3,32 @@
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::Instant;
 use shm_config::message::{Judge as JudgeKind, Preference};
 use vehicle::Vehicle;
 
+use super::faulty::DELAYED_MAX;
 use super::lookout::Lookout;
 use crate::distilled::{DistilledNet, Opinion};
 use crate::query::{Answer, QueryQueue, Question, QuestionId};
 use crate::record::{Evidence, NetOpinion, Unsure};
 
-/// Audits that may be open. When there are more, the oldest is forgotten, and its answer
-/// counts as none.
-const AUDITS_MAX: usize = 64;
+/// Audits that may be open. An audit that is forgotten before its answer comes would let that
+/// answer decide; so there is room for all answers that can still come, and what is dropped
+/// beyond them was never answered.
+const AUDITS_MAX: usize = 128;
+/// The greatest `gate.in_flight`.
+const IN_FLIGHT_MAX: usize = 16;
+const _: () = assert!(AUDITS_MAX >= DELAYED_MAX + IN_FLIGHT_MAX);
+/// Separates the draw of audits from that of faults.
+const AUDIT_SALT: u64 = 0x0061_7564_6974;
 
 /// A judge that asks a small net first. Where the net is sure, it answers at once; the
-/// other questions go to a slow judge. A share of the net's answers is audited: the slow
-/// judge is asked, too, and its answer is recorded and has no effect.
+/// other questions go to a slow judge. A share of the net's answers is audited: where the
+/// slow judge has no other open question, it is asked, too, and its answer is recorded and
+/// decides nothing. Its question occupies a place of `gate.in_flight`, and counts for
+/// `vlm.per_minute_max`: with a single place, a doubtful question waits until the audit is
+/// answered.
 ///
 /// A failure gives no answer: a net that gives no number is not sure, and the
 /// failure of the slow judge is a failure.
@@ -71,11 +79,8 @@ impl Distilled {
 
     /// Whether a question is audited: it depends on the question alone, so runs repeat.
     fn is_audited(&self, question: QuestionId) -> bool {
-        let mut random = SplitMix64::seed_from_u64(question.seed() ^ 0x0061_7564_6974);
-        // Neighbouring seeds give similar first numbers, so the first is skipped.
-        let _ = random.next_u64();
-        let share = (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        share < self.audit
+        let mut shares = question.shares(AUDIT_SALT);
+        shares.next().is_some_and(|share| share < self.audit)
     }
 
     /// Reports what the net thought, and how many further pieces of evidence follow.
@@ -102,7 +107,8 @@ impl QueryQueue for Distilled {
         let (id, begun) = (question.id(), (self.clock)());
         let opinion = self.net.judge(&question, &self.vehicle);
         let sure = opinion.filter(|opinion| self.net.is_sure(opinion));
-        let is_audit = sure.is_some() && self.is_audited(id);
+        // Beside another question, an audit would take the place of the next doubtful one.
+        let is_audit = sure.is_some() && self.slow.awaited() == 0 && self.is_audited(id);
         // An audit for which there is no room is left out.
         let asks_slow = (sure.is_none() || is_audit) && self.slow.put(question.clone());
         if sure.is_none() && !asks_slow {

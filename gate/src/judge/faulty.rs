@@ -1,7 +1,5 @@
 use std::collections::VecDeque;
 
-use rand_xoshiro::SplitMix64;
-use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use shm_config::Instant;
 use shm_config::config;
 use shm_config::message::{Judge as JudgeKind, Preference, Step};
@@ -10,7 +8,7 @@ use crate::query::{Answer, QueryQueue, Question, QuestionId};
 
 /// Answers that are delayed at the same time: enough for a judge that is asked once a
 /// second and answers a minute later. When there are more, the oldest is dropped.
-const DELAYED_MAX: usize = 64;
+pub(super) const DELAYED_MAX: usize = 64;
 
 /// A judge whose answers are inverted, withheld or delayed. It measures how much of
 /// this driving and learning tolerate.
@@ -40,11 +38,9 @@ impl FaultyJudge {
     }
 
     fn disturb(&self, question: QuestionId, preference: Preference) -> Preference {
-        let mut random = SplitMix64::seed_from_u64(self.seed ^ question.seed());
-        // Neighbouring seeds give similar first numbers, so the first is skipped.
-        let _ = random.next_u64();
-        let mut share = || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
-        let (is_inverted, is_withheld) = (share() < self.noise, share() < self.abstention);
+        let mut shares = question.shares(self.seed);
+        let mut happens = |share: f64| shares.next().is_some_and(|drawn| drawn < share);
+        let (is_inverted, is_withheld) = (happens(self.noise), happens(self.abstention));
         match preference {
             Preference::Expert | Preference::Policy if is_withheld => Preference::Abstain,
             Preference::Expert if is_inverted => Preference::Policy,

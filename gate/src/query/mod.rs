@@ -6,6 +6,8 @@ mod queue;
 pub use occasion::Occasion;
 pub use queue::{Immediate, QueryQueue, Serve, Threaded};
 
+use rand_xoshiro::SplitMix64;
+use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
 use shm_config::message::{
     Assessment, Judge as JudgeKind, Observation, Preference, Proposal, Step,
 };
@@ -75,6 +77,15 @@ impl QuestionId {
     /// depend on the question alone.
     pub fn seed(self) -> u64 {
         (self.tick ^ (u64::from(self.episode) << 40)).wrapping_mul(0x9e37_79b9)
+    }
+
+    /// Uniform shares from 0 inclusive to 1 exclusive that depend on the question and this
+    /// salt alone, so runs repeat.
+    pub fn shares(self, salt: u64) -> impl Iterator<Item = f64> {
+        let mut random = SplitMix64::seed_from_u64(self.seed() ^ salt);
+        // Neighbouring seeds give similar first numbers, so the first is skipped.
+        let _ = random.next_u64();
+        std::iter::repeat_with(move || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64)
     }
 }
 

@@ -33,10 +33,21 @@ pub fn config(bytes: &[u8]) -> Said {
 }
 
 /// A policy file: it is refused, or its net answers with numbers. The same bytes may be the
-/// file of a distilled judge, whose opinion is one or none.
+/// file of a distilled judge, which has probabilities or no opinion.
 pub fn policy(bytes: &[u8]) -> Said {
     if let Ok(mut net) = gate::distilled::decode(bytes) {
-        let _ = net.opinion(&[[0.5; INPUTS], [-1.0; INPUTS]]);
+        for rows in [
+            [[0.5; INPUTS], [-1.0; INPUTS]],
+            [[f32::MAX; INPUTS], [0.0; INPUTS]],
+        ] {
+            let Some(opinion) = net.opinion(&rows) else {
+                continue;
+            };
+            let sum = opinion.expert + opinion.policy + opinion.similar;
+            assert!((sum - 1.0).abs() < 1e-6, "{opinion:?}");
+            assert!((0.0..=1.0).contains(&opinion.confidence()), "{opinion:?}");
+            let _ = net.is_sure(&opinion);
+        }
         return Said::Admitted;
     }
     let Ok(file) = policy::decode(bytes) else {
