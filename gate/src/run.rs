@@ -16,7 +16,7 @@ use crate::ports::Ports;
 use crate::query::Answer;
 use crate::record::{Archive, Evidence, QueryLog};
 
-/// Interval at which a run in lockstep polls the judge.
+/// Interval at which a run in lockstep polls the judge, and the records' queue.
 const POLL: Duration = Duration::from_millis(1);
 
 struct Gate {
@@ -27,6 +27,7 @@ struct Gate {
     evidence: Receiver<Evidence>,
     log: QueryLog,
     archive: Archive,
+    disk_wait_ns: u64,
 }
 
 /// Joins the run and publishes advice until the run stops.
@@ -53,6 +54,9 @@ impl Gate {
         let mut telemetry = Telemetry::start(&member)?;
         let advisor = Advisor::new(&config.gate, queue);
         let log = QueryLog::new(patience_ns(config));
+        // Half of the time that the controller waits for this process: the other half is
+        // left for the answer.
+        let disk_wait_ns = (0.5e9 * config.limits.lockstep_wait_s) as u64;
         member.apply_privileges();
         telemetry.set_privileges(&member.privileges);
         telemetry.enter(HealthState::Ready, monotonic());
@@ -64,6 +68,7 @@ impl Gate {
             evidence,
             log,
             archive,
+            disk_wait_ns,
         })
     }
 
@@ -95,9 +100,10 @@ impl Gate {
             self.await_answers(now);
         }
         let heard = self.advisor.hear(now);
-        self.keep_record(step, heard, now);
         let mut advice = self.advisor.advise(now);
         self.ports.advices.send(&mut advice);
+        // After the advice, so that a slow disk does not delay it.
+        self.keep_record(step, heard, now);
         self.telemetry.health.header.tick = step.header().tick;
         self.telemetry.health.state = HealthState::Running.code();
         self.telemetry.count_tick(Tick {
@@ -142,6 +148,28 @@ impl Gate {
         self.log.saw(step);
         let filed = self.log.filed();
         self.archive.keep(filed);
+        if self.member.config.run.is_lockstep() {
+            self.await_disk();
+        }
+        if !self.member.is_stopping() {
+            self.archive.give_up();
+        }
+    }
+
+    /// In lockstep the run's clock stands still until the records have room, so that none is
+    /// lost: for as long as the controller still gets its next advice in time.
+    #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
+    fn await_disk(&mut self) {
+        let begun = monotonic();
+        while !self.archive.hand_over() && !self.member.is_stopping() {
+            let now = monotonic();
+            if now.since_ns(begun) > self.disk_wait_ns {
+                return;
+            }
+            self.telemetry.heartbeat(now);
+            // The bell is left alone: it may announce the next step.
+            self.archive.wait_for_room(POLL);
+        }
     }
 
     #[allow(clippy::disallowed_methods)] // a process entry point reads the clock
