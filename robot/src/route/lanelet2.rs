@@ -80,7 +80,7 @@ impl Map {
             if let Some(pair) = ends(|bound| bound.last().map(|(node, _)| *node)) {
                 map.ends.insert(id, pair);
             }
-            total += left.len().max(right.len());
+            total += left.len() + right.len();
             if total > ROWS_OF_MAP_MAX {
                 return Err(format!(
                     "its lanelets have more than {ROWS_OF_MAP_MAX} places; cut out the part that \

@@ -283,6 +283,37 @@ fn hostile_files_are_refused() {
 }
 
 #[test]
+fn the_rows_of_lanelets_that_share_their_bounds_are_limited() {
+    // Each lanelet has a row for each place of both bounds, so 2,048 of 32 bytes.
+    let (places, lanelets) = (1024, 1 + ROWS_OF_MAP_MAX / 2048);
+    let bound = |first: usize, y: i64| -> String {
+        let node = |k: usize| {
+            format!(
+                "<node id='{}' lat='0' lon='0'><tag k='x' v='{k}'/><tag k='y' v='{y}'/></node>",
+                first + k
+            )
+        };
+        (0..places).map(node).collect()
+    };
+    let ids = |first: usize| -> Vec<i64> { (0..places).map(|k| (first + k) as i64).collect() };
+    let text = |lanelets: usize| {
+        let relations: String = (0..lanelets)
+            .map(|k| lanelet(10_000 + k as i64, 1, 2))
+            .collect();
+        format!(
+            "<osm>{}{}{}{}{relations}</osm>",
+            bound(100, 2),
+            bound(2000, -2),
+            way(1, &ids(100)),
+            way(2, &ids(2000))
+        )
+    };
+    assert_eq!(read(&text(2)).expect("a map").lanelets().count(), 2);
+    let error = read(&text(lanelets)).expect_err("refused");
+    assert!(error.contains("more than 1048576 places"), "{error}");
+}
+
+#[test]
 fn deleted_elements_are_not_read() {
     let text =
         local("x", "y").replace("<relation id='103'>", "<relation id='103' action='delete'>");
