@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::chain::{Chain, Shape, all_finite, wrong_shape};
-use crate::file::{Ends, graph_hash, graph_of, joined, model, sha256};
+use crate::file::{Ends, graph_hash, graph_of, joined, model};
 use crate::onnx::Entry;
 use crate::{Refusal, graph, metadata};
 
@@ -15,8 +15,6 @@ pub struct ChainFile {
     pub chain: Chain,
     /// The metadata, without the prefix `vlaps.`.
     pub metadata: BTreeMap<String, String>,
-    /// Of the whole file.
-    pub sha256: [u8; 32],
 }
 
 /// The key that says what a file is for; a policy has none.
@@ -78,11 +76,7 @@ pub fn decode_chain(
         return Err(metadata::broken(metadata::GRAPH_KEY, "is missing"));
     }
     metadata::check_graph(&model.metadata_props, || graph_hash(&graph))?;
-    Ok(ChainFile {
-        chain,
-        metadata,
-        sha256: sha256(bytes),
-    })
+    Ok(ChainFile { chain, metadata })
 }
 
 /// The refusal of a file for another purpose.
