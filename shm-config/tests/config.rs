@@ -271,6 +271,28 @@ fn the_stand_in_has_a_name_of_its_own_and_is_free() {
     assert_eq!(priced.prices_usd(), [1.0, 0.0], "unless it is told");
 }
 
+#[test]
+fn foresight_is_refused_where_nothing_is_recorded() {
+    let replay = "mode = \"replay\"\nrecording = \"runs/a/judge\"";
+    let error = |text: &str| from_toml(text, "test").expect_err(text).to_string();
+    let text = error(&format!("[gate]\nforesight = true\n{replay}\n"));
+    assert!(
+        text.contains("gate.foresight = true") && text.contains("false when gate.mode is replay"),
+        "{text}"
+    );
+    let text = error("[gate]\nforesight = true\n[programs]\ngate = \"/a\"\n");
+    assert!(
+        text.contains("gate.foresight = true") && text.contains("programs.gate"),
+        "{text}"
+    );
+    for text in [
+        format!("[gate]\nforesight = false\n{replay}\n"),
+        "[gate]\nforesight = true\n".into(),
+    ] {
+        from_toml(&text, "test").expect("foresight has an effect, or is not asked for");
+    }
+}
+
 /// A process on another machine needs an address, and a place to stand in.
 #[test]
 fn an_address_of_another_machine_is_checked_with_what_it_needs() {

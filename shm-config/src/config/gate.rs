@@ -63,7 +63,9 @@ pub struct Gate {
     /// `rules`.
     pub pass_to: PassTo,
     /// For `distilled`: share of the questions that the net has answered which the slow
-    /// judge is asked, too, to count how often both agree. Its answer has no effect.
+    /// judge is asked, too, to count how often both agree. Its answer decides nothing. Its
+    /// question counts for gate.in_flight and vlm.per_minute_max, and is left out while the
+    /// slow judge has another one.
     pub audit: f64,
     /// Ask the world of each question what would follow if either proposal were held, for
     /// the record alone, also where the judge sees no picture. The built-in world knows
@@ -148,6 +150,12 @@ impl Gate {
                 "gate.recording",
                 "\"\"".into(),
                 "the folder runs/NAME/judge of a recorded run when gate.mode is replay",
+            ),
+            (GateMode::Replay, _) if self.foresight => refuse(
+                "gate.foresight",
+                "true".into(),
+                "false when gate.mode is replay: the recorded answers are repeated, and nothing is \
+                 recorded",
             ),
             (GateMode::Distilled, _) if self.distilled.is_empty() => refuse(
                 "gate.distilled",

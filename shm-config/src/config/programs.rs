@@ -43,6 +43,13 @@ impl Programs {
                 expected: "empty, or gate.mode = \"rules\", which starts a gate process".into(),
             });
         }
+        if !self.gate.is_empty() && gate.foresight {
+            return Err(OutOfRange {
+                key: "gate.foresight".into(),
+                value: "true".into(),
+                expected: "false when programs.gate names a program, which keeps no record".into(),
+            });
+        }
         for (key, path) in [
             ("programs.world", &self.world),
             ("programs.planner", &self.planner),
