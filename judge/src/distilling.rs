@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use judge::distil::picture::picture;
 use judge::distil::samples::Sample;
 use judge::distil::{Cost, Figures, Learn, Samples, Schedule, Split, distil as train};
-use judge::statistics::Share;
+use judge::statistics::{Share, quantile};
 use serde::Serialize;
 use shm_config::counted;
 use shm_config::file::{Durable, replace};
@@ -119,7 +119,8 @@ struct Row {
 /// Trains, writes the file of the first training, and prints the figures.
 ///
 /// # Errors
-/// If the records cannot be read or are too few, or a file cannot be written.
+/// If the records cannot be read or are too few, those of `--test` have a map or a judge that
+/// does not fit, or a file cannot be written.
 pub fn distil(arguments: &DistilArguments) -> anyhow::Result<()> {
     let config = config(arguments.config.as_deref(), &arguments.overrides)?;
     let clean = Samples::read(&arguments.runs)?;
@@ -128,6 +129,9 @@ pub fn distil(arguments: &DistilArguments) -> anyhow::Result<()> {
         folders => Some(Samples::read(folders)?),
     };
     describe(&clean, tests.as_ref());
+    if let Some(tests) = &tests {
+        tests.check_apart(&clean)?;
+    }
     let trainings = arguments.noise.len() * arguments.seeds as usize;
     let passes = trainings as u64 * u64::from(arguments.members) * u64::from(arguments.epochs);
     let bar = ProgressBar::new(passes);
@@ -333,28 +337,29 @@ fn print_means(rows: &[Row]) {
     }
     for noise in noises {
         let of: Vec<&Row> = rows.iter().filter(|row| row.noise == noise).collect();
-        let mean = |value: fn(&Figures) -> f64| {
-            let values: Vec<f64> = of.iter().map(|row| value(&row.figures)).collect();
-            let count = values.len() as f64;
-            let [low, high] = values
-                .iter()
-                .fold([f64::MAX, f64::MIN], |[low, high], value| {
-                    [low.min(*value), high.max(*value)]
-                });
-            let mean = values.iter().sum::<f64>() / count;
-            let [mean, low, high] = [mean, low, high].map(|value| 100.0 * value);
-            format!("{mean:.1} % ({low:.1} to {high:.1})")
-        };
+        let mean = |value: fn(&Figures) -> Share| mean(of.iter().map(|row| value(&row.figures)));
         say(format_args!(
             "{:.0} % wrong, {}: passed on {}, right: net {}, teacher there {}, together {}",
             100.0 * noise,
             counted(of.len() as u64, "seed"),
-            mean(|figures| figures.passed_on.mean()),
-            mean(|figures| figures.net.mean()),
-            mean(|figures| figures.teacher.mean()),
-            mean(|figures| figures.together.mean()),
+            mean(|figures| figures.passed_on),
+            mean(|figures| figures.net),
+            mean(|figures| figures.teacher),
+            mean(|figures| figures.together),
         ));
     }
+}
+
+/// The mean of these shares, with the least and the greatest. A share without trials says
+/// nothing and is left out; `-` when none is left.
+fn mean(shares: impl Iterator<Item = Share>) -> String {
+    let known = shares.filter(|share| share.trials > 0);
+    let values: Vec<f64> = known.map(|share| 100.0 * share.mean()).collect();
+    let [Some(low), Some(high)] = [0.0, 1.0].map(|at| quantile(&values, at)) else {
+        return "-".into();
+    };
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    format!("{mean:.1} % ({low:.1} to {high:.1})")
 }
 
 fn balanced(share: Option<f64>) -> String {
@@ -363,9 +368,10 @@ fn balanced(share: Option<f64>) -> String {
 
 fn print_cost(cost: &Cost) {
     let usd = |value: Option<f64>| {
-        value.map_or("unknown (no tokens recorded)".into(), |usd| {
-            format!("{usd:.4} USD")
-        })
+        value.map_or(
+            "unknown (neither tokens nor a cost were recorded)".into(),
+            |usd| format!("{usd:.4} USD"),
+        )
     };
     let seconds =
         |value: Option<f64>| value.map_or("-".into(), |value_s| format!("{value_s:.3} s"));
@@ -386,5 +392,17 @@ fn percent(share: Share) -> String {
     match share.trials {
         0 => "-".into(),
         _ => format!("{:.1} %", 100.0 * share.mean()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mean_leaves_out_what_has_no_trials() {
+        let shares = [(1, 4), (0, 0), (3, 4)].map(|(hits, trials)| Share { hits, trials });
+        assert_eq!(mean(shares.into_iter()), "50.0 % (25.0 to 75.0)");
+        assert_eq!(mean([Share::default(); 2].into_iter()), "-");
     }
 }

@@ -1,4 +1,4 @@
-//! Shares with confidence intervals, and Cohen's kappa.
+//! Shares with confidence intervals, calibration, and Cohen's kappa.
 
 /// The two-sided 95 % quantile of the normal distribution.
 const Z: f64 = 1.959_963_984_540_054;
@@ -48,6 +48,35 @@ impl Share {
             },
         ]
     }
+}
+
+/// One bin of a reliability diagram: answers with about the same confidence.
+#[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
+pub struct Bin {
+    /// Right answers among them.
+    pub right: Share,
+    /// Sum of their confidences.
+    pub confidence_sum: f64,
+}
+
+impl Bin {
+    /// Counts an answer with this confidence.
+    pub fn count(&mut self, is_right: bool, confidence: f64) {
+        self.right.trials += 1;
+        self.right.hits += usize::from(is_right);
+        self.confidence_sum += confidence;
+    }
+}
+
+/// The expected calibration error: the mean distance of confidence and share of right
+/// answers, weighted by the bins, [0, 1]. `None` without answers.
+pub fn calibration_error(bins: &[Bin]) -> Option<f64> {
+    let total: usize = bins.iter().map(|bin| bin.right.trials).sum();
+    let off: f64 = bins
+        .iter()
+        .map(|bin| (bin.confidence_sum - bin.right.hits as f64).abs())
+        .sum();
+    (total > 0).then(|| off / total as f64)
 }
 
 /// Cohen's kappa of a square table of counts (rows: one judge, columns: the other): 1 if
@@ -102,6 +131,17 @@ mod tests {
     fn kappa_of_one_answer_alone_is_none() {
         assert_eq!(kappa(&[[7, 0], [0, 0]]), None);
         assert_eq!(kappa(&[[0, 0], [0, 0]]), None);
+    }
+
+    #[test]
+    fn the_calibration_error_is_weighted_by_the_bins() {
+        let mut bins = [Bin::default(); 3];
+        for is_right in [true, true, true, false] {
+            bins[0].count(is_right, 0.75);
+        }
+        bins[2].count(false, 0.5);
+        assert_eq!(calibration_error(&bins), Some(0.5 / 5.0));
+        assert_eq!(calibration_error(&[]), None);
     }
 
     #[test]

@@ -7,12 +7,13 @@ mod records;
 use std::path::{Path, PathBuf};
 
 use gate::distilled::encode;
-use gate::presentation::Party;
+use gate::presentation::{Party, Reply};
 use gate::record::store::Store;
-use gate::record::{NetOpinion, Proposed, Record};
+use gate::record::{Asking, NetOpinion, Proposed, Record, Unsure};
 use judge::distil::samples::Sample;
-use judge::distil::{Figures, Learn, Samples, Schedule, Split, distil};
-use records::record;
+use judge::distil::{Figures, Group, Learn, Samples, Schedule, Split, distil};
+use records::{SHOWING, asking, record};
+use shm_config::config::Run;
 use shm_config::draw::Draw;
 use shm_config::message::{Observation, Preference};
 use shm_config::seen::Seen;
@@ -134,7 +135,7 @@ fn all_questions_of_a_map_are_in_one_part() {
     let runs = [recorded(folder.path(), 1, 30)];
     let samples = Samples::read(&runs).expect("reads").samples;
     let split = Split::of(&samples, 9).expect("enough episodes");
-    let groups = |indices: &[usize]| -> Vec<u64> {
+    let groups = |indices: &[usize]| -> Vec<Group> {
         indices.iter().map(|index| samples[*index].group).collect()
     };
     let [learn, stop, calibrate] =
@@ -213,4 +214,158 @@ fn a_nets_own_answers_teach_nothing() {
         .map(|sample| sample.answer.is_some())
         .collect();
     assert_eq!(taught, [false, true, false]);
+}
+
+/// A run with these lines in section `run` of its configuration, and 20 questions in each of
+/// these episodes in this folder.
+fn configured(folder: &Path, (records, run): (&str, &str), episodes: u32) -> PathBuf {
+    std::fs::write(folder.join("config.toml"), format!("[run]\n{run}\n")).expect("written");
+    recorded(&folder.join(records), 1, episodes)
+}
+
+#[test]
+fn episodes_on_one_map_are_one_group() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = "seed = 100\nseeds = 3\nshuffle = 7";
+    let records = configured(folder.path(), ("judge", run), 9);
+    let samples = Samples::read(&[records]).expect("reads");
+    assert!(samples.unconfigured.is_empty());
+    let config = Run {
+        seed: 100,
+        seeds: 3,
+        shuffle: 7,
+        ..Run::default()
+    };
+    let groups: Vec<_> = samples.samples.iter().map(|sample| sample.group).collect();
+    for (index, group) in groups.iter().enumerate() {
+        let seed = config.episode_seed(index as u32 / 20);
+        assert_eq!(*group, Group::Map(seed), "question {index}");
+    }
+    assert!(groups.iter().all(|group| *group <= Group::Map(102)));
+}
+
+#[test]
+fn earlier_records_are_not_read_with_the_configuration_of_a_later_run() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let before = configured(folder.path(), ("judge-before", "seed = 100"), 1);
+    let replayed = configured(folder.path(), ("judge-before/replay", "seed = 100"), 1);
+    for records in [before, replayed] {
+        let samples = Samples::read(std::slice::from_ref(&records)).expect("reads");
+        assert_eq!(samples.unconfigured, [records]);
+        let group = Group::Episode { run: 0, episode: 0 };
+        assert_eq!(samples.samples[0].group, group);
+    }
+    let replayed = configured(folder.path(), ("judge/replay", "seed = 100"), 1);
+    let samples = Samples::read(&[replayed]).expect("reads");
+    assert_eq!(samples.samples[0].group, Group::Map(100));
+}
+
+#[test]
+fn a_test_on_a_map_or_a_judge_of_its_own_is_needed() {
+    let [one, other, unknown] = [(); 3].map(|()| tempfile::tempdir().expect("a folder"));
+    let of = |folder: &Path, run: &str| {
+        let records = configured(folder, ("judge", run), 3);
+        Samples::read(&[records]).expect("reads")
+    };
+    let learned = of(one.path(), "seed = 100");
+    let overlapping = of(other.path(), "seed = 102");
+    let reason = overlapping.check_apart(&learned).expect_err("refused");
+    let reason = reason.to_string();
+    assert!(
+        reason.contains("1 map") && reason.contains("seed 102"),
+        "{reason}"
+    );
+    let mut tests = of(other.path(), "seed = 103");
+    tests.check_apart(&learned).expect("other maps");
+    // The maps of runs without a configuration are unknown.
+    let unknown = Samples::read(&[recorded(unknown.path(), 1, 3)]).expect("reads");
+    unknown.check_apart(&unknown).expect("nothing to compare");
+    tests.teacher.judge = "vlm".into();
+    let reason = tests.check_apart(&learned).expect_err("refused");
+    let reason = reason.to_string();
+    assert!(
+        reason.contains("by vlm") && reason.contains("by rules"),
+        "{reason}"
+    );
+}
+
+/// A question that a distilled judge was asked, with what became of it and the askings of a
+/// model behind it.
+fn distilled(
+    draw: &mut Draw,
+    (passed_on, audit): (Option<Unsure>, Option<&str>),
+    askings: Vec<Asking>,
+) -> Record {
+    Record {
+        judge: "distilled".into(),
+        preset: "blind".into(),
+        model: match askings.is_empty() {
+            true => "distilled from vlm".into(),
+            false => "a-model".into(),
+        },
+        latency_s: 0.5,
+        askings,
+        net: Some(NetOpinion {
+            expert: Some(0.9),
+            policy: Some(0.05),
+            similar: Some(0.05),
+            passed_on,
+            audit: audit.map(String::from),
+        }),
+        ..question(draw, (0, 0))
+    }
+}
+
+/// Reads these records.
+fn samples(records: impl IntoIterator<Item = Record>) -> anyhow::Result<Samples> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut store = Store::open(folder.path(), 1 << 24).expect("opens");
+    for record in records {
+        let question = store.begin(record, &[]);
+        store.complete(question);
+    }
+    drop(store);
+    Samples::read(&[folder.path().into()])
+}
+
+#[test]
+fn behind_a_net_the_teacher_is_the_slow_judge() {
+    let mut draw = Draw::new(1);
+    let asked = || vec![asking(SHOWING, Reply::First, 0.9)];
+    let doubt = (Some(Unsure::Doubt), None);
+    let audited = (None, Some("expert"));
+    let mut rules = || distilled(&mut draw, audited, Vec::new());
+    let [rules, more] = [rules(), rules()];
+    let unheard = distilled(&mut draw, (None, None), Vec::new());
+    let model = distilled(&mut draw, doubt, asked());
+    let mut audited = distilled(&mut draw, audited, asked());
+    let teacher = |records: &[&Record]| {
+        let samples = samples(records.iter().copied().cloned()).expect("reads");
+        samples.teacher.words()
+    };
+    assert_eq!(teacher(&[&unheard, &rules, &more]), "rules");
+    assert_eq!(
+        teacher(&[&unheard, &model, &audited]),
+        "vlm (a-model, prompt blind)"
+    );
+    assert_eq!(teacher(&[&unheard]), "");
+    let mixed = samples([rules, model.clone()]).expect_err("refused");
+    assert!(mixed.to_string().contains("one judge at a time"), "{mixed}");
+    audited.model = "another".into();
+    let mixed = samples([model, audited]).expect_err("refused");
+    assert!(mixed.to_string().contains("another"), "{mixed}");
+}
+
+#[test]
+fn tokens_and_latency_are_those_of_the_slow_judge() {
+    let mut draw = Draw::new(1);
+    let mut large = asking(SHOWING, Reply::First, 0.9);
+    (large.tokens_in, large.tokens_out) = (u64::MAX, u64::MAX);
+    let mut passed_on = distilled(&mut draw, (Some(Unsure::Doubt), None), vec![large; 2]);
+    passed_on.latency_s = 2.0;
+    let small = vec![asking(SHOWING, Reply::First, 0.9)];
+    let audited = distilled(&mut draw, (None, Some("expert")), small);
+    let asked = samples([passed_on, audited]).expect("reads").asked;
+    assert_eq!(asked.tokens, [u64::MAX; 2]);
+    assert_eq!(asked.latencies_s, [2.0], "not that of the net");
 }

@@ -2,8 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::figures::{BINS, Bin};
-use crate::statistics::Share;
+use super::figures::BINS;
+use crate::statistics::{Bin, Share};
 use gate::record::{Record, Said};
 
 /// Number of bins of the latency histogram.

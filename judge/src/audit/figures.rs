@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::statistics::{Share, kappa, quantile};
+use crate::statistics::{Bin, Share, calibration_error, kappa, quantile};
 use gate::presentation::{Hue, Party, Reply};
 use gate::record::{Asking, Record, Said};
 
@@ -102,15 +102,6 @@ pub struct Flips {
     pub place: usize,
     /// Anything else, such as a preference once and similar once.
     pub mixed: usize,
-}
-
-/// One bin of the calibration.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
-pub struct Bin {
-    /// Share of right replies among those with this confidence.
-    pub right: Share,
-    /// Sum of the stated confidences.
-    pub confidence_sum: f64,
 }
 
 /// All figures of a folder of records; the JSON object of `--json`.
@@ -304,21 +295,8 @@ fn calibration(records: &[Record]) -> [Bin; BINS] {
                 continue;
             };
             let at = (confidence.clamp(0.0, 1.0) * BINS as f64) as usize;
-            let bin = &mut bins[at.min(BINS - 1)];
-            bin.right.trials += 1;
-            bin.right.hits += usize::from(party == safer);
-            bin.confidence_sum += confidence;
+            bins[at.min(BINS - 1)].count(party == safer, confidence);
         }
     }
     bins
-}
-
-/// The expected calibration error.
-fn calibration_error(bins: &[Bin; BINS]) -> Option<f64> {
-    let total: usize = bins.iter().map(|bin| bin.right.trials).sum();
-    let off: f64 = bins
-        .iter()
-        .map(|bin| (bin.confidence_sum - bin.right.hits as f64).abs())
-        .sum();
-    (total > 0).then(|| off / total as f64)
 }

@@ -11,7 +11,8 @@ use std::path::{Component, Path, PathBuf};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-pub use figures::{Agreement, BINS, Bin, Figures, Flips, Truth};
+pub use crate::statistics::Bin;
+pub use figures::{Agreement, BINS, Figures, Flips, Truth};
 
 use shm_config::text::printable_lines;
 

@@ -6,16 +6,15 @@ use gate::distilled::{Opinion, probabilities};
 use learner::network::{Network, Tape};
 
 use super::samples::{Label, Learn, Sample};
-use super::train::pairs;
+use super::split::Group;
+use super::train::{likelihood, pairs};
 
 /// Temperatures that are examined, as logarithms.
 const LOG_TEMPERATURES: [f64; 2] = [-3.0, 3.0];
 /// Steps of the search: each leaves 0.618 of the interval, 40 a part in 10^8.
 const STEPS: usize = 40;
-/// A likelihood is at least this.
-const LEAST: f64 = 1e-9;
 /// The confidence from which on every question is answered.
-const ALWAYS: f64 = 0.5;
+pub const ALWAYS: f64 = 0.5;
 /// The one-sided 95 % quantile of the normal distribution.
 const Z: f64 = 1.644_853_626_951_472;
 
@@ -37,13 +36,10 @@ pub fn temperature(members: &[Network], samples: &[Sample], of: &[usize], learn:
         .collect();
     let loss = |log: f64| -> f64 {
         let losses = labelled.iter().enumerate().map(|(at, (_, label))| {
-            let each = outputs.iter().map(|of| {
-                let shares = probabilities(of[at], log.exp());
-                let right = shares.iter().zip(label.0).filter(|(_, is_right)| *is_right);
-                right.map(|(share, _)| share).sum::<f64>()
-            });
-            let mean = each.sum::<f64>() / members.len() as f64;
-            -mean.max(LEAST).ln()
+            let each = outputs
+                .iter()
+                .map(|of| likelihood(probabilities(of[at], log.exp()), *label));
+            -(each.sum::<f64>() / members.len() as f64).ln()
         });
         losses.sum()
     };
@@ -66,8 +62,8 @@ pub fn temperature(members: &[Network], samples: &[Sample], of: &[usize], learn:
 ///
 /// Novel questions are left out, and are passed on beside that share: where they are many,
 /// the net must not answer more of the others for it.
-pub fn threshold(opinions: &[(u64, Option<Opinion>)], share: f64) -> f64 {
-    let mut places: BTreeMap<u64, usize> = BTreeMap::new();
+pub fn threshold(opinions: &[(Group, Option<Opinion>)], share: f64) -> f64 {
+    let mut places: BTreeMap<Group, usize> = BTreeMap::new();
     for (map, _) in opinions {
         let next = places.len();
         places.entry(*map).or_insert(next);
@@ -120,19 +116,19 @@ fn upper(maps: &[Passed]) -> f64 {
 mod tests {
     use super::*;
 
-    fn opinion(map: u64, confidence: f64, is_novel: bool) -> (u64, Option<Opinion>) {
+    fn opinion(map: u64, confidence: f64, is_novel: bool) -> (Group, Option<Opinion>) {
         let opinion = Opinion {
             expert: confidence,
             policy: 1.0 - confidence,
             similar: 0.0,
             is_novel,
         };
-        (map, Some(opinion))
+        (Group::Map(map), Some(opinion))
     }
 
-    fn passed(opinions: &[(u64, Option<Opinion>)], share: f64) -> usize {
+    fn passed(opinions: &[(Group, Option<Opinion>)], share: f64) -> usize {
         let threshold = threshold(opinions, share);
-        let is_passed = |(_, opinion): &&(u64, Option<Opinion>)| {
+        let is_passed = |(_, opinion): &&(Group, Option<Opinion>)| {
             opinion.is_none_or(|o| o.is_novel || o.confidence() < threshold)
         };
         opinions.iter().filter(is_passed).count()
@@ -150,7 +146,7 @@ mod tests {
         for (k, opinion) in opinions[900..].iter_mut().enumerate() {
             *opinion = match k % 2 {
                 0 => self::opinion(k as u64 % 10, 0.99, true),
-                _ => (k as u64 % 10, None),
+                _ => (Group::Map(k as u64 % 10), None),
             };
         }
         let count = passed(&opinions, 0.1);
@@ -162,7 +158,7 @@ mod tests {
         let alike = |k: u64| opinion(k % 10, 0.5 + 0.0005 * (k / 10) as f64, false);
         // All doubts are in one map.
         let apart = |k: u64| opinion(k / 100, 0.5 + 0.0005 * k as f64, false);
-        let count = |of: &dyn Fn(u64) -> (u64, Option<Opinion>)| {
+        let count = |of: &dyn Fn(u64) -> (Group, Option<Opinion>)| {
             passed(&(0..1000).map(of).collect::<Vec<_>>(), 0.1)
         };
         assert!(

@@ -11,7 +11,8 @@ use crate::statistics::quantile;
 pub struct Cost {
     /// Questions in an hour of the run's clock.
     pub questions_per_hour: f64,
-    /// Cost of a question to the slow judge, US dollars; `None` if it has no tokens.
+    /// Cost of a question to the slow judge, US dollars; `None` if neither tokens
+    /// nor a cost were recorded.
     pub question_usd: Option<f64>,
     /// Cost of an hour with the slow judge alone, US dollars.
     pub alone_usd_per_hour: Option<f64>,
@@ -36,8 +37,8 @@ impl Cost {
         let prices = vlm.prices_usd();
         let tokens = asked.tokens.map(|count| count as f64);
         let of_tokens = (tokens[0] * prices[0] + tokens[1] * prices[1]) * 1e-6 / questions;
-        let question_usd = match asked.tokens.iter().sum::<u64>() {
-            0 => None,
+        let question_usd = match asked.tokens {
+            [0, 0] => (asked.cost_usd > 0.0).then(|| asked.cost_usd / questions),
             _ => Some(of_tokens),
         };
         let slow_share = passed_on + (1.0 - passed_on) * gate.audit;
@@ -52,5 +53,30 @@ impl Cost {
             latency_median_s: quantile(&asked.latencies_s, 0.5),
             latency_p99_s: quantile(&asked.latencies_s, 0.99),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn without_tokens_a_question_costs_what_was_recorded() {
+        let mut asked = Asked {
+            questions: 4,
+            driven_s: 3600.0,
+            ..Asked::default()
+        };
+        let cost = |asked: &Asked| {
+            let (vlm, gate) = (Vlm::default(), Gate::default());
+            let cost = Cost::of(asked, 0.5, &vlm, &gate);
+            (cost.question_usd, cost.alone_usd_per_hour)
+        };
+        assert_eq!(cost(&asked), (None, None));
+        asked.cost_usd = 2.0;
+        assert_eq!(cost(&asked), (Some(0.5), Some(2.0)));
+        asked.tokens = [u64::MAX; 2];
+        let (usd, _) = cost(&asked);
+        assert!(usd.is_some_and(f64::is_finite), "{usd:?}");
     }
 }

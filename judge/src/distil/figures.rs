@@ -6,7 +6,7 @@ use serde::Serialize;
 use shm_config::message::Preference;
 
 use super::samples::Sample;
-use crate::statistics::Share;
+use crate::statistics::{Bin, Share, calibration_error};
 
 /// Bins of the reliability diagram, of equal width from 0.5 to 1.
 pub const BINS: usize = 10;
@@ -14,15 +14,6 @@ pub const BINS: usize = 10;
 const CURVE: usize = 21;
 /// The greatest share passed on of the curve.
 const CURVE_MAX: f64 = 0.5;
-
-/// One bin of the reliability diagram.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub struct Reliability {
-    /// Right answers among those with this confidence.
-    pub right: Share,
-    /// Sum of their confidences.
-    pub confidence_sum: f64,
-}
 
 /// A point of the curve: what is right of the rest when a share is passed on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -76,9 +67,9 @@ pub struct Figures {
     /// The same against the teacher's answers.
     pub calibration_error_teacher: Option<f64>,
     /// The reliability diagram against what really happens.
-    pub reliability: [Reliability; BINS],
+    pub reliability: [Bin; BINS],
     /// The reliability diagram against the teacher's answers.
-    pub reliability_teacher: [Reliability; BINS],
+    pub reliability_teacher: [Bin; BINS],
     /// What is right over the share passed on.
     pub curve: Vec<Point>,
 }
@@ -198,8 +189,8 @@ impl Figures {
     }
 }
 
-fn reliability(cases: &[&Case], right: fn(&Case) -> Option<Party>) -> [Reliability; BINS] {
-    let mut bins = [Reliability::default(); BINS];
+fn reliability(cases: &[&Case], right: fn(&Case) -> Option<Party>) -> [Bin; BINS] {
+    let mut bins = [Bin::default(); BINS];
     for case in cases {
         let (Some(opinion), Some(said), Some(right)) = (case.opinion, case.net(), right(case))
         else {
@@ -207,22 +198,9 @@ fn reliability(cases: &[&Case], right: fn(&Case) -> Option<Party>) -> [Reliabili
         };
         let confidence = opinion.confidence();
         let at = ((confidence - 0.5) * 2.0 * BINS as f64) as usize;
-        let bin = &mut bins[at.min(BINS - 1)];
-        bin.right.trials += 1;
-        bin.right.hits += usize::from(said == right);
-        bin.confidence_sum += confidence;
+        bins[at.min(BINS - 1)].count(said == right, confidence);
     }
     bins
-}
-
-/// The mean distance of confidence and share of right answers, weighted by the bins.
-fn calibration_error(bins: &[Reliability]) -> Option<f64> {
-    let total: usize = bins.iter().map(|bin| bin.right.trials).sum();
-    let off: f64 = bins
-        .iter()
-        .map(|bin| (bin.confidence_sum - bin.right.hits as f64).abs())
-        .sum();
-    (total > 0).then(|| off / total as f64)
 }
 
 /// `cases` are sorted, the least confident first.

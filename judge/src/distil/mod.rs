@@ -1,6 +1,6 @@
 //! Trains a distilled judge from recorded questions, and measures it on others.
 //!
-//! [`samples`] reads the records and splits them by map; [`train`](mod@train) makes the
+//! [`samples`] reads the records, and a [`Split`] divides them by map; [`train`](mod@train) makes the
 //! nets; [`calibrate`] gives temperature and threshold; [`Figures`] measure the result.
 //! The same records and seed give the same file, bit by bit.
 
@@ -9,18 +9,17 @@ mod cost;
 mod figures;
 pub mod picture;
 pub mod samples;
+mod split;
 pub mod train;
 
 use anyhow::bail;
 use gate::distilled::{About, DistilledNet, Range, assemble};
 
 pub use cost::Cost;
-pub use figures::{BINS, Figures, Point, Reliability};
-pub use samples::{Learn, Samples, Split};
+pub use figures::{BINS, Figures, Point};
+pub use samples::{Learn, Samples};
+pub use split::{Group, Split};
 pub use train::Schedule;
-
-/// The confidence from which on every question is answered.
-const ALWAYS: f64 = 0.5;
 
 /// Trains, calibrates and chooses the threshold at which at most this share of the
 /// questions is passed on. `passed` is called after each pass of a member
@@ -57,7 +56,7 @@ pub fn distil(
     let about = About {
         members: members.len(),
         temperature: calibrate::temperature(&members, all, &split.calibrate, schedule.learn),
-        threshold: ALWAYS,
+        threshold: calibrate::ALWAYS,
         range: Range::of(rows),
         teacher: teacher.judge.clone(),
         preset: teacher.preset.clone(),

@@ -3,8 +3,8 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::figures::{Figures, Point, Reliability};
-use crate::statistics::Share;
+use super::figures::{Figures, Point};
+use crate::statistics::{Bin, Share};
 
 /// Side of each plot, pixels.
 const SIDE: f64 = 300.0;
@@ -90,7 +90,7 @@ fn reliability(figures: &Figures) -> Markup {
     }
 }
 
-fn points(axes: &Axes, bins: &[Reliability], colour: &str, aside: f64) -> Markup {
+fn points(axes: &Axes, bins: &[Bin], colour: &str, aside: f64) -> Markup {
     let filled = bins.iter().filter(|bin| bin.right.trials > 0);
     html! {
         @for bin in filled {

@@ -1,5 +1,6 @@
 //! Recorded questions as numbers to learn from.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -10,9 +11,10 @@ use gate::record::store::{Records, read};
 use gate::record::{Proposed, Record, Said};
 use shm_config::config::{Config, load};
 use shm_config::draw::Draw;
-use shm_config::message::{Assessment, Proposal};
+use shm_config::message::{Assessment, Judge, Proposal};
 use vehicle::Action;
 
+use super::split::Group;
 use crate::audit::Truth;
 
 /// An accident that comes later by less than this is not safer, s: two ticks.
@@ -79,9 +81,8 @@ pub struct Sample {
     pub truth: Truth,
     /// The answer that the simulator decides; `None` where it decides nothing.
     outcome: Option<Label>,
-    /// Identifies the map, or the episode where the map is unknown: all questions of one
-    /// are on the same side of a split.
-    pub group: u64,
+    /// All questions of a group are on the same side of a split.
+    pub group: Group,
 }
 
 impl Sample {
@@ -175,7 +176,7 @@ impl Samples {
 
     fn add(&mut self, records: &Records, config: Option<&Config>) -> anyhow::Result<()> {
         let vehicle = config.map(|config| config.vehicle).unwrap_or_default();
-        let run = self.runs as u64;
+        let run = self.runs;
         self.runs += 1;
         for record in &records.questions {
             self.take_teacher(records, record)?;
@@ -194,10 +195,12 @@ impl Samples {
                 answer: answer(record),
                 truth: Truth::of(record),
                 outcome: outcome(record),
-                // Two runs may have driven the same map.
                 group: match config {
-                    Some(config) => config.run.seed.wrapping_add(u64::from(record.episode)),
-                    None => (run << 40) | u64::from(record.episode),
+                    Some(config) => Group::Map(config.run.episode_seed(record.episode)),
+                    None => Group::Episode {
+                        run,
+                        episode: record.episode,
+                    },
                 },
             });
         }
@@ -208,14 +211,8 @@ impl Samples {
     }
 
     fn take_teacher(&mut self, records: &Records, record: &Record) -> anyhow::Result<()> {
-        // A question that the end of the run cancelled names no prompt.
-        if record.net.is_some() || (record.judge == "vlm" && record.preset.is_empty()) {
+        let Some(teacher) = Teacher::of(record) else {
             return Ok(());
-        }
-        let teacher = Teacher {
-            judge: record.judge.clone(),
-            preset: record.preset.clone(),
-            model: record.model.clone(),
         };
         if self.teacher == Teacher::default() {
             self.teacher = teacher;
@@ -234,6 +231,45 @@ impl Samples {
         )
     }
 
+    /// Checks that figures measured on these questions hold for a net that has learned from
+    /// the others: no map is in both, and the same judge has answered. Runs without a
+    /// configuration are not compared by map, because theirs is unknown.
+    ///
+    /// # Errors
+    /// Names a map that is in both, or the two judges.
+    pub fn check_apart(&self, learned: &Self) -> anyhow::Result<()> {
+        let maps = |samples: &[Sample]| -> BTreeSet<u64> {
+            let map = |sample: &Sample| match sample.group {
+                Group::Map(seed) => Some(seed),
+                Group::Episode { .. } => None,
+            };
+            samples.iter().filter_map(map).collect()
+        };
+        let [own, theirs] = [&self.samples, &learned.samples].map(|of| maps(of));
+        let both: Vec<_> = own.intersection(&theirs).collect();
+        if let Some(seed) = both.first() {
+            bail!(
+                "{} also among the runs to learn from, such as that of seed {seed}; record the runs of \
+                 --test on other seeds",
+                match both.len() {
+                    1 => "1 map of --test is".into(),
+                    count => format!("{count} maps of --test are"),
+                }
+            );
+        }
+        let is_known = |teacher: &Teacher| *teacher != Teacher::default();
+        let [own, theirs] = [&self.teacher, &learned.teacher];
+        if own != theirs && is_known(own) && is_known(theirs) {
+            bail!(
+                "the runs of --test were answered by {}, those to learn from by {}; test with answers \
+                 of the same judge",
+                own.words(),
+                theirs.words()
+            );
+        }
+        Ok(())
+    }
+
     /// Makes a share of the answers wrong. The same seed gives the same wrong answers.
     pub fn spoil(&mut self, noise: f64, seed: u64) {
         let mut draw = Draw::new(seed ^ 0x006e_6f69_7365);
@@ -246,6 +282,33 @@ impl Samples {
 }
 
 impl Teacher {
+    /// Whose answer this is; `None` for that of a net, and for a question that the end of the
+    /// run cancelled, which names no prompt.
+    fn of(record: &Record) -> Option<Self> {
+        if record.net.is_some() {
+            answer(record)?;
+            // The record names the distilled judge; a slow one that answers without being
+            // asked a prompt is exact geometry.
+            return Some(match record.askings.is_empty() {
+                true => Self {
+                    judge: Judge::Rules.to_string(),
+                    ..Self::default()
+                },
+                false => Self {
+                    judge: Judge::Vlm.to_string(),
+                    preset: record.preset.clone(),
+                    model: record.model.clone(),
+                },
+            });
+        }
+        let is_cancelled = record.judge == "vlm" && record.preset.is_empty();
+        (!is_cancelled).then(|| Self {
+            judge: record.judge.clone(),
+            preset: record.preset.clone(),
+            model: record.model.clone(),
+        })
+    }
+
     /// The judge in words.
     pub fn words(&self) -> String {
         match (self.model.as_str(), self.preset.as_str()) {
@@ -260,10 +323,18 @@ impl Asked {
         self.questions += 1;
         self.cost_usd += record.cost_usd;
         for asking in &record.askings {
-            self.tokens[0] += asking.tokens_in;
-            self.tokens[1] += asking.tokens_out;
+            // The counts are those of a server.
+            let tokens = [asking.tokens_in, asking.tokens_out];
+            for (sum, count) in self.tokens.iter_mut().zip(tokens) {
+                *sum = sum.saturating_add(count);
+            }
         }
-        if record.preference.is_some() && !record.askings.is_empty() {
+        // Beside an audit, the latency is that of the net.
+        let is_slow = record
+            .net
+            .as_ref()
+            .is_none_or(|net| net.passed_on.is_some());
+        if is_slow && record.preference.is_some() && !record.askings.is_empty() {
             self.latencies_s.push(record.latency_s);
         }
     }
@@ -273,9 +344,19 @@ impl Asked {
 /// them.
 fn configuration(records: &Path) -> anyhow::Result<Option<Config>> {
     // A replay's answers are in a folder of the records.
-    let paths = ["../config.toml", "../../config.toml"].map(|path| records.join(path));
-    let path = paths.into_iter().find(|path| path.is_file());
-    Ok(path.map(|path| load(&path)).transpose()?)
+    let places = [
+        (Some(records), records.join("../config.toml")),
+        (records.parent(), records.join("../../config.toml")),
+    ];
+    let beside = places.into_iter().find(|(_, path)| path.is_file());
+    let Some((of, path)) = beside else {
+        return Ok(None);
+    };
+    // The file beside the records of an earlier run is that of the later one.
+    if of.and_then(Path::file_name) == Some("judge-before".as_ref()) {
+        return Ok(None);
+    }
+    Ok(Some(load(&path)?))
 }
 
 /// The question of a record.
@@ -347,52 +428,5 @@ fn outcome(record: &Record) -> Option<Label> {
                 false => None,
             }
         }
-    }
-}
-
-/// The parts of the questions.
-#[derive(Debug, Clone, Default)]
-pub struct Split {
-    /// Indices that the nets learn from.
-    pub learn: Vec<usize>,
-    /// Indices by which the training ends in time.
-    pub stop: Vec<usize>,
-    /// Indices for temperature and threshold.
-    pub calibrate: Vec<usize>,
-}
-
-impl Split {
-    /// 70, 10 and 20 of 100 groups, drawn with this seed; all questions of a group are in
-    /// the same part.
-    ///
-    /// # Errors
-    /// If there are too few groups for three parts.
-    pub fn of(samples: &[Sample], seed: u64) -> anyhow::Result<Self> {
-        let mut groups: Vec<u64> = samples.iter().map(|sample| sample.group).collect();
-        groups.sort_unstable();
-        groups.dedup();
-        let count = groups.len();
-        if count < 10 {
-            bail!(
-                "{count} episodes are too few to learn from some and to check with others; record at \
-                 least 10, better 100"
-            );
-        }
-        let mut draw = Draw::new(seed ^ 0x0073_706c_6974);
-        for at in (1..count).rev() {
-            groups.swap(at, draw.below(at as u64 + 1) as usize);
-        }
-        let (stop, rest) = groups.split_at(count / 10);
-        let (calibrate, _) = rest.split_at(count / 5);
-        let mut split = Self::default();
-        for (index, sample) in samples.iter().enumerate() {
-            let part = match &sample.group {
-                group if stop.contains(group) => &mut split.stop,
-                group if calibrate.contains(group) => &mut split.calibrate,
-                _ => &mut split.learn,
-            };
-            part.push(index);
-        }
-        Ok(split)
     }
 }

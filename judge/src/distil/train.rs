@@ -8,7 +8,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::SeedableRng;
 use shm_config::draw::Draw;
 
-use super::samples::{Label, Learn, Sample, Split};
+use super::samples::{Label, Learn, Sample};
+use super::split::Split;
 
 /// Neurons of the two hidden layers.
 const HIDDEN: [usize; 2] = [48, 32];
@@ -176,7 +177,7 @@ pub fn pairs(outputs: &[f32]) -> impl Iterator<Item = [[f32; OUTPUTS]; 2]> {
 }
 
 /// The likelihood of the answers that count as right.
-fn likelihood(shares: [f64; 3], label: Label) -> f64 {
+pub(super) fn likelihood(shares: [f64; 3], label: Label) -> f64 {
     let right = shares.iter().zip(label.0).filter(|(_, is_right)| *is_right);
     right.map(|(share, _)| share).sum::<f64>().max(LEAST)
 }
