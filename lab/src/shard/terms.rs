@@ -10,7 +10,7 @@ use shm_config::config::Config;
 use toml::{Table, Value};
 
 use super::Shard;
-use crate::sections::DECISIVE;
+use crate::sections::{DECISIVE, WAITS};
 
 /// Number of differences that an error names.
 const NAMED: usize = 3;
@@ -62,8 +62,8 @@ impl Terms {
                     self.add_value(&format!("{name}.{key}"), value);
                 }
             }
-            // Where a machine keeps the key decides nothing.
-            _ if name.starts_with("vlm.key") => {}
+            // Where a machine keeps the key decides nothing, nor does how long it waits.
+            _ if name.starts_with("vlm.key") || WAITS.contains(&name) => {}
             other => self.add(name, other),
         }
     }
@@ -156,6 +156,18 @@ mod tests {
         assert_eq!(words, "--episodes 100, not 50");
         let words = one.difference(&with(100, 6.0)).expect("another setting");
         assert_eq!(words, "controller.lookahead_m 5.0, not 6.0");
+        let waiting = |wait_s: f64, age_ms: f64| {
+            let mut terms = Terms::default();
+            let mut config = Config::default();
+            config.limits.lockstep_wait_s = wait_s;
+            config.limits.command_age_ms = age_ms;
+            terms.add_config(&config).expect("a configuration");
+            terms
+        };
+        let patient = waiting(1.0, 250.0);
+        assert_eq!(patient.difference(&waiting(90.0, 250.0)), None);
+        let words = patient.difference(&waiting(1.0, 300.0)).expect("a limit");
+        assert_eq!(words, "limits.command_age_ms 250.0, not 300.0");
         let fewer = Terms::new("eval", Shard { number: 1, of: 4 });
         let words = fewer.difference(&Terms::new("eval", shard)).expect("N");
         assert_eq!(words, "number of shards 4, not 8");

@@ -13,6 +13,7 @@ use supervisor::commands::up::settings::DEFAULT_FILE;
 
 use super::arguments::{ExpertChoice, Train};
 use super::results::seed_folders;
+use crate::sections::WAITS;
 use crate::shard::merge::is_sharded;
 use supervisor::subcommand::settings::key;
 
@@ -198,6 +199,19 @@ impl Experiment {
         Ok(())
     }
 
+    /// The override of the order of the training episodes, if there is one.
+    fn shuffle(&self) -> Option<&str> {
+        let mut given = self.set.iter().rev();
+        let given = given.find(|text| key(text) == "run.shuffle")?;
+        given.split_once('=').map(|(_, value)| value.trim())
+    }
+
+    /// The overrides that may decide what is learnt.
+    pub fn decisive_set(&self) -> Vec<&str> {
+        let set = self.set.iter().map(String::as_str);
+        set.filter(|text| !WAITS.contains(&key(text))).collect()
+    }
+
     /// The seeds of the trainings.
     pub fn all_seeds(&self) -> Range<u64> {
         self.seed..self.seed.saturating_add(u64::from(self.seeds))
@@ -228,8 +242,18 @@ impl Experiment {
     }
 
     /// Checks that `asked` extends this experiment. The configuration of each training is
-    /// checked by `Protocol::new`.
+    /// checked by `Protocol::new`, but for the order of its episodes.
     fn check_extends(&self, asked: &Experiment, out: &Path) -> anyhow::Result<()> {
+        if self.shuffle() != asked.shuffle() {
+            let word = |given: Option<&str>| given.map_or("none", str::trim).to_string();
+            bail!(
+                "{}: the training began with run.shuffle {}, not {}; leave the override out to \
+                 continue unchanged; --out DIR begins another experiment",
+                out.display(),
+                word(self.shuffle()),
+                word(asked.shuffle())
+            );
+        }
         let is_same = asked.seed == self.seed
             && asked.seeds >= self.seeds
             && asked.steps >= self.steps
@@ -367,6 +391,11 @@ mod tests {
         let own = fs::read_to_string(out.join(CONFIG)).expect("its own");
         assert!(own.contains("batch = 64"), "{own}");
 
+        let shuffled = ["--resume", "--set", "run.shuffle=7"];
+        let error = open(&out, &shuffled)
+            .expect_err("another order")
+            .to_string();
+        assert!(error.contains("run.shuffle none, not 7"), "{error}");
         let gone_on = open(&out, &["--resume"]).expect("the same");
         let config = Some(out.join(CONFIG));
         assert_eq!(gone_on, Experiment { config, ..begun });

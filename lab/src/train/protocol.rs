@@ -11,7 +11,7 @@ use toml::{Table, Value};
 
 use super::experiment::Experiment;
 use super::results::CONFIG;
-use crate::sections::DECISIVE;
+use crate::sections::{DECISIVE, EPISODES, WAITS};
 use supervisor::subcommand::settings;
 
 /// First training seed; the seeds are 100 to 149.
@@ -96,6 +96,10 @@ impl Protocol {
                 &mut differences,
             );
         }
+        for key in EPISODES {
+            let [begun, now] = [&begun, &now].map(|table| table.get("run")?.get(key));
+            compare(&format!("run.{key}"), begun, now, &mut differences);
+        }
         if !differences.is_empty() {
             bail!(
                 "{}: the training began with other options: {}; leave these out, or give the \
@@ -119,6 +123,7 @@ fn compare(key: &str, begun: Option<&Value>, now: Option<&Value>, out: &mut Vec<
     }
     if let (Some(begun), Some(now)) = (begun, now)
         && begun != now
+        && !WAITS.contains(&key)
     {
         out.push(format!("{key} = {begun}, not {now}"));
     }
@@ -246,6 +251,41 @@ mod tests {
         let name = run_name(Path::new("runs/an experiment of many words"), 17);
         assert!(name.ends_with("-17"), "{name}");
         assert!(name.parse::<RunName>().is_ok(), "{name}");
+    }
+
+    #[test]
+    fn a_training_goes_on_with_the_limits_and_episodes_it_began_with() {
+        let place = tempfile::tempdir().expect("a folder");
+        let open = |set: &str| {
+            let experiment = Experiment {
+                set: set.split(' ').map(String::from).collect(),
+                ..Experiment::default()
+            };
+            Protocol::new(&experiment, (0, place.path()))
+        };
+        let begun = open("run.seeds=20").expect("a training");
+        std::fs::create_dir_all(&begun.folder).expect("a folder");
+        let mut config = begun.config.clone();
+        // As a process set that continued has it.
+        config.run.shuffle += 400;
+        config.run.duration_s = 40.0;
+        let text = toml::to_string(&config).expect("text");
+        std::fs::write(begun.file(), text).expect("written");
+        for same in ["run.seeds=20", "run.seeds=20 limits.lockstep_wait_s=300"] {
+            assert!(open(same).is_ok(), "{same}");
+        }
+        for (other, hint) in [
+            ("run.seeds=40", "run.seeds = 20, not 40"),
+            ("run.seeds=20 run.seed=7", "run.seed = 100, not 7"),
+            (
+                "run.seeds=20 limits.command_age_ms=400",
+                "limits.command_age_ms",
+            ),
+            ("run.seeds=20 deadlines.planner=skip", "deadlines.planner"),
+        ] {
+            let error = open(other).expect_err(other).to_string();
+            assert!(error.contains(hint), "{other}: {error}");
+        }
     }
 
     #[test]

@@ -24,6 +24,7 @@ use super::protocol::Protocol;
 use super::results::{self, FinalSeeds, Results, Seed, policy_file};
 use super::training::{self, End};
 use super::{evaluator, report_folder, tell, write};
+use crate::sections::EPISODES;
 use crate::shard::Shard;
 use crate::shard::folder::ShardWork;
 use crate::shard::merge::{Merged, MissingParts, is_sharded, missing_parts};
@@ -116,8 +117,16 @@ pub fn terms(
     terms.add("--final-episodes", experiment.final_episodes);
     terms.add("--expert", experiment.expert.key());
     terms.add("--world", experiment.world.word());
+    // Overrides of other sections may decide too, such as a program of the user's.
+    terms.add("--set", experiment.decisive_set().join(" "));
     let protocol = Protocol::new(experiment, (experiment.seed, out))?;
     terms.add_config(&protocol.config)?;
+    let run = &toml::Table::try_from(&protocol.config)?["run"];
+    for name in EPISODES.into_iter().chain(["shuffle"]) {
+        if let Some(value) = run.get(name) {
+            terms.add(&format!("run.{name}"), value);
+        }
+    }
     Ok(terms)
 }
 
@@ -260,4 +269,56 @@ pub fn report(arguments: &Train, out: &Path) -> anyhow::Result<ExitCode> {
     missing.tell(&merged.header, UNIT);
     write_json_option(&arguments.json, &Partial { summary, missing })?;
     Ok(ExitCode::from(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use supervisor::subcommand::Program;
+
+    use super::*;
+    use crate::Command;
+
+    fn terms_of(words: &[&str]) -> Terms {
+        let begin = ["vlaps", "train", "--seeds", "2", "--out", "/nowhere/out"];
+        let words = [&begin[..], words].concat();
+        let parsed = Program::<Command>::try_parse_from(words).expect("a command");
+        let Command::Train(arguments) = parsed.command else {
+            panic!("another command");
+        };
+        let (shard, out) = (Shard { number: 1, of: 2 }, Path::new("/nowhere/out"));
+        let experiment = Experiment::of_shard(&arguments, out).expect("an experiment");
+        terms("train", shard, &experiment, out).expect("terms")
+    }
+
+    #[test]
+    fn a_part_with_another_override_is_of_another_training() {
+        let begun = terms_of(&["--set", "run.seeds=20"]);
+        assert_eq!(
+            begun.difference(&terms_of(&["--set", "run.seeds=20"])),
+            None
+        );
+        for (other, hint) in [
+            ("run.seeds=40", "run.seeds 20, not 40"),
+            ("run.seed=7", "run.seed 100, not 7"),
+            ("run.shuffle=9", "run.shuffle 1, not 9"),
+            (
+                "limits.command_age_ms=400",
+                "limits.command_age_ms 250.0, not 400.0",
+            ),
+            ("deadlines.planner=skip", "deadlines.planner"),
+            ("supervisor.silence_s=70", "--set run.seeds=20, not"),
+        ] {
+            let asked = match other.starts_with("run.seeds=") {
+                true => terms_of(&["--set", other]),
+                false => terms_of(&["--set", "run.seeds=20", "--set", other]),
+            };
+            let words = begun.difference(&asked).expect(other);
+            assert!(words.contains(hint), "{other}: {words}");
+        }
+        // How long a slower machine waits decides nothing.
+        let slower = ["run.seeds=20", "limits.lockstep_wait_s=300"];
+        let slower = terms_of(&["--set", slower[0], "--set", slower[1]]);
+        assert_eq!(begun.difference(&slower), None);
+    }
 }
