@@ -185,7 +185,7 @@ impl Assembler {
 
     /// Counts one imagined state at which the expert was asked.
     pub fn count_imagined(&mut self) {
-        self.counts.imagined += 1;
+        self.counts.imagined = self.counts.imagined.saturating_add(1);
     }
 
     /// Steps that become transitions once their successor and their label are known.
@@ -237,10 +237,11 @@ impl Assembler {
         // A new controller counts from 1; the steps that it published before the first
         // one received are lost too.
         let expected = match self.heard {
-            Some((producer, sequence)) if producer == header.producer => sequence + 1,
+            Some((producer, sequence)) if producer == header.producer => sequence.saturating_add(1),
             Some(_) | None => 1,
         };
-        self.counts.lost += header.sequence.saturating_sub(expected);
+        let lost = header.sequence.saturating_sub(expected);
+        self.counts.lost = self.counts.lost.saturating_add(lost);
         if self
             .heard
             .is_some_and(|(producer, _)| producer != header.producer)

@@ -28,6 +28,9 @@ pub const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
 /// The file is replaced when it holds this many times the capacity of the buffers.
 const SLACK: u64 = 2;
 
+/// Maximum value of a counter, far beyond every run: sums of counters stay within 64 bits.
+const COUNTER_MAX: u64 = 1 << 62;
+
 /// Records at the end of a file that are searched for a valid one.
 const LOOK_BACK: u64 = 64;
 
@@ -102,12 +105,7 @@ impl Journal {
         let mut magic = Vec::with_capacity(MAGIC.len());
         let mut first = reader.by_ref().take(MAGIC.len() as u64);
         first.read_to_end(&mut magic)?;
-        if !MAGIC.starts_with(&magic) {
-            return Err(io::Error::new(
-                io::ErrorKind::InvalidData,
-                "is no replay of this version; move it away to begin a new one",
-            ));
-        }
+        check_magic(&magic)?;
         if magic.len() == MAGIC.len() {
             let mut record = [0; RECORD];
             while let Whole::Yes = read_record(&mut reader, &mut record)? {
@@ -217,17 +215,39 @@ fn check_whole(mark: Option<Mark>, learnt: u64) -> io::Result<()> {
     Err(io::Error::new(io::ErrorKind::InvalidData, what))
 }
 
+/// Checks the first bytes of a file, which may be fewer after a kill.
+fn check_magic(magic: &[u8]) -> io::Result<()> {
+    if MAGIC.starts_with(magic) {
+        return Ok(());
+    }
+    let (name, own) = MAGIC.split_at(MAGIC.len() - 2);
+    let own = String::from_utf8_lossy(own);
+    let what = match magic.strip_prefix(name) {
+        Some(version) => format!(
+            "is no replay of this version: it has version {}, this build reads version {own}; \
+             continue with the build that began it, or move it away to begin a new one",
+            String::from_utf8_lossy(version).escape_default()
+        ),
+        None => "is no replay of this version; move it away to begin a new one".into(),
+    };
+    Err(io::Error::new(io::ErrorKind::InvalidData, what))
+}
+
 /// The counts of a file's last valid record; `None` if the file is missing or holds
 /// none. The file is only read, and another process may be using it.
 ///
 /// # Errors
-/// When the file cannot be read.
+/// When the file cannot be read or has another format.
 pub fn last_mark(path: &Path) -> io::Result<Option<Mark>> {
     let mut file = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error),
     };
+    let mut magic = Vec::with_capacity(MAGIC.len());
+    let mut first = Read::by_ref(&mut file).take(MAGIC.len() as u64);
+    first.read_to_end(&mut magic)?;
+    check_magic(&magic)?;
     let body = file.metadata()?.len().saturating_sub(MAGIC.len() as u64);
     let mut record = [0; RECORD];
     // A kill leaves at most one or two incomplete records at the end.
@@ -310,7 +330,7 @@ fn encode(buffer: Buffer, transition: &Transition, mark: &Mark) -> [u8; RECORD] 
     record
 }
 
-/// `None` when the checksum or a code is wrong.
+/// `None` when the checksum, a code or a counter is wrong.
 fn decode(record: &[u8; RECORD]) -> Option<(Buffer, Transition, Mark)> {
     let (body, sum) = record.split_at(RECORD - 4);
     if crc32fast::hash(body).to_le_bytes() != sum {
@@ -351,7 +371,7 @@ fn decode(record: &[u8; RECORD]) -> Option<(Buffer, Transition, Mark)> {
         word.copy_from_slice(bytes);
         u64::from_le_bytes(word)
     });
-    let mut word = || words.next();
+    let mut word = || words.next().filter(|word| *word <= COUNTER_MAX);
     let counts = Counts {
         steps: word()?,
         lost: word()?,

@@ -8,6 +8,17 @@ use shm_config::config::GateMode;
 use shm_config::message::{Preference, Reason, Step};
 use steps::{CONTROLLER, PERIOD_NS, WORLD, advised, of_episode, state, step, vetoed};
 
+#[test]
+fn a_sequence_number_at_the_end_of_its_range_does_not_overflow() {
+    let mut bench = Bench::new(GateMode::Expert);
+    for number in 1..=3 {
+        let mut step = step(number);
+        step.header.sequence = u64::MAX - u64::from(number == 1);
+        bench.push(step);
+    }
+    assert_eq!(bench.counts().lost, u64::MAX - 2);
+}
+
 /// Answers are awaited for 3.5 s.
 const WAIT: u64 = 35;
 

@@ -227,6 +227,35 @@ fn a_file_of_another_kind_is_refused_and_unchanged() {
             "{error}"
         );
         assert_eq!(fs::read(&path).expect("the file"), foreign);
+        let error = last_mark(&path).expect_err("a refusal").to_string();
+        assert!(error.contains("no replay of this version"), "{error}");
+    }
+    fs::write(&path, b"VLREPL01 and records").expect("a file");
+    let error = Journal::open(&path, CAPACITY, 0).err().expect("a refusal");
+    let words = "it has version 01, this build reads version 02";
+    assert!(error.to_string().contains(words), "{error}");
+}
+
+#[test]
+fn a_counter_that_no_run_reaches_is_damage() {
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let bytes = written(&path, 3);
+    let record = (bytes.len() - MAGIC) / 3;
+    // Twelve counters before the checksum.
+    for counter in 0..12 {
+        let mut crafted = bytes.clone();
+        let (body, sum) = crafted[MAGIC + 2 * record..].split_at_mut(record - 4);
+        let at = body.len() - 8 * (12 - counter);
+        body[at..at + 8].copy_from_slice(&u64::MAX.to_le_bytes());
+        sum.copy_from_slice(&crc32fast::hash(body).to_le_bytes());
+        fs::write(&path, &crafted).expect("a file");
+        assert_eq!(
+            last_mark(&path).expect("a file"),
+            Some(mark(1)),
+            "{counter}"
+        );
+        assert_holds(&open(&path).replay, 2, "the others");
     }
 }
 
