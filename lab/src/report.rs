@@ -9,6 +9,11 @@ const STYLE: TableStyle = TableStyle::new()
     .header_separator(LineStyle::new('─', '─', '─', '─'))
     .bottom_border(LineStyle::new('─', '─', '─', '─'));
 
+/// Bytes as hexadecimal digits.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// An empty table in the given style, at most as wide as the terminal; without a terminal
 /// as wide as its rows.
 pub fn fitted(style: TableStyle) -> Table {

@@ -6,6 +6,11 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use lab::shard::Shard;
+use lab::shard::folder::ShardWork;
+use lab::shard::terms::Terms;
+use lab::train::experiment::Experiment;
+use lab::train::shards::TrainingResult;
 use tempfile::TempDir;
 
 /// Writes a training with `blocks` blocks and growing success; steps are lost from the
@@ -61,6 +66,70 @@ fn train(out: &Path, words: &[&str]) -> Output {
 
 fn report(out: &Path) -> Output {
     train(out, &["--report"])
+}
+
+#[test]
+fn a_folder_of_an_earlier_version_is_reported_without_the_counts_it_lacks() {
+    let out = TempDir::new().expect("a folder");
+    seed(out.path(), 0, 2, 0);
+    let blocks = out.path().join("seed-0/learner/blocks.csv");
+    let text = fs::read_to_string(&blocks).expect("the blocks");
+    // Column 7 is expert_queries.
+    let older = text.lines().map(|line| {
+        let mut columns: Vec<&str> = line.split(',').collect();
+        columns.remove(6);
+        columns.join(",") + "\n"
+    });
+    let older: String = older.collect();
+    assert!(!older.contains("expert_queries"), "{older}");
+    fs::write(&blocks, older).expect("written");
+    let output = report(out.path());
+    assert!(output.status.success(), "{output:?}");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(row(&said, "expert queries").contains('-'), "{said}");
+    assert!(row(&said, "interventions").contains("100"), "{said}");
+}
+
+#[test]
+fn a_damaged_file_makes_its_training_missing() {
+    let out = TempDir::new().expect("a folder");
+    let out = out.path();
+    seed(out, 0, 2, 0);
+    let last = r#"{"steps": 400, "episodes": 50, "success": {"mean": 1.0}}"#;
+    fs::write(out.join("seed-0/final.json"), last).expect("written");
+    let experiment = Experiment {
+        steps: 400,
+        final_episodes: 50,
+        ..Experiment::default()
+    };
+    experiment.write(out).expect("the options");
+    let shard = Shard { number: 1, of: 1 };
+    let terms = Terms::new("train", shard);
+    let work = ShardWork::open::<TrainingResult>(out, shard, &terms, (1, "pvp"));
+    let result = TrainingResult::of(&experiment, (0, out)).expect("files");
+    let kept = work.expect("a part").keep(0, &result.expect("complete"));
+    kept.expect("kept");
+    assert_eq!(report(out).status.code(), Some(0));
+    for name in ["final.json", "evaluations.csv", "learner/blocks.csv"] {
+        let file = out.join("seed-0").join(name);
+        let whole = fs::read(&file).expect("the file");
+        let mut no_text = whole.clone();
+        let end = no_text.len() - 2;
+        no_text[end] ^= 0x80;
+        for damaged in [&whole[..0], &whole[..40], &whole[..end], &no_text] {
+            fs::write(&file, damaged).expect("written");
+            let output = report(out);
+            let said = [&output.stdout[..], &output.stderr].concat();
+            let said = String::from_utf8_lossy(&said).into_owned();
+            assert_eq!(output.status.code(), Some(1), "{name}: {said}");
+            let words = "incomplete: 1 of 1 training missing";
+            assert!(said.contains(words), "{name}: {said}");
+        }
+        fs::remove_file(&file).expect("removed");
+        assert_eq!(report(out).status.code(), Some(1), "{name}");
+        fs::write(&file, whole).expect("written");
+        assert_eq!(report(out).status.code(), Some(0), "{name}");
+    }
 }
 
 /// All files of a folder with their contents.

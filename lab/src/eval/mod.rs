@@ -12,7 +12,6 @@ use shm_config::config::Simulator;
 use shm_config::counted;
 use stack::Clock;
 use stack::driver::DriverKind;
-use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 use supervisor::commands::up::arguments::SimulatorAlone;
 use supervisor::setup::foreign::Foreign;
@@ -23,7 +22,7 @@ use crate::episodes::{Task, evaluate};
 use crate::evaluation::Evaluation;
 use crate::metric::FOOTNOTE;
 use crate::progress::left;
-use crate::shard::Shard;
+use crate::shard::{Shard, needs_shard};
 
 /// Drive many episodes and print success, contacts and completion.
 #[derive(Debug, Args)]
@@ -103,8 +102,7 @@ impl Subcommand for Eval {
         match (&self.out, self.report, self.shard) {
             (Some(out), true, _) => return shards::report(self, out),
             (Some(_), false, None) => {
-                let line = "--out: needs --shard I/N, which drives a part, or --report";
-                return Err(Failure::Usage(line.into()).into());
+                return Err(needs_shard());
             }
             (_, _, _) => {}
         }

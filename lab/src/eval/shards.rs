@@ -19,8 +19,9 @@ use crate::episodes::{DrivenEpisode, Drives, Task, evaluate_seeds};
 use crate::evaluation::Evaluation;
 use crate::outside;
 use crate::progress::Progress;
+use crate::report::hex;
 use crate::shard::folder::ShardWork;
-use crate::shard::merge::{Merged, MissingParts};
+use crate::shard::merge::{Merged, Partial};
 use crate::shard::terms::Terms;
 use crate::shard::{Shard, exact};
 use crate::stop::Stop;
@@ -55,7 +56,6 @@ impl EpisodeResult {
     fn of(driven: &DrivenEpisode) -> EpisodeResult {
         let episode = &driven.episode;
         let times = driven.planning_us.iter();
-        let digest = episode.command_digest.iter();
         EpisodeResult {
             seed: episode.seed,
             ticks: episode.ticks,
@@ -65,7 +65,7 @@ impl EpisodeResult {
             object_contacts: episode.object_contacts,
             outcome: episode.outcome,
             crash_last_step: episode.crash_last_step,
-            command_digest: digest.map(|byte| format!("{byte:02x}")).collect(),
+            command_digest: hex(&episode.command_digest),
             planning_us: times
                 .flat_map(|times| times.iter_recorded())
                 .map(|of| (of.value_iterated_to(), of.count_since_last_iteration()))
@@ -73,10 +73,13 @@ impl EpisodeResult {
         }
     }
 
+    /// Whether it can be the result of this piece.
+    fn is_of(&self, piece: u64, first_seed: u64) -> bool {
+        self.seed == first_seed.wrapping_add(piece) && Outcome::from_code(self.outcome).is_some()
+    }
+
     /// The episode with the fields that figures are computed from.
-    fn driven(&self) -> anyhow::Result<DrivenEpisode> {
-        Outcome::from_code(self.outcome)
-            .with_context(|| format!("seed {}: unknown outcome {}", self.seed, self.outcome))?;
+    fn driven(&self) -> DrivenEpisode {
         let mut times: Histogram<u64> = planning_histogram();
         for (us, count) in &self.planning_us {
             times.saturating_record_n(*us, *count);
@@ -92,10 +95,10 @@ impl EpisodeResult {
             crash_last_step: self.crash_last_step,
             ..Episode::default()
         };
-        Ok(DrivenEpisode {
+        DrivenEpisode {
             episode,
             planning_us: (!times.is_empty()).then_some(times),
-        })
+        }
     }
 }
 
@@ -112,6 +115,7 @@ pub fn drive(
     let terms = terms(arguments, shard, config)?;
     let label = task.driver.word();
     let mut work = ShardWork::open::<EpisodeResult>(out, shard, &terms, (task.episodes, label))?;
+    work.redo_unless(|piece, result: &EpisodeResult| Ok(result.is_of(piece, task.first_seed)))?;
     if work.was_complete(UNIT) {
         return Ok(());
     }
@@ -176,30 +180,33 @@ fn terms(arguments: &Eval, shard: Shard, config: &Config) -> anyhow::Result<Term
     Ok(terms)
 }
 
-/// An evaluation with what is missing of it.
-#[derive(Serialize)]
-struct Partial<'a> {
-    #[serde(flatten)]
-    evaluation: &'a Evaluation,
-    missing: MissingParts,
-}
-
 /// Merges the parts in the folder: the figures of one piece where all are there. Exit code
 /// 1: something is missing.
 ///
 /// # Errors
 /// If the folder holds no part, or parts of different work.
 pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
-    let merged = Merged::<EpisodeResult>::read(out, "eval")?;
+    let mut merged = Merged::<EpisodeResult>::read(out, "eval")?;
     let terms = &merged.header.terms;
     let driver: DriverKind = (merged.header.label.parse()).map_err(anyhow::Error::msg)?;
     let first_seed = terms.number("--first-seed")?;
     let world = terms.get("--world")?;
     let world: Simulator = serde_json::from_value(world.into()).context("--world of the shards")?;
+    merged.check_pieces(terms.number("--episodes")?)?;
+    merged.results.retain(|piece, result| {
+        let is_right = result.is_of(*piece, first_seed);
+        if !is_right {
+            let (seed, outcome) = (result.seed, result.outcome);
+            say(format_args!(
+                "piece {piece} cannot be used (seed {seed}, outcome {outcome}), counted as missing"
+            ));
+        }
+        is_right
+    });
     let mut drives = Drives::none();
     // By seed, as an evaluation in one piece has them.
     for result in merged.results.values() {
-        drives.add(result.driven()?)?;
+        drives.add(result.driven())?;
     }
     drives.episodes.sort_by_key(|episode| episode.seed);
     let episodes = drives.episodes.len() as u64;
@@ -226,11 +233,8 @@ pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     missing.tell(&merged.header, UNIT);
-    let partial = Partial {
-        evaluation: &evaluation,
-        missing,
-    };
-    write_json_option(&arguments.json, &partial)?;
+    let figures = &evaluation;
+    write_json_option(&arguments.json, &Partial { figures, missing })?;
     Ok(ExitCode::from(1))
 }
 

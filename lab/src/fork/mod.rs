@@ -35,6 +35,7 @@ use crate::replay::recorded::Recorded;
 use crate::replay::source::{PolicyBytes, Source};
 use crate::replay::ticks::build;
 use crate::replay::worlds::is_built_in;
+use crate::report::hex;
 use course::{Course, Until};
 use drive::{Drive, Driven, Wheel, share};
 use unchanged::Unchanged;
@@ -339,10 +340,6 @@ fn row(episode: &Episode) -> EpisodeRow {
         completion: episode.completion,
         ticks: episode.ticks,
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A policy of a file.

@@ -17,7 +17,6 @@ use shm_config::config::Config;
 use shm_config::counted;
 use shm_config::message::{Episode, Outcome};
 use stack::Clock;
-use supervisor::cli::failure::Failure;
 use supervisor::subcommand::{Output, Subcommand, say, seconds, write_json_option};
 
 use crate::fork::course::{Course, Until};
@@ -30,7 +29,7 @@ use crate::replay::recorded::Recorded;
 use crate::replay::source::Source;
 use crate::replay::worlds::is_built_in;
 use crate::report::table;
-use crate::shard::Shard;
+use crate::shard::{Shard, needs_shard};
 use events::{End, Event, Kind, Trace, events};
 
 /// Drive on from every veto, takeover, contact and late tick of many recordings.
@@ -178,8 +177,7 @@ impl Subcommand for Regress {
                 return Ok(ExitCode::SUCCESS);
             }
             (Some(_), false, None) => {
-                let line = "--out: needs --shard I/N, which drives a part, or --report";
-                return Err(Failure::Usage(line.into()).into());
+                return Err(needs_shard());
             }
             (None, _, _) => {}
         }

@@ -14,7 +14,7 @@ use super::{Figures, Job, Regress, Row, Terms as RecordingTerms, recordings, tel
 use crate::progress::Progress;
 use crate::shard::Shard;
 use crate::shard::folder::ShardWork;
-use crate::shard::merge::{Merged, MissingParts};
+use crate::shard::merge::{Merged, Partial};
 use crate::shard::terms::Terms;
 use crate::stop::Stop;
 
@@ -137,12 +137,4 @@ impl Regress {
         write_json_option(&self.json, &figures)?;
         Ok(ExitCode::from(1))
     }
-}
-
-/// Figures with what is missing of them.
-#[derive(Serialize)]
-struct Partial {
-    #[serde(flatten)]
-    figures: Figures,
-    missing: MissingParts,
 }

@@ -12,6 +12,7 @@ use shm_config::services::{
 
 use super::learning::Offers;
 use super::messages::{AnyMessage, Messages};
+use crate::report::hex;
 
 /// A policy file of the run.
 #[derive(Clone, Debug)]
@@ -119,9 +120,7 @@ impl InMemory {
         let text = toml::to_string(&self.config).context("the configuration")?;
         writer.attach(CONFIGURATION, "application/toml", text.as_bytes())?;
         for policy in &self.policies {
-            let sha256 = policy::sha256(&policy.bytes);
-            let hex: String = sha256.iter().map(|byte| format!("{byte:02x}")).collect();
-            let name = format!("{POLICIES}{hex}");
+            let name = format!("{POLICIES}{}", hex(&policy::sha256(&policy.bytes)));
             writer.attach(&name, "application/octet-stream", &policy.bytes)?;
         }
         for message in &self.messages {

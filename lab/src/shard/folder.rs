@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -12,7 +13,7 @@ use supervisor::cli::failure::Failure;
 use supervisor::subcommand::say;
 
 use super::Shard;
-use super::lines::{self, Header};
+use super::lines::{self, Header, OtherFormat};
 use super::merge::{Found, found};
 use super::terms::Terms;
 
@@ -179,8 +180,18 @@ fn lock(out: &Path, shard: Shard) -> anyhow::Result<File> {
 /// Checks that all parts in the folder are of the work that the header describes.
 fn check_terms(out: &Path, asked: &Header) -> anyhow::Result<()> {
     for Found { path, header, .. } in found(out)? {
-        // An unreadable file of another part is that part's to repair.
-        let Ok(header) = header else { continue };
+        let header = match header {
+            Ok(header) => header,
+            Err(error) if error.downcast_ref::<OtherFormat>().is_some() => {
+                return Err(Failure::Usage(format!(
+                    "{}: {error}; use the build that began it, or another folder with --out DIR",
+                    path.display()
+                ))
+                .into());
+            }
+            // An unreadable file of another part is that part's to repair.
+            Err(_) => continue,
+        };
         let mut difference = header.terms.difference(&asked.terms);
         if header.pieces != asked.pieces {
             let pieces = format!("number of pieces {}, not {}", header.pieces, asked.pieces);
@@ -200,12 +211,15 @@ fn check_terms(out: &Path, asked: &Header) -> anyhow::Result<()> {
 
 /// The results in the part's own file. A damaged file is written anew without its damaged
 /// lines, and a copy of it stays; a file without a readable header is moved away.
+///
+/// # Errors
+/// If the file cannot be read now: its results may be whole, and another attempt may succeed.
 fn kept<T: Serialize + DeserializeOwned + PartialEq>(
     path: &Path,
     shard: Shard,
 ) -> anyhow::Result<BTreeMap<u64, T>> {
     let named = || path.display().to_string();
-    let copy = path.with_extension("jsonl.damaged");
+    let copy = damaged_copy(path);
     match lines::read::<T>(path, shard) {
         Ok(content) => {
             if let Some((count, reason)) = &content.damaged {
@@ -222,6 +236,7 @@ fn kept<T: Serialize + DeserializeOwned + PartialEq>(
             }
             Ok(content.results)
         }
+        Err(error) if error.downcast_ref::<io::Error>().is_some() => Err(error).with_context(named),
         Err(error) => {
             fs::rename(path, &copy).with_context(named)?;
             say(format_args!(
@@ -231,5 +246,77 @@ fn kept<T: Serialize + DeserializeOwned + PartialEq>(
             ));
             Ok(BTreeMap::new())
         }
+    }
+}
+
+/// A free name for a damaged file: an earlier one, which may hold results, is not replaced.
+fn damaged_copy(path: &Path) -> PathBuf {
+    let first = path.with_extension("jsonl.damaged");
+    let mut copy = first.clone();
+    let mut number = 2;
+    while copy.symlink_metadata().is_ok() {
+        copy = first.with_extension(format!("damaged-{number}"));
+        number += 1;
+    }
+    copy
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Opens a part of ten pieces.
+    fn open(out: &Path) -> anyhow::Result<ShardWork> {
+        let shard = Shard { number: 1, of: 1 };
+        let terms = Terms::new("eval", shard);
+        ShardWork::open::<String>(out, shard, &terms, (10, "idm"))
+    }
+
+    fn file(out: &Path) -> PathBuf {
+        out.join(Shard { number: 1, of: 1 }.file_name())
+    }
+
+    #[test]
+    fn a_byte_that_is_no_text_costs_one_piece_and_every_damaged_file_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let out = folder.path();
+        let mut work = open(out).expect("a part");
+        for piece in 0..10 {
+            let kept = work.keep(piece, &format!("result {piece}"));
+            kept.expect("kept");
+        }
+        drop(work);
+        let mut damaged = Vec::new();
+        for (name, left) in [("jsonl.damaged", 1), ("jsonl.damaged-2", 2)] {
+            let mut bytes = fs::read(file(out)).expect("the part");
+            let at = bytes.len() - 9;
+            bytes[at] ^= 0x80;
+            fs::write(file(out), &bytes).expect("written");
+            damaged.push((name, bytes));
+            let work = open(out).expect("a part");
+            assert_eq!(work.left().len(), left, "{name}");
+        }
+        for (name, bytes) in damaged {
+            let copy = fs::read(file(out).with_extension(name)).expect(name);
+            assert!(copy == bytes, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_read_now_or_is_of_another_version_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let out = folder.path();
+        // A folder in its place can be opened and not be read.
+        fs::create_dir(file(out)).expect("a folder");
+        assert!(open(out).is_err());
+        assert!(file(out).is_dir());
+        fs::remove_dir(file(out)).expect("removed");
+        let text = "{\"vlaps_shard\":2}";
+        let sum = crc32c::crc32c(text.as_bytes());
+        let line = format!("[\"{sum:08x}\", {text}]\n");
+        fs::write(file(out), &line).expect("written");
+        let error = open(out).err().expect("refused").to_string();
+        assert!(error.contains("has format 2"), "{error}");
+        assert_eq!(fs::read_to_string(file(out)).expect("the file"), line);
     }
 }

@@ -6,6 +6,7 @@
 //! first, eight hexadecimal digits.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -13,7 +14,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use shm_config::file::{Durable, read_text, replace};
+use shm_config::file::{Durable, replace};
 
 use super::Shard;
 use super::terms::Terms;
@@ -24,6 +25,28 @@ const FORMAT: u32 = 1;
 const HEADER_BYTES_MAX: u64 = 1 << 20;
 /// Maximum size of a file, bytes: a million episodes with their planning times have less.
 const BYTES_MAX: u64 = 4 << 30;
+
+/// Maximum number of pieces; the most that a command line makes is a million.
+const PIECES_MAX: u64 = 10_000_000;
+
+/// The file is of another version.
+#[derive(Debug)]
+pub struct OtherFormat(u32);
+
+impl fmt::Display for OtherFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let OtherFormat(found) = self;
+        write!(f, "has format {found}, this build reads format {FORMAT}")
+    }
+}
+
+impl std::error::Error for OtherFormat {}
+
+/// The only key that headers of all versions have.
+#[derive(Deserialize)]
+struct Version {
+    vlaps_shard: u32,
+}
 
 /// The first line.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,12 +93,14 @@ impl Header {
 
     /// Checks that it is the header of a part of this name.
     fn check(&self, named: Shard) -> anyhow::Result<()> {
-        if self.vlaps_shard != FORMAT {
-            let found = self.vlaps_shard;
-            bail!("has format {found}, this build reads format {FORMAT}");
-        }
         if self.shard() != named {
             bail!("holds shard {}, its name says {named}", self.shard());
+        }
+        // Recordings may hold no event; every other command has a piece at least.
+        let least = u64::from(self.terms.get("command")? != "regress");
+        if !(least..=PIECES_MAX).contains(&self.pieces) {
+            let found = self.pieces;
+            bail!("names {found} pieces, where {least} to {PIECES_MAX} are possible");
         }
         Ok(())
     }
@@ -134,13 +159,19 @@ fn value_of<T: DeserializeOwned>(line: &str) -> anyhow::Result<T> {
 pub fn read_header(path: &Path, named: Shard) -> anyhow::Result<Header> {
     shm_config::file::regular(path)?;
     let file = File::open(path)?;
-    let mut first = String::new();
-    BufReader::new(file.take(HEADER_BYTES_MAX)).read_line(&mut first)?;
+    let mut first = Vec::new();
+    BufReader::new(file.take(HEADER_BYTES_MAX)).read_until(b'\n', &mut first)?;
+    // Of bytes that are no text the checksum says it.
+    let first = String::from_utf8_lossy(&first);
     let first = first.strip_suffix('\n').context("has no complete header")?;
     header_of(first, named)
 }
 
 fn header_of(first: &str, named: Shard) -> anyhow::Result<Header> {
+    let Version { vlaps_shard } = value_of(first).context("its header")?;
+    if vlaps_shard != FORMAT {
+        return Err(OtherFormat(vlaps_shard).into());
+    }
     let header: Header = value_of(first).context("its header")?;
     header.check(named)?;
     Ok(header)
@@ -154,7 +185,9 @@ pub fn read<T>(path: &Path, named: Shard) -> anyhow::Result<Content<T>>
 where
     T: DeserializeOwned + PartialEq,
 {
-    let text = read_text(path, BYTES_MAX)?;
+    let bytes = shm_config::file::read(path, BYTES_MAX)?;
+    // Bytes that are no text cost their line alone: its checksum is wrong then.
+    let text = String::from_utf8_lossy(&bytes);
     let (first, rest) = text.split_once('\n').context("has no complete header")?;
     let header = header_of(first, named)?;
     let range = named.range(header.pieces);
@@ -262,20 +295,46 @@ mod tests {
         let path = file(folder.path());
         let whole = std::fs::read(&path).expect("bytes");
         let header = whole.iter().position(|b| *b == b'\n').expect("a line");
-        for at in 0..whole.len() {
+        // The first stays ASCII and makes no new line; the second is no text.
+        for (at, bit) in (0..whole.len()).flat_map(|at| [(at, 0x10), (at, 0x80)]) {
             let mut bytes = whole.clone();
-            // Stays ASCII and makes no new line.
-            bytes[at] ^= 0x10;
+            bytes[at] ^= bit;
             std::fs::write(&path, &bytes).expect("written");
             let read = read_again(&path);
+            let header_alone = read_header(&path, Shard { number: 2, of: 2 });
             if at <= header {
-                assert!(read.is_err(), "byte {at}");
+                assert!(read.is_err() && header_alone.is_err(), "byte {at}, {bit}");
             } else {
                 let content = read.expect("the header is whole");
-                assert!(content.results.len() < 2, "byte {at}");
-                assert!(content.damaged.is_some() || content.is_torn, "byte {at}");
+                assert!(header_alone.is_ok(), "byte {at}, {bit}");
+                assert!(content.results.len() < 2, "byte {at}, {bit}");
+                let is_told = content.damaged.is_some() || content.is_torn;
+                assert!(is_told, "byte {at}, {bit}");
             }
         }
+    }
+
+    #[test]
+    fn a_header_of_another_version_or_of_impossible_work_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = file(folder.path());
+        let shard = Shard { number: 2, of: 2 };
+        let refused = |value: &serde_json::Value| {
+            let text = line_of(value).expect("a line") + "\n";
+            std::fs::write(&path, text).expect("written");
+            read_header(&path, shard).expect_err("refused")
+        };
+        let later = refused(&serde_json::json!({ "vlaps_shard": 2, "new": true }));
+        assert!(later.downcast_ref::<OtherFormat>().is_some(), "{later:#}");
+        for (command, pieces) in [("eval", 0), ("eval", 1 << 63), ("regress", u64::MAX)] {
+            let header = Header::new(shard, (pieces, "idm"), &Terms::new(command, shard));
+            let header = serde_json::to_value(header).expect("a value");
+            let error = refused(&header).to_string();
+            assert!(error.contains("are possible"), "{error}");
+        }
+        let header = Header::new(shard, (0, "no event"), &Terms::new("regress", shard));
+        write(&path, &header, &BTreeMap::<u64, String>::new()).expect("written");
+        assert_eq!(read_header(&path, shard).expect("a header").pieces, 0);
     }
 
     #[test]

@@ -68,6 +68,16 @@ fn paths(out: &Path) -> anyhow::Result<Vec<(Shard, PathBuf)>> {
     Ok(paths)
 }
 
+/// Figures with what is missing of them: the JSON object of an incomplete report.
+#[derive(Serialize)]
+pub struct Partial<T> {
+    /// What is there.
+    #[serde(flatten)]
+    pub figures: T,
+    /// What is missing.
+    pub missing: MissingParts,
+}
+
 /// A part that is not complete.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Missing {
@@ -127,10 +137,24 @@ impl<T: DeserializeOwned + PartialEq> Merged<T> {
         Ok(Merged { header, results })
     }
 
+    /// Checks that the work has as many pieces as its options make.
+    ///
+    /// # Errors
+    /// If the headers say another number.
+    pub fn check_pieces(&self, asked: u64) -> anyhow::Result<()> {
+        let pieces = self.header.pieces;
+        anyhow::ensure!(
+            pieces == asked,
+            "the shards name {pieces} pieces, where their options make {asked}; their headers are \
+             damaged or by another program"
+        );
+        Ok(())
+    }
+
     /// What is missing; `None` if nothing is.
     pub fn missing(&self) -> Option<MissingParts> {
-        let missing = missing(&self.header, |piece| self.results.contains_key(&piece));
-        missing_parts(&missing)
+        let there = self.results.keys().copied().collect();
+        missing_parts(&missing(&self.header, &there))
     }
 
     /// The incomplete parts, where a piece counts only if `is_there` finds its files.
@@ -147,16 +171,16 @@ impl<T: DeserializeOwned + PartialEq> Merged<T> {
                 there.insert(*piece);
             }
         }
-        Ok(missing(&self.header, |piece| there.contains(&piece)))
+        Ok(missing(&self.header, &there))
     }
 }
 
 /// The parts that lack pieces.
-fn missing(header: &Header, has: impl Fn(u64) -> bool) -> Vec<Missing> {
+fn missing(header: &Header, there: &BTreeSet<u64>) -> Vec<Missing> {
     let short = Shard::all(header.of).filter_map(|shard| {
         let range = shard.range(header.pieces);
         let pieces = range.end - range.start;
-        let missing = range.filter(|piece| !has(*piece)).count() as u64;
+        let missing = pieces - there.range(range).count() as u64;
         (missing > 0).then(|| Missing {
             shard: shard.to_string(),
             missing,
@@ -247,6 +271,14 @@ pub fn headers(out: &Path, command: &str) -> anyhow::Result<Vec<(PathBuf, Header
         }
     }
     Ok(headers)
+}
+
+/// Prints that a finished training of a part is not what its folder holds.
+pub fn tell_other_training(folder: &Path) {
+    say(format_args!(
+        "{}: is not the complete training that its shard names, counted as missing",
+        folder.display()
+    ));
 }
 
 fn useless(path: &Path, error: &anyhow::Error) {

@@ -21,10 +21,28 @@ pub mod terms;
 
 use std::fmt;
 use std::ops::Range;
+use std::path::Path;
 use std::str::FromStr;
+
+use supervisor::cli::failure::Failure;
 
 /// Maximum number of parts: each is a file in one folder, and a report opens all of them.
 const SHARDS_MAX: u32 = 10_000;
+
+/// The error of `--out` without a part or a report.
+pub fn needs_shard() -> anyhow::Error {
+    let line = "--out: needs --shard I/N, which drives a part, or --report";
+    Failure::Usage(line.into()).into()
+}
+
+/// The error of a command without `--shard` in a folder of parts.
+pub fn holds_shards(out: &Path) -> anyhow::Error {
+    Failure::Usage(format!(
+        "{}: contains shards; --shard I/N continues one, --report merges them",
+        out.display()
+    ))
+    .into()
+}
 
 /// One of several parts of a piece of work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -10,6 +10,7 @@ use shm_config::config::Config;
 use toml::{Table, Value};
 
 use super::Shard;
+use crate::report::hex;
 use crate::sections::{DECISIVE, WAITS};
 
 /// Number of differences that an error names.
@@ -76,11 +77,7 @@ impl Terms {
         let named = || file.display().to_string();
         shm_config::file::regular(file).with_context(named)?;
         let bytes = std::fs::read(file).with_context(named)?;
-        let sha256 = policy::sha256(&bytes);
-        let digits: String = sha256[..8]
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
+        let digits = hex(&policy::sha256(&bytes)[..8]);
         self.add(name, format!("content {digits}"));
         Ok(())
     }

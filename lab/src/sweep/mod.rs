@@ -13,12 +13,11 @@ use clap::Args;
 use serde::Serialize;
 use shm_config::config::{Algorithm, Simulator};
 use shm_config::counted;
-use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
 
 use crate::report::{Machine, table};
-use crate::shard::Shard;
 use crate::shard::merge::is_sharded;
+use crate::shard::{Shard, holds_shards};
 use crate::train::arguments::{ExpertChoice, Train, algorithm};
 use crate::train::experiment::Experiment;
 use crate::train::results::Results;
@@ -92,11 +91,7 @@ impl Subcommand for Sweep {
         if is_sharded(&self.out)? {
             return match self.report {
                 true => shards::report(self),
-                false => Err(Failure::Usage(format!(
-                    "{}: contains shards; --shard I/N continues one, --report merges them",
-                    self.out.display()
-                ))
-                .into()),
+                false => Err(holds_shards(&self.out)),
             };
         }
         if !self.report {

@@ -2,13 +2,12 @@
 
 use std::process::ExitCode;
 
-use serde::Serialize;
-use supervisor::subcommand::{say, write_json_option};
+use supervisor::subcommand::write_json_option;
 
-use super::{Sweep, Swept, name, of_rows, read, rows, tell};
+use super::{Sweep, name, of_rows, read, rows, tell};
 use crate::shard::Shard;
 use crate::shard::folder::ShardWork;
-use crate::shard::merge::{Merged, MissingParts, missing_parts};
+use crate::shard::merge::{Merged, Partial, missing_parts, tell_other_training};
 use crate::stop::Stop;
 use crate::train::experiment::{self, Experiment};
 use crate::train::results::{Results, Seed};
@@ -42,7 +41,8 @@ pub fn drive(arguments: &Sweep, shard: Shard, clock: Clock) -> anyhow::Result<()
     let mut work = ShardWork::open::<TrainingResult>(out, shard, &terms, (pieces, label))?;
     let of = |piece: u64| {
         let (experiment, row) = &experiments[(piece / seeds) as usize];
-        (experiment, (experiment.seed + piece % seeds, row.as_path()))
+        let seed = experiment.seed.wrapping_add(piece % seeds);
+        (experiment, (seed, row.as_path()))
     };
     work.redo_unless(|piece, result: &TrainingResult| {
         let (experiment, place) = of(piece);
@@ -63,14 +63,6 @@ pub fn drive(arguments: &Sweep, shard: Shard, clock: Clock) -> anyhow::Result<()
     work.finish(UNIT)
 }
 
-/// A sweep with what is missing of it.
-#[derive(Serialize)]
-struct Partial<'a> {
-    #[serde(flatten)]
-    swept: &'a Swept,
-    missing: MissingParts,
-}
-
 /// Merges the parts in the folder. Exit code 1: something is missing.
 ///
 /// # Errors
@@ -81,6 +73,7 @@ pub fn report(arguments: &Sweep) -> anyhow::Result<ExitCode> {
     let terms = &merged.header.terms;
     let (first, seeds): (u64, u64) = (terms.number("--seed")?, terms.number("--seeds")?);
     let all: Vec<_> = rows().collect();
+    merged.check_pieces(seeds.saturating_mul(all.len() as u64))?;
     let mut common = None;
     let mut trained: Vec<Vec<Seed>> = vec![Vec::new(); all.len()];
     let missing = merged.missing_unless(|piece, result| {
@@ -88,7 +81,7 @@ pub fn report(arguments: &Sweep) -> anyhow::Result<ExitCode> {
         let (Some(&flawed), Some(trained)) = (all.get(row), trained.get_mut(row)) else {
             return Ok(false);
         };
-        let (seed, folder) = (first + piece % seeds, out.join(name(flawed)));
+        let (seed, folder) = (first.wrapping_add(piece % seeds), out.join(name(flawed)));
         let experiment = Experiment::read(&folder)?;
         let found = match &experiment {
             Some(experiment) => TrainingResult::of(experiment, (seed, &folder))?,
@@ -96,10 +89,7 @@ pub fn report(arguments: &Sweep) -> anyhow::Result<ExitCode> {
         };
         let folder = folder.join(format!("seed-{seed}"));
         if found.as_ref() != Some(result) {
-            say(format_args!(
-                "{}: is not the complete training that its shard names, counted as missing",
-                folder.display()
-            ));
+            tell_other_training(&folder);
             return Ok(false);
         }
         common = common.take().or(experiment);
@@ -123,7 +113,7 @@ pub fn report(arguments: &Sweep) -> anyhow::Result<ExitCode> {
     };
     missing.tell(&merged.header, UNIT);
     match &swept {
-        Some(swept) => write_json_option(&arguments.json, &Partial { swept, missing })?,
+        Some(figures) => write_json_option(&arguments.json, &Partial { figures, missing })?,
         None => write_json_option(&arguments.json, &serde_json::json!({ "missing": missing }))?,
     }
     Ok(ExitCode::from(1))

@@ -79,7 +79,7 @@ fn queries(results: &Results) -> Panel {
                 .filter_map(|evaluation| {
                     let block = seed.blocks.iter();
                     let mut block = block.filter(|block| block.steps == evaluation.steps);
-                    let queries = block.next()?.expert_queries as f64;
+                    let queries = block.next()?.expert_queries? as f64;
                     Some((queries, evaluation.of(metric)))
                 })
                 .collect()

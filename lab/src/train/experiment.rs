@@ -14,6 +14,7 @@ use supervisor::commands::up::settings::DEFAULT_FILE;
 use super::arguments::{ExpertChoice, Train};
 use super::results::seed_folders;
 use crate::sections::WAITS;
+use crate::shard::holds_shards;
 use crate::shard::merge::is_sharded;
 use supervisor::subcommand::settings::key;
 
@@ -96,11 +97,7 @@ impl Experiment {
             (Some(_), true) => {}
         }
         if is_sharded(&out)? {
-            return Err(Failure::Usage(format!(
-                "{}: contains shards; --shard I/N continues one, --report merges them",
-                out.display()
-            ))
-            .into());
+            return Err(holds_shards(&out));
         }
         let asked = begun.clone().unwrap_or_default().asked(arguments, &out)?;
         if let Some(begun) = begun {

@@ -69,8 +69,9 @@ pub struct Block {
     /// Steps since the start whose label prefers the policy.
     pub labels_policy: u64,
     /// Answers of the expert since the start that the algorithm learnt from, at driven steps
-    /// and at imagined states.
-    pub expert_queries: u64,
+    /// and at imagined states; `None` in the file of an earlier version.
+    #[serde(default)]
+    pub expert_queries: Option<u64>,
     /// Loss of the actor.
     pub actor_loss: f64,
     /// Loss of the imitation.
@@ -262,7 +263,7 @@ impl Results {
                 "seed": seed.seed,
                 "steps": seed.blocks.last().map(|block| block.steps),
                 "interventions": seed.blocks.last().map(|block| block.interventions),
-                "expert_queries": seed.blocks.last().map(|block| block.expert_queries),
+                "expert_queries": seed.blocks.last().and_then(|block| block.expert_queries),
                 "lost": seed.blocks.last().map(|block| block.lost),
                 "last_evaluation": seed.block_evaluations.last(),
                 "final": seed.last.as_ref().map(|last| &last.evaluation),
@@ -434,8 +435,10 @@ fn last(folder: &Path, seeds: FinalSeeds) -> anyhow::Result<Option<Final>> {
     let Ok(text) = fs::read_to_string(&path) else {
         return Ok(None);
     };
-    let evaluation: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
+    // A file that a killed process or a copy left incomplete is as good as none.
+    let Ok(evaluation) = serde_json::from_str::<serde_json::Value>(&text) else {
+        return Ok(None);
+    };
     let steps = evaluation["steps"].as_u64().unwrap_or_default();
     // The training has continued since: this is not the last policy any more.
     let is_last = policies(folder)?

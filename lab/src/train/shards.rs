@@ -5,10 +5,10 @@
 //! an interrupted training of a part begins again; what it had trained is removed. A
 //! training whose evaluations alone were interrupted goes on.
 
-use std::fs;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
+use std::{fs, io};
 
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
@@ -24,10 +24,11 @@ use super::protocol::Protocol;
 use super::results::{self, FinalSeeds, Results, Seed, policy_file};
 use super::training::{self, End};
 use super::{evaluator, report_folder, tell, write};
+use crate::report::hex;
 use crate::sections::EPISODES;
 use crate::shard::Shard;
 use crate::shard::folder::ShardWork;
-use crate::shard::merge::{Merged, MissingParts, is_sharded, missing_parts};
+use crate::shard::merge::{Merged, Partial, is_sharded, missing_parts, tell_other_training};
 use crate::shard::terms::Terms;
 use crate::stop::Stop;
 use stack::Clock;
@@ -48,22 +49,29 @@ pub struct TrainingResult {
 }
 
 impl TrainingResult {
-    /// Of a training whose folder is complete; `None` if it is not.
+    /// Of a training whose folder is complete; `None` if it is not, or if one of its files
+    /// is damaged, of which a line is printed.
     ///
     /// # Errors
-    /// If a file cannot be read.
+    /// If a file cannot be read now.
     pub fn of(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Option<Self>> {
         let folder = out.join(format!("seed-{seed}"));
         let policy = folder.join(policy_file(experiment.steps));
-        let found = Seed::read(seed, folder)?;
+        let found = match Seed::read(seed, folder) {
+            Ok(found) => found,
+            Err(error) if !is_damage(&error) => return Err(error),
+            Err(error) => {
+                say(format_args!("{error:#}; the training counts as missing"));
+                return Ok(None);
+            }
+        };
         let is_complete = found.is_complete(experiment.steps, experiment.final_episodes);
         let Some(bytes) = fs::read(policy).ok().filter(|_| is_complete) else {
             return Ok(None);
         };
-        let sha256 = policy::sha256(&bytes);
         Ok(Some(TrainingResult {
             seed,
-            policy_sha256: sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
+            policy_sha256: hex(&policy::sha256(&bytes)),
         }))
     }
 }
@@ -82,14 +90,14 @@ pub fn train(arguments: &Train, (shard, out): (Shard, &Path), clock: Clock) -> a
     let mut work = ShardWork::open::<TrainingResult>(out, shard, &terms, (pieces, label))?;
     experiment.write(out)?;
     work.redo_unless(|piece, result: &TrainingResult| {
-        let found = TrainingResult::of(&experiment, (experiment.seed + piece, out))?;
+        let found = TrainingResult::of(&experiment, (experiment.seed.wrapping_add(piece), out))?;
         Ok(found.as_ref() == Some(result))
     })?;
     if work.was_complete(UNIT) {
         return Ok(());
     }
     for piece in work.left().clone() {
-        let seed = experiment.seed + piece;
+        let seed = experiment.seed.wrapping_add(piece);
         match train_seed(&experiment, (seed, out), &stop, clock)? {
             Some(result) => work.keep(piece, &result)?,
             None => break,
@@ -148,6 +156,15 @@ pub fn train_seed(
     if let End::Stopped { .. } = training::train(&protocol, stop, clock)? {
         return Ok(None);
     }
+    // The loop of a training starts a second process set where the first one ended early,
+    // such as after a restart of its learner.
+    if !is_in_one_piece(&folder, experiment.steps)? {
+        bail!(
+            "{}: was not driven by one process set to its end, so that its policy is another one; \
+             the same command trains it again",
+            folder.display()
+        );
+    }
     let seeds = vec![Seed::read(seed, folder.clone())?];
     let watch = (clock, stop);
     let end = evaluator::evaluate_finals(
@@ -185,7 +202,19 @@ fn is_in_one_piece(folder: &Path, steps: u64) -> anyhow::Result<bool> {
     };
     let text = fs::read_to_string(summary).with_context(named)?;
     let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-    Ok(summary["ended"] == "finished" && results::steps(folder)? == steps)
+    let driven = results::steps(folder);
+    match driven.and_then(|driven| Ok((driven, results::block_evaluations(folder)?))) {
+        Ok((driven, _)) => Ok(summary["ended"] == "finished" && driven == steps),
+        Err(error) if is_damage(&error) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+/// Whether a file was read and has another content than a training writes. A file that
+/// cannot be read now may be whole.
+fn is_damage(error: &anyhow::Error) -> bool {
+    let error = error.downcast_ref::<io::Error>();
+    error.is_none_or(|error| error.kind() == io::ErrorKind::InvalidData)
 }
 
 /// Removes the folder of an interrupted training, after its process set has ended: that of
@@ -220,14 +249,6 @@ fn begin_again(
     fs::remove_dir_all(folder).with_context(|| folder.display().to_string())
 }
 
-/// Results with what is missing of them.
-#[derive(Serialize)]
-struct Partial {
-    #[serde(flatten)]
-    summary: serde_json::Value,
-    missing: MissingParts,
-}
-
 /// Reports the trainings in a folder; of a folder with parts the complete ones, and what is
 /// missing. Exit code 1: something is missing.
 ///
@@ -241,16 +262,14 @@ pub fn report(arguments: &Train, out: &Path) -> anyhow::Result<ExitCode> {
     let merged = Merged::<TrainingResult>::read(out, "train")?;
     let experiment = Experiment::read(out)?;
     let experiment = experiment.with_context(|| out.display().to_string())?;
+    merged.check_pieces(u64::from(experiment.seeds))?;
     let mut seeds = Vec::new();
     let missing = merged.missing_unless(|piece, result| {
-        let seed = experiment.seed + piece;
+        let seed = experiment.seed.wrapping_add(piece);
         let found = TrainingResult::of(&experiment, (seed, out))?;
         if found.as_ref() != Some(result) {
             let folder = out.join(format!("seed-{seed}"));
-            say(format_args!(
-                "{}: is not the complete training that its shard names, counted as missing",
-                folder.display()
-            ));
+            tell_other_training(&folder);
             return Ok(false);
         }
         seeds.push(Seed::read(seed, out.join(format!("seed-{seed}")))?);
@@ -261,13 +280,13 @@ pub fn report(arguments: &Train, out: &Path) -> anyhow::Result<ExitCode> {
         write(out, &results)?;
         tell(out, &results);
     }
-    let summary = results.summary();
+    let figures = results.summary();
     let Some(missing) = missing_parts(&missing) else {
-        write_json_option(&arguments.json, &summary)?;
+        write_json_option(&arguments.json, &figures)?;
         return Ok(ExitCode::SUCCESS);
     };
     missing.tell(&merged.header, UNIT);
-    write_json_option(&arguments.json, &Partial { summary, missing })?;
+    write_json_option(&arguments.json, &Partial { figures, missing })?;
     Ok(ExitCode::from(1))
 }
 

@@ -103,7 +103,7 @@ pub fn blocks(results: &Results) -> Table {
         }));
         table.add_row(row);
     }
-    let interventions: CountOf = |block| block.interventions;
+    let interventions: CountOf = |block| Some(block.interventions);
     let queries: CountOf = |block| block.expert_queries;
     for (name, of) in [
         ("interventions, steps", interventions),
@@ -116,17 +116,21 @@ pub fn blocks(results: &Results) -> Table {
                     .blocks
                     .iter()
                     .find(|block| block.steps == block_evaluation.steps)?;
-                Some(of(block) as f64)
+                Some(of(block)? as f64)
             });
-            cell(&at.collect::<Vec<_>>(), 0, f64::INFINITY)
+            match &at.collect::<Vec<_>>()[..] {
+                // The files of an earlier version.
+                [] => "-".into(),
+                counts => cell(counts, 0, f64::INFINITY),
+            }
         }));
         table.add_row(row);
     }
     table
 }
 
-/// A count at the end of a block.
-type CountOf = fn(&Block) -> u64;
+/// A count at the end of a block; `None` if its file has none.
+type CountOf = fn(&Block) -> Option<u64>;
 
 /// One evaluation of each seed that has it; `None` if no seed has it.
 fn column(results: &Results, of: impl Fn(&Seed) -> Option<BlockEvaluation>) -> Option<Column<'_>> {

@@ -62,7 +62,7 @@ mod tests {
             interventions,
             labels_expert: labels / 2,
             labels_policy: labels - labels / 2,
-            expert_queries: labels / 2,
+            expert_queries: Some(labels / 2),
             actor_loss: 0.0,
             imitation_loss: 0.0,
             critic_loss: 0.0,
