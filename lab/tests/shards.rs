@@ -3,10 +3,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
 
 use lab::replay::rehearsal::{Rehearsal, policy_file};
 use serde_json::Value;
 use tempfile::TempDir;
+
+/// Interval of the checks of what a child has kept.
+const LOOK: Duration = Duration::from_millis(2);
 
 fn lab(words: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_vlaps-lab"));
@@ -82,12 +86,14 @@ impl Parts {
 
     /// Starts a part and waits until it has kept some episodes.
     fn start(&self, shard: u32, kept: usize) -> Child {
-        let child = self
+        let mut child = self
             .shard(shard, &["--threads", "1"])
             .spawn()
             .expect("it starts");
         while self.lines(shard) < kept + 1 {
-            std::thread::yield_now();
+            let ended = child.try_wait().expect("a child");
+            assert!(ended.is_none(), "it ended early: {ended:?}");
+            std::thread::sleep(LOOK);
         }
         child
     }
@@ -125,7 +131,7 @@ impl Parts {
 #[test]
 fn parts_that_are_killed_and_resumed_make_the_figures_of_one_piece() {
     // Planners take a second for an episode, MetaDrive's driver some milliseconds.
-    for (driver, episodes) in [("rrt-star", 24), ("idm", 800)] {
+    for (driver, episodes) in [("rrt-star", 24), ("idm", 4_000)] {
         let parts = Parts::new(driver, episodes, 4);
         let each = (episodes / 4) as usize;
         for shard in [1, 3] {
@@ -271,6 +277,77 @@ fn damaged_and_foreign_files_are_named_and_counted_as_missing() {
     // What was damaged is still there.
     let kept = parts.out().join("shard-3-of-3.jsonl.damaged");
     assert_eq!(fs::read_to_string(kept).expect("the copy"), "my notes");
+}
+
+/// A line of a part's file with its checksum.
+fn line(text: &str) -> String {
+    let sum = crc32c::crc32c(text.as_bytes());
+    format!("[\"{sum:08x}\", {text}]")
+}
+
+/// Replaces a text in a line of a file, and gives the line a right checksum.
+fn craft(file: &Path, number: usize, (was, now): (&str, &str)) {
+    let text = fs::read_to_string(file).expect("the part");
+    let mut lines: Vec<String> = text.lines().map(String::from).collect();
+    let (_, value) = lines[number].split_once("\", ").expect("a line");
+    let value = value.strip_suffix(']').expect("a line");
+    assert!(value.contains(was), "{value}");
+    lines[number] = line(&value.replace(was, now));
+    fs::write(file, lines.join("\n") + "\n").expect("written");
+}
+
+#[test]
+fn results_of_another_seed_are_named_and_driven_again() {
+    let parts = Parts::new("lane", 4, 2);
+    (1..=2).for_each(|shard| drop(parts.drive(shard)));
+    let whole = parts.report().2;
+    craft(&parts.file(1), 2, ("\"seed\":1001", "\"seed\":1000"));
+    craft(&parts.file(2), 1, ("\"outcome\":", "\"outcome\":99"));
+    let (code, told, _) = parts.report();
+    assert_eq!(code, Some(1), "{told}");
+    for words in [
+        "piece 1 cannot be used (seed 1000",
+        "piece 2 cannot be used (seed 1002",
+        "2 of 4 episodes missing",
+    ] {
+        assert!(told.contains(words), "{words}: {told}");
+    }
+    (1..=2).for_each(|shard| drop(parts.drive(shard)));
+    assert_eq!(parts.report().2, whole);
+}
+
+#[test]
+fn a_crafted_header_neither_hangs_a_report_nor_ends_it_with_a_panic() {
+    let parts = Parts::new("lane", 4, 1);
+    parts.drive(1);
+    let header = fs::read(parts.file(1)).expect("the part");
+    let report = |command: &str| {
+        let output = lab(&[command, "--report", "--out"])
+            .arg(parts.out())
+            .output();
+        let output = output.expect("it starts");
+        (output.status.code(), said(&output))
+    };
+    for (pieces, hint) in [
+        ("9223372036854775808", "are possible"),
+        ("0", "are possible"),
+        ("5", "the shards name 5 pieces, where their options make 4"),
+    ] {
+        craft(
+            &parts.file(1),
+            0,
+            ("\"pieces\":4", &format!("\"pieces\":{pieces}")),
+        );
+        let (code, told) = report("eval");
+        assert!(matches!(code, Some(1 | 2)), "{code:?}: {told}");
+        assert!(told.contains(hint), "{told}");
+        fs::write(parts.file(1), &header).expect("written");
+    }
+    let sweep = "\"command\":\"sweep\",\"--seed\":\"0\",\"--seeds\":\"0\"";
+    craft(&parts.file(1), 0, ("\"command\":\"eval\"", sweep));
+    let (code, told) = report("sweep");
+    assert!(matches!(code, Some(1 | 2)), "{code:?}: {told}");
+    assert!(told.contains("their options make 0"), "{told}");
 }
 
 #[test]
