@@ -9,8 +9,12 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use shm_config::message::Progress;
 use shm_config::run::RunPaths;
 use shm_config::secret;
+use shm_config::services::{PROGRESS, Process};
+use shm_config::wire::{Subscriber, Wire};
+use stack::Clock;
 use supervisor::machine::signals::pause;
 use supervisor::run::leftovers::{Cleaned, clean_run};
 pub use supervisor::telemetry::quantiles::Quantiles;
@@ -18,6 +22,8 @@ pub use supervisor::telemetry::quantiles::Quantiles;
 /// Attempts to remove a run's files until its last process has ended, and their interval.
 const CLEANINGS: u32 = 100;
 const LOOK: Duration = Duration::from_millis(20);
+/// Time limit for a set's first message, ns.
+pub const START_NS: u64 = 60_000_000_000;
 
 /// A running set. If the measurement fails, dropping this value kills the set; it also
 /// removes the run's files. Drop observers of the run before it.
@@ -86,6 +92,25 @@ impl Driven {
     /// If the process state cannot be read.
     pub fn has_ended(&mut self) -> anyhow::Result<bool> {
         Ok(self.child.try_wait()?.is_some())
+    }
+
+    /// Subscribes to the world's progress as soon as the world exists. Drop both before this
+    /// set.
+    ///
+    /// # Errors
+    /// If the set does not start in time.
+    pub fn listen(&mut self, clock: Clock) -> anyhow::Result<(Wire, Subscriber<Progress>)> {
+        let paths = RunPaths::new(self.name.parse()?);
+        let until = clock().after_ns(START_NS);
+        while paths.supervisor_pid().is_none() {
+            if self.has_ended()? || clock() > until {
+                bail!("the set does not start; its errors are above");
+            }
+            pause(LOOK);
+        }
+        let wire = Wire::join(paths.name(), Process::Supervisor)?;
+        let progress = wire.subscriber(PROGRESS)?;
+        Ok((wire, progress))
     }
 
     /// Requests a stop, as Ctrl-C does: the car brakes to a stand first.

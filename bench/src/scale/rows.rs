@@ -12,7 +12,7 @@ use super::sweep::{Cost, Late, Sweep};
 use crate::rows::RowFolder;
 
 /// Version of the way that rows are measured; other ones are not comparable.
-const METHOD: u32 = 1;
+const METHOD: u32 = 2;
 
 /// The settings of a row.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

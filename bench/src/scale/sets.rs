@@ -5,17 +5,22 @@ use std::time::Duration;
 use anyhow::bail;
 use serde_json::Value;
 use shm_config::counted;
+use shm_config::message::Message;
+use stack::Clock;
 use supervisor::machine::signals::pause;
 
 use super::rows::Row;
 use super::sweep::{Bench, Cost, Late};
-use crate::driven::{Driven, Punctuality, quantiles};
+use crate::driven::{Driven, Punctuality, START_NS, quantiles};
 use crate::floor::{Floor, Priority};
 
 /// Processes whose ticks must be in time.
 const PUNCTUAL: [&str; 3] = ["world", "planner", "controller"];
-/// Interval of the checks whether the sets have ended.
+/// Interval of the checks whether the sets drive, or have ended.
 const LOOK: Duration = Duration::from_millis(50);
+/// Time that a set may drive beyond the row's, s: until the last set has begun. The row stops
+/// all sets before.
+const ALLOWANCE_S: f64 = 600.0;
 
 /// Numbers of sets: each half as many again, so that the last punctual one is found to a
 /// third.
@@ -30,29 +35,29 @@ pub fn values(most: u64) -> Vec<u64> {
 }
 
 /// Drives so many sets at the same time, and an idle thread of the same priority and
-/// period beside them. The cost is the 99 % quantile of each controller's response.
+/// period beside them. The row's seconds begin when the last set drives, and no set ends
+/// before they are over. The cost is the 99 % quantile of each controller's response, from
+/// its own begin on.
 ///
 /// # Errors
-/// If a set fails.
+/// If a set fails, or one has ended while another one did not drive yet.
 pub fn measure(value: u64, rate_hz: f64, bench: &Bench) -> anyhow::Result<Option<Cost>> {
-    let (rate, seconds) = (rate_hz.to_string(), bench.seconds.to_string());
+    let rate = rate_hz.to_string();
+    let seconds = (bench.seconds + ALLOWANCE_S).to_string();
     let floor = Floor::start(rate_hz, Priority::Asked, bench.gauges.clock())?;
     let mut sets = Vec::new();
     for k in 0..value {
         let up = ["--seed", "3", "--rate", &rate, "--duration", &seconds];
         sets.push(Driven::start(&format!("sc{k}"), up)?);
     }
-    let mut is_stopping = false;
-    while !ended(&mut sets)? {
-        if bench.stop.is_asked() && !is_stopping {
-            // Only once: a second signal would kill the sets.
-            sets.iter().for_each(Driven::stop);
-            is_stopping = true;
-        }
+    let is_over = drive_together(&mut sets, bench)?;
+    // Only once: a second signal would kill the sets.
+    sets.iter().for_each(Driven::stop);
+    while !all(&mut sets, Driven::has_ended)? {
         pause(LOOK);
     }
     let floor = floor.finish()?.punctuality;
-    if is_stopping {
+    if !is_over {
         return Ok(None);
     }
     let mut late = Late {
@@ -76,9 +81,54 @@ pub fn measure(value: u64, rate_hz: f64, bench: &Bench) -> anyhow::Result<Option
     }))
 }
 
-fn ended(sets: &mut [Driven]) -> anyhow::Result<bool> {
+/// Waits until each set drives, and then for the row's time; `false` after a stop request.
+fn drive_together(sets: &mut [Driven], bench: &Bench) -> anyhow::Result<bool> {
+    let clock = bench.gauges.clock();
+    for set in &mut *sets {
+        if !wait_for_begin(set, bench, clock)? {
+            return Ok(false);
+        }
+    }
+    let begun = clock();
+    while (clock().since_ns(begun) as f64) < bench.seconds * 1e9 {
+        if bench.stop.is_asked() {
+            return Ok(false);
+        }
+        pause(LOOK);
+    }
+    match all(sets, |set| Ok(!set.has_ended()?))? {
+        true => Ok(true),
+        false => bail!(
+            "a set ended before all of them had driven for {} s at the same time; its errors are \
+             above, or the machine starts so many too slowly",
+            bench.seconds
+        ),
+    }
+}
+
+/// Waits until the world of a set has published an instant; `false` after a stop request.
+fn wait_for_begin(set: &mut Driven, bench: &Bench, clock: Clock) -> anyhow::Result<bool> {
+    let (_wire, mut progress) = set.listen(clock)?;
+    let until = clock().after_ns(START_NS);
+    while progress.newest(Message::check).is_none() {
+        if bench.stop.is_asked() {
+            return Ok(false);
+        }
+        if set.has_ended()? || clock() > until {
+            bail!("a set does not drive; its errors are above");
+        }
+        progress.update_connections();
+        pause(LOOK);
+    }
+    Ok(true)
+}
+
+fn all(
+    sets: &mut [Driven],
+    mut is_so: impl FnMut(&mut Driven) -> anyhow::Result<bool>,
+) -> anyhow::Result<bool> {
     for set in sets {
-        if !set.has_ended()? {
+        if !is_so(set)? {
             return Ok(false);
         }
     }

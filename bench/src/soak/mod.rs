@@ -16,10 +16,8 @@ use anyhow::{Context, bail};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use shm_config::message::{Message, Progress};
+use shm_config::message::Message;
 use shm_config::run::RunPaths;
-use shm_config::services::{PROGRESS, Process};
-use shm_config::wire::{Subscriber, Wire};
 use supervisor::cli::parsers::whole;
 
 use crate::driven::Driven;
@@ -38,10 +36,10 @@ use verdict::{Flatness, Rule};
         and threads; of the run, its files in shared memory. The first fifth of the ticks, and \
         60,000 ticks at least, is warm-up. A process is flat if, over the remaining ticks, the \
         Theil-Sen slope of its anonymous memory is within the limit, the median of the last tenth \
-        exceeds that of the first by no more than another limit (of shared memory, the length of its \
-        files does not grow at all: how much of it is used follows the readers), it holds no more files or threads \
-        at the end than at the begin, and it was not restarted. The supervisor may grow by its list \
-        of episodes. samples.csv, memory.svg and memory.png go to --out. Exit code 1 when a process \
+        exceeds that of the first by no more than another limit, it holds no more files or threads \
+        at the end than at the begin, and it was not restarted. Of shared memory, the length of the files does not grow at all; how much of it is \
+        used follows the readers, and may grow beyond that limit if it reaches a new maximum in no \
+        more than five tenths of the ticks. The supervisor may grow by its list of episodes. samples.csv, memory.svg and memory.png go to --out. Exit code 1 when a process \
         is not flat or the soak was stopped: after Ctrl-C the verdict covers the samples so far.\n\n\
         Examples:\n  \
         ./vlaps bench soak --ticks 100000\n  \
@@ -86,8 +84,6 @@ const OWN_KEYS: [(&str, &str); 6] = [
 ];
 /// Polling interval of the tick.
 const LOOK: Duration = Duration::from_millis(100);
-/// Time limit for the set's first message, ns.
-const START_NS: u64 = 60_000_000_000;
 
 /// Result of a soak.
 #[derive(Clone, Debug, Serialize)]
@@ -212,7 +208,7 @@ fn watch(
     clock: Clock,
 ) -> anyhow::Result<Vec<Sample>> {
     let paths = RunPaths::new(driven.name().parse()?);
-    let (_wire, mut progress) = listen(driven, &paths, clock)?;
+    let (_wire, mut progress) = driven.listen(clock)?;
     let path = arguments.out.join(SAMPLES);
     let named = || path.display().to_string();
     let mut file = BufWriter::new(File::create(&path).with_context(named)?);
@@ -245,22 +241,4 @@ fn watch(
     }
     bar.finish_and_clear();
     Ok(samples)
-}
-
-/// Subscribes to the world's progress as soon as the world exists.
-fn listen(
-    driven: &mut Driven,
-    paths: &RunPaths,
-    clock: Clock,
-) -> anyhow::Result<(Wire, Subscriber<Progress>)> {
-    let until = clock().after_ns(START_NS);
-    while paths.supervisor_pid().is_none() {
-        if driven.has_ended()? || clock() > until {
-            bail!("the set does not start; its errors are above");
-        }
-        supervisor::machine::signals::pause(LOOK);
-    }
-    let wire = Wire::join(paths.name(), Process::Supervisor)?;
-    let progress = wire.subscriber(PROGRESS)?;
-    Ok((wire, progress))
 }

@@ -26,13 +26,16 @@ use queue::{Queue, Queued, Sending};
 
 /// Messages that wait at most: the depth of the queue of steps.
 const STEP_QUEUE: usize = 2048;
-/// Simulated time, s.
+/// Simulated time at most, s.
 const SECONDS: f64 = 30.0;
+/// Services that fit into the simulated time of a large fleet at least.
+const SERVICES_MIN: f64 = 10.0;
 /// Seed of the simulation.
 const SEED: u64 = 1;
 /// Shares of the members with which a queue is just full.
 const NEAR_FULL: [f64; 3] = [0.5, 0.9, 1.1];
-/// Simulated members at most: more of them are simulated as their share of the servers.
+/// Simulated members at most: a larger fleet is simulated by so many, each of which sends as
+/// often as several, for a shorter time.
 const SIMULATED_MAX: u64 = 10_000;
 
 /// A fleet.
@@ -165,17 +168,20 @@ fn fleet(
 
 fn simulated(part: &'static str, queue: Queue) -> Simulated {
     let members = queue.members;
-    // As many members for each server as in the whole fleet.
+    // The servers get as many messages a second as from the whole fleet.
+    let share = (SIMULATED_MAX as f64 / members as f64).min(1.0);
+    // As many messages altogether, however large the fleet is.
+    let seconds = (SECONDS * share).max(SERVICES_MIN * queue.service_s);
     let queue = Queue {
         members: members.min(SIMULATED_MAX),
-        messages_per_s: queue.messages_per_s * (members as f64 / SIMULATED_MAX as f64).max(1.0),
+        messages_per_s: queue.messages_per_s / share,
         ..queue
     };
     Simulated {
         part,
         members,
-        seconds: SECONDS,
-        queued: queue.simulate(SECONDS, SEED),
+        seconds,
+        queued: queue.simulate(seconds, SEED),
     }
 }
 
@@ -239,6 +245,7 @@ fn print(fleet: &Fleet) {
     let mut rows = table(&[
         "simulated queue",
         members_are,
+        "simulated, s",
         "used",
         "wait mean, ms",
         "wait p99, ms",
@@ -249,13 +256,14 @@ fn print(fleet: &Fleet) {
     for Simulated {
         part,
         members,
+        seconds,
         queued,
-        ..
     } in &fleet.queues
     {
         rows.add_row([
             part.to_string(),
             members.to_string(),
+            figure(*seconds),
             figure(queued.utilisation),
             figure(queued.wait_mean_s * 1e3),
             figure(queued.wait_p99_s * 1e3),
@@ -265,5 +273,28 @@ fn print(fleet: &Fleet) {
         ]);
     }
     say(rows);
-    say(format_args!("{SECONDS} s simulated, seed {SEED}"));
+    say(format_args!("seed {SEED}"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fleet_of_any_size_is_simulated_with_a_bounded_number_of_messages() {
+        let queue = Queue {
+            members: 0,
+            messages_per_s: 1.0,
+            service_s: 80e-6,
+            servers: 16,
+            waiting_max: STEP_QUEUE,
+            sending: Sending::Periodic,
+        };
+        let [small, large] = [SIMULATED_MAX, 1_000_000]
+            .map(|members| simulated("messages", Queue { members, ..queue }));
+        assert_eq!(small.seconds, SECONDS);
+        assert!((large.seconds - SECONDS / 100.0).abs() < 1e-9);
+        let (sent, all) = (large.queued.sent as f64, small.queued.sent as f64);
+        assert!((sent / all - 1.0).abs() < 0.01, "{sent}, {all}");
+    }
 }
