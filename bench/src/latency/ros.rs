@@ -13,6 +13,9 @@ const FLOOD_HZ: f64 = 10_000.0;
 /// A row counts only if this share of the messages was sent that its rate and duration give:
 /// the programs begin a moment after the set does, and a loaded machine is slow.
 const LEAST_SHARE: f64 = 0.5;
+/// Messages of the bridge for each tick of the controller: those that a step becomes. With the
+/// other topics it sends 14 in the mean.
+const BRIDGE_PER_TICK: f64 = 7.0;
 /// How the programs are built.
 const HINT: &str = "build it with cargo build --release --manifest-path ros/Cargo.toml --bins \
                     --examples --target-dir target";
@@ -65,17 +68,19 @@ impl RowRos {
     /// If one has failed, or fewer messages passed than a set at this rate for these seconds
     /// and the flood give.
     pub fn finish(mut self, (rate_hz, seconds): (f64, f64)) -> anyhow::Result<()> {
-        let mut lines = Vec::new();
-        for (program, name) in self.programs.drain(..).zip(["the flood", "the bridge"]) {
-            lines.push(last_line(program).with_context(|| format!("{name} of the row"))?);
+        let (mut lines, mut names) = (Vec::new(), ["the flood", "the bridge"].into_iter());
+        // One by one: after an error, dropping this row ends the others.
+        while !self.programs.is_empty() {
+            let name = names.next().unwrap_or("a program");
+            let line = last_line(self.programs.remove(0));
+            lines.push(line.with_context(|| format!("{name} of the row"))?);
         }
         let [flood, bridge] = lines.as_slice() else {
             bail!("no flood and bridge ran");
         };
         for (line, what, of_hz) in [
             (flood, " foreign messages sent", FLOOD_HZ),
-            // Each step is one message at least.
-            (bridge, " messages sent", rate_hz),
+            (bridge, " messages sent", rate_hz * BRIDGE_PER_TICK),
             (flood, " others heard", rate_hz),
         ] {
             let least = of_hz * seconds * LEAST_SHARE;
@@ -154,11 +159,13 @@ mod tests {
     }
 
     const FLOOD: &str = "echo '10.0 s: 100000 foreign messages sent, 900 others heard'";
-    const BRIDGE: &str = "echo '3000 messages sent, 0 refused'";
+    const BRIDGE: &str = "echo '14400 messages sent, 0 refused'";
 
     #[test]
     fn a_row_whose_bridge_or_flood_was_not_there_is_refused() {
         assert_eq!(told(FLOOD, BRIDGE), "counted");
+        let tenth = "echo '1440 messages sent, 0 refused'";
+        assert!(told(FLOOD, tenth).contains("1440 messages sent during the row"));
         let silent = "echo '0 messages sent, 0 refused'";
         assert!(told(FLOOD, silent).contains("0 messages sent during the row"));
         assert!(told(FLOOD, "exit 0").contains("no count of messages sent"));
@@ -175,6 +182,18 @@ mod tests {
     }
 
     #[test]
+    fn after_a_failed_flood_the_bridge_ends_too() {
+        let mut row = row("echo 'the port is taken' >&2; exit 1", "exit 0");
+        let mut waits = Command::new("sleep");
+        let waits = waits.arg("600").stdout(Stdio::piped()).spawn();
+        row.programs[1] = waits.expect("a program");
+        let pid = rustix::process::Pid::from_child(&row.programs[1]);
+        assert!(row.finish((100.0, 10.0)).is_err());
+        // It is waited for, so that its id is free.
+        assert!(rustix::process::test_kill_process(pid).is_err());
+    }
+
+    #[test]
     fn a_program_that_runs_is_asked_to_end_and_then_says_its_count() {
         // It waits until it is asked.
         let waits =
@@ -186,6 +205,6 @@ mod tests {
         let out = program.stdout.as_mut().expect("a pipe");
         std::io::Read::read_exact(out, &mut up).expect("it is up");
         let line = last_line(program).expect("a line");
-        assert_eq!(count(&line, " messages sent"), Some(3000), "{line}");
+        assert_eq!(count(&line, " messages sent"), Some(14_400), "{line}");
     }
 }
