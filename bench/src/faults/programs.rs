@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use supervisor::cli::print::quoted;
 use supervisor::commands::up::arguments::{UpWorld, WorldOrProgram};
 
 /// The options that name them, as those of `up`.
@@ -41,29 +42,8 @@ impl Programs {
     }
 }
 
-/// A word as a shell reads it back: in quotes where it holds more than a plain path.
-fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,".contains(c);
-    match !word.is_empty() && word.chars().all(is_plain) {
-        true => word.into(),
-        false => format!("'{}'", word.replace('\'', r"'\''")),
-    }
-}
-
 /// An empty path stays as it is; `up` refuses it by its name.
 fn absolute(path: &Path) -> String {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.into());
     whole.display().to_string()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::quoted;
-
-    #[test]
-    fn words_are_quoted_where_a_shell_would_split_them() {
-        assert_eq!(quoted("./my-robot"), "./my-robot");
-        assert_eq!(quoted("/a folder/it's"), r"'/a folder/it'\''s'");
-        assert_eq!(quoted(""), "''");
-    }
 }

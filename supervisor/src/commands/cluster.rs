@@ -4,7 +4,7 @@ use clap::{Args, Subcommand};
 
 use crate::cli::failure::Failure;
 use crate::cli::parsers::whole;
-use crate::cli::print::say;
+use crate::cli::print::{quoted, say};
 
 /// The scripts of the examples; the printed ones differ in the command and the numbers.
 const SLURM: &str = include_str!("../../../examples/cluster/slurm.sh");
@@ -180,15 +180,6 @@ fn job_name(out: &str) -> String {
     let mut name = format!("vlaps-{}", words.join("-"));
     name.truncate(63);
     name.trim_end_matches('-').into()
-}
-
-/// A word as a shell reads it again.
-fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
-    match !word.is_empty() && word.chars().all(is_plain) {
-        true => word.into(),
-        false => format!("'{}'", word.replace('\'', r"'\''")),
-    }
 }
 
 #[cfg(test)]
