@@ -93,7 +93,7 @@ impl Parts {
         while self.lines(shard) < kept + 1 {
             let ended = child.try_wait().expect("a child");
             assert!(ended.is_none(), "it ended early: {ended:?}");
-            std::thread::sleep(LOOK);
+            supervisor::machine::signals::pause(LOOK);
         }
         child
     }
