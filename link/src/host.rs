@@ -12,11 +12,12 @@ use std::sync::Arc;
 use ring::hmac;
 use shm_config::Instant;
 
+use crate::cipher::SessionKeys;
 use crate::flow::{Inbox, Outbox, QUEUE_MAX};
 use crate::hello::{Hello, Welcome};
-use crate::keys::{Claim, Identity, RunKeys, SessionKeys, random};
+use crate::keys::{Claim, Identity, RunKeys, random};
 use crate::live::{Content, Ends, Live};
-use crate::packet::{Kind, Packet, parcel_of, seal};
+use crate::packet::{Kind, Packet, parcel_of, sign};
 use crate::refusal::{Reason, Refused};
 use crate::role::{Passage, Role, RowId, layouts};
 
@@ -172,7 +173,7 @@ impl Host {
     }
 
     fn greet(&mut self, packet: &Packet<'_>, now: Instant, epoch_s: u64) -> Result<(), Reason> {
-        let hello = Hello::of(packet.body).ok_or(Reason::Malformed)?;
+        let hello = Hello::of(packet.greeting()).ok_or(Reason::Malformed)?;
         let peer = hello.claim.peer;
         match self.admit(&hello, packet, (now, epoch_s)) {
             Ok(key) => self.offer(&hello, key, now),
@@ -182,7 +183,7 @@ impl Host {
                 self.out.push((
                     hello.claim.role,
                     peer,
-                    seal(Kind::Refusal, (0, 0), &body, &no_key()),
+                    sign(Kind::Refusal, &body, &no_key()),
                 ));
                 Err(reason)
             }
@@ -215,12 +216,17 @@ impl Host {
             Seats::One(_) => !others().any(lives),
             Seats::Readers => others().filter(|guest| lives(guest)).count() < PEERS_MAX - 1,
         };
+        // An invitation is for one process; another one waits until the first is silent.
+        let has_twin = self
+            .guests
+            .get(&claim.peer)
+            .is_some_and(|guest| lives(guest) && guest.instance != Some(hello.instance));
         match () {
             () if hello.layouts != layouts() => Err(Reason::OtherLayout),
             () if !self.seats.admits(claim.role) => Err(Reason::WrongRole),
             () if epoch_s >= claim.expires_epoch_s => Err(Reason::Expired),
             () if self.keys.revoked.contains(&claim.peer) => Err(Reason::Revoked),
-            () if !has_seat => Err(Reason::Occupied),
+            () if !has_seat || has_twin => Err(Reason::Occupied),
             () => Ok(key),
         }
     }
@@ -282,7 +288,7 @@ impl Host {
         };
         // A later invitation cannot have the same identity, but another end or signer.
         (guest.claim, guest.key) = (claim, key);
-        let answer = seal(Kind::Welcome, (0, 0), &welcome.body(), &guest.key);
+        let answer = sign(Kind::Welcome, &welcome.body(), &guest.key);
         guest.offered = Some(Offer {
             live: Live::new(welcome.session(), ends, now),
             nonce: hello.nonce,
@@ -315,10 +321,11 @@ impl Host {
         });
         let guest = guest.ok_or(Reason::NoSession)?;
         let claim = guest.claim;
+        let mut body = Vec::new();
         if let Some(offer) = guest.offered.as_mut()
             && is_of(&offer.live)
         {
-            offer.live.open(packet, now)?;
+            body = offer.live.open(packet, now)?;
             let instance = offer.instance;
             guest.live = guest.offered.take().map(|offer| offer.live);
             guest.joins += 1;
@@ -336,12 +343,12 @@ impl Host {
             }
             self.events.push(Event::Joined(claim));
         } else if let Some(live) = &mut guest.live {
-            live.open(packet, now)?;
+            body = live.open(packet, now)?;
         }
         let Some(live) = &mut guest.live else {
             return Ok(());
         };
-        match live.carry_out(packet, &mut guest.outbox, (came, now))? {
+        match live.carry_out((packet.kind, body), &mut guest.outbox, (came, now))? {
             Content::Done => {}
             Content::Answer(bytes) => self.out.push((claim.role, claim.peer, bytes)),
             Content::Jumped(by_ns) => self.events.push(Event::Jumped(claim, by_ns)),
@@ -350,7 +357,7 @@ impl Host {
                 self.events.push(Event::Left(claim, "it has ended"));
             }
             Content::Message(body) => {
-                let parcel = parcel_of(body).ok_or(Reason::Malformed)?;
+                let parcel = parcel_of(&body).ok_or(Reason::Malformed)?;
                 let row = parcel.row;
                 if !claim.role.may_send(row) {
                     return Err(Reason::NotAllowed);

@@ -360,32 +360,6 @@ impl Bundle {
     }
 }
 
-/// The keys of one session: one for each direction, so that nothing sent can be sent back.
-pub struct SessionKeys {
-    /// From the peer to the vehicle.
-    pub up: hmac::Key,
-    /// From the vehicle to the peer.
-    pub down: hmac::Key,
-}
-
-impl SessionKeys {
-    /// Of a peer's key and the random numbers of both sides.
-    pub fn of(peer: &hmac::Key, nonces: [[u8; 16]; 2]) -> Self {
-        let direction = |word: &[u8]| {
-            let mut context = hmac::Context::with_key(peer);
-            context.update(b"vlaps-link session 1 ");
-            context.update(word);
-            context.update(&nonces[0]);
-            context.update(&nonces[1]);
-            hmac::Key::new(hmac::HMAC_SHA256, context.sign().as_ref())
-        };
-        Self {
-            up: direction(b"up"),
-            down: direction(b"down"),
-        }
-    }
-}
-
 /// SHA-256.
 pub fn sha256(bytes: &[u8]) -> [u8; 32] {
     let digest = digest::digest(&digest::SHA256, bytes);

@@ -9,6 +9,7 @@
 //! | [`role`] | the roles, and which rows each hears and sends |
 //! | [`keys`], [`certificate`] | the secrets of a run, invitations |
 //! | [`packet`], [`hello`] | what travels |
+//! | [`cipher`] | the encryption of a session |
 //! | [`flow`] | numbers, acknowledgements and losses of each row |
 //! | [`clock_map`] | the other machine's clock |
 //! | [`live`], [`host`], [`peer`] | a session, and both of its ends, without network or clock |
@@ -23,6 +24,7 @@
 pub mod arguments;
 pub mod carrier;
 pub mod certificate;
+pub mod cipher;
 pub mod clock_map;
 pub mod commands;
 pub mod dating;

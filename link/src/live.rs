@@ -1,8 +1,8 @@
 //! A session that both sides have agreed on: keys, counters, clocks.
 
-use ring::hmac;
 use shm_config::Instant;
 
+use crate::cipher::Cipher;
 use crate::clock_map::{ClockMap, Shown, Stamps};
 use crate::flow::{Inbox, Outbox};
 use crate::packet::{Kind, Packet, Reader, parcel_body, seal};
@@ -24,9 +24,9 @@ const ACKNOWLEDGED: usize = 16;
 /// The keys of both directions, as one side uses them.
 pub struct Ends {
     /// Of what this side sends.
-    pub send: hmac::Key,
+    pub send: Cipher,
     /// Of what it receives.
-    pub receive: hmac::Key,
+    pub receive: Cipher,
 }
 
 /// A session.
@@ -46,9 +46,9 @@ pub struct Live {
 
 /// What an authentic packet holds for the side that received it.
 #[derive(Debug)]
-pub enum Content<'a> {
+pub enum Content {
     /// A message of a row, not taken apart.
-    Message(&'a [u8]),
+    Message(Vec<u8>),
     /// Nothing that it has to do.
     Done,
     /// The other clock has jumped by this, ns.
@@ -79,40 +79,38 @@ impl Live {
         seal(kind, (self.session, self.sent), body, &self.ends.send)
     }
 
-    /// Whether a packet is of this connection, unchanged, and not received before.
+    /// The body of a packet of this session, unchanged and not received before.
     ///
     /// # Errors
     /// Why it is refused.
-    pub fn open(&mut self, packet: &Packet<'_>, now: Instant) -> Result<(), Reason> {
-        if !packet.is_of(&self.ends.receive) {
-            return Err(Reason::Forged);
-        }
+    pub fn open(&mut self, packet: &Packet<'_>, now: Instant) -> Result<Vec<u8>, Reason> {
+        let body = packet.open(&self.ends.receive).ok_or(Reason::Forged)?;
         if packet.counter <= self.seen {
             return Err(Reason::Replayed);
         }
         self.seen = packet.counter;
         self.heard = now;
-        Ok(())
+        Ok(body)
     }
 
     /// Carries out what an authentic packet says, but for messages.
     ///
     /// # Errors
     /// When its body is not one of its kind.
-    pub fn carry_out<'a>(
+    pub fn carry_out(
         &mut self,
-        packet: &Packet<'a>,
+        (kind, body): (Kind, Vec<u8>),
         outbox: &mut Outbox,
         (came, now): (Instant, Instant),
-    ) -> Result<Content<'a>, Reason> {
-        match packet.kind {
-            Kind::Message => Ok(Content::Message(packet.body)),
+    ) -> Result<Content, Reason> {
+        match kind {
+            Kind::Message => Ok(Content::Message(body)),
             Kind::Bye => Ok(Content::Bye),
             Kind::Acknowledgement => {
-                if !packet.body.len().is_multiple_of(ACKNOWLEDGED) {
+                if !body.len().is_multiple_of(ACKNOWLEDGED) {
                     return Err(Reason::Malformed);
                 }
-                for entry in packet.body.chunks(ACKNOWLEDGED) {
+                for entry in body.chunks(ACKNOWLEDGED) {
                     let mut reader = Reader(entry);
                     let row = reader.take(8).map(|bytes| RowId(bytes[0]));
                     if let (Some(row), Some(sequence)) = (row, reader.u64()) {
@@ -122,14 +120,15 @@ impl Live {
                 Ok(Content::Done)
             }
             Kind::Ping => {
-                let t1 = Reader(packet.body).u64().ok_or(Reason::Malformed)?;
-                let mut body = t1.to_le_bytes().to_vec();
-                body.extend_from_slice(&came.0.to_le_bytes());
-                body.extend_from_slice(&now.0.to_le_bytes());
-                Ok(Content::Answer(self.seal(Kind::Pong, &body)))
+                let t1 = Reader(&body).u64().ok_or(Reason::Malformed)?;
+                let mut answer = t1.to_le_bytes().to_vec();
+                answer.extend_from_slice(&came.0.to_le_bytes());
+                // A packet may come after the turn has read the clock.
+                answer.extend_from_slice(&now.max(came).0.to_le_bytes());
+                Ok(Content::Answer(self.seal(Kind::Pong, &answer)))
             }
             Kind::Pong => {
-                let mut reader = Reader(packet.body);
+                let mut reader = Reader(&body);
                 let mut next = || reader.u64().ok_or(Reason::Malformed);
                 let stamps = Stamps {
                     t1: next()?,

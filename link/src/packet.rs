@@ -6,12 +6,14 @@
 //! | session | 8 |
 //! | counter, from 1 in each session and direction | 8 |
 //! | body | up to [`BODY_MAX`] |
-//! | HMAC-SHA256 of all before it | 32 |
+//! | of a greeting: HMAC-SHA256 of all before it | 32 |
+//! | of a session's packet, whose body is encrypted: the tag of body and head | 16 |
 //!
 //! All numbers are little-endian.
 
 use ring::hmac;
 
+use crate::cipher::{Cipher, TAG_BYTES};
 use crate::flow::Parcel;
 use crate::role::RowId;
 
@@ -19,8 +21,8 @@ use crate::role::RowId;
 const MAGIC: &[u8; 4] = b"VLNK";
 /// Bytes before the body.
 const HEAD: usize = 24;
-/// Bytes behind it.
-const TAG: usize = 32;
+/// Bytes behind the body of a greeting.
+const SIGNATURE: usize = 32;
 /// Most bytes of a body: the largest policy file and what is with it.
 pub const BODY_MAX: usize = (8 << 20) + (64 << 10);
 /// Bytes of a parcel before its message.
@@ -48,6 +50,20 @@ shm_config::word_list! {
     }
 }
 
+impl Kind {
+    /// Whether it is sent before there is a session, and therefore in clear text.
+    pub fn is_greeting(self) -> bool {
+        matches!(self, Self::Hello | Self::Welcome | Self::Refusal)
+    }
+
+    fn tag_bytes(self) -> usize {
+        match self.is_greeting() {
+            true => SIGNATURE,
+            false => TAG_BYTES,
+        }
+    }
+}
+
 /// A packet, taken apart; nothing of it is trusted yet.
 #[derive(Debug, Clone, Copy)]
 pub struct Packet<'a> {
@@ -57,50 +73,76 @@ pub struct Packet<'a> {
     pub session: u64,
     /// Its number in the session.
     pub counter: u64,
-    /// Its content.
-    pub body: &'a [u8],
-    signed: &'a [u8],
-    tag: &'a [u8],
+    whole: &'a [u8],
 }
 
 impl<'a> Packet<'a> {
     /// Takes bytes apart; `None` when they are no packet.
     pub fn parse(bytes: &'a [u8]) -> Option<Self> {
-        if bytes.len() < HEAD + TAG || bytes.len() > HEAD + BODY_MAX + TAG {
-            return None;
-        }
-        let (signed, tag) = bytes.split_at(bytes.len() - TAG);
-        let mut reader = Reader(signed);
+        let mut reader = Reader(bytes);
         let [magic, kind, zeros] = [reader.take(4)?, reader.take(1)?, reader.take(3)?];
         if magic != MAGIC || zeros != [0; 3] {
             return None;
         }
-        Some(Self {
-            kind: Kind::from_code(u32::from(kind[0]))?,
-            session: reader.u64()?,
-            counter: reader.u64()?,
-            body: reader.0,
-            signed,
-            tag,
+        let kind = Kind::from_code(u32::from(kind[0]))?;
+        let (session, counter) = (reader.u64()?, reader.u64()?);
+        let body = reader.0.len().checked_sub(kind.tag_bytes())?;
+        (body <= BODY_MAX).then_some(Self {
+            kind,
+            session,
+            counter,
+            whole: bytes,
         })
     }
 
-    /// Whether it was made with this key, and not changed since.
+    /// The body of a greeting, which anyone may have made; nothing of other packets.
+    pub fn greeting(&self) -> &'a [u8] {
+        match self.kind.is_greeting() {
+            true => &self.whole[HEAD..self.whole.len() - SIGNATURE],
+            false => &[],
+        }
+    }
+
+    /// Whether it is a greeting that was made with this key, and not changed since.
     pub fn is_of(&self, key: &hmac::Key) -> bool {
-        hmac::verify(key, self.signed, self.tag).is_ok()
+        let (signed, tag) = self
+            .whole
+            .split_at(self.whole.len() - self.kind.tag_bytes());
+        self.kind.is_greeting() && hmac::verify(key, signed, tag).is_ok()
+    }
+
+    /// The body of a session's packet; `None` when it was made with another key, or changed.
+    pub fn open(&self, cipher: &Cipher) -> Option<Vec<u8>> {
+        let (head, sealed) = self.whole.split_at(HEAD);
+        match self.kind.is_greeting() {
+            true => None,
+            false => cipher.open(self.counter, head, sealed),
+        }
     }
 }
 
-/// Makes a packet.
-pub fn seal(kind: Kind, (session, counter): (u64, u64), body: &[u8], key: &hmac::Key) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(HEAD + body.len() + TAG);
+fn clear(kind: Kind, (session, counter): (u64, u64), body: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(HEAD + body.len() + SIGNATURE);
     bytes.extend_from_slice(MAGIC);
     bytes.extend_from_slice(&[kind.code() as u8, 0, 0, 0]);
     bytes.extend_from_slice(&session.to_le_bytes());
     bytes.extend_from_slice(&counter.to_le_bytes());
     bytes.extend_from_slice(body);
+    bytes
+}
+
+/// Makes a greeting.
+pub fn sign(kind: Kind, body: &[u8], key: &hmac::Key) -> Vec<u8> {
+    let mut bytes = clear(kind, (0, 0), body);
     let tag = hmac::sign(key, &bytes);
     bytes.extend_from_slice(tag.as_ref());
+    bytes
+}
+
+/// Makes a packet of a session. A counter may be used once.
+pub fn seal(kind: Kind, (session, counter): (u64, u64), body: &[u8], cipher: &Cipher) -> Vec<u8> {
+    let mut bytes = clear(kind, (session, counter), body);
+    cipher.seal(counter, &mut bytes, HEAD);
     bytes
 }
 
@@ -154,29 +196,50 @@ impl<'a> Reader<'a> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_packet_that_is_cut_changed_or_lengthened_is_refused() {
-        let key = hmac::Key::new(hmac::HMAC_SHA256, &[7; 32]);
-        let whole = seal(Kind::Message, (3, 4), b"body", &key);
-        let packet = Packet::parse(&whole).expect("a packet");
-        assert_eq!(
-            (packet.session, packet.counter, packet.body),
-            (3, 4, &b"body"[..])
-        );
-        assert!(packet.is_of(&key));
+    fn ends() -> crate::cipher::SessionKeys {
+        let peer = hmac::Key::new(hmac::HMAC_SHA256, &[7; 32]);
+        crate::cipher::SessionKeys::of(&peer, [[1; 16], [2; 16]])
+    }
+
+    /// Cuts, changes and lengthens a packet; each time `take` must not take it.
+    fn is_taken_whole_alone(whole: &[u8], take: impl Fn(&Packet<'_>) -> bool) {
+        let is_taken = |bytes: &[u8]| Packet::parse(bytes).is_some_and(|packet| take(&packet));
+        assert!(is_taken(whole));
         for cut in 0..whole.len() {
-            let is_taken = Packet::parse(&whole[..cut]).is_some_and(|packet| packet.is_of(&key));
-            assert!(!is_taken, "cut to {cut} bytes");
+            assert!(!is_taken(&whole[..cut]), "cut to {cut} bytes");
         }
         for place in 0..whole.len() {
-            let mut changed = whole.clone();
+            let mut changed = whole.to_vec();
             changed[place] ^= 1;
-            let is_taken = Packet::parse(&changed).is_some_and(|packet| packet.is_of(&key));
-            assert!(!is_taken, "byte {place} changed");
+            assert!(!is_taken(&changed), "byte {place} changed");
         }
-        let mut longer = whole.clone();
-        longer.push(0);
-        assert!(!Packet::parse(&longer).is_some_and(|packet| packet.is_of(&key)));
-        assert!(Packet::parse(&vec![0; HEAD + BODY_MAX + TAG + 1]).is_none());
+        assert!(!is_taken(&[whole, &[0]].concat()));
+    }
+
+    #[test]
+    fn a_packet_that_is_cut_changed_or_lengthened_is_refused() {
+        let cipher = ends().up;
+        let whole = seal(Kind::Message, (3, 4), b"body", &cipher);
+        let packet = Packet::parse(&whole).expect("a packet");
+        assert_eq!((packet.session, packet.counter), (3, 4));
+        assert_eq!(packet.open(&cipher), Some(b"body".to_vec()));
+        is_taken_whole_alone(&whole, |packet| packet.open(&cipher).is_some());
+        let key = hmac::Key::new(hmac::HMAC_SHA256, &[7; 32]);
+        let hello = sign(Kind::Hello, b"body", &key);
+        assert_eq!(Packet::parse(&hello).expect("a packet").greeting(), b"body");
+        is_taken_whole_alone(&hello, |packet| packet.is_of(&key));
+        let long = sign(Kind::Hello, &vec![0; BODY_MAX + 1], &key);
+        assert!(Packet::parse(&long).is_none());
+    }
+
+    /// A peer of another role, or a revoked one, can hear what the router passes on.
+    #[test]
+    fn the_body_of_a_session_is_not_readable() {
+        let whole = seal(Kind::Message, (3, 4), b"a step of the car", &ends().down);
+        assert!(!whole.windows(4).any(|part| part == b"step"));
+        assert_eq!(
+            Packet::parse(&whole).expect("a packet").open(&ends().up),
+            None
+        );
     }
 }

@@ -6,12 +6,13 @@ use std::sync::Arc;
 use ring::hmac;
 use shm_config::Instant;
 
+use crate::cipher::SessionKeys;
 use crate::flow::{Inbox, Outbox};
 use crate::hello::{Hello, Welcome};
 use crate::host::no_key;
-use crate::keys::{Bundle, Claim, SessionKeys, random};
+use crate::keys::{Bundle, Claim, random};
 use crate::live::{Content, Ends, Live};
-use crate::packet::{Kind, Packet, Reader, parcel_of, seal};
+use crate::packet::{Kind, Packet, Reader, parcel_of, sign};
 use crate::refusal::{Reason, Refused};
 use crate::role::{Passage, RowId, layouts};
 
@@ -48,7 +49,9 @@ pub struct Peer {
     key: hmac::Key,
     layouts: u64,
     instance: u64,
-    nonce: [u8; 16],
+    /// The random number of the hello that waits for its answer. It counts for one session:
+    /// a second one with it would have the same keys.
+    nonce: Option<[u8; 16]>,
     greeted: Option<Instant>,
     vehicle: Option<u64>,
     /// What the vehicle is to receive.
@@ -76,7 +79,7 @@ impl Peer {
             key: bundle.key(),
             layouts: layouts(),
             instance: u64::from_le_bytes(random()?),
-            nonce: random()?,
+            nonce: None,
             greeted: None,
             vehicle: None,
             outbox: Outbox::default(),
@@ -125,14 +128,15 @@ impl Peer {
     }
 
     fn begin(&mut self, packet: &Packet<'_>, now: Instant) -> Result<(), Reason> {
-        let welcome = Welcome::of(packet.body).ok_or(Reason::Malformed)?;
+        let welcome = Welcome::of(packet.greeting()).ok_or(Reason::Malformed)?;
         if !packet.is_of(&self.key) {
             return Err(Reason::Forged);
         }
         // An answer to another hello; the newest one counts.
-        if welcome.nonce != self.nonce || self.live.is_some() {
+        if self.nonce != Some(welcome.nonce) || self.live.is_some() {
             return Err(Reason::Replayed);
         }
+        self.nonce = None;
         let keys = SessionKeys::of(&self.key, [welcome.nonce, welcome.own_nonce]);
         let ends = Ends {
             send: keys.up,
@@ -153,9 +157,9 @@ impl Peer {
     }
 
     fn refusal(&mut self, packet: &Packet<'_>) -> Result<(), Reason> {
-        let mut reader = Reader(packet.body);
+        let mut reader = Reader(packet.greeting());
         let (nonce, code) = (reader.array(), reader.array().map(u32::from_le_bytes));
-        let is_answer = nonce == Some(self.nonce) && self.live.is_none();
+        let is_answer = nonce.is_some() && nonce == self.nonce;
         let reason = code.and_then(Reason::from_code).ok_or(Reason::Malformed)?;
         match is_answer && packet.is_of(&no_key()) {
             true => {
@@ -171,14 +175,14 @@ impl Peer {
         if live.session != packet.session {
             return Err(Reason::NoSession);
         }
-        live.open(packet, now)?;
-        match live.carry_out(packet, &mut self.outbox, (came, now))? {
+        let body = live.open(packet, now)?;
+        match live.carry_out((packet.kind, body), &mut self.outbox, (came, now))? {
             Content::Done => {}
             Content::Answer(bytes) => self.out.push(bytes),
             Content::Jumped(by_ns) => self.news.push(News::Jumped(by_ns)),
             Content::Bye => self.lose("the vehicle has ended it"),
             Content::Message(body) => {
-                let parcel = parcel_of(body).ok_or(Reason::Malformed)?;
+                let parcel = parcel_of(&body).ok_or(Reason::Malformed)?;
                 let row = parcel.row;
                 if !self.claim.role.hears(row) {
                     return Err(Reason::NotAllowed);
@@ -196,11 +200,6 @@ impl Peer {
     fn lose(&mut self, why: &'static str) {
         self.live = None;
         self.greeted = None;
-        // Without a new number an old answer would begin a session; the old one is kept
-        // then, and its answers are refused as long as the counter stands.
-        if let Ok(nonce) = random() {
-            self.nonce = nonce;
-        }
         self.news.push(News::Lost(why));
     }
 
@@ -214,21 +213,30 @@ impl Peer {
             Some(live) => live.due((&mut self.outbox, &mut self.inbox), now, &mut |bytes| {
                 out.push(bytes);
             }),
-            None if self
-                .greeted
-                .is_none_or(|last| now.since_ns(last) >= HELLO_NS) =>
-            {
-                self.greeted = Some(now);
-                let hello = Hello {
-                    claim: self.claim,
-                    layouts: self.layouts,
-                    nonce: self.nonce,
-                    instance: self.instance,
-                };
-                out.push(seal(Kind::Hello, (0, 0), &hello.body(), &self.key));
-            }
-            None => {}
+            None => self.greet(now),
         }
+    }
+
+    fn greet(&mut self, now: Instant) {
+        if self
+            .greeted
+            .is_some_and(|last| now.since_ns(last) < HELLO_NS)
+        {
+            return;
+        }
+        // Without random numbers there is no hello; the next turn tries again.
+        let Some(nonce) = self.nonce.or_else(|| random().ok()) else {
+            return;
+        };
+        self.nonce = Some(nonce);
+        self.greeted = Some(now);
+        let hello = Hello {
+            claim: self.claim,
+            layouts: self.layouts,
+            nonce,
+            instance: self.instance,
+        };
+        self.out.push(sign(Kind::Hello, &hello.body(), &self.key));
     }
 
     /// Ends the session.

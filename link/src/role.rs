@@ -7,7 +7,7 @@ use shm_config::services::{
 };
 
 /// The version of what the link itself sends, beside the layouts of the messages.
-const PROTOCOL: u64 = 1;
+const PROTOCOL: u64 = 2;
 
 shm_config::word_list! {
     /// What a peer is on its machine.

@@ -8,8 +8,9 @@ use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{Advice, Learning, Step};
 use shm_config::services::{ADVICE, COMMAND, LEARNING, STEP, WEIGHTS};
+use vlaps_link::cipher::SessionKeys;
 use vlaps_link::host::{Event, Host, Seats};
-use vlaps_link::packet::{Kind, seal};
+use vlaps_link::packet::{Kind, seal, sign};
 use vlaps_link::peer::{News, Peer};
 use vlaps_link::refusal::Reason;
 use vlaps_link::role::{Role, RowId, layouts};
@@ -220,6 +221,71 @@ fn a_second_judge_waits_until_the_first_is_gone() {
         line.host.receive(&bytes, (line.now, line.now), 1);
     }
     assert_eq!(line.host.refused.of(Reason::Occupied), 1);
+    second.receive(&answer_to(&mut line), (line.now, line.now));
+    assert!(second.live.is_some());
+}
+
+/// The vehicle's newest answer.
+fn answer_to(line: &mut Line) -> Vec<u8> {
+    let (_, _, bytes) = line.host.take_out().pop().expect("an answer");
+    bytes
+}
+
+/// One invitation on two machines: the first one keeps its session until it is silent.
+#[test]
+fn a_twin_of_an_invitation_takes_no_session() {
+    let keys = keys();
+    let invitation = bundle(&keys, Role::Judge);
+    let peer = Peer::new(&invitation).expect("a peer");
+    let mut twin = Peer::new(&invitation).expect("a peer");
+    let host = Host::new(keys, Seats::One(Role::Judge)).expect("a host");
+    let mut line = Line::new(host, peer);
+    line.run(300);
+    twin.poll(line.now);
+    for bytes in twin.take_out() {
+        line.host.receive(&bytes, (line.now, line.now), 1);
+    }
+    twin.receive(&answer_to(&mut line), (line.now, line.now));
+    assert_eq!(twin.take_news(), [News::Refused(Reason::Occupied)]);
+    assert_eq!(line.host.refused.of(Reason::Occupied), 1);
+    line.run(300);
+    assert!(line.peer.live.is_some());
+    assert_eq!(line.peer.joins, 1);
+}
+
+/// The vehicle's answer to a hello begins one session: a second one would have its keys, and
+/// so the same key stream for other messages.
+#[test]
+fn an_answer_begins_one_session() {
+    let mut line = line(Role::Judge);
+    line.peer.poll(line.now);
+    for bytes in line.peer.take_out() {
+        line.host.receive(&bytes, (line.now, line.now), 1);
+    }
+    let answer = answer_to(&mut line);
+    line.peer.receive(&answer, (line.now, line.now));
+    assert!(line.peer.live.is_some());
+    line.peer.end();
+    line.peer.poll(line.now.after_ns(1_000 * MS));
+    line.peer.receive(&answer, (line.now, line.now));
+    assert!(line.peer.live.is_none());
+    assert_eq!(line.peer.refused.of(Reason::Replayed), 1);
+}
+
+/// Another peer that hears what the router passes on reads nothing of it.
+#[test]
+fn no_message_can_be_read_on_the_way() {
+    let mut line = line(Role::Judge);
+    line.tape = Some(Vec::new());
+    line.run(300);
+    let text = b"advice to the car";
+    line.peer.push(row(ADVICE.name), text[..].into());
+    line.run(20);
+    let came = |event: &Event| matches!(event, Event::Message(_, _, bytes) if **bytes == text[..]);
+    assert!(line.events.iter().any(came));
+    for bytes in line.tape.take().expect("a tape") {
+        assert!(!bytes.windows(text.len()).any(|part| part == text));
+    }
 }
 
 /// Every packet of a session that was taken is sent again, in it and after it: a message, an
@@ -286,6 +352,7 @@ fn two_thousand_hostile_frames_are_counted_and_change_nothing() {
     let before = line.events.len();
     let session = line.peer.live.as_ref().expect("a session").session;
     let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, b"a guess");
+    let guess = SessionKeys::of(&key, [[0; 16]; 2]);
     let frames = 2_000;
     for number in 0..frames {
         let bytes = match number % 4 {
@@ -298,7 +365,10 @@ fn two_thousand_hostile_frames_are_counted_and_change_nothing() {
                 let mut body = vec![0; random.random_range(0..200)];
                 random.fill_bytes(&mut body);
                 let kind = Kind::ALL[random.random_range(0..Kind::ALL.len())];
-                seal(kind, (session, u64::MAX - number), &body, &key)
+                match kind.is_greeting() {
+                    true => sign(kind, &body, &key),
+                    false => seal(kind, (session, u64::MAX - number), &body, &guess.up),
+                }
             }
             2 => {
                 let mut changed = tape[random.random_range(0..tape.len())].clone();
