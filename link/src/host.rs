@@ -53,6 +53,8 @@ pub enum Event {
     Message(Claim, RowId, Arc<[u8]>),
     /// The peer's clock has jumped by this, ns.
     Jumped(Claim, i64),
+    /// Why no invitation has an effect now; `None` when they have again.
+    Closed(Option<&'static str>),
 }
 
 /// One peer.
@@ -85,6 +87,8 @@ struct Offer {
 pub struct Host {
     keys: RunKeys,
     seats: Seats,
+    /// Why no invitation has an effect.
+    closed: Option<&'static str>,
     instance: u64,
     guests: BTreeMap<Identity, Guest>,
     /// The newest message of each row, and of rows of every message those that were sent
@@ -105,6 +109,7 @@ impl Host {
         Ok(Self {
             keys,
             seats,
+            closed: None,
             instance: u64::from_le_bytes(random()?),
             guests: BTreeMap::new(),
             kept: BTreeMap::new(),
@@ -119,9 +124,35 @@ impl Host {
         self.guests.values()
     }
 
-    /// Ends the effect of these invitations.
+    /// Ends the effect of these invitations, for as long as this process lives.
     pub fn revoke(&mut self, revoked: Vec<Identity>) {
-        self.keys.revoked = revoked;
+        for peer in revoked {
+            if !self.keys.revoked.contains(&peer) {
+                self.keys.revoked.push(peer);
+            }
+        }
+    }
+
+    /// Takes the list of revoked invitations from the keys as they are now. Without the keys
+    /// of this run nothing is known of revocations: then no invitation has an effect.
+    pub fn renew(&mut self, read: io::Result<Option<RunKeys>>) {
+        let closed = match read {
+            Ok(Some(keys)) if keys.identity == self.keys.identity => {
+                self.revoke(keys.revoked);
+                None
+            }
+            Ok(Some(_)) => Some("the file of the run's keys has those of another run"),
+            Ok(None) => Some("the file of the run's keys is gone"),
+            Err(_) => Some("the file of the run's keys cannot be read"),
+        };
+        if closed != self.closed {
+            self.closed = closed;
+            self.events.push(Event::Closed(closed));
+        }
+    }
+
+    fn is_revoked(&self, peer: Identity) -> bool {
+        self.closed.is_some() || self.keys.revoked.contains(&peer)
     }
 
     /// The packets that are to be sent, each to its peer.
@@ -225,7 +256,7 @@ impl Host {
             () if hello.layouts != layouts() => Err(Reason::OtherLayout),
             () if !self.seats.admits(claim.role) => Err(Reason::WrongRole),
             () if epoch_s >= claim.expires_epoch_s => Err(Reason::Expired),
-            () if self.keys.revoked.contains(&claim.peer) => Err(Reason::Revoked),
+            () if self.is_revoked(claim.peer) => Err(Reason::Revoked),
             () if !has_seat || has_twin => Err(Reason::Occupied),
             () => Ok(key),
         }
@@ -383,6 +414,7 @@ impl Host {
             let over = match () {
                 () if epoch_s >= claim.expires_epoch_s => Some("its invitation has ended"),
                 () if self.keys.revoked.contains(&claim.peer) => Some("its invitation was revoked"),
+                () if self.closed.is_some() => self.closed,
                 () if live.is_silent(now) => Some("it is silent"),
                 () => None,
             };

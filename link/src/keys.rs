@@ -5,6 +5,7 @@
 //! key with which a learner signs. So the vehicle keeps no list of keys, and no word of an
 //! invitation can be changed without losing the key.
 
+use std::fs::File;
 use std::io;
 use std::path::PathBuf;
 
@@ -14,7 +15,7 @@ use ring::rand::{SecureRandom as _, SystemRandom};
 use ring::signature::{Ed25519KeyPair, KeyPair as _};
 use ring::{digest, hmac};
 use serde::{Deserialize, Serialize};
-use shm_config::file::{Durable, Entry, Folder, make_folders};
+use shm_config::file::{Access, Durable, Entry, Folder, make_folders, read_private};
 use shm_config::run::RunName;
 
 use crate::certificate::{Authority, Certified};
@@ -162,6 +163,14 @@ pub fn folder() -> io::Result<PathBuf> {
     Ok(config.join("vlaps").join("link"))
 }
 
+fn made_folder() -> io::Result<Folder> {
+    let path = folder()?;
+    if let Some(above) = path.parent() {
+        make_folders(above)?;
+    }
+    Folder::make(&path, Entry::Private)
+}
+
 impl RunKeys {
     /// Those of a run that has none.
     ///
@@ -186,7 +195,7 @@ impl RunKeys {
         let path = folder()?.join(file_name(run));
         let named =
             |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
-        let text = match private_text(&path) {
+        let text = match read_private(&path, BYTES_MAX) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(named(error)),
@@ -202,14 +211,19 @@ impl RunKeys {
     /// # Errors
     /// When the folder is not the user's own or cannot be written.
     pub fn write(&self, run: &RunName) -> io::Result<()> {
-        let path = folder()?;
-        if let Some(above) = path.parent() {
-            make_folders(above)?;
-        }
-        let folder = Folder::make(&path, Entry::Private)?;
         let text = serde_json::to_string_pretty(self).map_err(io::Error::other)?;
-        folder.replace(&file_name(run), text.as_bytes(), Durable::Yes)?;
-        make_private(&path.join(file_name(run)))
+        made_folder()?.replace(&file_name(run), text.as_bytes(), Durable::Yes)
+    }
+
+    /// Waits until no other command changes those of a run, and keeps others from it as long
+    /// as the file is open: a change reads and writes the whole file.
+    ///
+    /// # Errors
+    /// As [`RunKeys::write`].
+    pub fn hold(run: &RunName) -> io::Result<File> {
+        let file = made_folder()?.open_file(&format!("{run}.lock"), Access::Change)?;
+        file.lock()?;
+        Ok(file)
     }
 
     /// The key of a peer with this claim.
@@ -280,7 +294,7 @@ impl Bundle {
     pub fn read(path: &std::path::Path) -> io::Result<Self> {
         let named =
             |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
-        let text = private_text(path).map_err(named)?;
+        let text = read_private(path, BYTES_MAX).map_err(named)?;
         let bundle: Self = serde_json::from_str(&text).map_err(|error| {
             named(io::Error::other(format!(
                 "is no invitation that `./vlaps link invite` made: {error}"
@@ -370,27 +384,6 @@ fn file_name(run: &RunName) -> String {
     format!("{run}.json")
 }
 
-fn make_private(path: &std::path::Path) -> io::Result<()> {
-    use std::os::unix::fs::PermissionsExt as _;
-    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))
-}
-
-/// The text of a file that its user alone may read.
-fn private_text(path: &std::path::Path) -> io::Result<String> {
-    use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
-    let metadata = std::fs::metadata(path)?;
-    let mode = metadata.permissions().mode() & 0o777;
-    if metadata.uid() != shm_config::file::user() {
-        return Err(io::Error::other("belongs to another user"));
-    }
-    if mode & 0o077 != 0 {
-        return Err(io::Error::other(format!(
-            "has mode {mode:o}, so others may read the key; `chmod 600` it, or invite anew"
-        )));
-    }
-    shm_config::file::read_text(path, BYTES_MAX)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -459,7 +452,7 @@ mod tests {
         );
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).expect("a mode");
         let error = Bundle::read(&path).err().expect("refused").to_string();
-        assert!(error.contains("chmod 600"), "{error}");
+        assert!(error.contains("chmod go-rwx"), "{error}");
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).expect("a mode");
         let text = std::fs::read(&path).expect("read");
         std::fs::write(&path, &text[..text.len() / 2]).expect("written");

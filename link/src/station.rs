@@ -120,9 +120,7 @@ impl Station {
         }
         if now.since_ns(self.keys_read) >= KEYS_NS {
             self.keys_read = now;
-            if let Ok(Some(keys)) = RunKeys::read(&self.name) {
-                self.host.revoke(keys.revoked);
-            }
+            self.host.renew(RunKeys::read(&self.name));
         }
     }
 
@@ -164,6 +162,10 @@ fn tell(event: &Event) {
             let by_ms = *by_ns as f64 * 1e-6;
             tracing::warn!(role = claim.role.word(), peer = %claim.peer, by_ms, "its clock has jumped");
         }
+        Event::Closed(Some(why)) => {
+            tracing::error!("{why}: all of its invitations are revoked until they are back");
+        }
+        Event::Closed(None) => tracing::warn!("the run's keys are back"),
         Event::Message(..) => {}
     }
 }

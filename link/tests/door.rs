@@ -10,6 +10,7 @@ use shm_config::message::{Advice, Learning, Step};
 use shm_config::services::{ADVICE, COMMAND, LEARNING, STEP, WEIGHTS};
 use vlaps_link::cipher::SessionKeys;
 use vlaps_link::host::{Event, Host, Seats};
+use vlaps_link::keys::RunKeys;
 use vlaps_link::packet::{Kind, seal, sign};
 use vlaps_link::peer::{News, Peer};
 use vlaps_link::refusal::Reason;
@@ -141,7 +142,7 @@ fn each_wrong_peer_is_refused_with_its_own_reason() {
     let invited = || bundle(&keys(), Role::Judge);
     let peer = |bundle| Peer::new(&bundle).expect("a peer");
     // Of another run.
-    let other = vlaps_link::keys::RunKeys::make("drive").expect("keys");
+    let other = RunKeys::make("drive").expect("keys");
     let foreign = bundle(&other, Role::Judge);
     assert_eq!(
         refused(host(), peer(foreign.clone()), 1).0,
@@ -201,6 +202,33 @@ fn an_invitation_that_ends_or_is_revoked_ends_its_session() {
             .iter()
             .filter(|event| matches!(event, Event::Message(..)));
         assert_eq!(taken.count(), 0);
+    }
+}
+
+/// A file of keys that is replaced, deleted or damaged undoes no revocation.
+#[test]
+fn without_the_keys_of_the_run_all_invitations_are_revoked() {
+    let reads: [fn() -> std::io::Result<Option<RunKeys>>; 3] = [
+        || Ok(Some(RunKeys::make("drive").expect("keys"))),
+        || Ok(None),
+        || Err(std::io::Error::other("damaged")),
+    ];
+    for read in reads {
+        let mut line = line(Role::Judge);
+        line.run(300);
+        line.host.renew(read());
+        line.host.renew(read());
+        line.run(1_500);
+        assert!(line.peer.live.is_none());
+        assert!(line.host.refused.of(Reason::Revoked) > 0);
+        let told = |event: &&Event| matches!(event, Event::Closed(Some(_)));
+        assert_eq!(line.events.iter().filter(told).count(), 1);
+        // The keys are put back, from a time before the peer was revoked.
+        line.host.revoke(vec![line.peer.claim().peer]);
+        line.host.renew(Ok(Some(keys())));
+        line.run(1_500);
+        assert!(line.events.contains(&Event::Closed(None)));
+        assert!(line.peer.live.is_none());
     }
 }
 

@@ -129,10 +129,7 @@ pub fn regular(path: &Path) -> io::Result<Metadata> {
 /// # Errors
 /// When there is no such file, it is not a regular file, or it is longer.
 pub fn read(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
-    let flags = OFlags::RDONLY | CAREFUL;
-    let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
-    check_regular(file.metadata()?)?;
-    read_bounded(&file, bytes_max)
+    read_bounded(&open_regular(path)?, bytes_max)
 }
 
 /// As [`read`], for a text.
@@ -141,6 +138,27 @@ pub fn read(path: &Path, bytes_max: u64) -> io::Result<Vec<u8>> {
 /// As [`read`], and when it is not UTF-8.
 pub fn read_text(path: &Path, bytes_max: u64) -> io::Result<String> {
     text(read(path, bytes_max)?)
+}
+
+/// Opens a regular file that the calling user alone may read or change, to read a key of
+/// it; links are followed. What is checked is the opened file, so that no other one can take
+/// its place afterwards.
+///
+/// # Errors
+/// When there is no such file or it is not a regular one; [`NotOurs`] when it belongs to
+/// another user or others have any right to it.
+pub fn open_private(path: &Path) -> io::Result<File> {
+    let file = open_regular(path)?;
+    check_ours(&rustix::fs::fstat(&file)?, OTHERS_ANY)?;
+    Ok(file)
+}
+
+/// Reads the text of a file as [`open_private`] opens it, of at most `bytes_max` bytes.
+///
+/// # Errors
+/// As [`open_private`], and when it is longer or not UTF-8.
+pub fn read_private(path: &Path, bytes_max: u64) -> io::Result<String> {
+    text(read_bounded(&open_private(path)?, bytes_max)?)
 }
 
 /// Opens a file of ours by its path: see [`Folder::open_file`].
@@ -328,6 +346,13 @@ fn make_beside((at, entry): (BorrowedFd, Entry), name: &Path) -> io::Result<(Pat
         }
     }
     Err(taken)
+}
+
+fn open_regular(path: &Path) -> io::Result<File> {
+    let flags = OFlags::RDONLY | CAREFUL;
+    let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
+    check_regular(file.metadata()?)?;
+    Ok(file)
 }
 
 fn read_bounded(file: &File, bytes_max: u64) -> io::Result<Vec<u8>> {

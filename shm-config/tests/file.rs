@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use shm_config::file::{
     Access, Durable, Entry, Folder, NotOurs, check_parents, check_writable, open_ours, read,
-    replace,
+    read_private, replace,
 };
 
 /// A folder of one test, which is removed when this is dropped.
@@ -71,6 +71,24 @@ fn a_named_file_is_read_to_its_bound_and_a_pipe_is_not_waited_for() {
     for special in [place.pipe("pipe"), "/dev/zero".into(), place.0.clone()] {
         assert!(said(read(&special, 5)).contains("no regular file"));
     }
+}
+
+#[test]
+fn a_private_file_is_its_users_alone() {
+    let place = Place::new("private");
+    fs::write(place.at("key"), "12345").unwrap();
+    symlink("key", place.at("link")).unwrap();
+    place.set_mode("key", 0o600);
+    assert_eq!(read_private(&place.at("link"), 5).unwrap(), "12345");
+    assert!(said(read_private(&place.at("key"), 4)).contains("4 bytes"));
+    for mode in [0o640, 0o604, 0o620, 0o610] {
+        place.set_mode("key", mode);
+        let error = read_private(&place.at("key"), 5).unwrap_err();
+        let open = NotOurs::within(&error).map(NotOurs::owner_and_mode);
+        assert_eq!(open.map(|(_, mode)| mode), Some(mode), "{error}");
+    }
+    let pipe = place.pipe("pipe");
+    assert!(said(read_private(&pipe, 5)).contains("no regular file"));
 }
 
 #[test]

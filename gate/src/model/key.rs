@@ -2,14 +2,14 @@
 //! owner can read, is sent in one header, and appears nowhere else.
 
 use std::fmt;
-use std::io::Read as _;
-use std::os::unix::fs::MetadataExt as _;
+use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use reqwest::Url;
 use reqwest::header::{HeaderValue, InvalidHeaderValue};
 use shm_config::config::Vlm;
+use shm_config::file::{NotOurs, open_private, user};
 use zeroize::Zeroizing;
 
 /// Longest key, bytes; the longest known keys have about 200.
@@ -141,34 +141,20 @@ impl Key {
     }
 
     fn from_file(path: &Path) -> Result<Self, KeyError> {
-        let failed = |source| KeyError::Read {
-            path: path.into(),
-            source,
+        let failed = |source: io::Error| {
+            let path = path.into();
+            match NotOurs::within(&source) {
+                Some(&NotOurs::Open { mode, .. }) => KeyError::Open { path, mode },
+                Some(&NotOurs::Owner { owner, .. }) => KeyError::Owner {
+                    path,
+                    owner,
+                    us: user(),
+                },
+                None if source.kind() == io::ErrorKind::InvalidInput => KeyError::NoFile(path),
+                None => KeyError::Read { path, source },
+            }
         };
-        // Opening a pipe would block; the opened file is checked again.
-        if !std::fs::metadata(path).map_err(failed)?.is_file() {
-            return Err(KeyError::NoFile(path.into()));
-        }
-        let file = std::fs::File::open(path).map_err(failed)?;
-        let rights = file.metadata().map_err(failed)?;
-        if !rights.is_file() {
-            return Err(KeyError::NoFile(path.into()));
-        }
-        let mode = rights.mode() & 0o7777;
-        if mode & 0o077 != 0 {
-            return Err(KeyError::Open {
-                path: path.into(),
-                mode,
-            });
-        }
-        let us = rustix::process::geteuid().as_raw();
-        if rights.uid() != us {
-            return Err(KeyError::Owner {
-                path: path.into(),
-                owner: rights.uid(),
-                us,
-            });
-        }
+        let file = open_private(path).map_err(failed)?;
         // Capacity for the whole key: a buffer that grows leaves copies behind.
         let mut text = Zeroizing::new(String::with_capacity(KEY_BYTES_MAX + 2));
         file.take(KEY_BYTES_MAX as u64 + 2)

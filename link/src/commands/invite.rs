@@ -15,6 +15,7 @@ pub(super) fn invite(arguments: &Invite) -> Result<u8, String> {
     let Invite { run, .. } = arguments;
     let role = role(&arguments.role)?;
     let failed = |error: io::Error| error.to_string();
+    let held = RunKeys::hold(run).map_err(failed)?;
     let keys = match RunKeys::read(run).map_err(failed)? {
         Some(keys) => keys,
         None => {
@@ -25,6 +26,7 @@ pub(super) fn invite(arguments: &Invite) -> Result<u8, String> {
             keys
         }
     };
+    drop(held);
     let expires_epoch_s = clocks().1 + arguments.hours * 3600;
     let bundle = keys
         .invite(role, &arguments.address, expires_epoch_s)
@@ -46,6 +48,7 @@ pub(super) fn revoke(arguments: &Revoke) -> Result<u8, String> {
     let Revoke { run, peer } = arguments;
     let failed = |error: io::Error| error.to_string();
     let peer = Identity::try_from(peer.clone())?;
+    let _held = RunKeys::hold(run).map_err(failed)?;
     let keys = RunKeys::read(run).map_err(failed)?;
     let mut keys = keys.ok_or_else(|| format!("run '{run}' has invited no peer"))?;
     if !keys.revoked.contains(&peer) {
