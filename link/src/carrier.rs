@@ -24,10 +24,13 @@ use zenoh::{Config, Session, Wait};
 
 use crate::certificate::Certified;
 use crate::keys::{Bundle, Identity, RunKeys};
+use crate::packet::PACKET_MAX;
 use crate::role::Role;
 
 /// Packets that wait to be read: at 1,000 Hz a second. More is refused as a flood.
 const INBOUND_MAX: usize = 1024;
+/// Bytes of the packets that wait in one direction, at most.
+const WAITING_BYTES_MAX: usize = 64 << 20;
 /// Packets that wait to be sent.
 const OUTBOUND_MAX: usize = 1024;
 /// How long one attempt to connect may take, ms; the next one follows at once.
@@ -39,8 +42,14 @@ const LEASE_MS: u64 = 1_000;
 /// How long Zenoh may hold a packet for a full connection before it drops it, us. The packet
 /// is then sent again.
 const HELD_US: i64 = 20_000;
-/// Bytes that Zenoh takes in one message: the largest policy file and what is with it.
-const MESSAGE_BYTES_MAX: u64 = 9 << 20;
+/// Bytes that Zenoh takes in one message: a batch, which it does not cut into fragments.
+const MESSAGE_BYTES_MAX: usize = 64 << 10;
+const _: () = {
+    // With what Zenoh and a key expression of 100 bytes add.
+    assert!(PACKET_MAX + 1024 < MESSAGE_BYTES_MAX);
+    assert!(INBOUND_MAX * MESSAGE_BYTES_MAX <= WAITING_BYTES_MAX);
+    assert!(OUTBOUND_MAX * PACKET_MAX <= WAITING_BYTES_MAX);
+};
 /// Longest wait for a packet to be sent, so that the end of the program is seen.
 const TURN: Duration = Duration::from_millis(50);
 

@@ -13,6 +13,7 @@ use std::sync::Arc;
 use serde::Serialize;
 use shm_config::Instant;
 
+use crate::pieces::{self, Assembly, Reached, Sending};
 use crate::role::{Passage, RowId};
 
 /// Messages of a row of every message that wait: as many steps as a reader on the machine
@@ -25,6 +26,9 @@ pub const QUEUE_BYTES_MAX: usize = 32 << 20;
 const WINDOW_EVERY: u64 = 64;
 /// The same of a row of newest messages: more would only wait in the network's queues.
 const WINDOW_NEWEST: u64 = 8;
+/// Longest time that is measured between two acknowledgements of pieces, ns; what does not
+/// come for twice of it is sent again.
+const SLOW_NS_MAX: u64 = 500_000_000;
 
 /// One message on its way.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,7 +39,11 @@ pub struct Parcel {
     pub sequence: u64,
     /// The oldest message of the row that the sender still has.
     pub oldest: u64,
-    /// The message.
+    /// Which piece of the message it is, from 0.
+    pub piece: u16,
+    /// How many pieces the message has.
+    pub pieces: u16,
+    /// The message, or its piece.
     pub bytes: Arc<[u8]>,
 }
 
@@ -76,6 +84,13 @@ struct Outgoing {
     held: VecDeque<(u64, Arc<[u8]>)>,
     bytes: usize,
     last: u64,
+    /// The message that is on its way in pieces: one of a row at a time.
+    large: Option<Sending>,
+    /// The longest time between two acknowledgements of pieces lately, ns: on a slow network
+    /// a piece takes longer than a ping there and back.
+    slow_ns: u64,
+    /// When more pieces were acknowledged than before, or the first was sent.
+    progressed: Instant,
     /// The highest number that was sent since the last time of going back.
     sent_to: u64,
     /// When something was sent or acknowledged last.
@@ -89,22 +104,61 @@ impl Outgoing {
         self.sent.messages += 1;
         self.bytes += bytes.len();
         if self.passage == Passage::Newest {
-            while let Some((_, old)) = self.held.pop_front() {
-                self.bytes -= old.len();
-                self.sent.replaced += 1;
-            }
+            // A message that is on its way in pieces is sent to its end: else, where each
+            // takes longer than the next one, none would arrive.
+            let begun = self.large.map(|large| large.sequence);
+            self.replace(|number| Some(number) == begun);
         }
         self.held.push_back((self.last, bytes));
         while self.held.len() > QUEUE_MAX || self.bytes > QUEUE_BYTES_MAX {
-            let Some((_, old)) = self.held.pop_front() else {
+            let Some((number, old)) = self.held.pop_front() else {
                 break;
             };
+            self.large = self.large.filter(|large| large.sequence != number);
             self.bytes -= old.len();
             self.sent.lost += 1;
         }
     }
 
-    fn acknowledge(&mut self, sequence: u64, now: Instant) {
+    /// Drops the messages that a newer one replaces.
+    fn replace(&mut self, stays: impl Fn(u64) -> bool) {
+        self.held.retain(|(number, old)| {
+            let is_kept = stays(*number);
+            if !is_kept {
+                self.bytes -= old.len();
+                self.sent.replaced += 1;
+            }
+            is_kept
+        });
+    }
+
+    fn begin_again(&mut self) {
+        self.sent_to = self.sent.acknowledged;
+        self.large = None;
+        if self.passage == Passage::Newest {
+            let newest = self.last;
+            self.replace(|number| number == newest);
+        }
+    }
+
+    fn acknowledge(&mut self, reached: Reached, now: Instant) {
+        let sequence = reached.sequence;
+        if let Some(large) = self
+            .large
+            .as_mut()
+            .filter(|large| large.sequence == sequence)
+        {
+            if reached.pieces == 0 || large.acknowledge(reached.pieces) {
+                let since_ns = now.since_ns(self.progressed);
+                self.slow_ns = since_ns.max(self.slow_ns / 8 * 7).min(SLOW_NS_MAX);
+                self.progressed = now;
+            }
+            // What came twice shows that the network is slow and loses nothing.
+            self.moved = now;
+        }
+        if reached.pieces > 0 {
+            return;
+        }
         // A number that was never sent acknowledges nothing.
         if sequence <= self.sent.acknowledged || sequence > self.last {
             return;
@@ -118,6 +172,25 @@ impl Outgoing {
             self.bytes -= bytes.len();
             self.held.pop_front();
         }
+        self.large = self.large.filter(|large| large.sequence > sequence);
+    }
+
+    /// Goes back to the first message that is missing when no acknowledgement comes.
+    fn go_back(&mut self, (now, wait_ns): (Instant, u64), oldest: u64) {
+        let is_large = self.large.is_some_and(|large| large.is_waiting());
+        let wait_ns = match is_large {
+            true => wait_ns + 2 * self.slow_ns,
+            false => wait_ns,
+        };
+        let is_waiting = self.sent_to > self.sent.acknowledged || is_large;
+        if !is_waiting || now.since_ns(self.moved) <= wait_ns {
+            return;
+        }
+        self.sent.again += self.sent_to.saturating_sub(oldest - 1);
+        self.sent_to = self.sent.acknowledged;
+        if let Some(large) = &mut self.large {
+            self.sent.again += u64::from(large.go_back());
+        }
     }
 
     fn due(&mut self, row: RowId, (now, wait_ns): (Instant, u64), give: &mut dyn FnMut(Parcel)) {
@@ -125,11 +198,7 @@ impl Outgoing {
             return;
         };
         let oldest = *oldest;
-        let is_waiting = self.sent_to > self.sent.acknowledged;
-        if is_waiting && now.since_ns(self.moved) > wait_ns {
-            self.sent.again += self.sent_to.saturating_sub(oldest - 1);
-            self.sent_to = self.sent.acknowledged;
-        }
+        self.go_back((now, wait_ns), oldest);
         let window = match self.passage {
             Passage::Every => WINDOW_EVERY,
             Passage::Newest => WINDOW_NEWEST,
@@ -148,15 +217,36 @@ impl Outgoing {
             if *sequence - base > window && !is_first {
                 break;
             }
-            self.sent_to = *sequence;
-            self.moved = now;
-            let (sequence, bytes) = (*sequence, bytes.clone());
-            give(Parcel {
+            let sequence = *sequence;
+            let parcel = |piece: u16, pieces: u16, bytes| Parcel {
                 row,
                 sequence,
                 oldest,
+                piece,
+                pieces,
                 bytes,
-            });
+            };
+            let pieces = pieces::count(bytes.len());
+            if pieces > 1 {
+                let large = self.large.get_or_insert(Sending::new(sequence, pieces));
+                if large.sequence != sequence {
+                    break;
+                }
+                if large.is_answered() {
+                    self.progressed = now;
+                }
+                while let Some(piece) = large.next_piece() {
+                    self.moved = now;
+                    give(parcel(piece, pieces, pieces::piece(bytes, piece).into()));
+                }
+                if !large.is_sent() {
+                    break;
+                }
+            } else {
+                give(parcel(0, 1, bytes.clone()));
+                self.moved = now;
+            }
+            self.sent_to = sequence;
         }
     }
 }
@@ -175,6 +265,9 @@ impl Outbox {
             held: VecDeque::new(),
             bytes: 0,
             last: 0,
+            large: None,
+            slow_ns: 0,
+            progressed: Instant(0),
             sent_to: 0,
             moved: Instant(0),
             sent: Sent::default(),
@@ -182,10 +275,10 @@ impl Outbox {
         outgoing.push(bytes);
     }
 
-    /// The peer has all messages of a row up to this number, or has given them up.
-    pub fn acknowledge(&mut self, row: RowId, sequence: u64, now: Instant) {
+    /// The peer has this of a row, or has given it up.
+    pub fn acknowledge(&mut self, row: RowId, reached: Reached, now: Instant) {
         if let Some(outgoing) = self.rows.get_mut(&row) {
-            outgoing.acknowledge(sequence, now);
+            outgoing.acknowledge(reached, now);
         }
     }
 
@@ -200,8 +293,14 @@ impl Outbox {
     /// Nothing that was sent has arrived as far as is known: a new connection begins at the
     /// first message that is not acknowledged.
     pub fn begin_again(&mut self) {
+        self.rows.values_mut().for_each(Outgoing::begin_again);
+    }
+
+    /// Drops what waits: it is of a run that has ended.
+    pub fn clear(&mut self) {
         for outgoing in self.rows.values_mut() {
-            outgoing.sent_to = outgoing.sent.acknowledged;
+            outgoing.replace(|_| false);
+            outgoing.large = None;
         }
     }
 
@@ -224,11 +323,47 @@ struct Incoming {
     acknowledged: u64,
     /// Messages before their turn: at most a window of them.
     early: BTreeMap<u64, Parcel>,
+    /// The message that comes in pieces.
+    assembly: Option<Assembly>,
     received: Received,
 }
 
 impl Incoming {
+    /// The whole message when this was its last piece.
+    fn assemble(&mut self, parcel: Parcel) -> Option<Parcel> {
+        let is_here = self.last.is_some_and(|last| parcel.sequence <= last)
+            || self.early.contains_key(&parcel.sequence);
+        if is_here {
+            self.received.doubled += 1;
+            self.acknowledged = 0;
+            return None;
+        }
+        let is_newer = |assembly: &Assembly| parcel.sequence > assembly.sequence;
+        if self.assembly.as_ref().is_none_or(is_newer) {
+            self.assembly = Some(Assembly::new(&parcel));
+        }
+        let assembly = self.assembly.as_mut();
+        match assembly.filter(|assembly| assembly.sequence == parcel.sequence) {
+            Some(assembly) => {
+                let whole = assembly.add(&parcel, &mut self.received)?;
+                self.assembly = None;
+                Some(whole)
+            }
+            None => {
+                self.received.reordered += 1;
+                None
+            }
+        }
+    }
+
     fn take(&mut self, parcel: Parcel, passage: Passage, give: &mut dyn FnMut(Parcel)) {
+        let whole = match parcel.pieces {
+            1 => Some(parcel),
+            _ => self.assemble(parcel),
+        };
+        let Some(parcel) = whole else {
+            return;
+        };
         let received = &mut self.received;
         let (sequence, oldest) = (parcel.sequence, parcel.oldest);
         // What was before the first message that comes went to a process before this one, or
@@ -308,12 +443,15 @@ impl Inbox {
     }
 
     /// Gives what is not acknowledged yet.
-    pub fn acknowledge(&mut self, mut give: impl FnMut(RowId, u64)) {
+    pub fn acknowledge(&mut self, mut give: impl FnMut(RowId, Reached)) {
         for (row, incoming) in &mut self.rows {
             let last = incoming.last.unwrap_or(0);
             if last > incoming.acknowledged {
                 incoming.acknowledged = last;
-                give(*row, last);
+                give(*row, Reached::all(last));
+            }
+            if let Some(reached) = incoming.assembly.as_mut().and_then(Assembly::news) {
+                give(*row, reached);
             }
         }
     }
@@ -327,156 +465,4 @@ impl Inbox {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{Rng as _, RngExt as _, SeedableRng};
-    use rand_xoshiro::Xoshiro256PlusPlus;
-
-    const ROW: RowId = RowId(1);
-    const MS: u64 = 1_000_000;
-
-    fn message(number: u64) -> Arc<[u8]> {
-        number.to_le_bytes().to_vec().into()
-    }
-
-    fn number(parcel: &Parcel) -> u64 {
-        u64::from_le_bytes(parcel.bytes[..].try_into().expect("eight bytes"))
-    }
-
-    /// Sends over a network that loses, doubles, delays and reorders; returns what arrives.
-    fn pass(seed: u64, passage: Passage, count: u64) -> (Vec<u64>, Outbox, Inbox) {
-        let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let (mut outbox, mut inbox) = (Outbox::default(), Inbox::default());
-        let mut on_the_way: Vec<(u64, Parcel)> = Vec::new();
-        let mut acks: Vec<(u64, u64)> = Vec::new();
-        let mut arrived = Vec::new();
-        for turn in 0..count * 40 {
-            let now = Instant(turn * MS);
-            if turn % 2 == 0 && turn / 2 < count {
-                outbox.push(ROW, passage, message(turn / 2 + 1));
-            }
-            outbox.due(now, 50 * MS, &mut |parcel| {
-                for _ in 0..1 + u32::from(random.random_ratio(1, 20)) {
-                    if !random.random_ratio(1, 10) {
-                        on_the_way.push((turn + random.next_u64() % 30, parcel.clone()));
-                    }
-                }
-            });
-            let (here, later): (Vec<_>, _) =
-                on_the_way.into_iter().partition(|(at, _)| *at <= turn);
-            on_the_way = later;
-            for (_, parcel) in here {
-                inbox.take(parcel, passage, &mut |parcel| arrived.push(number(&parcel)));
-            }
-            inbox.acknowledge(|_, last| {
-                if !random.random_ratio(1, 10) {
-                    acks.push((turn + 15, last));
-                }
-            });
-            acks.retain(|(at, last)| {
-                if *at <= turn {
-                    outbox.acknowledge(ROW, *last, now);
-                }
-                *at > turn
-            });
-            if outbox.is_empty() && turn / 2 > count {
-                break;
-            }
-        }
-        (arrived, outbox, inbox)
-    }
-
-    #[test]
-    fn every_message_arrives_once_and_in_order_over_a_network_that_does_all_wrong() {
-        for seed in 0..8 {
-            let (arrived, outbox, inbox) = pass(seed, Passage::Every, 500);
-            assert_eq!(arrived, (1..=500).collect::<Vec<_>>(), "seed {seed}");
-            let received = inbox.received().next().expect("a row").1;
-            assert_eq!((received.messages, received.lost), (500, 0), "seed {seed}");
-            assert!(
-                received.doubled > 0 && received.reordered > 0,
-                "seed {seed}"
-            );
-            assert!(
-                outbox.sent().next().expect("a row").1.again > 0,
-                "seed {seed}"
-            );
-        }
-    }
-
-    #[test]
-    fn the_newest_arrives_at_last_and_never_after_a_newer_one() {
-        for seed in 0..8 {
-            let (arrived, _, inbox) = pass(seed, Passage::Newest, 300);
-            assert_eq!(arrived.last(), Some(&300), "seed {seed}");
-            assert!(arrived.is_sorted(), "seed {seed}");
-            let received = inbox.received().next().expect("a row").1;
-            let first = arrived[0];
-            let counted = first - 1 + received.messages + received.skipped;
-            assert_eq!(counted, 300, "seed {seed}");
-        }
-    }
-
-    /// A partition longer than the queue: both sides count the same loss, and go on.
-    #[test]
-    fn what_the_full_queue_drops_is_counted_on_both_sides() {
-        let (mut outbox, mut inbox) = (Outbox::default(), Inbox::default());
-        let dropped = 300;
-        let mut arrived = Vec::new();
-        outbox.push(ROW, Passage::Every, message(0));
-        outbox.due(Instant(0), 50 * MS, &mut |parcel| {
-            inbox.take(parcel, Passage::Every, &mut |_| {});
-        });
-        inbox.acknowledge(|row, last| outbox.acknowledge(row, last, Instant(0)));
-        for k in 1..=QUEUE_MAX as u64 + dropped {
-            outbox.push(ROW, Passage::Every, message(k));
-        }
-        for turn in 0..200 {
-            let now = Instant(turn * MS);
-            let mut parcels = Vec::new();
-            outbox.due(now, 50 * MS, &mut |parcel| parcels.push(parcel));
-            for parcel in parcels {
-                inbox.take(parcel, Passage::Every, &mut |parcel| {
-                    arrived.push(number(&parcel))
-                });
-            }
-            inbox.acknowledge(|row, last| outbox.acknowledge(row, last, now));
-        }
-        assert_eq!(arrived.first(), Some(&(dropped + 1)));
-        assert_eq!(arrived.len(), QUEUE_MAX);
-        assert_eq!(outbox.sent().next().expect("a row").1.lost, dropped);
-        assert_eq!(inbox.received().next().expect("a row").1.lost, dropped);
-    }
-
-    #[test]
-    fn a_false_acknowledgement_frees_nothing() {
-        let mut outbox = Outbox::default();
-        outbox.push(ROW, Passage::Every, message(1));
-        outbox.acknowledge(ROW, 7, Instant(0));
-        outbox.acknowledge(RowId(9), 1, Instant(0));
-        assert!(!outbox.is_empty());
-        outbox.acknowledge(ROW, 1, Instant(0));
-        assert!(outbox.is_empty());
-    }
-
-    /// A cut in the middle: a new connection sends again what is not acknowledged, at once.
-    #[test]
-    fn a_new_connection_begins_at_the_first_message_that_is_missing() {
-        let mut outbox = Outbox::default();
-        for k in 1..=10 {
-            outbox.push(ROW, Passage::Every, message(k));
-        }
-        let due = |outbox: &mut Outbox, at: u64| {
-            let mut numbers = Vec::new();
-            outbox.due(Instant(at), 50 * MS, &mut |parcel| {
-                numbers.push(parcel.sequence)
-            });
-            numbers
-        };
-        assert_eq!(due(&mut outbox, 0).len(), 10);
-        assert!(due(&mut outbox, MS).is_empty());
-        outbox.acknowledge(ROW, 4, Instant(2 * MS));
-        outbox.begin_again();
-        assert_eq!(due(&mut outbox, 3 * MS), (5..=10).collect::<Vec<_>>());
-    }
-}
+mod tests;

@@ -10,7 +10,7 @@
 //! | [`keys`], [`certificate`] | the secrets of a run, invitations |
 //! | [`packet`], [`hello`] | what travels |
 //! | [`cipher`] | the encryption of a session |
-//! | [`flow`] | numbers, acknowledgements and losses of each row |
+//! | [`flow`], [`pieces`] | numbers, acknowledgements and losses of each row; long messages |
 //! | [`clock_map`] | the other machine's clock |
 //! | [`live`], [`host`], [`peer`] | a session, and both of its ends, without network or clock |
 //! | [`refusal`], [`dating`], [`rows`] | the doors |
@@ -37,6 +37,7 @@ pub mod live;
 pub mod mirror;
 pub mod packet;
 pub mod peer;
+pub mod pieces;
 pub mod program;
 pub mod refusal;
 pub mod report;

@@ -6,6 +6,7 @@ use crate::cipher::Cipher;
 use crate::clock_map::{ClockMap, Shown, Stamps};
 use crate::flow::{Inbox, Outbox};
 use crate::packet::{Kind, Packet, Reader, parcel_body, seal};
+use crate::pieces::Reached;
 use crate::refusal::Reason;
 use crate::role::RowId;
 
@@ -112,9 +113,12 @@ impl Live {
                 }
                 for entry in body.chunks(ACKNOWLEDGED) {
                     let mut reader = Reader(entry);
-                    let row = reader.take(8).map(|bytes| RowId(bytes[0]));
-                    if let (Some(row), Some(sequence)) = (row, reader.u64()) {
-                        outbox.acknowledge(row, sequence, now);
+                    let row = reader.take(4).map(|bytes| RowId(bytes[0]));
+                    let pieces = reader.array().map(u16::from_le_bytes);
+                    let sequence = reader.take(2).and_then(|_| reader.u64());
+                    if let (Some(row), Some(pieces), Some(sequence)) = (row, pieces, sequence) {
+                        let reached = Reached { sequence, pieces };
+                        outbox.acknowledge(row, reached, now);
                     }
                 }
                 Ok(Content::Done)
@@ -154,9 +158,10 @@ impl Live {
         give: &mut dyn FnMut(Vec<u8>),
     ) {
         let mut acknowledged = Vec::new();
-        inbox.acknowledge(|row, last| {
-            acknowledged.extend_from_slice(&[row.0, 0, 0, 0, 0, 0, 0, 0]);
-            acknowledged.extend_from_slice(&last.to_le_bytes());
+        inbox.acknowledge(|row, Reached { sequence, pieces }| {
+            acknowledged.extend_from_slice(&[row.0, 0, 0, 0]);
+            acknowledged.extend_from_slice(&u64::from(pieces).to_le_bytes()[..4]);
+            acknowledged.extend_from_slice(&sequence.to_le_bytes());
         });
         if !acknowledged.is_empty() {
             give(self.seal(Kind::Acknowledgement, &acknowledged));

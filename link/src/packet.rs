@@ -15,6 +15,7 @@ use ring::hmac;
 
 use crate::cipher::{Cipher, TAG_BYTES};
 use crate::flow::Parcel;
+use crate::pieces::{PIECE_BYTES, PIECES_MAX};
 use crate::role::RowId;
 
 /// The first bytes.
@@ -23,10 +24,12 @@ const MAGIC: &[u8; 4] = b"VLNK";
 const HEAD: usize = 24;
 /// Bytes behind the body of a greeting.
 const SIGNATURE: usize = 32;
-/// Most bytes of a body: the largest policy file and what is with it.
-pub const BODY_MAX: usize = (8 << 20) + (64 << 10);
 /// Bytes of a parcel before its message.
 const PARCEL_HEAD: usize = 24;
+/// Most bytes of a body: a piece of a message and what is with it.
+pub const BODY_MAX: usize = PARCEL_HEAD + PIECE_BYTES;
+/// Most bytes of a packet.
+pub const PACKET_MAX: usize = HEAD + BODY_MAX + SIGNATURE;
 
 shm_config::word_list! {
     /// What a packet is.
@@ -149,7 +152,9 @@ pub fn seal(kind: Kind, (session, counter): (u64, u64), body: &[u8], cipher: &Ci
 /// The body of a message.
 pub fn parcel_body(parcel: &Parcel) -> Vec<u8> {
     let mut body = Vec::with_capacity(PARCEL_HEAD + parcel.bytes.len());
-    body.extend_from_slice(&[parcel.row.0, 0, 0, 0, 0, 0, 0, 0]);
+    body.extend_from_slice(&[parcel.row.0, 0, 0, 0]);
+    body.extend_from_slice(&parcel.piece.to_le_bytes());
+    body.extend_from_slice(&parcel.pieces.to_le_bytes());
     body.extend_from_slice(&parcel.sequence.to_le_bytes());
     body.extend_from_slice(&parcel.oldest.to_le_bytes());
     body.extend_from_slice(&parcel.bytes);
@@ -159,12 +164,19 @@ pub fn parcel_body(parcel: &Parcel) -> Vec<u8> {
 /// The message of a body; `None` when it is none.
 pub fn parcel_of(body: &[u8]) -> Option<Parcel> {
     let mut reader = Reader(body);
-    let row = RowId(reader.take(8)?[0]);
+    let row = RowId(reader.take(4)?[0]);
+    let piece = u16::from_le_bytes(reader.array()?);
+    let pieces = u16::from_le_bytes(reader.array()?);
     let (sequence, oldest) = (reader.u64()?, reader.u64()?);
-    (sequence > 0 && (1..=sequence).contains(&oldest)).then(|| Parcel {
+    let is_last = piece + 1 == pieces;
+    let is_whole = is_last || reader.0.len() == PIECE_BYTES;
+    let is_piece = piece < pieces && pieces <= PIECES_MAX && is_whole;
+    (is_piece && sequence > 0 && (1..=sequence).contains(&oldest)).then(|| Parcel {
         row,
         sequence,
         oldest,
+        piece,
+        pieces,
         bytes: reader.0.into(),
     })
 }
