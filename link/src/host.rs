@@ -98,6 +98,8 @@ pub struct Host {
     events: Vec<Event>,
     /// What was refused.
     pub refused: Refused,
+    /// Messages that passed the door and were not published, because a newer one had come.
+    pub superseded: u64,
 }
 
 impl Host {
@@ -116,6 +118,7 @@ impl Host {
             out: Vec::new(),
             events: Vec::new(),
             refused: Refused::default(),
+            superseded: 0,
         })
     }
 

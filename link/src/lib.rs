@@ -13,7 +13,7 @@
 //! | [`flow`], [`pieces`] | numbers, acknowledgements and losses of each row; long messages |
 //! | [`clock_map`] | the other machine's clock |
 //! | [`live`], [`host`], [`peer`] | a session, and both of its ends, without network or clock |
-//! | [`refusal`], [`dating`], [`rows`] | the doors |
+//! | [`refusal`], [`dating`], [`rows`], [`pace`] | the doors |
 //! | [`carrier`] | Zenoh |
 //! | [`station`], [`stand_in`], [`serve`] | the vehicle's processes |
 //! | [`mirror`], [`program`], [`join`] | the other machine's |
@@ -35,6 +35,7 @@ pub mod join;
 pub mod keys;
 pub mod live;
 pub mod mirror;
+pub mod pace;
 pub mod packet;
 pub mod peer;
 pub mod pieces;

@@ -80,6 +80,7 @@ pub fn of_host(host: &Host, address: &str, now: Instant) -> Value {
     json!({
         "address": address,
         "peers": peers,
+        "superseded": host.superseded,
         "refused": host.refused,
         "refused_total": host.refused.all(),
     })

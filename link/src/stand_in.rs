@@ -22,6 +22,7 @@ use shm_config::time::monotonic;
 use crate::dating::Dating;
 use crate::host::{Event, Seats};
 use crate::keys::Claim;
+use crate::pace::{Owed, Pace, newest};
 use crate::refusal::Reason;
 use crate::role::{Role, RowId};
 use crate::rows::{SignedPolicy, bytes_of, frame_bytes, message_of};
@@ -32,6 +33,10 @@ const TURN: Duration = Duration::from_millis(1);
 /// Least time between two requests for pictures, ns: a question needs one, and a picture
 /// costs the world's render thread some milliseconds.
 const REQUEST_NS: u64 = 100_000_000;
+
+/// Least time between two policies of a learner, ns on the run's clock: the controller loads
+/// and checks each.
+const OFFER_NS: u64 = 1_000_000_000;
 
 shm_config::ports! {
     /// What stands for a judge reads and publishes.
@@ -130,6 +135,35 @@ impl Common {
             .enter(HealthState::Finished, self.member.now());
     }
 
+    /// Publishes the newest advice that passes its door: of advice that comes late, many
+    /// come in one turn, and only the newest is of use.
+    fn advise(
+        &mut self,
+        events: &mut Vec<Event>,
+        ports: &mut JudgePorts,
+        (dating, now): (&Dating, Instant),
+    ) {
+        let Some(row) = RowId::of(ADVICE.name) else {
+            return;
+        };
+        let (advices, over) = newest(events, row);
+        self.station.host.refused.add(Reason::Flooded, over);
+        for (older, bytes) in (1..=advices.len()).rev().zip(&advices) {
+            let dated = message_of::<Advice>(bytes).and_then(|mut advice| {
+                dating.date(&mut advice, now)?;
+                Ok(advice)
+            });
+            match dated {
+                Ok(mut advice) => {
+                    ports.advices.send(&mut advice);
+                    self.station.host.superseded += older as u64 - 1;
+                    return;
+                }
+                Err(reason) => self.refuse(reason),
+            }
+        }
+    }
+
     /// Counts a message that did not pass a door.
     fn refuse(&mut self, reason: Reason) {
         self.station.host.refused.count(reason);
@@ -150,7 +184,7 @@ pub fn judge(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut dating = Dating::new(&common.member.config.gate);
     let rows = [row(STEP.name)?, row(FRAME.name)?, row(FORESIGHT.name)?];
     let lockstep = common.member.config.run.is_lockstep();
-    let (mut run_now, mut requested) = (Instant(0), None);
+    let (mut run_now, mut requests) = (Instant(0), Pace::new(REQUEST_NS));
     common.ready();
     while !common.member.is_stopping() {
         ports.bell.wait(TURN);
@@ -175,27 +209,17 @@ pub fn judge(arguments: &Arguments) -> Result<(), SetUpError> {
             true => run_now,
             false => begun,
         };
-        for event in common.station.receive(clocks()) {
-            let Event::Message(_, row, bytes) = event else {
+        let mut events = common.station.receive(clocks());
+        common.advise(&mut events, &mut ports, (&dating, now));
+        for event in events {
+            let Event::Message(_, _, bytes) = event else {
                 continue;
             };
-            let done = match row.service() {
-                Some(name) if name == ADVICE.name => {
-                    message_of::<Advice>(&bytes).and_then(|mut advice| {
-                        dating.date(&mut advice, now)?;
-                        ports.advices.send(&mut advice);
-                        Ok(())
-                    })
-                }
-                _ => message_of::<FrameRequest>(&bytes).and_then(|mut request| {
-                    let last = requested.replace(begun);
-                    if last.is_some_and(|last| begun.since_ns(last) < REQUEST_NS) {
-                        return Err(Reason::Flooded);
-                    }
-                    ports.requests.send(&mut request);
-                    Ok(())
-                }),
-            };
+            let done = message_of::<FrameRequest>(&bytes).and_then(|mut request| {
+                requests.take(begun)?;
+                ports.requests.send(&mut request);
+                Ok(())
+            });
             if let Err(reason) = done {
                 common.refuse(reason);
             }
@@ -216,6 +240,9 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut ports = LearnerPorts::open(&common.member.wire)?;
     let rows = [row(STEP.name)?, row(POLICY_STATUS.name)?];
     let mut lost = 0;
+    let (mut owed, mut offers) = (Owed::default(), Pace::new(OFFER_NS));
+    let lockstep = common.member.config.run.is_lockstep();
+    let mut run_now = Instant(0);
     common.ready();
     while !common.member.is_stopping() {
         ports.bell.wait(TURN);
@@ -225,6 +252,8 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
                 Ok(()) => {
                     common.station.host.push(rows[0], bytes_of(&step));
                     common.count(&step, begun);
+                    run_now = step.header.taken();
+                    owed.add();
                 }
                 Err(refusal) => common.member.wire.refuse(&refusal),
             }
@@ -239,17 +268,29 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
         if let Some(status) = ports.statuses.newest(Message::check) {
             common.station.host.push(rows[1], bytes_of(&status));
         }
+        let now = match lockstep {
+            true => run_now,
+            false => common.member.now(),
+        };
         for event in common.station.receive(clocks()) {
-            let Event::Message(claim, row, bytes) = event else {
-                continue;
+            let (claim, row, bytes) = match event {
+                Event::Message(claim, row, bytes) => (claim, row, bytes),
+                // A learner's first message answers no step.
+                Event::Joined(_) => {
+                    owed.add();
+                    continue;
+                }
+                _ => continue,
             };
             let done = match row.service() {
-                Some(name) if name == LEARNING.name => {
-                    message_of::<Learning>(&bytes).map(|mut learning| {
-                        ports.learning.send(&mut learning);
-                    })
-                }
-                _ => offer(&mut ports, &claim, &bytes),
+                Some(name) if name == LEARNING.name => owed.take().and_then(|()| {
+                    let learning = message_of::<Learning>(&bytes)?;
+                    ports.learning.pass_on(&learning);
+                    Ok(())
+                }),
+                _ => offers
+                    .take(now)
+                    .and_then(|()| offer(&mut ports, &claim, &bytes)),
             };
             if let Err(reason) = done {
                 common.refuse(reason);
