@@ -11,6 +11,7 @@
 //! | `contest` | detects two living producers of one state |
 //! | `fault` | failures on order, installed with `run.faults` alone |
 //! | `kernel` | system calls that no library wraps |
+//! | `log` | the log file of a process, for the program that starts it |
 //!
 //! A process with a fixed rate is a [`FixedRate`], and [`TickLoop::run`] drives it.
 //!
@@ -30,6 +31,7 @@
 mod contest;
 mod fault;
 mod kernel;
+mod log;
 mod member;
 mod plan_ticks;
 mod privileges;
@@ -39,6 +41,7 @@ mod tick_loop;
 
 pub use contest::Contest;
 pub use kernel::{Usage, set_fifo};
+pub use log::LogFile;
 pub use member::{Arguments, Member, SET_UP_FAILED, SetUpError, exit_code, join_as};
 pub use plan_ticks::PlanTicks;
 pub use privileges::{Ask, Privileges};

@@ -8,7 +8,7 @@ use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::Path;
 
 use common::Rig;
-use supervisor::set::log::LogFile;
+use runtime::LogFile;
 use supervisor::show::view::View;
 use supervisor::telemetry::tally::Tally;
 

@@ -4,12 +4,12 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
 
+use runtime::LogFile;
 use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::services::Process;
 
 use crate::cli::failure::Failure;
-use crate::set::log::LogFile;
 
 /// The supervisor's own log.
 pub struct Journal {

@@ -5,13 +5,13 @@ use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 
+use runtime::LogFile;
 use rustix::process::{Pid, Signal};
 use shm_config::secret;
 use shm_config::services::Process;
 
 use crate::machine::programs::Executable;
 use crate::set::exit::Exit;
-use crate::set::log::LogFile;
 use crate::set::mark::{MARK, Mark};
 use crate::set::privileges::Privileges;
 use crate::set::table::ProcessSpec;

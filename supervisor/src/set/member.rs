@@ -1,5 +1,6 @@
 //! One process of the set as a state machine.
 
+use runtime::LogFile;
 use rustix::process::Signal;
 use shm_config::Instant;
 use shm_config::config::Supervisor;
@@ -11,7 +12,6 @@ use crate::set::backoff::{After, Backoff};
 use crate::set::event::Event;
 use crate::set::exit::Exit;
 use crate::set::launch::{Kind, Launch, Resume, Running};
-use crate::set::log::LogFile;
 use crate::set::mark::Mark;
 use crate::set::table::{ProcessSpec, Restart};
 

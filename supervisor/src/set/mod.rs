@@ -4,7 +4,6 @@ pub mod backoff;
 pub mod event;
 pub mod exit;
 pub mod launch;
-pub mod log;
 pub mod mark;
 pub mod member;
 pub mod orphans;

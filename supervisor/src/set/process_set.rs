@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use runtime::LogFile;
 use rustix::process::Signal;
 use shm_config::Instant;
 use shm_config::config::{Config, Supervisor};
@@ -13,7 +14,6 @@ use crate::cli::failure::Failure;
 use crate::machine::programs::Executable;
 use crate::set::event::Event;
 use crate::set::launch::{Kind, Launch, Resume};
-use crate::set::log::LogFile;
 use crate::set::mark::Mark;
 use crate::set::member::{Decision, Member, Phase};
 use crate::set::table::rows;

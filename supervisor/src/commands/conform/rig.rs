@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use runtime::LogFile;
 use rustix::process::Signal;
 use shm_config::Instant;
 use shm_config::config::Config;
@@ -27,7 +28,6 @@ use crate::run::roster::RosterPublisher;
 use crate::run::shared_memory::{Need, check_shared_memory, shared_memory};
 use crate::set::exit::Exit;
 use crate::set::launch::{Launch, Resume, Running};
-use crate::set::log::LogFile;
 use crate::set::privileges::Privileges;
 use crate::set::table::{ProcessSpec, TABLE};
 use crate::setup::own_programs;
