@@ -1,13 +1,11 @@
 //! Messages as they travel: the bytes that are used, and back, through the door that each
 //! message has.
 
-use std::mem::offset_of;
 use std::sync::Arc;
 
 use ring::signature::{ED25519, Ed25519KeyPair, UnparsedPublicKey};
 use shm_config::Message;
-use shm_config::layout::Layout as _;
-use shm_config::message::{Frame, WEIGHTS_BYTES_MAX, Weights};
+use shm_config::message::{WEIGHTS_BYTES_MAX, Weights};
 
 use crate::keys::{Identity, sha256};
 use crate::packet::Reader;
@@ -38,12 +36,6 @@ pub fn message_of<M: Message>(bytes: &[u8]) -> Result<M, Reason> {
         Ok(()) => Ok(message),
         Err(_) => Err(Reason::Content),
     }
-}
-
-/// The bytes of a picture, without the pixels that it does not have.
-pub fn frame_bytes(frame: &Frame) -> Arc<[u8]> {
-    let used = offset_of!(Frame, pixels) + frame.rgb().len();
-    frame.as_bytes()[..used].into()
 }
 
 /// A policy file as it travels: what the learner's key has signed, and the file. The eight

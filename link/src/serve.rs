@@ -2,15 +2,13 @@
 //! `./vlaps record` is. It has no priority, publishes nothing into the run, and nothing waits
 //! for it.
 
-use std::mem::offset_of;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use recorder::taps::{self, Tap};
 use shm_config::config;
-use shm_config::message::{Frame, Observation, Step};
 use shm_config::run::{RunName, RunPaths};
-use shm_config::services::{FRAME, Leaves, Process, STEP};
+use shm_config::services::{Leaves, Process};
 use shm_config::wire::Wire;
 
 use crate::host::Seats;
@@ -76,36 +74,10 @@ pub fn serve(name: &RunName, address: &str, stop: &AtomicBool) -> Result<(), Str
 
 fn read(tap: &mut dyn Tap, station: &mut Station) {
     tap.update_connections();
-    let service = tap.channel().service.clone();
-    let Some(row) = RowId::of(&service) else {
+    let Some(row) = RowId::of(&tap.channel().service) else {
         return;
     };
-    tap.drain(&mut |_, memory| {
-        let used = used_bytes(&service, memory);
+    tap.drain(&mut |_, memory, used| {
         station.host.push(row, memory[..used].into());
     });
-}
-
-/// How many bytes of a message are used: pixels and beams that are not there do not travel.
-fn used_bytes(service: &str, memory: &[u8]) -> usize {
-    let number = |at: usize| -> Option<usize> {
-        let bytes = memory.get(at..at + 4)?.try_into().ok()?;
-        usize::try_from(u32::from_le_bytes(bytes)).ok()
-    };
-    let used = match service {
-        name if name == FRAME.name => {
-            let sides = [offset_of!(Frame, width), offset_of!(Frame, height)];
-            let pixels = sides.map(|at| number(at).unwrap_or(usize::MAX));
-            let bytes = pixels[0].saturating_mul(pixels[1]).saturating_mul(3);
-            offset_of!(Frame, pixels).saturating_add(bytes)
-        }
-        name if name == STEP.name => {
-            // The beams end the observation, which ends the step.
-            let end = memory.iter().rposition(|byte| *byte != 0);
-            let least = offset_of!(Step, observation) + offset_of!(Observation, ranges_m);
-            end.map_or(least, |end| (end + 1).max(least))
-        }
-        _ => memory.len(),
-    };
-    used.min(memory.len())
 }

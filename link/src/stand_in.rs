@@ -25,7 +25,7 @@ use crate::keys::Claim;
 use crate::pace::{Owed, Pace, newest};
 use crate::refusal::Reason;
 use crate::role::{Role, RowId};
-use crate::rows::{SignedPolicy, bytes_of, frame_bytes, message_of};
+use crate::rows::{SignedPolicy, bytes_of, message_of};
 use crate::station::Station;
 
 /// Longest wait for a step before the network is read: advice waits this long at most.
@@ -196,7 +196,7 @@ pub fn judge(arguments: &Arguments) -> Result<(), SetUpError> {
             common.count(&step, begun);
         }
         let frame = ports.frames.visit(|frame| match frame.check() {
-            Ok(()) => Some(frame_bytes(frame)),
+            Ok(()) => Some(bytes_of(frame)),
             Err(_) => None,
         });
         if let Some(bytes) = frame.flatten() {

@@ -15,8 +15,8 @@ use crate::Channel;
 /// loop cannot keep it there.
 const TURN_MAX: usize = 8192;
 
-/// Takes the header and the memory of a message.
-pub type Take<'a> = &'a mut dyn FnMut(&Header, &[u8]);
+/// Takes the header and the memory of a message, and how many bytes of it are used.
+pub type Take<'a> = &'a mut dyn FnMut(&Header, &[u8], usize);
 
 /// The reading end of one service.
 pub trait Tap {
@@ -51,9 +51,9 @@ impl<M: Message> Tap for Typed<M> {
 
     fn drain(&mut self, take: Take<'_>) {
         for _ in 0..TURN_MAX {
-            let seen = self
-                .port
-                .visit(|message| take(message.header(), message.as_bytes()));
+            let seen = self.port.visit(|message| {
+                take(message.header(), message.as_bytes(), message.used_bytes());
+            });
             if seen.is_none() {
                 return;
             }

@@ -189,7 +189,7 @@ impl Drain {
             tap.update_connections();
             let times = tap.row().times;
             let mut lost = 0;
-            tap.drain(&mut |header, memory| {
+            tap.drain(&mut |header, memory, _| {
                 lost = u64::saturating_add(lost, self.sources[number].lost(header));
                 if number == step {
                     self.step_tick = header.tick;

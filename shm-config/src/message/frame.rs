@@ -97,6 +97,11 @@ crate::message! {
 impl Message for Frame {
     header_accessors!();
 
+    /// Without the pixels that it does not have.
+    fn used_bytes(&self) -> usize {
+        core::mem::offset_of!(Self, pixels) + self.rgb().len()
+    }
+
     fn check(&self) -> Result<(), Refusal> {
         self.camera.check()?;
         known("format", self.format, PixelFormat::from_code)?;
