@@ -33,8 +33,13 @@ const INBOUND_MAX: usize = 1024;
 const WAITING_BYTES_MAX: usize = 64 << 20;
 /// Packets that wait to be sent.
 const OUTBOUND_MAX: usize = 1024;
-/// How long one attempt to connect may take, ms; the next one follows at once.
-const ATTEMPT_MS: u64 = 700;
+/// How long one attempt to connect may take, ms; the next one follows at once. On a busy
+/// port, or beside connections that say nothing, a handshake takes more than a second.
+const ATTEMPT_MS: u64 = 3_000;
+/// How long a connection to the vehicle may take for its TLS handshake, ms: two of them that
+/// say nothing pass within one attempt.
+const HANDSHAKE_MS: u64 = 1_400;
+const _: () = assert!(2 * HANDSHAKE_MS < ATTEMPT_MS);
 /// Pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(100);
 /// How long Zenoh may wait for a connection that says nothing, ms.
@@ -151,7 +156,12 @@ impl Listener {
             .map_err(|error| error.to_string())?;
         let mut settings = common("peer");
         settings.extend([
-            ("listen/endpoints", json!([format!("tls/{address}")])),
+            (
+                "listen/endpoints",
+                json!([format!(
+                    "tls/{address}#tls_handshake_timeout_ms={HANDSHAKE_MS}"
+                )]),
+            ),
             ("listen/exit_on_failure", json!(true)),
             ("connect/endpoints", json!([])),
             (

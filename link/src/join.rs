@@ -1,32 +1,26 @@
 //! The side that joins: the vehicle's rows in a run of this machine, an unchanged program on
 //! them, and what it publishes back.
 
-use std::collections::VecDeque;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ring::signature::Ed25519KeyPair;
+use shm_config::Instant;
 use shm_config::config::Config;
-use shm_config::file::{Entry, Folder, make_folders};
-use shm_config::message::{Advice, FrameRequest, Health, HealthState, Learning, Weights};
-use shm_config::run::{Origin, RunName, RunPaths};
-use shm_config::services::{ADVICE, FRAME_REQUEST, LEARNING, WEIGHTS, health};
-use shm_config::wire::{Subscriber, WireError};
-use shm_config::{Instant, Message};
+use shm_config::run::{RunName, RunPaths};
 
 use crate::carrier::Connection;
 use crate::clock_map::ClockMap;
-use crate::flow::QUEUE_MAX;
+use crate::held::Held;
 use crate::keys::Bundle;
-use crate::mirror::{Mirror, Shift, instants, local_config, remove};
+use crate::local::{Local, make_folder};
+use crate::mirror::{REMOVED_NS, Shift, is_removed, remove};
 use crate::peer::{News, Peer, Vehicle};
-use crate::program::{Look, Program};
 use crate::refusal::Reason;
 use crate::report;
-use crate::role::{CONFIG, Passage, Role, RowId};
-use crate::rows::{bytes_of, signed_bytes};
+use crate::role::{CONFIG, Role, RowId};
 use crate::stand_in::clocks;
 
 /// Longest wait for a packet before the program's answers are read.
@@ -52,33 +46,8 @@ pub struct Options {
     pub address: String,
     /// The run's name on this machine.
     pub name: RunName,
-    /// This machine's own settings: the model that a judge asks.
+    /// This machine's own settings: the model that a judge asks, and files of this machine.
     pub own: Config,
-}
-
-/// What the program publishes, to be sent back.
-enum Answers {
-    Judge(Subscriber<Advice>, Subscriber<FrameRequest>),
-    Learner(
-        Subscriber<Learning>,
-        Subscriber<Weights>,
-        Box<Ed25519KeyPair>,
-    ),
-    None,
-}
-
-/// The run on this machine. The program ends before its services do.
-struct Local {
-    program: Option<Program>,
-    answers: Answers,
-    /// The program's health: it hears nothing that is published before it is ready.
-    health: Option<Subscriber<Health>>,
-    is_ready: bool,
-    /// What came before that.
-    held: VecDeque<(RowId, Arc<[u8]>)>,
-    mirror: Mirror,
-    text: String,
-    lockstep: bool,
 }
 
 /// The join in progress.
@@ -88,6 +57,15 @@ struct Join<'a> {
     peer: Peer,
     connection: Connection,
     local: Option<Local>,
+    /// The configuration of the run that comes next, while the last one ends.
+    next: Option<String>,
+    /// What the last run leaves on this machine, and since when.
+    leaving: Option<(RunPaths, Instant)>,
+    held: Held,
+    /// The last message of each row that was sent to the vehicle.
+    last: BTreeMap<RowId, Arc<[u8]>>,
+    /// The vehicle's process is another one than the last messages went to.
+    is_new: bool,
     shift: Option<Shift>,
     heard: Instant,
     looked: Instant,
@@ -104,12 +82,7 @@ struct Join<'a> {
 /// One line: the invitation is damaged, the run lives already, or the program ends each time.
 pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
     let role = options.bundle.role().map_err(|error| error.to_string())?;
-    let folder = PathBuf::from(format!("runs/{}", options.name));
-    let io_failed = |error: std::io::Error| format!("{}: {error}", folder.display());
-    make_folders(&folder).map_err(io_failed)?;
-    let made = Folder::open(&folder, Entry::Readable).map_err(io_failed)?;
-    made.make_inside("logs", Entry::Readable)
-        .map_err(io_failed)?;
+    let folder = make_folder(options)?;
     let (now, _) = clocks();
     let mut join = Join {
         options,
@@ -117,6 +90,11 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
         peer: Peer::new(&options.bundle).map_err(|error| error.to_string())?,
         connection: Connection::open(&options.bundle, &options.address)?,
         local: None,
+        next: None,
+        leaving: None,
+        held: Held::default(),
+        last: BTreeMap::new(),
+        is_new: false,
         shift: None,
         heard: now,
         looked: Instant(0),
@@ -131,33 +109,6 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
     join.flush();
     join.close();
     ended
-}
-
-impl Local {
-    /// Keeps a message until the program is ready: of newest rows the newest, of others as
-    /// many as a reader may fall behind. What is dropped here shows as a gap of numbers.
-    fn hold(&mut self, role: Role, row: RowId, bytes: Arc<[u8]>) {
-        if row.passage(role) == Passage::Newest {
-            self.held.retain(|(held, _)| *held != row);
-        }
-        if self.held.len() == QUEUE_MAX {
-            self.held.pop_front();
-        }
-        self.held.push_back((row, bytes));
-    }
-
-    /// Whether the program has become ready just now.
-    fn becomes_ready(&mut self) -> bool {
-        let health = self
-            .health
-            .as_mut()
-            .and_then(|port| port.newest(Message::check));
-        let state = health.and_then(|health| HealthState::from_code(health.state));
-        let is_set_up = matches!(state, Some(HealthState::Ready | HealthState::Running));
-        let becomes = is_set_up && !self.is_ready;
-        self.is_ready |= is_set_up;
-        becomes
-    }
 }
 
 impl Join<'_> {
@@ -208,12 +159,14 @@ impl Join<'_> {
                 (self.last_refusal, self.is_told) = (None, false);
                 if vehicle == Vehicle::New {
                     self.shift = None;
+                    self.is_new = true;
                 }
                 tracing::info!(vehicle = ?vehicle, "joined");
             }
             News::Lost(why) => {
-                tracing::warn!(why, "the session is over; connects again");
-                self.connection.renew();
+                // The connection may be well and the vehicle busy; it is made anew when no
+                // hello is answered.
+                tracing::warn!(why, "the session is over; greets again");
                 self.heard = now;
             }
             News::Refused(reason) => {
@@ -230,44 +183,25 @@ impl Join<'_> {
             News::Message(CONFIG, bytes) => {
                 let text = String::from_utf8(bytes.to_vec());
                 let text = text.map_err(|_| "the vehicle's configuration is no text")?;
-                self.configure(text)?;
+                self.configure(text);
             }
-            News::Message(row, bytes) => match &mut self.local {
-                Some(local) if !local.is_ready => local.hold(self.role, row, bytes),
-                _ => self.write(row, &bytes),
-            },
+            News::Message(row, bytes) => self.held.push(self.role, row, bytes),
         }
         Ok(())
     }
 
-    fn write(&mut self, row: RowId, bytes: &[u8]) {
-        let Some(local) = &mut self.local else {
-            return;
-        };
-        // In lockstep and for a learner and for files the times stay the vehicle's: nothing
-        // compares them with a clock.
-        let keeps = local.lockstep || matches!(self.role, Role::Learner | Role::Recorder);
-        let shift = match (keeps, self.shift) {
-            (true, _) => Shift::default(),
-            (false, Some(shift)) => shift,
-            // The clock is not mapped yet; there will be newer messages.
-            (false, None) => return,
-        };
-        if let Err(reason) = local.mirror.write(row, bytes, shift) {
-            self.peer.refused.count(reason);
-        }
-    }
-
-    /// Gives a program that has become ready what came before.
+    /// Gives the program what has come, as soon as it takes it.
     fn release(&mut self) {
-        let is_mapped = self.shift.is_some();
-        let Some(local) = self.local.as_mut().filter(|_| is_mapped) else {
+        let local = self.local.as_mut().filter(|_| self.next.is_none());
+        let Some(local) = local else {
             return;
         };
-        if local.becomes_ready() {
-            local.mirror.update_connections();
-            for (row, bytes) in std::mem::take(&mut local.held) {
-                self.write(row, &bytes);
+        let Some(shift) = local.takes(self.shift) else {
+            return;
+        };
+        while let Some((row, bytes)) = self.held.pop() {
+            if let Err(reason) = local.write(row, &bytes, shift) {
+                self.peer.refused.count(reason);
             }
         }
     }
@@ -299,120 +233,62 @@ impl Join<'_> {
         }
     }
 
-    fn configure(&mut self, text: String) -> Result<(), String> {
-        if self.local.as_ref().is_some_and(|local| local.text == text) {
-            return Ok(());
+    /// The vehicle's configuration has come. It names its run: a program does not go on from
+    /// one run to the next, even when both have the same settings.
+    fn configure(&mut self, text: String) {
+        let is_new = std::mem::take(&mut self.is_new);
+        let runs = self.local.as_ref().is_some_and(|local| local.is_of(&text));
+        if runs && self.next.is_none() {
+            if is_new {
+                // The vehicle's process was started again within its run, and has nothing.
+                for (row, bytes) in &self.last {
+                    self.peer.push(*row, bytes.clone());
+                }
+            }
+            return;
         }
         if self.local.is_some() {
-            tracing::warn!("the vehicle has another configuration; begins anew");
-            self.close();
+            tracing::warn!("the vehicle has another run or configuration; begins anew");
         }
-        let config = local_config(&text, &self.options.name, &self.options.own)?;
-        let folder = PathBuf::from(&config.run.folder);
-        let whole = folder.canonicalize().map_err(|error| error.to_string())?;
-        let mut config = config;
-        config.run.folder = whole.display().to_string();
-        let origin = Origin {
-            folder: whole.clone(),
-            parent: None,
-        };
-        let mirror = Mirror::open(&config, self.role, &origin)?;
-        let answers = self.answers(&mirror)?;
-        let program = match self.role.stands_for() {
-            Some(process) => {
-                let log = whole.join("logs").join(format!("{process}.log"));
-                let program = Program::new(process, &mirror.paths.config_file(), log);
-                Some(program.map_err(|error| error.to_string())?)
-            }
-            None => None,
-        };
-        let name = &self.options.name;
-        match self.role {
-            Role::View => tracing::info!("`./vlaps view --run {name}` shows it"),
-            Role::Recorder => tracing::info!("`./vlaps record {name} --out DIR` records it"),
-            Role::Judge | Role::Learner => {}
-        }
-        let health = match self.role.stands_for() {
-            Some(process) => {
-                let port = mirror.wire.latest(health(process));
-                Some(port.map_err(|error| error.to_string())?)
-            }
-            None => None,
-        };
-        self.local = Some(Local {
-            is_ready: program.is_none(),
-            held: VecDeque::new(),
-            health,
-            program,
-            answers,
-            mirror,
-            text,
-            lockstep: config.run.is_lockstep(),
-        });
-        Ok(())
+        self.held.clear();
+        self.last.clear();
+        self.peer.outbox.clear();
+        self.next = Some(text);
     }
 
-    fn answers(&self, mirror: &Mirror) -> Result<Answers, String> {
-        let wire = &mirror.wire;
-        let failed = |error: WireError| error.to_string();
-        Ok(match self.role {
-            Role::Judge => Answers::Judge(
-                wire.latest(ADVICE).map_err(failed)?,
-                wire.latest(FRAME_REQUEST).map_err(failed)?,
-            ),
-            Role::Learner => {
-                let signer = self.options.bundle.signer();
-                Answers::Learner(
-                    wire.latest(LEARNING).map_err(failed)?,
-                    wire.latest(WEIGHTS).map_err(failed)?,
-                    Box::new(signer.map_err(|error| error.to_string())?),
-                )
+    /// Ends the last run and begins the next one, a step in each look, so that the vehicle
+    /// is answered meanwhile.
+    fn change(&mut self, now: Instant) -> Result<(), String> {
+        if self.next.is_none() {
+            return Ok(());
+        }
+        if let Some(local) = &mut self.local {
+            if !local.has_ended(now) {
+                return Ok(());
             }
-            Role::View | Role::Recorder => Answers::None,
-        })
+            let paths = self.local.take().map(Local::close);
+            self.leaving = paths.map(|paths| (paths, now));
+        }
+        if let Some((paths, since)) = &self.leaving {
+            if !is_removed(paths) && now.since_ns(*since) < REMOVED_NS {
+                return Ok(());
+            }
+            self.leaving = None;
+        }
+        if let Some(text) = self.next.take() {
+            self.local = Some(Local::open(self.options, self.role, text)?);
+        }
+        Ok(())
     }
 
     /// Sends what the program has published.
     fn answer(&mut self) {
-        let Some(local) = &mut self.local else {
-            return;
-        };
-        let shift = match local.lockstep {
-            true => Shift::default(),
-            false => self.shift.unwrap_or_default(),
-        };
-        let mut push = |service: &str, bytes| {
-            if let Some(row) = RowId::of(service) {
+        let local = self.local.as_mut().filter(|_| self.next.is_none());
+        if let Some(local) = local {
+            local.answer(self.shift, &mut |row, bytes| {
+                self.last.insert(row, bytes.clone());
                 self.peer.push(row, bytes);
-            }
-        };
-        match &mut local.answers {
-            Answers::Judge(advices, requests) => {
-                if let Some(mut advice) = advices.newest(Message::check) {
-                    for at_ns in instants(&mut advice) {
-                        *at_ns = shift.there(*at_ns);
-                    }
-                    push(ADVICE.name, bytes_of(&advice));
-                }
-                if let Some(mut request) = requests.newest(Message::check) {
-                    request.header.taken_ns = shift.there(request.header.taken_ns);
-                    push(FRAME_REQUEST.name, bytes_of(&request));
-                }
-            }
-            Answers::Learner(learning, weights, signer) => {
-                let run = self.options.bundle.identity;
-                let signed = weights.visit(|weights| match weights.check() {
-                    Ok(()) => Some(signed_bytes(weights, run, signer)),
-                    Err(_) => None,
-                });
-                if let Some(bytes) = signed.flatten() {
-                    push(WEIGHTS.name, bytes);
-                }
-                if let Some(learning) = learning.newest(Message::check) {
-                    push(LEARNING.name, bytes_of(&learning));
-                }
-            }
-            Answers::None => {}
+            });
         }
     }
 
@@ -433,46 +309,22 @@ impl Join<'_> {
         }
         if now.since_ns(self.reported) >= report::REPORT_NS {
             self.reported = now;
-            let text = report::of_peer(&self.peer, &self.options.address, now);
+            let address = &self.options.address;
+            let text = report::of_peer(&self.peer, address, self.held.dropped, now);
             // A full disk costs the report, and nothing else.
             let _ = report::write(&self.report, &text);
         }
-        let Some(local) = &mut self.local else {
-            return Ok(());
-        };
-        if let (Some(program), Some(process)) = (&mut local.program, self.role.stands_for()) {
-            match program.look(now) {
-                Look::Same => local.is_ready &= program.is_running(),
-                Look::Started(pid) => {
-                    local.is_ready = false;
-                    local.mirror.name(process, pid);
-                    local.mirror.wire.sweep();
-                }
-                Look::GivenUp(why) => return Err(why),
-            }
+        self.change(now)?;
+        match &mut self.local {
+            Some(local) if self.next.is_none() => local.look(now),
+            _ => Ok(()),
         }
-        local.mirror.update_connections();
-        if let Some(health) = &mut local.health {
-            health.update_connections();
-        }
-        match &mut local.answers {
-            Answers::Judge(advices, requests) => {
-                advices.update_connections();
-                requests.update_connections();
-            }
-            Answers::Learner(learning, weights, _) => {
-                learning.update_connections();
-                weights.update_connections();
-            }
-            Answers::None => {}
-        }
-        Ok(())
     }
 
     fn close(&mut self) {
-        if let Some(local) = self.local.take() {
-            let paths: RunPaths = local.mirror.paths.clone();
-            drop(local);
+        let left = self.local.take().map(Local::close);
+        let left = left.or_else(|| self.leaving.take().map(|(paths, _)| paths));
+        if let Some(paths) = left {
             remove(&paths);
         }
     }
@@ -487,7 +339,9 @@ fn advice_on(reason: Reason) -> &'static str {
         Reason::Expired => "the invitation has ended; ask for a new one",
         Reason::Revoked => "the invitation was revoked; ask for a new one",
         Reason::OtherLayout => "the vehicle has another version; build both from one source",
-        Reason::Occupied => "another peer has this role now; tries again",
+        Reason::Occupied => {
+            "another peer has this role now, or another process this invitation; tries again"
+        }
         _ => "the vehicle refuses",
     }
 }

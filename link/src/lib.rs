@@ -16,7 +16,7 @@
 //! | [`refusal`], [`dating`], [`rows`], [`pace`] | the doors |
 //! | [`carrier`] | Zenoh |
 //! | [`station`], [`stand_in`], [`serve`] | the vehicle's processes |
-//! | [`mirror`], [`program`], [`join`] | the other machine's |
+//! | [`mirror`], [`program`], [`local`], [`held`], [`join`] | the other machine's |
 //! | [`arguments`], [`commands`] | the command line, and what each command does |
 //! | [`report`] | what both have done |
 
@@ -29,11 +29,13 @@ pub mod clock_map;
 pub mod commands;
 pub mod dating;
 pub mod flow;
+pub mod held;
 pub mod hello;
 pub mod host;
 pub mod join;
 pub mod keys;
 pub mod live;
+pub mod local;
 pub mod mirror;
 pub mod pace;
 pub mod packet;

@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::mem::offset_of;
+use std::time::Duration;
 
 use shm_config::Message;
 use shm_config::config::Config;
@@ -158,7 +159,12 @@ pub struct Mirror {
 ///
 /// # Errors
 /// When it is none.
-pub fn local_config(text: &str, name: &RunName, own: &Config) -> Result<Config, String> {
+pub fn local_config(
+    text: &str,
+    name: &RunName,
+    role: Role,
+    own: &Config,
+) -> Result<Config, String> {
     let mut config = shm_config::config::from_toml(text, "the vehicle's configuration")
         .map_err(|error| error.to_string())?;
     config.run.name = name.to_string();
@@ -173,7 +179,19 @@ pub fn local_config(text: &str, name: &RunName, own: &Config) -> Result<Config, 
     config.vlm.key_file.clone_from(&own.vlm.key_file);
     config.vlm.ca_file.clone_from(&own.vlm.ca_file);
     config.vlm.key_over_http = own.vlm.key_over_http;
-    config.validated().map_err(|error| error.to_string())
+    // Files of the vehicle are none of this machine. The program of a judge alone opens
+    // those of the gate; for the others they only say what the vehicle's gate is.
+    config
+        .policy
+        .onnxruntime
+        .clone_from(&own.policy.onnxruntime);
+    if role == Role::Judge {
+        config.gate.distilled.clone_from(&own.gate.distilled);
+        config.gate.recording.clone_from(&own.gate.recording);
+    }
+    config.validated().map_err(|error| {
+        format!("{error}; settings of this machine are those of `./vlaps join --config FILE`")
+    })
 }
 
 impl Mirror {
@@ -275,14 +293,61 @@ impl Mirror {
     }
 }
 
-/// Removes what a mirrored run left on the machine, once its ports are closed.
-pub fn remove(paths: &RunPaths) {
-    // A process that ends keeps it alive for a moment; the next start removes the rest.
-    for _ in 0..40 {
-        match paths.clean_if_dead() {
-            Ok(Some(_)) => return paths.remove_dir(),
-            Ok(None) => std::thread::park_timeout(std::time::Duration::from_millis(50)),
-            Err(_) => return,
+/// How long a process that ends may keep a run alive, ns; the next start removes the rest.
+pub const REMOVED_NS: u64 = 2_000_000_000;
+/// Time between two attempts to remove it.
+const REMOVE_AGAIN: Duration = Duration::from_millis(50);
+
+/// Removes what a mirrored run left on the machine, once its ports are closed; whether there
+/// is nothing more to do.
+pub fn is_removed(paths: &RunPaths) -> bool {
+    match paths.clean_if_dead() {
+        Ok(Some(_)) => {
+            paths.remove_dir();
+            true
         }
+        Ok(None) => false,
+        Err(_) => true,
+    }
+}
+
+/// The same, with a wait for a process that ends.
+pub fn remove(paths: &RunPaths) {
+    for _ in 0..REMOVED_NS / REMOVE_AGAIN.as_nanos() as u64 {
+        if is_removed(paths) {
+            return;
+        }
+        std::thread::park_timeout(REMOVE_AGAIN);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shm_config::config::GateMode;
+
+    /// No file that the vehicle names is opened on this machine.
+    #[test]
+    fn files_are_those_of_this_machine() {
+        let mut there = Config::default();
+        there.gate.mode = GateMode::Replay;
+        there.gate.recording = "/vehicle/answers.jsonl".into();
+        there.gate.distilled = "/vehicle/judge.json".into();
+        there.policy.onnxruntime = "/vehicle/libonnxruntime.so".into();
+        let text = toml::to_string(&there).expect("a text");
+        let name: RunName = "drive-judge".parse().expect("a name");
+        let mut own = Config::default();
+        let refused = local_config(&text, &name, Role::Judge, &own).expect_err("no recording");
+        assert!(refused.contains("gate.recording"), "{refused}");
+        own.gate.recording = "/here/answers.jsonl".into();
+        let config = local_config(&text, &name, Role::Judge, &own).expect("a configuration");
+        assert_eq!(config.gate.recording, "/here/answers.jsonl");
+        assert_eq!(
+            (&*config.gate.distilled, &*config.policy.onnxruntime),
+            ("", "")
+        );
+        let config = local_config(&text, &name, Role::View, &own).expect("a configuration");
+        assert_eq!(config.gate.mode, GateMode::Replay);
+        assert_eq!(config.policy.onnxruntime, "");
     }
 }

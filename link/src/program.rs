@@ -1,12 +1,12 @@
 //! The program of the build that runs on the mirrored services.
 
-use std::fs::File;
 use std::io;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use runtime::LogFile;
 use rustix::process::{Pid, Signal, kill_process};
 use shm_config::Instant;
 use shm_config::secret;
@@ -16,16 +16,20 @@ use shm_config::services::Process;
 const PAUSE_NS: u64 = 500_000_000;
 /// Restarts until the join is given up.
 const RESTARTS_MAX: u32 = 8;
-/// Looks for the end of a program that was asked to end, one every 20 ms: 5 s.
-const END_LOOKS: u32 = 250;
+/// A program that was asked to end has this long until it is killed, ns.
+const END_NS: u64 = 5_000_000_000;
+/// Time between two looks for its end.
+const END_LOOK: Duration = Duration::from_millis(20);
 
 /// A program, started again when it ends.
 pub struct Program {
     process: Process,
     path: PathBuf,
     config: PathBuf,
-    log: PathBuf,
+    log: LogFile,
     child: Option<Child>,
+    /// When it was asked to end.
+    asked: Option<Instant>,
     due: Instant,
     /// Times that it has ended.
     pub ends: u32,
@@ -43,26 +47,32 @@ pub enum Look {
 }
 
 impl Program {
-    /// The build's program of a process, not started yet.
+    /// The build's program of a process, not started yet, with its log in a folder; a log
+    /// longer than so many bytes is set aside.
     ///
     /// # Errors
-    /// When the folder of this program is not known.
-    pub fn new(process: Process, config: &Path, log: PathBuf) -> io::Result<Self> {
+    /// When the folder of this program is not known, or the log cannot be made.
+    pub fn new(
+        process: Process,
+        config: &Path,
+        (logs, limit_bytes): (PathBuf, u64),
+    ) -> io::Result<Self> {
         let own = std::env::current_exe()?;
         let folder = own.parent().unwrap_or(Path::new("/"));
         Ok(Self {
             process,
             path: folder.join(process.binary()),
             config: config.into(),
-            log,
+            log: LogFile::create(&logs, process.word(), limit_bytes)?,
             child: None,
+            asked: None,
             due: Instant(0),
             ends: 0,
         })
     }
 
-    fn start(&self) -> io::Result<Child> {
-        let log = File::options().create(true).append(true).open(&self.log)?;
+    fn start(&mut self) -> io::Result<Child> {
+        let log = self.log.begin()?;
         let mut command = Command::new(&self.path);
         secret::withhold(&mut command);
         command
@@ -84,6 +94,8 @@ impl Program {
     pub fn look(&mut self, now: Instant) -> Look {
         if let Some(child) = &mut self.child {
             let Ok(Some(status)) = child.try_wait() else {
+                // A full disk costs older lines, and nothing else.
+                let _ = self.log.rotate();
                 return Look::Same;
             };
             self.child = None;
@@ -115,27 +127,41 @@ impl Program {
     }
 
     fn last_line(&self) -> String {
-        let log = self.log.display();
-        let text = shm_config::file::read_text(&self.log, 1 << 20).unwrap_or_default();
-        let line = text.lines().rev().find(|line| !line.trim().is_empty());
-        format!("{} ({log})", line.unwrap_or("it wrote nothing"))
+        let log = self.log.path().display();
+        let line = self.log.last_line();
+        format!("{} ({log})", line.as_deref().unwrap_or("it wrote nothing"))
     }
 
-    /// Ends it: asked first, killed when it does not.
-    pub fn end(&mut self) {
-        let Some(mut child) = self.child.take() else {
-            return;
+    /// Asks it to end, kills it when it does not, and waits for neither; whether it has
+    /// ended.
+    pub fn has_ended(&mut self, now: Instant) -> bool {
+        let Some(child) = &mut self.child else {
+            return true;
         };
-        // It fails only when it has ended already.
-        let _ = kill_process(Pid::from_child(&child), Signal::TERM);
-        for _ in 0..END_LOOKS {
-            if !matches!(child.try_wait(), Ok(None)) {
-                return;
-            }
-            std::thread::park_timeout(Duration::from_millis(20));
+        if !matches!(child.try_wait(), Ok(None)) {
+            self.child = None;
+            return true;
         }
-        let _ = child.kill();
-        let _ = child.wait();
+        // Both fail only when it has ended already.
+        match self.asked {
+            None => {
+                self.asked = Some(now);
+                let _ = kill_process(Pid::from_child(child), Signal::TERM);
+            }
+            Some(asked) if now.since_ns(asked) > END_NS => drop(child.kill()),
+            Some(_) => {}
+        }
+        false
+    }
+
+    /// Ends it and waits for that.
+    pub fn end(&mut self) {
+        let mut waited_ns = 0;
+        self.asked = None;
+        while !self.has_ended(Instant(waited_ns)) {
+            std::thread::park_timeout(END_LOOK);
+            waited_ns += END_LOOK.as_nanos() as u64;
+        }
     }
 }
 

@@ -86,14 +86,16 @@ pub fn of_host(host: &Host, address: &str, now: Instant) -> Value {
     })
 }
 
-/// The report of the side that joined.
-pub fn of_peer(peer: &Peer, address: &str, now: Instant) -> Value {
+/// The report of the side that joined. `dropped` messages have come and were given to no
+/// program.
+pub fn of_peer(peer: &Peer, address: &str, dropped: u64, now: Instant) -> Value {
     let refused: &Refused = &peer.refused;
     json!({
         "address": address,
         "role": peer.claim().role.word(),
         "session": session(peer.live.as_ref(), peer.joins, now),
         "rows": rows(&peer.outbox, &peer.inbox),
+        "dropped": dropped,
         "refused": refused,
         "refused_total": refused.all(),
     })

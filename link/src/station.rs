@@ -1,10 +1,11 @@
 //! The vehicle's end of the network: door, listener, configuration, report.
 
 use std::path::PathBuf;
+use std::time::UNIX_EPOCH;
 
 use shm_config::Instant;
 use shm_config::config::{Config, Link, Programs};
-use shm_config::run::RunName;
+use shm_config::run::{RunName, RunPaths};
 
 use crate::carrier::Listener;
 use crate::host::{Event, Host, Seats};
@@ -52,6 +53,22 @@ pub fn config_text(config: &Config) -> Result<String, String> {
     toml::to_string(&config).map_err(|error| format!("the configuration: {error}"))
 }
 
+/// The line above the configuration that tells one run from the next of the same name and
+/// settings: what joined then begins anew. A process that is started again within its run
+/// makes the same line.
+fn run_line(name: &RunName) -> String {
+    let paths = RunPaths::new(name.clone());
+    let supervisor = paths.supervisor_pid().unwrap_or_default();
+    // The supervisor writes it once, at its start; process ids come again.
+    let written = paths
+        .config_file()
+        .metadata()
+        .and_then(|data| data.modified());
+    let since = written.map(|at| at.duration_since(UNIX_EPOCH).unwrap_or_default());
+    let written_ns = since.unwrap_or_default().as_nanos();
+    format!("# run of supervisor {supervisor}, begun at {written_ns}\n")
+}
+
 impl Station {
     /// Listens for the peers of a run.
     ///
@@ -77,7 +94,8 @@ impl Station {
         })?;
         let listener = Listener::open(&keys, address)?;
         let mut host = Host::new(keys, seats).map_err(|error| error.to_string())?;
-        host.push(CONFIG, config_text(config)?.into_bytes().into());
+        let text = format!("{}{}", run_line(&name), config_text(config)?);
+        host.push(CONFIG, text.into_bytes().into());
         let report = match seats {
             Seats::One(role) => format!("link-{role}.json"),
             Seats::Readers => "link-readers.json".into(),

@@ -66,6 +66,9 @@ fn print_report(name: &str, report: &Value) {
             println!("    {row}: {counts}");
         }
     }
+    if report["dropped"].as_u64() > Some(0) {
+        println!("  given to no program: {}", report["dropped"]);
+    }
     let refused = report["refused"].as_object();
     for (reason, count) in refused.into_iter().flatten() {
         if count.as_u64() > Some(0) {
