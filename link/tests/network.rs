@@ -104,6 +104,7 @@ fn a_judge_over_networks_that_fail() {
         rig.print(network);
         let summary = stage.summary();
         assert_eq!(summary["restarts"], 0, "{network}");
+        assert_eq!(summary["skipped"], 0, "{network}");
         assert!(
             summary["share"]["policy"].as_f64() > Some(0.0),
             "{network}: {}",
@@ -154,10 +155,12 @@ fn a_cut_cable_ends_within_two_seconds_and_a_reset_ends_no_session() {
     wait_for("advice", || rig.advices() > advices + 5);
     // Zenoh connects again by itself; the session outlives the connection.
     let advices = rig.advices();
+    let before = sessions();
     let reset = Instant::now();
     rig.proxy.reset();
     wait_for("advice after the reset", || rig.advices() > advices + 10);
     let advised_s = reset.elapsed().as_secs_f64();
+    assert_eq!(sessions(), before, "{}", join.text());
     println!(
         "rejoined {rejoined_s:.3} s after the cut; the eleventh advice {advised_s:.3} s after \
          the reset"
@@ -228,6 +231,12 @@ fn a_learner_loses_no_step_to_loss_and_a_cut() {
         (received("lost"), count(&report(), "step", "sent", "lost")),
         (0, 0)
     );
+    // The learner counts a step as lost when its number does not follow the last one.
+    let log = stage.path(&format!("runs/{run}/logs/learner.log"));
+    let log = std::fs::read_to_string(log).expect("a log");
+    let ends = log.lines().find(|line| line.contains(" ends steps="));
+    let ends = ends.unwrap_or_else(|| panic!("the learner has not ended: {log}"));
+    assert!(ends.contains(" lost=0"), "{ends}");
     let summary = stage.summary();
     assert!(
         summary["weights"]
@@ -235,6 +244,60 @@ fn a_learner_loses_no_step_to_loss_and_a_cut() {
             .is_some_and(|rows| !rows.is_empty())
     );
     assert_eq!(summary["restarts"], 0);
+}
+
+/// Policy files of half a megabyte over 2 Mbit/s: they take two seconds, and the session and
+/// the steps go on beside them.
+#[test]
+fn policies_arrive_over_a_slow_network() {
+    let Some(rig) = Rig::new("learner") else {
+        return;
+    };
+    let stage = &rig.stage;
+    rig.proxy.slow(250_000);
+    let mut up = stage.up(&[
+        "--gate",
+        "policy",
+        "--duration",
+        "45",
+        "--learner",
+        &rig.address,
+        "--set",
+        "learner.algorithm=dagger",
+        "--set",
+        "learner.block_steps=50",
+        "--set",
+        "learner.updates=20",
+    ]);
+    let mut join = rig.join();
+    wait_for("a policy", || {
+        count(
+            &stage.vehicle_report("learner"),
+            "weights",
+            "received",
+            "messages",
+        ) > 0
+    });
+    let threads = join.threads();
+    assert!(
+        threads.iter().any(|name| name.starts_with("tx-")),
+        "{threads:?}"
+    );
+    // Reading beside writing, Zenoh's TLS is not safe.
+    assert!(
+        !threads.iter().any(|name| name.starts_with("rx-")),
+        "{threads:?}"
+    );
+    assert_eq!(up.wait(), Some(0), "{}", up.text());
+    join.end();
+    let report = stage.vehicle_report("learner");
+    let policies = count(&report, "weights", "received", "messages");
+    let sessions = &report["peers"][0]["session"]["sessions"];
+    let sent = &stage.report(&stage.other_run(), "join")["rows"]["weights"]["sent"];
+    println!("policies {policies} over 2 Mbit/s, sessions {sessions}, their sender {sent}");
+    assert!(policies >= 3, "{report}");
+    assert_eq!(*sessions, 1, "{}", join.text());
+    assert_eq!(count(&report, "step", "sent", "lost"), 0);
 }
 
 /// Two thousand frames of noise on the vehicle's socket, and connections that say nothing:
@@ -273,7 +336,8 @@ fn two_thousand_hostile_frames_on_the_socket_change_nothing() {
     rig.print("noise on the socket");
     let sessions = &stage.vehicle_report("judge")["peers"][0]["session"]["sessions"];
     println!("{frames} frames were taken, advice before {before}, sessions {sessions}");
-    assert!(frames >= 200);
+    assert!(frames >= 1_900, "{frames}");
+    assert_eq!(*sessions, 1);
     let report = stage.vehicle_report("judge");
     assert_eq!(
         report["peers"].as_array().map(Vec::len),

@@ -92,7 +92,38 @@ fn here_and_elsewhere(
         "{}",
         join.text()
     );
+    println!(
+        "{role} that joined: {} steps, {} s, digest {}; beside the car: {} steps, digest {}",
+        far["ticks"],
+        far["elapsed_s"],
+        far["command_digest"],
+        beside["ticks"],
+        beside["command_digest"]
+    );
     (beside, far, report)
+}
+
+/// A second run with the same name and settings: a judge that stays begins anew, and keeps
+/// its session while its program ends.
+#[test]
+fn a_judge_that_stays_begins_anew_with_the_next_run() {
+    let Some(stage) = Stage::new() else { return };
+    let address = stage.address();
+    let bundle = stage.invite("judge", &address, "judge.bundle");
+    let mut join = stage.join(&bundle);
+    for run in 1..=2 {
+        let mut up = stage.up(&["--judge", &address, "--duration", "15"]);
+        assert_eq!(up.wait(), Some(0), "{}", up.text());
+        let report = stage.vehicle_report("judge");
+        let advices = count(&report, "advice", "received", "messages");
+        assert!(advices > 20, "run {run}: {}", join.text());
+        let sessions = &report["peers"][0]["session"]["sessions"];
+        assert_eq!(*sessions, 1, "run {run}: {}", join.text());
+        assert_eq!(report["refused_total"], 0, "run {run}: {report}");
+    }
+    join.end();
+    let text = join.text();
+    assert_eq!(text.matches("begins anew").count(), 1, "{text}");
 }
 
 /// In lockstep the same seed gives the same commands with the judge here and elsewhere.

@@ -23,6 +23,8 @@ pub struct Network {
     pub jitter_ms: AtomicU64,
     /// This share of the chunks is lost and sent again after `LATE_MS`, percent.
     pub lost_percent: AtomicU64,
+    /// Bytes that pass in a second in each direction; 0 for any number.
+    pub bytes_per_s: AtomicU64,
     /// Nothing passes, and nothing is said: the connection stays half open.
     pub is_cut: AtomicBool,
     /// All connections are reset.
@@ -30,6 +32,8 @@ pub struct Network {
     end: AtomicBool,
 }
 
+/// A slow network holds what passes in this time, ms; then its sender waits.
+const HELD_MS: u64 = 100;
 /// The time until TCP sends a lost segment again, ms.
 const LATE_MS: u64 = 250;
 
@@ -84,6 +88,13 @@ impl Proxy {
             .store(lost_percent, Ordering::Relaxed);
     }
 
+    /// Sets how much passes.
+    pub fn slow(&self, bytes_per_s: u64) {
+        self.network
+            .bytes_per_s
+            .store(bytes_per_s, Ordering::Relaxed);
+    }
+
     /// Cuts the cable, or joins it again.
     pub fn cut(&self, is_cut: bool) {
         self.network.is_cut.store(is_cut, Ordering::Relaxed);
@@ -106,9 +117,15 @@ fn pump((mut from, mut to): (TcpStream, TcpStream), network: Arc<Network>, seed:
     std::thread::spawn(move || {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut due = Instant::now();
-        let mut bytes = vec![0; 64 << 10];
+        let mut free = due;
+        let mut bytes = vec![0; 16 << 10];
         while !shared.end.load(Ordering::Relaxed) && shared.resets.load(Ordering::Relaxed) == begun
         {
+            let waits = free.saturating_duration_since(Instant::now());
+            if waits > Duration::from_millis(HELD_MS) {
+                std::thread::park_timeout(Duration::from_millis(1));
+                continue;
+            }
             let count = match from.read(&mut bytes) {
                 Ok(0) => break,
                 Ok(count) => count,
@@ -120,6 +137,11 @@ fn pump((mut from, mut to): (TcpStream, TcpStream), network: Arc<Network>, seed:
                 get(&shared.delay_ms) + random.random_range(0..=get(&shared.jitter_ms));
             if random.random_range(0..100) < get(&shared.lost_percent) {
                 late_ms += LATE_MS;
+            }
+            if let rate @ 1.. = get(&shared.bytes_per_s) {
+                free = free.max(Instant::now())
+                    + Duration::from_micros(count as u64 * 1_000_000 / rate);
+                due = due.max(free);
             }
             due = due.max(Instant::now() + Duration::from_millis(late_ms));
             if sender.send((due, bytes[..count].to_vec())).is_err() {
