@@ -8,6 +8,9 @@
 //! RUN and PEER are identities, random numbers of 32 digits. Zenoh carries packets and
 //! decides nothing: what it delivers passes a door.
 
+use std::io;
+use std::os::unix::process::CommandExt as _;
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -57,6 +60,29 @@ const _: () = {
 };
 /// Longest wait for a packet to be sent, so that the end of the program is seen.
 const TURN: Duration = Duration::from_millis(50);
+
+/// Zenoh's variable for its threads, which it reads once, and the value that makes one thread
+/// of the two that read and write a connection. Both use its TLS state without a lock, and a
+/// process with traffic both ways dies of it (eclipse-zenoh/zenoh#2557).
+const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: tx))");
+
+/// Starts this program again with [`THREADS`] in its environment, in the same process; nothing
+/// when it is there. Call it before anything else: what the process has opened is lost.
+///
+/// # Errors
+/// When the program cannot be started.
+pub fn use_one_thread() -> io::Result<()> {
+    let (name, value) = THREADS;
+    if std::env::var_os(name).is_some_and(|set| set == value) {
+        return Ok(());
+    }
+    let mut words = std::env::args_os();
+    let mut command = Command::new(std::env::current_exe()?);
+    if let Some(first) = words.next() {
+        command.arg0(first);
+    }
+    Err(command.args(words).env(name, value).exec())
+}
 
 /// A packet with the instant at which it came.
 pub struct Arrived {

@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use clap::Parser;
 use shm_config::secret;
 use shm_config::text::{Printable, printable_lines};
+use vlaps_link::carrier::use_one_thread;
 use vlaps_link::commands::Command;
 
 /// Judge, learner, view and recorder of a set on other machines.
@@ -18,7 +19,8 @@ struct Cli {
 
 fn main() -> ExitCode {
     // Done before the first thread starts; a judge's key goes to the gate alone.
-    let taken = secret::take().map_err(|error| format!("the keys of the environment: {error}"));
+    let taken = use_one_thread().and_then(|()| secret::take());
+    let taken = taken.map_err(|error| format!("the environment: {error}"));
     let command = Cli::parse().command;
     tracing_subscriber::fmt()
         .with_writer(|| Printable(io::stderr()))

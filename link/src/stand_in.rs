@@ -19,6 +19,7 @@ use shm_config::services::{
 };
 use shm_config::time::monotonic;
 
+use crate::carrier::use_one_thread;
 use crate::dating::Dating;
 use crate::host::{Event, Seats};
 use crate::keys::Claim;
@@ -84,6 +85,7 @@ struct Common {
 
 impl Common {
     fn open(process: Process, role: Role, arguments: &Arguments) -> Result<Self, SetUpError> {
+        use_one_thread().map_err(|error| SetUpError::Own(error.to_string()))?;
         #[allow(clippy::disallowed_methods)] // a process entry point chooses the clock
         let member = Member::join(process, arguments, monotonic)?;
         let address = member
