@@ -236,7 +236,7 @@ impl Bridge {
         for (number, tap) in taps.iter_mut().enumerate() {
             tap.update_connections();
             let service = tap.channel().service.clone();
-            tap.drain(&mut |header, memory| {
+            tap.drain(&mut |header, memory, _| {
                 self.pass_on(number, (&service, header.taken_ns), memory, moment);
             });
         }
@@ -392,9 +392,9 @@ mod tests {
             topics.is_some_and(|topics| topics.drive.is_wanted())
         });
         // After steps that were lost, too, in which the car was accelerated by others.
-        for (sequence, speed_mps) in [(50, 10.0), (51, 10.0), (90, 12.0)] {
+        for (sequence, speed_mps) in [(50, 10.0_f32), (51, 10.0), (90, 12.0)] {
             let mut step = step(sequence);
-            step.observation.ego.speed_mps = speed_mps;
+            step.observation.ego.speed_mps = f64::from(speed_mps);
             pass_on(&mut bridge, &step);
             let cdr = heard.recv_timeout(LOST).expect("a drive");
             let speed = cdr[cdr.len() - 12..][..4].try_into().expect("four bytes");
