@@ -285,10 +285,14 @@ fn line(text: &str) -> String {
     format!("[\"{sum:08x}\", {text}]")
 }
 
-/// Replaces a text in a line of a file, and gives the line a right checksum.
-fn craft(file: &Path, number: usize, (was, now): (&str, &str)) {
+/// Replaces a text in the line of a piece, which may stand anywhere in the file, and gives the
+/// line a right checksum.
+fn craft(file: &Path, piece: u64, (was, now): (&str, &str)) {
     let text = fs::read_to_string(file).expect("the part");
     let mut lines: Vec<String> = text.lines().map(String::from).collect();
+    let of_piece = format!("{{\"piece\":{piece},");
+    let number = lines.iter().position(|line| line.contains(&of_piece));
+    let number = number.expect("a line of the piece");
     let (_, value) = lines[number].split_once("\", ").expect("a line");
     let value = value.strip_suffix(']').expect("a line");
     assert!(value.contains(was), "{value}");
@@ -301,8 +305,8 @@ fn results_of_another_seed_are_named_and_driven_again() {
     let parts = Parts::new("lane", 4, 2);
     (1..=2).for_each(|shard| drop(parts.drive(shard)));
     let whole = parts.report().2;
-    craft(&parts.file(1), 2, ("\"seed\":1001", "\"seed\":1000"));
-    craft(&parts.file(2), 1, ("\"outcome\":", "\"outcome\":99"));
+    craft(&parts.file(1), 1, ("\"seed\":1001", "\"seed\":1000"));
+    craft(&parts.file(2), 2, ("\"outcome\":", "\"outcome\":99"));
     let (code, told, _) = parts.report();
     assert_eq!(code, Some(1), "{told}");
     for words in [

@@ -55,10 +55,11 @@ pub fn journal(bytes: &[u8]) -> Said {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("replay.bin");
     std::fs::write(&path, &file).expect("a file");
-    last_mark(&path).expect("it can be read");
+    let marked = last_mark(&path);
     let Ok(recovered) = Journal::open(&path, CAPACITY, 0) else {
         return Said::Refused;
     };
+    marked.expect("a file that opens can be read");
     drop(recovered.journal);
     // An incomplete record is cut off, so the reopened journal is complete.
     let again = Journal::open(&path, CAPACITY, 0).expect("as it was left");
