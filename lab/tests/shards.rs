@@ -285,14 +285,16 @@ fn line(text: &str) -> String {
     format!("[\"{sum:08x}\", {text}]")
 }
 
-/// Replaces a text in the line of a piece, which may stand anywhere in the file, and gives the
-/// line a right checksum.
-fn craft(file: &Path, piece: u64, (was, now): (&str, &str)) {
+/// Replaces a text in the line of a piece, which may stand anywhere in the file, or in the
+/// header, and gives the line a right checksum.
+fn craft(file: &Path, piece: Option<u64>, (was, now): (&str, &str)) {
     let text = fs::read_to_string(file).expect("the part");
     let mut lines: Vec<String> = text.lines().map(String::from).collect();
-    let of_piece = format!("{{\"piece\":{piece},");
-    let number = lines.iter().position(|line| line.contains(&of_piece));
-    let number = number.expect("a line of the piece");
+    let number = piece.map_or(0, |piece| {
+        let of_piece = format!("{{\"piece\":{piece},");
+        let number = lines.iter().position(|line| line.contains(&of_piece));
+        number.expect("a line of the piece")
+    });
     let (_, value) = lines[number].split_once("\", ").expect("a line");
     let value = value.strip_suffix(']').expect("a line");
     assert!(value.contains(was), "{value}");
@@ -305,8 +307,8 @@ fn results_of_another_seed_are_named_and_driven_again() {
     let parts = Parts::new("lane", 4, 2);
     (1..=2).for_each(|shard| drop(parts.drive(shard)));
     let whole = parts.report().2;
-    craft(&parts.file(1), 1, ("\"seed\":1001", "\"seed\":1000"));
-    craft(&parts.file(2), 2, ("\"outcome\":", "\"outcome\":99"));
+    craft(&parts.file(1), Some(1), ("\"seed\":1001", "\"seed\":1000"));
+    craft(&parts.file(2), Some(2), ("\"outcome\":", "\"outcome\":99"));
     let (code, told, _) = parts.report();
     assert_eq!(code, Some(1), "{told}");
     for words in [
@@ -348,7 +350,7 @@ fn a_crafted_header_neither_hangs_a_report_nor_ends_it_with_a_panic() {
         fs::write(parts.file(1), &header).expect("written");
     }
     let sweep = "\"command\":\"sweep\",\"--seed\":\"0\",\"--seeds\":\"0\"";
-    craft(&parts.file(1), 0, ("\"command\":\"eval\"", sweep));
+    craft(&parts.file(1), None, ("\"command\":\"eval\"", sweep));
     let (code, told) = report("sweep");
     assert!(matches!(code, Some(1 | 2)), "{code:?}: {told}");
     assert!(told.contains("their options make 0"), "{told}");
