@@ -341,7 +341,7 @@ fn a_crafted_header_neither_hangs_a_report_nor_ends_it_with_a_panic() {
     ] {
         craft(
             &parts.file(1),
-            0,
+            None,
             ("\"pieces\":4", &format!("\"pieces\":{pieces}")),
         );
         let (code, told) = report("eval");
