@@ -1,5 +1,5 @@
-//! The encryption of one session: what its two ends send can neither be read nor made by
-//! another peer, whatever certificate it has.
+//! The encryption of one session: a peer of another invitation can neither read nor forge what
+//! its two ends send, although TLS admits its certificate.
 //!
 //! Both keys come from the peer's own key and from the random numbers of both sides, so each
 //! session and each direction has its own. The nonce is direction and counter. A counter is

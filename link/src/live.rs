@@ -80,7 +80,8 @@ impl Live {
         seal(kind, (self.session, self.sent), body, &self.ends.send)
     }
 
-    /// The body of a packet of this session, unchanged and not received before.
+    /// Decrypts a packet of this session and gives its body. A packet that was changed, or
+    /// whose counter is not above that of the last one, is refused.
     ///
     /// # Errors
     /// Why it is refused.

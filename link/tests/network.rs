@@ -45,6 +45,19 @@ impl Rig {
         self.stage.start(&self.stage.other, "vlaps-link", &words)
     }
 
+    /// A vehicle that drives for 45 s while a learner elsewhere makes a policy of each block.
+    fn learn(&self) -> Running {
+        let options = [
+            "learner.algorithm=dagger",
+            "learner.block_steps=50",
+            "learner.updates=20",
+        ];
+        let drive = ["--gate", "policy", "--duration", "45", "--learner"];
+        let settings = options.into_iter().flat_map(|option| ["--set", option]);
+        let words = drive.into_iter().chain([self.address.as_str()]);
+        self.stage.up(&words.chain(settings).collect::<Vec<_>>())
+    }
+
     fn advices(&self) -> u64 {
         count(
             &self.stage.vehicle_report(self.role),
@@ -187,20 +200,7 @@ fn a_learner_loses_no_step_to_loss_and_a_cut() {
     };
     let stage = &rig.stage;
     rig.proxy.set([10, 5, 5]);
-    let mut up = stage.up(&[
-        "--gate",
-        "policy",
-        "--duration",
-        "45",
-        "--learner",
-        &rig.address,
-        "--set",
-        "learner.algorithm=dagger",
-        "--set",
-        "learner.block_steps=50",
-        "--set",
-        "learner.updates=20",
-    ]);
+    let mut up = rig.learn();
     let mut join = rig.join();
     let report = || stage.vehicle_report("learner");
     let policies = || count(&report(), "weights", "received", "messages");
@@ -255,20 +255,7 @@ fn policies_arrive_over_a_slow_network() {
     };
     let stage = &rig.stage;
     rig.proxy.slow(250_000);
-    let mut up = stage.up(&[
-        "--gate",
-        "policy",
-        "--duration",
-        "45",
-        "--learner",
-        &rig.address,
-        "--set",
-        "learner.algorithm=dagger",
-        "--set",
-        "learner.block_steps=50",
-        "--set",
-        "learner.updates=20",
-    ]);
+    let mut up = rig.learn();
     let mut join = rig.join();
     wait_for("a policy", || {
         count(
