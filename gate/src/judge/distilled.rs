@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 
 use shm_config::Instant;
+use shm_config::config::IN_FLIGHT_MAX;
 use shm_config::message::{Judge as JudgeKind, Preference};
 use vehicle::Vehicle;
 
@@ -17,9 +18,7 @@ use crate::record::{Evidence, NetOpinion, Unsure};
 /// answer decide; so there is room for all answers that can still come, and what is dropped
 /// beyond them was never answered.
 const AUDITS_MAX: usize = 128;
-/// The greatest `gate.in_flight`.
-const IN_FLIGHT_MAX: usize = 16;
-const _: () = assert!(AUDITS_MAX >= DELAYED_MAX + IN_FLIGHT_MAX);
+const _: () = assert!(AUDITS_MAX >= DELAYED_MAX + IN_FLIGHT_MAX as usize);
 /// Separates the draw of audits from that of faults.
 const AUDIT_SALT: u64 = 0x0061_7564_6974;
 

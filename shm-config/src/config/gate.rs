@@ -2,6 +2,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{GateMode, OutOfRange, Run, in_range};
 
+/// The greatest `gate.in_flight`.
+pub const IN_FLIGHT_MAX: u32 = 16;
+
 /// When a judge is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -122,7 +125,7 @@ impl Gate {
         in_range("gate.takeover_pedal", self.takeover_pedal, 0.0..=2.0)?;
         in_range("gate.audit", self.audit, 0.0..=1.0)?;
         in_range("gate.confirmations", self.confirmations, 1..=100)?;
-        in_range("gate.in_flight", self.in_flight, 1..=16)
+        in_range("gate.in_flight", self.in_flight, 1..=IN_FLIGHT_MAX)
     }
 
     fn check_mode(&self, run: &Run) -> Result<(), OutOfRange> {

@@ -34,7 +34,7 @@ pub use crate::settings::{
     Controller, GateMode, Informed, Kinodynamic, Late, OutOfRange, Planner, SafetyLimits, planner,
 };
 pub use deadlines::Deadlines;
-pub use gate::{FaultyJudge, Gate, PassTo, When};
+pub use gate::{FaultyJudge, Gate, IN_FLIGHT_MAX, PassTo, When};
 pub use learner::{Algorithm, Learner};
 pub use link::{Link, is_address};
 pub use load::{ConfigError, from_toml};
