@@ -161,7 +161,7 @@ pub fn read_header(path: &Path, named: Shard) -> anyhow::Result<Header> {
     let file = File::open(path)?;
     let mut first = Vec::new();
     BufReader::new(file.take(HEADER_BYTES_MAX)).read_until(b'\n', &mut first)?;
-    // Of bytes that are no text the checksum says it.
+    // Bytes that are not UTF-8 fail the checksum.
     let first = String::from_utf8_lossy(&first);
     let first = first.strip_suffix('\n').context("has no complete header")?;
     header_of(first, named)

@@ -435,7 +435,7 @@ fn last(folder: &Path, seeds: FinalSeeds) -> anyhow::Result<Option<Final>> {
     let Ok(text) = fs::read_to_string(&path) else {
         return Ok(None);
     };
-    // A file that a killed process or a copy left incomplete is as good as none.
+    // A file that a killed process or a copy left incomplete counts as missing.
     let Ok(evaluation) = serde_json::from_str::<serde_json::Value>(&text) else {
         return Ok(None);
     };

@@ -200,11 +200,10 @@ fn is_in_one_piece(folder: &Path, steps: u64) -> anyhow::Result<bool> {
     let [summary] = &summaries[..] else {
         return Ok(false);
     };
-    let text = fs::read_to_string(summary).with_context(named)?;
-    let summary: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
-    let driven = results::steps(folder);
-    match driven.and_then(|driven| Ok((driven, results::block_evaluations(folder)?))) {
-        Ok((driven, _)) => Ok(summary["ended"] == "finished" && driven == steps),
+    let bytes = fs::read(summary).with_context(named)?;
+    let summary: serde_json::Value = serde_json::from_slice(&bytes).unwrap_or_default();
+    match results::block_evaluations(folder).and_then(|_| results::steps(folder)) {
+        Ok(driven) => Ok(summary["ended"] == "finished" && driven == steps),
         Err(error) if is_damage(&error) => Ok(false),
         Err(error) => Err(error),
     }
@@ -308,6 +307,27 @@ mod tests {
         let (shard, out) = (Shard { number: 1, of: 2 }, Path::new("/nowhere/out"));
         let experiment = Experiment::of_shard(&arguments, out).expect("an experiment");
         terms("train", shard, &experiment, out).expect("terms")
+    }
+
+    #[test]
+    fn a_damaged_summary_is_trained_again_and_one_that_cannot_be_read_is_an_error() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let is_whole = || is_in_one_piece(folder.path(), 0).map_err(|error| error.to_string());
+        assert_eq!(is_whole(), Ok(false), "no summary");
+        let summary = folder.path().join("summary-1.json");
+        for (bytes, expected) in [
+            (&b"{\"ended\":\"finished\"}"[..], true),
+            (b"{\"ended\":\"stopped\"}", false),
+            (b"{\"ended\":\"fin", false),
+            (b"{\"ended\":\"finished\xff\"}", false),
+            (b"", false),
+        ] {
+            fs::write(&summary, bytes).expect("a file");
+            assert_eq!(is_whole(), Ok(expected), "{}", bytes.escape_ascii());
+        }
+        fs::remove_file(&summary).expect("it is there");
+        fs::create_dir(&summary).expect("a folder in its place");
+        assert!(is_whole().is_err());
     }
 
     #[test]
