@@ -10,6 +10,7 @@
 
 use std::io;
 use std::os::unix::process::CommandExt as _;
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -63,25 +64,39 @@ const TURN: Duration = Duration::from_millis(50);
 
 /// Zenoh's variable for its threads, which it reads once, and the value that makes one thread
 /// of the two that read and write a connection. Both use its TLS state without a lock, and a
-/// process with traffic both ways dies of it (eclipse-zenoh/zenoh#2557).
+/// process with traffic in both directions crashes (eclipse-zenoh/zenoh#2557).
 const THREADS: (&str, &str) = ("ZENOH_RUNTIME", "(rx: (handover: tx))");
 
 /// Starts this program again with [`THREADS`] in its environment, in the same process; nothing
 /// when it is there. Call it before anything else: what the process has opened is lost.
 ///
 /// # Errors
-/// When the program cannot be started.
-pub fn use_one_thread() -> io::Result<()> {
+/// One line: the program cannot be started.
+pub fn use_one_thread() -> Result<(), String> {
     let (name, value) = THREADS;
     if std::env::var_os(name).is_some_and(|set| set == value) {
         return Ok(());
     }
-    let mut words = std::env::args_os();
-    let mut command = Command::new(std::env::current_exe()?);
-    if let Some(first) = words.next() {
-        command.arg0(first);
-    }
-    Err(command.args(words).env(name, value).exec())
+    let start = |program: &Path| {
+        let mut words = std::env::args_os();
+        let mut command = Command::new(program);
+        if let Some(first) = words.next() {
+            command.arg0(first);
+        }
+        command.args(words).env(name, value).exec()
+    };
+    let error = match std::env::current_exe() {
+        Ok(program) => start(&program),
+        Err(error) => error,
+    };
+    let error = match error.kind() {
+        // An update has replaced the file; the running program is still here.
+        io::ErrorKind::NotFound => start(Path::new("/proc/self/exe")),
+        _ => error,
+    };
+    Err(format!(
+        "cannot start this program again with {name}={value}: {error}"
+    ))
 }
 
 /// A packet with the instant at which it came.
@@ -372,13 +387,14 @@ impl Work {
     fn run(&self) {
         let is_ended = || self.shared.end.load(Ordering::Relaxed);
         while !is_ended() {
-            self.shared.renew.store(false, Ordering::Relaxed);
             let Ok(session) = zenoh::open(self.config.clone()).wait() else {
                 // What waits is old by the time there is a connection.
                 while self.packets.try_recv().is_ok() {}
                 std::thread::park_timeout(PAUSE);
                 continue;
             };
+            // What was asked for meanwhile is this connection.
+            self.shared.renew.store(false, Ordering::Relaxed);
             let receive = receiver(self.sender.clone(), self.flooded.clone());
             let subscriber = session
                 .declare_subscriber(&self.keys[1])

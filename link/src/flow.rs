@@ -25,7 +25,7 @@ pub const QUEUE_BYTES_MAX: usize = 32 << 20;
 /// a second more than a learner at 100 Hz needs.
 const WINDOW_EVERY: u64 = 64;
 /// The same of a row of newest messages: more would only wait in the network's queues.
-const WINDOW_NEWEST: u64 = 8;
+pub(crate) const WINDOW_NEWEST: u64 = 8;
 /// Longest time that is measured between two acknowledgements of pieces, ns; what does not
 /// come for twice of it is sent again.
 const SLOW_NS_MAX: u64 = 500_000_000;

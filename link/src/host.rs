@@ -98,8 +98,6 @@ pub struct Host {
     events: Vec<Event>,
     /// What was refused.
     pub refused: Refused,
-    /// Messages that passed the door and were not published, because a newer one had come.
-    pub superseded: u64,
 }
 
 impl Host {
@@ -118,7 +116,6 @@ impl Host {
             out: Vec::new(),
             events: Vec::new(),
             refused: Refused::default(),
-            superseded: 0,
         })
     }
 

@@ -50,6 +50,34 @@ pub struct Options {
     pub own: Config,
 }
 
+/// How long the vehicle has not answered.
+#[derive(Debug)]
+struct Silence {
+    since: Instant,
+    was_open: bool,
+}
+
+impl Silence {
+    /// The vehicle has answered.
+    fn end(&mut self, at: Instant) {
+        self.since = self.since.max(at);
+    }
+
+    /// Whether it is too long; then it begins anew. A connection can be answered from the
+    /// look on at which it is open.
+    fn is_long(&mut self, now: Instant, is_open: bool) -> bool {
+        if is_open && !self.was_open {
+            self.since = now;
+        }
+        self.was_open = is_open;
+        let is_long = now.since_ns(self.since) > ANSWER_NS;
+        if is_long {
+            self.since = now;
+        }
+        is_long
+    }
+}
+
 /// The join in progress.
 struct Join<'a> {
     options: &'a Options,
@@ -67,7 +95,7 @@ struct Join<'a> {
     /// The vehicle's process is another one than the last messages went to.
     is_new: bool,
     shift: Option<Shift>,
-    heard: Instant,
+    silence: Silence,
     looked: Instant,
     reported: Instant,
     last_refusal: Option<Reason>,
@@ -81,29 +109,9 @@ struct Join<'a> {
 /// # Errors
 /// One line: the invitation is damaged, the run lives already, or the program ends each time.
 pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
-    let role = options.bundle.role().map_err(|error| error.to_string())?;
-    let folder = make_folder(options)?;
-    let (now, _) = clocks();
-    let mut join = Join {
-        options,
-        role,
-        peer: Peer::new(&options.bundle).map_err(|error| error.to_string())?,
-        connection: Connection::open(&options.bundle, &options.address)?,
-        local: None,
-        next: None,
-        leaving: None,
-        held: Held::default(),
-        last: BTreeMap::new(),
-        is_new: false,
-        shift: None,
-        heard: now,
-        looked: Instant(0),
-        reported: Instant(0),
-        last_refusal: None,
-        is_told: false,
-        report: folder.join("link-join.json"),
-    };
-    tracing::info!(address = options.address, role = role.word(), "joins");
+    let mut join = Join::new(options, make_folder(options)?)?;
+    let role = join.role.word();
+    tracing::info!(address = options.address, role, "joins");
     let ended = join.work(stop);
     join.peer.end();
     join.flush();
@@ -111,7 +119,33 @@ pub fn join(options: &Options, stop: &AtomicBool) -> Result<(), String> {
     ended
 }
 
-impl Join<'_> {
+impl<'a> Join<'a> {
+    fn new(options: &'a Options, folder: PathBuf) -> Result<Self, String> {
+        let (now, _) = clocks();
+        Ok(Self {
+            options,
+            role: options.bundle.role().map_err(|error| error.to_string())?,
+            peer: Peer::new(&options.bundle).map_err(|error| error.to_string())?,
+            connection: Connection::open(&options.bundle, &options.address)?,
+            local: None,
+            next: None,
+            leaving: None,
+            held: Held::default(),
+            last: BTreeMap::new(),
+            is_new: false,
+            shift: None,
+            silence: Silence {
+                since: now,
+                was_open: false,
+            },
+            looked: Instant(0),
+            reported: Instant(0),
+            last_refusal: None,
+            is_told: false,
+            report: folder.join("link-join.json"),
+        })
+    }
+
     fn work(&mut self, stop: &AtomicBool) -> Result<(), String> {
         while !stop.load(Ordering::Relaxed) {
             self.receive();
@@ -142,7 +176,7 @@ impl Join<'_> {
         let flooded = self.connection.take_flooded();
         self.peer.refused.add(Reason::Flooded, flooded);
         if let Some(live) = &self.peer.live {
-            self.heard = self.heard.max(live.heard);
+            self.silence.end(live.heard);
         }
     }
 
@@ -155,7 +189,7 @@ impl Join<'_> {
     fn hear(&mut self, news: News, now: Instant) -> Result<(), String> {
         match news {
             News::Joined(vehicle) => {
-                self.heard = now;
+                self.silence.end(now);
                 (self.last_refusal, self.is_told) = (None, false);
                 if vehicle == Vehicle::New {
                     self.shift = None;
@@ -167,10 +201,10 @@ impl Join<'_> {
                 // The connection may be well and the vehicle busy; it is made anew when no
                 // hello is answered.
                 tracing::warn!(why, "the session is over; greets again");
-                self.heard = now;
+                self.silence.end(now);
             }
             News::Refused(reason) => {
-                self.heard = now;
+                self.silence.end(now);
                 if self.last_refusal.replace(reason) != Some(reason) {
                     tracing::error!(reason = reason.word(), "{}", advice_on(reason));
                 }
@@ -237,6 +271,10 @@ impl Join<'_> {
     /// one run to the next, even when both have the same settings.
     fn configure(&mut self, text: String) {
         let is_new = std::mem::take(&mut self.is_new);
+        if self.next.as_ref() == Some(&text) {
+            // What waits has come since it was said first, and is of the run that begins.
+            return;
+        }
         let runs = self.local.as_ref().is_some_and(|local| local.is_of(&text));
         if runs && self.next.is_none() {
             if is_new {
@@ -250,7 +288,10 @@ impl Join<'_> {
         if self.local.is_some() {
             tracing::warn!("the vehicle has another run or configuration; begins anew");
         }
-        self.held.clear();
+        // Before the first run, what waits is of this run.
+        if self.local.is_some() || self.next.is_some() || self.leaving.is_some() {
+            self.held.clear();
+        }
         self.last.clear();
         self.peer.outbox.clear();
         self.next = Some(text);
@@ -298,9 +339,11 @@ impl Join<'_> {
             return Ok(());
         }
         self.looked = now;
-        if self.peer.live.is_none() && now.since_ns(self.heard) > ANSWER_NS {
-            self.heard = now;
-            self.connection.renew();
+        let is_open = self.connection.is_open();
+        if self.silence.is_long(now, is_open) && self.peer.live.is_none() {
+            if is_open {
+                self.connection.renew();
+            }
             if !self.is_told {
                 self.is_told = true;
                 let address = &self.options.address;
@@ -343,5 +386,65 @@ fn advice_on(reason: Reason) -> &'static str {
             "another peer has this role now, or another process this invitation; tries again"
         }
         _ => "the vehicle refuses",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::keys::RunKeys;
+    use shm_config::services::STEP;
+
+    #[test]
+    fn a_connection_has_its_whole_time_to_answer_from_when_it_is_open() {
+        let second = |tenths: u64| Instant(tenths * 100_000_000);
+        let mut silence = Silence {
+            since: second(0),
+            was_open: false,
+        };
+        let mut is_long = |tenths, is_open| silence.is_long(second(tenths), is_open);
+        // It takes 2.9 s to connect, which is told after 1.6 s.
+        assert!(!is_long(15, false));
+        assert!(is_long(16, false));
+        assert!(!is_long(29, true));
+        assert!(!is_long(44, true));
+        assert!(is_long(45, true));
+        // Connected anew within a look: it has its time, too.
+        assert!(!is_long(60, true));
+        silence.end(second(60));
+        assert!(!silence.is_long(second(75), true));
+        assert!(silence.is_long(second(76), true));
+    }
+
+    #[test]
+    fn messages_that_wait_are_dropped_for_another_run_alone() {
+        let bundle = RunKeys::make("drive").expect("keys");
+        // Nothing listens there.
+        let address = "127.0.0.1:9".to_string();
+        let bundle = bundle.invite(Role::View, &address, 4_000_000_000);
+        let options = Options {
+            bundle: bundle.expect("an invitation"),
+            address,
+            name: "drive-view".parse().expect("a name"),
+            own: Config::default(),
+        };
+        let mut join = Join::new(&options, PathBuf::new()).expect("a join");
+        let step = RowId::of(STEP.name).expect("a row");
+        let mut step_and = |text: Option<&str>| {
+            let bytes: Arc<[u8]> = [7][..].into();
+            let message = News::Message(step, bytes);
+            join.hear(message, Instant(0)).expect("it is held");
+            if let Some(text) = text {
+                join.configure(text.into());
+            }
+            join.held.dropped
+        };
+        // A step that comes before the first configuration waits for its run.
+        assert_eq!(step_and(Some("one run")), 0);
+        assert_eq!(step_and(Some("one run")), 0);
+        assert_eq!(step_and(Some("another run")), 3);
+        assert_eq!(step_and(None), 3);
+        assert_eq!(join.held.pop(), Some((step, [7][..].into())));
+        assert_eq!(join.held.pop(), None);
     }
 }

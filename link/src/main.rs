@@ -19,8 +19,8 @@ struct Cli {
 
 fn main() -> ExitCode {
     // Done before the first thread starts; a judge's key goes to the gate alone.
-    let taken = use_one_thread().and_then(|()| secret::take());
-    let taken = taken.map_err(|error| format!("the environment: {error}"));
+    let taken = use_one_thread()
+        .and_then(|()| secret::take().map_err(|error| format!("the environment: {error}")));
     let command = Cli::parse().command;
     tracing_subscriber::fmt()
         .with_writer(|| Printable(io::stderr()))

@@ -179,8 +179,8 @@ pub fn local_config(
     config.vlm.key_file.clone_from(&own.vlm.key_file);
     config.vlm.ca_file.clone_from(&own.vlm.ca_file);
     config.vlm.key_over_http = own.vlm.key_over_http;
-    // Files of the vehicle are none of this machine. The program of a judge alone opens
-    // those of the gate; for the others they only say what the vehicle's gate is.
+    // Paths in the vehicle's configuration are not used on this machine. The program of a
+    // judge alone opens the gate's files; the others only read which gate the vehicle has.
     config
         .policy
         .onnxruntime

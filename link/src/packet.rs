@@ -168,7 +168,7 @@ pub fn parcel_of(body: &[u8]) -> Option<Parcel> {
     let piece = u16::from_le_bytes(reader.array()?);
     let pieces = u16::from_le_bytes(reader.array()?);
     let (sequence, oldest) = (reader.u64()?, reader.u64()?);
-    let is_last = piece + 1 == pieces;
+    let is_last = piece.checked_add(1) == Some(pieces);
     let is_whole = is_last || reader.0.len() == PIECE_BYTES;
     let is_piece = piece < pieces && pieces <= PIECES_MAX && is_whole;
     (is_piece && sequence > 0 && (1..=sequence).contains(&oldest)).then(|| Parcel {
@@ -242,6 +242,44 @@ mod tests {
         is_taken_whole_alone(&hello, |packet| packet.is_of(&key));
         let long = sign(Kind::Hello, &vec![0; BODY_MAX + 1], &key);
         assert!(Packet::parse(&long).is_none());
+    }
+
+    #[test]
+    fn a_piece_is_one_of_its_message_and_whole_unless_it_is_the_last() {
+        let is_taken = |[piece, pieces]: [u16; 2], bytes: usize| {
+            let parcel = Parcel {
+                row: RowId(1),
+                sequence: 3,
+                oldest: 2,
+                piece,
+                pieces,
+                bytes: vec![0; bytes].into(),
+            };
+            let taken = parcel_of(&parcel_body(&parcel));
+            assert!(taken.is_none() || taken == Some(parcel));
+            taken.is_some()
+        };
+        let last = PIECES_MAX - 1;
+        for numbers in [[0, 1], [0, 2], [1, 3], [last - 1, PIECES_MAX]] {
+            assert!(is_taken(numbers, PIECE_BYTES), "{numbers:?}");
+            let is_last = numbers[0] + 1 == numbers[1];
+            for bytes in [0, 1, PIECE_BYTES - 1] {
+                assert_eq!(is_taken(numbers, bytes), is_last, "{numbers:?}, {bytes}");
+            }
+        }
+        assert!(is_taken([last, PIECES_MAX], 7));
+        for numbers in [
+            [u16::MAX, 0],
+            [0, 0],
+            [PIECES_MAX, PIECES_MAX],
+            [0, PIECES_MAX + 1],
+            [last + 1, PIECES_MAX + 1],
+            [u16::MAX, u16::MAX],
+        ] {
+            for bytes in [0, 7, PIECE_BYTES] {
+                assert!(!is_taken(numbers, bytes), "{numbers:?}, {bytes}");
+            }
+        }
     }
 
     /// A peer of another role, or a revoked one, can hear what the router passes on.

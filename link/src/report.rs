@@ -63,8 +63,9 @@ fn session(live: Option<&Live>, joins: u64, now: Instant) -> Value {
     })
 }
 
-/// The vehicle's report.
-pub fn of_host(host: &Host, address: &str, now: Instant) -> Value {
+/// The vehicle's report. `superseded` messages have come and were replaced by newer ones
+/// before they were published.
+pub fn of_host(host: &Host, address: &str, superseded: u64, now: Instant) -> Value {
     let peers: Vec<_> = host
         .guests()
         .map(|guest| {
@@ -80,7 +81,7 @@ pub fn of_host(host: &Host, address: &str, now: Instant) -> Value {
     json!({
         "address": address,
         "peers": peers,
-        "superseded": host.superseded,
+        "superseded": superseded,
         "refused": host.refused,
         "refused_total": host.refused.all(),
     })

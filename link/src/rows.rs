@@ -5,16 +5,25 @@ use std::sync::Arc;
 
 use ring::signature::{ED25519, Ed25519KeyPair, UnparsedPublicKey};
 use shm_config::Message;
-use shm_config::message::{WEIGHTS_BYTES_MAX, Weights};
+use shm_config::message::{Frame, WEIGHTS_BYTES_MAX, Weights};
 
 use crate::keys::{Identity, sha256};
 use crate::packet::Reader;
+use crate::pieces::{PIECE_BYTES, PIECES_MAX};
 use crate::refusal::Reason;
 
 /// What a learner signs begins with this, so that its signature is of nothing else.
 const SIGNED: &[u8] = b"vlaps-link policy 1";
 /// Bytes of a signature.
 const SIGNATURE: usize = 64;
+/// Bytes of a policy before its file: version, sum, signature.
+const POLICY_HEAD: usize = 8 + 32 + SIGNATURE;
+const _: () = {
+    // The longest messages have no more pieces than are taken.
+    let policy = POLICY_HEAD + WEIGHTS_BYTES_MAX;
+    assert!(policy.div_ceil(PIECE_BYTES) <= PIECES_MAX as usize);
+    assert!(size_of::<Frame>().div_ceil(PIECE_BYTES) <= PIECES_MAX as usize);
+};
 
 /// The bytes of a message that are used.
 pub fn bytes_of<M: Message>(message: &M) -> Arc<[u8]> {

@@ -6,6 +6,7 @@
 //! that process publishes it. So no other process of the set knows that a network exists, and
 //! silence is what it always was: advice expires and the expert drives.
 
+use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use runtime::{Arguments, Member, SetUpError, Telemetry, Tick};
@@ -23,7 +24,7 @@ use crate::carrier::use_one_thread;
 use crate::dating::Dating;
 use crate::host::{Event, Seats};
 use crate::keys::Claim;
-use crate::pace::{Owed, Pace, newest};
+use crate::pace::{Owed, Pace, Paced, newest};
 use crate::refusal::Reason;
 use crate::role::{Role, RowId};
 use crate::rows::{SignedPolicy, bytes_of, message_of};
@@ -31,12 +32,11 @@ use crate::station::Station;
 
 /// Longest wait for a step before the network is read: advice waits this long at most.
 const TURN: Duration = Duration::from_millis(1);
-/// Least time between two requests for pictures, ns: a question needs one, and a picture
-/// costs the world's render thread some milliseconds.
+/// Least time between two requests for pictures, ns on the run's clock: a question needs one,
+/// and a picture costs the world's render thread some milliseconds.
 const REQUEST_NS: u64 = 100_000_000;
-
-/// Least time between two policies of a learner, ns on the run's clock: the controller loads
-/// and checks each.
+/// Least time between two policies of a learner in real time, ns: the controller loads and
+/// checks each. In lockstep the run waits for both.
 const OFFER_NS: u64 = 1_000_000_000;
 
 shm_config::ports! {
@@ -85,7 +85,7 @@ struct Common {
 
 impl Common {
     fn open(process: Process, role: Role, arguments: &Arguments) -> Result<Self, SetUpError> {
-        use_one_thread().map_err(|error| SetUpError::Own(error.to_string()))?;
+        use_one_thread().map_err(SetUpError::Own)?;
         #[allow(clippy::disallowed_methods)] // a process entry point chooses the clock
         let member = Member::join(process, arguments, monotonic)?;
         let address = member
@@ -158,11 +158,20 @@ impl Common {
             match dated {
                 Ok(mut advice) => {
                     ports.advices.send(&mut advice);
-                    self.station.host.superseded += older as u64 - 1;
+                    self.station.superseded += older as u64 - 1;
                     return;
                 }
                 Err(reason) => self.refuse(reason),
             }
+        }
+    }
+
+    /// Offers the policy whose time has come.
+    fn offer_due(&mut self, ports: &mut LearnerPorts, offers: &mut Offers, now: Instant) {
+        if let Some((claim, bytes)) = offers.take_due(now)
+            && let Err(reason) = offer(ports, &claim, &bytes)
+        {
+            self.refuse(reason);
         }
     }
 
@@ -171,6 +180,9 @@ impl Common {
         self.station.host.refused.count(reason);
     }
 }
+
+/// The policy that waits for its time.
+type Offers = Paced<(Claim, Arc<[u8]>)>;
 
 fn row(service: &str) -> Result<RowId, SetUpError> {
     RowId::of(service).ok_or_else(|| SetUpError::Own(format!("{service} may not leave")))
@@ -218,7 +230,7 @@ pub fn judge(arguments: &Arguments) -> Result<(), SetUpError> {
                 continue;
             };
             let done = message_of::<FrameRequest>(&bytes).and_then(|mut request| {
-                requests.take(begun)?;
+                requests.take(now)?;
                 ports.requests.send(&mut request);
                 Ok(())
             });
@@ -242,9 +254,11 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
     let mut ports = LearnerPorts::open(&common.member.wire)?;
     let rows = [row(STEP.name)?, row(POLICY_STATUS.name)?];
     let mut lost = 0;
-    let (mut owed, mut offers) = (Owed::default(), Pace::new(OFFER_NS));
-    let lockstep = common.member.config.run.is_lockstep();
-    let mut run_now = Instant(0);
+    let mut owed = Owed::default();
+    let mut offers = Offers::new(match common.member.config.run.is_lockstep() {
+        true => 0,
+        false => OFFER_NS,
+    });
     common.ready();
     while !common.member.is_stopping() {
         ports.bell.wait(TURN);
@@ -254,7 +268,6 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
                 Ok(()) => {
                     common.station.host.push(rows[0], bytes_of(&step));
                     common.count(&step, begun);
-                    run_now = step.header.taken();
                     owed.add();
                 }
                 Err(refusal) => common.member.wire.refuse(&refusal),
@@ -270,10 +283,7 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
         if let Some(status) = ports.statuses.newest(Message::check) {
             common.station.host.push(rows[1], bytes_of(&status));
         }
-        let now = match lockstep {
-            true => run_now,
-            false => common.member.now(),
-        };
+        let now = common.member.now();
         for event in common.station.receive(clocks()) {
             let (claim, row, bytes) = match event {
                 Event::Message(claim, row, bytes) => (claim, row, bytes),
@@ -284,20 +294,21 @@ pub fn learner(arguments: &Arguments) -> Result<(), SetUpError> {
                 }
                 _ => continue,
             };
-            let done = match row.service() {
-                Some(name) if name == LEARNING.name => owed.take().and_then(|()| {
-                    let learning = message_of::<Learning>(&bytes)?;
-                    ports.learning.pass_on(&learning);
-                    Ok(())
-                }),
-                _ => offers
-                    .take(now)
-                    .and_then(|()| offer(&mut ports, &claim, &bytes)),
-            };
-            if let Err(reason) = done {
-                common.refuse(reason);
+            if row.service() == Some(LEARNING.name) {
+                let taken = owed.take().and_then(|()| message_of::<Learning>(&bytes));
+                match taken {
+                    Ok(learning) => {
+                        ports.learning.pass_on(&learning);
+                    }
+                    Err(reason) => common.refuse(reason),
+                }
+                continue;
             }
+            let replaced = offers.put((claim, bytes));
+            common.station.superseded += u64::from(replaced.is_some());
+            common.offer_due(&mut ports, &mut offers, now);
         }
+        common.offer_due(&mut ports, &mut offers, now);
         common.end_turn();
         ports.update_connections();
     }

@@ -24,6 +24,8 @@ const KEYS_NS: u64 = 2_000_000_000;
 pub struct Station {
     /// The door.
     pub host: Host,
+    /// Messages that passed the door and were not published, because a newer one had come.
+    pub superseded: u64,
     listener: Listener,
     address: String,
     name: RunName,
@@ -102,6 +104,7 @@ impl Station {
         };
         Ok(Self {
             host,
+            superseded: 0,
             listener,
             address: address.into(),
             name,
@@ -155,7 +158,7 @@ impl Station {
             let by_reason = serde_json::to_string(&self.host.refused).unwrap_or_default();
             tracing::warn!(refused, by_reason, "refused from the network");
         }
-        let text = report::of_host(&self.host, &self.address, now);
+        let text = report::of_host(&self.host, &self.address, self.superseded, now);
         // A full disk costs the report, and nothing else.
         let _ = report::write(&self.report, &text);
     }

@@ -69,6 +69,9 @@ fn print_report(name: &str, report: &Value) {
     if report["dropped"].as_u64() > Some(0) {
         println!("  given to no program: {}", report["dropped"]);
     }
+    if report["superseded"].as_u64() > Some(0) {
+        println!("  replaced by newer ones: {}", report["superseded"]);
+    }
     let refused = report["refused"].as_object();
     for (reason, count) in refused.into_iter().flatten() {
         if count.as_u64() > Some(0) {
