@@ -25,6 +25,11 @@ const LOOK: Duration = Duration::from_millis(20);
 /// Time limit for a set's first message, ns.
 pub const START_NS: u64 = 60_000_000_000;
 
+/// The name of a set of this program: other measurements may run at the same time.
+pub fn name_of(run: &str) -> String {
+    format!("{run}-{}", std::process::id())
+}
+
 /// A running set. If the measurement fails, dropping this value kills the set; it also
 /// removes the run's files. Drop observers of the run before it.
 pub struct Driven {
@@ -44,8 +49,20 @@ impl Driven {
         run: &str,
         arguments: impl IntoIterator<Item = impl Into<OsString>>,
     ) -> anyhow::Result<Self> {
+        Self::start_with(run, arguments, None)
+    }
+
+    /// The same with a variable in the set's environment.
+    ///
+    /// # Errors
+    /// If it cannot be started.
+    pub fn start_with(
+        run: &str,
+        arguments: impl IntoIterator<Item = impl Into<OsString>>,
+        variable: Option<(&str, OsString)>,
+    ) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
-        let name = format!("{run}-{}", std::process::id());
+        let name = name_of(run);
         let json = folder.path().join("up.json");
         let supervisor = std::env::current_exe()?.with_file_name("vlaps-supervisor");
         let child = Command::new(&supervisor)
@@ -55,6 +72,7 @@ impl Driven {
             .args(["--parent", &std::process::id().to_string()])
             .arg("--json")
             .arg(&json)
+            .envs(variable)
             .current_dir(folder.path())
             // The gate may need an API key from the environment.
             .stdin(secret::lend()?)

@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
 use super::judges::JudgeBehaviour;
+use super::link::RemoteJudge;
 use super::viewers::Viewers;
 use crate::floor::Priority;
 
@@ -18,7 +19,9 @@ use crate::floor::Priority;
         the weights (learner); all of these at once (all); the recorder, the live page with one \
         browser (view) or with ten, one of which reads nothing (browsers); the ROS bridge and \
         10,000 foreign messages a second (ros), for which ./vlaps setup ros and the examples of ros/ \
-        have to be built. judges is one row for each behaviour of \
+        have to be built; a judge that joins over the loopback, with mutual TLS, as from another \
+        machine (link), or falls silent half way (link-cut), for which ./vlaps setup link has to be \
+        built. judges is one row for each behaviour of \
         a judge: answer at once or late, hang, refuse, send 10 MB, die; its first and its last row \
         have no judge, and the difference between these two is the machine's noise.\n\n\
         During each row the machine's own floor is measured by cyclictest at the same priority and \
@@ -112,6 +115,10 @@ pub enum Load {
     RecorderView,
     /// The ROS bridge with a reader of all its topics, and 10,000 foreign messages a second.
     Ros,
+    /// A judge that joins over the loopback, as from another machine.
+    Link,
+    /// The same, whose connection stays open and silent from half of the row on.
+    LinkCut,
     /// One row for each behaviour of a judge.
     Judges,
 }
@@ -168,6 +175,8 @@ pub struct Beside {
     pub viewers: Viewers,
     /// Whether the ROS bridge publishes the set to a flooded router.
     pub ros: bool,
+    /// The judge that joins over the network, in place of `judge`.
+    pub link: RemoteJudge,
     /// Behaviour of the judge.
     pub judge: JudgeBehaviour,
 }
@@ -181,6 +190,7 @@ const NOTHING: Beside = Beside {
     recorder: false,
     viewers: Viewers::Absent,
     ros: false,
+    link: RemoteJudge::Absent,
     judge: JudgeBehaviour::Absent,
 };
 const JUDGE: JudgeBehaviour = JudgeBehaviour::Answers { after_s: 1.0 };
@@ -242,6 +252,14 @@ impl Load {
             Self::Ros => Beside {
                 ros: true,
                 ..one("ros")
+            },
+            Self::Link => Beside {
+                link: RemoteJudge::Joined,
+                ..one("link")
+            },
+            Self::LinkCut => Beside {
+                link: RemoteJudge::FallsSilent,
+                ..one("link-cut")
             },
             Self::Judges => return judged(),
         }]
@@ -430,7 +448,7 @@ mod tests {
         let cases = arguments.cases();
         let slugs: std::collections::BTreeSet<_> = cases.iter().map(Case::slug).collect();
         assert_eq!(slugs.len(), cases.len(), "{slugs:?}");
-        assert_eq!(cases.len(), (12 + 10) * 3 * 2);
+        assert_eq!(cases.len(), (14 + 10) * 3 * 2);
         assert!(slugs.contains("100-hz-judge-answers-in-0.1-s-real-time"));
         // A row that is requested twice is measured once.
         arguments.rate.push(100.0);

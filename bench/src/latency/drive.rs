@@ -11,6 +11,7 @@ use super::arguments::Case;
 use super::buckets::{self, Series};
 use super::cyclictest::Cyclictest;
 use super::judges::RowJudge;
+use super::link::RowLink;
 use super::ros::RowRos;
 use super::row::{Row, planner};
 use super::stress::Stress;
@@ -35,11 +36,16 @@ pub fn drive(
     case: &Case,
     k: usize,
 ) -> anyhow::Result<Option<(Row, Vec<Series>)>> {
-    let mut judge = case.beside.judge.begin()?;
+    let run = format!("latency-{k}");
+    let mut judges = Judges {
+        here: case.beside.judge.begin()?,
+        elsewhere: RowLink::invite(case.beside.link, (&run, bench.scratch))?,
+    };
     let plan_rate_hz = configuration(bench, case)?.planner_rate_hz();
-    let mut up = judge.arguments();
+    let mut up = judges.arguments();
     up.extend(arguments(bench, case));
-    let mut driven = Driven::start(&format!("latency-{k}"), up)?;
+    let variable = judges.elsewhere.as_ref().map(RowLink::environment);
+    let mut driven = Driven::start_with(&run, up, variable)?;
     let Some(mut watch) = await_start(bench, &mut driven)? else {
         return Ok(None);
     };
@@ -49,8 +55,9 @@ pub fn drive(
     let place = (driven.name(), bench.scratch);
     let page = RowPage::start(case.beside.viewers, place, bench.clock)?;
     let ros = RowRos::start(case.beside.ros, place)?;
+    judges.join()?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
-    let counted = follow(bench, case, (&mut driven, &mut watch, &mut judge))?;
+    let counted = follow(bench, case, (&mut driven, &mut watch, &mut judges))?;
     // An interrupted row is discarded, even if the set has ended by itself.
     if bench.stop.is_asked() {
         return Ok(None);
@@ -67,6 +74,7 @@ pub fn drive(
     let Some(counted) = counted else {
         bail!("the set never drove");
     };
+    judges.check(&driven, expected)?;
     let mut series = of_run(&driven.run_folder())?;
     series.extend(counted.series);
     let (misses, latest) = seen.beside(&stalls);
@@ -76,7 +84,7 @@ pub fn drive(
         beside: case.beside.name.into(),
         priority: case.priority_word().into(),
         settings: bench.settings.clone(),
-        questions: judge.questions(),
+        questions: judges.here.questions(),
         weights: seen.weights,
         restarts: summary["restarts"].as_u64().unwrap_or(0),
         plan_rate_hz,
@@ -94,6 +102,44 @@ pub fn drive(
     };
     row.check_accounts()?;
     Ok(Some((row, series)))
+}
+
+/// Who judges in a row.
+struct Judges {
+    here: RowJudge,
+    elsewhere: Option<RowLink>,
+}
+
+impl Judges {
+    /// Arguments of `./vlaps up`.
+    fn arguments(&self) -> Vec<String> {
+        match &self.elsewhere {
+            Some(link) => link.arguments(),
+            None => self.here.arguments(),
+        }
+    }
+
+    /// Lets a judge elsewhere join.
+    fn join(&mut self) -> anyhow::Result<()> {
+        self.elsewhere.as_mut().map(RowLink::join).transpose()?;
+        Ok(())
+    }
+
+    /// Called at half of the run.
+    fn half_way(&mut self) {
+        self.here.half_way();
+        if let Some(link) = &mut self.elsewhere {
+            link.half_way();
+        }
+    }
+
+    /// Checks that a judge elsewhere was there.
+    fn check(&self, driven: &Driven, expected: (f64, f64)) -> anyhow::Result<()> {
+        match &self.elsewhere {
+            Some(link) => link.check(&driven.run_folder(), expected),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Waits until the set's processes are up; `None` if a stop is requested first.
@@ -120,7 +166,7 @@ fn await_start(bench: &Bench<'_>, driven: &mut Driven) -> anyhow::Result<Option<
 fn follow(
     bench: &Bench<'_>,
     case: &Case,
-    (driven, watch, judge): (&mut Driven, &mut Watch, &mut RowJudge),
+    (driven, watch, judges): (&mut Driven, &mut Watch, &mut Judges),
 ) -> anyhow::Result<Option<FloorResult>> {
     let seconds = bench.settings.seconds;
     let (mut floors, mut counted) = (None, None);
@@ -133,7 +179,7 @@ fn follow(
             floors = Some(FloorMeasurement::start(bench, case)?);
         }
         if until.is_some_and(|until| until.since_ns(now) < (seconds * 0.5e9) as u64) {
-            judge.half_way();
+            judges.half_way();
         }
         // Stopped before the processes end: the row does not include their end, either.
         if until.is_some_and(|until| now > until)
@@ -223,7 +269,8 @@ fn granted(priority: Priority) -> Priority {
 /// # Errors
 /// If it is invalid.
 pub fn configuration(bench: &Bench<'_>, case: &Case) -> anyhow::Result<Config> {
-    let mut up = case.beside.judge.arguments();
+    let elsewhere = case.beside.link.arguments();
+    let mut up = elsewhere.unwrap_or_else(|| case.beside.judge.arguments());
     up.extend(arguments(bench, case));
     settings::of_set(up)
 }

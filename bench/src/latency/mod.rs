@@ -5,6 +5,7 @@ pub mod buckets;
 mod cyclictest;
 mod drive;
 mod judges;
+mod link;
 pub mod pairs;
 mod pictures;
 mod ros;
