@@ -141,7 +141,7 @@ impl RowLink {
         let path = run.join("link-judge.json");
         let text = std::fs::read_to_string(&path).with_context(|| path.display().to_string())?;
         let report: Value = serde_json::from_str(&text).context("the link's report")?;
-        let advice = &report["peers"][0]["session"]["rows"]["advice"]["received"]["messages"];
+        let advice = &report["peers"][0]["rows"]["advice"]["received"]["messages"];
         let share = match self.remote {
             RemoteJudge::FallsSilent => LEAST_SHARE / 2.0,
             RemoteJudge::Absent | RemoteJudge::Joined => LEAST_SHARE,
@@ -208,9 +208,8 @@ mod tests {
             checked.map_err(|error| format!("{error:#}"))
         };
         let report = |count: u32| {
-            format!(
-                r#"{{"peers":[{{"session":{{"rows":{{"advice":{{"received":{{"messages":{count}}}}}}}}}}}]}}"#
-            )
+            let received = serde_json::json!({ "received": { "messages": count } });
+            serde_json::json!({ "peers": [{ "rows": { "advice": received } }] }).to_string()
         };
         use RemoteJudge::{FallsSilent, Joined};
         assert_eq!(told(Joined, &report(100)), Ok(()));
