@@ -6,6 +6,7 @@
 //! | [`eval`], [`episodes`], [`evaluation`] | `./vlaps eval`, many episodes, and their table |
 //! | [`outside`] | evaluation in simulators with a process of their own |
 //! | [`train`] | the paper's experiment, its curves and tables |
+//! | [`actors`] | trainings whose worlds are in other processes, here or elsewhere |
 //! | [`sweep`] | trainings under a judge with label noise, abstention or delay |
 //! | [`parity`] | comparison of the built-in world with recordings of MetaDrive |
 //! | [`replay`] | a recorded run, recomputed and compared bit by bit |
@@ -25,6 +26,7 @@
 //! assert!(arrived.low > 0.7 && arrived.high < 0.95);
 //! ```
 
+pub mod actors;
 pub mod episodes;
 pub mod eval;
 pub mod evaluation;
@@ -44,6 +46,7 @@ pub mod stop;
 pub mod sweep;
 pub mod train;
 
+use actors::arguments::Actor;
 use eval::Eval;
 use export::Export;
 use fork::Fork;
@@ -58,6 +61,7 @@ supervisor::subcommands! {
     Command {
         Eval(Eval),
         Train(Train),
+        Actor(Actor),
         Sweep(Sweep),
         Replay(Replay),
         Fork(Fork),

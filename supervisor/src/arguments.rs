@@ -77,6 +77,9 @@ pub enum Command {
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(Delegated),
+    /// Drive episodes for a training, which `./vlaps train --actors` starts.
+    #[command(disable_help_flag = true)]
+    Actor(Delegated),
     /// Train under a judge that is wrong, silent or late, and print what it costs.
     #[command(disable_help_flag = true)]
     Sweep(Delegated),

@@ -29,6 +29,7 @@ pub fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Draw(words) => delegate(LAB, &["draw"], words),
         Command::Judge(words) => delegate(JUDGE, &[], words),
         Command::Train(words) => delegate(LAB, &["train"], words),
+        Command::Actor(words) => delegate(LAB, &["actor"], words),
         Command::Sweep(words) => delegate(LAB, &["sweep"], words),
         Command::Replay(words) => delegate(LAB, &["replay"], words),
         Command::Fork(words) => delegate(LAB, &["fork"], words),

@@ -2,6 +2,7 @@
 //! planner, judge or setting.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 
 use controller::{Controller, Inputs, Intent, Policy, PolicySlot};
 use gate::advice::Advisor;
@@ -80,6 +81,20 @@ impl Drive<'_> {
     /// # Errors
     /// When the configuration, or the driver's file, is refused.
     pub fn run(&self, start: Start, wheel: Wheel) -> anyhow::Result<Driven> {
+        self.run_watched(start, wheel, |_| ControlFlow::Continue(()))
+    }
+
+    /// The same. `watch` gets each step of the stack, and none of a driver of its own; it may
+    /// end the drive.
+    ///
+    /// # Errors
+    /// As [`Drive::run`].
+    pub fn run_watched(
+        &self,
+        start: Start,
+        wheel: Wheel,
+        mut watch: impl FnMut(&Step) -> ControlFlow<()>,
+    ) -> anyhow::Result<Driven> {
         let Start {
             mut rebuilt,
             mut observation,
@@ -104,7 +119,8 @@ impl Drive<'_> {
         let mut outcome = Outcome::Driving;
         let mut ticks = 0;
         while outcome == Outcome::Driving && ticks < ticks_max {
-            let command = driver.command(&observation, &mut rebuilt);
+            let (command, is_watched) =
+                driver.command(&observation, &mut rebuilt, &mut watch);
             *reasons.entry((command.driver, command.reason)).or_default() += 1;
             ticks += 1;
             for _ in 0..self.mover.instants() {
@@ -123,6 +139,9 @@ impl Drive<'_> {
             header.sequence = header.sequence.wrapping_add(1);
             observation.scheduled_ns = observation.scheduled_ns.saturating_add(period_ns);
             observation = observe(&rebuilt, &observation);
+            if is_watched.is_break() {
+                break;
+            }
         }
         let outcome = match outcome {
             Outcome::Driving => Outcome::Stopped,
@@ -147,10 +166,18 @@ enum Hands {
 }
 
 impl Hands {
-    fn command(&mut self, observation: &Observation, rebuilt: &mut Rebuilt) -> Command {
+    fn command(
+        &mut self,
+        observation: &Observation,
+        rebuilt: &mut Rebuilt,
+        watch: &mut impl FnMut(&Step) -> ControlFlow<()>,
+    ) -> (Command, ControlFlow<()>) {
         match self {
-            Hands::Loop(own) => own.tick(observation),
-            Hands::Driver(driver) => driver.command(observation, &mut rebuilt.world),
+            Hands::Loop(own) => own.tick(observation, watch),
+            Hands::Driver(driver) => {
+                let command = driver.command(observation, &mut rebuilt.world);
+                (command, ControlFlow::Continue(()))
+            }
         }
     }
 }
@@ -187,7 +214,11 @@ impl Loop {
         })
     }
 
-    fn tick(&mut self, observation: &Observation) -> Command {
+    fn tick(
+        &mut self,
+        observation: &Observation,
+        watch: &mut impl FnMut(&Step) -> ControlFlow<()>,
+    ) -> (Command, ControlFlow<()>) {
         let Header { tick, .. } = observation.header;
         let now = observation.header.taken();
         self.inputs.observation.keep(observation);
@@ -198,11 +229,12 @@ impl Loop {
         }
         let step = self.controller.tick(&self.inputs, tick, now, Intent::Drive);
         let command = step.command;
+        let is_watched = watch(step);
         if let Some(advisor) = &mut self.advisor {
             let advice = advisor.consider(step, Instant(step.header.taken_ns));
             self.inputs.advice.keep(&advice);
         }
-        command
+        (command, is_watched)
     }
 }
 

@@ -275,6 +275,7 @@ impl Sweep {
             seeds: Some(self.seeds),
             expert: Some(ExpertChoice::Mpc),
             world: Some(Simulator::BuiltIn),
+            actors: None,
             out: Some(self.out.join(name(flawed))),
             resume,
             held_back: false,

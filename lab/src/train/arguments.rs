@@ -34,6 +34,7 @@ use crate::shard::Shard;
         ./vlaps train --algorithm dagger --steps 10000\n  \
         ./vlaps train --algorithm pvp --seed 0 --seeds 5 --out runs/pvp\n  \
         ./vlaps train --out runs/pvp --resume\n  \
+        ./vlaps train --algorithm ppl --actors 4 --set learner.block_steps=2000 --out runs/fast\n  \
         ./vlaps train --out runs/pvp --resume --held-back\n  \
         ./vlaps train --out runs/pvp --report\n  \
         ./vlaps train --algorithm ppl --seeds 8 --shard 3/8 --out runs/ppl\n  \
@@ -69,6 +70,11 @@ pub struct Train {
     /// World to train in; default: sim.
     #[arg(long, value_name = "WORLD", value_parser = SimulatorAlone)]
     pub world: Option<Simulator>,
+    /// Train with so many actor processes, whose worlds drive side by side, in place of one
+    /// process set; their number changes no policy.
+    #[arg(long, value_name = "N", allow_negative_numbers = true, conflicts_with = "shard",
+          value_parser = whole::<u32>(1..=64))]
+    pub actors: Option<u32>,
     /// Folder of the experiment; default: runs/train-HOW.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -85,7 +91,7 @@ pub struct Train {
     pub shard: Option<Shard>,
     /// Neither train nor evaluate: draw and print the results in the folder.
     #[arg(long, conflicts_with_all = ["shard", "resume", "steps", "seed", "seeds", "eval_episodes",
-          "final_episodes", "held_back", "expert", "world", "config", "vehicle", "overrides"])]
+          "final_episodes", "held_back", "expert", "world", "actors", "config", "vehicle", "overrides"])]
     pub report: bool,
     /// Configuration and overrides.
     #[command(flatten)]

@@ -48,6 +48,10 @@ pub struct Experiment {
     pub expert: ExpertChoice,
     /// The world to train in.
     pub world: Simulator,
+    /// Actors on this machine; none for a training that a process set drives. Their number
+    /// may change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actors: Option<u32>,
     /// Overrides of the configuration, `KEY=VALUE`.
     pub set: Vec<String>,
     /// The configuration file, if there is one.
@@ -68,6 +72,7 @@ impl Default for Experiment {
             algorithm: Algorithm::Pvp,
             expert: ExpertChoice::Mpc,
             world: Simulator::BuiltIn,
+            actors: None,
             set: Vec::new(),
             config: None,
         }
@@ -233,6 +238,7 @@ impl Experiment {
             algorithm: arguments.algorithm.unwrap_or(self.algorithm),
             expert: arguments.expert.unwrap_or(self.expert),
             world: arguments.world.unwrap_or(self.world),
+            actors: arguments.actors.or(self.actors),
             set,
             config: chosen.config.clone().or_else(other),
         }
@@ -249,6 +255,17 @@ impl Experiment {
                 out.display(),
                 word(self.shuffle()),
                 word(asked.shuffle())
+            );
+        }
+        if self.actors.is_some() != asked.actors.is_some() {
+            let (begun, now) = match self.actors {
+                Some(_) => ("with", "without"),
+                None => ("without", "with"),
+            };
+            bail!(
+                "{}: the training began {begun} --actors, and cannot go on {now}: it would learn \
+                 other policies; --out DIR begins another experiment",
+                out.display()
             );
         }
         let is_same = asked.seed == self.seed

@@ -11,6 +11,7 @@ use toml::{Table, Value};
 
 use super::experiment::Experiment;
 use super::results::CONFIG;
+use crate::actors::drive::in_lockstep;
 use crate::sections::{DECISIVE, EPISODES, WAITS};
 use supervisor::subcommand::settings;
 
@@ -37,6 +38,8 @@ pub struct Protocol {
     pub steps: u64,
     /// Number of evaluation episodes after each block.
     pub episodes: u64,
+    /// Actors on this machine; `None` if a process set drives.
+    pub actors: Option<u32>,
     /// Configuration of the run, without its duration.
     pub config: Config,
 }
@@ -67,8 +70,12 @@ impl Protocol {
             folder,
             steps: experiment.steps,
             episodes: experiment.eval_episodes,
+            actors: experiment.actors,
             config,
         };
+        if protocol.actors.is_some() {
+            in_lockstep(&protocol.config)?;
+        }
         protocol.check_same()?;
         Ok(protocol)
     }

@@ -9,11 +9,13 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use shm_config::secret;
 use supervisor::machine::signals::pause;
+use supervisor::subcommand::write_json;
 
 use super::evaluator::Evaluator;
 use super::protocol::{Protocol, STEP_S};
 use super::results::{self, BlockEvaluation};
 use super::warnings::warnings;
+use crate::actors::coordinate::{Coordinator, Watch};
 use crate::progress::Progress;
 use crate::stop::Stop;
 use stack::Clock;
@@ -45,7 +47,11 @@ pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<E
     let name = format!("seed {}", protocol.seed);
     let mut progress = Progress::begin(name, "steps", from_to, clock)?;
     let mut evaluator = Evaluator::start(protocol, clock)?;
-    let end = drive_all(protocol, stop, (&mut evaluator, &mut progress))?;
+    let watch = (&mut evaluator, &mut progress);
+    let end = match protocol.actors {
+        Some(actors) => with_actors(protocol, actors, (stop, clock), watch)?,
+        None => drive_all(protocol, stop, watch)?,
+    };
     let end = match end {
         End::Stopped { .. } => {
             evaluator.stop()?;
@@ -136,20 +142,7 @@ fn watch(
     let mut said = results::steps(&protocol.folder)?;
     loop {
         pause(LOOK);
-        if let Some(block_evaluation) = evaluator.news()? {
-            progress.note(success(&block_evaluation));
-        }
-        let blocks = results::blocks(&protocol.folder)?;
-        for (steps, warning) in warnings(&blocks, &protocol.config) {
-            if steps > said {
-                progress.warn(&format!(
-                    "in the block up to step {steps} {}",
-                    warning.words()
-                ));
-            }
-        }
-        said = blocks.last().map_or(0, |block| block.steps);
-        progress.at(said);
+        said = look(protocol, said, (evaluator, progress))?;
         if stop.is_asked() {
             set.stop();
         }
@@ -157,6 +150,75 @@ fn watch(
             return Ok(is_well);
         }
     }
+}
+
+/// Shows what is new: evaluations, blocks, and warnings about blocks after step `said`.
+/// Returns the step up to which all is shown.
+fn look(
+    protocol: &Protocol,
+    said: u64,
+    (evaluator, progress): (&mut Evaluator, &mut Progress),
+) -> anyhow::Result<u64> {
+    if let Some(block_evaluation) = evaluator.news()? {
+        progress.note(success(&block_evaluation));
+    }
+    let blocks = results::blocks(&protocol.folder)?;
+    for (steps, warning) in warnings(&blocks, &protocol.config) {
+        if steps > said {
+            progress.warn(&format!(
+                "in the block up to step {steps} {}",
+                warning.words()
+            ));
+        }
+    }
+    let steps = blocks.last().map_or(0, |block| block.steps);
+    progress.at(steps);
+    Ok(steps)
+}
+
+/// Trains with actors in place of a process set.
+fn with_actors(
+    protocol: &Protocol,
+    actors: u32,
+    (stop, clock): (&Stop, Clock),
+    (evaluator, progress): (&mut Evaluator, &mut Progress),
+) -> anyhow::Result<End> {
+    let folder = &protocol.folder;
+    let learner = folder.join("learner");
+    let mut said = results::steps(folder)?;
+    if said >= protocol.steps {
+        return Ok(End::Complete);
+    }
+    let file = protocol.file();
+    fs::write(&file, toml::to_string(&protocol.config)?)
+        .with_context(|| file.display().to_string())?;
+    let mut coordinator = Coordinator::new(&protocol.config, &learner, actors)?;
+    let mut shown = clock();
+    let mut show = |warned: &[String]| {
+        warned.iter().for_each(|line| progress.warn(line));
+        if clock().since_ns(shown) < LOOK.as_nanos() as u64 {
+            return Ok(());
+        }
+        shown = clock();
+        said = look(protocol, said, (&mut *evaluator, &mut *progress))?;
+        Ok(())
+    };
+    let watch = Watch {
+        clock,
+        stop,
+        look: &mut show,
+    };
+    let trained = coordinator.train((&learner, protocol.steps), watch);
+    let tally = coordinator.finish();
+    trained?;
+    write_json(&folder.join("actors.json"), &tally)?;
+    look(protocol, said, (evaluator, progress))?;
+    progress.now(&tally.line());
+    let steps = results::steps(folder)?;
+    Ok(match steps >= protocol.steps {
+        true => End::Complete,
+        false => End::Stopped { steps },
+    })
 }
 
 /// File for the output of the process set.

@@ -1,0 +1,262 @@
+//! A training with actors: gives episodes out, learns their steps in order, and offers the next
+//! policy with the next block's episodes.
+
+use std::io;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use learner::session::Session;
+use shm_config::config::Config;
+use stack::Clock;
+use supervisor::machine::signals::pause;
+
+use super::children::Children;
+use super::connection::{Asked, OfferedPolicy, SeatEvent};
+use super::drive::in_lockstep;
+use super::envelope::Broken;
+use super::feed::feed;
+use super::held;
+use super::message::{Assignment, EpisodeKey, TICKS_MAX};
+use super::order::{BlockOrder, EpisodePace, Reception, SeatNumber};
+use super::pool::Pool;
+use super::tally::ActorsTally;
+use crate::stop::Stop;
+
+/// Interval of the checks for a stop request and for new connections.
+const LOOK: Duration = Duration::from_millis(100);
+/// How long an actor on another machine may take to end its last episode.
+const FAREWELL: Duration = Duration::from_secs(10);
+/// Reasons that are printed; further ones are counted.
+const WARNINGS_MAX: u32 = 20;
+
+/// The training's surroundings.
+pub struct Watch<'a> {
+    /// Measures how long episodes take.
+    pub clock: Clock,
+    /// A stop request.
+    pub stop: &'a Stop,
+    /// Called again and again while the actors drive, with new warnings.
+    pub look: &'a mut dyn FnMut(&[String]) -> anyhow::Result<()>,
+}
+
+/// One training.
+pub struct Coordinator {
+    session: Session,
+    period_ns: u64,
+    block_steps: u64,
+    pool: Pool,
+    children: Children,
+    order: BlockOrder,
+    pace: EpisodePace,
+    policy: Option<OfferedPolicy>,
+    tally: ActorsTally,
+    /// Warnings that are not shown yet, and how many there were.
+    warned: Vec<String>,
+    warnings: u32,
+}
+
+impl Coordinator {
+    /// Opens the session in this folder and starts so many actors on this machine.
+    ///
+    /// # Errors
+    /// If the folder holds another session, or a process cannot be started.
+    pub fn new(config: &Config, folder: &Path, actors: u32) -> anyhow::Result<Coordinator> {
+        let config = in_lockstep(config)?;
+        held::restore(folder)?;
+        let session = Session::open(&config, folder)?;
+        if session.driven() != session.learnt() {
+            bail!(
+                "{}: holds steps of a block that was not driven by actors; move it away to start \
+                 anew",
+                folder.display()
+            );
+        }
+        let policy = match session.learnt() {
+            0 => None,
+            _ => Some(offered(&session, session.policy_file()?)),
+        };
+        let mut pool = Pool::new(toml::to_string(&config).context("the configuration")?);
+        let children = Children::start(actors, &mut pool)?;
+        Ok(Coordinator {
+            session,
+            period_ns: config.run.period_ns(),
+            block_steps: u64::from(config.learner.block_steps),
+            pool,
+            children,
+            order: BlockOrder::new(0),
+            pace: EpisodePace::default(),
+            policy,
+            tally: ActorsTally::default(),
+            warned: Vec::new(),
+            warnings: 0,
+        })
+    }
+
+    /// Adds an actor that is connected within this machine, such as one of a test.
+    ///
+    /// # Errors
+    /// When the system refuses a thread.
+    pub fn join(&mut self, name: &str, line: UnixStream) -> io::Result<()> {
+        self.pool.add_local(name.to_string(), line).map(drop)
+    }
+
+    /// Trains until so many steps are learnt, or a stop is requested.
+    ///
+    /// # Errors
+    /// If the actors cannot drive, or a policy is not finite.
+    pub fn train(
+        &mut self,
+        (folder, steps): (&Path, u64),
+        mut watch: Watch<'_>,
+    ) -> anyhow::Result<()> {
+        while self.session.learnt() < steps {
+            let learnt = self.session.learnt();
+            held::hold(folder, learnt)?;
+            self.order = BlockOrder::new(self.block_steps);
+            if !self.drive_block(learnt / self.block_steps, &mut watch)? {
+                break;
+            }
+            self.tally.surplus += self.order.surplus();
+            self.session.finish();
+            let block = self.session.learn(|| {})?;
+            self.policy = Some(offered(&self.session, block.policy));
+            self.show(&mut watch)?;
+        }
+        Ok(())
+    }
+
+    /// Drives and feeds a block; `false` if a stop is requested before its end.
+    fn drive_block(&mut self, block: u64, watch: &mut Watch<'_>) -> anyhow::Result<bool> {
+        let mut again = 0;
+        while !self.order.is_complete() {
+            if watch.stop.is_asked() {
+                return Ok(false);
+            }
+            self.give_out(block, watch);
+            if let Some(event) = self.pool.event(LOOK) {
+                self.take(event, block, watch)?;
+            }
+            self.tally.given_again += self.order.again() - again;
+            again = self.order.again();
+            while let Some((episode, steps)) = self.order.take() {
+                feed(
+                    &mut self.session,
+                    EpisodeKey { block, episode },
+                    steps,
+                    self.period_ns,
+                );
+            }
+            self.show(watch)?;
+        }
+        Ok(true)
+    }
+
+    fn show(&mut self, watch: &mut Watch<'_>) -> anyhow::Result<()> {
+        let warned = std::mem::take(&mut self.warned);
+        (watch.look)(&warned)
+    }
+
+    /// Gives episodes to idle actors.
+    fn give_out(&mut self, block: u64, watch: &Watch<'_>) {
+        let ticks_max = self.block_steps.min(u64::from(TICKS_MAX)) as u32;
+        for seat in self.pool.idle() {
+            let Some(episode) = self.order.assign(seat, &self.pace, (watch.clock)()) else {
+                continue;
+            };
+            let version = self.policy.as_ref().map_or(0, |policy| policy.version);
+            let asked = Asked {
+                assignment: Assignment {
+                    key: EpisodeKey { block, episode },
+                    ticks_max,
+                    version,
+                },
+                policy: self.policy.clone(),
+            };
+            self.pool.ask(seat, asked);
+        }
+    }
+
+    fn take(
+        &mut self,
+        event: SeatEvent,
+        block: u64,
+        watch: &Watch<'_>,
+    ) -> anyhow::Result<()> {
+        match event {
+            SeatEvent::Ready(seat) => {
+                self.tally.of(self.pool.name(seat));
+            }
+            SeatEvent::Whole(seat, key, steps) => {
+                let transitions = steps.len() as u64;
+                let reception = match key.block.cmp(&block) {
+                    std::cmp::Ordering::Less => Reception::Double,
+                    std::cmp::Ordering::Greater => Reception::Unasked,
+                    std::cmp::Ordering::Equal => {
+                        let now = (watch.clock)();
+                        let from = (seat, key.episode);
+                        self.order.answer(from, steps, &mut self.pace, now)
+                    }
+                };
+                match reception {
+                    Reception::Kept => {
+                        let actor = self.tally.of(self.pool.name(seat));
+                        actor.episodes += 1;
+                        actor.transitions += transitions;
+                        self.children.thrives(seat);
+                    }
+                    Reception::Double => self.tally.doubles += 1,
+                    Reception::Unasked => {
+                        let broken = Broken::Rejected(super::envelope::Rejection::Unasked);
+                        return self.lose(seat, &broken);
+                    }
+                }
+            }
+            SeatEvent::Gone(seat, broken) => return self.lose(seat, &broken),
+        }
+        Ok(())
+    }
+
+    /// A connection is gone: its episode is given to another actor.
+    fn lose(&mut self, seat: SeatNumber, broken: &Broken) -> anyhow::Result<()> {
+        let name = self.pool.name(seat).to_string();
+        if name.is_empty() {
+            // It was removed already.
+            return Ok(());
+        }
+        self.tally.of(&name).deaths += 1;
+        if let Broken::Rejected(why) = broken {
+            self.tally.refuse(*why);
+        }
+        self.warnings += 1;
+        if self.warnings <= WARNINGS_MAX {
+            self.warned.push(format!("{name}: {broken}"));
+        }
+        self.pool.remove(seat);
+        let why = broken.to_string();
+        if let Err(episode) = self.order.lose(seat) {
+            bail!("episode {episode} of the block ended every actor that drove it: {why}");
+        }
+        self.children.restart(seat, &mut self.pool, &why)
+    }
+
+    /// Ends the actors; returns what they did.
+    pub fn finish(self) -> ActorsTally {
+        let is_local = self.pool.seats().all(|seat| self.children.is_own(seat));
+        drop(self.children);
+        let patience = match is_local {
+            true => Duration::ZERO,
+            false => FAREWELL,
+        };
+        self.pool.finish(patience, pause);
+        self.tally
+    }
+}
+
+fn offered(session: &Session, file: Vec<u8>) -> OfferedPolicy {
+    OfferedPolicy {
+        version: session.learnt(),
+        file: file.into(),
+    }
+}

@@ -1,0 +1,193 @@
+//! All connections of a learner.
+
+use std::collections::BTreeMap;
+use std::io::{self, Read, Write};
+use std::os::unix::net::UnixStream;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use super::connection::{Asked, Seat, SeatEvent};
+use super::message::EpisodeKey;
+use super::order::SeatNumber;
+
+/// Most connections at a time. Each may hold an episode that is being received; with all beams
+/// and MetaDrive's horizon that is 11 MB.
+pub const SEATS_MAX: usize = 64;
+/// Whole episodes between the connections and the learner; each connection has one more.
+const EVENTS_MAX: usize = 4;
+/// An actor that sends nothing for this time has hung, or its machine is gone.
+pub const SILENCE: Duration = Duration::from_secs(120);
+
+/// One actor, as the learner sees it.
+struct Actor {
+    name: String,
+    /// Takes the next episode; none before the actor is ready.
+    orders: SyncSender<Asked>,
+    is_ready: bool,
+    driving: Option<EpisodeKey>,
+    close: Box<dyn Fn() + Send>,
+    thread: JoinHandle<()>,
+}
+
+/// The connections.
+pub struct Pool {
+    configuration: Arc<str>,
+    sender: SyncSender<SeatEvent>,
+    events: Receiver<SeatEvent>,
+    actors: BTreeMap<SeatNumber, Actor>,
+    next: SeatNumber,
+}
+
+impl Pool {
+    /// Without connections; this configuration is sent to each.
+    pub fn new(configuration: String) -> Pool {
+        let (sender, events) = sync_channel(EVENTS_MAX);
+        Pool {
+            configuration: configuration.into(),
+            sender,
+            events,
+            actors: BTreeMap::new(),
+            next: 0,
+        }
+    }
+
+    /// Whether another connection has room.
+    pub fn has_room(&self) -> bool {
+        self.actors.len() < SEATS_MAX
+    }
+
+    /// Serves a connection on a thread of its own; `close` ends it from outside.
+    ///
+    /// # Errors
+    /// When the system starts no thread.
+    pub fn add(
+        &mut self,
+        name: String,
+        mut line: impl Read + Write + Send + 'static,
+        close: Box<dyn Fn() + Send>,
+    ) -> io::Result<SeatNumber> {
+        let number = self.next;
+        self.next += 1;
+        // An actor has one episode at a time, so that sending an order never waits.
+        let (orders, received) = sync_channel(1);
+        let seat = Seat {
+            number,
+            events: self.sender.clone(),
+            orders: received,
+        };
+        let configuration = Arc::clone(&self.configuration);
+        let thread = thread::Builder::new()
+            .name(format!("actor-{number}"))
+            .spawn(move || seat.serve(&mut line, &configuration))?;
+        let actor = Actor {
+            name,
+            orders,
+            is_ready: false,
+            driving: None,
+            close,
+            thread,
+        };
+        self.actors.insert(number, actor);
+        Ok(number)
+    }
+
+    /// Adds a connection within this machine.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn add_local(&mut self, name: String, line: UnixStream) -> io::Result<SeatNumber> {
+        line.set_read_timeout(Some(SILENCE))?;
+        line.set_write_timeout(Some(SILENCE))?;
+        let own = line.try_clone()?;
+        let close = Box::new(move || {
+            // It may have ended.
+            let _ = own.shutdown(std::net::Shutdown::Both);
+        });
+        self.add(name, line, close)
+    }
+
+    /// The next event; `None` after this time.
+    pub fn event(&mut self, patience: Duration) -> Option<SeatEvent> {
+        let event = match self.events.recv_timeout(patience) {
+            Ok(event) => event,
+            // The pool has a sender itself.
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
+        };
+        match &event {
+            SeatEvent::Ready(number) => {
+                if let Some(actor) = self.actors.get_mut(number) {
+                    actor.is_ready = true;
+                }
+            }
+            SeatEvent::Whole(number, key, _) => {
+                if let Some(actor) = self.actors.get_mut(number)
+                    && actor.driving == Some(*key)
+                {
+                    actor.driving = None;
+                }
+            }
+            SeatEvent::Gone(..) => {}
+        }
+        Some(event)
+    }
+
+    /// Actors that wait for an episode.
+    pub fn idle(&self) -> Vec<SeatNumber> {
+        let idle = |actor: &Actor| actor.is_ready && actor.driving.is_none();
+        let actors = self.actors.iter().filter(|(_, actor)| idle(actor));
+        actors.map(|(number, _)| *number).collect()
+    }
+
+    /// Asks an idle actor for an episode.
+    pub fn ask(&mut self, number: SeatNumber, asked: Asked) {
+        if let Some(actor) = self.actors.get_mut(&number) {
+            actor.driving = Some(asked.assignment.key);
+            // Its end is the next event of a connection that has ended meanwhile.
+            let _ = actor.orders.send(asked);
+        }
+    }
+
+    /// The actor's name.
+    pub fn name(&self, number: SeatNumber) -> &str {
+        self.actors.get(&number).map_or("", |actor| &actor.name)
+    }
+
+    /// All connections.
+    pub fn seats(&self) -> impl Iterator<Item = SeatNumber> {
+        self.actors.keys().copied()
+    }
+
+    /// Removes a connection that has ended, or ends it.
+    pub fn remove(&mut self, number: SeatNumber) {
+        if let Some(actor) = self.actors.remove(&number) {
+            (actor.close)();
+        }
+    }
+
+    /// Ends all: idle actors are told that nothing is left; the others may end their episode
+    /// within this time.
+    pub fn finish(self, patience: Duration, pause: impl Fn(Duration)) {
+        // No one takes the events any more.
+        drop(self.events);
+        let mut left: Vec<_> = self.actors.into_values().collect();
+        let look = Duration::from_millis(20);
+        let mut waited = Duration::ZERO;
+        left = left
+            .into_iter()
+            .map(|actor| Actor {
+                // The thread sees that no order comes any more.
+                orders: sync_channel(0).0,
+                ..actor
+            })
+            .collect();
+        while waited < patience && left.iter().any(|actor| !actor.thread.is_finished()) {
+            pause(look);
+            waited += look;
+        }
+        for actor in left {
+            (actor.close)();
+        }
+    }
+}
