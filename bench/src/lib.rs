@@ -7,6 +7,7 @@
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`mpc`] | the model-predictive expert over long, disturbed drives |
 //! | [`inference`] | inference time of a policy, by back end |
+//! | [`actors`] | transitions per second from actors to their learner |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
 //! | [`swapping`] | a running set whose weights are swapped |
 //! | [`judging`] | accuracy of a judge on scenes whose answer the simulator knows |
@@ -35,6 +36,7 @@
 //! assert_eq!(stalls.near(tick, 100_000_000), 30_000_000);
 //! ```
 
+pub mod actors;
 pub mod batches;
 pub mod driven;
 pub mod faults;
@@ -67,6 +69,7 @@ supervisor::subcommands! {
         Mpc(mpc::BenchMpc),
         Policy(inference::BenchPolicy),
         Learner(learning::BenchLearner),
+        Actors(actors::BenchActors),
         Swap(swapping::BenchSwap),
         Judge(judging::BenchJudge),
         Latency(latency::BenchLatency),

@@ -11,7 +11,7 @@ use lab::actors::actor::{SentSteps, build, serve};
 use lab::actors::coordinate::{Coordinator, Watch};
 use lab::actors::drive::Episodes;
 use lab::actors::envelope::{HEAD_BYTES, Kind, Outgoing, receive};
-use lab::actors::message::{Assignment, EpisodeKey, assignment, policy, put_ended, put_text};
+use lab::actors::message::{Assignment, EpisodeKey, assignment, policy, put_ended, put_hello};
 use lab::actors::tally::ActorsTally;
 use lab::stop::Stop;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -47,7 +47,7 @@ fn clock() -> Instant {
 /// last policy.
 fn train(actors: Vec<(&str, Box<dyn FnOnce(UnixStream) + Send>)>) -> (Vec<u8>, ActorsTally) {
     let place = TempDir::new().expect("a folder");
-    let mut coordinator = Coordinator::new(&config(), place.path(), 0).expect("a learner");
+    let mut coordinator = Coordinator::new(&config(), place.path(), (0, None)).expect("a learner");
     let mut threads = Vec::new();
     for (name, act) in actors {
         let (own, theirs) = UnixStream::pair().expect("a pair of sockets");
@@ -75,7 +75,7 @@ fn last_policy(folder: &Path) -> Vec<u8> {
 
 fn honest(mut line: UnixStream) {
     // The learner may close the connection at its end.
-    let _ = serve(&mut line);
+    let _ = serve(&mut line, "");
 }
 
 fn honest_actor() -> (&'static str, Box<dyn FnOnce(UnixStream) + Send>) {
@@ -94,7 +94,7 @@ struct Scripted {
 impl Scripted {
     fn new(mut line: UnixStream) -> Scripted {
         let (mut out, mut body) = (Outgoing::default(), Vec::new());
-        put_text(&mut out, &build(), 1000);
+        put_hello(&mut out, &build(), "");
         out.send(Kind::Hello, &mut line).expect("sent");
         receive(&mut line, &[Kind::Welcome], &mut body).expect("welcome");
         let text = std::str::from_utf8(&body).expect("text");
@@ -173,7 +173,7 @@ fn doubled_late_and_slow_answers_change_no_policy() {
     };
     let slow = |mut line: UnixStream| {
         pause(Duration::from_millis(200));
-        let _ = serve(&mut line);
+        let _ = serve(&mut line, "");
     };
     let (policy, tally) = train(vec![("late", Box::new(late)), ("slow", Box::new(slow))]);
     assert!(tally.given_again > 0, "{tally:?}");
@@ -190,7 +190,7 @@ fn frame(kind: Kind, body: &[u8]) -> Vec<u8> {
 #[test]
 fn hostile_frames_are_refused_with_their_reason_and_change_nothing() {
     let (expected, _) = train(vec![honest_actor()]);
-    let hello = frame(Kind::Hello, build().as_bytes());
+    let hello = frame(Kind::Hello, format!("{}\n", build()).as_bytes());
     let changed = |at: usize, value: u8| {
         let mut bytes = hello.clone();
         bytes[at] ^= value;
@@ -206,7 +206,7 @@ fn hostile_frames_are_refused_with_their_reason_and_change_nothing() {
         ("unexpected kind", changed(6, Kind::Hello as u8 ^ Kind::Steps as u8)),
         ("too long", changed(19, 0x40)),
         ("wrong checksum", changed(HEAD_BYTES, 1)),
-        ("other build", frame(Kind::Hello, b"another one")),
+        ("other build", frame(Kind::Hello, b"another one\n")),
         ("", hello[..HEAD_BYTES - 3].to_vec()),
         ("", hello[..HEAD_BYTES + 2].to_vec()),
     ];

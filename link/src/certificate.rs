@@ -102,15 +102,22 @@ impl Authority {
         self.sign(&params)
     }
 
-    /// The certificate of a peer, which ends with its invitation.
+    /// The certificate of a peer, which ends with its invitation. It names role and identity:
+    /// the learner of actors has no more than TLS to tell them apart.
     ///
     /// # Errors
     /// When the authority is damaged, or the end is no date.
-    pub fn client(&self, name: &str, expires_epoch_s: u64) -> io::Result<Certified> {
+    pub fn client(
+        &self,
+        [role, peer]: &[String; 2],
+        expires_epoch_s: u64,
+    ) -> io::Result<Certified> {
         let end = i64::try_from(expires_epoch_s).ok();
         let end = end.and_then(|end| OffsetDateTime::from_unix_timestamp(end).ok());
         let end = end.ok_or_else(|| io::Error::other("the invitation ends at no date"))?;
-        let mut params = CertificateParams::default();
+        let names = vec![format!("{role}.vlaps-link"), format!("{peer}.peer.vlaps-link")];
+        let mut params = CertificateParams::new(names).map_err(failed)?;
+        let name = format!("{role} {peer}");
         params.distinguished_name.push(DnType::CommonName, name);
         params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
         params.not_before = self.params()?.not_before;

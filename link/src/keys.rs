@@ -187,12 +187,20 @@ impl RunKeys {
         })
     }
 
+    /// The file of those of a run.
+    ///
+    /// # Errors
+    /// As [`folder`].
+    pub fn file(run: &RunName) -> io::Result<PathBuf> {
+        Ok(folder()?.join(file_name(run)))
+    }
+
     /// Reads those of a run; `None` when it has none.
     ///
     /// # Errors
     /// When the file is not the user's own, or damaged.
     pub fn read(run: &RunName) -> io::Result<Option<Self>> {
-        let path = folder()?.join(file_name(run));
+        let path = Self::file(run)?;
         let named =
             |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
         let text = match read_private(&path, BYTES_MAX) {
@@ -248,7 +256,7 @@ impl RunKeys {
                 let public = pair.public_key().as_ref().try_into().unwrap_or_default();
                 (STANDARD.encode(seed), public)
             }
-            Role::Judge | Role::View | Role::Recorder => (String::new(), [0; 32]),
+            Role::Judge | Role::View | Role::Recorder | Role::Actor => (String::new(), [0; 32]),
         };
         let claim = Claim {
             run: self.identity,
@@ -258,7 +266,7 @@ impl RunKeys {
             signer,
         };
         let secret = bytes_of::<32>("the secret", &self.secret)?;
-        let name = format!("{role} {peer}");
+        let names = [role.to_string(), peer.to_string()];
         Ok(Bundle {
             run: self.run.clone(),
             identity: self.identity,
@@ -269,7 +277,7 @@ impl RunKeys {
             key: STANDARD.encode(derived(&secret, &claim)),
             signing_key,
             authority: self.authority.certificate.clone(),
-            certificate: self.authority.client(&name, expires_epoch_s)?,
+            certificate: self.authority.client(&names, expires_epoch_s)?,
         })
     }
 }
@@ -362,7 +370,7 @@ impl Bundle {
         let role = self.role()?;
         let signer = match role {
             Role::Learner => self.signer()?.public_key().as_ref().try_into(),
-            Role::Judge | Role::View | Role::Recorder => Ok([0; 32]),
+            Role::Judge | Role::View | Role::Recorder | Role::Actor => Ok([0; 32]),
         };
         Ok(Claim {
             run: self.identity,

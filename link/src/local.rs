@@ -78,7 +78,7 @@ impl Local {
         match role {
             Role::View => tracing::info!("`./vlaps view --run {name}` shows it"),
             Role::Recorder => tracing::info!("`./vlaps record {name} --out DIR` records it"),
-            Role::Judge | Role::Learner => {}
+            Role::Judge | Role::Learner | Role::Actor => {}
         }
         Ok(Self {
             role,
@@ -236,7 +236,7 @@ impl Answers {
                     options.bundle.identity,
                 )
             }
-            Role::View | Role::Recorder => Self::None,
+            Role::View | Role::Recorder | Role::Actor => Self::None,
         })
     }
 }

@@ -20,6 +20,8 @@ shm_config::word_list! {
         View = 3 "view",
         /// Recordings: sends nothing.
         Recorder = 4 "recorder",
+        /// Worlds of a training, whose learner listens itself: neither hears nor sends here.
+        Actor = 5 "actor",
     }
 }
 
@@ -109,7 +111,7 @@ impl Role {
             // The request is for the picture that the question shows.
             Self::Judge => named(&[ADVICE.name, FRAME_REQUEST.name]),
             Self::Learner => named(&[LEARNING.name, WEIGHTS.name]),
-            Self::View | Self::Recorder => false,
+            Self::View | Self::Recorder | Self::Actor => false,
         }
     }
 
@@ -117,11 +119,12 @@ impl Role {
     pub fn hears(self, row: RowId) -> bool {
         let named = |services: &[&str]| row.service().is_some_and(|name| services.contains(&name));
         match self {
-            _ if row == CONFIG => true,
+            _ if row == CONFIG => self != Self::Actor,
             Self::Judge => named(&[STEP.name, FRAME.name, FORESIGHT.name]),
             Self::Learner => named(&[STEP.name, POLICY_STATUS.name]),
             // Megabytes that a page or a file of another machine can do without.
             Self::View | Self::Recorder => !named(&[WEIGHTS.name]),
+            Self::Actor => false,
         }
     }
 
@@ -131,7 +134,7 @@ impl Role {
         match self {
             Self::Judge => Some(Process::Gate),
             Self::Learner => Some(Process::Learner),
-            Self::View | Self::Recorder => None,
+            Self::View | Self::Recorder | Self::Actor => None,
         }
     }
 
@@ -178,7 +181,7 @@ mod tests {
             let expected: &[&str] = match role {
                 Role::Judge => &["advice", "frame_request"],
                 Role::Learner => &["weights", "learning"],
-                Role::View | Role::Recorder => &[],
+                Role::View | Role::Recorder | Role::Actor => &[],
             };
             assert_eq!(sends, expected, "{role}");
         }

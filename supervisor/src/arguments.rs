@@ -64,8 +64,8 @@ pub enum Command {
     /// Drive many episodes and print success, contacts and completion.
     #[command(disable_help_flag = true)]
     Eval(Delegated),
-    /// Measure: parity, sim, planner, mpc, policy, learner, swap, judge, latency, ipc, faults,
-    /// replay, scale, soak.
+    /// Measure: parity, sim, planner, mpc, policy, learner, actors, swap, judge, latency, ipc,
+    /// faults, replay, scale, soak.
     #[command(disable_help_flag = true)]
     Bench(Delegated),
     /// Show a running set, or a recording, as a page for a browser.
@@ -77,7 +77,7 @@ pub enum Command {
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(Delegated),
-    /// Drive episodes for a training, which `./vlaps train --actors` starts.
+    /// Drive episodes for a training on another machine.
     #[command(disable_help_flag = true)]
     Actor(Delegated),
     /// Train under a judge that is wrong, silent or late, and print what it costs.

@@ -9,7 +9,7 @@ use shm_config::config::from_toml;
 use super::drive::Episodes;
 use super::envelope::{Broken, Kind, Outgoing, Rejection, STEPS_MAX, receive};
 use super::message::{
-    Assignment, EpisodeKey, StepsBody, assignment, policy, put_ended, put_text, text,
+    Assignment, EpisodeKey, StepsBody, assignment, policy, put_ended, put_hello, put_text, text,
 };
 
 /// The build, as both sides compare it: another build may drive otherwise.
@@ -25,14 +25,15 @@ struct Given {
     policy: Vec<u8>,
 }
 
-/// Drives episodes until the learner has none left.
+/// Drives episodes until the learner has none left; `identity` is that of the invitation,
+/// and empty within a machine.
 ///
 /// # Errors
 /// When the learner is gone, sends a frame that is refused, or asks for what this build
 /// cannot drive.
-pub fn serve(line: &mut (impl Read + Write)) -> Result<(), Broken> {
+pub fn serve(line: &mut (impl Read + Write), identity: &str) -> Result<(), Broken> {
     let (mut out, mut body) = (Outgoing::default(), Vec::new());
-    put_text(&mut out, &build(), Kind::Hello.bytes_max());
+    put_hello(&mut out, &build(), identity);
     out.send(Kind::Hello, line)?;
     receive(line, &[Kind::Welcome], &mut body)?;
     let config = from_toml(text(&body)?, "the learner's configuration");

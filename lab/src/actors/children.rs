@@ -38,7 +38,10 @@ impl Children {
     /// When a process cannot be started.
     pub fn start(count: u32, pool: &mut Pool) -> anyhow::Result<Children> {
         let mut children = Children {
-            program: program()?,
+            program: match count {
+                0 => PathBuf::new(),
+                _ => program()?,
+            },
             processes: Vec::new(),
         };
         for index in 0..count {
@@ -92,11 +95,6 @@ impl Children {
         let own = &mut self.processes[index];
         (own.child, own.seat) = (child, seat);
         Ok(())
-    }
-
-    /// Whether a connection is of one of them.
-    pub fn is_own(&self, seat: SeatNumber) -> bool {
-        self.processes.iter().any(|own| own.seat == seat)
     }
 
     /// The actor of a connection has driven an episode.

@@ -8,14 +8,16 @@ use std::io::{Read, Write};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender};
 
+use rustls::pki_types::CertificateDer;
 use shm_config::message::Step;
 
 use super::actor::build;
 use super::envelope::{Broken, Kind, Outgoing, Rejection, receive};
 use super::message::{
-    Assignment, EpisodeKey, ended, put_assignment, put_policy, put_text, steps, text,
+    Assignment, EpisodeKey, ended, hello, put_assignment, put_policy, put_text, steps, text,
 };
 use super::order::SeatNumber;
+use super::tls::is_of_peer;
 
 /// A policy for the actors.
 #[derive(Clone)]
@@ -36,18 +38,45 @@ pub struct Asked {
 
 /// What a connection tells the learner.
 pub enum SeatEvent {
-    /// An actor of the same build is ready.
-    Ready(SeatNumber),
+    /// An actor of the same build and of this name is ready.
+    Ready(SeatNumber, String),
     /// It has driven an episode.
     Whole(SeatNumber, EpisodeKey, Vec<Box<Step>>),
     /// The connection has ended.
     Gone(SeatNumber, Broken),
 }
 
+/// Who may be at the other end.
+pub enum Guest {
+    /// The actor of this name, which this process has started.
+    Own(String),
+    /// The actor that has this certificate.
+    Certified(CertificateDer<'static>),
+}
+
+impl Guest {
+    /// The actor's name; `None` if the identity is not its own.
+    fn name(&self, identity: &str) -> Option<String> {
+        match self {
+            Guest::Own(name) => identity.is_empty().then(|| name.clone()),
+            Guest::Certified(certificate) => {
+                let begin = identity.get(..NAME_DIGITS)?;
+                is_of_peer(certificate, identity).then(|| format!("actor {begin}"))
+            }
+        }
+    }
+}
+
+/// Digits of an identity in an actor's name: those of eight actors differ with a probability
+/// of 1 - 1e-8.
+const NAME_DIGITS: usize = 8;
+
 /// The learner's end of a connection.
 pub struct Seat {
     /// Its number.
     pub number: SeatNumber,
+    /// Who may be there.
+    pub guest: Guest,
     /// Tells the learner.
     pub events: SyncSender<SeatEvent>,
     /// What the learner asks for; it ends when nothing is left.
@@ -77,12 +106,14 @@ impl Seat {
     ) -> Result<(), Broken> {
         let (mut out, mut body) = (Outgoing::default(), Vec::new());
         receive(line, &[Kind::Hello], &mut body)?;
-        if text(&body)? != build() {
+        let (theirs, identity) = hello(&body)?;
+        if theirs != build() {
             return Err(Rejection::Build.into());
         }
+        let name = self.guest.name(identity).ok_or(Rejection::Identity)?;
         put_text(&mut out, configuration, Kind::Welcome.bytes_max());
         out.send(Kind::Welcome, line)?;
-        if self.tell(SeatEvent::Ready(self.number)).is_err() {
+        if self.tell(SeatEvent::Ready(self.number, name)).is_err() {
             return Ok(());
         }
         let mut version = 0;

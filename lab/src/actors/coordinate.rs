@@ -13,9 +13,10 @@ use stack::Clock;
 use supervisor::machine::signals::pause;
 
 use super::children::Children;
-use super::connection::{Asked, OfferedPolicy, SeatEvent};
+use super::connection::{Asked, Guest, OfferedPolicy, SeatEvent};
+use super::door::Door;
 use super::drive::in_lockstep;
-use super::envelope::Broken;
+use super::envelope::{Broken, Rejection};
 use super::feed::feed;
 use super::held;
 use super::message::{Assignment, EpisodeKey, TICKS_MAX};
@@ -48,6 +49,7 @@ pub struct Coordinator {
     block_steps: u64,
     pool: Pool,
     children: Children,
+    door: Option<Door>,
     order: BlockOrder,
     pace: EpisodePace,
     policy: Option<OfferedPolicy>,
@@ -58,11 +60,16 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// Opens the session in this folder and starts so many actors on this machine.
+    /// Opens the session in this folder and starts so many actors on this machine; those of
+    /// other machines come through the door.
     ///
     /// # Errors
     /// If the folder holds another session, or a process cannot be started.
-    pub fn new(config: &Config, folder: &Path, actors: u32) -> anyhow::Result<Coordinator> {
+    pub fn new(
+        config: &Config,
+        folder: &Path,
+        (actors, door): (u32, Option<Door>),
+    ) -> anyhow::Result<Coordinator> {
         let config = in_lockstep(config)?;
         held::restore(folder)?;
         let session = Session::open(&config, folder)?;
@@ -85,6 +92,7 @@ impl Coordinator {
             block_steps: u64::from(config.learner.block_steps),
             pool,
             children,
+            door,
             order: BlockOrder::new(0),
             pace: EpisodePace::default(),
             policy,
@@ -134,6 +142,7 @@ impl Coordinator {
             if watch.stop.is_asked() {
                 return Ok(false);
             }
+            self.admit(watch)?;
             self.give_out(block, watch);
             if let Some(event) = self.pool.event(LOOK) {
                 self.take(event, block, watch)?;
@@ -156,6 +165,27 @@ impl Coordinator {
     fn show(&mut self, watch: &mut Watch<'_>) -> anyhow::Result<()> {
         let warned = std::mem::take(&mut self.warned);
         (watch.look)(&warned)
+    }
+
+    /// Takes new connections of other machines, and ends those whose invitation is revoked.
+    fn admit(&mut self, watch: &Watch<'_>) -> anyhow::Result<()> {
+        let Some(door) = &mut self.door else {
+            return Ok(());
+        };
+        for arrival in door.look(self.pool.room())? {
+            match arrival {
+                Ok(arrived) => {
+                    let guest = Guest::Certified(arrived.certificate);
+                    self.pool.add(guest, arrived.line, arrived.close)?;
+                }
+                Err(why) => self.tally.refuse(why),
+            }
+        }
+        let revoked = door.revoked((watch.clock)(), self.pool.certified());
+        for seat in revoked {
+            self.lose(seat, &Rejection::Revoked.into())?;
+        }
+        Ok(())
     }
 
     /// Gives episodes to idle actors.
@@ -185,8 +215,8 @@ impl Coordinator {
         watch: &Watch<'_>,
     ) -> anyhow::Result<()> {
         match event {
-            SeatEvent::Ready(seat) => {
-                self.tally.of(self.pool.name(seat));
+            SeatEvent::Ready(_, name) => {
+                self.tally.of(&name);
             }
             SeatEvent::Whole(seat, key, steps) => {
                 let transitions = steps.len() as u64;
@@ -201,15 +231,14 @@ impl Coordinator {
                 };
                 match reception {
                     Reception::Kept => {
-                        let actor = self.tally.of(self.pool.name(seat));
+                        let actor = self.tally.of(self.pool.name(seat).unwrap_or_default());
                         actor.episodes += 1;
                         actor.transitions += transitions;
                         self.children.thrives(seat);
                     }
                     Reception::Double => self.tally.doubles += 1,
                     Reception::Unasked => {
-                        let broken = Broken::Rejected(super::envelope::Rejection::Unasked);
-                        return self.lose(seat, &broken);
+                        return self.lose(seat, &Rejection::Unasked.into());
                     }
                 }
             }
@@ -220,11 +249,10 @@ impl Coordinator {
 
     /// A connection is gone: its episode is given to another actor.
     fn lose(&mut self, seat: SeatNumber, broken: &Broken) -> anyhow::Result<()> {
-        let name = self.pool.name(seat).to_string();
-        if name.is_empty() {
+        let Some(name) = self.pool.name(seat).map(String::from) else {
             // It was removed already.
             return Ok(());
-        }
+        };
         self.tally.of(&name).deaths += 1;
         if let Broken::Rejected(why) = broken {
             self.tally.refuse(*why);
@@ -243,11 +271,10 @@ impl Coordinator {
 
     /// Ends the actors; returns what they did.
     pub fn finish(self) -> ActorsTally {
-        let is_local = self.pool.seats().all(|seat| self.children.is_own(seat));
-        drop(self.children);
-        let patience = match is_local {
-            true => Duration::ZERO,
-            false => FAREWELL,
+        drop((self.children, self.door));
+        let patience = match self.pool.certified().next() {
+            None => Duration::ZERO,
+            Some(_) => FAREWELL,
         };
         self.pool.finish(patience, pause);
         self.tally

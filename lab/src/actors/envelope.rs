@@ -26,7 +26,7 @@ const CONFIGURATION_BYTES_MAX: usize = 1 << 20;
 /// What a frame holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Actor: its build.
+    /// Actor: its build, and the identity of its invitation.
     Hello = 1,
     /// Learner: the configuration.
     Welcome = 2,
@@ -96,6 +96,14 @@ pub enum Rejection {
     Unasked,
     /// Another build, whose planner might drive otherwise.
     Build,
+    /// TLS refused it: no certificate of the run's authority, or one that has ended.
+    Certificate,
+    /// The certificate of another role.
+    Role,
+    /// An identity that is not in its certificate.
+    Identity,
+    /// Its invitation is revoked.
+    Revoked,
 }
 
 impl Rejection {
@@ -112,6 +120,10 @@ impl Rejection {
             Rejection::Sequence => "steps out of order",
             Rejection::Unasked => "not asked for",
             Rejection::Build => "other build",
+            Rejection::Certificate => "no certificate",
+            Rejection::Role => "other role",
+            Rejection::Identity => "other identity",
+            Rejection::Revoked => "revoked",
         }
     }
 }

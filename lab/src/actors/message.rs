@@ -3,7 +3,7 @@
 use shm_config::layout::Layout as _;
 use shm_config::message::{Message, Step};
 
-use super::envelope::{Outgoing, Rejection, STEPS_MAX};
+use super::envelope::{Kind, Outgoing, Rejection, STEPS_MAX};
 
 /// Episodes of a block that have numbers of their own: a block of the default 200 steps has
 /// two. A longer block repeats numbers of the next one, and so its scenarios.
@@ -87,6 +87,19 @@ pub fn put_text(out: &mut Outgoing, text: &str, bytes_max: usize) {
 /// When it is not UTF-8.
 pub fn text(body: &[u8]) -> Result<&str, Rejection> {
     std::str::from_utf8(body).map_err(|_| Rejection::Content)
+}
+
+/// Build and identity of an actor, as body.
+pub fn put_hello(out: &mut Outgoing, build: &str, identity: &str) {
+    put_text(out, &format!("{build}\n{identity}"), Kind::Hello.bytes_max());
+}
+
+/// Build and identity of a body.
+///
+/// # Errors
+/// When it is not UTF-8, or has no second line.
+pub fn hello(body: &[u8]) -> Result<(&str, &str), Rejection> {
+    text(body)?.split_once('\n').ok_or(Rejection::Content)
 }
 
 /// A policy file with its version, as body.

@@ -9,7 +9,8 @@
 //! | [`held`] | the end of the last block, from which an interrupted training goes on |
 //! | [`pool`], [`connection`] | the learner's side of the connections |
 //! | [`children`] | the actors on this machine |
-//! | [`arguments`], [`actor`], [`drive`] | the actor: `./vlaps actor` |
+//! | [`door`], [`tls`] | the port for actors of other machines, and its mutual TLS |
+//! | [`arguments`], [`actor`], [`drive`], [`remote`] | the actor: `./vlaps actor` |
 //! | [`envelope`], [`message`] | frames and their bodies |
 //! | [`tally`] | what the actors did |
 //!
@@ -22,6 +23,7 @@ pub mod arguments;
 pub mod children;
 pub mod connection;
 pub mod coordinate;
+pub mod door;
 pub mod drive;
 pub mod envelope;
 pub mod feed;
@@ -29,4 +31,6 @@ pub mod held;
 pub mod message;
 pub mod order;
 pub mod pool;
+pub mod remote;
 pub mod tally;
+pub mod tls;

@@ -8,7 +8,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use super::connection::{Asked, Seat, SeatEvent};
+use rustls::pki_types::CertificateDer;
+
+use super::connection::{Asked, Guest, Seat, SeatEvent};
 use super::message::EpisodeKey;
 use super::order::SeatNumber;
 
@@ -20,6 +22,12 @@ const EVENTS_MAX: usize = 4;
 /// An actor that sends nothing for this time has hung, or its machine is gone.
 pub const SILENCE: Duration = Duration::from_secs(120);
 
+/// Ends a connection from outside.
+pub type Close = Box<dyn Fn() + Send>;
+
+/// Name of a connection whose actor has not said its own.
+const UNKNOWN: &str = "not admitted";
+
 /// One actor, as the learner sees it.
 struct Actor {
     name: String,
@@ -27,7 +35,9 @@ struct Actor {
     orders: SyncSender<Asked>,
     is_ready: bool,
     driving: Option<EpisodeKey>,
-    close: Box<dyn Fn() + Send>,
+    /// Of an actor on another machine.
+    certificate: Option<CertificateDer<'static>>,
+    close: Close,
     thread: JoinHandle<()>,
 }
 
@@ -53,9 +63,9 @@ impl Pool {
         }
     }
 
-    /// Whether another connection has room.
-    pub fn has_room(&self) -> bool {
-        self.actors.len() < SEATS_MAX
+    /// How many more connections it takes.
+    pub fn room(&self) -> usize {
+        SEATS_MAX.saturating_sub(self.actors.len())
     }
 
     /// Serves a connection on a thread of its own; `close` ends it from outside.
@@ -64,16 +74,21 @@ impl Pool {
     /// When the system starts no thread.
     pub fn add(
         &mut self,
-        name: String,
+        guest: Guest,
         mut line: impl Read + Write + Send + 'static,
-        close: Box<dyn Fn() + Send>,
+        close: Close,
     ) -> io::Result<SeatNumber> {
         let number = self.next;
         self.next += 1;
         // An actor has one episode at a time, so that sending an order never waits.
         let (orders, received) = sync_channel(1);
+        let (name, certificate) = match &guest {
+            Guest::Own(name) => (name.clone(), None),
+            Guest::Certified(certificate) => (UNKNOWN.into(), Some(certificate.clone())),
+        };
         let seat = Seat {
             number,
+            guest,
             events: self.sender.clone(),
             orders: received,
         };
@@ -86,6 +101,7 @@ impl Pool {
             orders,
             is_ready: false,
             driving: None,
+            certificate,
             close,
             thread,
         };
@@ -105,7 +121,7 @@ impl Pool {
             // It may have ended.
             let _ = own.shutdown(std::net::Shutdown::Both);
         });
-        self.add(name, line, close)
+        self.add(Guest::Own(name), line, close)
     }
 
     /// The next event; `None` after this time.
@@ -116,9 +132,9 @@ impl Pool {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => return None,
         };
         match &event {
-            SeatEvent::Ready(number) => {
+            SeatEvent::Ready(number, name) => {
                 if let Some(actor) = self.actors.get_mut(number) {
-                    actor.is_ready = true;
+                    (actor.is_ready, actor.name) = (true, name.clone());
                 }
             }
             SeatEvent::Whole(number, key, _) => {
@@ -149,14 +165,15 @@ impl Pool {
         }
     }
 
-    /// The actor's name.
-    pub fn name(&self, number: SeatNumber) -> &str {
-        self.actors.get(&number).map_or("", |actor| &actor.name)
+    /// The actor's name; `None` once it is removed.
+    pub fn name(&self, number: SeatNumber) -> Option<&str> {
+        self.actors.get(&number).map(|actor| &*actor.name)
     }
 
-    /// All connections.
-    pub fn seats(&self) -> impl Iterator<Item = SeatNumber> {
-        self.actors.keys().copied()
+    /// The connections of actors on other machines, with their certificates.
+    pub fn certified(&self) -> impl Iterator<Item = (SeatNumber, &CertificateDer<'static>)> {
+        let actors = self.actors.iter();
+        actors.filter_map(|(number, actor)| Some((*number, actor.certificate.as_ref()?)))
     }
 
     /// Removes a connection that has ended, or ends it.

@@ -276,6 +276,8 @@ impl Sweep {
             expert: Some(ExpertChoice::Mpc),
             world: Some(Simulator::BuiltIn),
             actors: None,
+            actors_at: None,
+            actors_run: None,
             out: Some(self.out.join(name(flawed))),
             resume,
             held_back: false,

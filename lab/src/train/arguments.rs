@@ -6,9 +6,11 @@ use std::process::ExitCode;
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 use shm_config::config::{Algorithm, Simulator};
+use shm_config::run::RunName;
 use supervisor::cli::parsers::whole;
 
 use stack::Clock;
+use supervisor::commands::link::address;
 use supervisor::commands::up::arguments::SimulatorAlone;
 use supervisor::subcommand::{Configuration, Output, Subcommand};
 
@@ -73,8 +75,15 @@ pub struct Train {
     /// Train with so many actor processes, whose worlds drive side by side, in place of one
     /// process set; their number changes no policy.
     #[arg(long, value_name = "N", allow_negative_numbers = true, conflicts_with = "shard",
-          value_parser = whole::<u32>(1..=64))]
+          value_parser = whole::<u32>(0..=64))]
     pub actors: Option<u32>,
+    /// Also listen here, for ./vlaps actor on other machines; needs ./vlaps setup link.
+    #[arg(long, value_name = "HOST:PORT", value_parser = address, conflicts_with = "shard")]
+    pub actors_at: Option<String>,
+    /// The run whose invitations these actors have, as of ./vlaps link invite --run;
+    /// default: default.
+    #[arg(long, value_name = "NAME", requires = "actors_at")]
+    pub actors_run: Option<RunName>,
     /// Folder of the experiment; default: runs/train-HOW.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -91,7 +100,7 @@ pub struct Train {
     pub shard: Option<Shard>,
     /// Neither train nor evaluate: draw and print the results in the folder.
     #[arg(long, conflicts_with_all = ["shard", "resume", "steps", "seed", "seeds", "eval_episodes",
-          "final_episodes", "held_back", "expert", "world", "actors", "config", "vehicle", "overrides"])]
+          "final_episodes", "held_back", "expert", "world", "actors", "actors_at", "config", "vehicle", "overrides"])]
     pub report: bool,
     /// Configuration and overrides.
     #[command(flatten)]

@@ -8,6 +8,7 @@ use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use shm_config::config::{Algorithm, Simulator, text_of, vehicle_of};
 use shm_config::file::{Durable, read_text, replace};
+use shm_config::run::RunName;
 use supervisor::cli::failure::Failure;
 use supervisor::commands::up::settings::DEFAULT_FILE;
 
@@ -52,6 +53,9 @@ pub struct Experiment {
     /// may change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actors: Option<u32>,
+    /// Where actors of other machines join, and the run that has invited them.
+    #[serde(skip)]
+    pub actors_at: Option<(String, Option<RunName>)>,
     /// Overrides of the configuration, `KEY=VALUE`.
     pub set: Vec<String>,
     /// The configuration file, if there is one.
@@ -73,6 +77,7 @@ impl Default for Experiment {
             expert: ExpertChoice::Mpc,
             world: Simulator::BuiltIn,
             actors: None,
+            actors_at: None,
             set: Vec::new(),
             config: None,
         }
@@ -159,6 +164,10 @@ impl Experiment {
             );
             return Err(Failure::Usage(line).into());
         }
+        if asked.actors == Some(0) && asked.actors_at.is_none() {
+            let line = "--actors 0: needs --actors-at HOST:PORT, or at least one actor here";
+            return Err(Failure::Usage(line.into()).into());
+        }
         Ok(asked)
     }
 
@@ -222,6 +231,8 @@ impl Experiment {
     /// Replaces the options that the command line gives.
     fn with(self, arguments: &Train, given: &[String], out: &Path) -> Experiment {
         let chosen = &arguments.configuration;
+        let at = arguments.actors_at.clone();
+        let at = at.map(|address| (address, arguments.actors_run.clone()));
         let is_given = |held: &String| given.iter().any(|text| key(text) == key(held));
         let mut set = self.set;
         set.retain(|held| !is_given(held));
@@ -238,7 +249,8 @@ impl Experiment {
             algorithm: arguments.algorithm.unwrap_or(self.algorithm),
             expert: arguments.expert.unwrap_or(self.expert),
             world: arguments.world.unwrap_or(self.world),
-            actors: arguments.actors.or(self.actors),
+            actors: arguments.actors.or(self.actors).or(at.is_some().then_some(0)),
+            actors_at: at,
             set,
             config: chosen.config.clone().or_else(other),
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use shm_config::config::{Algorithm, Config, Simulator, load};
-use shm_config::run::name_max;
+use shm_config::run::{RunName, name_max};
 use supervisor::cli::failure::Failure;
 use toml::{Table, Value};
 
@@ -40,6 +40,8 @@ pub struct Protocol {
     pub episodes: u64,
     /// Actors on this machine; `None` if a process set drives.
     pub actors: Option<u32>,
+    /// Where actors of other machines join, and the run that has invited them.
+    pub actors_at: Option<(String, Option<RunName>)>,
     /// Configuration of the run, without its duration.
     pub config: Config,
 }
@@ -71,6 +73,7 @@ impl Protocol {
             steps: experiment.steps,
             episodes: experiment.eval_episodes,
             actors: experiment.actors,
+            actors_at: experiment.actors_at.clone(),
             config,
         };
         if protocol.actors.is_some() {

@@ -16,6 +16,8 @@ use super::protocol::{Protocol, STEP_S};
 use super::results::{self, BlockEvaluation};
 use super::warnings::warnings;
 use crate::actors::coordinate::{Coordinator, Watch};
+use crate::actors::door::Door;
+use crate::actors::tls::ListenerKeys;
 use crate::progress::Progress;
 use crate::stop::Stop;
 use stack::Clock;
@@ -192,7 +194,11 @@ fn with_actors(
     let file = protocol.file();
     fs::write(&file, toml::to_string(&protocol.config)?)
         .with_context(|| file.display().to_string())?;
-    let mut coordinator = Coordinator::new(&protocol.config, &learner, actors)?;
+    let door = match &protocol.actors_at {
+        Some((address, run)) => Some(Door::open(address, ListenerKeys::of_run(run.as_ref())?)?),
+        None => None,
+    };
+    let mut coordinator = Coordinator::new(&protocol.config, &learner, (actors, door))?;
     let mut shown = clock();
     let mut show = |warned: &[String]| {
         warned.iter().for_each(|line| progress.warn(line));

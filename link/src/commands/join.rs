@@ -9,6 +9,7 @@ use shm_config::secret;
 use crate::arguments::{Join, address};
 use crate::join::{Options, join};
 use crate::keys::Bundle;
+use crate::role::Role;
 
 pub(super) fn join_run(arguments: &Join, stop: &AtomicBool) -> Result<u8, String> {
     let (path, target) = match (arguments.target.split_once('@'), &arguments.bundle) {
@@ -23,6 +24,10 @@ pub(super) fn join_run(arguments: &Join, stop: &AtomicBool) -> Result<u8, String
     };
     let bundle = Bundle::read(&path).map_err(|error| error.to_string())?;
     let invited = bundle.role().map_err(|error| error.to_string())?;
+    if invited == Role::Actor {
+        let path = path.display();
+        return Err(format!("{path}: is an invitation of an actor: ./vlaps actor {path}"));
+    }
     if arguments
         .role
         .as_ref()

@@ -36,6 +36,7 @@ impl Command {
                     serve(&arguments.run, &arguments.listen, &stop).map(|()| 0)
                 }
                 LinkCommand::Status(arguments) => status::status(arguments),
+                LinkCommand::Listener(arguments) => invite::listener(arguments),
             },
             Command::Join(arguments) => {
                 let stop = stop_flag()?;

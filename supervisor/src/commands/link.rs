@@ -8,7 +8,7 @@ use shm_config::config::is_address;
 use shm_config::run::RunName;
 
 /// What a peer may be.
-const ROLES: [&str; 4] = ["judge", "learner", "view", "recorder"];
+const ROLES: [&str; 5] = ["judge", "learner", "view", "recorder", "actor"];
 
 /// Other machines: judge, learner, view and recorder of a set.
 #[derive(Debug, Args)]
@@ -40,6 +40,9 @@ pub enum LinkCommand {
     Serve(Serve),
     /// Show the peers of a run, and what was refused.
     Status(LinkStatus),
+    /// Print what `./vlaps train --actors-at` listens with; it holds a key.
+    #[command(hide = true)]
+    Listener(Listener),
 }
 
 /// Make an invitation.
@@ -71,6 +74,14 @@ pub struct Revoke {
     pub run: RunName,
     /// The peer's identity, which invite and status print.
     pub peer: String,
+}
+
+/// Print what a training listens with.
+#[derive(Debug, Args)]
+pub struct Listener {
+    /// The run.
+    #[arg(long, value_name = "NAME", default_value = "default")]
+    pub run: RunName,
 }
 
 /// Serve a running set.
