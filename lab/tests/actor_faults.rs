@@ -121,14 +121,19 @@ impl Scripted {
     }
 
     fn drive(&self, asked: &Assignment) -> Vec<Step> {
-        let policy = (asked.version > 0)
-            .then(|| self.episodes.policy(asked.version, &self.policy).expect("a policy"));
+        let policy = (asked.version > 0).then(|| {
+            self.episodes
+                .policy(asked.version, &self.policy)
+                .expect("a policy")
+        });
         let mut steps = Vec::new();
         let watch = |step: &Step| {
             steps.push(*step);
             std::ops::ControlFlow::Continue(())
         };
-        let driven = self.episodes.drive(asked.key, asked.ticks_max, policy, watch);
+        let driven = self
+            .episodes
+            .drive(asked.key, asked.ticks_max, policy, watch);
         driven.expect("driven");
         steps
     }
@@ -203,7 +208,10 @@ fn hostile_frames_are_refused_with_their_reason_and_change_nothing() {
         ("no frame", noise),
         ("other version", changed(4, 1)),
         ("other layout", changed(8, 1)),
-        ("unexpected kind", changed(6, Kind::Hello as u8 ^ Kind::Steps as u8)),
+        (
+            "unexpected kind",
+            changed(6, Kind::Hello as u8 ^ Kind::Steps as u8),
+        ),
         ("too long", changed(19, 0x40)),
         ("wrong checksum", changed(HEAD_BYTES, 1)),
         ("other build", frame(Kind::Hello, b"another one\n")),
@@ -216,7 +224,10 @@ fn hostile_frames_are_refused_with_their_reason_and_change_nothing() {
         };
         let (policy, tally) = train(vec![("hostile", Box::new(attack)), honest_actor()]);
         let refused: Vec<_> = tally.refused.keys().copied().collect();
-        let wanted: Vec<_> = [reason].into_iter().filter(|word| !word.is_empty()).collect();
+        let wanted: Vec<_> = [reason]
+            .into_iter()
+            .filter(|word| !word.is_empty())
+            .collect();
         assert_eq!(refused, wanted, "{tally:?}");
         assert_eq!(tally.actors["hostile"].deaths, 1, "{reason}: {tally:?}");
         assert!(policy == expected, "{reason}");
@@ -276,7 +287,11 @@ fn wrong_answers_are_refused_with_their_reason_and_change_nothing() {
             let _ = actor.asked();
         };
         let (policy, tally) = train(vec![("hostile", Box::new(act)), honest_actor()]);
-        assert_eq!(tally.refused.get(reason), Some(&1), "case {case}: {tally:?}");
+        assert_eq!(
+            tally.refused.get(reason),
+            Some(&1),
+            "case {case}: {tally:?}"
+        );
         assert!(policy == expected, "case {case}: {reason}");
     }
 }

@@ -165,7 +165,10 @@ fn an_invited_actor_teaches_the_same_policies() {
         .arg("actor")
         .arg(&bundle)
         .args(["--worlds", "2"])
-        .env("VLAPS_COMMIT", std::env::var("VLAPS_COMMIT").unwrap_or_default())
+        .env(
+            "VLAPS_COMMIT",
+            std::env::var("VLAPS_COMMIT").unwrap_or_default(),
+        )
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .spawn()
@@ -183,8 +186,18 @@ fn a_peer_that_was_not_invited_as_an_actor_is_refused_with_its_reason() {
     let expected = expected();
     let cases = [
         ("other role", certified!("view", "view-key"), PEER, &[][..]),
-        ("no certificate", certified!("ended", "ended-key"), PEER, &[]),
-        ("no certificate", certified!("foreign", "foreign-key"), PEER, &[]),
+        (
+            "no certificate",
+            certified!("ended", "ended-key"),
+            PEER,
+            &[],
+        ),
+        (
+            "no certificate",
+            certified!("foreign", "foreign-key"),
+            PEER,
+            &[],
+        ),
         (
             "other identity",
             certified!("actor", "actor-key"),
@@ -227,7 +240,9 @@ fn bytes_without_tls_reach_no_frame() {
     let address = learner.address;
     let peer = thread::spawn(move || {
         let mut stream = TcpStream::connect(address).expect("connected");
-        stream.write_all(b"VLAC\x01\x00\x01\x00 without TLS").expect("sent");
+        stream
+            .write_all(b"VLAC\x01\x00\x01\x00 without TLS")
+            .expect("sent");
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
     });
@@ -249,7 +264,10 @@ fn a_revoked_invitation_ends_its_connection() {
     });
     let (keys, first) = (
         learner.keys(),
-        learner.place.path().join(format!("learner/policies/{BLOCK:08}.onnx")),
+        learner
+            .place
+            .path()
+            .join(format!("learner/policies/{BLOCK:08}.onnx")),
     );
     let mut is_revoked = false;
     let (policy, tally) = learner.train(|| {

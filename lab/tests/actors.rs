@@ -78,7 +78,8 @@ impl Training {
     fn policies(&self) -> BTreeMap<String, Vec<u8>> {
         let folder = self.out().join("seed-0/learner/policies");
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-        let files = entries.filter(|entry| entry.path().extension().is_some_and(|end| end == "onnx"));
+        let files =
+            entries.filter(|entry| entry.path().extension().is_some_and(|end| end == "onnx"));
         files
             .map(|entry| {
                 let name = entry.file_name().to_string_lossy().into_owned();
@@ -102,7 +103,9 @@ impl Training {
         let pids = entries.filter_map(|entry| {
             let pid = entry.file_name().to_string_lossy().parse().ok()?;
             let words = fs::read(entry.path().join("cmdline")).ok()?;
-            let is_it = words.windows(mark.len()).any(|part| part == mark.as_bytes());
+            let is_it = words
+                .windows(mark.len())
+                .any(|part| part == mark.as_bytes());
             is_it.then(|| Pid::from_raw(pid)).flatten()
         });
         pids.collect()
@@ -154,11 +157,7 @@ fn undisturbed(actors: u32) -> BTreeMap<String, Vec<u8>> {
     policies
 }
 
-fn assert_same(
-    ours: &BTreeMap<String, Vec<u8>>,
-    theirs: &BTreeMap<String, Vec<u8>>,
-    what: &str,
-) {
+fn assert_same(ours: &BTreeMap<String, Vec<u8>>, theirs: &BTreeMap<String, Vec<u8>>, what: &str) {
     assert_eq!(ours.len(), theirs.len(), "{what}");
     for (name, policy) in ours {
         assert!(theirs.get(name) == Some(policy), "{what}: {name} differs");
@@ -167,7 +166,10 @@ fn assert_same(
 
 fn sum(tally: &Value, key: &str) -> u64 {
     let actors = tally["actors"].as_object().expect("actors");
-    actors.values().filter_map(|actor| actor[key].as_u64()).sum()
+    actors
+        .values()
+        .filter_map(|actor| actor[key].as_u64())
+        .sum()
 }
 
 #[test]

@@ -154,11 +154,7 @@ impl<'a> SentSteps<'a> {
     ///
     /// # Errors
     /// When the learner is gone.
-    pub fn end(
-        mut self,
-        ticks: u32,
-        line: &mut (impl Write + ?Sized),
-    ) -> Result<(), Broken> {
+    pub fn end(mut self, ticks: u32, line: &mut (impl Write + ?Sized)) -> Result<(), Broken> {
         if self.filled > 0 {
             self.flush(line)?;
         }

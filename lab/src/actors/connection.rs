@@ -99,11 +99,7 @@ impl Seat {
         self.events.send(event).map_err(|_| Stopped)
     }
 
-    fn talk(
-        &self,
-        line: &mut (impl Read + Write),
-        configuration: &str,
-    ) -> Result<(), Broken> {
+    fn talk(&self, line: &mut (impl Read + Write), configuration: &str) -> Result<(), Broken> {
         let (mut out, mut body) = (Outgoing::default(), Vec::new());
         receive(line, &[Kind::Hello], &mut body)?;
         let (theirs, identity) = hello(&body)?;
@@ -128,7 +124,10 @@ impl Seat {
             out.send(Kind::Drive, line)?;
             loop {
                 let (key, steps) = incoming.episode(line)?;
-                if self.tell(SeatEvent::Whole(self.number, key, steps)).is_err() {
+                if self
+                    .tell(SeatEvent::Whole(self.number, key, steps))
+                    .is_err()
+                {
                     return Ok(());
                 }
                 // Another one is an answer to an earlier question.

@@ -208,12 +208,7 @@ impl Coordinator {
         }
     }
 
-    fn take(
-        &mut self,
-        event: SeatEvent,
-        block: u64,
-        watch: &Watch<'_>,
-    ) -> anyhow::Result<()> {
+    fn take(&mut self, event: SeatEvent, block: u64, watch: &Watch<'_>) -> anyhow::Result<()> {
         match event {
             SeatEvent::Ready(_, name) => {
                 self.tally.of(&name);

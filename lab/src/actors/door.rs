@@ -5,9 +5,9 @@
 
 use std::io;
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
@@ -152,7 +152,11 @@ fn handshake(stream: TcpStream, config: Arc<ServerConfig>) -> Result<Arrived, Re
         line.conn.complete_io(&mut line.sock).map_err(broken)?;
     }
     let chain = line.conn.peer_certificates().unwrap_or_default();
-    let certificate = chain.first().ok_or(Rejection::Certificate)?.clone().into_owned();
+    let certificate = chain
+        .first()
+        .ok_or(Rejection::Certificate)?
+        .clone()
+        .into_owned();
     if !is_of_actor(&certificate) {
         return Err(Rejection::Role);
     }

@@ -3,9 +3,9 @@
 use std::ops::ControlFlow;
 
 use controller::Policy;
+use shm_config::Instant;
 use shm_config::config::{Clock as RunClock, Config, GateMode, Simulator};
 use shm_config::message::{Header, Observation, Step};
-use shm_config::Instant;
 use supervisor::cli::failure::Failure;
 
 use super::message::EpisodeKey;
@@ -35,7 +35,9 @@ pub fn in_lockstep(config: &Config) -> Result<Config, Failure> {
     };
     if config.world.simulator != Simulator::BuiltIn {
         let world = config.world.simulator.word();
-        return refused(format!("an actor drives in the built-in world, not in {world}"));
+        return refused(format!(
+            "an actor drives in the built-in world, not in {world}"
+        ));
     }
     match config.gate.mode {
         GateMode::Expert | GateMode::Policy | GateMode::Takeover | GateMode::Rules => {}

@@ -91,7 +91,11 @@ pub fn text(body: &[u8]) -> Result<&str, Rejection> {
 
 /// Build and identity of an actor, as body.
 pub fn put_hello(out: &mut Outgoing, build: &str, identity: &str) {
-    put_text(out, &format!("{build}\n{identity}"), Kind::Hello.bytes_max());
+    put_text(
+        out,
+        &format!("{build}\n{identity}"),
+        Kind::Hello.bytes_max(),
+    );
 }
 
 /// Build and identity of a body.

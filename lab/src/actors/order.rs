@@ -124,12 +124,7 @@ impl BlockOrder {
     }
 
     /// The episode that an idle actor drives next; `None` if there is nothing for it.
-    pub fn assign(
-        &mut self,
-        seat: SeatNumber,
-        pace: &EpisodePace,
-        now: Instant,
-    ) -> Option<u32> {
+    pub fn assign(&mut self, seat: SeatNumber, pace: &EpisodePace, now: Instant) -> Option<u32> {
         let is_lost = |given: &Given| !given.is_known && given.holders.is_empty();
         let lost = self.given.iter().find(|(_, given)| is_lost(given));
         let episode = lost.map(|(episode, _)| *episode);
@@ -158,12 +153,7 @@ impl BlockOrder {
     }
 
     /// The one that takes longest, if it is slow and another actor drives it.
-    fn slow_episode(
-        &self,
-        seat: SeatNumber,
-        pace: &EpisodePace,
-        now: Instant,
-    ) -> Option<u32> {
+    fn slow_episode(&self, seat: SeatNumber, pace: &EpisodePace, now: Instant) -> Option<u32> {
         let slow_ns = pace.slow_ns();
         let ages = self.given.iter().filter_map(|(episode, given)| {
             let is_free = given.holders.iter().all(|(holder, _)| *holder != seat);
@@ -312,7 +302,9 @@ mod tests {
     fn no_more_episodes_are_given_than_the_block_is_expected_to_need() {
         let (mut order, mut pace) = (BlockOrder::new(100), EpisodePace::default());
         pace.note(40, S);
-        let given: Vec<_> = (0..8).map(|seat| order.assign(seat, &pace, at(0))).collect();
+        let given: Vec<_> = (0..8)
+            .map(|seat| order.assign(seat, &pace, at(0)))
+            .collect();
         assert_eq!(given.iter().flatten().count(), 3);
         // They were shorter than expected.
         for seat in 0..3 {

@@ -48,7 +48,10 @@ fn encrypt(stream: TcpStream, config: &Arc<ClientConfig>) -> io::Result<Line> {
     stream.set_read_timeout(Some(SILENCE))?;
     stream.set_write_timeout(Some(SILENCE))?;
     let connection = ClientConnection::new(Arc::clone(config), listener_name());
-    Ok(StreamOwned::new(connection.map_err(io::Error::other)?, stream))
+    Ok(StreamOwned::new(
+        connection.map_err(io::Error::other)?,
+        stream,
+    ))
 }
 
 /// Drives with so many worlds side by side until the learner has nothing left.
@@ -92,7 +95,10 @@ fn serve_all(
                 let line = broken.to_string();
                 // A reason is printed once, not with each attempt.
                 if said != line {
-                    say(format_args!("world {world}: {}: {line}", invitation.address));
+                    say(format_args!(
+                        "world {world}: {}: {line}",
+                        invitation.address
+                    ));
                     said = line;
                 }
                 if has_ended && attempts >= ATTEMPTS_MAX / 2 {

@@ -157,10 +157,8 @@ fn parsed(own: &CertifiedKey) -> anyhow::Result<Parsed> {
 /// When a certificate or a key is damaged.
 pub fn listening(keys: &ListenerKeys) -> anyhow::Result<Arc<ServerConfig>> {
     let provider = Arc::new(default_provider());
-    let verifier = WebPkiClientVerifier::builder_with_provider(
-        roots(&keys.authority)?,
-        Arc::clone(&provider),
-    );
+    let verifier =
+        WebPkiClientVerifier::builder_with_provider(roots(&keys.authority)?, Arc::clone(&provider));
     let (chain, key) = parsed(&keys.certificate)?;
     let config = ServerConfig::builder_with_provider(provider)
         .with_protocol_versions(&[&TLS13])?

@@ -119,8 +119,7 @@ impl Drive<'_> {
         let mut outcome = Outcome::Driving;
         let mut ticks = 0;
         while outcome == Outcome::Driving && ticks < ticks_max {
-            let (command, is_watched) =
-                driver.command(&observation, &mut rebuilt, &mut watch);
+            let (command, is_watched) = driver.command(&observation, &mut rebuilt, &mut watch);
             *reasons.entry((command.driver, command.reason)).or_default() += 1;
             ticks += 1;
             for _ in 0..self.mover.instants() {

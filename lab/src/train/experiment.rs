@@ -249,7 +249,10 @@ impl Experiment {
             algorithm: arguments.algorithm.unwrap_or(self.algorithm),
             expert: arguments.expert.unwrap_or(self.expert),
             world: arguments.world.unwrap_or(self.world),
-            actors: arguments.actors.or(self.actors).or(at.is_some().then_some(0)),
+            actors: arguments
+                .actors
+                .or(self.actors)
+                .or(at.is_some().then_some(0)),
             actors_at: at,
             set,
             config: chosen.config.clone().or_else(other),
