@@ -240,7 +240,7 @@ type Attack = fn(&mut Scripted, &Assignment, Vec<Step>);
 #[test]
 fn wrong_answers_are_refused_with_their_reason_and_change_nothing() {
     let (expected, _) = train(vec![honest_actor()]);
-    let cases: [(&str, Attack); 6] = [
+    let cases: [(&str, Attack); 7] = [
         ("invalid content", |actor, asked, mut steps| {
             steps[3].expert.steer = f64::NAN;
             actor.send(asked.key, &steps);
@@ -267,6 +267,15 @@ fn wrong_answers_are_refused_with_their_reason_and_change_nothing() {
                 ..asked.key
             };
             actor.send(key, &steps);
+        }),
+        ("not asked for", |actor, asked, steps| {
+            let mut more = steps.clone();
+            while more.len() as u32 <= asked.ticks_max {
+                let mut step = steps[0];
+                step.header.tick = more.len() as u64;
+                more.push(step);
+            }
+            actor.send(asked.key, &more);
         }),
         ("not asked for", |actor, asked, steps| {
             let key = EpisodeKey {

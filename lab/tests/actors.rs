@@ -190,7 +190,15 @@ fn the_number_of_actors_and_their_deaths_change_no_policy() {
     let tally = killed.tally();
     assert_eq!(sum(&tally, "deaths"), 2, "{tally}");
     let learnt = sum(&tally, "transitions") - tally["surplus"].as_u64().expect("a count");
-    assert!(learnt >= BLOCK * BLOCKS, "{tally}");
+    assert_eq!(learnt, BLOCK * BLOCKS, "{tally}");
+    for words in [
+        "actor 0",
+        "actor 1",
+        "doubles ignored",
+        "refused frames: none",
+    ] {
+        assert!(said(&output).contains(words), "{words}: {}", said(&output));
+    }
     assert_same(&one, &killed.policies(), "2 actors, killed twice");
 }
 

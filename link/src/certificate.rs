@@ -115,7 +115,10 @@ impl Authority {
         let end = i64::try_from(expires_epoch_s).ok();
         let end = end.and_then(|end| OffsetDateTime::from_unix_timestamp(end).ok());
         let end = end.ok_or_else(|| io::Error::other("the invitation ends at no date"))?;
-        let names = vec![format!("{role}.vlaps-link"), format!("{peer}.peer.vlaps-link")];
+        let names = vec![
+            format!("{role}.vlaps-link"),
+            format!("{peer}.peer.vlaps-link"),
+        ];
         let mut params = CertificateParams::new(names).map_err(failed)?;
         let name = format!("{role} {peer}");
         params.distinguished_name.push(DnType::CommonName, name);

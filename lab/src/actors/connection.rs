@@ -123,7 +123,7 @@ impl Seat {
             put_assignment(&mut out, &assignment);
             out.send(Kind::Drive, line)?;
             loop {
-                let (key, steps) = incoming.episode(line)?;
+                let (key, steps) = incoming.episode(line, assignment.ticks_max)?;
                 if self
                     .tell(SeatEvent::Whole(self.number, key, steps))
                     .is_err()
@@ -151,15 +151,16 @@ struct Incoming {
 }
 
 impl Incoming {
-    /// Receives a whole episode.
+    /// Receives a whole episode of so many steps at most.
     fn episode(
         &mut self,
         line: &mut (impl Read + ?Sized),
+        ticks_max: u32,
     ) -> Result<(EpisodeKey, Vec<Box<Step>>), Broken> {
         loop {
             let wanted = [Kind::Steps, Kind::Ended, Kind::Failed];
             match receive(line, &wanted, &mut self.body)? {
-                Kind::Steps => self.add()?,
+                Kind::Steps => self.add(ticks_max)?,
                 Kind::Ended => {
                     let (key, ticks) = ended(&self.body)?;
                     if self.key.take() != Some(key) || ticks as usize != self.steps.len() {
@@ -173,7 +174,7 @@ impl Incoming {
     }
 
     /// Adds the steps of a frame, which begin an episode or follow those before.
-    fn add(&mut self) -> Result<(), Rejection> {
+    fn add(&mut self, ticks_max: u32) -> Result<(), Rejection> {
         let received = steps(&self.body, &mut self.scratch)?;
         if received.first == 0 && self.key.is_none() {
             self.key = Some(received.key);
@@ -183,6 +184,9 @@ impl Incoming {
             return Err(Rejection::Sequence);
         }
         self.steps.extend(received.steps);
-        Ok(())
+        match self.steps.len() <= ticks_max as usize {
+            true => Ok(()),
+            false => Err(Rejection::Unasked),
+        }
     }
 }

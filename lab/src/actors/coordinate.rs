@@ -214,6 +214,10 @@ impl Coordinator {
                 self.tally.of(&name);
             }
             SeatEvent::Whole(seat, key, steps) => {
+                let Some(name) = self.pool.name(seat).map(String::from) else {
+                    // It was ended meanwhile, and its episode is given to another one.
+                    return Ok(());
+                };
                 let transitions = steps.len() as u64;
                 let reception = match key.block.cmp(&block) {
                     std::cmp::Ordering::Less => Reception::Double,
@@ -226,7 +230,7 @@ impl Coordinator {
                 };
                 match reception {
                     Reception::Kept => {
-                        let actor = self.tally.of(self.pool.name(seat).unwrap_or_default());
+                        let actor = self.tally.of(&name);
                         actor.episodes += 1;
                         actor.transitions += transitions;
                         self.children.thrives(seat);

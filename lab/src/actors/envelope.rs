@@ -8,6 +8,7 @@ use std::io::{self, Read, Write};
 
 use shm_config::layout::{FNV_BASIS, Layout, fnv1a};
 use shm_config::message::{FEATURES_VERSION, Step, WEIGHTS_BYTES_MAX};
+use shm_config::text::printable;
 
 /// Begins each frame.
 pub const MAGIC: [u8; 4] = *b"VLAC";
@@ -20,6 +21,8 @@ pub const HEAD_BYTES: usize = 24;
 pub const STEPS_MAX: usize = 64;
 /// Longest text of an error or of a build, bytes.
 const TEXT_BYTES_MAX: usize = 4 << 10;
+/// Longest text of an actor that is shown, bytes: a few lines.
+const SHOWN_MAX: usize = 400;
 /// Longest configuration, bytes; as of a configuration file.
 const CONFIGURATION_BYTES_MAX: usize = 1 << 20;
 
@@ -92,7 +95,7 @@ pub enum Rejection {
     Content,
     /// Steps that do not follow each other.
     Sequence,
-    /// An episode that this actor was not asked for.
+    /// An episode, or more steps of it, than this actor was asked for.
     Unasked,
     /// Another build, whose planner might drive otherwise.
     Build,
@@ -148,7 +151,11 @@ impl std::fmt::Display for Broken {
                 _ => write!(f, "{error}"),
             },
             Broken::Rejected(why) => write!(f, "refused: {}", why.word()),
-            Broken::Failed(text) => write!(f, "cannot drive: {text}"),
+            Broken::Failed(text) => {
+                // Text of another machine.
+                let shown = &text[..text.floor_char_boundary(SHOWN_MAX)];
+                write!(f, "cannot drive: {}", printable(shown))
+            }
         }
     }
 }

@@ -254,3 +254,68 @@ pub fn steps(body: &[u8], scratch: &mut Vec<u8>) -> Result<Received, Rejection> 
     body.end()?;
     Ok(Received { key, first, steps })
 }
+
+#[cfg(test)]
+mod tests {
+    use shm_config::draw::Draw;
+
+    use super::super::envelope::HEAD_BYTES;
+    use super::*;
+
+    const KEY: EpisodeKey = EpisodeKey {
+        block: 3,
+        episode: 5,
+    };
+
+    fn body(count: u64) -> Vec<u8> {
+        let mut out = Outgoing::default();
+        let mut body = StepsBody::begin(&mut out, KEY, 7);
+        for tick in 7..7 + count {
+            let mut step = Step::default();
+            step.header.tick = tick;
+            step.observation.beam_count = 16;
+            body.add(&step);
+        }
+        out.close(Kind::Steps)[HEAD_BYTES..].to_vec()
+    }
+
+    #[test]
+    fn steps_travel_as_they_are() {
+        let received = steps(&body(4), &mut Vec::new()).expect("steps");
+        assert_eq!((received.key, received.first), (KEY, 7));
+        assert_eq!(received.steps.len(), 4);
+        assert_eq!(received.steps[3].header.tick, 10);
+        assert_eq!(received.steps[3].observation.beam_count, 16);
+    }
+
+    #[test]
+    fn damaged_bodies_are_refused_or_hold_steps_that_pass_their_check() {
+        let whole = body(2);
+        let mut scratch = Vec::new();
+        for cut in 0..whole.len() {
+            assert!(steps(&whole[..cut], &mut scratch).is_err(), "cut at {cut}");
+        }
+        let (mut refused, mut admitted) = (0, 0);
+        for seed in 0..4000 {
+            let (mut draw, mut damaged) = (Draw::new(seed), whole.clone());
+            for _ in 0..1 + draw.below(3) {
+                let at = draw.below(damaged.len() as u64) as usize;
+                damaged[at] ^= 1 << draw.below(8);
+            }
+            match steps(&damaged, &mut scratch) {
+                Ok(received) => {
+                    admitted += 1;
+                    let mut all = received.steps.iter();
+                    assert!(all.all(|step| step.check().is_ok()), "seed {seed}");
+                }
+                Err(_) => refused += 1,
+            }
+        }
+        assert!(refused > 100 && admitted > 100, "{refused} and {admitted}");
+        assert!(steps(&body(0), &mut scratch).is_err(), "no step");
+        assert!(
+            steps(&body(STEPS_MAX as u64 + 1), &mut scratch).is_err(),
+            "too many"
+        );
+    }
+}

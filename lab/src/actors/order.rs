@@ -97,6 +97,8 @@ pub struct BlockOrder {
     new: u32,
     /// Episodes that were given to an actor again.
     again: u64,
+    /// Steps of the last episode beyond the end of the block.
+    cut: u64,
 }
 
 impl BlockOrder {
@@ -109,6 +111,7 @@ impl BlockOrder {
             next: 0,
             new: 0,
             again: 0,
+            cut: 0,
         }
     }
 
@@ -117,8 +120,13 @@ impl BlockOrder {
         self.again
     }
 
-    /// Steps that are known and were not taken.
+    /// Steps that are known and that the block, which is complete, does not need.
     pub fn surplus(&self) -> u64 {
+        self.cut + self.known()
+    }
+
+    /// Steps that are known and were not taken yet.
+    fn known(&self) -> u64 {
         let whole = self.given.values().filter_map(|given| given.whole.as_ref());
         whole.map(|steps| steps.len() as u64).sum()
     }
@@ -144,7 +152,7 @@ impl BlockOrder {
         let driven = self.given.values().filter(|given| !given.is_known).count() as u64;
         // An unknown length is no reason to wait.
         let coming = pace.length().map_or(0, |length| driven * length);
-        let expected = self.taken + self.surplus() + coming;
+        let expected = self.taken + self.known() + coming;
         if expected >= self.needed || self.new - self.next >= AHEAD_MAX {
             return None;
         }
@@ -223,7 +231,9 @@ impl BlockOrder {
         self.given.remove(&episode);
         self.next += 1;
         let mut steps = whole;
+        let length = steps.len() as u64;
         steps.truncate(usize::try_from(self.needed - self.taken).unwrap_or(usize::MAX));
+        self.cut += length - steps.len() as u64;
         self.taken += steps.len() as u64;
         Some((episode, steps))
     }
@@ -266,6 +276,7 @@ mod tests {
             .collect();
         assert_eq!(taken, [(0, 30), (1, 30), (2, 40)]);
         assert!(order.is_complete());
+        assert_eq!(order.surplus(), 20);
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use shm_config::secret;
 use supervisor::machine::signals::pause;
-use supervisor::subcommand::write_json;
+use supervisor::subcommand::{say, write_json};
 
 use super::evaluator::Evaluator;
 use super::protocol::{Protocol, STEP_S};
@@ -17,6 +17,7 @@ use super::results::{self, BlockEvaluation};
 use super::warnings::warnings;
 use crate::actors::coordinate::{Coordinator, Watch};
 use crate::actors::door::Door;
+use crate::actors::tally::ActorsTally;
 use crate::actors::tls::ListenerKeys;
 use crate::progress::Progress;
 use crate::stop::Stop;
@@ -50,9 +51,9 @@ pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<E
     let mut progress = Progress::begin(name, "steps", from_to, clock)?;
     let mut evaluator = Evaluator::start(protocol, clock)?;
     let watch = (&mut evaluator, &mut progress);
-    let end = match protocol.actors {
+    let (end, tally) = match protocol.actors {
         Some(actors) => with_actors(protocol, actors, (stop, clock), watch)?,
-        None => drive_all(protocol, stop, watch)?,
+        None => (drive_all(protocol, stop, watch)?, None),
     };
     let end = match end {
         End::Stopped { .. } => {
@@ -69,6 +70,10 @@ pub fn train(protocol: &Protocol, stop: &Stop, clock: Clock) -> anyhow::Result<E
         }
     };
     progress.end();
+    if let Some(tally) = tally {
+        say(tally.table());
+        say(tally.line());
+    }
     Ok(end)
 }
 
@@ -184,12 +189,12 @@ fn with_actors(
     actors: u32,
     (stop, clock): (&Stop, Clock),
     (evaluator, progress): (&mut Evaluator, &mut Progress),
-) -> anyhow::Result<End> {
+) -> anyhow::Result<(End, Option<ActorsTally>)> {
     let folder = &protocol.folder;
     let learner = folder.join("learner");
     let mut said = results::steps(folder)?;
     if said >= protocol.steps {
-        return Ok(End::Complete);
+        return Ok((End::Complete, None));
     }
     let file = protocol.file();
     fs::write(&file, toml::to_string(&protocol.config)?)
@@ -219,12 +224,12 @@ fn with_actors(
     trained?;
     write_json(&folder.join("actors.json"), &tally)?;
     look(protocol, said, (evaluator, progress))?;
-    progress.now(&tally.line());
     let steps = results::steps(folder)?;
-    Ok(match steps >= protocol.steps {
+    let end = match steps >= protocol.steps {
         true => End::Complete,
         false => End::Stopped { steps },
-    })
+    };
+    Ok((end, Some(tally)))
 }
 
 /// File for the output of the process set.

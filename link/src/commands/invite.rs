@@ -73,9 +73,7 @@ pub(super) fn listener(arguments: &Listener) -> Result<u8, String> {
     }
     let keys = RunKeys::read(run).map_err(failed)?;
     let keys = keys.ok_or_else(|| {
-        format!(
-            "run '{run}' has invited no actor; ./vlaps link invite --run {run} --as actor does"
-        )
+        format!("run '{run}' has invited no actor; ./vlaps link invite --run {run} --as actor does")
     })?;
     let printed = serde_json::json!({
         "keys": RunKeys::file(run).map_err(failed)?,

@@ -26,7 +26,9 @@ pub(super) fn join_run(arguments: &Join, stop: &AtomicBool) -> Result<u8, String
     let invited = bundle.role().map_err(|error| error.to_string())?;
     if invited == Role::Actor {
         let path = path.display();
-        return Err(format!("{path}: is an invitation of an actor: ./vlaps actor {path}"));
+        return Err(format!(
+            "{path}: is an invitation of an actor: ./vlaps actor {path}"
+        ));
     }
     if arguments
         .role
