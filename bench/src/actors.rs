@@ -40,6 +40,9 @@ const PROCESSES: [u32; 2] = [1, 2];
 /// How long an event may take: the first episodes of new processes take some seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// How long actors have to end after their row.
+const FAREWELL: Duration = Duration::from_secs(5);
+
 /// Certificates of the tests, whose keys protect nothing else.
 macro_rules! pem {
     ($name:literal) => {
@@ -250,7 +253,7 @@ impl RateRows {
             }
             rates.push(steps as f64 / (elapsed_ns as f64 * 1e-9));
         }
-        pool.finish(Duration::ZERO, pause);
+        pool.finish(FAREWELL, pause);
         let [median, low, high] = [0.5, 0.25, 0.75].map(|share| quantile(&rates, share));
         self.rows.push(Rate {
             row,

@@ -43,9 +43,12 @@ fn clock() -> Instant {
     shm_config::time::monotonic()
 }
 
+/// What an actor of a test does at its end of a connection.
+type Act = Box<dyn FnOnce(UnixStream) + Send>;
+
 /// Trains with these actors; each is a thread at the other end of a connection. Returns the
 /// last policy.
-fn train(actors: Vec<(&str, Box<dyn FnOnce(UnixStream) + Send>)>) -> (Vec<u8>, ActorsTally) {
+fn train(actors: Vec<(&str, Act)>) -> (Vec<u8>, ActorsTally) {
     let place = TempDir::new().expect("a folder");
     let mut coordinator = Coordinator::new(&config(), place.path(), (0, None)).expect("a learner");
     let mut threads = Vec::new();
@@ -78,7 +81,7 @@ fn honest(mut line: UnixStream) {
     let _ = serve(&mut line, "");
 }
 
-fn honest_actor() -> (&'static str, Box<dyn FnOnce(UnixStream) + Send>) {
+fn honest_actor() -> (&'static str, Act) {
     ("honest", Box::new(honest))
 }
 
