@@ -18,6 +18,7 @@ use lab::actors::remote::connect;
 use lab::actors::tally::ActorsTally;
 use lab::actors::tls::{CertifiedKey, Invitation, ListenerKeys, joining};
 use lab::stop::Stop;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 use shm_config::Instant;
 use shm_config::config::{Algorithm, Config, GateMode, planner::Method};
@@ -174,8 +175,9 @@ fn an_invited_actor_teaches_the_same_policies() {
         .spawn()
         .expect("it starts");
     let (policy, tally) = learner.train(|| {});
-    actor.kill().expect("it waits for another training");
-    actor.wait().expect("an end");
+    // It waits for another training.
+    kill_process(Pid::from_child(&actor), Signal::TERM).expect("it lives");
+    assert_eq!(actor.wait().expect("an end").code(), Some(1));
     assert!(policy == expected());
     assert!(tally.actors["actor 00112233"].episodes > 0, "{tally:?}");
     assert!(tally.refused.is_empty(), "{tally:?}");

@@ -3,6 +3,7 @@
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs};
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::bail;
@@ -21,6 +22,8 @@ const CONNECT: Duration = Duration::from_secs(10);
 const SILENCE: Duration = Duration::from_secs(600);
 /// Pause between two attempts.
 const PAUSE: Duration = Duration::from_secs(1);
+/// Interval of the checks for a stop request.
+const LOOK: Duration = Duration::from_millis(100);
 /// Attempts in a row until an actor gives up: a minute and more. The next training of
 /// `--seeds` begins earlier.
 const ATTEMPTS_MAX: u32 = 60;
@@ -66,15 +69,21 @@ pub fn drive(invitation: &Invitation, worlds: usize, stop: &Stop) -> anyhow::Res
             std::thread::spawn(move || serve_all(&invitation, &config, (world, &stop)))
         })
         .collect();
+    // A world that waits for the learner does not look for a stop request; the process ends it.
+    while !served.iter().all(JoinHandle::is_finished) {
+        if stop.is_asked() {
+            bail!("stopped; the training gives its episodes to other actors");
+        }
+        pause(LOOK);
+    }
     let mut ended = 0;
     for thread in served {
         // A panic has printed its own message.
         ended += u32::from(thread.join().unwrap_or(false));
     }
-    match (ended, stop.is_asked()) {
-        (_, true) => bail!("stopped"),
-        (0, false) => bail!("{}: no learner was served there", invitation.address),
-        (_, false) => Ok(()),
+    match ended {
+        0 => bail!("{}: no learner was served there", invitation.address),
+        _ => Ok(()),
     }
 }
 
