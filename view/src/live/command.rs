@@ -18,6 +18,7 @@ use supervisor::cli::parsers::{Name, whole};
 use supervisor::run::selection::alive;
 use supervisor::subcommand::{Output, Subcommand, say, write_json_option};
 
+use super::fleet::{Fleet, watch};
 use super::foxglove::{Board, FoxgloveServer};
 use super::hub::Hub;
 use super::reader::{Boards, Wanted, read};
@@ -30,17 +31,21 @@ const PORT: &str = "8090";
 /// The port at which Foxglove and Lichtblick look first.
 const FOXGLOVE_PORT: &str = "8765";
 
-/// Show a running set, or a recording, as a page for a browser.
+/// Show a running set, all of them, or a recording, as a page for a browser.
 #[derive(Debug, Args)]
 #[command(
     after_help = "The page reads and changes nothing; it makes no tick late. It follows the run \
         through its end and its return. With --bind other machines can open it: the printed \
         address then holds a random token, and any browser with it can watch. ? on the page shows \
         its keys.\n\n\
+        --all shows a card for each run of this user on this machine, and so also for the runs \
+        that ./vlaps join mirrors from other machines. Runs that need attention come first; a \
+        click opens the page of one run.\n\n\
         Exit code 2: the port is taken, or no run or recording has this name.\n\n\
         Examples:\n  \
         ./vlaps view                              the set of this folder, now or when it starts\n  \
         ./vlaps view --run second --port 8091\n  \
+        ./vlaps view --all                        all runs, a card for each\n  \
         ./vlaps view RECORDING                    play, seek, jump to the next event\n  \
         ./vlaps view --bind 0.0.0.0               for a browser on another machine\n  \
         ./vlaps view --foxglove                   for Foxglove and Lichtblick, too"
@@ -53,6 +58,9 @@ pub struct View {
     /// Name of the run; without it, the one set of this folder.
     #[arg(long, value_name = "NAME", value_parser = Name)]
     pub run: Option<RunName>,
+    /// Show all runs of this user on this machine, those mirrored from other machines too.
+    #[arg(long, conflicts_with_all = ["recording", "run", "foxglove"])]
+    pub all: bool,
     /// Port of the page; 0 takes any free one.
     #[arg(long, value_name = "N", default_value = PORT, allow_negative_numbers = true,
           value_parser = whole::<u16>(0..=65_535))]
@@ -85,10 +93,11 @@ impl Subcommand for View {
         vec![Output::json(&self.json)]
     }
 
-    fn run(&self, _clock: Clock) -> anyhow::Result<ExitCode> {
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
         let signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).context("cannot handle signals")?;
         match &self.recording {
             Some(path) => self.recorded(path, signals)?,
+            None if self.all => self.fleet(clock, signals)?,
             None => self.live(signals)?,
         }
         Ok(ExitCode::SUCCESS)
@@ -148,6 +157,24 @@ impl View {
         Ok(())
     }
 
+    /// Shows all runs until a signal comes.
+    fn fleet(&self, clock: Clock, signals: Signals) -> anyhow::Result<()> {
+        let fleet = Arc::new(Fleet::new(clock));
+        let server = self.start(Arc::new(Source::Fleet(fleet.clone())), None)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let watcher = std::thread::Builder::new()
+            .name("view-fleet".into())
+            .spawn(move || watch::watch(&fleet, &stopped))
+            .context("cannot start the watcher's thread")?;
+        wait(signals);
+        drop(server);
+        stop.store(true, Ordering::Relaxed);
+        // It panicked, and said so; the system frees what it held.
+        let _ = watcher.join();
+        Ok(())
+    }
+
     /// Shows a recording until a signal comes.
     fn recorded(&self, path: &Path, signals: Signals) -> anyhow::Result<()> {
         let tape = Arc::new(Tape::open(path)?);
@@ -171,7 +198,7 @@ impl View {
         };
         write_json_option(&self.json, &told)?;
         say(format_args!(
-            "{url}{also}\nCtrl-C stops the page; the run goes on, if one does"
+            "{url}{also}\nCtrl-C stops the page; a run that it shows goes on"
         ));
         Ok(server)
     }

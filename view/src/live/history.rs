@@ -78,6 +78,11 @@ impl History {
         self.open = Some(sample);
     }
 
+    /// The sample of all steps since the last [`History::take`], which goes on.
+    pub fn open(&self) -> Option<&Sample> {
+        self.open.as_ref()
+    }
+
     /// The sample of all steps since the last call; `None` when there was none.
     pub fn take(&mut self) -> Option<Sample> {
         self.open.take()

@@ -11,6 +11,7 @@
 //! | [`scene`], [`history`], [`events`], [`status`], [`tree`] | what the page draws |
 //! | [`hub`] | what reader and connections share: the newest wins |
 //! | [`tape`] | the same of a recording, on request |
+//! | [`fleet`] | all runs of the user on one page |
 //! | [`source`], [`server`], [`guard`] | the paths, and who may read them |
 //! | [`listening`] | a port, its thread and its connections |
 //! | [`page`] | the page's files |
@@ -18,6 +19,7 @@
 
 pub mod command;
 pub mod events;
+pub mod fleet;
 pub mod foxglove;
 pub mod guard;
 pub mod hello;

@@ -32,6 +32,11 @@ const TEXT: &str = "text/plain; charset=utf-8";
 
 files! {
     "" HTML "page/index.html",
+    "fleet.html" HTML "page/fleet.html",
+    "fleet.css" STYLE "page/fleet.css",
+    "fleet.js" SCRIPT "page/fleet.js",
+    "card.js" SCRIPT "page/card.js",
+    "theme.js" SCRIPT "page/theme.js",
     "page.css" STYLE "page/page.css",
     "main.js" SCRIPT "page/main.js",
     "store.js" SCRIPT "page/store.js",

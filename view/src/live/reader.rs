@@ -35,12 +35,12 @@ use super::scene::Painter;
 use super::status::{RunFolder, Status};
 
 /// Time between two reads: the page's 20 Hz.
-const LOOK: Duration = Duration::from_millis(50);
+pub(super) const LOOK: Duration = Duration::from_millis(50);
 /// Reads between two looks whether the supervisor lives: five a second, well within the
 /// two seconds for which a new supervisor waits for the readers of the old run.
 const ALIVE_LOOKS: u64 = 4;
 /// Reads between two reports of the processes.
-const STATUS_LOOKS: u64 = 20;
+pub(super) const STATUS_LOOKS: u64 = 20;
 /// Time between two searches for a run.
 const SEARCH: Duration = Duration::from_millis(250);
 /// The most pending messages of a latest-value service.
@@ -98,7 +98,8 @@ fn of_this_folder() -> Result<Option<RunPaths>, Failure> {
         let names: Vec<_> = own.iter().map(|run| run.name().to_string()).collect();
         let names = names.join(", ");
         return Err(Failure::Usage(format!(
-            "several sets of this folder run: {names}; name one with --run NAME"
+            "several sets of this folder run: {names}; name one with --run NAME, or see them \
+             with --all"
         )));
     }
     Ok(own.pop())
@@ -156,15 +157,7 @@ fn follow(
     stop: &AtomicBool,
 ) -> Result<(), Failure> {
     let hub = &boards.hub;
-    let starting = || {
-        let name = paths.name();
-        Failure::GivenUp(format!("run '{name}' is just starting or ending"))
-    };
-    let config = config::load(&paths.config_file()).map_err(|_| starting())?;
-    let wire = Wire::join(paths.name(), Process::Supervisor)?;
-    wire.follow(supervisor)?;
-    wire.await_named(Process::Supervisor, supervisor)?;
-    let mut live = Live::open(&wire, config, paths, supervisor)?;
+    let mut live = Live::open(paths, supervisor)?;
     let board = boards.foxglove.clone();
     live.shown = board.map(|board| Shown::new(board, &live.config));
     hub.begin(&Hello::live(&live.config, supervisor).json());
@@ -184,36 +177,45 @@ fn follow(
 }
 
 /// A run that is being read.
-struct Live<'a> {
-    config: Config,
+pub(super) struct Live<'a> {
+    pub(super) config: Config,
     paths: &'a RunPaths,
     supervisor: u32,
     ports: Ports,
-    tally: Tally,
+    /// The membership: it ends after the ports.
+    _wire: Wire,
+    pub(super) tally: Tally,
     painter: Painter,
-    history: History,
+    pub(super) history: History,
     detector: Detector,
     folder: RunFolder,
     /// Shows the run to Foxglove, too.
     shown: Option<Shown>,
     step: Option<Box<Step>>,
     /// Whether the step came since the last moment.
-    is_new: bool,
+    pub(super) is_new: bool,
 }
 
 impl<'a> Live<'a> {
-    fn open(
-        wire: &Wire,
-        config: Config,
-        paths: &'a RunPaths,
-        supervisor: u32,
-    ) -> Result<Self, Failure> {
+    /// Joins a run as a reader.
+    ///
+    /// # Errors
+    /// When it has another layout, is not ours, or is just starting or ending.
+    pub(super) fn open(paths: &'a RunPaths, supervisor: u32) -> Result<Self, Failure> {
+        let config = config::load(&paths.config_file()).map_err(|_| {
+            let name = paths.name();
+            Failure::GivenUp(format!("run '{name}' is just starting or ending"))
+        })?;
+        let wire = Wire::join(paths.name(), Process::Supervisor)?;
+        wire.follow(supervisor)?;
+        wire.await_named(Process::Supervisor, supervisor)?;
         // The supervisor writes down where the folder is: the name in the configuration
         // is relative to where it was started.
         let origin = paths.origin().map(|origin| origin.folder);
         let folder = origin.unwrap_or_else(|| Path::new(&config.run.folder).into());
         Ok(Self {
-            ports: Ports::open(wire)?,
+            ports: Ports::open(&wire)?,
+            _wire: wire,
             painter: Painter::new(&config),
             folder: RunFolder::new(&folder),
             shown: None,
@@ -235,7 +237,7 @@ impl<'a> Live<'a> {
     }
 
     /// Takes all new messages in. Never blocks; bounded by the queues.
-    fn drain(&mut self) {
+    pub(super) fn drain(&mut self) {
         let (tally, detector) = (&mut self.tally, &mut self.detector);
         for (process, port) in &mut self.ports.healths.0 {
             for health in pending(port, PENDING_MAX) {
@@ -299,7 +301,8 @@ impl<'a> Live<'a> {
         }
     }
 
-    fn moment(&mut self, status_due: bool) -> Moment {
+    /// What is new since the last moment.
+    pub(super) fn moment(&mut self, status_due: bool) -> Moment {
         let step = self.step.as_ref().filter(|_| self.is_new);
         // A step without an observation shows nothing.
         let drawn = step.filter(|step| step.observation_age_ns != u64::MAX);

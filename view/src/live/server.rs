@@ -22,7 +22,7 @@ use super::guard::{Guard, Refused};
 use super::hub::{Cursor, Hub};
 use super::listening::{FIRST_REQUEST, Limits, Listening, Peer};
 use super::page;
-use super::source::Source;
+use super::source::{Place, Source};
 
 /// Pages that follow a run at a time; a further one is told to wait.
 const CLIENTS_MAX: usize = 64;
@@ -149,13 +149,21 @@ async fn dispatch(shared: &Shared, from: SocketAddr, head: &Parts) -> Result<Res
     if rest.is_empty() && !path.ends_with('/') {
         return Ok(moved(&guard.root()));
     }
-    if let Some(file) = page::file(rest) {
+    let (source, rest) = match shared.source.place(rest)? {
+        Place::Below(source, rest) => (source, rest),
+        Place::WithoutSlash => return Ok(moved(&format!("{path}/"))),
+    };
+    let name = match rest {
+        "" => source.page(),
+        rest => rest,
+    };
+    if let Some(file) = page::file(name) {
         return Ok(whole(file.media_type, Bytes::from_static(file.bytes)));
     }
-    match (rest, shared.source.hub()) {
+    match (rest, source.hub()) {
         ("stream", Some(hub)) => stream(hub),
         _ => {
-            let (source, rest) = (shared.source.clone(), rest.to_string());
+            let rest = rest.to_string();
             let query = query.unwrap_or_default().to_string();
             // It reads files, or plans: not among the connections.
             let told = tokio::task::spawn_blocking(move || source.tell(&rest, &query));

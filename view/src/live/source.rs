@@ -6,8 +6,10 @@ use std::sync::Arc;
 use axum::http::StatusCode;
 use bytes::Bytes;
 use shm_config::config;
-use shm_config::run::RunPaths;
+use shm_config::file::read_ours;
+use shm_config::run::{RunName, RunPaths};
 
+use super::fleet::Fleet;
 use super::guard::Refused;
 use super::hub::Hub;
 use super::reader::Wanted;
@@ -15,7 +17,6 @@ use super::server::json;
 use super::status::{RunFolder, is_picture};
 use super::tape::Tape;
 use super::tree::search;
-use shm_config::file::read_ours;
 
 /// Longest picture that is sent, bytes: one of the largest frame without compression.
 const PICTURE_BYTES_MAX: u64 = 8 << 20;
@@ -29,6 +30,10 @@ const DAMAGED: Refused = (
     "the recording is damaged there\n",
 );
 const NOTHING: Refused = (StatusCode::NOT_FOUND, "there is nothing here\n");
+const NO_RUN: Refused = (
+    StatusCode::NOT_FOUND,
+    "no run of this name lives, or too many runs are open\n",
+);
 
 /// What a page shows.
 #[derive(Debug)]
@@ -37,6 +42,17 @@ pub enum Source {
     Live(Arc<Hub>, Wanted),
     /// A recording.
     Recorded(Arc<Tape>),
+    /// All living runs of the user.
+    Fleet(Arc<Fleet>),
+}
+
+/// What a path of a request leads to.
+#[derive(Debug)]
+pub enum Place<'a> {
+    /// The path below this source's page.
+    Below(Arc<Source>, &'a str),
+    /// A page whose path lacks the slash at its end.
+    WithoutSlash,
 }
 
 impl Source {
@@ -45,7 +61,43 @@ impl Source {
         match self {
             Self::Live(hub, _) => Some(hub),
             Self::Recorded(_) => None,
+            Self::Fleet(fleet) => Some(&fleet.hub),
         }
+    }
+
+    /// The name of the page's own file.
+    pub fn page(&self) -> &'static str {
+        match self {
+            Self::Live(..) | Self::Recorded(_) => "",
+            Self::Fleet(_) => "fleet.html",
+        }
+    }
+
+    /// Where a path leads: of all runs, `run/NAME/` leads to the page of one.
+    ///
+    /// # Errors
+    /// When the name is none, or no run has it.
+    pub fn place<'a>(self: &Arc<Self>, path: &'a str) -> Result<Place<'a>, Refused> {
+        let Self::Fleet(fleet) = &**self else {
+            return Ok(Place::Below(self.clone(), path));
+        };
+        let Some(below) = path.strip_prefix("run/") else {
+            return Ok(Place::Below(self.clone(), path));
+        };
+        let (name, rest) = match below.split_once('/') {
+            Some((name, rest)) => (name, Some(rest)),
+            None => (below, None),
+        };
+        // The name becomes part of a path only after this check.
+        let name: RunName = name.parse().map_err(|_| NOTHING)?;
+        let entry = fleet.open(&name).ok_or(NO_RUN)?;
+        Ok(match rest {
+            Some(rest) => {
+                let run = Self::Live(entry.hub.clone(), Wanted::Named(name));
+                Place::Below(Arc::new(run), rest)
+            }
+            None => Place::WithoutSlash,
+        })
     }
 
     /// The answer to a path; it may read files and take some milliseconds.
@@ -65,6 +117,8 @@ impl Source {
                 None => Err(NOTHING),
             },
             (Self::Recorded(tape), path) => recorded(tape, path, query),
+            (Self::Fleet(fleet), "hello") => Ok(json(fleet.hub.hello().to_string())),
+            (Self::Fleet(_), _) => Err(NOTHING),
         }
     }
 }

@@ -5,6 +5,7 @@ import { SceneView } from "./scene.js";
 import { Timeline } from "./timeline.js";
 import { Charts } from "./charts.js";
 import { Panels } from "./panels.js";
+import { Theme } from "./theme.js";
 
 const PACES = [0.1, 0.25, 0.5, 1, 2, 5, 10, 50];
 const byId = (id) => document.getElementById(id);
@@ -201,23 +202,18 @@ function changePace(by) {
   toast(`speed ${store.pace}`);
 }
 
-function setTheme(theme) {
-  document.documentElement.dataset.theme = theme;
+const theme = new Theme(() => {
   scene.restyle();
   timeline.restyle();
   charts.restyle();
   panels.drawStatus();
   redraw();
-}
+});
 
-function changeTheme() {
-  const theme = document.documentElement.dataset.theme === "light" ? "dark" : "light";
-  try {
-    localStorage.setItem("theme", theme);
-  } catch {
-    // Without storage it holds until the page is closed.
-  }
-  setTheme(theme);
+// Of a page below that of all runs, the way back.
+const isOfMany = /\/run\/[^/]+\/$/.test(location.pathname);
+function showAll() {
+  if (isOfMany) location.assign("../../");
 }
 
 function toggleLayer(key) {
@@ -242,7 +238,8 @@ const KEYS = [
   [["u"], "u", "north up, or the car's heading up", () => { scene.isNorthUp = !scene.isNorthUp; redraw(["scene"]); }],
   [["t"], "t", "search tree", () => toggleLayer("tree")],
   [["c"], "c", "copy a link to this tick", copyLink],
-  [["d"], "d", "dark or light", changeTheme],
+  [["d"], "d", "dark or light", () => theme.change()],
+  [["a"], isOfMany ? "a" : "", "all runs", showAll],
   [["?"], "?", "these keys", () => (byId("help").open ? byId("help").close() : byId("help").showModal())],
 ];
 
@@ -258,7 +255,7 @@ function listen() {
     action(event);
     drawState();
   });
-  const buttons = { previous: () => jump(-1), next: () => jump(1), back: () => store.step(-1), forward: () => store.step(1), play: playOrPause, edge: () => store.follow(), link: copyLink, theme: changeTheme, keys: () => byId("help").showModal() };
+  const buttons = { previous: () => jump(-1), next: () => jump(1), back: () => store.step(-1), forward: () => store.step(1), play: playOrPause, edge: () => store.follow(), link: copyLink, theme: () => theme.change(), keys: () => byId("help").showModal() };
   for (const [id, action] of Object.entries(buttons)) {
     byId(id).addEventListener("click", () => {
       action();
@@ -288,17 +285,8 @@ function listen() {
     const tick = tickOfLink();
     if (tick !== null) store.seek(tick);
   });
-  const dark = matchMedia("(prefers-color-scheme: dark)");
-  const stored = () => {
-    try {
-      return localStorage.getItem("theme");
-    } catch {
-      return null;
-    }
-  };
-  const wanted = () => stored() ?? (dark.matches ? "dark" : "light");
-  dark.addEventListener("change", () => setTheme(wanted()));
-  setTheme(wanted());
+  theme.begin();
+  byId("all").hidden = !isOfMany;
   new ResizeObserver(() => redraw()).observe(document.body);
   new ResizeObserver(() => redraw()).observe(byId("stage"));
 }

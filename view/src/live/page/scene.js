@@ -13,7 +13,9 @@ const FAR_M = 160;
 const TREE_MS = 250;
 
 export class SceneView {
-  constructor(canvas, store) {
+  // A small one has no wheel, no labels, and a camera that jumps.
+  constructor(canvas, store, isSmall = false) {
+    this.isSmall = isSmall;
     this.canvas = canvas;
     this.store = store;
     this.context = canvas.getContext("2d");
@@ -23,6 +25,7 @@ export class SceneView {
     this.tree = null;
     this.treeAsked = 0;
     this.camera = null;
+    if (isSmall) return;
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.zoom(Math.exp(event.deltaY * 0.0012));
@@ -119,7 +122,7 @@ export class SceneView {
       this.camera = { from: camera.pose, to: goal, began: now, tick: scene.tick, episode: scene.episode, pose: camera.pose };
     }
     const { from, to, began } = this.camera;
-    const share = Math.min(1, (now - began) / 60);
+    const share = this.isSmall ? 1 : Math.min(1, (now - began) / 60);
     const turn = Math.atan2(Math.sin(to[2] - from[2]), Math.cos(to[2] - from[2]));
     this.camera.pose = [from[0] + share * (to[0] - from[0]), from[1] + share * (to[1] - from[1]), from[2] + share * turn];
     this.isMoving = share < 1;
@@ -213,6 +216,10 @@ export class SceneView {
       context.beginPath();
       context.arc(x, y, r * this.view.scale, 0, 2 * Math.PI);
       context.stroke();
+    }
+    if (this.isSmall) {
+      context.globalAlpha = 1;
+      return;
     }
     context.globalAlpha = 0.55;
     context.font = "10px system-ui, sans-serif";
