@@ -78,11 +78,16 @@ impl Page {
         Answer::of(&bytes)
     }
 
-    /// Follows the run.
+    /// Follows the run, or all of them.
     pub fn follow(&self) -> Events {
+        self.follow_below("")
+    }
+
+    /// Follows what is shown at a path below the page.
+    pub fn follow_below(&self, below: &str) -> Events {
         let (host, root) = self.place();
         let mut stream = TcpStream::connect(self.address()).expect("a connection");
-        let head = format!("GET {root}stream HTTP/1.0\r\nHost: {host}\r\n\r\n");
+        let head = format!("GET {root}{below}stream HTTP/1.0\r\nHost: {host}\r\n\r\n");
         stream.write_all(head.as_bytes()).expect("a request");
         stream.set_read_timeout(Some(SILENCE)).expect("a timeout");
         Events {

@@ -80,26 +80,25 @@ impl Entry {
         self.kept().facts.end
     }
 
-    /// Takes the place of the run's one reader; `false` when it is taken, or an opening
-    /// failed a moment ago.
-    pub fn take_seat(&self, now: Instant) -> bool {
-        self.change(|kept| {
+    /// The place of the run's one reader; `None` when it is taken, or an opening failed a
+    /// moment ago.
+    pub fn take_seat(self: &Arc<Self>, now: Instant) -> Option<Seat> {
+        let is_free = self.change(|kept| {
             let failed = kept.failed;
             let is_due = failed.is_none_or(|at| now.since_ns(at) >= RETRY_NS);
             let is_free = is_due && !kept.is_read;
             kept.is_read |= is_free;
             is_free
+        });
+        is_free.then(|| Seat {
+            entry: self.clone(),
+            taken: now,
         })
     }
 
     /// Whether a reader has its place.
     pub fn is_read(&self) -> bool {
         self.kept().is_read
-    }
-
-    /// Leaves the place of the reader.
-    pub fn leave_seat(&self) {
-        self.change(|kept| kept.is_read = false);
     }
 
     /// Its reader has opened it: what was known of an earlier time is forgotten.
@@ -170,27 +169,58 @@ impl Entry {
     }
 }
 
+/// The place of a run's one reader. It is free again when this is dropped.
+#[derive(Debug)]
+pub struct Seat {
+    /// The run.
+    pub entry: Arc<Entry>,
+    taken: Instant,
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let why = "its reader failed; the terminal of ./vlaps view has more";
+            self.entry.is_refused(why, self.taken);
+        }
+        self.entry.change(|kept| kept.is_read = false);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     const SECOND: u64 = 1_000_000_000;
 
-    fn entry() -> Entry {
-        Entry::new("a".parse().expect("a name"), Instant(0))
+    fn entry() -> Arc<Entry> {
+        Arc::new(Entry::new("a".parse().expect("a name"), Instant(0)))
     }
 
     #[test]
     fn a_run_has_one_reader_and_a_failed_opening_is_tried_again_later() {
         let entry = entry();
-        assert!(entry.take_seat(Instant(0)));
-        assert!(!entry.take_seat(Instant(0)));
-        entry.leave_seat();
-        assert!(entry.take_seat(Instant(1)));
+        let seat = entry.take_seat(Instant(0)).expect("it is free");
+        assert!(entry.take_seat(Instant(0)).is_none() && entry.is_read());
+        drop(seat);
+        assert!(entry.take_seat(Instant(1)).is_some());
         entry.is_refused("why", Instant(SECOND));
-        entry.leave_seat();
-        assert!(!entry.take_seat(Instant(SECOND + 700_000_000)));
-        assert!(entry.take_seat(Instant(2 * SECOND + 200_000_000)));
+        assert!(entry.take_seat(Instant(SECOND + 700_000_000)).is_none());
+        assert!(entry.take_seat(Instant(2 * SECOND)).is_some());
+    }
+
+    #[test]
+    fn a_reader_that_panics_leaves_its_place_and_the_card_says_so() {
+        let entry = entry();
+        let seat = entry.take_seat(Instant(SECOND)).expect("it is free");
+        let reader = std::thread::spawn(move || {
+            let _seat = seat;
+            panic!("as the test wants");
+        });
+        assert!(reader.join().is_err());
+        assert!(!entry.is_read());
+        assert_eq!(entry.card(Instant(9 * SECOND)).state, State::Refused);
+        assert!(entry.take_seat(Instant(9 * SECOND)).is_some());
     }
 
     #[test]

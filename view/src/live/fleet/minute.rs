@@ -32,7 +32,8 @@ impl Minute {
         if let Some(sample) = sample {
             // A sample names the driver where it changes; until then the last one drives.
             let first = sample.drivers.first().map_or(u64::MAX, |change| change.0);
-            if u64::from(sample.steps) + first > sample.tick + 1 {
+            let steps = u64::from(sample.steps);
+            if first.saturating_add(steps) > sample.tick.saturating_add(1) {
                 bits |= self.driver;
             }
             for (_, code, _) in &sample.drivers {

@@ -85,21 +85,15 @@ fn start(fleet: &Arc<Fleet>, entry: &Arc<Entry>, stop: &Arc<AtomicBool>) -> Opti
         }
         return None;
     }
-    if !entry.take_seat(now) {
-        return None;
-    }
-    let (fleet, read_entry, stop) = (fleet.clone(), entry.clone(), stop.clone());
+    let seat = entry.take_seat(now)?;
+    let (fleet, stop) = (fleet.clone(), stop.clone());
     let started = std::thread::Builder::new()
         .name("view-reader".into())
-        .spawn(move || {
-            read(&fleet, &read_entry, &stop);
-            read_entry.leave_seat();
-        });
+        .spawn(move || read(&fleet, &seat.entry, &stop));
     match started {
         Ok(reader) => Some(reader),
         Err(error) => {
             entry.is_refused(&format!("the reader's thread: {error}"), now);
-            entry.leave_seat();
             None
         }
     }
