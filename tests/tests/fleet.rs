@@ -102,6 +102,12 @@ fn runs_come_and_go_on_the_page_and_each_has_a_page_of_its_own() {
         later["scene"]["tick"].as_u64() > moment["scene"]["tick"].as_u64()
     });
     one.until("status", |status| status["view"]["processes"].is_array());
+    // A page that is opened late is told the driver, too.
+    let mut late = page.follow_below(&below);
+    late.until("moment", |moment| {
+        let drivers = moment["samples"][0]["drivers"].as_array();
+        drivers.is_some_and(|drivers| !drivers.is_empty())
+    });
 
     // One is killed: it is shown as ended, after all that live, and the other drives on.
     first.signal(Signal::KILL);

@@ -236,6 +236,12 @@ impl<'a> Live<'a> {
         })
     }
 
+    /// Begins the course of the run again: its next sample names the driver, for a page that
+    /// is opened now.
+    pub(super) fn begin_course(&mut self) {
+        self.history.forget_driver();
+    }
+
     /// Takes all new messages in. Never blocks; bounded by the queues.
     pub(super) fn drain(&mut self) {
         let (tally, detector) = (&mut self.tally, &mut self.detector);

@@ -94,11 +94,6 @@ impl Figures {
         let occurred = view.outcomes.into_iter();
         self.outcomes = occurred.filter(|(_, count)| *count > 0).collect();
     }
-
-    /// How often processes were restarted.
-    pub fn restarts_total(&self) -> u32 {
-        self.restarts.iter().map(|(_, count)| count).sum()
-    }
 }
 
 /// Events by kind.

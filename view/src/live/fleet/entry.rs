@@ -70,6 +70,11 @@ impl Entry {
         }
     }
 
+    /// Whether a step of it was read.
+    pub fn has_driven(&self) -> bool {
+        self.kept().facts.newest.is_some()
+    }
+
     /// Changes what is known.
     pub fn change<T>(&self, change: impl FnOnce(&mut Kept) -> T) -> T {
         change(&mut self.kept())

@@ -21,6 +21,8 @@ pub struct Minute {
     parts: VecDeque<u8>,
     /// Number of the newest part since the clock's zero.
     newest: u64,
+    /// Number of the part to which steps were last added.
+    added: u64,
     driver: u8,
 }
 
@@ -41,9 +43,18 @@ impl Minute {
                 bits |= self.driver;
             }
         }
-        if let Some(part) = self.parts.back_mut() {
+        let mut latest = self.parts.iter_mut().rev();
+        if let Some(part) = latest.next() {
             *part |= bits;
         }
+        if sample.is_none() {
+            return;
+        }
+        // A sample is of about one part and may pass over one whole: its steps are of both.
+        if let (Some(part), 2) = (latest.next(), self.newest - self.added) {
+            *part |= bits & !MARK;
+        }
+        self.added = self.newest;
     }
 
     /// The parts until now, the oldest first.
@@ -105,10 +116,22 @@ mod tests {
         let third = sample(&mut history, &[(4, Driver::Expert), (5, Driver::Policy)]);
         minute.add(third.as_ref(), true, at(2));
         minute.add(None, false, at(4));
+        minute.add(None, false, at(5));
         let fourth = sample(&mut history, &[(6, Driver::Policy)]);
-        minute.add(fourth.as_ref(), false, at(5));
-        let expected = [expert, expert, expert | policy | MARK, 0, 0, policy];
+        minute.add(fourth.as_ref(), false, at(6));
+        let expected = [expert, expert, expert | policy | MARK, 0, 0, 0, policy];
         assert_eq!(minute.parts(), expected);
+    }
+
+    #[test]
+    fn a_sample_that_passes_over_a_part_fills_it() {
+        let (mut history, mut minute) = (History::default(), Minute::default());
+        for (tick, part) in [(1, 0), (2, 1), (3, 3), (4, 6)] {
+            let sample = sample(&mut history, &[(tick, Driver::Expert)]);
+            minute.add(sample.as_ref(), part == 3, at(part));
+        }
+        let one = bit(Driver::Expert.code());
+        assert_eq!(minute.parts(), [one, one, one, one | MARK, 0, 0, one]);
     }
 
     #[test]

@@ -41,6 +41,8 @@ use entry::Entry;
 pub const RUNS_MAX: usize = 64;
 /// Time for which an ended run stays listed, ns: ten minutes.
 pub const ENDED_NS: u64 = 600_000_000_000;
+/// The same for a run of which no step was read, ns: it has nothing to show.
+const UNDRIVEN_NS: u64 = 10_000_000_000;
 /// Time without a page after which readers are closed, ns: a page that is loaded again
 /// finds them.
 pub const LET_GO_NS: u64 = 10_000_000_000;
@@ -133,7 +135,13 @@ impl Fleet {
 
     /// Removes the cards of runs that ended long ago.
     fn forget(&self, now: Instant) {
-        let is_old = |entry: &Entry| entry.end().is_some_and(|end| now.since_ns(end) > ENDED_NS);
+        let is_old = |entry: &Entry| {
+            let kept_ns = match entry.has_driven() {
+                true => ENDED_NS,
+                false => UNDRIVEN_NS,
+            };
+            entry.end().is_some_and(|end| now.since_ns(end) > kept_ns)
+        };
         self.entries()
             .retain(|_, entry| !is_old(entry) || entry.hub.clients() > 0);
     }
@@ -191,7 +199,12 @@ mod tests {
     fn an_ended_run_stays_listed_for_a_while() {
         let fleet = Fleet::new(noon);
         let entry = fleet.add(&name(1)).expect("a card");
+        entry.change(|kept| kept.facts.newest = Some(Instant(1)));
         entry.has_ended(Instant(1));
+        let undriven = fleet.add(&name(2)).expect("a card");
+        undriven.has_ended(Instant(1));
+        fleet.forget(Instant(1 + UNDRIVEN_NS));
+        assert_eq!(fleet.all().len(), 2);
         fleet.forget(Instant(1 + ENDED_NS));
         assert_eq!(fleet.all().len(), 1);
         fleet.forget(Instant(2 + ENDED_NS));

@@ -61,6 +61,7 @@ fn follow(
     let mut reading = Reading::begin(fleet.now(), entry, &live, supervisor);
     entry.hub.begin(&hello);
     let (mut wanted, mut alive, mut page) = (fleet.now(), fleet.now(), None);
+    let mut was_paged = false;
     while !stop.load(Ordering::Relaxed) {
         let now = fleet.now();
         if now.since_ns(alive) >= ALIVE_NS {
@@ -76,6 +77,10 @@ fn follow(
         if now.since_ns(wanted) > LET_GO_NS {
             break;
         }
+        if is_paged && !was_paged {
+            live.begin_course();
+        }
+        was_paged = is_paged;
         live.drain();
         if is_paged || now.since_ns(reading.told) >= CARD_NS {
             let looks = page.map_or(0, |(looks, _): (u64, Instant)| looks);
@@ -164,7 +169,7 @@ impl<'a> Reading<'a> {
         let machine = machine(live, self.supervisor);
         self.entry.change(|kept| {
             let (skipped, is_first) = (kept.figures.skipped, kept.figures.clock.is_empty());
-            let restarted = kept.figures.restarts_total();
+            let before = std::mem::take(&mut kept.figures.restarts);
             kept.figures.take(view);
             kept.figures.read_s = rounded(now.since_ns(self.begun) as f64 * 1e-9, 0);
             kept.machine = machine;
@@ -175,9 +180,10 @@ impl<'a> Reading<'a> {
             if kept.figures.skipped > skipped {
                 kept.facts.rising = Some(now);
             }
-            if kept.figures.restarts_total() > restarted {
+            let restarts = &kept.figures.restarts;
+            if let Some((process, _)) = restarts.iter().find(|row| !before.contains(row)) {
                 kept.facts.fault = Some(now);
-                kept.fault = "a process was restarted".into();
+                kept.fault = format!("{process} was restarted");
             }
         });
     }

@@ -37,7 +37,7 @@ export class Card {
     this.newest = null;
     this.build();
     this.view = new SceneView(this.canvas, this, true);
-    this.view.across = 78;
+    this.view.across = 56;
     this.view.layers.set("tree", false);
   }
 
@@ -94,6 +94,9 @@ export class Card {
   addSample(sample) {
     // Another run of this name begins anew.
     if (this.samples.length && sample.tick <= this.samples.at(-1).tick) this.samples = [];
+    // The trail begins with the driver of now: a sample names it where it changes.
+    const code = this.drivers.findIndex(([word]) => word === this.told.driver?.[0]);
+    if (!this.samples.length && !sample.drivers.length) sample.drivers = [[sample.tick, code, 0]];
     this.samples.push(sample);
     if (this.samples.length > SAMPLES_MAX) this.samples.shift();
   }
