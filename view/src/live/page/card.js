@@ -106,13 +106,15 @@ export class Card {
     const { told } = this;
     this.root.dataset.state = told.state;
     this.chip.textContent = WORDS[told.state] ?? told.state;
-    this.machine.textContent = told.machine ? `from ${told.machine.address}${told.machine.is_connected ? "" : ", not connected"}` : "this machine";
+    const { machine } = told;
+    this.machine.textContent = machine ? `${machine.is_connected ? "" : "not connected: "}${machine.address}` : "this machine";
+    this.machine.title = machine ? `from ${machine.address}, as ${machine.role}` : "";
     const [driver, reason] = told.driver ?? ["", ""];
     this.driver.hidden = !driver;
     this.driver.textContent = driver;
     this.driver.style.background = `var(--${driver || "quiet"})`;
     this.reason.textContent = reason;
-    const speed = told.episode?.speed_mps;
+    const speed = told.episode?.speed_mps ?? this.newest?.speed_mps;
     this.fast.hidden = speed === undefined;
     this.speed.textContent = speed?.toFixed(1) ?? "";
     const age = told.age_s === null ? "" : duration(told.age_s);
