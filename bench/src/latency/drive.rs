@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use shm_config::config::Config;
+use shm_config::run::{RunName, RunPaths};
 
 use super::Bench;
 use super::arguments::Case;
@@ -16,8 +17,8 @@ use super::ros::RowRos;
 use super::row::{Row, planner};
 use super::stress::Stress;
 use super::viewers::RowPage;
-use super::watch::{Watch, is_up};
-use crate::driven::{Driven, Punctuality, quantiles};
+use super::watch::Watch;
+use crate::driven::{Driven, Punctuality, is_up, quantiles};
 use crate::floor::{Floor, Priority, claim};
 use crate::stalls::{StallWatch, Stalls};
 use supervisor::subcommand::settings;
@@ -144,9 +145,10 @@ impl Judges {
 
 /// Waits until the set's processes are up; `None` if a stop is requested first.
 fn await_start(bench: &Bench<'_>, driven: &mut Driven) -> anyhow::Result<Option<Watch>> {
-    let name = driven.name().parse()?;
+    let name: RunName = driven.name().parse()?;
+    let paths = RunPaths::new(name.clone());
     let until = (bench.clock)().after_ns(START_NS);
-    while !is_up(&name) {
+    while !is_up(&paths) {
         // Nothing drives yet. A signal to the whole process group may have reached the
         // set, too, before it moved to a group of its own.
         if bench.stop.is_asked() {

@@ -6,7 +6,7 @@ use std::cmp::Reverse;
 use serde::{Deserialize, Serialize};
 use shm_config::Instant;
 use shm_config::message::{Health, Message, Step};
-use shm_config::run::{RunName, RunPaths};
+use shm_config::run::RunName;
 use shm_config::services::{Process, STEP, health};
 use shm_config::wire::{Subscriber, Wire};
 
@@ -195,11 +195,6 @@ impl Observed {
         let all = |events: &[Event]| events.iter().map(beside).collect();
         (all(&self.misses), all(&self.latest))
     }
-}
-
-/// Whether the set's supervisor is running, so that its run can be joined.
-pub fn is_up(name: &RunName) -> bool {
-    RunPaths::new(name.clone()).supervisor_pid().is_some()
 }
 
 #[cfg(test)]
