@@ -98,13 +98,18 @@ impl Progress {
         }
     }
 
-    /// Prints a warning immediately; it stays on the screen.
-    pub fn warn(&self, what: &str) {
-        let line = format!("{}: warning: {what}", self.name);
+    /// Prints a line immediately; it stays on the screen.
+    pub fn tell(&self, what: &str) {
+        let line = format!("{}: {what}", self.name);
         match &self.bar {
             Some(bar) => bar.println(line),
             None => write_line(&line),
         }
+    }
+
+    /// Prints a warning immediately; it stays on the screen.
+    pub fn warn(&self, what: &str) {
+        self.tell(&format!("warning: {what}"));
     }
 
     /// Reports immediately that a longer phase begins.

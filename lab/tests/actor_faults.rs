@@ -226,7 +226,7 @@ fn hostile_frames_are_refused_with_their_reason_and_change_nothing() {
             let _ = line.write_all(&bytes);
         };
         let (policy, tally) = train(vec![("hostile", Box::new(attack)), honest_actor()]);
-        let refused: Vec<_> = tally.refused.keys().copied().collect();
+        let refused: Vec<_> = tally.refused.keys().map(String::as_str).collect();
         let wanted: Vec<_> = [reason]
             .into_iter()
             .filter(|word| !word.is_empty())

@@ -12,7 +12,7 @@ use std::thread;
 use std::time::Duration;
 
 use lab::actors::actor::serve;
-use lab::actors::coordinate::{Coordinator, Watch};
+use lab::actors::coordinate::{Coordinator, Notice, Watch};
 use lab::actors::door::Door;
 use lab::actors::remote::connect;
 use lab::actors::tally::ActorsTally;
@@ -117,13 +117,13 @@ impl Learner {
         });
     }
 
-    fn train(mut self, mut look: impl FnMut()) -> (Vec<u8>, ActorsTally) {
+    fn train(mut self, mut look: impl FnMut(&[Notice])) -> (Vec<u8>, ActorsTally) {
         let folder = self.place.path().join("learner");
         let watch = Watch {
             clock,
             stop: &Stop::default(),
-            look: &mut |_| {
-                look();
+            look: &mut |notices| {
+                look(notices);
                 Ok(())
             },
         };
@@ -149,7 +149,7 @@ impl Learner {
 fn expected() -> Vec<u8> {
     let mut learner = Learner::new(&[]);
     learner.join_honest();
-    learner.train(|| {}).0
+    learner.train(|_| {}).0
 }
 
 #[test]
@@ -174,7 +174,7 @@ fn an_invited_actor_teaches_the_same_policies() {
         .stdout(Stdio::null())
         .spawn()
         .expect("it starts");
-    let (policy, tally) = learner.train(|| {});
+    let (policy, tally) = learner.train(|_| {});
     // It waits for another training.
     kill_process(Pid::from_child(&actor), Signal::TERM).expect("it lives");
     assert_eq!(actor.wait().expect("an end").code(), Some(1));
@@ -217,8 +217,11 @@ fn a_peer_that_was_not_invited_as_an_actor_is_refused_with_its_reason() {
             let mut line = connect(&invitation, &config)?;
             serve(&mut line, identity).map_err(std::io::Error::other_of)
         });
-        let (policy, tally) = learner.train(|| {});
-        assert!(peer.join().expect("a peer").is_err(), "{reason}");
+        let (policy, tally) = learner.train(|_| {});
+        let told = peer.join().expect("a peer").expect_err(reason).to_string();
+        // TLS itself refuses a certificate.
+        let is_told = told.contains(&format!("the training refuses this actor: {reason}"));
+        assert_eq!(is_told, reason != "no certificate", "{reason}: {told}");
         assert_eq!(tally.refused.get(reason), Some(&1), "{reason}: {tally:?}");
         assert!(policy == expected, "{reason}");
     }
@@ -248,9 +251,44 @@ fn bytes_without_tls_reach_no_frame() {
         let mut answer = Vec::new();
         let _ = stream.read_to_end(&mut answer);
     });
-    let (_, tally) = learner.train(|| {});
+    let (_, tally) = learner.train(|_| {});
     peer.join().expect("a peer");
     assert_eq!(tally.refused.get("no certificate"), Some(&1), "{tally:?}");
+}
+
+/// Peers that connect and say nothing, more of them than there are handshakes at a time.
+#[test]
+fn silent_peers_keep_no_actor_out() {
+    let learner = Learner::new(&[]);
+    let silent: Vec<_> = (0..100)
+        .map(|_| TcpStream::connect(learner.address).expect("connected"))
+        .collect();
+    let invitation = learner.invitation(certified!("actor", "actor-key"));
+    let peer = thread::spawn(move || {
+        let config = joining(&invitation).expect("a configuration");
+        let mut line = connect(&invitation, &config).expect("connected");
+        serve(&mut line, &invitation.peer).is_ok()
+    });
+    let is_open = |peer: &TcpStream| {
+        peer.set_nonblocking(true).expect("a mode");
+        let waits = std::io::ErrorKind::WouldBlock;
+        peer.peek(&mut [0])
+            .is_err_and(|error| error.kind() == waits)
+    };
+    let mut open = None;
+    let (policy, tally) = learner.train(|notices| {
+        if notices
+            .iter()
+            .any(|notice| matches!(notice, Notice::News(_)))
+        {
+            open.get_or_insert(silent.iter().filter(|peer| is_open(peer)).count());
+        }
+    });
+    assert!(peer.join().expect("a peer"));
+    assert!(policy == expected());
+    // When the actor joined, the others of the newest 64 had not been waited for.
+    assert_eq!(open, Some(63), "{tally:?}");
+    drop(silent);
 }
 
 #[test]
@@ -272,7 +310,7 @@ fn a_revoked_invitation_ends_its_connection() {
             .join(format!("learner/policies/{BLOCK:08}.onnx")),
     );
     let mut is_revoked = false;
-    let (policy, tally) = learner.train(|| {
+    let (policy, tally) = learner.train(|_| {
         if !is_revoked && first.exists() {
             is_revoked = true;
             revoke(&keys, &[PEER]);
@@ -299,7 +337,7 @@ fn an_actor_drives_for_no_other_learner_than_the_one_that_invited_it() {
         let mut line = connect(&invitation, &config).expect("connected");
         serve(&mut line, &invitation.peer).is_err()
     });
-    let (_, tally) = learner.train(|| {});
+    let (_, tally) = learner.train(|_| {});
     assert!(peer.join().expect("a peer"), "it refuses the learner");
     assert_eq!(tally.refused.get("no certificate"), Some(&1), "{tally:?}");
 }

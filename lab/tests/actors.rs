@@ -191,12 +191,7 @@ fn the_number_of_actors_and_their_deaths_change_no_policy() {
     assert_eq!(sum(&tally, "deaths"), 2, "{tally}");
     let learnt = sum(&tally, "transitions") - tally["surplus"].as_u64().expect("a count");
     assert_eq!(learnt, BLOCK * BLOCKS, "{tally}");
-    for words in [
-        "actor 0",
-        "actor 1",
-        "doubles ignored",
-        "refused frames: none",
-    ] {
+    for words in ["actor 0", "actor 1", "doubles ignored", "refused: none"] {
         assert!(said(&output).contains(words), "{words}: {}", said(&output));
     }
     assert_same(&one, &killed.policies(), "2 actors, killed twice");

@@ -5,6 +5,7 @@ use std::io::{Read, Write};
 use std::ops::ControlFlow;
 
 use shm_config::config::from_toml;
+use shm_config::text::printable;
 
 use super::drive::Episodes;
 use super::envelope::{Broken, Kind, Outgoing, Rejection, STEPS_MAX, receive};
@@ -35,7 +36,9 @@ pub fn serve(line: &mut (impl Read + Write), identity: &str) -> Result<(), Broke
     let (mut out, mut body) = (Outgoing::default(), Vec::new());
     put_hello(&mut out, &build(), identity);
     out.send(Kind::Hello, line)?;
-    receive(line, &[Kind::Welcome], &mut body)?;
+    if receive(line, &[Kind::Welcome, Kind::Refused], &mut body)? == Kind::Refused {
+        return Err(Broken::TurnedAway(printable(text(&body)?).into_owned()));
+    }
     let config = from_toml(text(&body)?, "the learner's configuration");
     let config = config.map_err(|error| Broken::Failed(error.to_string()))?;
     let episodes = Episodes::new(&config).map_err(|error| Broken::Failed(error.to_string()))?;

@@ -24,8 +24,9 @@ use crate::stop::Stop;
 #[command(
     after_help = "An actor has worlds, expert, policy and safety check in one process. It drives the \
         episodes that the training asks for, sends their steps over mutual TLS, and keeps nothing: \
-        it may be stopped and killed at any time, and connects again for a minute. The build has to \
-        be that of the training.\n\n\
+        it may be stopped and killed at any time. It connects again for a minute, and after a \
+        training waits half a minute for the next one. The build has to be that of the training. Exit \
+        code 1: no training was served, or it refuses this actor.\n\n\
         Examples:\n  \
         ./vlaps link invite --run fleet --as actor --address 192.168.7.2:7460 --out actor.bundle\n  \
         ./vlaps train --algorithm ppl --actors-at 192.168.7.2:7460 --actors-run fleet --out runs/ppl\n  \

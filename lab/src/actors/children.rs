@@ -7,7 +7,7 @@ use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
+use std::process::{Child, Command, ExitStatus};
 
 use anyhow::{Context, bail};
 
@@ -70,14 +70,20 @@ impl Children {
         Ok((child, seat))
     }
 
-    /// Starts the actor of a connection that has ended again.
+    /// Starts the actor of a connection that has ended again; returns how it has ended, and
+    /// `None` for an actor of another machine.
     ///
     /// # Errors
     /// When it ends again and again, or cannot be started.
-    pub fn restart(&mut self, seat: SeatNumber, pool: &mut Pool, why: &str) -> anyhow::Result<()> {
+    pub fn restart(
+        &mut self,
+        seat: SeatNumber,
+        pool: &mut Pool,
+        why: &str,
+    ) -> anyhow::Result<Option<ExitStatus>> {
         let found = self.processes.iter().position(|own| own.seat == seat);
         let Some(index) = found else {
-            return Ok(());
+            return Ok(None);
         };
         let own = &mut self.processes[index];
         own.deaths += 1;
@@ -94,7 +100,7 @@ impl Children {
         let (child, seat) = self.spawn(&self.processes[index].name, pool)?;
         let own = &mut self.processes[index];
         (own.child, own.seat) = (child, seat);
-        Ok(())
+        Ok(Some(ended))
     }
 
     /// The actor of a connection has driven an episode.

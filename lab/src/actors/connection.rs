@@ -67,6 +67,16 @@ impl Guest {
     }
 }
 
+/// Tells an actor why it may not join.
+///
+/// # Errors
+/// When it is gone.
+pub fn turn_away(line: &mut (impl Write + ?Sized), why: Rejection) -> Result<(), Broken> {
+    let mut out = Outgoing::default();
+    put_text(&mut out, why.word(), Kind::Refused.bytes_max());
+    out.send(Kind::Refused, line)
+}
+
 /// Digits of an identity in an actor's name: those of eight actors differ with a probability
 /// of 1 - 1e-8.
 const NAME_DIGITS: usize = 8;
@@ -103,10 +113,19 @@ impl Seat {
         let (mut out, mut body) = (Outgoing::default(), Vec::new());
         receive(line, &[Kind::Hello], &mut body)?;
         let (theirs, identity) = hello(&body)?;
-        if theirs != build() {
-            return Err(Rejection::Build.into());
-        }
-        let name = self.guest.name(identity).ok_or(Rejection::Identity)?;
+        let name = match self.guest.name(identity) {
+            _ if theirs != build() => Err(Rejection::Build),
+            None => Err(Rejection::Identity),
+            Some(name) => Ok(name),
+        };
+        let name = match name {
+            Ok(name) => name,
+            Err(why) => {
+                // It may be gone.
+                let _ = turn_away(line, why);
+                return Err(why.into());
+            }
+        };
         put_text(&mut out, configuration, Kind::Welcome.bytes_max());
         out.send(Kind::Welcome, line)?;
         if self.tell(SeatEvent::Ready(self.number, name)).is_err() {

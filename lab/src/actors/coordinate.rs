@@ -1,6 +1,7 @@
 //! A training with actors: gives episodes out, learns their steps in order, and offers the next
 //! policy with the next block's episodes.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
@@ -20,8 +21,8 @@ use super::envelope::{Broken, Rejection};
 use super::feed::feed;
 use super::held;
 use super::message::{Assignment, EpisodeKey, TICKS_MAX};
-use super::order::{BlockOrder, EpisodePace, Reception, SeatNumber};
-use super::pool::Pool;
+use super::order::{BlockOrder, EpisodePace, LOSSES_MAX, Reception, SeatNumber};
+use super::pool::{Pool, UNKNOWN};
 use super::tally::ActorsTally;
 use crate::stop::Stop;
 
@@ -32,14 +33,23 @@ const FAREWELL: Duration = Duration::from_secs(10);
 /// Reasons that are printed; further ones are counted.
 const WARNINGS_MAX: u32 = 20;
 
+/// What a training tells while it waits for its actors.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// As expected.
+    News(String),
+    /// Not as expected.
+    Warning(String),
+}
+
 /// The training's surroundings.
 pub struct Watch<'a> {
     /// Measures how long episodes take.
     pub clock: Clock,
     /// A stop request.
     pub stop: &'a Stop,
-    /// Called again and again while the actors drive, with new warnings.
-    pub look: &'a mut dyn FnMut(&[String]) -> anyhow::Result<()>,
+    /// Called again and again while the actors drive, with new notices.
+    pub look: &'a mut dyn FnMut(&[Notice]) -> anyhow::Result<()>,
 }
 
 /// One training.
@@ -54,9 +64,11 @@ pub struct Coordinator {
     pace: EpisodePace,
     policy: Option<OfferedPolicy>,
     tally: ActorsTally,
-    /// Warnings that are not shown yet, and how many there were.
-    warned: Vec<String>,
+    /// Notices that are not shown yet, and how many warnings there were.
+    notices: Vec<Notice>,
     warnings: u32,
+    /// Reasons of which a refusal was told.
+    told: BTreeSet<Rejection>,
 }
 
 impl Coordinator {
@@ -97,8 +109,9 @@ impl Coordinator {
             pace: EpisodePace::default(),
             policy,
             tally: ActorsTally::default(),
-            warned: Vec::new(),
+            notices: Vec::new(),
             warnings: 0,
+            told: BTreeSet::new(),
         })
     }
 
@@ -163,8 +176,27 @@ impl Coordinator {
     }
 
     fn show(&mut self, watch: &mut Watch<'_>) -> anyhow::Result<()> {
-        let warned = std::mem::take(&mut self.warned);
-        (watch.look)(&warned)
+        let notices = std::mem::take(&mut self.notices);
+        (watch.look)(&notices)
+    }
+
+    fn warn(&mut self, line: String) {
+        self.warnings += 1;
+        if self.warnings <= WARNINGS_MAX {
+            self.notices.push(Notice::Warning(line));
+        }
+    }
+
+    /// Counts a refusal, and tells the first of each reason.
+    fn refuse(&mut self, why: Rejection) {
+        self.tally.refuse(why);
+        if self.told.insert(why) {
+            let line = format!(
+                "a peer is refused: {}; further ones are counted",
+                why.word()
+            );
+            self.notices.push(Notice::Warning(line));
+        }
     }
 
     /// Takes new connections of other machines, and ends those whose invitation is revoked.
@@ -172,16 +204,20 @@ impl Coordinator {
         let Some(door) = &mut self.door else {
             return Ok(());
         };
+        let mut refused = Vec::new();
         for arrival in door.look(self.pool.room())? {
             match arrival {
                 Ok(arrived) => {
                     let guest = Guest::Certified(arrived.certificate);
                     self.pool.add(guest, arrived.line, arrived.close)?;
                 }
-                Err(why) => self.tally.refuse(why),
+                Err(why) => refused.push(why),
             }
         }
         let revoked = door.revoked((watch.clock)(), self.pool.certified());
+        for why in refused {
+            self.refuse(why);
+        }
         for seat in revoked {
             self.lose(seat, &Rejection::Revoked.into())?;
         }
@@ -211,6 +247,10 @@ impl Coordinator {
     fn take(&mut self, event: SeatEvent, block: u64, watch: &Watch<'_>) -> anyhow::Result<()> {
         match event {
             SeatEvent::Ready(_, name) => {
+                if !self.tally.actors.contains_key(&name) {
+                    self.notices
+                        .push(Notice::News(format!("{name} has joined")));
+                }
                 self.tally.of(&name);
             }
             SeatEvent::Whole(seat, key, steps) => {
@@ -252,20 +292,36 @@ impl Coordinator {
             // It was removed already.
             return Ok(());
         };
+        self.pool.remove(seat);
+        if name == UNKNOWN {
+            match broken {
+                Broken::Rejected(why) => self.refuse(*why),
+                _ => self.warn(format!("a peer was not admitted: {broken}")),
+            }
+            return Ok(());
+        }
         self.tally.of(&name).deaths += 1;
         if let Broken::Rejected(why) = broken {
             self.tally.refuse(*why);
         }
-        self.warnings += 1;
-        if self.warnings <= WARNINGS_MAX {
-            self.warned.push(format!("{name}: {broken}"));
-        }
-        self.pool.remove(seat);
-        let why = broken.to_string();
         if let Err(episode) = self.order.lose(seat) {
-            bail!("episode {episode} of the block ended every actor that drove it: {why}");
+            bail!(
+                "episode {episode} of the block after step {} ended {LOSSES_MAX} actors that drove \
+                 it, the last one: {broken}; --resume tries the block again",
+                self.session.learnt()
+            );
         }
-        self.children.restart(seat, &mut self.pool, &why)
+        let ended = self
+            .children
+            .restart(seat, &mut self.pool, &broken.to_string())?;
+        self.warn(match ended {
+            Some(ended) => format!(
+                "{name} has ended ({ended}, {broken}) and is started again; another actor gets its \
+                 episode"
+            ),
+            None => format!("{name} is gone ({broken}); another actor gets its episode"),
+        });
+        Ok(())
     }
 
     /// Ends the actors; returns what they did.

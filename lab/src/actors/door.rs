@@ -3,11 +3,11 @@
 //! Handshakes run on threads of their own, so that no peer delays the learner. TLS refuses a
 //! peer without a certificate of the run's authority before it can send a frame.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::net::{Shutdown, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -16,14 +16,17 @@ use rustls::pki_types::CertificateDer;
 use rustls::{ServerConfig, ServerConnection, StreamOwned};
 use shm_config::Instant;
 
-use super::envelope::Rejection;
+use super::connection::turn_away;
+use super::envelope::{Kind, Rejection, receive};
 use super::order::SeatNumber;
 use super::pool::{Close, SILENCE};
 use super::tls::{ListenerKeys, is_of_actor, is_of_peer, listening};
 
-/// Handshakes at a time: each is a thread for a moment. Further peers wait in the queue of the
-/// operating system.
-const HANDSHAKES_MAX: usize = 16;
+/// Handshakes at a time: each is a thread for a moment. A further peer ends the oldest: an actor
+/// completes its own within milliseconds, and peers that say nothing keep none out.
+const HANDSHAKES_MAX: usize = 64;
+/// Peers that are accepted in one look: the learner has other work.
+const ACCEPTED_MAX: usize = 256;
 /// A peer that sends nothing for this time in its handshake is refused.
 const HANDSHAKE: Duration = Duration::from_secs(10);
 /// Interval at which the run's keys are read for revoked invitations, ns.
@@ -39,12 +42,21 @@ pub struct Arrived {
     pub close: Close,
 }
 
+/// The connections whose handshakes are not done, by their number.
+type Pending = Arc<Mutex<BTreeMap<u64, TcpStream>>>;
+
+/// A thread that holds the lock does not panic.
+fn held(pending: &Pending) -> MutexGuard<'_, BTreeMap<u64, TcpStream>> {
+    pending.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// The listening side.
 pub struct Door {
     listener: TcpListener,
     config: Arc<ServerConfig>,
     keys: ListenerKeys,
-    pending: Arc<AtomicUsize>,
+    pending: Pending,
+    accepted: u64,
     sender: SyncSender<Result<Arrived, Rejection>>,
     arrivals: Receiver<Result<Arrived, Rejection>>,
     looked: Option<Instant>,
@@ -65,7 +77,8 @@ impl Door {
             listener,
             config,
             keys,
-            pending: Arc::default(),
+            pending: Pending::default(),
+            accepted: 0,
             sender,
             arrivals,
             looked: None,
@@ -80,35 +93,60 @@ impl Door {
         self.listener.local_addr()
     }
 
-    /// Begins handshakes with new peers, and returns those that are done: so many at most.
+    /// Begins handshakes with new peers, and returns those that are done: so many admitted ones
+    /// at most, and all that are refused.
     ///
     /// # Errors
     /// When the system starts no thread.
     pub fn look(&mut self, room: usize) -> io::Result<Vec<Result<Arrived, Rejection>>> {
-        while self.pending.load(Ordering::Acquire) < HANDSHAKES_MAX {
-            let stream = match self.listener.accept() {
-                Ok((stream, _)) => stream,
+        let mut arrivals = Vec::new();
+        if room == 0 {
+            return Ok(arrivals);
+        }
+        for _ in 0..ACCEPTED_MAX {
+            match self.listener.accept() {
+                Ok((stream, _)) => self.begin(stream)?,
                 // None waits; or it has gone already.
                 Err(_) => break,
-            };
-            self.pending.fetch_add(1, Ordering::AcqRel);
-            let (config, pending) = (Arc::clone(&self.config), Arc::clone(&self.pending));
-            let (sender, keys) = (self.sender.clone(), self.keys.clone());
-            thread::Builder::new()
-                .name("actor-handshake".into())
-                .spawn(move || {
-                    let arrived = handshake(stream, config).and_then(|arrived| {
-                        match is_revoked(&keys.revoked(), &arrived.certificate) {
-                            true => Err(Rejection::Revoked),
-                            false => Ok(arrived),
-                        }
-                    });
-                    // The learner may have ended.
-                    let _ = sender.send(arrived);
-                    pending.fetch_sub(1, Ordering::AcqRel);
-                })?;
+            }
         }
-        Ok(self.arrivals.try_iter().take(room).collect())
+        let mut admitted = 0;
+        while admitted < room
+            && let Ok(arrival) = self.arrivals.try_recv()
+        {
+            admitted += usize::from(arrival.is_ok());
+            arrivals.push(arrival);
+        }
+        Ok(arrivals)
+    }
+
+    /// Begins a handshake.
+    fn begin(&mut self, stream: TcpStream) -> io::Result<()> {
+        let Ok(own) = stream.try_clone() else {
+            // No descriptor is left; it may try again.
+            return Ok(());
+        };
+        self.accepted += 1;
+        let number = self.accepted;
+        let mut waiting = held(&self.pending);
+        if waiting.len() == HANDSHAKES_MAX
+            && let Some((_, oldest)) = waiting.pop_first()
+        {
+            // Its thread reads the end.
+            let _ = oldest.shutdown(Shutdown::Both);
+        }
+        waiting.insert(number, own);
+        drop(waiting);
+        let (config, pending) = (Arc::clone(&self.config), Arc::clone(&self.pending));
+        let (sender, keys) = (self.sender.clone(), self.keys.clone());
+        let thread = thread::Builder::new().name("actor-handshake".into());
+        thread.spawn(move || {
+            let arrived = admitted(stream, config, &keys);
+            held(&pending).remove(&number);
+            // The learner may have ended.
+            let _ = sender.send(arrived);
+        })?;
+        Ok(())
     }
 
     /// The connections whose invitation is revoked; all, if the run's keys are gone.
@@ -138,6 +176,31 @@ fn is_revoked(revoked: &Option<Vec<String>>, certificate: &CertificateDer<'_>) -
     }
 }
 
+/// The connection of an actor whose invitation holds. Another one is told why it does not.
+fn admitted(
+    stream: TcpStream,
+    config: Arc<ServerConfig>,
+    keys: &ListenerKeys,
+) -> Result<Arrived, Rejection> {
+    let mut arrived = handshake(stream, config)?;
+    let why = match &arrived.certificate {
+        other if !is_of_actor(other) => Rejection::Role,
+        known if is_revoked(&keys.revoked(), known) => Rejection::Revoked,
+        _ => {
+            let line = &arrived.line.sock;
+            let set = line.set_read_timeout(Some(SILENCE));
+            let set = set.and_then(|()| line.set_write_timeout(Some(SILENCE)));
+            return set.map(|()| arrived).map_err(|_| Rejection::Certificate);
+        }
+    };
+    // What it has sent is read first: otherwise the answer may be lost with it.
+    if receive(&mut arrived.line, &[Kind::Hello], &mut Vec::new()).is_ok() {
+        // It may be gone.
+        let _ = turn_away(&mut arrived.line, why);
+    }
+    Err(why)
+}
+
 fn handshake(stream: TcpStream, config: Arc<ServerConfig>) -> Result<Arrived, Rejection> {
     let broken = |_: io::Error| Rejection::Certificate;
     stream.set_nonblocking(false).map_err(broken)?;
@@ -157,11 +220,6 @@ fn handshake(stream: TcpStream, config: Arc<ServerConfig>) -> Result<Arrived, Re
         .ok_or(Rejection::Certificate)?
         .clone()
         .into_owned();
-    if !is_of_actor(&certificate) {
-        return Err(Rejection::Role);
-    }
-    line.sock.set_read_timeout(Some(SILENCE)).map_err(broken)?;
-    line.sock.set_write_timeout(Some(SILENCE)).map_err(broken)?;
     let close = Box::new(move || {
         // It may have ended.
         let _ = own.shutdown(Shutdown::Both);

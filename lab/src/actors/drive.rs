@@ -46,10 +46,8 @@ pub fn in_lockstep(config: &Config) -> Result<Config, Failure> {
         | GateMode::Paper
         | GateMode::Distilled
         | GateMode::Replay => {
-            return refused(format!(
-                "an actor has no judge for gate.mode {:?}",
-                config.gate.mode
-            ));
+            let mode = format!("{:?}", config.gate.mode).to_lowercase();
+            return refused(format!("an actor has no judge for gate.mode {mode}"));
         }
     }
     let mut config = config.clone();

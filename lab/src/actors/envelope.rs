@@ -45,10 +45,12 @@ pub enum Kind {
     Ended = 7,
     /// Actor: an episode cannot be driven.
     Failed = 8,
+    /// Learner: this actor may not join, and why.
+    Refused = 9,
 }
 
 impl Kind {
-    const ALL: [Kind; 8] = [
+    const ALL: [Kind; 9] = [
         Kind::Hello,
         Kind::Welcome,
         Kind::Policy,
@@ -57,6 +59,7 @@ impl Kind {
         Kind::Steps,
         Kind::Ended,
         Kind::Failed,
+        Kind::Refused,
     ];
 
     fn from_code(code: u8) -> Option<Kind> {
@@ -66,7 +69,7 @@ impl Kind {
     /// Longest body, bytes.
     pub const fn bytes_max(self) -> usize {
         match self {
-            Kind::Hello | Kind::Failed => TEXT_BYTES_MAX,
+            Kind::Hello | Kind::Failed | Kind::Refused => TEXT_BYTES_MAX,
             Kind::Welcome => CONFIGURATION_BYTES_MAX,
             Kind::Policy => 8 + WEIGHTS_BYTES_MAX,
             Kind::Drive | Kind::Ended => 32,
@@ -140,6 +143,8 @@ pub enum Broken {
     Rejected(Rejection),
     /// It says that it cannot drive.
     Failed(String),
+    /// The learner says why this actor may not join.
+    TurnedAway(String),
 }
 
 impl std::fmt::Display for Broken {
@@ -151,6 +156,7 @@ impl std::fmt::Display for Broken {
                 _ => write!(f, "{error}"),
             },
             Broken::Rejected(why) => write!(f, "refused: {}", why.word()),
+            Broken::TurnedAway(why) => write!(f, "the training refuses this actor: {why}"),
             Broken::Failed(text) => {
                 // Text of another machine.
                 let shown = &text[..text.floor_char_boundary(SHOWN_MAX)];

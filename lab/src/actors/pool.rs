@@ -26,7 +26,7 @@ pub const SILENCE: Duration = Duration::from_secs(120);
 pub type Close = Box<dyn Fn() + Send>;
 
 /// Name of a connection whose actor has not said its own.
-const UNKNOWN: &str = "not admitted";
+pub const UNKNOWN: &str = "a peer";
 
 /// One actor, as the learner sees it.
 struct Actor {

@@ -24,9 +24,10 @@ const SILENCE: Duration = Duration::from_secs(600);
 const PAUSE: Duration = Duration::from_secs(1);
 /// Interval of the checks for a stop request.
 const LOOK: Duration = Duration::from_millis(100);
-/// Attempts in a row until an actor gives up: a minute and more. The next training of
-/// `--seeds` begins earlier.
+/// Attempts in a row until an actor gives up: a minute and more.
 const ATTEMPTS_MAX: u32 = 60;
+/// The same after a training: the next one of `--seeds` begins earlier.
+const AFTER_MAX: u32 = 30;
 
 /// A connection to the learner.
 pub type Line = StreamOwned<ClientConnection, TcpStream>;
@@ -76,30 +77,59 @@ pub fn drive(invitation: &Invitation, worlds: usize, stop: &Stop) -> anyhow::Res
         }
         pause(LOOK);
     }
-    let mut ended = 0;
+    let (mut ended, mut refused) = (0, None);
     for thread in served {
-        // A panic has printed its own message.
-        ended += u32::from(thread.join().unwrap_or(false));
+        match thread.join() {
+            Ok(Outcome::Served) => ended += 1,
+            Ok(Outcome::TurnedAway(why)) => refused = Some(why),
+            Ok(Outcome::NotServed) => {}
+            // It has printed its own message.
+            Err(_panic) => {}
+        }
     }
-    match ended {
-        0 => bail!("{}: no learner was served there", invitation.address),
+    match (ended, refused) {
+        (0, Some(why)) => bail!("{}: {why}", invitation.address),
+        (0, None) => bail!("{}: no learner was served there", invitation.address),
         _ => Ok(()),
     }
 }
 
-/// Serves one learner after the other; returns whether one had nothing left in the end.
+/// How a world has ended.
+enum Outcome {
+    /// A learner had nothing left.
+    Served,
+    /// No learner had work to its end.
+    NotServed,
+    /// The learner does not take it; why.
+    TurnedAway(String),
+}
+
+/// Serves one learner after the other.
 fn serve_all(
     invitation: &Invitation,
     config: &Arc<ClientConfig>,
     (world, stop): (usize, &Stop),
-) -> bool {
+) -> Outcome {
     let (mut has_ended, mut attempts, mut said) = (false, 0, String::new());
     while attempts < ATTEMPTS_MAX && !stop.is_asked() {
         let served = connect(invitation, config)
             .map_err(Broken::Gone)
             .and_then(|mut line| serve(&mut line, &invitation.peer));
         match served {
-            Ok(()) => (has_ended, attempts) = (true, 0),
+            Ok(()) => {
+                if world == 0 {
+                    say(format_args!(
+                        "{}: nothing is left to drive; waits {AFTER_MAX} s for the next training",
+                        invitation.address
+                    ));
+                }
+                (has_ended, attempts) = (true, 0);
+            }
+            Err(Broken::TurnedAway(why)) => {
+                return Outcome::TurnedAway(Broken::TurnedAway(why).to_string());
+            }
+            // Nothing listens any longer.
+            Err(Broken::Gone(_)) if has_ended => {}
             Err(broken) => {
                 let line = broken.to_string();
                 // A reason is printed once, not with each attempt.
@@ -110,13 +140,16 @@ fn serve_all(
                     ));
                     said = line;
                 }
-                if has_ended && attempts >= ATTEMPTS_MAX / 2 {
-                    break;
-                }
             }
+        }
+        if has_ended && attempts >= AFTER_MAX {
+            break;
         }
         attempts += 1;
         pause(PAUSE);
     }
-    has_ended
+    match has_ended {
+        true => Outcome::Served,
+        false => Outcome::NotServed,
+    }
 }

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use comfy_table::Table;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::envelope::Rejection;
 use crate::report::table;
 
 /// One actor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActorTally {
     /// Episodes of it that were the first answer.
     pub episodes: u64,
@@ -20,7 +20,7 @@ pub struct ActorTally {
 }
 
 /// All actors.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActorsTally {
     /// By name.
     pub actors: BTreeMap<String, ActorTally>,
@@ -31,7 +31,7 @@ pub struct ActorsTally {
     /// Transitions beyond the end of their block, which are not learnt.
     pub surplus: u64,
     /// Refused frames by reason; each ended its connection.
-    pub refused: BTreeMap<&'static str, u64>,
+    pub refused: BTreeMap<String, u64>,
 }
 
 impl ActorsTally {
@@ -42,7 +42,23 @@ impl ActorsTally {
 
     /// Counts a refused frame.
     pub fn refuse(&mut self, why: Rejection) {
-        *self.refused.entry(why.word()).or_default() += 1;
+        *self.refused.entry(why.word().into()).or_default() += 1;
+    }
+
+    /// Adds those of an earlier part of the same training.
+    pub fn add(&mut self, earlier: &ActorsTally) {
+        for (name, before) in &earlier.actors {
+            let actor = self.of(name);
+            actor.episodes += before.episodes;
+            actor.transitions += before.transitions;
+            actor.deaths += before.deaths;
+        }
+        self.doubles += earlier.doubles;
+        self.given_again += earlier.given_again;
+        self.surplus += earlier.surplus;
+        for (why, count) in &earlier.refused {
+            *self.refused.entry(why.clone()).or_default() += count;
+        }
     }
 
     /// A row for each actor.
@@ -70,8 +86,8 @@ impl ActorsTally {
             }
         };
         format!(
-            "given to an actor again: {}; doubles ignored: {}; transitions beyond their block: \
-             {}; refused frames: {refused}",
+            "given to an actor again: {}; doubles ignored: {}; surplus transitions: {}; refused: \
+             {refused}",
             self.given_again, self.doubles, self.surplus
         )
     }

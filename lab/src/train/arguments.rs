@@ -30,6 +30,9 @@ use crate::shard::Shard;
         continues after Ctrl-C or a kill; a training that was interrupted begins again, because its \
         policy would be another one. --report merges the parts in --out and says which are missing \
         (exit code 1).\n\n\
+        With --actors or --actors-at, actors drive whole episodes in place of the process set, up to \
+        64 on this machine, and --resume begins an interrupted block again. Their steps are learnt in \
+        the same order for any number of actors.\n\n\
         Algorithms: pvp (the paper's), ppl, hg-dagger, dagger, bc; results/learning.md \
         compares them.\n\n\
         Examples:\n  \
@@ -72,12 +75,13 @@ pub struct Train {
     /// World to train in; default: sim.
     #[arg(long, value_name = "WORLD", value_parser = SimulatorAlone)]
     pub world: Option<Simulator>,
-    /// Train with so many actor processes, whose worlds drive side by side, in place of one
-    /// process set; their number changes no policy.
+    /// Train with N actor processes on this machine, whose worlds drive side by side, in place of
+    /// one process set; their number changes no policy.
     #[arg(long, value_name = "N", allow_negative_numbers = true, conflicts_with = "shard",
           value_parser = whole::<u32>(0..=64))]
     pub actors: Option<u32>,
-    /// Also listen here, for ./vlaps actor on other machines; needs ./vlaps setup link.
+    /// Listen here for ./vlaps actor on other machines, with no actor on this one unless --actors
+    /// says so; needs ./vlaps setup link here.
     #[arg(long, value_name = "HOST:PORT", value_parser = address, conflicts_with = "shard")]
     pub actors_at: Option<String>,
     /// The run whose invitations these actors have, as of ./vlaps link invite --run;

@@ -53,9 +53,12 @@ pub struct Experiment {
     /// may change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actors: Option<u32>,
-    /// Where actors of other machines join, and the run that has invited them.
-    #[serde(skip)]
-    pub actors_at: Option<(String, Option<RunName>)>,
+    /// Where actors of other machines join.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actors_at: Option<String>,
+    /// The run that has invited them; none for the default one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actors_run: Option<String>,
     /// Overrides of the configuration, `KEY=VALUE`.
     pub set: Vec<String>,
     /// The configuration file, if there is one.
@@ -78,6 +81,7 @@ impl Default for Experiment {
             world: Simulator::BuiltIn,
             actors: None,
             actors_at: None,
+            actors_run: None,
             set: Vec::new(),
             config: None,
         }
@@ -231,8 +235,8 @@ impl Experiment {
     /// Replaces the options that the command line gives.
     fn with(self, arguments: &Train, given: &[String], out: &Path) -> Experiment {
         let chosen = &arguments.configuration;
-        let at = arguments.actors_at.clone();
-        let at = at.map(|address| (address, arguments.actors_run.clone()));
+        let at = arguments.actors_at.clone().or(self.actors_at);
+        let run = arguments.actors_run.as_ref().map(RunName::to_string);
         let is_given = |held: &String| given.iter().any(|text| key(text) == key(held));
         let mut set = self.set;
         set.retain(|held| !is_given(held));
@@ -254,6 +258,7 @@ impl Experiment {
                 .or(self.actors)
                 .or(at.is_some().then_some(0)),
             actors_at: at,
+            actors_run: run.or(self.actors_run),
             set,
             config: chosen.config.clone().or_else(other),
         }

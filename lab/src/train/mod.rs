@@ -55,6 +55,10 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
         .all_seeds()
         .map(|seed| Protocol::new(&experiment, (seed, &out)))
         .collect::<anyhow::Result<_>>()?;
+    if let Some(first) = protocols.first() {
+        // An address that cannot be used leaves no folder.
+        drop(training::open_door(first)?);
+    }
     let _lock = experiment::lock(&out)?;
     // Stored only after all options are checked, since --resume reuses them.
     experiment.write(&out)?;

@@ -67,13 +67,18 @@ impl Protocol {
             );
             return Err(Failure::Usage(message).into());
         }
+        let run = experiment.actors_run.as_deref();
+        let run = run
+            .map(str::parse)
+            .transpose()
+            .map_err(anyhow::Error::new)?;
         let protocol = Protocol {
             seed,
             folder,
             steps: experiment.steps,
             episodes: experiment.eval_episodes,
             actors: experiment.actors,
-            actors_at: experiment.actors_at.clone(),
+            actors_at: experiment.actors_at.clone().map(|address| (address, run)),
             config,
         };
         if protocol.actors.is_some() {

@@ -15,7 +15,7 @@ use super::evaluator::Evaluator;
 use super::protocol::{Protocol, STEP_S};
 use super::results::{self, BlockEvaluation};
 use super::warnings::warnings;
-use crate::actors::coordinate::{Coordinator, Watch};
+use crate::actors::coordinate::{Coordinator, Notice, Watch};
 use crate::actors::door::Door;
 use crate::actors::tally::ActorsTally;
 use crate::actors::tls::ListenerKeys;
@@ -183,6 +183,17 @@ fn look(
     Ok(steps)
 }
 
+/// The port at which the actors of other machines join; `None` without them.
+///
+/// # Errors
+/// When the address cannot be used, or the run has invited no actor.
+pub fn open_door(protocol: &Protocol) -> anyhow::Result<Option<Door>> {
+    let Some((address, run)) = &protocol.actors_at else {
+        return Ok(None);
+    };
+    Door::open(address, ListenerKeys::of_run(run.as_ref())?).map(Some)
+}
+
 /// Trains with actors in place of a process set.
 fn with_actors(
     protocol: &Protocol,
@@ -199,14 +210,19 @@ fn with_actors(
     let file = protocol.file();
     fs::write(&file, toml::to_string(&protocol.config)?)
         .with_context(|| file.display().to_string())?;
-    let door = match &protocol.actors_at {
-        Some((address, run)) => Some(Door::open(address, ListenerKeys::of_run(run.as_ref())?)?),
-        None => None,
-    };
+    let door = open_door(protocol)?;
+    if let Some((address, _)) = &protocol.actors_at {
+        progress.tell(&format!("listens at {address}, where ./vlaps actor joins"));
+    }
     let mut coordinator = Coordinator::new(&protocol.config, &learner, (actors, door))?;
     let mut shown = clock();
-    let mut show = |warned: &[String]| {
-        warned.iter().for_each(|line| progress.warn(line));
+    let mut show = |notices: &[Notice]| {
+        for notice in notices {
+            match notice {
+                Notice::News(line) => progress.tell(line),
+                Notice::Warning(line) => progress.warn(line),
+            }
+        }
         if clock().since_ns(shown) < LOOK.as_nanos() as u64 {
             return Ok(());
         }
@@ -220,9 +236,14 @@ fn with_actors(
         look: &mut show,
     };
     let trained = coordinator.train((&learner, protocol.steps), watch);
-    let tally = coordinator.finish();
+    let mut tally = coordinator.finish();
+    let file = folder.join("actors.json");
+    let earlier = fs::read(&file).unwrap_or_default();
+    if let Ok(earlier) = serde_json::from_slice(&earlier) {
+        tally.add(&earlier);
+    }
+    write_json(&file, &tally)?;
     trained?;
-    write_json(&folder.join("actors.json"), &tally)?;
     look(protocol, said, (evaluator, progress))?;
     let steps = results::steps(folder)?;
     let end = match steps >= protocol.steps {
