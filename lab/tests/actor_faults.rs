@@ -1,9 +1,13 @@
 //! A learner of actors and what an actor may do wrong: hostile frames, doubled, late and
 //! foreign answers. None of them changes a policy, and each is counted.
 
-use std::io::Write;
+mod small_training;
+
+use std::io::{Read, Write};
+use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use std::sync::mpsc::channel;
 use std::thread;
 use std::time::Duration;
 
@@ -16,32 +20,13 @@ use lab::actors::tally::ActorsTally;
 use lab::stop::Stop;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
-use shm_config::Instant;
-use shm_config::config::{Algorithm, Config, GateMode, from_toml, planner::Method};
+use shm_config::config::from_toml;
 use shm_config::message::Step;
+use small_training::{BLOCK, clock, config};
 use supervisor::machine::signals::pause;
 use tempfile::TempDir;
 
-const BLOCK: u64 = 120;
 const STEPS: u64 = 4 * BLOCK;
-
-fn config() -> Config {
-    let mut config = Config::default();
-    config.gate.mode = GateMode::Rules;
-    config.planner.method = Method::Informed;
-    config.world.horizon_ticks = 40;
-    (config.run.seed, config.run.seeds, config.run.shuffle) = (100, 50, 1);
-    config.learner.algorithm = Algorithm::HgDagger;
-    config.learner.block_steps = BLOCK as u32;
-    (config.learner.updates, config.learner.batch) = (3, 16);
-    config.learner.hidden = 16;
-    config
-}
-
-#[allow(clippy::disallowed_methods)] // a test is an entry point
-fn clock() -> Instant {
-    shm_config::time::monotonic()
-}
 
 /// What an actor of a test does at its end of a connection.
 type Act = Box<dyn FnOnce(UnixStream) + Send>;
@@ -69,6 +54,25 @@ fn train(actors: Vec<(&str, Act)>) -> (Vec<u8>, ActorsTally) {
         thread.join().expect("an actor of the test");
     }
     (last_policy(place.path()), tally)
+}
+
+/// Trains with an actor that has to end before an honest one begins, so that the learner has
+/// met both however fast the honest one is.
+fn train_after(hostile: impl FnOnce(UnixStream) + Send + 'static) -> (Vec<u8>, ActorsTally) {
+    let (ended, end) = channel::<()>();
+    let first = move |line| {
+        hostile(line);
+        drop(ended);
+    };
+    let second = move |line| {
+        // Nothing is sent: it waits for the drop.
+        let _ = end.recv();
+        honest(line);
+    };
+    train(vec![
+        ("hostile", Box::new(first)),
+        ("honest", Box::new(second)),
+    ])
 }
 
 fn last_policy(folder: &Path) -> Vec<u8> {
@@ -224,8 +228,11 @@ fn hostile_frames_are_refused_with_their_reason_and_change_nothing() {
     for (reason, bytes) in cases {
         let attack = move |mut line: UnixStream| {
             let _ = line.write_all(&bytes);
+            let _ = line.shutdown(Shutdown::Write);
+            // Until the learner closes the connection.
+            let _ = line.read_to_end(&mut Vec::new());
         };
-        let (policy, tally) = train(vec![("hostile", Box::new(attack)), honest_actor()]);
+        let (policy, tally) = train_after(attack);
         let refused: Vec<_> = tally.refused.keys().map(String::as_str).collect();
         let wanted: Vec<_> = [reason]
             .into_iter()
@@ -298,7 +305,7 @@ fn wrong_answers_are_refused_with_their_reason_and_change_nothing() {
             // Until the learner closes the connection.
             let _ = actor.asked();
         };
-        let (policy, tally) = train(vec![("hostile", Box::new(act)), honest_actor()]);
+        let (policy, tally) = train_after(act);
         assert_eq!(
             tally.refused.get(reason),
             Some(&1),

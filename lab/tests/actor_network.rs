@@ -1,6 +1,8 @@
 //! Actors of other machines: only an actor that the run has invited joins, and its steps teach
 //! the same policies.
 
+mod small_training;
+
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -8,6 +10,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::mpsc::{Sender, channel};
 use std::thread;
 use std::time::Duration;
 
@@ -20,12 +23,10 @@ use lab::actors::tls::{CertifiedKey, Invitation, ListenerKeys, joining};
 use lab::stop::Stop;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
-use shm_config::Instant;
-use shm_config::config::{Algorithm, Config, GateMode, planner::Method};
+use small_training::{BLOCK, clock, config};
 use supervisor::machine::signals::pause;
 use tempfile::TempDir;
 
-const BLOCK: u64 = 120;
 const STEPS: u64 = 3 * BLOCK;
 /// The identity in the actor's certificate.
 const PEER: &str = "00112233445566778899aabbccddeeff";
@@ -43,24 +44,6 @@ macro_rules! certified {
             key: pem!($key),
         }
     };
-}
-
-fn config() -> Config {
-    let mut config = Config::default();
-    config.gate.mode = GateMode::Rules;
-    config.planner.method = Method::Informed;
-    config.world.horizon_ticks = 40;
-    (config.run.seed, config.run.seeds, config.run.shuffle) = (100, 50, 1);
-    config.learner.algorithm = Algorithm::HgDagger;
-    config.learner.block_steps = BLOCK as u32;
-    (config.learner.updates, config.learner.batch) = (3, 16);
-    config.learner.hidden = 16;
-    config
-}
-
-#[allow(clippy::disallowed_methods)] // a test is an entry point
-fn clock() -> Instant {
-    shm_config::time::monotonic()
 }
 
 /// A learner with a port, in a folder of its own.
@@ -107,14 +90,16 @@ impl Learner {
     }
 
     /// An actor within this machine, which ends the training in any case.
-    fn join_honest(&mut self) {
+    /// It begins when the result is dropped, so that those at the port come first.
+    fn join_honest(&mut self) -> Sender<()> {
         let (own, mut theirs) = UnixStream::pair().expect("a pair of sockets");
         self.coordinator.join("here", own).expect("joined");
+        let (held, begin) = channel();
         thread::spawn(move || {
-            // So that those at the port come first.
-            pause(Duration::from_millis(300));
+            let _ = begin.recv();
             let _ = serve(&mut theirs, "");
         });
+        held
     }
 
     fn train(mut self, mut look: impl FnMut(&[Notice])) -> (Vec<u8>, ActorsTally) {
@@ -148,7 +133,7 @@ impl Learner {
 /// The last policy of a learner whose actor is in this process.
 fn expected() -> Vec<u8> {
     let mut learner = Learner::new(&[]);
-    learner.join_honest();
+    drop(learner.join_honest());
     learner.train(|_| {}).0
 }
 
@@ -210,9 +195,10 @@ fn a_peer_that_was_not_invited_as_an_actor_is_refused_with_its_reason() {
     ];
     for (reason, certificate, identity, revoked) in cases {
         let mut learner = Learner::new(revoked);
-        learner.join_honest();
+        let held = learner.join_honest();
         let invitation = learner.invitation(certificate);
         let peer = thread::spawn(move || {
+            let _held = held;
             let config = joining(&invitation).expect("a configuration");
             let mut line = connect(&invitation, &config)?;
             serve(&mut line, identity).map_err(std::io::Error::other_of)
@@ -241,9 +227,10 @@ impl OtherOf for std::io::Error {
 #[test]
 fn bytes_without_tls_reach_no_frame() {
     let mut learner = Learner::new(&[]);
-    learner.join_honest();
+    let held = learner.join_honest();
     let address = learner.address;
     let peer = thread::spawn(move || {
+        let _held = held;
         let mut stream = TcpStream::connect(address).expect("connected");
         stream
             .write_all(b"VLAC\x01\x00\x01\x00 without TLS")
@@ -295,7 +282,7 @@ fn silent_peers_keep_no_actor_out() {
 fn a_revoked_invitation_ends_its_connection() {
     let expected = expected();
     let mut learner = Learner::new(&[]);
-    learner.join_honest();
+    let mut held = Some(learner.join_honest());
     let invitation = learner.invitation(certified!("actor", "actor-key"));
     let peer = thread::spawn(move || {
         let config = joining(&invitation).expect("a configuration");
@@ -310,7 +297,14 @@ fn a_revoked_invitation_ends_its_connection() {
             .join(format!("learner/policies/{BLOCK:08}.onnx")),
     );
     let mut is_revoked = false;
-    let (policy, tally) = learner.train(|_| {
+    let (policy, tally) = learner.train(|notices| {
+        if notices
+            .iter()
+            .any(|notice| matches!(notice, Notice::News(_)))
+        {
+            // The first one that has joined is the one at the port.
+            held = None;
+        }
         if !is_revoked && first.exists() {
             is_revoked = true;
             revoke(&keys, &[PEER]);
@@ -326,13 +320,14 @@ fn a_revoked_invitation_ends_its_connection() {
 #[test]
 fn an_actor_drives_for_no_other_learner_than_the_one_that_invited_it() {
     let mut learner = Learner::new(&[]);
-    learner.join_honest();
+    let held = learner.join_honest();
     let invitation = Invitation {
         // As if another machine had the learner's address.
         authority: pem!("foreign"),
         ..learner.invitation(certified!("actor", "actor-key"))
     };
     let peer = thread::spawn(move || {
+        let _held = held;
         let config = joining(&invitation).expect("a configuration");
         let mut line = connect(&invitation, &config).expect("connected");
         serve(&mut line, &invitation.peer).is_err()

@@ -25,8 +25,9 @@ use super::tls::{ListenerKeys, is_of_actor, is_of_peer, listening};
 /// Handshakes at a time: each is a thread for a moment. A further peer ends the oldest: an actor
 /// completes its own within milliseconds, and peers that say nothing keep none out.
 const HANDSHAKES_MAX: usize = 64;
-/// Peers that are accepted in one look: the learner has other work.
-const ACCEPTED_MAX: usize = 256;
+/// Peers that are accepted in one look: each has the time until the next one for its handshake,
+/// however many wait.
+const ACCEPTED_MAX: usize = HANDSHAKES_MAX / 2;
 /// A peer that sends nothing for this time in its handshake is refused.
 const HANDSHAKE: Duration = Duration::from_secs(10);
 /// Interval at which the run's keys are read for revoked invitations, ns.
