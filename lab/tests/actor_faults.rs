@@ -45,7 +45,7 @@ fn train(actors: Vec<(&str, Act)>) -> (Vec<u8>, ActorsTally) {
     let watch = Watch {
         clock,
         stop: &Stop::default(),
-        look: &mut |_| Ok(()),
+        look: &mut |_, _| Ok(()),
     };
     let trained = coordinator.train((place.path(), STEPS), watch);
     trained.expect("trained");

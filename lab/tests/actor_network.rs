@@ -107,7 +107,7 @@ impl Learner {
         let watch = Watch {
             clock,
             stop: &Stop::default(),
-            look: &mut |notices| {
+            look: &mut |notices, _| {
                 look(notices);
                 Ok(())
             },

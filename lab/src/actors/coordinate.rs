@@ -42,14 +42,17 @@ pub enum Notice {
     Warning(String),
 }
 
+/// See [`Watch::look`].
+pub type Look<'a> = dyn FnMut(&[Notice], &ActorsTally) -> anyhow::Result<()> + 'a;
+
 /// The training's surroundings.
 pub struct Watch<'a> {
     /// Measures how long episodes take.
     pub clock: Clock,
     /// A stop request.
     pub stop: &'a Stop,
-    /// Called again and again while the actors drive, with new notices.
-    pub look: &'a mut dyn FnMut(&[Notice]) -> anyhow::Result<()>,
+    /// Called again and again while the actors drive, with new notices and what the actors did.
+    pub look: &'a mut Look<'a>,
 }
 
 /// One training.
@@ -177,7 +180,7 @@ impl Coordinator {
 
     fn show(&mut self, watch: &mut Watch<'_>) -> anyhow::Result<()> {
         let notices = std::mem::take(&mut self.notices);
-        (watch.look)(&notices)
+        (watch.look)(&notices, &self.tally)
     }
 
     fn warn(&mut self, line: String) {
@@ -251,7 +254,7 @@ impl Coordinator {
                     self.notices
                         .push(Notice::News(format!("{name} has joined")));
                 }
-                self.tally.of(&name);
+                self.tally.of(&name).connected += 1;
             }
             SeatEvent::Whole(seat, key, steps) => {
                 let Some(name) = self.pool.name(seat).map(String::from) else {
@@ -300,7 +303,9 @@ impl Coordinator {
             }
             return Ok(());
         }
-        self.tally.of(&name).deaths += 1;
+        let actor = self.tally.of(&name);
+        actor.deaths += 1;
+        actor.connected = actor.connected.saturating_sub(1);
         if let Broken::Rejected(why) = broken {
             self.tally.refuse(*why);
         }
@@ -325,13 +330,16 @@ impl Coordinator {
     }
 
     /// Ends the actors; returns what they did.
-    pub fn finish(self) -> ActorsTally {
+    pub fn finish(mut self) -> ActorsTally {
         drop((self.children, self.door));
         let patience = match self.pool.certified().next() {
             None => Duration::ZERO,
             Some(_) => FAREWELL,
         };
         self.pool.finish(patience, pause);
+        for actor in self.tally.actors.values_mut() {
+            actor.connected = 0;
+        }
         self.tally
     }
 }

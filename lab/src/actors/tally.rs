@@ -17,6 +17,9 @@ pub struct ActorTally {
     pub transitions: u64,
     /// How often it or its connection ended before the training did.
     pub deaths: u64,
+    /// Its open connections; none once the training has ended.
+    #[serde(default)]
+    pub connected: u32,
 }
 
 /// All actors.

@@ -7,7 +7,7 @@ use std::process::{Child, Command};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use shm_config::secret;
+use shm_config::{Instant, secret};
 use supervisor::machine::signals::pause;
 use supervisor::subcommand::{say, write_json};
 
@@ -25,6 +25,9 @@ use stack::Clock;
 
 /// Polling interval of the training's progress.
 const LOOK: Duration = Duration::from_millis(200);
+
+/// Time between two writings of what the actors did, ns.
+const KEPT_NS: u64 = 1_000_000_000;
 
 /// How a training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -215,8 +218,16 @@ fn with_actors(
         progress.tell(&format!("listens at {address}, where ./vlaps actor joins"));
     }
     let mut coordinator = Coordinator::new(&protocol.config, &learner, (actors, door))?;
-    let mut shown = clock();
-    let mut show = |notices: &[Notice]| {
+    let file = folder.join("actors.json");
+    let earlier = fs::read(&file).unwrap_or_default();
+    let earlier: ActorsTally = serde_json::from_slice(&earlier).unwrap_or_default();
+    let keep = |tally: &ActorsTally| {
+        let mut tally = tally.clone();
+        tally.add(&earlier);
+        write_json(&file, &tally).map(|()| tally)
+    };
+    let (mut shown, mut kept) = (clock(), Instant(0));
+    let mut show = |notices: &[Notice], tally: &ActorsTally| {
         for notice in notices {
             match notice {
                 Notice::News(line) => progress.tell(line),
@@ -227,6 +238,10 @@ fn with_actors(
             return Ok(());
         }
         shown = clock();
+        if shown.since_ns(kept) >= KEPT_NS {
+            kept = shown;
+            keep(tally)?;
+        }
         said = look(protocol, said, (&mut *evaluator, &mut *progress))?;
         Ok(())
     };
@@ -236,13 +251,7 @@ fn with_actors(
         look: &mut show,
     };
     let trained = coordinator.train((&learner, protocol.steps), watch);
-    let mut tally = coordinator.finish();
-    let file = folder.join("actors.json");
-    let earlier = fs::read(&file).unwrap_or_default();
-    if let Ok(earlier) = serde_json::from_slice(&earlier) {
-        tally.add(&earlier);
-    }
-    write_json(&file, &tally)?;
+    let tally = keep(&coordinator.finish())?;
     trained?;
     look(protocol, said, (evaluator, progress))?;
     let steps = results::steps(folder)?;
