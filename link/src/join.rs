@@ -352,8 +352,8 @@ impl<'a> Join<'a> {
         }
         if now.since_ns(self.reported) >= report::REPORT_NS {
             self.reported = now;
-            let address = &self.options.address;
-            let text = report::of_peer(&self.peer, address, self.held.dropped, now);
+            let vehicle = (&*self.options.bundle.run, &*self.options.address);
+            let text = report::of_peer(&self.peer, vehicle, self.held.dropped, now);
             // A full disk costs the report, and nothing else.
             let _ = report::write(&self.report, &text);
         }

@@ -15,12 +15,14 @@ const REPORT_BYTES_MAX: u64 = 1 << 18;
 const PROGRAM: &str = "vlaps-link";
 /// Longest name of a process, bytes.
 const NAME_BYTES_MAX: u64 = 64;
-/// Longest address that is shown, characters.
-const ADDRESS_MAX: usize = 64;
+/// Longest address or name that is shown, characters.
+const WORD_MAX: usize = 64;
 
 /// Another machine.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Machine {
+    /// The run's name there; empty when the report does not say it.
+    pub run: String,
     /// Its address and port.
     pub address: String,
     /// What stands on this machine for the run, a word: view, judge.
@@ -46,9 +48,10 @@ impl Machine {
         let report: Value = serde_json::from_slice(text).ok()?;
         let word = |name: &str| -> Option<String> {
             let text = printable(report[name].as_str()?).to_string();
-            Some(text.chars().take(ADDRESS_MAX).collect())
+            Some(text.chars().take(WORD_MAX).collect())
         };
         Some(Self {
+            run: word("run").unwrap_or_default(),
             address: word("address")?,
             role: word("role").unwrap_or_default(),
             is_connected: report["session"]["silent_ms"].is_number(),
@@ -62,14 +65,16 @@ mod tests {
 
     #[test]
     fn the_report_names_the_machine_and_whether_it_is_connected() {
-        let report = br#"{"address": "192.168.7.2:7452", "role": "view",
+        let report = br#"{"run": "drive", "address": "192.168.7.2:7452", "role": "view",
             "session": {"sessions": 2, "silent_ms": 3.5}, "rows": {}}"#;
         let machine = Machine::in_report(report).expect("a machine");
         assert_eq!(machine.address, "192.168.7.2:7452");
+        assert_eq!(machine.run, "drive");
         assert!(machine.is_connected);
         let report = br#"{"address": "a\u001b[31m\u202e", "session": {"silent_ms": null}}"#;
         let machine = Machine::in_report(report).expect("a machine");
         assert!(!machine.is_connected);
+        assert_eq!(machine.run, "");
         assert!(
             machine.address.chars().all(|c| c.is_ascii_graphic()),
             "{machine:?}"

@@ -107,8 +107,9 @@ export class Card {
     this.root.dataset.state = told.state;
     this.chip.textContent = WORDS[told.state] ?? told.state;
     const { machine } = told;
-    this.machine.textContent = machine ? `${machine.is_connected ? "" : "not connected: "}${machine.address}` : "this machine";
-    this.machine.title = machine ? `from ${machine.address}, as ${machine.role}` : "";
+    const run = machine?.run ? `${machine.run} at ` : "";
+    this.machine.textContent = machine ? `${machine.is_connected ? "" : "not connected: "}${run}${machine.address}` : "this machine";
+    this.machine.title = machine ? `from ${run}${machine.address}, as ${machine.role}` : "";
     const [driver, reason] = told.driver ?? ["", ""];
     this.driver.hidden = !driver;
     this.driver.textContent = driver;
@@ -143,7 +144,7 @@ export class Card {
   // The words by which the filter finds it.
   words() {
     const { told } = this;
-    return [told.name, WORDS[told.state], told.machine?.address ?? "this machine", ...(told.driver ?? []), told.clock].join(" ").toLowerCase();
+    return [told.name, WORDS[told.state], told.machine ? `${told.machine.run} ${told.machine.address}` : "this machine", ...(told.driver ?? []), told.clock].join(" ").toLowerCase();
   }
 
   draw(now) {
