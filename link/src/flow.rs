@@ -60,6 +60,8 @@ pub struct Sent {
     pub replaced: u64,
     /// Of a row of every message: dropped at the full queue.
     pub lost: u64,
+    /// Neither acknowledged nor replaced nor lost yet.
+    pub waiting: u64,
 }
 
 /// What one row has received.
@@ -306,9 +308,14 @@ impl Outbox {
 
     /// What each row has sent.
     pub fn sent(&self) -> impl Iterator<Item = (RowId, Sent)> {
-        self.rows
-            .iter()
-            .map(|(row, outgoing)| (*row, outgoing.sent))
+        self.rows.iter().map(|(row, outgoing)| {
+            let waiting = outgoing.held.len() as u64;
+            let sent = Sent {
+                waiting,
+                ..outgoing.sent
+            };
+            (*row, sent)
+        })
     }
 
     /// Whether everything is acknowledged.

@@ -32,7 +32,10 @@ pub(super) fn status(arguments: &LinkStatus) -> Result<u8, String> {
             .map_err(|error| format!("{}: {error}", path.display()))?;
     }
     if all.is_empty() {
-        println!("run '{run}' has no link: neither --judge, --learner, serve nor join");
+        println!(
+            "run '{run}' has no link: neither --judge, --learner, serve nor join; the actors of a \
+             training are in seed-0/actors.json of the folder of its --out, once a second"
+        );
         return Ok(1);
     }
     Ok(0)
