@@ -1,130 +1,32 @@
 //! Two machines as far as the kernel can make them of one: two network namespaces with a
 //! virtual cable between them, and another monotonic clock on the other side.
 
-#![allow(clippy::disallowed_methods)] // a test measures time
-
+#[path = "common/namespaces.rs"]
+mod namespaces;
 #[path = "common/sets.rs"]
 mod sets;
 
-use std::process::Command;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
-use sets::{Running, Stage, count, file, is_joined, wait_for};
+use namespaces::{Cable, Namespaces, epoch_s, joined_at, permitted, run};
+use serde_json::Value;
+use sets::{Stage, count, file, is_joined, wait_for};
 
 const POLICY: &str = "results/learning/ppl-10000.onnx";
 
-fn run(words: &[&str]) -> Result<(), String> {
-    let output = Command::new(words[0]).args(&words[1..]).output();
-    let output = output.map_err(|error| format!("{}: {error}", words[0]))?;
-    match output.status.success() {
-        true => Ok(()),
-        false => {
-            let text = String::from_utf8_lossy(&output.stderr).trim().to_string();
-            Err(format!("{}: {text}", words.join(" ")))
+/// A stage with a clock of its own on the other machine, 5,000 s ahead, where this kernel has
+/// such clocks.
+fn with_clocks(cable: &Cable) -> Option<Stage> {
+    let mut stage = cable.0.stage(0, 1)?;
+    let has_clocks = run(&["unshare", "-T", "--monotonic", "5000", "--fork", "true"]);
+    match has_clocks {
+        Ok(()) => {
+            let words = "unshare -T --monotonic 5000 --fork --kill-child=SIGTERM";
+            stage.other.extend(words.split(' ').map(String::from));
         }
+        Err(why) => println!("skipped: another clock: {why}"),
     }
-}
-
-/// Two network namespaces with a cable.
-struct Cable {
-    names: [String; 2],
-    ends: [String; 2],
-}
-
-impl Cable {
-    /// # Errors
-    /// What this machine does not permit.
-    fn new(number: u32) -> Result<Self, String> {
-        let id = std::process::id();
-        let cable = Self {
-            names: [format!("vl{id}-{number}a"), format!("vl{id}-{number}b")],
-            ends: [format!("v{id}{number}a"), format!("v{id}{number}b")],
-        };
-        let [a, b] = [&*cable.names[0], &*cable.names[1]];
-        let [x, y] = [&*cable.ends[0], &*cable.ends[1]];
-        for name in [a, b] {
-            run(&["ip", "netns", "add", name])?;
-            run(&["ip", "-n", name, "link", "set", "lo", "up"])?;
-        }
-        run(&[
-            "ip", "link", "add", x, "netns", a, "type", "veth", "peer", "name", y, "netns", b,
-        ])?;
-        for (name, end, at) in [(a, x, "10.77.0.1/24"), (b, y, "10.77.0.2/24")] {
-            run(&["ip", "-n", name, "addr", "add", at, "dev", end])?;
-            run(&["ip", "-n", name, "link", "set", end, "up"])?;
-        }
-        Ok(cable)
-    }
-
-    /// Takes the vehicle's end of the cable away, or puts it back.
-    fn set(&self, state: &str) -> Result<(), String> {
-        run(&[
-            "ip",
-            "-n",
-            &self.names[0],
-            "link",
-            "set",
-            &self.ends[0],
-            state,
-        ])
-    }
-
-    /// A stage whose vehicle is on one end and whose other machine is on the other, with a
-    /// clock 5,000 s ahead where this kernel has clocks of its own.
-    fn stage(&self) -> Option<Stage> {
-        let mut stage = Stage::new()?;
-        let words = |text: &str| text.split(' ').map(String::from).collect::<Vec<_>>();
-        stage.vehicle = words(&format!("ip netns exec {}", self.names[0]));
-        stage.other = words(&format!("ip netns exec {}", self.names[1]));
-        let has_clocks = run(&["unshare", "-T", "--monotonic", "5000", "--fork", "true"]);
-        match has_clocks {
-            Ok(()) => stage.other.extend(words(
-                "unshare -T --monotonic 5000 --fork --kill-child=SIGTERM",
-            )),
-            Err(why) => println!("skipped: another clock: {why}"),
-        }
-        stage.host = "10.77.0.1".into();
-        Some(stage)
-    }
-}
-
-impl Drop for Cable {
-    fn drop(&mut self) {
-        for name in &self.names {
-            let _ = run(&["ip", "netns", "del", name]);
-        }
-    }
-}
-
-fn cable(number: u32) -> Option<Cable> {
-    let made = Cable::new(number);
-    made.inspect_err(|why| println!("skipped: networks that fail: {why}"))
-        .ok()
-}
-
-fn epoch_s() -> f64 {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .expect("a date");
-    since.as_secs_f64()
-}
-
-/// When each session of the other machine began, s since 1970.
-fn joined_at(join: &Running) -> Vec<f64> {
-    let text = join.text();
-    let lines = text
-        .lines()
-        .filter(|line| line.contains(" joined vehicle="));
-    lines
-        .filter_map(|line| {
-            let stamp = line.split_whitespace().next()?;
-            let output = Command::new("date")
-                .args(["-d", stamp, "+%s.%N"])
-                .output()
-                .ok()?;
-            String::from_utf8_lossy(&output.stdout).trim().parse().ok()
-        })
-        .collect()
+    Some(stage)
 }
 
 fn print_row(network: &str, stage: &Stage) {
@@ -152,8 +54,12 @@ fn print_row(network: &str, stage: &Stage) {
 /// A partition: the expert drives, and the judge is back within two seconds of its end.
 #[test]
 fn a_partition_is_survived_and_ends_within_two_seconds() {
-    let Some(cable) = cable(1) else { return };
-    let Some(stage) = cable.stage() else { return };
+    let Some(cable) = permitted(Cable::new()) else {
+        return;
+    };
+    let Some(stage) = with_clocks(&cable) else {
+        return;
+    };
     let policy = file(POLICY);
     let address = stage.address();
     let bundle = stage.invite("judge", &address, "judge.bundle");
@@ -182,4 +88,78 @@ fn a_partition_is_survived_and_ends_within_two_seconds() {
     print_row("partition of 12 s", &stage);
     assert!(rejoined_s < 2.0, "{rejoined_s} s");
     assert_eq!(stage.summary()["restarts"], 0);
+}
+
+/// Two vehicles and their judges at one bridge. A judge that is sent to the other vehicle, too,
+/// never joins it, and neither run hears of the other.
+#[test]
+fn two_runs_on_one_network_never_hear_each_other() {
+    let Some(spaces) = permitted(Namespaces::bridged(4)) else {
+        return;
+    };
+    let [Some(one), Some(two)] = [spaces.stage(0, 2), spaces.stage(1, 3)] else {
+        return;
+    };
+    let stages = [one, two];
+    // One port for both: the host alone tells them apart.
+    let (_, port) = stages[0]
+        .address()
+        .rsplit_once(':')
+        .map(|(host, port)| (host.to_string(), port.to_string()))
+        .expect("a port");
+    let policy = file(POLICY);
+    let addresses = stages
+        .each_ref()
+        .map(|stage| format!("{}:{port}", stage.host));
+    let bundles =
+        [0, 1].map(|at: usize| stages[at].invite("judge", &addresses[at], "judge.bundle"));
+    let mut ups = [0, 1].map(|at: usize| {
+        let address = addresses[at].as_str();
+        stages[at].up(&["--policy", &policy, "--duration", "25", "--judge", address])
+    });
+    let joins = [0, 1].map(|at: usize| stages[at].join(&bundles[at]));
+    let advices = |at: usize| {
+        count(
+            &stages[at].vehicle_report("judge"),
+            "advice",
+            "received",
+            "messages",
+        )
+    };
+    wait_for("advice in both runs", || advices(0) > 10 && advices(1) > 10);
+    // The judge of each run at the port of the other vehicle.
+    let strays = [0, 1].map(|at: usize| {
+        let (stage, run) = (&stages[at], format!("{}s", stages[at].run()));
+        let target = format!("{}@{}", stage.run(), addresses[1 - at]);
+        let words = ["join", &target, "--bundle", &bundles[at], "--run", &run];
+        stage.start(&stage.other, "vlaps-link", &words)
+    });
+    for stray in &strays {
+        wait_for("no answer", || stray.text().contains("no vehicle answers"));
+    }
+    for (at, up) in ups.iter_mut().enumerate() {
+        assert_eq!(up.wait(), Some(0), "{}", up.text());
+        let (summary, report) = (stages[at].summary(), stages[at].vehicle_report("judge"));
+        let own: Value =
+            serde_json::from_slice(&std::fs::read(&bundles[at]).expect("a bundle")).expect("JSON");
+        let peers = report["peers"].as_array().expect("peers");
+        assert_eq!(peers.len(), 1, "{report}");
+        assert_eq!(peers[0]["peer"], own["peer"]);
+        assert_eq!(peers[0]["session"]["sessions"], 1, "{report}");
+        assert_eq!(report["refused_total"], 0, "{}", report["refused"]);
+        assert!(summary["share"]["policy"].as_f64() > Some(0.0), "{summary}");
+        assert_eq!([&summary["skipped"], &summary["restarts"]], [0, 0]);
+        print_row(&format!("run {} of two at one bridge", at + 1), &stages[at]);
+    }
+    for (mut stray, mut join) in strays.into_iter().zip(joins) {
+        stray.end();
+        join.end();
+        assert!(!stray.text().contains(" joined "), "{}", stray.text());
+        assert_eq!(
+            join.text().matches(" joined ").count(),
+            1,
+            "{}",
+            join.text()
+        );
+    }
 }
