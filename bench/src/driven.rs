@@ -25,12 +25,6 @@ const LOOK: Duration = Duration::from_millis(20);
 /// Time limit for a set's first message, ns.
 pub const START_NS: u64 = 60_000_000_000;
 
-/// Whether a run has a place and can be joined. Its supervisor writes the configuration into a
-/// place that it has cleaned; a process that joins before that keeps it from being clean.
-pub fn is_up(paths: &RunPaths) -> bool {
-    paths.supervisor_pid().is_some() && paths.config_file().exists()
-}
-
 /// The name of a set of this program: other measurements may run at the same time.
 pub fn name_of(run: &str) -> String {
     format!("{run}-{}", std::process::id())
@@ -126,7 +120,7 @@ impl Driven {
     pub fn listen(&mut self, clock: Clock) -> anyhow::Result<(Wire, Subscriber<Progress>)> {
         let paths = RunPaths::new(self.name.parse()?);
         let until = clock().after_ns(START_NS);
-        while !is_up(&paths) {
+        while paths.supervisor_pid().is_none() {
             if self.has_ended()? || clock() > until {
                 bail!("the set does not start; its errors are above");
             }

@@ -16,7 +16,7 @@ use shm_config::wire::Wire;
 use supervisor::cli::failure::Failure;
 use supervisor::commands::swap::offers::{Answer, Offers};
 
-use crate::driven::{Driven, Punctuality, is_up};
+use crate::driven::{Driven, Punctuality};
 use crate::floor::{Floor, Priority};
 use crate::inference::net;
 use lab::report::{Machine, table};
@@ -181,7 +181,7 @@ fn offer(name: &str, row: &mut Row, count: u64, clock: Clock) -> anyhow::Result<
     let name = name.parse()?;
     let paths = RunPaths::new(name);
     let until = clock().after_ns(START_NS);
-    while !is_up(&paths) {
+    while paths.supervisor_pid().is_none() {
         if clock() > until {
             bail!("the set does not start");
         }

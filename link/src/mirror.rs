@@ -152,7 +152,7 @@ pub struct Mirror {
     pub wire: Wire,
     /// Its paths.
     pub paths: RunPaths,
-    _lock: RunLock,
+    lock: RunLock,
 }
 
 /// What the configuration of the vehicle becomes on this machine.
@@ -220,7 +220,10 @@ impl Mirror {
         let failed = |error: &dyn std::fmt::Display| format!("run '{name}': {error}");
         replace(&paths.config_file(), text.as_bytes(), Durable::No).map_err(|e| failed(&e))?;
         paths.keep_origin(origin).map_err(|error| failed(&error))?;
-        Self::join(paths, lock, role).map_err(|error| failed(&error))
+        let mirror = Self::join(paths, lock, role).map_err(|error| failed(&error))?;
+        let opened = mirror.paths.open(&mirror.lock);
+        opened.map_err(|error| failed(&error))?;
+        Ok(mirror)
     }
 
     fn join(paths: RunPaths, lock: RunLock, role: Role) -> Result<Self, WireError> {
@@ -238,7 +241,7 @@ impl Mirror {
             roster_port,
             wire,
             paths,
-            _lock: lock,
+            lock,
         };
         mirror.mirror(role, STEP)?;
         mirror.mirror(role, EPISODE)?;
@@ -290,6 +293,13 @@ impl Mirror {
         for port in self.rows.values_mut() {
             port.update_connections();
         }
+    }
+}
+
+impl Drop for Mirror {
+    fn drop(&mut self) {
+        // Observers let go of the run before its lock is free.
+        self.paths.close();
     }
 }
 

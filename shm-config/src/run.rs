@@ -7,6 +7,8 @@
 //! exclusively, and only then are its leftovers removed.
 
 mod holder;
+mod lock;
+mod opening;
 mod shared;
 
 use std::ffi::OsString;
@@ -14,13 +16,14 @@ use std::fmt;
 use std::fs::{self, File};
 use std::io;
 use std::os::unix::ffi::OsStringExt;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use rustix::fs::{Dir, FlockOperation};
 
 pub use self::holder::{Holder, started};
+pub use self::lock::RunLock;
+use self::lock::lock;
 use self::shared::Shared;
 pub use self::shared::Stranger;
 use crate::file::{Access, Durable, Entry, Folder, NotOurs};
@@ -144,12 +147,6 @@ pub struct RunPaths {
     user_dir: PathBuf,
 }
 
-/// A lock on one of the run's files, dropped with the value or the process.
-#[derive(Debug)]
-pub struct RunLock {
-    file: File,
-}
-
 impl RunPaths {
     /// The paths of a run of the calling user.
     pub fn new(name: RunName) -> Self {
@@ -257,98 +254,6 @@ impl RunPaths {
             .map_err(|error| RunError::of(&self.dir().join(name), error))
     }
 
-    /// Marks the calling process as part of the run until it ends.
-    ///
-    /// # Errors
-    /// When the file cannot be made or locked.
-    pub fn hold_alive(&self) -> Result<RunLock, RunError> {
-        let file = self.open_made(ALIVE_FILE)?;
-        let path = self.dir().join(ALIVE_FILE);
-        match lock(&path, &file, FlockOperation::NonBlockingLockShared)? {
-            true => Ok(RunLock { file }),
-            false => Err(RunError::Io {
-                path,
-                source: io::Error::other("the run is being cleaned up; try again"),
-            }),
-        }
-    }
-
-    /// Takes the lock of the run's supervisor, and writes the process id and start to
-    /// its file; `None` when another supervisor of the run lives.
-    ///
-    /// # Errors
-    /// When the folder or the file cannot be used.
-    pub fn hold_supervisor(&self) -> Result<Option<RunLock>, RunError> {
-        let file = self.open_made(SUPERVISOR_FILE)?;
-        let path = self.supervisor_file();
-        if !lock(&path, &file, FlockOperation::NonBlockingLockExclusive)? {
-            return Ok(None);
-        }
-        let io_error = |source| RunError::of(&path, source);
-        // A run that was just ending may have removed the file in between; a lock on a
-        // removed file would be invisible to other processes.
-        let locked = file.metadata().map_err(io_error)?.ino();
-        match fs::symlink_metadata(&path) {
-            Ok(metadata) if metadata.ino() == locked => {}
-            _ => return self.hold_supervisor(),
-        }
-        holder::record(&file).map_err(io_error)?;
-        Ok(Some(RunLock { file }))
-    }
-
-    /// Whether the file of a supervisor's lock is still in its place, together with the
-    /// files that a process needs to join the run.
-    ///
-    /// # Errors
-    /// When the system refuses to examine them.
-    pub fn is_held(&self, lock: &RunLock) -> Result<bool, RunError> {
-        let path = self.supervisor_file();
-        let failed = |source| RunError::of(&path, source);
-        let locked = lock.file.metadata().map_err(failed)?.ino();
-        match fs::symlink_metadata(&path) {
-            Ok(found) if found.ino() == locked => {}
-            Ok(_) => return Ok(false),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-            Err(error) => return Err(failed(error)),
-        }
-        for name in [ALIVE_FILE, CONFIG_FILE, NODES_DIR, SERVICES_DIR] {
-            let path = self.dir().join(name);
-            match path.try_exists() {
-                Ok(true) => {}
-                Ok(false) => return Ok(false),
-                Err(error) => return Err(RunError::of(&path, error)),
-            }
-        }
-        Ok(true)
-    }
-
-    /// The process id of the run's living supervisor; `None` when there is none, or the
-    /// run's folder is not the user's.
-    pub fn supervisor_pid(&self) -> Option<u32> {
-        self.holder().ok().flatten().map(|holder| holder.pid)
-    }
-
-    /// The process that holds the supervisor's lock; `None` when it is free.
-    ///
-    /// # Errors
-    /// When the run's folder or the file is not ours, or cannot be used.
-    pub fn holder(&self) -> Result<Option<Holder>, RunError> {
-        let path = self.supervisor_file();
-        let file = match self.folder().and_then(|folder| {
-            folder
-                .open_file(SUPERVISOR_FILE, Access::Read)
-                .map_err(|error| RunError::of(&path, error))
-        }) {
-            Ok(file) => file,
-            Err(error) if error.is_missing() => return Ok(None),
-            Err(error) => return Err(error),
-        };
-        match lock(&path, &file, FlockOperation::NonBlockingLockShared)? {
-            true => Ok(None),
-            false => Ok(Holder::of(&file)),
-        }
-    }
-
     /// Writes beside the run's files where its logs are, and which program started it,
     /// if one did. Commands select a run by this.
     ///
@@ -412,15 +317,17 @@ impl RunPaths {
         Ok(Some(leftovers))
     }
 
-    /// Removes the run's folder after an orderly stop.
+    /// Removes the folder of a run whose files are removed.
     pub fn remove_dir(&self) {
         // Only this user can rename the folder above it, so its path still leads to the
         // same folder.
         if self.user_folder().is_err() {
             return;
         }
-        // On an error an empty folder stays, which the next start reuses.
-        let _ = fs::remove_dir_all(self.dir());
+        let _ = remove(&self.supervisor_file());
+        // From here on another set may take the place, and a process may have joined since
+        // it was cleaned: their files stay, and the folder with them.
+        let _ = fs::remove_dir(self.dir());
         let _ = fs::remove_dir(&self.user_dir);
     }
 }
@@ -441,18 +348,6 @@ pub struct Leftovers {
     pub files: usize,
     /// Bytes of shared memory.
     pub bytes: u64,
-}
-
-/// Tries to lock; `false` when another process holds it.
-fn lock(path: &Path, file: &File, operation: FlockOperation) -> Result<bool, RunError> {
-    match rustix::fs::flock(file, operation) {
-        Ok(()) => Ok(true),
-        Err(rustix::io::Errno::WOULDBLOCK) => Ok(false),
-        Err(error) => Err(RunError::Io {
-            path: path.into(),
-            source: error.into(),
-        }),
-    }
 }
 
 fn remove(path: &Path) -> Result<(), RunError> {

@@ -170,6 +170,7 @@ fn a_run_that_cannot_be_opened_is_a_card_that_says_why() {
     let set = Set::new("fleetshut");
     let paths = set.paths();
     let lock = paths.hold_supervisor().expect("a folder").expect("a lock");
+    paths.open(&lock).expect("an open place");
     let page = show(set.folder(), &[]);
     let mut events = page.follow();
     let refused = until_card(&mut events, &set, |card| card["state"] == "refused");

@@ -152,17 +152,15 @@ impl TestedSet {
 
     fn join(&mut self) -> anyhow::Result<()> {
         let until = (self.clock)().after_ns(START_END_NS);
-        // The supervisor cleans up after a killed run before it starts its first child.
-        // Until then the watcher would look like a living process of that run.
-        let children = format!("/proc/{0}/task/{0}/children", self.child.id());
-        while fs::read_to_string(&children).unwrap_or_default().is_empty() {
+        let child = self.child.id();
+        let is_up = |paths: &RunPaths| paths.supervisor_pid() == Some(child);
+        while !is_up(&self.paths) || !self.paths.config_file().exists() {
             if (self.clock)() > until || self.child.try_wait()?.is_some() {
                 bail!("the set does not start: {}", self.last_error());
             }
             pause(POLL);
         }
-        let file = self.options.folder.join("runs").join(&self.options.run);
-        let config = shm_config::config::load(&file.join("config.toml"))?;
+        let config = shm_config::config::load(&self.paths.config_file())?;
         let name = self.paths.name().clone();
         self.monitor = Some(Monitor::join(&name, self.child.id(), Limits::of(&config))?);
         Ok(())

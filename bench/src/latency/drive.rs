@@ -18,7 +18,7 @@ use super::row::{Row, planner};
 use super::stress::Stress;
 use super::viewers::RowPage;
 use super::watch::Watch;
-use crate::driven::{Driven, Punctuality, is_up, quantiles};
+use crate::driven::{Driven, Punctuality, quantiles};
 use crate::floor::{Floor, Priority, claim};
 use crate::stalls::{StallWatch, Stalls};
 use supervisor::subcommand::settings;
@@ -148,7 +148,7 @@ fn await_start(bench: &Bench<'_>, driven: &mut Driven) -> anyhow::Result<Option<
     let name: RunName = driven.name().parse()?;
     let paths = RunPaths::new(name.clone());
     let until = (bench.clock)().after_ns(START_NS);
-    while !is_up(&paths) {
+    while paths.supervisor_pid().is_none() {
         // Nothing drives yet. A signal to the whole process group may have reached the
         // set, too, before it moved to a group of its own.
         if bench.stop.is_asked() {

@@ -44,17 +44,29 @@ impl Holder {
             file: (metadata.dev(), metadata.ino()),
         })
     }
+
+    /// Whether a record is of this process. Its start tells it from an earlier process of
+    /// the same id, unless the supervisor's file was overwritten.
+    pub(super) fn is_named_in(&self, record: &[u8]) -> bool {
+        recorded(record).is_some_and(|(pid, started)| {
+            pid == self.pid && (self.started.is_none() || self.started == started)
+        })
+    }
+}
+
+/// The calling process's id and start, as the run's files name it.
+pub(super) fn own_record() -> String {
+    let pid = std::process::id();
+    match started(pid) {
+        Some(started) => format!("{pid} {started}\n"),
+        None => format!("{pid}\n"),
+    }
 }
 
 /// Writes the calling process's id and start to a file that it has locked.
 pub(super) fn record(file: &File) -> io::Result<()> {
-    let pid = std::process::id();
-    let text = match started(pid) {
-        Some(started) => format!("{pid} {started}\n"),
-        None => format!("{pid}\n"),
-    };
     file.set_len(0)?;
-    file.write_all_at(text.as_bytes(), 0)
+    file.write_all_at(own_record().as_bytes(), 0)
 }
 
 /// When a process was started, in clock ticks since the machine started; `None` if no

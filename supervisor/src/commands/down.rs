@@ -61,7 +61,9 @@ pub fn down(arguments: &Down) -> Result<(), Failure> {
         ))
     })?;
     for _ in 0..LOOKS_MAX {
-        if paths.supervisor_pid() != Some(pid) {
+        // Observers lose sight of the set before its place is free for the next one.
+        let holder = paths.holder().ok().flatten();
+        if holder.is_none_or(|holder| holder.pid != pid) {
             say(format_args!("run '{name}' is stopped (process {pid})"));
             return Ok(());
         }

@@ -72,9 +72,15 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
         Some(name) => vec![RunPaths::new(name.clone())],
         None => alive()?,
     };
-    let (mut runs, mut broken) = (Vec::new(), false);
+    let (mut runs, mut broken, mut is_closed) = (Vec::new(), false, false);
     for paths in alive {
+        // Refuses a folder of another user, with its owner.
         if let Some(Holder { pid, .. }) = paths.holder()? {
+            // A process that joined now would keep its place from being cleaned.
+            if paths.supervisor_pid() != Some(pid) {
+                is_closed = true;
+                continue;
+            }
             print_strangers(&paths)?;
             let seen = match listen(&paths, pid, clock) {
                 Ok(seen) => seen,
@@ -115,6 +121,9 @@ pub fn status(arguments: &Status, clock: Clock) -> Result<(), Failure> {
     match (none, &arguments.run) {
         _ if broken => Err(Failure::GivenUp("not every run could be observed".into())),
         (false, _) => Ok(()),
+        (true, Some(name)) if is_closed => Err(Failure::GivenUp(format!(
+            "run '{name}' is just starting or ending; try again"
+        ))),
         (true, Some(name)) => Err(Failure::GivenUp(format!(
             "run '{name}' is not running; `./vlaps up --run {name}` starts it"
         ))),

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use shm_config::run::{Leftovers, RunError, RunLock, RunName, RunPaths};
+use shm_config::run::{Holder, Leftovers, RunError, RunLock, RunName, RunPaths};
 
 use crate::cli::failure::Failure;
 use crate::machine::signals::pause;
@@ -22,15 +22,17 @@ pub struct Place {
 }
 
 impl Place {
-    /// Locks the place of a run and removes what a killed run left in it.
+    /// Locks the place of a run, removes what a killed run left in it, and opens it to
+    /// observers.
     ///
     /// # Errors
     /// When the run is alive, or its folder cannot be used.
     pub fn take(name: RunName) -> Result<(Self, Leftovers), Failure> {
         let paths = RunPaths::new(name.clone());
         let Some(lock) = paths.hold_supervisor()? else {
-            let pid = match paths.supervisor_pid() {
-                Some(pid) => format!("by process {pid}"),
+            // One that still cleans its place holds it, too.
+            let pid = match paths.holder()? {
+                Some(Holder { pid, .. }) => format!("by process {pid}"),
                 None => "by another supervisor".into(),
             };
             return Err(Failure::Usage(format!(
@@ -40,6 +42,7 @@ impl Place {
         };
         for _ in 0..DEATH_LOOKS {
             if let Some(leftovers) = paths.clean_if_dead()? {
+                paths.open(&lock)?;
                 let place = Self { paths, lock };
                 return Ok((place, leftovers));
             }
@@ -69,6 +72,9 @@ impl Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
+        // Before its files: an observer that joined now would keep the place from being
+        // removed.
+        self.paths.close();
         // An observing process keeps a run alive for a moment. If one stays, or the file
         // system refuses, the next start removes the files.
         for _ in 0..DEATH_LOOKS {

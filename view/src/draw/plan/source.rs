@@ -120,7 +120,10 @@ fn of_run(name: &RunName, clock: Clock) -> anyhow::Result<Planned> {
         ))
         .into());
     }
-    let config = config::load(&paths.config_file()).map_err(|_| {
+    // A place that is being cleaned is not joined.
+    let is_open = paths.supervisor_pid().is_some();
+    let config = config::load(&paths.config_file()).ok().filter(|_| is_open);
+    let config = config.ok_or_else(|| {
         Failure::GivenUp(format!(
             "run '{name}' is just starting or ending; try again"
         ))
