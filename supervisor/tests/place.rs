@@ -115,7 +115,7 @@ impl Drop for Over<'_> {
 }
 
 /// A set that starts while observers look at its run, join it and clean up after it has its
-/// place to itself until it is clean, and no observer keeps it from being taken.
+/// place to itself until it is clean, and no observer keeps it from being taken or removed.
 #[test]
 fn no_observer_keeps_a_place_from_being_taken() {
     let name: RunName = format!("p{}", std::process::id()).parse().expect("a name");
@@ -149,9 +149,12 @@ fn no_observer_keeps_a_place_from_being_taken() {
             cleaned += leftovers.files;
             let pid = run.paths.supervisor_pid();
             assert_eq!(pid, Some(std::process::id()), "set {set} is up");
+            let own = run.paths.dir().join("own");
+            fs::write(&own, "").expect("a file of the set");
             run.until(|| run.joined.load(Ordering::SeqCst) == set);
             assert!(!run.is_over.load(Ordering::SeqCst), "an observer failed");
             drop(place);
+            assert!(!own.exists(), "set {set}: an observer keeps its files");
         }
         // An observer may have cleaned some places first.
         assert!(cleaned > 0, "no set has cleaned its place");
