@@ -19,6 +19,9 @@ HELD_OUT = range(1000, 1100)
 #: With MetaDrive's rules a car that is stuck on a cone pays 5 a step until the horizon, and
 #: such returns hide all others: a contact ends PPO's training episodes, not the evaluation's.
 CONTACT_ENDS = {"crash_vehicle_done": True, "crash_object_done": True}
+#: Four times MetaDrive's penalties, for PPO's training: a driver that pays 5 for the end of a
+#: drive of 300 m takes turns at the limit of its tyres.
+CAREFUL = {"out_of_road_penalty": 20.0, "crash_vehicle_penalty": 20.0, "crash_object_penalty": 20.0}
 #: MetaDrive's rewards divided by 20: returns of about 100 hide the actor's gradient.
 SMALL_REWARDS = {
     name: vlaps.DEFAULTS[name] / 20.0

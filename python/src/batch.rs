@@ -76,19 +76,19 @@ impl<'a> Arrays<'a> {
     }
 }
 
-/// Calls `each` for every environment with its input and its row. The pool's threads may
-/// take halves of the batch, down to `grain` environments.
+/// Calls `each` for every index of the environments, with its input and its row. The pool's
+/// threads may take halves of the batch, down to `grain` environments.
 fn for_each<I: Sync>(
     grain: usize,
     (envs, inputs, mut arrays): (&mut [Env], &[I], Arrays),
-    each: &(impl Fn(&mut Env, &I, Row) -> Result<(), WorldError> + Sync),
+    each: &(impl Fn(&mut [Env], usize, &I, Row) -> Result<(), WorldError> + Sync),
 ) -> Result<(), WorldError> {
     let features = arrays.observation.len() / envs.len().max(1);
     if envs.len() <= grain {
         // Every environment takes its step before the first error is reported.
         let mut first = Ok(());
-        for (index, (env, input)) in envs.iter_mut().zip(inputs).enumerate() {
-            let result = each(env, input, arrays.row(index, features));
+        for (index, input) in inputs.iter().enumerate() {
+            let result = each(envs, index, input, arrays.row(index, features));
             first = first.and(result);
         }
         return first;
@@ -109,7 +109,7 @@ fn for_all<I: Sync>(
     threads: Option<&ThreadPool>,
     grain: usize,
     work: (&mut [Env], &[I], Arrays),
-    each: &(impl Fn(&mut Env, &I, Row) -> Result<(), WorldError> + Sync),
+    each: &(impl Fn(&mut [Env], usize, &I, Row) -> Result<(), WorldError> + Sync),
 ) -> Result<(), WorldError> {
     match threads {
         None => for_each(grain, work, each),
@@ -219,7 +219,10 @@ impl Batch {
     /// [`WorldError`] of the first environment whose next seed has no map.
     pub fn step(&mut self, actions: &[Pair], arrays: Arrays) -> Result<(), WorldError> {
         let (options, stride) = (&self.options, self.envs.len() as u64);
-        let each = |env: &mut Env, pair: &Pair, row: Row| env.step(options, *pair, stride, row);
+        let each = |envs: &mut [Env], index: usize, pair: &Pair, row: Row| {
+            Env::prefetch_after(index, envs);
+            envs[index].step(options, *pair, stride, row)
+        };
         let work = (&mut self.envs[..], actions, arrays);
         for_all(self.threads.as_ref(), self.grain, work, &each)
     }
@@ -230,7 +233,9 @@ impl Batch {
     /// [`WorldError`] of the first seed that has no map; the others have begun.
     pub fn reset(&mut self, resets: &[Reset], arrays: Arrays) -> Result<(), WorldError> {
         let (options, stride) = (&self.options, self.envs.len() as u64);
-        let each = |env: &mut Env, reset: &Reset, row: Row| env.reset(options, *reset, stride, row);
+        let each = |envs: &mut [Env], index: usize, reset: &Reset, row: Row| {
+            envs[index].reset(options, *reset, stride, row)
+        };
         let work = (&mut self.envs[..], resets, arrays);
         for_all(self.threads.as_ref(), self.grain, work, &each)
     }

@@ -51,7 +51,7 @@ const LANE_CHANGE_STEPS: u64 = 50;
 pub type Pair = [f32; 2];
 
 /// Converts a pair to an action.
-fn action(pair: Pair) -> Action {
+pub fn action(pair: Pair) -> Action {
     Action {
         steer: f64::from(pair[0]),
         pedal: f64::from(pair[1]),
@@ -187,6 +187,15 @@ impl Env {
         self.perceive(options, row.observation);
         self.report(options, &mut row);
         Ok(())
+    }
+
+    /// Asks for the memory that the environments after an index read in their next step. Each
+    /// has begun an episode.
+    pub fn prefetch_after(index: usize, envs: &[Env]) {
+        World::prefetch_after(index, |index| envs.get(index).map(|env| &env.world));
+        if let Some(next) = envs.get(index + 1) {
+            next.world.prefetch_observation(&next.observation);
+        }
     }
 
     /// One step: drives, and handles the end of an episode as the options say.

@@ -9,6 +9,7 @@
 //! | `policy` | policy files |
 //! | `recording` | recordings of runs |
 //! | `single`, `worlds`, `state` | the Python classes |
+//! | `rust_batch` | worlds driven without Python, for the benchmark |
 //! | `calls` | functions shared by the classes |
 //!
 //! Nothing here uses shared memory or a real-time process.
@@ -21,6 +22,7 @@ mod expert;
 mod options;
 mod policy;
 mod recording;
+mod rust_batch;
 mod single;
 mod state;
 mod worlds;
@@ -32,6 +34,7 @@ use pyo3::prelude::*;
 fn _vlaps(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<single::World>()?;
     module.add_class::<worlds::Worlds>()?;
+    module.add_class::<rust_batch::RustBatch>()?;
     module.add_class::<state::State>()?;
     module.add_class::<policy::PolicyFile>()?;
     module.add_function(wrap_pyfunction!(policy::encode_policy, module)?)?;

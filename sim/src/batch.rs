@@ -7,7 +7,6 @@
 //! Threads wait for each other with a lock and a condition variable: a channel
 //! allocates at the first wait, which may be at any step.
 
-use std::mem::offset_of;
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -16,7 +15,6 @@ use shm_config::message::{Observation, Outcome};
 use vehicle::Action;
 
 use crate::config::{WorldConfig, WorldError};
-use crate::prefetch;
 use crate::world::{StepOutcome, World};
 
 /// What happens to a world whose episode has ended.
@@ -228,14 +226,6 @@ impl Slot {
         Ok(())
     }
 
-    /// Asks for what a tick writes.
-    fn prefetch_observation(&self) {
-        let ranges_m = &self.observation.ranges_m;
-        prefetch::first::<{ offset_of!(Observation, ranges_m) }, _>(&*self.observation);
-        let beams = self.world.config().scanner.beams as usize;
-        prefetch::slice(&ranges_m[..beams.min(ranges_m.len())]);
-    }
-
     fn step(&mut self, after_end: AfterEnd) {
         self.outcome = self.world.step(self.action);
         if let AfterEnd::Restart { stride } = after_end
@@ -251,15 +241,9 @@ impl Slot {
 impl Shard {
     fn step(&mut self) {
         for k in 0..self.slots.len() {
-            if let Some(slot) = self.slots.get(k + 3) {
-                slot.world.prefetch();
-            }
-            if let Some(slot) = self.slots.get(k + 2) {
-                slot.world.prefetch_arrays();
-            }
-            if let Some(slot) = self.slots.get(k + 1) {
-                slot.world.prefetch_cars();
-                slot.prefetch_observation();
+            World::prefetch_after(k, |k| self.slots.get(k).map(|slot| &slot.world));
+            if let Some(next) = self.slots.get(k + 1) {
+                next.world.prefetch_observation(&next.observation);
             }
             self.slots[k].step(self.after_end);
         }
