@@ -34,7 +34,7 @@ def keep_lane(features):
 
 def main():
     task = json.loads(sys.argv[2])
-    world = environment.World(task["world"])
+    world = environment.World(task["world"], task["scanner"])
     # The first reset creates the engine and is not measured.
     world.reset(task["first_seed"])
     steps, resets_s = 0, []

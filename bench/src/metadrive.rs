@@ -59,6 +59,7 @@ pub fn measure(
     }
     let task = serde_json::json!({
         "world": config.world,
+        "scanner": config.scanner,
         "first_seed": first_seed,
         "seconds": seconds,
     });

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from curve import Curve
 from torch import nn
-from training import CAREFUL, CONTACT_ENDS, MAPS, Standard, evaluate_policy, network, parser_of
+from training import CONTACT_ENDS, MAPS, Standard, evaluate_policy, network, parser_of
 
 import vlaps
 
@@ -28,12 +28,10 @@ ROLLOUT, EPOCHS, BATCH = 16_384, 6, 2048
 #: Without a reward for its entropy the distribution of actions narrows within a million
 #: steps, to a car that is too fast in turns. The reward fades, since the mean drives later.
 ENTROPY = 0.01
-#: Factor of the reward: returns are about 100 otherwise, and hide the actor's gradient.
-SCALE = 0.015
 #: The cost's multiplier is 0 in the first share of the steps: weighed from the beginning, the
 #: cost teaches the car to stand. Then an episode too expensive by 1 adds to it after each
-#: rollout, up to the last number; 1 is 67 metres.
-FREE, GAIN, MOST = 0.4, 0.1, 4.0
+#: rollout, up to the last number.
+FREE, GAIN, MOST = 0.4, 0.15, 8.0
 
 
 class Agent(nn.Module):
@@ -89,9 +87,9 @@ def train(arguments: argparse.Namespace) -> None:
     """Trains, and draws the curve."""
     count, limit = arguments.envs, arguments.cost_limit
     steps = max(1, min(ROLLOUT, arguments.steps) // count)
-    options = {**CONTACT_ENDS, **MAPS, **(CAREFUL if limit is None else {})}
-    envs = vlaps.MetaDriveVectorEnv(count, autoreset_mode="SameStep", horizon=1000, **options)
-    agent, standard = Agent(), Standard()
+    envs = vlaps.MetaDriveVectorEnv(count, autoreset_mode="SameStep", horizon=1000, **CONTACT_ENDS, **MAPS)
+    # Rewards are divided by the deviation of the returns so far, which grow as the car learns.
+    agent, standard, paid, scale = Agent(), Standard(), np.zeros(count), Standard(1)
     optimiser = torch.optim.Adam(agent.parameters(), lr=RATE, eps=1e-5)
     curve = Curve(f"{arguments.out}.svg", "PPO" if limit is None else f"PPO, cost of an episode limited to {limit:g}")
     observations, _ = envs.reset()
@@ -106,8 +104,11 @@ def train(arguments: argparse.Namespace) -> None:
                 action = distribution.sample()
                 row = [seen, action, distribution.log_prob(action).sum(1), agent.values(seen)]
             observations, reward, terminated, truncated, info = envs.step(action.numpy())
-            gains = np.stack([SCALE * reward, info["cost"]], 1).astype(np.float32)
             ended = terminated | truncated
+            paid = GAMMA * paid + reward
+            scale.add(paid[:, None])
+            paid[ended] = 0.0
+            gains = np.stack([reward / scale.std, info["cost"]], 1).astype(np.float32)
             cost += info["cost"]
             costs.extend(cost[ended])
             cost[ended] = 0.0
@@ -128,8 +129,8 @@ def train(arguments: argparse.Namespace) -> None:
         standard.add(np.concatenate(raw).astype(np.float64))
         if driven >= due or driven >= arguments.steps:
             due = driven + arguments.every
-            print(f"cost of a training episode {np.mean(costs):.2f}, multiplier {weight:.2f}")
-            evaluate_policy(agent.mean, driven, curve, *last)
+            print(f"multiplier {weight:.2f}")
+            evaluate_policy(agent.mean, driven, curve, *last, cost=float(np.mean(costs)))
 
 
 def arguments_of(text: str, out: str, cost_limit: float | None) -> argparse.Namespace:

@@ -55,14 +55,14 @@ def network(sizes: tuple[int, int, int], activation: type[nn.Module], *end: nn.M
 
 
 class Standard:
-    """Mean and deviation of all observations so far; a policy's file takes them in."""
+    """Mean and deviation of all rows so far; a policy's file takes those of observations in."""
 
-    def __init__(self) -> None:
-        self.count, self.mean, self.variance = 0, np.zeros(259), np.ones(259)
+    def __init__(self, width: int = 259) -> None:
+        self.count, self.mean, self.variance = 0, np.zeros(width), np.ones(width)
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """What observations are divided by."""
+        """What rows are divided by."""
         return np.sqrt(self.variance + LEAST_VARIANCE)
 
     def add(self, rows: NDArray[np.float64]) -> None:

@@ -1,5 +1,7 @@
 //! One environment: a world, the counters of its episode, and the row that it writes.
 
+use std::cell::RefCell;
+
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -50,6 +52,12 @@ const LANE_CHANGE_STEPS: u64 = 50;
 /// Steering and pedal, each in [-1, 1].
 pub type Pair = [f32; 2];
 
+thread_local! {
+    /// The observation of the world that the thread is at. [`World::observe`] writes all that
+    /// is read of it, so that one stays in the cache where one for each world would not.
+    static SEEN: RefCell<Box<Observation>> = RefCell::default();
+}
+
 /// Converts a pair to an action.
 pub fn action(pair: Pair) -> Action {
     Action {
@@ -87,7 +95,6 @@ pub struct History<'a> {
 #[derive(Clone)]
 pub struct Env {
     world: World,
-    observation: Box<Observation>,
     actions: Vec<Pair>,
     advised: Vec<u64>,
     idm: Idm,
@@ -125,7 +132,6 @@ impl Env {
     pub fn new(options: &Options, world: World, place: u64) -> Env {
         Env {
             world,
-            observation: Box::default(),
             actions: Vec::with_capacity(options.world.horizon_steps.min(1 << 14) as usize),
             advised: Vec::new(),
             idm: Idm::new(0, 0),
@@ -193,9 +199,6 @@ impl Env {
     /// has begun an episode.
     pub fn prefetch_after(index: usize, envs: &[Env]) {
         World::prefetch_after(index, |index| envs.get(index).map(|env| &env.world));
-        if let Some(next) = envs.get(index + 1) {
-            next.world.prefetch_observation(&next.observation);
-        }
     }
 
     /// One step: drives, and handles the end of an episode as the options say.
@@ -250,9 +253,11 @@ impl Env {
     }
 
     fn perceive(&mut self, options: &Options, out: &mut [f32]) {
-        self.world.observe(&mut self.observation);
-        // The row has the length of the features for the configured beams.
-        let _ = self.observation.features(out);
+        SEEN.with_borrow_mut(|seen| {
+            self.world.observe(seen);
+            // The row has the length of the features for the configured beams.
+            let _ = seen.features(out);
+        });
         let Some(noise) = &mut self.noise else {
             return;
         };
@@ -378,7 +383,10 @@ impl Env {
     /// The present observation without noise, with the header that seeds an expert's random
     /// numbers.
     pub fn perceived(&self, out: &mut Observation) {
-        out.clone_from(&self.observation);
+        SEEN.with_borrow_mut(|seen| {
+            self.world.observe(seen);
+            out.clone_from(seen);
+        });
         out.header = Header {
             tick: self.world.ticks(),
             episode: self.world.seed() as u32,
@@ -389,9 +397,12 @@ impl Env {
     /// The safety check's assessment of a proposal, from the beams without noise.
     pub fn judge(&self, proposal: Pair) -> Assessment {
         let (vehicle, limits) = (Vehicle::default(), SafetyLimits::default());
-        let reach_m = Scene::reach_m(&vehicle, &limits, self.observation.ego.speed_mps);
-        let scene = Scene::new(&self.observation, reach_m);
-        assess(&vehicle, &limits, &scene, Some(action(proposal).clamped()))
+        let proposal = Some(action(proposal).clamped());
+        SEEN.with_borrow_mut(|seen| {
+            self.world.observe(seen);
+            let reach_m = Scene::reach_m(&vehicle, &limits, seen.ego.speed_mps);
+            assess(&vehicle, &limits, &Scene::new(seen, reach_m), proposal)
+        })
     }
 
     /// A picture of the world: rows from the top, red, green and blue. `None` if the size is

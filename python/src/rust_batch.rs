@@ -144,8 +144,7 @@ impl RustBatch {
         let actions: Vec<Action> = pairs.iter().map(|&pair| action(pair)).collect();
         let mut taken = take(&self.way)?;
         let way = &mut *taken;
-        py.detach(|| self.drive_all(way, &actions))
-            .map_err(failure)
+        py.detach(|| self.drive_all(way, &actions)).map_err(failure)
     }
 
     /// The features of the present observations, `[worlds, features]`.

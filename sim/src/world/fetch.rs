@@ -29,7 +29,7 @@ impl World {
     }
 
     /// Asks for what [`World::observe`] writes.
-    pub fn prefetch_observation(&self, observation: &Observation) {
+    pub(crate) fn prefetch_observation(&self, observation: &Observation) {
         let ranges_m = &observation.ranges_m;
         prefetch::first::<{ offset_of!(Observation, ranges_m) }, _>(observation);
         let beams = self.config.scanner.beams as usize;
