@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -92,6 +92,11 @@ impl Driven {
     /// The run's name.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The folder in which the set runs.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
     }
 
     /// The run's folder, with its logs; removed when this value is dropped.

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::bail;
-use shm_config::config::Config;
+use serde_json::Value;
+use shm_config::config::{Config, Keep};
 use shm_config::run::{RunName, RunPaths};
 
 use super::Bench;
@@ -13,6 +14,7 @@ use super::buckets::{self, Series};
 use super::cyclictest::Cyclictest;
 use super::judges::RowJudge;
 use super::link::RowLink;
+use super::recording::{CoreShare, Recorded, SPACE};
 use super::ros::RowRos;
 use super::row::{Row, planner};
 use super::stress::Stress;
@@ -42,7 +44,8 @@ pub fn drive(
         here: case.beside.judge.begin()?,
         elsewhere: RowLink::invite(case.beside.link, (&run, bench.scratch))?,
     };
-    let plan_rate_hz = configuration(bench, case)?.planner_rate_hz();
+    let config = configuration(bench, case)?;
+    let plan_rate_hz = config.planner_rate_hz();
     let mut up = judges.arguments();
     up.extend(arguments(bench, case));
     let variable = judges.elsewhere.as_ref().map(RowLink::environment);
@@ -58,7 +61,8 @@ pub fn drive(
     let ros = RowRos::start(case.beside.ros, place)?;
     judges.join()?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
-    let counted = follow(bench, case, (&mut driven, &mut watch, &mut judges))?;
+    let mut share = CoreShare::default();
+    let counted = follow(bench, case, (&mut driven, &mut watch, &mut judges), &mut share)?;
     // An interrupted row is discarded, even if the set has ended by itself.
     if bench.stop.is_asked() {
         return Ok(None);
@@ -97,12 +101,30 @@ pub fn drive(
         floor_by: counted.by.into(),
         floor: counted.floor,
         own_floor: counted.own,
+        recording: recorded(&config, &driven, (&summary, &share))?,
         misses,
         latest,
         stalls_us: longest(&stalls),
     };
     row.check_accounts()?;
     Ok(Some((row, series)))
+}
+
+/// The recording of a finished row; `None` when its configuration asks for none.
+fn recorded(
+    config: &Config,
+    driven: &Driven,
+    (summary, share): (&Value, &CoreShare),
+) -> anyhow::Result<Option<Recorded>> {
+    if config.keeps() != Keep::Everything {
+        return Ok(None);
+    }
+    let folder = match &config.record.folder[..] {
+        "" => driven.run_folder().join("recording"),
+        named => driven.folder().join(named),
+    };
+    let lost = summary["processes"]["recorder"]["lost"].as_u64();
+    Recorded::read(&folder, lost.unwrap_or(0), share.share()).map(Some)
 }
 
 /// Who judges in a row.
@@ -169,6 +191,7 @@ fn follow(
     bench: &Bench<'_>,
     case: &Case,
     (driven, watch, judges): (&mut Driven, &mut Watch, &mut Judges),
+    share: &mut CoreShare,
 ) -> anyhow::Result<Option<FloorResult>> {
     let seconds = bench.settings.seconds;
     let (mut floors, mut counted) = (None, None);
@@ -176,6 +199,9 @@ fn follow(
     while !driven.has_ended()? {
         watch.look();
         let now = (bench.clock)();
+        if let Some(pid) = watch.recorder_pid() {
+            share.look(pid, now);
+        }
         if watch.has_begun() && until.is_none() {
             until = Some(now.after_ns((seconds * 1e9) as u64));
             floors = Some(FloorMeasurement::start(bench, case)?);
@@ -288,7 +314,7 @@ fn arguments(bench: &Bench<'_>, case: &Case) -> Vec<String> {
     if case.priority == Priority::Ordinary {
         up.push("--no-realtime".into());
     }
-    let mut keys = Vec::new();
+    let mut keys: Vec<String> = vec![SPACE.into()];
     if case.beside.recorder {
         up.push("--record".into());
     }

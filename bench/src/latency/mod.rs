@@ -8,6 +8,7 @@ mod judges;
 mod link;
 pub mod pairs;
 mod pictures;
+mod recording;
 mod ros;
 pub mod row;
 mod row_store;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::arguments::Settings;
+use super::recording::Recorded;
 use super::watch::Beside;
 use crate::driven::{Punctuality, Quantiles};
 
@@ -58,6 +59,9 @@ pub struct Row {
     pub floor: Punctuality,
     /// The floor as measured by a thread of this program.
     pub own_floor: Punctuality,
+    /// What the recorder cost and lost; `None` without one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recording: Option<Recorded>,
     /// Missed ticks, each with the machine's stall in the same second.
     pub misses: Vec<Beside>,
     /// The most late ticks of the controller, with the same.
@@ -201,6 +205,7 @@ pub(crate) mod tests {
             floor_by: "own thread".into(),
             floor: process.clone(),
             own_floor: process,
+            recording: None,
             misses: Vec::new(),
             latest: Vec::new(),
             stalls_us: Vec::new(),

@@ -1,6 +1,7 @@
 //! Prints the rows.
 
 use super::Measured;
+use super::recording::Recorded;
 use super::row::{FLOOR_RATIO_MAX, RESPONSE_MAX_US, Row, SAMPLES_FEW};
 use super::watch::Beside;
 use crate::driven::Quantiles;
@@ -246,6 +247,9 @@ fn events(row: &Row) {
     ));
     if row.restarts > 0 {
         say(format_args!("  {} restarts of processes", row.restarts));
+    }
+    for line in row.recording.iter().flat_map(Recorded::lines) {
+        say(format_args!("  {line}"));
     }
     for beside in row.misses.iter().take(LISTED_MAX).chain(row.latest.first()) {
         say(line(beside));

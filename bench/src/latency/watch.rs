@@ -47,6 +47,8 @@ pub struct Watch {
     _wire: Wire,
     steps: Subscriber<Step>,
     accounts: Vec<Account>,
+    recorder: Subscriber<Health>,
+    recorder_pid: Option<u32>,
     seen: Observed,
 }
 
@@ -87,10 +89,13 @@ impl Watch {
                 before: None,
             });
         }
+        let recorder = wire.subscriber(health(Process::Recorder))?;
         Ok(Self {
             _wire: wire,
             steps,
             accounts,
+            recorder,
+            recorder_pid: None,
             seen: Observed::default(),
         })
     }
@@ -101,6 +106,10 @@ impl Watch {
         self.steps.update_connections();
         let seen = &mut self.seen;
         while self.steps.visit(|step| seen.step(step)).is_some() {}
+        self.recorder.update_connections();
+        if let Some(health) = self.recorder.newest(Message::check) {
+            self.recorder_pid = Some(health.header.producer);
+        }
         for account in &mut self.accounts {
             account.port.update_connections();
             let Some(health) = account.port.newest(Message::check) else {
@@ -126,6 +135,11 @@ impl Watch {
     /// Whether the set drives.
     pub fn has_begun(&self) -> bool {
         self.seen.begun.is_some()
+    }
+
+    /// The process id of the recorder; `None` before its first report, or without one.
+    pub fn recorder_pid(&self) -> Option<u32> {
+        self.recorder_pid
     }
 
     /// Disconnects from the run and returns the observations.
