@@ -1,5 +1,5 @@
-"""Decodes each message of a recording with mcap-ros2-support and with rosbags, and compares
-both field by field with the message's memory read as numpy reads it. Topics of standard
+"""Decodes each message of a recording with mcap-ros2-support, rosbags and Rerun, and compares
+each field by field with the message's memory read as numpy reads it. Topics of standard
 types are compared with each other, and with the step that they show.
 
     python tests/decode.py FILE.mcap
@@ -16,6 +16,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+# Numbers of a header, with which each of our messages begins.
+HEADER = 5
+# A message with more numbers is compared in its length alone.
+NUMBERS_MAX = 100_000
 SIZES = {"uint8": "B", "uint32": "I", "uint64": "Q", "float32": "f", "float64": "d"}
 
 
@@ -56,7 +60,7 @@ def flattened(types, name, message):
     """All numbers of a decoded message in the same order."""
     found = []
     for kind, count, field in types[name]:
-        value = getattr(message, field)
+        value = message[field] if isinstance(message, dict) else getattr(message, field)
         values = [value] if count is None else list(value)
         if kind in SIZES:
             found += values
@@ -233,9 +237,38 @@ def rerun(path):
     return "Rerun decodes the standard topics"
 
 
+def rerun_fields(path, known, expected):
+    """Compares our messages as Rerun's own reader decodes them with `expected`: their numbers by
+    topic and header; by topic the count of those that are too long."""
+    if importlib.util.find_spec("rerun") is None:
+        return "skipped: fields in Rerun: rerun-sdk is not installed"
+    from rerun.chunk import McapReader
+
+    left, count = dict(expected), 0
+    for chunk in McapReader(path).stream().to_chunks():
+        batch = None if chunk.is_static else chunk.to_record_batch()
+        for column in batch.schema.names if batch else []:
+            name = column.removesuffix(":message")
+            if name not in known:
+                continue
+            count += batch.num_rows
+            if chunk.entity_path in left:
+                left[chunk.entity_path] -= batch.num_rows
+                continue
+            for cell in batch.column(column):
+                # A list of one message.
+                [message] = cell.as_py()
+                found = flattened(*known[name], message)
+                at = (chunk.entity_path, *found[:HEADER])
+                assert same(left.pop(at), found), at
+    missing = {at: numbers for at, numbers in left.items() if numbers}
+    assert not missing, f"Rerun has not decoded {list(missing)[:3]} and more"
+    return f"{count} messages are equal in Rerun"
+
+
 def main(path):
     store = get_typestore(Stores.EMPTY)
-    known, count = {}, 0
+    known, count, named, all_numbers = {}, 0, {}, {}
     with open(path, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for schema, channel, message, decoded in reader.iter_decoded_messages():
@@ -245,18 +278,20 @@ def main(path):
                 known[schema.id] = definitions(schema)
                 store.register(get_types_from_msg(schema.data.decode(), schema.name))
             types, name = known[schema.id], schema.name.replace("/msg/", "/")
+            named[schema.name.replace("/", ".")] = (types, name)
             expected, end = numbers(types, name, message.data, 4)
             assert end == len(message.data), f"{channel.topic}: {end} of {len(message.data)} bytes"
-            # A message of megabytes is compared in its first number and its length.
-            if len(expected) > 100_000:
-                expected = None
-            if expected is not None:
+            if len(expected) > NUMBERS_MAX:
+                all_numbers[channel.topic] = all_numbers.get(channel.topic, 0) + 1
+            else:
+                all_numbers[(channel.topic, *expected[:HEADER])] = expected
                 assert same(expected, flattened(types, name, decoded)), channel.topic
                 other = store.deserialize_cdr(message.data, schema.name)
                 assert same(expected, flattened(types, name, other)), channel.topic
             count += 1
     assert count > 0
     print(f"{count} messages of {len(known)} types are equal")
+    print(rerun_fields(path, named, all_numbers))
     counts = standard(path)
     print(f"{sum(counts.values())} messages of {len(counts)} standard topics are equal: {counts}")
     print(rerun(path))
