@@ -72,6 +72,20 @@ impl<M: Message> Channel<M> {
         self.all.push(message);
     }
 
+    /// Adds the next message from its memory; whether that is as long as a message.
+    pub fn push_bytes(&mut self, memory: &[u8]) -> bool {
+        let message = M::from_bytes(memory);
+        message.map(|message| self.push(message)).is_some()
+    }
+
+    /// Forgets all messages and keeps the memory for the next.
+    fn clear(&mut self) {
+        self.all.clear();
+        self.by_key.clear();
+        self.by_time.clear();
+        self.numbers.clear();
+    }
+
     /// The message of this key.
     pub fn find(&self, key: Key) -> Option<&M> {
         self.by_key.get(&key).map(|&index| &self.all[index])
@@ -134,6 +148,20 @@ impl Messages {
             AnyMessage::Episode(message) => self.episodes.push(message),
             AnyMessage::Learning(message) => self.learning.push(message),
         }
+    }
+
+    /// Forgets all messages and keeps the memory for the next: a stretch has 190 MB, and new
+    /// memory for each would cost a tenth of a replay.
+    pub fn clear(&mut self) {
+        self.observations.clear();
+        self.plans.clear();
+        self.commands.clear();
+        self.advice.clear();
+        self.takeovers.clear();
+        self.steps.clear();
+        self.progress.clear();
+        self.episodes.clear();
+        self.learning.clear();
     }
 
     /// How many messages the processes that are recomputed sent.

@@ -12,7 +12,7 @@ use shm_config::services::{
 };
 
 use super::learning::Offers;
-use super::messages::AnyMessage;
+use super::messages::{AnyMessage, Messages};
 use super::source::{Offer, PolicyBytes, Source};
 
 /// The services that replay reads.
@@ -131,6 +131,31 @@ impl Source for Recorded {
             }
         }
         Ok(None)
+    }
+
+    /// From the memory of the entry to that of the stretch, without a copy between them.
+    fn next_into(&mut self, messages: &mut Messages) -> anyhow::Result<bool> {
+        for entry in self.entries.by_ref() {
+            let entry = entry?;
+            let memory = entry.bytes();
+            // Another layout was refused when the recording was opened.
+            let is_there = match &entry.channel.service[..] {
+                name if name == STEP.name => messages.steps.push_bytes(memory),
+                name if name == OBSERVATION.name => messages.observations.push_bytes(memory),
+                name if name == PLAN.name => messages.plans.push_bytes(memory),
+                name if name == COMMAND.name => messages.commands.push_bytes(memory),
+                name if name == ADVICE.name => messages.advice.push_bytes(memory),
+                name if name == TAKEOVER.name => messages.takeovers.push_bytes(memory),
+                name if name == PROGRESS.name => messages.progress.push_bytes(memory),
+                name if name == EPISODE.name => messages.episodes.push_bytes(memory),
+                name if name == LEARNING.name => messages.learning.push_bytes(memory),
+                _ => false,
+            };
+            if is_there {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     fn offers(&self) -> Offers {

@@ -180,8 +180,9 @@ pub fn replay(
     let mut checks = Checks::new(task, source, clock)?;
     let mut findings = Findings::of_tick(task.tick);
     let mut before = Messages::default();
-    let mut now = next_stretch(source)?;
-    let mut after = next_stretch(source)?;
+    let mut spare = Messages::default();
+    let mut now = next_stretch(source, Messages::default())?;
+    let mut after = next_stretch(source, Messages::default())?;
     let mut ticks = 0;
     let mut recorded_ns = 0;
     for number in 0.. {
@@ -195,7 +196,7 @@ pub fn replay(
             number,
         };
         // The next one is read meanwhile.
-        let (found, later) = checks.run(&stretch, task, || next_stretch(source))?;
+        let (found, later) = checks.run(&stretch, task, || next_stretch(source, spare))?;
         findings.merge(found);
         let later = later?;
         let steps = &now.steps.all;
@@ -217,7 +218,7 @@ pub fn replay(
         if is_past {
             break;
         }
-        (before, now, after) = (now, after, later);
+        (spare, before, now, after) = (before, now, after, later);
     }
     Ok(Replayed {
         ticks,

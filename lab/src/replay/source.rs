@@ -51,6 +51,15 @@ pub trait Source: Send {
     /// When the recording cannot be read.
     fn next(&mut self) -> anyhow::Result<Option<AnyMessage>>;
 
+    /// Adds the next message to those of a stretch; whether there was one.
+    ///
+    /// # Errors
+    /// As [`Source::next`].
+    fn next_into(&mut self, messages: &mut Messages) -> anyhow::Result<bool> {
+        let message = self.next()?;
+        Ok(message.map(|message| messages.push(message)).is_some())
+    }
+
     /// The weights that were offered, from the run's beginning on.
     fn offers(&self) -> Offers;
 
@@ -64,18 +73,13 @@ pub trait Source: Send {
 /// Messages of a stretch: 4,096 ticks of all processes at equal rates, 50 MB.
 const STRETCH: usize = 4096 * 5;
 
-/// The next stretch of a run; empty after the last.
+/// The next stretch of a run, in the memory of an earlier one; empty after the last.
 ///
 /// # Errors
 /// When the recording cannot be read.
-pub fn next_stretch(source: &mut dyn Source) -> anyhow::Result<Messages> {
-    let mut messages = Messages::default();
-    while messages.len() < STRETCH {
-        match source.next()? {
-            Some(message) => messages.push(message),
-            None => break,
-        }
-    }
+pub fn next_stretch(source: &mut dyn Source, mut messages: Messages) -> anyhow::Result<Messages> {
+    messages.clear();
+    while messages.len() < STRETCH && source.next_into(&mut messages)? {}
     Ok(messages)
 }
 
