@@ -62,7 +62,12 @@ pub fn drive(
     judges.join()?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
     let mut share = CoreShare::default();
-    let counted = follow(bench, case, (&mut driven, &mut watch, &mut judges), &mut share)?;
+    let counted = follow(
+        bench,
+        case,
+        (&mut driven, &mut watch, &mut judges),
+        &mut share,
+    )?;
     // An interrupted row is discarded, even if the set has ended by itself.
     if bench.stop.is_asked() {
         return Ok(None);
