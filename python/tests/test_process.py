@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import pkgutil
 import subprocess
 import sys
 import threading
@@ -111,3 +112,9 @@ def test_the_package_imports_numpy_and_gymnasium_alone():
     )
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert output.stdout.strip() == "[]"
+
+
+def test_no_module_hides_a_name_of_the_package():
+    """Importing the module `vlaps.x` sets the attribute `x`, and would replace a function."""
+    modules = {module.name for module in pkgutil.iter_modules(vlaps.__path__)}
+    assert len(modules) > 10 and not modules & set(vlaps.__all__)

@@ -15,7 +15,7 @@ import pytest
 import vlaps
 from vlaps.columns import flat
 from vlaps.definition import NoFixedSize, dtype_of
-from vlaps.export import main
+from vlaps.tables import main
 
 CHECKOUT = Path(os.environ.get("VLAPS_CHECKOUT", Path(__file__).parents[2]))
 PROGRAMS = os.environ.get("VLAPS_PROGRAMS")

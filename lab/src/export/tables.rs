@@ -8,7 +8,7 @@ use supervisor::machine::programs::own_folder;
 
 use super::{Export, Format};
 
-/// Runs `python -m vlaps.export` of the package that `./vlaps setup python` installs.
+/// Runs `python -m vlaps.tables` of the package that `./vlaps setup python` installs.
 ///
 /// # Errors
 /// When the package is not installed, or cannot be started.
@@ -32,7 +32,7 @@ pub fn export(task: &Export) -> anyhow::Result<ExitCode> {
         Format::Animation => return Err(anyhow::anyhow!("an animation is no table")),
     };
     let mut command = Command::new(&python);
-    command.args(["-m", "vlaps.export"]).arg(&task.recording);
+    command.args(["-m", "vlaps.tables"]).arg(&task.recording);
     command.args(["--format", word, "--from", &task.from.to_string()]);
     if let Some(to) = task.to {
         command.args(["--to", &to.to_string()]);

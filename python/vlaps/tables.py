@@ -1,4 +1,4 @@
-"""`python -m vlaps.export`: a recording as Parquet, Arrow, or a dataset of Minari or LeRobot."""
+"""`python -m vlaps.tables`: a recording as Parquet, Arrow, or a dataset of Minari or LeRobot."""
 
 from __future__ import annotations
 
@@ -131,12 +131,12 @@ def _lerobot(recording: Recording, given: argparse.Namespace) -> None:
 
 
 def _error(text: object) -> str:
-    return f"vlaps.export: {text}"
+    return f"vlaps.tables: {text}"
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(prog="python -m vlaps.export", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m vlaps.tables", description=__doc__)
     parser.add_argument("recording", metavar="REC", help="a recording's folder or file")
     parser.add_argument("--format", choices=("parquet", "arrow", "minari", "lerobot"), default="parquet")
     parser.add_argument("--out", help="the folder of tables or of LeRobot's dataset, or the name of Minari's")
