@@ -145,7 +145,8 @@ def metadrive(seconds: float) -> float | None:
     world |= {"traffic_density": 0.06, "accident_probability": 0.8, "horizon_ticks": 1500}
     scanner = {"beams": 240, "range_m": 50.0}
     task = {"world": world, "scanner": scanner, "first_seed": FIRST_SEED, "seconds": seconds}
-    command = [interpreter, ROOT / "bench/metadrive_speed.py", ROOT / "sim/metadrive", json.dumps(task)]
+    command: list[str | Path] = [interpreter, ROOT / "bench/metadrive_speed.py"]
+    command += [ROOT / "sim/metadrive", json.dumps(task)]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     measured = json.loads(printed.splitlines()[-1])
     return float(measured["steps"] / measured["core_s"])
