@@ -18,7 +18,7 @@ use shm_config::wire::{Wire, WireError};
 
 use crate::Privileges;
 use crate::kernel::set_ordinary;
-use crate::privileges::Ask;
+use crate::privileges::{Ask, stay_among};
 
 /// The exit code of a process that could not be set up. At the first
 /// start the supervisor gives the run up, because it would fail again.
@@ -36,6 +36,9 @@ pub struct Arguments {
     /// Core to stay on
     #[arg(long)]
     pub core: Option<usize>,
+    /// Core among which a process without priority stays, with all its threads; repeatable
+    #[arg(long, value_name = "CORE")]
+    pub among: Vec<usize>,
 }
 
 /// Why a process could not be set up.
@@ -108,6 +111,9 @@ impl Member {
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
             signal_hook::flag::register(signal, stop.clone())?;
         }
+        // Before the first thread starts: threads inherit it. Where it is refused, the
+        // process runs on any core.
+        stay_among(&arguments.among);
         let logs = Logs::start();
         let config = load(&arguments.config)?;
         let wire = join_as(&config.run.name.parse()?, process)?;

@@ -112,6 +112,17 @@ fn stay_on(core: usize) -> bool {
     asked && sched_getaffinity(None).is_ok_and(|got| got == cores)
 }
 
+/// Keeps the calling thread, and those that it starts later, on these cores; on any where
+/// there are none.
+pub(crate) fn stay_among(cores: &[usize]) {
+    let mut among = CpuSet::new();
+    let usable = cores.iter().filter(|core| **core < CpuSet::MAX_CPU);
+    usable.for_each(|core| among.set(*core));
+    if among.count() > 0 {
+        let _ = sched_setaffinity(None, &among);
+    }
+}
+
 /// Touches the pages of the stack, so that no tick faults on them.
 #[inline(never)]
 fn touch_stack() {

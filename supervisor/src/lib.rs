@@ -23,7 +23,7 @@
 //!
 //! | process | binary | core | priority | when it dies | starts after | part of a run |
 //! |---|---|---|---|---|---|---|
-//! | recorder | `vlaps-recorder` | any | 0 | restarted, at last given up; goes on in a new file | | `record.keep` |
+//! | recorder | `vlaps-recorder` | those left | 0 | restarted, at last given up; goes on in a new file | | `record.keep` |
 //! | planner | `vlaps-planner` | last but one | 45 | restarted | recorder | always |
 //! | controller | `vlaps-controller` | last | 48 | restarted | planner | always |
 //! | gate | `vlaps-gate` | any | 0 | restarted | controller | `gate.mode` needs a process |
@@ -31,7 +31,8 @@
 //! | world | `vlaps-world` | last but two | 50 | restarted at the episode it died in; exit 0 ends the run | learner | always |
 //!
 //! The recorder starts first, so that it misses no message. The world starts last: it
-//! owns the clock, and at its first tick all processes that answer it are ready. [`set::table::TABLE`] is this table; a test compares the two. Cores are
+//! owns the clock, and at its first tick all processes that answer it are ready. [`set::table::TABLE`] is this table; a test compares the two. *Those left* are
+//! the cores that no row asks for. Cores are
 //! counted in the order of [`machine::cores::own_cores`]. With fewer than
 //! [`set::privileges::CORES_MIN`] cores, world, planner and controller share the last one;
 //! with a single core no process asks for one. Cores and priorities are asked for only in

@@ -78,6 +78,7 @@ fn the_documented_table_is_the_table() {
     for (cells, row) in documented.iter().zip(TABLE) {
         let core = match row.core {
             Core::Any => "any",
+            Core::Left => "those left",
             Core::FromLast(0) => "last",
             Core::FromLast(1) => "last but one",
             Core::FromLast(2) => "last but two",
@@ -110,6 +111,12 @@ fn few_cores_are_shared_and_a_single_core_is_not_assigned() {
     assert_eq!(enough.core(row(Process::Planner)), Some(8));
     assert_eq!(enough.core(row(Process::World)), Some(3));
     assert_eq!(enough.core(row(Process::Gate)), None);
+    let recorder = row(Process::Recorder);
+    assert_eq!(few.cores_left(recorder), [1], "beside the ticks");
+    assert_eq!(enough.cores_left(recorder), [2]);
+    assert_eq!(one.cores_left(recorder), [0; 0]);
+    assert_eq!(few.cores_left(row(Process::Learner)), [0; 0]);
+    assert_eq!(Privileges::Ordinary.cores_left(recorder), [0; 0]);
     assert_eq!(Privileges::Ordinary.priority(controller), 0);
     assert_eq!(Privileges::Ordinary.core(controller), None);
 }

@@ -132,6 +132,11 @@ impl Launch {
         if let Some(core) = self.privileges.core(row) {
             arguments.extend(["--core".into(), core.to_string()]);
         }
+        // A user's program knows no such option.
+        if self.kind(row) == Kind::OfTheBuild {
+            let cores = self.privileges.cores_left(row).into_iter();
+            arguments.extend(cores.flat_map(|core| ["--among".into(), core.to_string()]));
+        }
         if row.restart == crate::set::table::Restart::AtEpisode {
             let numbers = [
                 ("--first-episode", u64::from(resume.episode)),

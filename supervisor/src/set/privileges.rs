@@ -3,7 +3,7 @@
 use shm_config::config::Config;
 
 use crate::machine::cores::own_cores;
-use crate::set::table::{Core, ProcessSpec};
+use crate::set::table::{Core, ProcessSpec, TABLE};
 
 /// From this number of usable cores on, world, planner and controller get one each.
 pub const CORES_MIN: usize = 4;
@@ -49,6 +49,22 @@ impl Privileges {
                 _ => None,
             },
             _ => None,
+        }
+    }
+
+    /// The cores among which a process without priority is to stay; empty for any.
+    pub fn cores_left(&self, row: &ProcessSpec) -> Vec<usize> {
+        let (Self::RealTime(cores), Core::Left) = (self, row.core) else {
+            return Vec::new();
+        };
+        let taken: Vec<_> = TABLE.iter().filter_map(|row| self.core(row)).collect();
+        match taken.is_empty() {
+            true => Vec::new(),
+            false => cores
+                .iter()
+                .copied()
+                .filter(|core| !taken.contains(core))
+                .collect(),
         }
     }
 }

@@ -20,6 +20,9 @@ pub enum Restart {
 pub enum Core {
     /// None.
     Any,
+    /// Those that the others of this table leave, where they leave any: a process that a
+    /// tick never waits for keeps its memory out of the caches of the ticks' core.
+    Left,
     /// The n-th from the last of the cores that the supervisor may use, in the order of
     /// [`own_cores`](crate::machine::cores::own_cores): the first ones get most of the
     /// machine's interrupts. The last core, on a machine with few.
@@ -55,7 +58,7 @@ pub const TABLE: &[ProcessSpec] = &[
     ProcessSpec {
         process: Process::Recorder,
         binary: Process::Recorder.binary(),
-        core: Core::Any,
+        core: Core::Left,
         // No tick waits for a disk.
         priority: 0,
         // No process needs it.
