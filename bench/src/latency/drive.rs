@@ -62,12 +62,8 @@ pub fn drive(
     judges.join()?;
     let noting = StallWatch::start(case.priority, bench.clock)?;
     let mut share = CoreShare::default();
-    let counted = follow(
-        bench,
-        case,
-        (&mut driven, &mut watch, &mut judges),
-        &mut share,
-    )?;
+    let set = (&mut driven, &mut watch, &mut judges);
+    let counted = follow(bench, case, set, &mut share)?;
     // An interrupted row is discarded, even if the set has ended by itself.
     if bench.stop.is_asked() {
         return Ok(None);
