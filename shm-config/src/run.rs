@@ -23,7 +23,7 @@ use rustix::fs::{Dir, FlockOperation};
 
 pub use self::holder::{Holder, started};
 pub use self::lock::RunLock;
-use self::lock::lock;
+use self::lock::{is_in_place, lock};
 use self::shared::Shared;
 pub use self::shared::Stranger;
 use crate::file::{Access, Durable, Entry, Folder, NotOurs};
@@ -298,9 +298,11 @@ impl RunPaths {
             Err(error) => return Err(error),
         };
         let alive = self.dir().join(ALIVE_FILE);
-        let file = folder.and_then(|folder| folder.open_file(ALIVE_FILE, Access::Read).ok());
+        // A missing file is made, because a process that joins now would make and lock it.
+        let file = folder.and_then(|folder| folder.open_file(ALIVE_FILE, Access::Change).ok());
         if let Some(file) = &file
-            && !lock(&alive, file, FlockOperation::NonBlockingLockExclusive)?
+            && !(lock(&alive, file, FlockOperation::NonBlockingLockExclusive)?
+                && is_in_place(&alive, file)?)
         {
             return Ok(None);
         }

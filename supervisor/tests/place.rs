@@ -1,6 +1,7 @@
 //! Tests of a run's place beside processes that observe the run.
 
-use std::fs;
+use std::fs::{self, File};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
@@ -14,6 +15,8 @@ const SETS: u32 = 20;
 /// Threads that look at the run all the time, and threads that also join it.
 const LOOKERS: usize = 3;
 const JOINERS: usize = 2;
+/// Looks that the slowest observer of a lock outlasts: a few milliseconds.
+const SLOW_LOOKS: u32 = 20;
 /// Looks at a place that is held and cannot be clean yet.
 const LOOKS: u32 = 50;
 
@@ -22,8 +25,9 @@ struct Observed {
     paths: RunPaths,
     /// Sets so far. A file of an earlier set lies in the place when this is counted up.
     sets: AtomicU32,
-    /// Looks while that file lay there and the place was held.
+    /// Looks while that file lay there, and those of them that found the place held.
     looks: AtomicU32,
+    held_looks: AtomicU32,
     /// The number of the last set that a process joined.
     joined: AtomicU32,
     is_over: AtomicBool,
@@ -35,6 +39,7 @@ impl Observed {
             paths: RunPaths::new(name.clone()),
             sets: AtomicU32::new(0),
             looks: AtomicU32::new(0),
+            held_looks: AtomicU32::new(0),
             joined: AtomicU32::new(0),
             is_over: AtomicBool::new(false),
         }
@@ -55,8 +60,19 @@ impl Observed {
         fs::write(self.leftover(), "").expect("a leftover");
         fs::write(self.paths.dir().join("opened"), "1 1\n").expect("its marker");
         self.looks.store(0, Ordering::SeqCst);
+        self.held_looks.store(0, Ordering::SeqCst);
         self.sets.fetch_add(1, Ordering::SeqCst);
         alive
+    }
+
+    /// Looks whether the supervisor's lock is free, as an observer that is slow to let go.
+    fn probe(&self) -> File {
+        let mut options = File::options();
+        let options = options.create(true).truncate(false).write(true).mode(0o600);
+        let file = options.open(self.paths.supervisor_file());
+        let file = file.expect("the supervisor's file");
+        file.lock_shared().expect("a lock");
+        file
     }
 
     /// Looks at the run, and at its place before and after.
@@ -70,7 +86,9 @@ impl Observed {
         let is_held = self.paths.holder().expect("a place of ours").is_some();
         if before == (before.0, true) && place() == before {
             assert_eq!(seen, None, "set {} cleans its place", before.0);
-            self.looks.fetch_add(u32::from(is_held), Ordering::SeqCst);
+            self.looks.fetch_add(1, Ordering::SeqCst);
+            self.held_looks
+                .fetch_add(u32::from(is_held), Ordering::SeqCst);
         }
         assert!(seen.is_none_or(|pid| pid == std::process::id()), "{seen:?}");
     }
@@ -139,9 +157,12 @@ fn no_observer_keeps_a_place_from_being_taken() {
         let mut cleaned = 0;
         for set in 1..=SETS {
             let alive = run.leave();
+            let probe = run.probe();
             // The last process of the killed set ends after some looks.
             threads.spawn(move || {
-                run.until(|| run.looks.load(Ordering::SeqCst) >= LOOKS);
+                run.until(|| run.looks.load(Ordering::SeqCst) >= SLOW_LOOKS);
+                drop(probe);
+                run.until(|| run.held_looks.load(Ordering::SeqCst) >= LOOKS);
                 drop(alive);
             });
             let (place, leftovers) = Place::take(name.clone())

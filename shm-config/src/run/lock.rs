@@ -137,7 +137,7 @@ pub(super) fn lock(path: &Path, file: &File, operation: FlockOperation) -> Resul
 
 /// Whether a locked file is still at its path. A run that was just ending may have removed it
 /// in between, and other processes do not see a lock on a removed file.
-fn is_in_place(path: &Path, file: &File) -> Result<bool, RunError> {
+pub(super) fn is_in_place(path: &Path, file: &File) -> Result<bool, RunError> {
     let failed = |source| RunError::of(path, source);
     let locked = file.metadata().map_err(failed)?.ino();
     match fs::symlink_metadata(path) {
