@@ -230,7 +230,8 @@ def test_a_fork_without_a_change_is_the_recording(recording):
 def test_files_that_are_cut_off_are_read_to_their_end(recorded, tmp_path):
     whole = next(recorded.iterdir()).read_bytes()
     cut, read = tmp_path / "cut.mcap", 0
-    for length in range(0, len(whole), len(whole) // 29):
+    # A file that lacks a part of its last eight bytes alone, a mark, is whole.
+    for length in range(0, len(whole) - 8, len(whole) // 29):
         cut.write_bytes(whole[:length])
         try:
             recording = vlaps.Recording(cut)
