@@ -87,8 +87,8 @@ pub fn of_host(host: &Host, address: &str, superseded: u64, now: Instant) -> Val
     })
 }
 
-/// The report of the side that joined. `run` is the vehicle's name of its run. `dropped` messages have come and were given to no
-/// program.
+/// The report of the side that joined: `run` is the vehicle's name of its run, and `dropped`
+/// messages have come and were given to no program.
 pub fn of_peer(peer: &Peer, (run, address): (&str, &str), dropped: u64, now: Instant) -> Value {
     let refused: &Refused = &peer.refused;
     json!({

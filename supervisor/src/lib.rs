@@ -31,8 +31,9 @@
 //! | world | `vlaps-world` | last but two | 50 | restarted at the episode it died in; exit 0 ends the run | learner | always |
 //!
 //! The recorder starts first, so that it misses no message. The world starts last: it
-//! owns the clock, and at its first tick all processes that answer it are ready. [`set::table::TABLE`] is this table; a test compares the two. *Those left* are
-//! the cores that no row asks for. Cores are
+//! owns the clock, and at its first tick all processes that answer it are ready.
+//! [`set::table::TABLE`] is this table; a test compares the two. *Those left* are the cores
+//! that no row asks for. Cores are
 //! counted in the order of [`machine::cores::own_cores`]. With fewer than
 //! [`set::privileges::CORES_MIN`] cores, world, planner and controller share the last one;
 //! with a single core no process asks for one. Cores and priorities are asked for only in

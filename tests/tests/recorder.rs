@@ -337,3 +337,54 @@ fn decode_in_python(folder: &Path) {
         assert!(said.contains("'/ros/scene': "), "{said}");
     }
 }
+
+/// The cores that each thread of a program of the set may use, as the kernel lists them.
+fn cores(set: &Set, program: &str) -> Vec<String> {
+    let pids = set.pids(program).into_iter();
+    let threads = pids.filter_map(|pid| fs::read_dir(format!("/proc/{pid}/task")).ok());
+    let status = |thread: fs::DirEntry| fs::read_to_string(thread.path().join("status")).ok();
+    let lists = threads.flatten().flatten().filter_map(status);
+    let list = |status: String| {
+        let mut lines = status.lines();
+        let cores = lines.find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?;
+        Some(cores.trim().to_string())
+    };
+    lists.filter_map(list).collect()
+}
+
+/// Whether a list such as `0-2,5` has a core.
+fn has(list: &str, core: u32) -> bool {
+    list.split(',').any(|part| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        let number = |text: &str| text.parse::<u32>().expect("a core");
+        (number(first)..=number(last)).contains(&core)
+    })
+}
+
+#[test]
+fn no_thread_of_the_recorder_may_use_the_core_of_a_tick() {
+    let mut set = Set::new("reccore");
+    set.start(&["--duration", "4", "--rate", "100", "--record", "rec"]);
+    until("steps are on the disk", || {
+        let recording = Recording::open(&set.folder().join("rec"));
+        recording.is_ok_and(|recording| recording.counts().contains_key(STEP.name))
+    });
+    let ticks = ["vlaps-world", "vlaps-planner", "vlaps-controller"].map(|name| cores(&set, name));
+    let recorder = cores(&set, "vlaps-recorder");
+    assert_eq!(set.wait(), Some(0), "{}", set.logs());
+    // A thread of a tick has one core.
+    let of_ticks = ticks.iter().flatten();
+    let taken: Vec<u32> = of_ticks.filter_map(|list| list.parse().ok()).collect();
+    let all = std::thread::available_parallelism().expect("cores").get();
+    if taken.is_empty() || all < 2 {
+        println!("skipped: the recorder's cores: no core of its own is granted to a tick here");
+        return;
+    }
+    assert!(recorder.len() > 1, "{recorder:?}");
+    for list in &recorder {
+        assert!(
+            !taken.iter().any(|core| has(list, *core)),
+            "{list} beside {taken:?}"
+        );
+    }
+}

@@ -153,14 +153,14 @@ impl TestedSet {
     fn join(&mut self) -> anyhow::Result<()> {
         let until = (self.clock)().after_ns(START_END_NS);
         let child = self.child.id();
-        let is_up = |paths: &RunPaths| paths.supervisor_pid() == Some(child);
-        while !is_up(&self.paths) || !self.paths.config_file().exists() {
+        let config = self.paths.config_file();
+        while self.paths.supervisor_pid() != Some(child) || !config.exists() {
             if (self.clock)() > until || self.child.try_wait()?.is_some() {
                 bail!("the set does not start: {}", self.last_error());
             }
             pause(POLL);
         }
-        let config = shm_config::config::load(&self.paths.config_file())?;
+        let config = shm_config::config::load(&config)?;
         let name = self.paths.name().clone();
         self.monitor = Some(Monitor::join(&name, self.child.id(), Limits::of(&config))?);
         Ok(())
