@@ -1,12 +1,13 @@
 //! Many worlds at once, on one thread or several, with the same bits.
 //!
-//! Each world belongs to a shard, one for each thread. A shard is locked by its thread
-//! while it steps, and by the caller between steps. Worlds share nothing, so the number
-//! of threads cannot change a result.
+//! Each world belongs to a shard, one for each thread; the caller's own thread steps the
+//! last. A shard is locked by its thread while it steps, and by the caller between steps.
+//! Worlds share nothing, so the number of threads cannot change a result.
 //!
 //! Threads wait for each other with a lock and a condition variable: a channel
 //! allocates at the first wait, which may be at any step.
 
+use std::hint::spin_loop;
 use std::num::NonZeroUsize;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -16,6 +17,10 @@ use vehicle::Action;
 
 use crate::config::{WorldConfig, WorldError};
 use crate::world::{StepOutcome, World};
+
+/// How often a thread looks for work before it sleeps, about 100 us: to wake a sleeping one
+/// takes tens of microseconds, more than a caller needs between two steps.
+const TRIES: u32 = 2_000;
 
 /// What happens to a world whose episode has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,7 +41,7 @@ pub enum AfterEnd {
 pub struct BatchConfig {
     /// Number of worlds.
     pub worlds: NonZeroUsize,
-    /// Number of threads; one means the caller's own.
+    /// Number of threads, the caller's own among them.
     pub threads: NonZeroUsize,
     /// What follows the end of an episode.
     pub after_end: AfterEnd,
@@ -80,7 +85,7 @@ struct Desk {
 /// Many worlds. See the module's documentation.
 pub struct Batch {
     desks: Vec<Arc<Desk>>,
-    /// The threads, one for each shard; none when the caller steps the only shard.
+    /// The threads of all shards but the last, which the caller steps.
     threads: Vec<JoinHandle<()>>,
     worlds: usize,
 }
@@ -119,10 +124,8 @@ impl Batch {
             let slots = std::mem::replace(&mut slots, rest);
             desks.push(Arc::new(Desk::new(slots, batch.after_end)));
         }
-        let threads = match desks.len() {
-            1 => Vec::new(),
-            _ => desks.iter().map(work_at).collect(),
-        };
+        // The caller steps the last shard.
+        let threads = desks[..desks.len() - 1].iter().map(work_at).collect();
         Ok(Batch {
             desks,
             threads,
@@ -164,13 +167,12 @@ impl Batch {
     /// the end of its episode. [`WorldError::DeadThread`] if a thread panicked.
     pub fn step(&mut self, actions: &[Action]) -> Result<(), WorldError> {
         let mut actions = actions.iter();
-        let alone = self.threads.is_empty();
-        for desk in &self.desks {
+        for (k, desk) in self.desks.iter().enumerate() {
             let mut shard = desk.lock();
             for slot in &mut shard.slots {
                 slot.action = actions.next().copied().unwrap_or(Action::BRAKE);
             }
-            match alone {
+            match k == self.threads.len() {
                 true => shard.step(),
                 false => desk.ask(shard)?,
             }
@@ -288,8 +290,17 @@ impl Desk {
 
     /// Waits while the shard is in this phase.
     fn wait_out<'a>(&'a self, shard: MutexGuard<'a, Shard>, phase: Phase) -> MutexGuard<'a, Shard> {
+        drop(shard);
+        for _ in 0..TRIES {
+            if let Ok(shard) = self.shard.try_lock()
+                && shard.phase != phase
+            {
+                return shard;
+            }
+            spin_loop();
+        }
         self.changed
-            .wait_while(shard, |shard| shard.phase == phase)
+            .wait_while(self.lock(), |shard| shard.phase == phase)
             .unwrap_or_else(PoisonError::into_inner)
     }
 
