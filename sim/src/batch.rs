@@ -4,8 +4,8 @@
 //! last. A shard is locked by its thread while it steps, and by the caller between steps.
 //! Worlds share nothing, so the number of threads cannot change a result.
 //!
-//! Threads wait for each other with a lock and a condition variable: a channel
-//! allocates at the first wait, which may be at any step.
+//! Threads wait for each other with a lock, which they try for a while, and then a condition
+//! variable: a channel allocates at the first wait, which may be at any step.
 
 use std::hint::spin_loop;
 use std::num::NonZeroUsize;

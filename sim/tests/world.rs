@@ -3,6 +3,7 @@
 mod drivers;
 
 use std::num::NonZeroUsize;
+use std::time::Duration;
 
 use shm_config::message::{FEATURES, Observation, Outcome};
 use sim::spawn::ObstacleKind;
@@ -156,7 +157,11 @@ fn threads_do_not_change_a_bit() {
         let mut batch = Batch::new(&WorldConfig::default(), config, 100).expect("a batch");
         let mut actions = vec![Action::default(); batch.len()];
         let mut restarts = 0;
-        for _ in 0..400 {
+        for tick in 0..400 {
+            if tick % 100 == 0 {
+                // The threads fall asleep, and the next step has to wake them.
+                std::thread::park_timeout(Duration::from_millis(20));
+            }
             batch.visit(|k, report| {
                 actions[k] = drivers::keep_lane(report.observation);
                 actions[k].pedal = 1.0;

@@ -33,12 +33,12 @@
 //! The recorder starts first, so that it misses no message. The world starts last: it
 //! owns the clock, and at its first tick all processes that answer it are ready.
 //! [`set::table::TABLE`] is this table; a test compares the two. *Those left* are the cores
-//! that no row asks for. Cores are
-//! counted in the order of [`machine::cores::own_cores`]. With fewer than
-//! [`set::privileges::CORES_MIN`] cores, world, planner and controller share the last one;
-//! with a single core no process asks for one. Cores and priorities are asked for only in
-//! real time, since lockstep has no deadline. A process asks for its core only after its
-//! priority was granted: without a priority, a pinned process could be kept from its core.
+//! that no row asks for. Cores are counted in the order of [`machine::cores::own_cores`].
+//! With fewer than [`set::privileges::CORES_MIN`] cores, world, planner and controller
+//! share the last one; with a single core no process asks for one. Cores and priorities are
+//! asked for only in real time, since lockstep has no deadline. A process asks for its core
+//! only after its priority was granted: without a priority, a pinned process could be kept
+//! from its core.
 //!
 //! # What ends a process, and the response
 //!
