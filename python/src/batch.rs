@@ -2,14 +2,18 @@
 //! not depend on the number of threads.
 
 use std::num::NonZeroUsize;
+use std::sync::{Mutex, PoisonError};
 
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use shm_config::config::Config;
 use sim::{World, WorldError};
 
+use crate::crew::Crew;
 use crate::env::{Env, FIGURES, Pair, Reset, Row, STATE_FEATURES};
 use crate::expert::{Expert, Experts};
 use crate::options::Options;
+
+/// Parts of each thread's environments, if there are several threads. The last is 1/16 of them.
+const PARTS: usize = 5;
 
 /// Output arrays of a batch or of a part of it: one row per environment.
 pub struct Arrays<'a> {
@@ -76,45 +80,82 @@ impl<'a> Arrays<'a> {
     }
 }
 
-/// Calls `each` for every index of the environments, with its input and its row. The pool's
-/// threads may take halves of the batch, down to `grain` environments.
-fn for_each<I: Sync>(
-    grain: usize,
-    (envs, inputs, mut arrays): (&mut [Env], &[I], Arrays),
-    each: &(impl Fn(&mut [Env], usize, &I, Row) -> Result<(), WorldError> + Sync),
-) -> Result<(), WorldError> {
-    let features = arrays.observation.len() / envs.len().max(1);
-    if envs.len() <= grain {
-        // Every environment takes its step before the first error is reported.
-        let mut first = Ok(());
-        for (index, input) in inputs.iter().enumerate() {
-            let result = each(envs, index, input, arrays.row(index, features));
-            first = first.and(result);
-        }
-        return first;
-    }
-    let middle = envs.len() / 2;
-    let (left, right) = envs.split_at_mut(middle);
-    let (left_inputs, right_inputs) = inputs.split_at(middle);
-    let (left_arrays, right_arrays) = arrays.split_at(middle, features);
-    let (left, right) = rayon::join(
-        || for_each(grain, (left, left_inputs, left_arrays), each),
-        || for_each(grain, (right, right_inputs, right_arrays), each),
-    );
-    left.and(right)
+/// A part of the environments, with its inputs and rows.
+type Part<'a, I> = (&'a mut [Env], &'a [I], Arrays<'a>);
+
+/// The environments in parts that one thread takes whole.
+struct Parts<'a, I> {
+    /// The parts of the first thread, then those of the second, and so on; `None` once taken.
+    parts: Vec<Mutex<Option<Part<'a, I>>>>,
+    /// Number of parts of each thread.
+    each: usize,
 }
 
-/// The same on the threads of the pool, or on the caller's without a pool.
+impl<'a, I> Parts<'a, I> {
+    /// Gives each thread parts of decreasing size: the others take its last ones, if one of
+    /// its episodes begins, which takes as long as dozens of steps.
+    fn new(threads: usize, work: Part<'a, I>) -> Parts<'a, I> {
+        let each = match threads {
+            1 => 1,
+            _ => PARTS,
+        };
+        let (mut envs, mut inputs, mut arrays) = work;
+        let features = arrays.observation.len() / envs.len().max(1);
+        let mut parts = Vec::with_capacity(threads * each);
+        for thread in 0..threads {
+            let mut share = envs.len().div_ceil(threads - thread);
+            for left in (0..each).rev() {
+                // Half of what is left, and all of it at last.
+                let count = if left == 0 { share } else { share.div_ceil(2) };
+                share -= count;
+                let (first, rest) = envs.split_at_mut(count);
+                let (asked, others) = inputs.split_at(count);
+                let (rows, rest_rows) = arrays.split_at(count, features);
+                parts.push(Mutex::new(Some((first, asked, rows))));
+                (envs, inputs, arrays) = (rest, others, rest_rows);
+            }
+        }
+        Parts { parts, each }
+    }
+
+    /// Takes the next part for a thread: its own in order, then the others' from the last on.
+    fn take(&self, thread: usize) -> Option<(usize, Part<'a, I>)> {
+        let own = thread * self.each..(thread + 1) * self.each;
+        let before = (0..own.start).rev();
+        let after = (own.end..self.parts.len()).rev();
+        own.chain(after).chain(before).find_map(|place| {
+            let part = &self.parts[place];
+            let taken = part.lock().unwrap_or_else(PoisonError::into_inner).take();
+            taken.map(|part| (place, part))
+        })
+    }
+}
+
+/// Calls `each` for every index of the environments, with its input and its row, on the crew's
+/// threads. Every environment takes its step before the first error is returned.
 fn for_all<I: Sync>(
-    threads: Option<&ThreadPool>,
-    grain: usize,
-    work: (&mut [Env], &[I], Arrays),
+    crew: &Crew,
+    work: Part<I>,
     each: &(impl Fn(&mut [Env], usize, &I, Row) -> Result<(), WorldError> + Sync),
 ) -> Result<(), WorldError> {
-    match threads {
-        None => for_each(grain, work, each),
-        Some(threads) => threads.install(|| for_each(grain, work, each)),
-    }
+    let features = work.2.observation.len() / work.0.len().max(1);
+    let parts = Parts::new(crew.threads(), work);
+    let errors = Mutex::new(Vec::new());
+    crew.run(&|thread| {
+        while let Some((place, (envs, inputs, mut arrays))) = parts.take(thread) {
+            for (index, input) in inputs.iter().enumerate() {
+                if let Err(error) = each(envs, index, input, arrays.row(index, features)) {
+                    let mut errors = errors.lock().unwrap_or_else(PoisonError::into_inner);
+                    errors.push((place, index, error));
+                }
+            }
+        }
+    });
+    let errors = errors.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let first = errors
+        .into_iter()
+        .min_by_key(|&(place, index, _)| (place, index));
+    first.map_or(Ok(()), |(_, _, error)| Err(error))
 }
 
 /// Many environments, and the threads that step them.
@@ -122,9 +163,7 @@ pub struct Batch {
     /// Options of all environments.
     pub options: Options,
     envs: Vec<Env>,
-    /// `None`: the caller's thread steps all environments.
-    threads: Option<ThreadPool>,
-    grain: usize,
+    crew: Crew,
     experts: Experts,
 }
 
@@ -143,23 +182,10 @@ impl Batch {
         let world = World::new(options.world.clone()).map_err(|error| error.to_string())?;
         let env = |place: usize| Env::new(&options, world.clone(), place as u64);
         let envs = (0..worlds.get()).map(env).collect();
-        let count = threads.get().min(worlds.get());
-        let pool = || {
-            ThreadPoolBuilder::new()
-                .num_threads(count)
-                .thread_name(|index| format!("vlaps-world-{index}"))
-                .build()
-                .map_err(|error| format!("cannot start {count} threads: {error}"))
-        };
         Ok(Batch {
             options,
             experts: Experts::new(experts),
-            threads: (count > 1).then(pool).transpose()?,
-            // Several parts per thread balance episodes of unequal cost.
-            grain: match count {
-                1 => worlds.get(),
-                _ => worlds.get().div_ceil(count * 8),
-            },
+            crew: Crew::new(threads.min(worlds))?,
             envs,
         })
     }
@@ -169,11 +195,9 @@ impl Batch {
         self.envs.len()
     }
 
-    /// Number of threads of the pool; 0 if the caller's thread steps all environments.
+    /// Number of threads, the caller's among them.
     pub fn threads(&self) -> usize {
-        self.threads
-            .as_ref()
-            .map_or(0, ThreadPool::current_num_threads)
+        self.crew.threads()
     }
 
     /// Numbers in an observation.
@@ -203,14 +227,7 @@ impl Batch {
                 return Ok(asked.map(advise).collect());
             }
         };
-        let (experts, work) = (&self.experts, (&self.envs[..], wanted));
-        match &self.threads {
-            None => experts.ask(method, work, 1),
-            Some(threads) => {
-                let workers = threads.current_num_threads();
-                threads.install(|| experts.ask(method, work, workers))
-            }
-        }
+        self.experts.ask(method, (&self.envs, wanted), &self.crew)
     }
 
     /// Drives each environment for one tick with its action.
@@ -224,7 +241,7 @@ impl Batch {
             envs[index].step(options, *pair, stride, row)
         };
         let work = (&mut self.envs[..], actions, arrays);
-        for_all(self.threads.as_ref(), self.grain, work, &each)
+        for_all(&self.crew, work, &each)
     }
 
     /// Begins episodes.
@@ -237,6 +254,6 @@ impl Batch {
             envs[index].reset(options, *reset, stride, row)
         };
         let work = (&mut self.envs[..], resets, arrays);
-        for_all(self.threads.as_ref(), self.grain, work, &each)
+        for_all(&self.crew, work, &each)
     }
 }

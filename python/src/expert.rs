@@ -1,16 +1,16 @@
 //! The experts: planner and controller of the stack, applied to the environments'
 //! observations.
 
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use shm_config::config::Config;
 use shm_config::config::planner::Method;
 use shm_config::message::Observation;
 use stack::driver::DriverKind;
 use stack::oracle::Oracle;
 
+use crate::crew::Crew;
 use crate::env::{Env, Pair};
 
 /// An expert that can be asked in an environment.
@@ -64,8 +64,7 @@ impl Experts {
         }
     }
 
-    /// Actions in the wanted environments; `NaN` in the others. If a pool's thread calls this,
-    /// the pool's threads do the work.
+    /// Actions in the wanted environments; `NaN` in the others.
     ///
     /// # Errors
     /// One line, if the planner's configuration is out of range.
@@ -73,11 +72,19 @@ impl Experts {
         &self,
         method: Method,
         (envs, wanted): (&[Env], &[bool]),
-        workers: usize,
+        crew: &Crew,
     ) -> Result<Vec<Pair>, String> {
         let next = AtomicUsize::new(0);
-        let work = |_| self.work(method, (envs, wanted), &next);
-        let answers: Result<Vec<_>, String> = (0..workers).into_par_iter().map(work).collect();
+        let answers = Mutex::new(Vec::new());
+        crew.run(&|_| {
+            let told = self.work(method, (envs, wanted), &next);
+            answers
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(told);
+        });
+        let answers = answers.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let answers: Result<Vec<_>, String> = answers.into_iter().collect();
         let mut actions = vec![[f32::NAN; 2]; envs.len()];
         for (index, action) in answers?.into_iter().flatten() {
             actions[index] = action;
@@ -120,10 +127,8 @@ impl Experts {
         Oracle::new(&config).map_err(|error| error.to_string())
     }
 
-    fn idle(&self) -> std::sync::MutexGuard<'_, Vec<(Method, Oracle)>> {
+    fn idle(&self) -> MutexGuard<'_, Vec<(Method, Oracle)>> {
         // Experts are added and removed whole, so a panic leaves no partial entry.
-        self.idle
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner)
+        self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

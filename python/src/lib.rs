@@ -4,7 +4,7 @@
 //! | module | holds |
 //! |---|---|
 //! | `options` | options of the environments, as Python passes them |
-//! | `env`, `batch` | one environment; many environments on several threads (plain Rust) |
+//! | `env`, `batch`, `crew` | one environment; many environments; their threads (plain Rust) |
 //! | `expert`, `drive` | experts in environments; whole episodes by a driver |
 //! | `policy` | policy files |
 //! | `recording` | recordings of runs |
@@ -16,6 +16,7 @@
 
 mod batch;
 mod calls;
+mod crew;
 mod drive;
 mod env;
 mod expert;

@@ -5,8 +5,8 @@ use std::ops::Range;
 use std::sync::Mutex;
 
 use numpy::{
-    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray1,
-    PyReadwriteArray2,
+    PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2,
+    PyReadwriteArray3,
 };
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -19,27 +19,25 @@ use crate::expert::{Expert, config};
 use crate::options::{Autoreset, Options};
 use crate::state::{State, world_error};
 
-/// NumPy arrays that every call writes.
+/// Columns of the array `flags` before [`FLAGS`]: terminated, truncated, began.
+const ENDS: usize = 3;
+
+/// NumPy arrays that every call writes. Each has several outputs, because each array that is
+/// borrowed costs a call 50 ns.
 struct Buffers {
-    observation: Py<PyArray2<f32>>,
-    final_observation: Py<PyArray2<f32>>,
-    reward: Py<PyArray1<f64>>,
-    terminated: Py<PyArray1<bool>>,
-    truncated: Py<PyArray1<bool>>,
-    began: Py<PyArray1<bool>>,
+    /// `[2, worlds, features]`: present and final observations.
+    observations: Py<PyArray3<f32>>,
+    /// `[1 + REALS, worlds]`: first the reward.
     reals: Py<PyArray2<f64>>,
+    /// `[COUNTS, worlds]`.
     counts: Py<PyArray2<i64>>,
+    /// `[ENDS + FLAGS, worlds]`.
     flags: Py<PyArray2<bool>>,
 }
 
 /// The arrays, borrowed for one call.
 struct Written<'py> {
-    observation: PyReadwriteArray2<'py, f32>,
-    final_observation: PyReadwriteArray2<'py, f32>,
-    reward: PyReadwriteArray1<'py, f64>,
-    terminated: PyReadwriteArray1<'py, bool>,
-    truncated: PyReadwriteArray1<'py, bool>,
-    began: PyReadwriteArray1<'py, bool>,
+    observations: PyReadwriteArray3<'py, f32>,
     reals: PyReadwriteArray2<'py, f64>,
     counts: PyReadwriteArray2<'py, i64>,
     flags: PyReadwriteArray2<'py, bool>,
@@ -73,15 +71,10 @@ fn env(batch: &mut Batch, index: usize) -> PyResult<(&Options, &mut Env)> {
 impl Buffers {
     fn new(py: Python, worlds: usize, features: usize) -> Self {
         Self {
-            observation: PyArray2::zeros(py, [worlds, features], false).unbind(),
-            final_observation: PyArray2::zeros(py, [worlds, features], false).unbind(),
-            reward: PyArray1::zeros(py, worlds, false).unbind(),
-            terminated: PyArray1::zeros(py, worlds, false).unbind(),
-            truncated: PyArray1::zeros(py, worlds, false).unbind(),
-            began: PyArray1::zeros(py, worlds, false).unbind(),
-            reals: PyArray2::zeros(py, [REALS.len(), worlds], false).unbind(),
+            observations: PyArray3::zeros(py, [2, worlds, features], false).unbind(),
+            reals: PyArray2::zeros(py, [1 + REALS.len(), worlds], false).unbind(),
             counts: PyArray2::zeros(py, [COUNTS.len(), worlds], false).unbind(),
-            flags: PyArray2::zeros(py, [FLAGS.len(), worlds], false).unbind(),
+            flags: PyArray2::zeros(py, [ENDS + FLAGS.len(), worlds], false).unbind(),
         }
     }
 
@@ -91,12 +84,7 @@ impl Buffers {
     /// If another call is writing them.
     fn write<'py>(&self, py: Python<'py>) -> PyResult<Written<'py>> {
         Ok(Written {
-            observation: self.observation.bind(py).try_readwrite()?,
-            final_observation: self.final_observation.bind(py).try_readwrite()?,
-            reward: self.reward.bind(py).try_readwrite()?,
-            terminated: self.terminated.bind(py).try_readwrite()?,
-            truncated: self.truncated.bind(py).try_readwrite()?,
-            began: self.began.bind(py).try_readwrite()?,
+            observations: self.observations.bind(py).try_readwrite()?,
             reals: self.reals.bind(py).try_readwrite()?,
             counts: self.counts.bind(py).try_readwrite()?,
             flags: self.flags.bind(py).try_readwrite()?,
@@ -107,13 +95,18 @@ impl Buffers {
 impl Written<'_> {
     /// The arrays, with the figures of each environment in a row.
     fn arrays<'a>(&'a mut self, figures: &'a mut [f64]) -> PyResult<Arrays<'a>> {
+        let worlds = figures.len() / FIGURES;
+        let observations = self.observations.as_slice_mut()?;
+        let (observation, final_observation) = observations.split_at_mut(observations.len() / 2);
+        let (terminated, flags) = self.flags.as_slice_mut()?.split_at_mut(worlds);
+        let (truncated, flags) = flags.split_at_mut(worlds);
         Ok(Arrays {
-            observation: self.observation.as_slice_mut()?,
-            final_observation: self.final_observation.as_slice_mut()?,
-            reward: self.reward.as_slice_mut()?,
-            terminated: self.terminated.as_slice_mut()?,
-            truncated: self.truncated.as_slice_mut()?,
-            began: self.began.as_slice_mut()?,
+            observation,
+            final_observation,
+            reward: &mut self.reals.as_slice_mut()?[..worlds],
+            terminated,
+            truncated,
+            began: &mut flags[..worlds],
             figures,
         })
     }
@@ -122,15 +115,15 @@ impl Written<'_> {
     fn write_figures(&mut self, figures: &[f64]) -> PyResult<()> {
         let rows: &[[f64; FIGURES]] = figures.as_chunks().0;
         let mut columns = 0..FIGURES;
-        fill(self.reals.as_slice_mut()?, rows, &mut columns, |real| real);
+        let reals = &mut self.reals.as_slice_mut()?[rows.len()..];
+        fill(reals, rows, &mut columns, |real| real);
         let counts = self.counts.as_slice_mut()?;
         let (counts, seeds) = counts.split_at_mut((COUNTS.len() - 1) * rows.len());
         fill(counts, rows, &mut columns, |count| count as i64);
         // The seed is stored by its bits.
         fill(seeds, rows, &mut columns, |seed| seed.to_bits() as i64);
-        fill(self.flags.as_slice_mut()?, rows, &mut columns, |flag| {
-            flag != 0.0
-        });
+        let flags = &mut self.flags.as_slice_mut()?[ENDS * rows.len()..];
+        fill(flags, rows, &mut columns, |flag| flag != 0.0);
         Ok(())
     }
 }
@@ -185,7 +178,7 @@ impl Worlds {
     /// them for ever.
     fn take(&self) -> PyResult<std::sync::MutexGuard<'_, Inner>> {
         let inner = take(&self.inner)?;
-        match self.process == std::process::id() || inner.batch.threads() == 0 {
+        match inner.batch.threads() == 1 || self.process == std::process::id() {
             true => Ok(inner),
             false => Err(PyRuntimeError::new_err(
                 "these environments were made before a fork and have threads that the new process \
@@ -245,15 +238,12 @@ impl Worlds {
         ASSESSMENTS.to_vec()
     }
 
-    /// The output arrays, by name.
+    /// The output arrays, by name: `observations` `[2, worlds, features]`, the present and the
+    /// final ones; `reals`, of which the reward is the first row; `counts`; `flags`, whose first
+    /// rows say what is terminated, what is truncated, and what began.
     fn arrays<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let arrays = PyDict::new(py);
-        arrays.set_item("observation", &self.buffers.observation)?;
-        arrays.set_item("final_observation", &self.buffers.final_observation)?;
-        arrays.set_item("reward", &self.buffers.reward)?;
-        arrays.set_item("terminated", &self.buffers.terminated)?;
-        arrays.set_item("truncated", &self.buffers.truncated)?;
-        arrays.set_item("began", &self.buffers.began)?;
+        arrays.set_item("observations", &self.buffers.observations)?;
         arrays.set_item("reals", &self.buffers.reals)?;
         arrays.set_item("counts", &self.buffers.counts)?;
         arrays.set_item("flags", &self.buffers.flags)?;
@@ -320,7 +310,7 @@ impl Worlds {
         let features = inner.batch.features();
         let (_, env) = env(&mut inner.batch, index)?;
         let written = self.buffers.write(py)?;
-        let observations = written.observation.as_slice()?;
+        let observations = written.observations.as_slice()?;
         let observation = &observations[index * features..][..features];
         Ok(State::of(env, observation, &self.options))
     }

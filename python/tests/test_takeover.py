@@ -122,13 +122,13 @@ def test_the_rules_of_takeover():
 def test_a_step_that_begins_an_episode_has_no_driver():
     vector = vlaps.MetaDriveVectorEnv(3, takeover="always", autoreset_mode="NextStep", **SHORT)
     vector.reset()
-    begun = 0
+    begun, ended = 0, np.zeros(3, np.bool_)
     for action in actions(3, 30):
-        ended = vector._arrays["terminated"] | vector._arrays["truncated"]
-        info = vector.step(action)[4]
+        _, _, terminated, truncated, info = vector.step(action)
         begun += ended.sum()
         assert (info["_driver"] == ~ended).all() and not info["takeover"][ended].any()
         assert np.isnan(info["expert"][ended]).all()
+        ended = terminated | truncated
     assert begun >= 3
 
 

@@ -95,7 +95,7 @@ class _Library:
             self.types[message["name"]] = self._struct(message)
         for name, words in described["lists"].items():
             self.types[name] = _List(words)
-        self.messages = {row["name"]: row["message"] for row in described["services"]}
+        self.messages: dict[str, str] = {row["name"]: row["message"] for row in described["services"]}
         self._declare()
 
     def _declare(self) -> None:

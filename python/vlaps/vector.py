@@ -29,6 +29,8 @@ _REALS, _COUNTS, _FLAGS = _vlaps.Worlds.figure_names()
 _NAMES = _REALS + _COUNTS + _FLAGS
 _VERDICTS = np.array(VERDICTS)
 
+#: Observations, rewards, terminated, truncated.
+Outputs = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]
 #: Observations, rewards, terminated, truncated, info.
 Stepped = tuple[
     NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
@@ -82,6 +84,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             raise ValueError(f"threads = {threads}: it must be at least 1")
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._ends_in_step = self.autoreset_mode == AutoresetMode.SAME_STEP
         self.metadata = {
             "autoreset_mode": self.autoreset_mode,
             "render_modes": ["rgb_array"],
@@ -98,14 +101,19 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             threads or _cores(),
         )
         self._takeover = Takeover.of(takeover)
-        self._arrays = self._worlds.arrays()
+        arrays = self._worlds.arrays()
+        self._observation, self._final_observation = arrays["observations"]
+        reward, *reals = arrays["reals"]
+        self._terminated, self._truncated, self._began, *flags = arrays["flags"]
+        # The outputs as they are, for copy=False: each call writes them anew.
+        self._outputs = (self._observation, reward, self._terminated, self._truncated)
+        self._written = dict(zip(_NAMES, (*reals, *arrays["counts"], *flags)))
         self._copy = copy
         self._executor: ThreadPoolExecutor | None = None
         self._sent: Future[Decided | None] | None = None
         self._all = everything = np.ones(num_envs, np.bool_)
         self._masks = {f"_{name}": everything for name in _NAMES}
-        # The figures as they are, for copy=False: each call writes them anew.
-        self._shown = self._figures()
+        self._shown = {**self._masks, **self._written}
         self.single_observation_space = observation_space(self._worlds.features)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -118,9 +126,14 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             raise RuntimeError("a step was sent: call recv before anything else")
         return self._worlds
 
-    def _out(self, name: str) -> NDArray[Any]:
-        array = self._arrays[name]
-        return array.copy() if self._copy else array
+    def _shown_now(self) -> tuple[Outputs, dict[str, Any]]:
+        """The outputs of the last step; each figure as an array over the worlds, with its mask."""
+        if not self._copy:
+            return self._outputs, self._shown.copy()
+        observation, reward, terminated, truncated = self._outputs
+        outputs = (observation.copy(), reward.copy(), terminated.copy(), truncated.copy())
+        figures = {name: figure.copy() for name, figure in self._written.items()}
+        return outputs, {**self._masks, **figures}
 
     def reset(
         self,
@@ -150,7 +163,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             mask = self._marks("reset_mask", mask)
             seeds = [one if chosen else -2 for one, chosen in zip(seeds, mask)]
         worlds.reset(seeds)
-        return self._out("observation"), self._info(None)
+        outputs, info = self._shown_now()
+        return outputs[0], info
 
     def step(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> Stepped:
         """Drives all worlds for 0.1 s.
@@ -190,8 +204,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
                 f"actions have the shape {actions.shape}: it must be ({self.num_envs}, 2), "
                 "steering and pedal"
             )
-        ended = self._arrays["terminated"] | self._arrays["truncated"]
-        stands = self.autoreset_mode != AutoresetMode.SAME_STEP and ended.any()
+        ended = self._terminated | self._truncated
+        stands = not self._ends_in_step and ended.any()
         driving = ~ended if stands else self._all
         rule = self._takeover or Takeover()
         decided = rule.decide(actions.copy(), driving, asked, worlds.advise, worlds.judge)
@@ -206,31 +220,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return np.broadcast_to(marks, (self.num_envs,))
 
     def _stepped(self, decided: Decided | None) -> Stepped:
-        began = self._arrays["began"]
-        ended = None
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and began.any():
-            ended = began.copy()
-        return (
-            self._out("observation"),
-            self._out("reward"),
-            self._out("terminated"),
-            self._out("truncated"),
-            self._info(ended, decided),
-        )
-
-    def _figures(self) -> dict[str, Any]:
-        """Each figure of the last step as an array over the worlds, with its mask."""
-        info: dict[str, Any] = dict(self._masks)
-        info.update(zip(_REALS, self._out("reals")))
-        info.update(zip(_COUNTS, self._out("counts")))
-        info.update(zip(_FLAGS, self._out("flags")))
-        return info
-
-    def _info(
-        self, ended: NDArray[np.bool_] | None, decided: Decided | None = None
-    ) -> dict[str, Any]:
-        """Gymnasium's vector info: each figure as an array, with its mask."""
-        info = self._figures() if self._copy else self._shown.copy()
+        """The results of a step, with Gymnasium's vector info."""
+        outputs, info = self._shown_now()
         if decided is not None:
             shown = {
                 "proposal": decided.proposal,
@@ -241,15 +232,16 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             }
             info.update(shown)
             info.update((f"_{name}", decided.driving) for name in shown)
-        if ended is None:
-            return info
+        if not (self._ends_in_step and self._began.any()):
+            return (*outputs, info)
+        ended = self._began.copy()
         observations = np.full(self.num_envs, None, dtype=object)
         for index in np.flatnonzero(ended):
-            observations[index] = self._arrays["final_observation"][index].copy()
+            observations[index] = self._final_observation[index].copy()
         final = {name: ended if name.startswith("_") else values for name, values in info.items()}
         info["final_obs"], info["_final_obs"] = observations, ended
         info["final_info"], info["_final_info"] = final, ended
-        return info
+        return (*outputs, info)
 
     def seeds(self) -> NDArray[np.int64]:
         """The seed of the current episode in each world. In the same-step mode,
@@ -294,7 +286,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         """Restores in one world a state of a world with the same options, bit by bit;
         returns its observation."""
         self._open().set_state(self._place(index), state)
-        observation: NDArray[np.float32] = self._arrays["observation"][index].copy()
+        observation: NDArray[np.float32] = self._observation[index].copy()
         return observation
 
     def close_extras(self, **kwargs: Any) -> None:
