@@ -84,6 +84,8 @@ struct Open {
     has_messages: bool,
     /// Messages since the last flush, by channel: lost if the disk refuses it.
     unflushed: Vec<u64>,
+    /// The policy files of which the file has the offers, by SHA-256.
+    offered: Vec<String>,
 }
 
 /// Writes every message.
@@ -138,15 +140,22 @@ impl Files {
         &self.losses
     }
 
-    /// The policy files in use now: new ones are added to this file, and all of them to those
-    /// that follow.
+    /// The file that is open has the message that offers this policy file.
+    pub(super) fn note_offer(&mut self, sha256: String) {
+        if let Some(open) = &mut self.open {
+            open.offered.push(sha256);
+        }
+    }
+
+    /// The policy files in use now: they are added to the files that follow, and to this one,
+    /// unless it has their offer.
     pub(super) fn enclose(&mut self, used: Policies) {
         let known = std::mem::replace(&mut self.enclosed.policies, used);
         let Some(open) = &mut self.open else {
             return;
         };
         for (sha256, policy) in &self.enclosed.policies {
-            if known.iter().any(|(known, _)| known == sha256) {
+            if known.iter().any(|(known, _)| known == sha256) || open.offered.contains(sha256) {
                 continue;
             }
             open.enclosed_bytes += policy.len() as u64;
@@ -299,6 +308,7 @@ impl Files {
             flushed: now,
             has_messages: false,
             unflushed: vec![0; self.channels.len()],
+            offered: Vec::new(),
         })
     }
 

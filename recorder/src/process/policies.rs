@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use shm_config::layout::Layout;
-use shm_config::message::{PolicyStatus, Weights};
+use shm_config::message::PolicyStatus;
 
 use super::facts::hex;
+use crate::read::offered;
 
 /// Policy files that were offered and are not in use.
 const OFFERS_MAX: usize = 4;
@@ -31,20 +32,15 @@ impl Offers {
         }
     }
 
-    /// Keeps the file of an offer until it is decided; `memory` is that of [`Weights`].
-    pub(super) fn note_offer(&mut self, memory: &[u8]) {
-        let field = |name: &str| {
-            let field = Weights::FIELDS.iter().find(|field| field.name == name)?;
-            memory.get(field.offset..field.offset + field.size)
-        };
-        let count = field("byte_count").and_then(|bytes| bytes.try_into().ok());
-        let count = count.map_or(0, u64::from_le_bytes) as usize;
-        let (Some(sha256), Some(file)) = (field("sha256"), field("bytes")) else {
-            return;
-        };
-        if let Some(file) = file.get(..count) {
-            self.keep(hex(sha256), file);
-        }
+    /// Keeps the file of an offer until it is decided; `memory` is that of [`Weights`]. Returns
+    /// its SHA-256.
+    ///
+    /// [`Weights`]: shm_config::message::Weights
+    pub(super) fn note_offer(&mut self, memory: &[u8]) -> Option<String> {
+        let (sha256, file) = offered(memory)?;
+        let sha256 = hex(sha256);
+        self.keep(sha256.clone(), file);
+        Some(sha256)
     }
 
     fn keep(&mut self, sha256: String, file: &[u8]) {
@@ -79,6 +75,8 @@ impl Offers {
 
 #[cfg(test)]
 mod tests {
+    use shm_config::message::Weights;
+
     use super::*;
 
     fn sha256(number: u64) -> String {
@@ -133,7 +131,7 @@ mod tests {
         put("sha256", &[0xab; 32]);
         put("bytes", b"policy");
         put("byte_count", &6_u64.to_le_bytes());
-        offers.note_offer(&memory);
+        assert_eq!(offers.note_offer(&memory), Some("ab".repeat(32)));
         let expected: Policies = vec![("ab".repeat(32), Arc::from(&b"policy"[..]))];
         assert_eq!(offers.files, expected);
         // More than a message holds.
@@ -142,8 +140,8 @@ mod tests {
             .find(|field| field.name == "byte_count");
         let at = field.expect("a field").offset;
         memory[at..at + 8].fill(0xff);
-        offers.note_offer(&memory);
-        offers.note_offer(&memory[..100]);
+        assert_eq!(offers.note_offer(&memory), None);
+        assert_eq!(offers.note_offer(&memory[..100]), None);
         assert_eq!(offers.files, expected);
     }
 }

@@ -118,9 +118,11 @@ impl Writing {
     fn take(&mut self, label: Label, cdr: &[u8], now: Instant) {
         let service = self.channels[label.channel].service.as_str();
         let memory = cdr.get(ENCAPSULATION.len()..).unwrap_or_default();
-        if service == WEIGHTS.name {
-            self.offers.note_offer(memory);
-        } else if service == POLICY_STATUS.name
+        let offer = match service == WEIGHTS.name {
+            true => self.offers.note_offer(memory),
+            false => None,
+        };
+        if service == POLICY_STATUS.name
             && let Some(used) = self.offers.note_status(memory)
         {
             match &mut self.sink {
@@ -137,6 +139,9 @@ impl Writing {
         put(label, cdr);
         if let Some(shown) = &mut self.shown {
             shown.take((service, label), memory, &mut put);
+        }
+        if let (Some(sha256), Sink::Files(files)) = (offer, &mut self.sink) {
+            files.note_offer(sha256);
         }
     }
 

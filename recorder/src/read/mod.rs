@@ -6,11 +6,12 @@ mod count;
 mod entries;
 mod entry;
 mod index;
+mod offers;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use mcap::records::{Record, op};
 use shm_config::Message;
@@ -24,6 +25,8 @@ pub use index::Attachment;
 use index::FileIndex;
 #[cfg(feature = "process")]
 pub(crate) use index::origin_of;
+#[cfg(feature = "process")]
+pub(crate) use offers::offered;
 
 /// The ending of a recording's files.
 pub(crate) const ENDING: &str = "mcap";
@@ -36,6 +39,8 @@ const ATTACHMENT_MAX: u64 = 1 << 30;
 #[derive(Debug, Clone)]
 pub struct Recording {
     files: Arc<[FileIndex]>,
+    /// See [`offers::times`]; all messages of `weights` are read for it, once.
+    offers: Arc<OnceLock<BTreeMap<u64, u64>>>,
 }
 
 impl Recording {
@@ -84,6 +89,7 @@ impl Recording {
             }),
             _ => Ok(Self {
                 files: files.into(),
+                offers: Arc::default(),
             }),
         }
     }
@@ -252,7 +258,7 @@ impl Recording {
     }
 
     /// The policy file whose SHA-256 begins with these eight bytes, as `weights_hash` of a
-    /// step has them; `None` when the recording does not have it.
+    /// step has them: an attachment or an offer; `None` when the recording does not have it.
     ///
     /// # Errors
     /// As [`Recording::data`].
@@ -261,7 +267,12 @@ impl Recording {
         let found = self
             .attachments()
             .find(|attachment| attachment.name.starts_with(&name));
-        found.map(|attachment| self.data(attachment)).transpose()
+        if let Some(attachment) = found {
+            return self.data(attachment).map(Some);
+        }
+        let offers = self.offers.get_or_init(|| offers::times(self));
+        let offered = offers.get(&hash);
+        Ok(offered.and_then(|&recorded_ns| offers::find(self, hash, recorded_ns)))
     }
 }
 

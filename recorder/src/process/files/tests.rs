@@ -1,8 +1,10 @@
 use std::io::Write;
 use std::process::Command;
+use std::sync::Arc;
 
-use shm_config::message::Step;
-use shm_config::services::STEP;
+use shm_config::layout::Layout;
+use shm_config::message::{Step, Weights};
+use shm_config::services::{STEP, WEIGHTS};
 use tempfile::TempDir;
 
 use super::*;
@@ -167,4 +169,55 @@ fn a_full_disk_loses_what_is_counted_and_nothing_else() {
         there >= count && there > 50,
         "{there} there, {count} counted as written"
     );
+}
+
+#[test]
+fn a_policy_file_is_attached_where_its_offer_is_not() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut files = files(folder.path(), 64 << 20);
+    files.channels = vec![Channel::of(&WEIGHTS.row, WEIGHTS.name)];
+    let mut memory = vec![0; size_of::<Weights>()];
+    let mut put = |name: &str, bytes: &[u8]| {
+        let field = Weights::FIELDS.iter().find(|field| field.name == name);
+        let at = field.expect("a field").offset;
+        memory[at..at + bytes.len()].copy_from_slice(bytes);
+    };
+    put("sha256", &[0xab; 32]);
+    put("bytes", b"policy");
+    put("byte_count", &6_u64.to_le_bytes());
+    let cdr: Vec<u8> = ENCAPSULATION.into_iter().chain(memory).collect();
+    let label = Label {
+        channel: 0,
+        stamp: Stamp {
+            recorded_ns: 1,
+            taken_ns: 1,
+            sequence: 1,
+        },
+    };
+    let sha256 = "ab".repeat(32);
+    let used: Policies = vec![(sha256.clone(), Arc::from(&b"policy"[..]))];
+    let attached = || {
+        let recording = Recording::open(folder.path()).expect("readable");
+        let names = recording
+            .attachments()
+            .filter(|file| file.name == format!("{POLICIES}{sha256}"));
+        let policy = recording.policy(0xabab_abab_abab_abab).expect("readable");
+        (names.count(), policy)
+    };
+    let expected = Some(b"policy".to_vec());
+    // The offer is in the first file, and in use when the second begins.
+    files.take(label, &cdr, Instant(0));
+    files.note_offer(sha256.clone());
+    files.enclose(used.clone());
+    files.finish(Instant(0), Losses::default());
+    assert_eq!(attached(), (0, expected.clone()));
+    files.take(label, &cdr, Instant(1));
+    files.finish(Instant(1), Losses::default());
+    assert_eq!(attached(), (1, expected.clone()));
+    // The third file has no offer when the policy is used.
+    files.enclose(Vec::new());
+    files.take(label, &cdr, Instant(2));
+    files.enclose(used);
+    files.finish(Instant(2), Losses::default());
+    assert_eq!(attached(), (2, expected));
 }
