@@ -19,7 +19,11 @@ use crate::expert::{Expert, config};
 use crate::options::{Autoreset, Options};
 use crate::state::{State, world_error};
 
-/// Columns of the array `flags` before [`FLAGS`]: terminated, truncated, began.
+/// Most environments of an object: 100 GB. A number with a typing error would end the process,
+/// because Rust cannot report that memory is short.
+const WORLDS_MAX: usize = 1 << 20;
+
+/// Rows of the array `flags` before [`FLAGS`]: terminated, truncated, began.
 const ENDS: usize = 3;
 
 /// NumPy arrays that every call writes. Each has several outputs, because each array that is
@@ -204,6 +208,11 @@ impl Worlds {
                 .ok_or_else(|| PyValueError::new_err(format!("{name} = 0: it must be at least 1")))
         };
         let (worlds, threads) = (one("num_envs", worlds)?, one("threads", threads)?);
+        if worlds.get() > WORLDS_MAX {
+            return Err(PyValueError::new_err(format!(
+                "num_envs = {worlds}: it must be at most {WORLDS_MAX}; each takes 100 kB of memory"
+            )));
+        }
         let mut parsed = Options::parse(options).map_err(PyValueError::new_err)?;
         parsed.autoreset = Autoreset::parse(autoreset).map_err(PyValueError::new_err)?;
         let experts = config(experts).map_err(PyValueError::new_err)?;

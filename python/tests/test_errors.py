@@ -141,6 +141,8 @@ def test_sizes_that_are_wrong(vector):
             vlaps.MetaDriveVectorEnv(count)
     with pytest.raises(ValueError, match="threads"):
         vlaps.MetaDriveVectorEnv(2, threads=0)
+    with pytest.raises(ValueError, match="at most 1048576"):
+        vlaps.MetaDriveVectorEnv(10**12)
     with pytest.raises(ValueError):
         vlaps.MetaDriveVectorEnv(2, autoreset_mode="sometimes")
     for index in (3, -1):
