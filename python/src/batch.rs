@@ -195,6 +195,11 @@ impl Batch {
         self.envs.len()
     }
 
+    /// Whether the episode of each environment has ended.
+    pub fn ended(&self) -> Vec<bool> {
+        self.envs.iter().map(Env::has_ended).collect()
+    }
+
     /// Number of threads, the caller's among them.
     pub fn threads(&self) -> usize {
         self.crew.threads()

@@ -201,6 +201,11 @@ impl Env {
         World::prefetch_after(index, |index| envs.get(index).map(|env| &env.world));
     }
 
+    /// Whether the episode has ended, so that the next step drives nowhere.
+    pub fn has_ended(&self) -> bool {
+        self.ended
+    }
+
     /// One step: drives, and handles the end of an episode as the options say.
     ///
     /// # Errors

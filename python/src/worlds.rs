@@ -312,6 +312,12 @@ impl Worlds {
         stepped.map_err(world_error)
     }
 
+    /// Whether the episode of each environment has ended, `[worlds]`; the caller of `arrays` may
+    /// have written into those.
+    fn ended<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<bool>>> {
+        Ok(PyArray1::from_vec(py, self.take()?.batch.ended()))
+    }
+
     /// A copy of one environment's state.
     fn get_state(&self, py: Python, index: usize) -> PyResult<State> {
         let mut inner = self.take()?;

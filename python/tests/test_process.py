@@ -51,6 +51,23 @@ def test_after_a_fork_threads_are_missed_and_one_thread_works():
     threaded.step(still)
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_after_a_fork_a_step_can_be_sent_and_one_sent_before_is_refused():
+    still = np.zeros((4, 2), np.float32)
+    vector = vlaps.MetaDriveVectorEnv(4, threads=1, num_scenarios=4)
+    vector.reset()
+    vector.send(still)
+    assert "before a fork" in in_child(vector.recv)
+    vector.recv()
+
+    def sent_again():
+        vector.send(still)
+        return vector.recv()[0].shape
+
+    assert in_child(sent_again) == "(4, 259)"
+
+
 def spawned(seed):
     env = vlaps.MetaDriveVectorEnv(3, threads=2, num_scenarios=9)
     env.reset(seed=seed)

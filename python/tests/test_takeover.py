@@ -132,6 +132,21 @@ def test_a_step_that_begins_an_episode_has_no_driver():
     assert begun >= 3
 
 
+def test_what_the_caller_writes_into_an_array_decides_nothing():
+    vector = vlaps.MetaDriveVectorEnv(2, copy=False, takeover="always", **SHORT)
+    vector.reset()
+    _, _, terminated, _, _ = vector.step(np.zeros((2, 2), np.float32))
+    terminated[:] = True
+    info = vector.step(np.zeros((2, 2), np.float32))[4]
+    assert set(info["driver"]) == {"expert"}
+
+
+def test_a_takeover_of_another_type_is_refused():
+    for wrong in (3, lambda: None):
+        with pytest.raises(TypeError, match="takeover"):
+            vlaps.MetaDriveVectorEnv(2, takeover=wrong)
+
+
 def test_a_takeover_travels_with_send():
     vector = vlaps.MetaDriveVectorEnv(2, takeover="always", num_scenarios=2)
     twin = vlaps.MetaDriveVectorEnv(2, num_scenarios=2)

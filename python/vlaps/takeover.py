@@ -65,8 +65,12 @@ class Takeover:
 
     @staticmethod
     def of(takeover: Takeover | str | None) -> Takeover | None:
-        """Makes a rule from its name; returns other values unchanged."""
-        return Takeover(takeover) if isinstance(takeover, str) else takeover
+        """Makes a rule from its name."""
+        if isinstance(takeover, str):
+            return Takeover(takeover)
+        if not isinstance(takeover, Takeover | None):
+            raise TypeError(f"takeover = {takeover!r}: it must be a vlaps.Takeover or the name of a rule")
+        return takeover
 
     def decide(
         self,

@@ -104,12 +104,13 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         arrays = self._worlds.arrays()
         self._observation, self._final_observation = arrays["observations"]
         reward, *reals = arrays["reals"]
-        self._terminated, self._truncated, self._began, *flags = arrays["flags"]
+        terminated, truncated, self._began, *flags = arrays["flags"]
         # The outputs as they are, for copy=False: each call writes them anew.
-        self._outputs = (self._observation, reward, self._terminated, self._truncated)
+        self._outputs = (self._observation, reward, terminated, truncated)
         self._written = dict(zip(_NAMES, (*reals, *arrays["counts"], *flags)))
         self._copy = copy
         self._executor: ThreadPoolExecutor | None = None
+        self._process = os.getpid()
         self._sent: Future[Decided | None] | None = None
         self._all = everything = np.ones(num_envs, np.bool_)
         self._masks = {f"_{name}": everything for name in _NAMES}
@@ -179,7 +180,9 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
     def send(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> None:
         """Begins a step on another thread and returns immediately."""
         worlds = self._open()
-        if self._executor is None:
+        if self._executor is None or self._process != os.getpid():
+            # A thread does not survive a fork.
+            self._process = os.getpid()
             self._executor = ThreadPoolExecutor(1, thread_name_prefix="vlaps-send")
         # The caller may overwrite its array before the step has read it.
         copied = np.array(actions, np.float32, order="C")
@@ -190,6 +193,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         if self._sent is None:
             raise RuntimeError("no step was sent: call send first")
         sent, self._sent = self._sent, None
+        if self._process != os.getpid():
+            raise RuntimeError("the step was sent before a fork: its result is in the other process")
         return self._stepped(sent.result())
 
     def _drive(
@@ -204,7 +209,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
                 f"actions have the shape {actions.shape}: it must be ({self.num_envs}, 2), "
                 "steering and pedal"
             )
-        ended = self._terminated | self._truncated
+        ended = worlds.ended()
         stands = not self._ends_in_step and ended.any()
         driving = ~ended if stands else self._all
         rule = self._takeover or Takeover()
@@ -291,6 +296,6 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
 
     def close_extras(self, **kwargs: Any) -> None:
         """Frees the worlds and ends their threads."""
-        if self._executor is not None:
+        if self._executor is not None and self._process == os.getpid():
             self._executor.shutdown(wait=True)
         self._worlds = self._sent = None
