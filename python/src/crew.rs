@@ -56,7 +56,8 @@ impl Crew {
         1 + helpers.map_or(0, |helpers| helpers.pool.current_num_threads())
     }
 
-    /// Runs `work` once on each thread, with the thread's number; the caller's is 0.
+    /// Runs `work` once for each number below that of the threads: 0 on the caller's, the others
+    /// on the helpers', of which a fast one may run several.
     pub fn run(&self, work: &(impl Fn(usize) + Sync)) {
         match &self.helpers {
             None => work(0),

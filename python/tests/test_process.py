@@ -32,8 +32,13 @@ def in_child(call):
     return text
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def forks(test):
+    """A test that forks."""
+    test = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")(test)
+    return pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")(test)
+
+
+@forks
 def test_after_a_fork_threads_are_missed_and_one_thread_works():
     still = np.zeros((4, 2), np.float32)
     threaded = vlaps.MetaDriveVectorEnv(4, threads=2, num_scenarios=4)
@@ -51,8 +56,7 @@ def test_after_a_fork_threads_are_missed_and_one_thread_works():
     threaded.step(still)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@forks
 def test_after_a_fork_a_step_can_be_sent_and_one_sent_before_is_refused():
     still = np.zeros((4, 2), np.float32)
     vector = vlaps.MetaDriveVectorEnv(4, threads=1, num_scenarios=4)

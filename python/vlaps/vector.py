@@ -209,9 +209,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
                 f"actions have the shape {actions.shape}: it must be ({self.num_envs}, 2), "
                 "steering and pedal"
             )
-        ended = worlds.ended()
-        stands = not self._ends_in_step and ended.any()
-        driving = ~ended if stands else self._all
+        driving = ~worlds.ended()
         rule = self._takeover or Takeover()
         decided = rule.decide(actions.copy(), driving, asked, worlds.advise, worlds.judge)
         worlds.step(decided.applied)

@@ -74,10 +74,26 @@ impl Offers {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use shm_config::message::Weights;
 
     use super::*;
+
+    /// The memory of [`Weights`] that offers this file.
+    pub(in crate::process) fn offer(sha256: [u8; 32], file: &[u8]) -> Vec<u8> {
+        let mut memory = vec![0; size_of::<Weights>()];
+        let count = (file.len() as u64).to_le_bytes();
+        for (name, bytes) in [
+            ("sha256", &sha256[..]),
+            ("bytes", file),
+            ("byte_count", &count),
+        ] {
+            let field = Weights::FIELDS.iter().find(|field| field.name == name);
+            let at = field.expect("a field").offset;
+            memory[at..at + bytes.len()].copy_from_slice(bytes);
+        }
+        memory
+    }
 
     fn sha256(number: u64) -> String {
         format!("{number:016x}{:048x}", 0)
@@ -122,15 +138,7 @@ mod tests {
     #[test]
     fn an_offer_is_read_from_its_message() {
         let mut offers = Offers::new(Vec::new());
-        let mut memory = vec![0; size_of::<Weights>()];
-        let mut put = |name: &str, bytes: &[u8]| {
-            let field = Weights::FIELDS.iter().find(|field| field.name == name);
-            let at = field.expect("a field").offset;
-            memory[at..at + bytes.len()].copy_from_slice(bytes);
-        };
-        put("sha256", &[0xab; 32]);
-        put("bytes", b"policy");
-        put("byte_count", &6_u64.to_le_bytes());
+        let mut memory = offer([0xab; 32], b"policy");
         assert_eq!(offers.note_offer(&memory), Some("ab".repeat(32)));
         let expected: Policies = vec![("ab".repeat(32), Arc::from(&b"policy"[..]))];
         assert_eq!(offers.files, expected);

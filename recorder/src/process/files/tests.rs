@@ -2,13 +2,13 @@ use std::io::Write;
 use std::process::Command;
 use std::sync::Arc;
 
-use shm_config::layout::Layout;
-use shm_config::message::{Step, Weights};
+use shm_config::message::Step;
 use shm_config::services::{STEP, WEIGHTS};
 use tempfile::TempDir;
 
 use super::*;
 use crate::Recording;
+use crate::process::policies::tests::offer;
 use crate::schema::ENCAPSULATION;
 use crate::write::Stamp;
 
@@ -176,15 +176,7 @@ fn a_policy_file_is_attached_where_its_offer_is_not() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut files = files(folder.path(), 64 << 20);
     files.channels = vec![Channel::of(&WEIGHTS.row, WEIGHTS.name)];
-    let mut memory = vec![0; size_of::<Weights>()];
-    let mut put = |name: &str, bytes: &[u8]| {
-        let field = Weights::FIELDS.iter().find(|field| field.name == name);
-        let at = field.expect("a field").offset;
-        memory[at..at + bytes.len()].copy_from_slice(bytes);
-    };
-    put("sha256", &[0xab; 32]);
-    put("bytes", b"policy");
-    put("byte_count", &6_u64.to_le_bytes());
+    let memory = offer([0xab; 32], b"policy");
     let cdr: Vec<u8> = ENCAPSULATION.into_iter().chain(memory).collect();
     let label = Label {
         channel: 0,
