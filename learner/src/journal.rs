@@ -28,6 +28,9 @@ pub const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
 /// The file is replaced when it holds this many times the capacity of the buffers.
 const SLACK: u64 = 2;
 
+/// Records of a new file that are written to the disk at once: 4.5 MB.
+const SYNCED: u64 = 2048;
+
 /// Maximum value of a counter, far beyond every run: sums of counters stay within 64 bits.
 const COUNTER_MAX: u64 = 1 << 62;
 
@@ -173,10 +176,17 @@ impl Journal {
     }
 
     /// Replaces the file by a shorter one when it holds much more than the replay.
+    /// `heartbeat` is called meanwhile: the default replay has up to 330 MB, whose writing
+    /// may take longer than a process may be silent.
     ///
     /// # Errors
     /// When the new file cannot be written; the old one then stays.
-    pub fn compact(&mut self, replay: &Replay, mark: &Mark) -> io::Result<()> {
+    pub fn compact(
+        &mut self,
+        replay: &Replay,
+        mark: &Mark,
+        heartbeat: &mut dyn FnMut(),
+    ) -> io::Result<()> {
         let held = Buffer::ALL.len() * replay.capacity();
         if self.records <= SLACK * held as u64 {
             return Ok(());
@@ -189,6 +199,12 @@ impl Journal {
                 for transition in replay.iter(buffer) {
                     file.write_all(&encode(buffer, transition, mark))?;
                     records += 1;
+                    if records % SYNCED == 0 {
+                        // Otherwise the last sync would wait for the whole file.
+                        file.flush()?;
+                        file.get_ref().sync_data()?;
+                        heartbeat();
+                    }
                 }
             }
             file.flush()

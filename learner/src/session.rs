@@ -211,7 +211,7 @@ impl Session {
         self.state.blocks += 1;
         let policy = self.policy_file()?;
         heartbeat();
-        let done = self.write_down(&policy, &losses);
+        let done = self.write_down(&policy, &losses, &mut heartbeat);
         self.tell(done);
         heartbeat();
         Ok(Block {
@@ -305,9 +305,14 @@ impl Session {
         }
     }
 
-    fn write_down(&mut self, policy: &[u8], losses: &Losses) -> io::Result<()> {
+    fn write_down(
+        &mut self,
+        policy: &[u8],
+        losses: &Losses,
+        heartbeat: &mut dyn FnMut(),
+    ) -> io::Result<()> {
         let mark = self.mark();
-        self.journal.compact(&self.replay, &mark)?;
+        self.journal.compact(&self.replay, &mark, heartbeat)?;
         // The journal is saved before the block that was learnt from it.
         self.journal.sync()?;
         let file = format!("policies/{:08}.onnx", self.state.steps);

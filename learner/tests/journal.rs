@@ -285,7 +285,9 @@ fn compaction_keeps_what_the_buffers_hold() {
     for number in 0..200 {
         append(&mut journal, &mut replay, number);
         journal.flush().expect("written");
-        journal.compact(&replay, &mark(number)).expect("written");
+        journal
+            .compact(&replay, &mark(number), &mut || {})
+            .expect("written");
         lengths.push(fs::metadata(&path).expect("the file").len());
         let found = Journal::open(&path, CAPACITY, 0).expect("a journal");
         assert_same(&found.replay, &replay, &format!("after {number}"));
@@ -295,6 +297,28 @@ fn compaction_keeps_what_the_buffers_hold() {
     assert!(shorter > 3, "it was never written anew: {lengths:?}");
     let names = fs::read_dir(folder.path()).expect("the folder").count();
     assert_eq!(names, 1, "nothing else is left in the folder");
+}
+
+#[test]
+fn a_long_compaction_says_that_it_lives() {
+    const LARGE: usize = 2500;
+    let folder = TempDir::new().expect("a folder");
+    let path = folder.path().join("replay.bin");
+    let Recovered {
+        mut journal,
+        mut replay,
+        ..
+    } = Journal::open(&path, LARGE, 0).expect("a journal");
+    for number in 0..=6 * LARGE as u64 {
+        append(&mut journal, &mut replay, number);
+    }
+    let mut beats = 0;
+    journal
+        .compact(&replay, &mark(6 * LARGE as u64), &mut || beats += 1)
+        .expect("written");
+    let held: usize = Buffer::ALL.iter().map(|&buffer| replay.len(buffer)).sum();
+    assert!(held > 2048, "{held} transitions");
+    assert_eq!(beats, held / 2048);
 }
 
 #[test]
@@ -315,7 +339,9 @@ fn compaction_that_fails_leaves_the_file() {
     // No file can be created where there is no folder.
     let aside = folder.path().join("aside");
     fs::rename(&inner, &aside).expect("moved");
-    journal.compact(&replay, &mark(59)).expect_err("no folder");
+    journal
+        .compact(&replay, &mark(59), &mut || {})
+        .expect_err("no folder");
     append(&mut journal, &mut replay, 60);
     drop(journal);
     let found = open(&aside.join("replay.bin"));
@@ -334,7 +360,9 @@ fn append_for_ever(path: &Path) -> ! {
     for number in 0.. {
         append(&mut journal, &mut replay, number);
         journal.flush().expect("written");
-        journal.compact(&replay, &mark(number)).expect("written");
+        journal
+            .compact(&replay, &mark(number), &mut || {})
+            .expect("written");
         writeln!(said, "{number}").expect("the parent reads");
     }
     unreachable!("the parent kills this process")

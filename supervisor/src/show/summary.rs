@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use serde::Serialize;
-use shm_config::config::Config;
+use shm_config::config::{Config, GateMode};
 use shm_config::message::{Driver, Episode, Grant, Reason};
 use shm_config::services::Process;
 
@@ -187,7 +187,7 @@ impl Summary {
             ended,
             steps: tally.steps.received,
             lost_steps: tally.steps.lost(),
-            person_share: person_share(tally),
+            person_share: person_share(config, tally),
             reasons,
             braked: episode_totals.braked,
             episode_totals,
@@ -238,8 +238,12 @@ impl Summary {
     }
 }
 
-/// Share of the steps that a human driver drove, [0, 1].
-fn person_share(tally: &Tally) -> f64 {
+/// Share of the steps that a human driver drove, [0, 1]; only this mode has one, in the mode
+/// `takeover` the expert takes over.
+fn person_share(config: &Config, tally: &Tally) -> f64 {
+    if config.gate.mode != GateMode::Human {
+        return 0.0;
+    }
     let takeovers = tally.steps.reasons();
     let takeovers = takeovers.filter(|(_, reason, _)| *reason == Reason::Takeover.word());
     let driven: u64 = takeovers.map(|(_, _, count)| count).sum();

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
-use shm_config::config::Config;
-use shm_config::message::{HealthState, Outcome};
+use shm_config::config::{Config, GateMode};
+use shm_config::message::{HealthState, Outcome, Reason};
 use shm_config::services::Process;
 
 use crate::set::member::Phase;
@@ -29,6 +29,8 @@ pub struct View {
     pub episode: Option<EpisodeView>,
     /// Driver and reason; `None` before the first step.
     pub driver: Option<(&'static str, &'static str)>,
+    /// A human driver has taken over.
+    pub is_person: bool,
     /// The world has no recent command and brakes.
     pub is_unled: bool,
     /// Messages that the world refused, by reason.
@@ -145,6 +147,11 @@ impl View {
                 .steps
                 .newest
                 .map(|(driver, reason)| (driver.word(), reason.word())),
+            is_person: config.gate.mode == GateMode::Human
+                && tally
+                    .steps
+                    .newest
+                    .is_some_and(|(_, reason)| reason == Reason::Takeover),
             is_unled: tally.is_unled,
             world_refusals: world_refusals(tally),
             policy: tally.policy.as_ref().and_then(PolicyView::of),

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use shm_config::message::Reason;
 use shm_config::services::Process;
 
 use crate::show::view::{ProcessView, View};
@@ -40,8 +39,7 @@ impl View {
             Some((driver, reason)) => {
                 let policy = self.policy.as_ref();
                 let policy = policy.map_or(String::new(), |policy| format!("; {policy}"));
-                let takes_over = reason == Reason::Takeover.word();
-                let driving = match (takes_over, &self.help) {
+                let driving = match (self.is_person, &self.help) {
                     (true, Some(_)) => "you drive".into(),
                     (true, None) => "a human driver drives".into(),
                     (false, _) => format!("{driver} drives"),
