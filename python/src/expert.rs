@@ -4,8 +4,8 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use shm_config::config::Config;
 use shm_config::config::planner::Method;
+use shm_config::config::{Config, ConfigError, from_toml};
 use shm_config::message::Observation;
 use stack::driver::DriverKind;
 use stack::oracle::Oracle;
@@ -43,8 +43,17 @@ impl Expert {
 /// # Errors
 /// One line that names the key.
 pub fn config(changes: &str) -> Result<Config, String> {
-    let config: Config = serde_json::from_str(changes).map_err(|error| error.to_string())?;
-    config.validated().map_err(|error| error.to_string())
+    let changes: toml::Table = serde_json::from_str(changes).map_err(|error| error.to_string())?;
+    let text = toml::to_string(&changes).map_err(|error| error.to_string())?;
+    from_toml(&text, "expert_config").map_err(|error| match error {
+        // The line is one of the text above, which the caller does not know.
+        ConfigError::Syntax { origin, message } => {
+            let line = origin.rsplit(':').next().and_then(|line| line.parse().ok());
+            let line = line.and_then(|line: usize| text.lines().nth(line.saturating_sub(1)));
+            format!("expert_config: {message} in '{}'", line.unwrap_or(&text))
+        }
+        other => other.to_string(),
+    })
 }
 
 /// Experts without memory: each answer depends on one observation only, so that neither the

@@ -1,7 +1,8 @@
 //! Options of a batch of environments, which Python passes as one JSON text.
 
 use serde::{Deserialize, Serialize};
-use sim::{RewardConfig, WorldConfig};
+use sim::{RewardConfig, WorldConfig, WorldError};
+use vehicle::InvalidVehicle;
 
 /// Upper bound of seeds: Python passes them as signed numbers.
 pub const SEEDS_END: u64 = 1 << 63;
@@ -117,6 +118,23 @@ fn permuted(index: u64, count: u64, key: u64) -> u64 {
     }
 }
 
+/// Why a scanner is refused, with MetaDrive's names.
+fn scanner_refusal(wrong: &InvalidVehicle) -> String {
+    let InvalidVehicle { name, value, range } = wrong;
+    match *name {
+        // Without a beam, the world's scanner sees nothing.
+        "beams" => format!(
+            "num_lasers = {value}: it must be between 0 and {}",
+            range[1]
+        ),
+        "range_m" => format!(
+            "distance = {value}: it must be between {} and {} m",
+            range[0], range[1]
+        ),
+        _ => format!("lidar {wrong}"),
+    }
+}
+
 /// All options of a batch.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -167,6 +185,11 @@ impl Options {
                 "start_seed = {}, num_scenarios = {}: a seed must be below 2**63",
                 seeds.first, seeds.count
             ));
+        }
+        match options.world.scenario() {
+            Ok(_) => {}
+            Err(WorldError::Scanner(wrong)) => return Err(scanner_refusal(&wrong)),
+            Err(other) => return Err(other.to_string()),
         }
         for (name, share) in [
             ("accident_prob", options.world.accident_probability),

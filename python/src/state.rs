@@ -51,6 +51,25 @@ impl State {
             .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
         Ok(PyBytes::new(py, &bytes))
     }
+
+    /// A pickled state is its bytes, which `set_state` takes, too.
+    fn __reduce__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>,))> {
+        let py = slf.py();
+        let bytes = slf.get().__bytes__(py)?;
+        Ok((py.get_type::<PyBytes>().into_any(), (bytes,)))
+    }
+
+    /// A state never changes.
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    /// A state never changes.
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
 }
 
 /// The Python exception for an episode that cannot begin.

@@ -8,7 +8,7 @@ use numpy::{
     PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2,
     PyReadwriteArray3,
 };
-use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -153,14 +153,16 @@ impl<'py> Actions<'py> {
     /// # Errors
     /// If it is not a contiguous float32 array `[count, 2]` of finite numbers.
     fn new(actions: &Bound<'py, PyAny>, count: usize) -> PyResult<Self> {
-        let array: PyReadonlyArray2<f32> = actions.extract().map_err(|_| {
-            PyTypeError::new_err("actions must be a float32 array of two dimensions")
-        })?;
-        let shape = array.as_array().dim();
-        if shape != (count, 2) {
-            return Err(PyValueError::new_err(format!(
-                "actions have the shape {shape:?}: it must be ({count}, 2), steering and pedal"
-            )));
+        let wrong = || {
+            let shape = actions.getattr("shape").map(|shape| shape.to_string());
+            let shape = shape.unwrap_or_else(|_| "of no array".into());
+            PyValueError::new_err(format!(
+                "actions have the shape {shape}: it must be ({count}, 2), steering and pedal, as float32"
+            ))
+        };
+        let array: PyReadonlyArray2<f32> = actions.extract().map_err(|_| wrong())?;
+        if array.as_array().dim() != (count, 2) {
+            return Err(wrong());
         }
         let actions = Self(array);
         for (index, &pair) in actions.pairs()?.iter().enumerate() {

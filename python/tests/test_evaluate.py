@@ -84,7 +84,10 @@ def test_evaluations_that_are_asked_wrongly():
     for arguments, error, message in [
         (("none",), ValueError, "idm"),
         (("idm", []), ValueError, "no seeds"),
-        (("idm", [-1]), ValueError, "seed -1"),
+        (("idm", [-1]), ValueError, "seed = -1"),
+        (("idm", [1.9]), TypeError, "seed = 1.9"),
+        (("idm", 3), TypeError, "seeds = 3"),
+        ((lambda seen: None,), TypeError, "returned None"),
         ((3,), TypeError, "cannot drive"),
         ((lambda seen: np.zeros((1, 2)),), ValueError, "shape"),
         ((lambda seen: np.full((len(seen), 2), np.nan),), ValueError, "finite"),
@@ -94,12 +97,24 @@ def test_evaluations_that_are_asked_wrongly():
     for options, message in [
         ({"threads": 0}, "threads"),
         ({"processes": 0}, "processes"),
+        ({"start_seed": 3}, "start_seed.*leave it out"),
+        ({"num_scenarios": 3}, "num_scenarios.*leave it out"),
         ({"expert_config": {"mpc": {"speed": 1}}}, "speed"),
         ({"horizont": 3}, "horizon"),
         ({"vehicle_config": {"lidar": {"dropout_prob": 0.5}}}, "noise"),
     ]:
         with pytest.raises(ValueError, match=message):
             vlaps.evaluate("mpc", [3], **options)
+    with pytest.raises(TypeError, match="processes = 'x'"):
+        vlaps.evaluate("mpc", [3], processes="x")
+    few = {"lidar": {"num_lasers": 60}}
+    policy = vlaps.Policy(POLICY)
+    with pytest.raises(ValueError, match="num_lasers = 60.*240"):
+        vlaps.evaluate(policy, [3], vehicle_config=few)
+    evaluation = vlaps.evaluate("idm", [3], quiet=True)
+    assert "success" in evaluation.keys() and "1 episodes" in repr(evaluation)
+    with pytest.raises(KeyError, match="there are success"):
+        evaluation["sucess"]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")

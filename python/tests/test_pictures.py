@@ -37,15 +37,12 @@ def test_a_vector_renders_every_world():
 
 
 def test_pictures_that_cannot_be():
-    for size in ((0, 10), (10, 99_999)):
-        env = vlaps.MetaDriveEnv(render_mode="rgb_array", render_size=size)
-        env.reset()
-        with pytest.raises(ValueError, match="render_size"):
-            env.render()
-    env = vlaps.MetaDriveEnv(render_mode="rgb_array", render_view="behind")
-    env.reset()
+    for size in ((0, 10), (10, 99_999), (-1, 5), (2.5, 3), (4,), "x", 5):
+        for make in (vlaps.MetaDriveEnv, vlaps.MetaDriveVectorEnv):
+            with pytest.raises(ValueError, match="render_size"):
+                make(render_mode="rgb_array", render_size=size)
     with pytest.raises(ValueError, match="top_down"):
-        env.render()
+        vlaps.MetaDriveEnv(render_mode="rgb_array", render_view="behind")
 
 
 def test_a_window_needs_a_display(monkeypatch):

@@ -84,6 +84,9 @@ def test_a_time_span_begins_and_ends_where_it_is_asked(recording):
     assert abs(len(part) - inside.sum()) <= 1
     assert set(part["header"]["tick"]) <= set(ticks[49:82])
     assert len(recording.read("step", recording.duration + 1)) == 0
+    assert len(recording.read("step", -5, -1)) == 0
+    assert len(recording.read("step", 1e300)) == 0
+    assert len(recording.read("step", -1e300, 1e300)) == len(times)
 
 
 def test_iteration_has_every_message_in_order(recording):

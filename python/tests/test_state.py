@@ -1,6 +1,8 @@
 """States of an environment."""
 
+import copy
 import json
+import pickle
 
 import numpy as np
 import pytest
@@ -28,6 +30,18 @@ def test_a_state_is_gone_back_to_bit_by_bit(stored, noise):
     other = vlaps.MetaDriveEnv(**options)
     other.set_state(state)
     assert rollout(other, driven[30:]) == after
+
+
+def test_a_state_is_pickled_as_its_bytes():
+    env = vlaps.MetaDriveEnv()
+    env.reset(seed=3)
+    env.step([0.1, 0.5])
+    state = env.get_state()
+    assert copy.deepcopy(state) is state and copy.copy(state) is state
+    stored = pickle.loads(pickle.dumps(state))
+    after = env.step([0.0, 0.5])[0]
+    env.set_state(stored)
+    assert (env.step([0.0, 0.5])[0] == after).all()
 
 
 def test_the_end_of_an_episode_is_a_state_too():

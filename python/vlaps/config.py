@@ -6,7 +6,8 @@ import difflib
 import json
 import math
 import numbers
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, TypeGuard
 
 #: Every option with its default. `vehicle_config` and `map_config` are merged key by key.
 DEFAULTS: dict[str, Any] = {
@@ -49,6 +50,19 @@ DEFAULTS: dict[str, Any] = {
     "crash_object_cost": 1.0,
 }
 
+#: The most that the compiled module reads.
+_MOST = 2**63 - 1
+#: The least and the most of whole numbers, as the compiled module has them; others may be 0.
+_RANGES = {
+    "num_scenarios": (1, _MOST),
+    "horizon": (1, _MOST),
+    "num_lasers": (0, 2048),
+    "lane_num": (1, 5),
+    "map": (1, 256),
+}
+#: Other libraries' names of options.
+_ALIASES = {"max_episode_steps": "horizon"}
+
 _REWARD = (
     "driving_reward",
     "speed_reward",
@@ -68,14 +82,23 @@ def merged(changes: dict[str, Any], defaults: dict[str, Any] = DEFAULTS) -> dict
     unknown = set(changes) - set(defaults)
     if unknown:
         name = sorted(unknown)[0]
-        near = difflib.get_close_matches(name, defaults, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
+        hint = _hint(name, defaults)
         raise ValueError(f"unknown option {name!r}{hint} (options: {', '.join(sorted(defaults))})")
     result = {}
     for key, default in defaults.items():
         value = changes.get(key, default)
         result[key] = _checked(key, value, default)
     return result
+
+
+def _hint(name: str, defaults: dict[str, Any]) -> str:
+    """What an unknown option was probably meant to be."""
+    if name in DEFAULTS["map_config"]:
+        return f"; did you mean map_config={{{name!r}: ...}}?"
+    if name in DEFAULTS["vehicle_config"]["lidar"]:
+        return f"; did you mean vehicle_config={{'lidar': {{{name!r}: ...}}}}?"
+    near = difflib.get_close_matches(_ALIASES.get(name, name), defaults, n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _checked(key: str, value: Any, default: Any) -> Any:
@@ -86,28 +109,44 @@ def _checked(key: str, value: Any, default: Any) -> Any:
         raise ValueError(f"option {key!r} must be a dictionary, not {value!r}")
     if key == "map" and isinstance(value, str):
         return value
+    if key == "map" and not is_whole(value):
+        raise TypeError(f"map = {value!r}: it must be a number of blocks, or letters such as 'SCrRXTO'")
     if key == "seeds":
-        seeds = None if value is None else [_count(key, seed) for seed in value]
+        seeds = None if value is None else [whole("seeds", seed) for seed in listed(key, value)]
         if seeds == []:
-            raise ValueError("option 'seeds' is empty: it must contain at least one seed")
+            raise ValueError("seeds is empty: it must contain at least one seed")
         return seeds
     if isinstance(default, bool):
         if value in (True, False):
             return bool(value)
         raise ValueError(f"option {key!r} must be True or False, not {value!r}")
     if isinstance(default, int):
-        return _count(key, value)
+        return whole(key, value, *_RANGES.get(key, (0, _MOST)))
     if isinstance(value, numbers.Real) and math.isfinite(value):
         return float(value)
     raise ValueError(f"option {key!r} must be a finite number, not {value!r}")
 
 
-def _count(key: str, value: Any) -> int:
-    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
-        count = int(value)
-        if 0 <= count < 2**63:
-            return count
-    raise ValueError(f"option {key!r} must be a whole number from 0 on, not {value!r}")
+def is_whole(value: Any) -> TypeGuard[int]:
+    """Whether a value is a whole number, Python's or NumPy's; booleans are none."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
+def whole(name: str, value: Any, least: int = 0, most: int = _MOST) -> int:
+    """Checks that a value is a whole number in this range."""
+    if not is_whole(value):
+        raise TypeError(f"{name} = {value!r}: it must be a whole number")
+    if not least <= value <= most:
+        end = "2**63 - 1" if most == _MOST else most
+        raise ValueError(f"{name} = {value}: it must be between {least} and {end}")
+    return int(value)
+
+
+def listed(name: str, value: Any) -> list[Any]:
+    """The elements of a sequence, array or iterator."""
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{name} = {value!r}: pass a sequence, such as range(1000, 1200)")
+    return list(value)
 
 
 def to_json(config: dict[str, Any]) -> str:
@@ -149,5 +188,20 @@ def expert_json(changes: dict[str, Any] | None) -> str:
     if changes is None:
         return "{}"
     if not isinstance(changes, dict):
-        raise ValueError(f"expert_config must be a dictionary of sections, not {changes!r}")
+        raise TypeError(f"expert_config must be a dictionary of sections, not {changes!r}")
+    _check_values("expert_config", changes)
     return json.dumps(changes)
+
+
+def _check_values(place: str, value: Any) -> None:
+    """Checks that JSON has a form for the value; the compiled module checks the keys."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _check_values(f"{place}[{key!r}]", inner)
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            _check_values(f"{place}[{index}]", inner)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{place} = {value}: it must be finite")
+    elif not isinstance(value, (bool, int, float, str)):
+        raise TypeError(f"{place} = {value!r}: it must be a number, text, list or dictionary of Python")

@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from .config import whole
 from .drivers import driving, name_of
 from .env import action_space, observation_space
 from .registration import ENV_ID
@@ -118,15 +119,15 @@ class Dataset:
 
 
 def collect(driver: Any, steps: int, *, num_envs: int = 1, **options: Any) -> Dataset:
-    """Drives and records at least `steps` steps in total over all worlds.
+    """Drives and records at least `steps` steps in total: each world drives the same number,
+    which is rounded up.
 
     `driver` is a driver of `vlaps.evaluate`, except "expert" and "lane". `options` are those
     of `MetaDriveVectorEnv`, such as `threads`, `takeover`, `start_seed` and `num_scenarios`.
     World k drives the episodes k, k + num_envs, ... in the order of seeds; the last episode
     of each world ends with the recording.
     """
-    if steps < 1:
-        raise ValueError(f"steps = {steps}: it must be at least 1")
+    steps, num_envs = whole("steps", steps, 1), whole("num_envs", num_envs, 1)
     if "autoreset_mode" in options:
         raise ValueError("autoreset_mode: collect sets it itself; leave it out")
     answer = driving(driver)

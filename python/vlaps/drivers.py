@@ -31,6 +31,16 @@ def name_of(driver: Any) -> str:
     return getattr(driver, "__name__", type(driver).__name__)
 
 
+def _answer(actions: Any, worlds: int) -> NDArray[np.float32]:
+    """Checks the shape of a driver's answer."""
+    if actions is None:
+        raise TypeError("the driver returned None: it must return actions [count, 2]")
+    array = np.asarray(actions, np.float32)
+    if array.shape != (worlds, 2):
+        raise ValueError(f"the driver's actions have the shape {array.shape}: it must be ({worlds}, 2)")
+    return array
+
+
 def driving(driver: Any) -> Drive:
     """A driver as a function.
 
@@ -43,10 +53,10 @@ def driving(driver: Any) -> Drive:
             raise ValueError(f"driver {driver!r}: choose from {', '.join(EXPERTS)}, or FILE.onnx")
         return lambda envs, _: envs.expert(driver)
     if hasattr(driver, "predict"):
-        return lambda _, seen: np.asarray(driver.predict(seen, deterministic=True)[0], np.float32)
+        return lambda _, seen: _answer(driver.predict(seen, deterministic=True)[0], len(seen))
     if hasattr(driver, "named_parameters"):
         answer = torch_driver(driver)
         return lambda _, seen: answer(seen)
     if callable(driver):
-        return lambda _, seen: np.asarray(driver(seen), np.float32)
+        return lambda _, seen: _answer(driver(seen), len(seen))
     raise TypeError(f"a {type(driver).__name__} cannot drive: pass a name, a policy or a function")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _vlaps
-from .config import expert_json, merged, to_json
+from .config import expert_json, is_whole, merged, to_json, whole
 from .takeover import Takeover, driver_names
 from .window import Window, has_display
 
@@ -19,6 +20,9 @@ VERDICTS = ("absent", "clear", "leaves", "hits")
 #: The experts: MetaDrive's traffic driver, and the stack's planner and controller, named by
 #: the planning method.
 EXPERTS = ("idm", "rrt-star", "informed", "kinodynamic", "mpc")
+VIEWS = ("top_down", "ego")
+#: Most pixels of a picture's side.
+_SIDE_MAX_PX = 8192
 
 
 def action_space() -> gymnasium.spaces.Space[NDArray[np.float32]]:
@@ -33,12 +37,17 @@ def observation_space(features: int) -> gymnasium.spaces.Space[NDArray[np.float3
     return box  # type: ignore[no-any-return]
 
 
-def checked_seed(seed: int) -> int:
-    """Checks that the compiled module accepts the seed."""
-    seed = int(seed)
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed {seed}: it must be between 0 and 2**63 - 1")
-    return seed
+def checked_view(view: str, size: Sequence[int]) -> tuple[str, tuple[int, int]]:
+    """Checks `render_view` and `render_size`."""
+    if view not in VIEWS:
+        raise ValueError(f"render_view {view!r}: choose from {', '.join(VIEWS)}")
+    is_pair = isinstance(size, Sequence) and len(size) == 2 and all(map(is_whole, size))
+    if not is_pair or not all(1 <= side <= _SIDE_MAX_PX for side in size):
+        raise ValueError(
+            f"render_size = {size!r}: it must be width and height, whole numbers between 1 and "
+            f"{_SIDE_MAX_PX} pixels"
+        )
+    return view, (int(size[0]), int(size[1]))
 
 
 def check_expert(method: str) -> None:
@@ -49,6 +58,8 @@ def check_expert(method: str) -> None:
 
 def one_action(action: ArrayLike) -> list[float]:
     """Steering and pedal, rounded to float32 as in a vector of environments."""
+    if action is None:
+        raise TypeError("action is None: pass [steering, pedal]")
     array = np.asarray(action, np.float32)
     if array.shape != (2,):
         raise ValueError(f"action has the shape {array.shape}: it must be (2,), steering and pedal")
@@ -90,8 +101,8 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if render_mode not in (None, "rgb_array", "human"):
             raise ValueError(f"render_mode {render_mode!r}: choose from rgb_array, human")
         self.render_mode = render_mode
-        self._window = Window(render_size) if render_mode == "human" else None
-        self._view = (render_view, render_size)
+        self._view = checked_view(render_view, render_size)
+        self._window = Window(self._view[1]) if render_mode == "human" else None
         self.config = merged(options)
         self._takeover = Takeover.of(takeover)
         self._world: _vlaps.World | None = _vlaps.World(
@@ -109,8 +120,9 @@ class MetaDriveEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins an episode: that of `seed`, or the next one in the order of seeds."""
+        seed = None if seed is None else whole("seed", seed)
         super().reset(seed=seed)
-        result = self._open().reset(None if seed is None else checked_seed(seed))
+        result = self._open().reset(seed)
         self._show()
         return result
 

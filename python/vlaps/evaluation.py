@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from . import _vlaps
-from .config import expert_json, merged, to_json
+from .config import expert_json, listed, merged, to_json, whole
 from .drivers import driving, loaded, name_of
-from .env import EXPERTS, checked_seed
+from .env import EXPERTS
 from .policy import Policy
 from .vector import MetaDriveVectorEnv, _cores
 
@@ -113,7 +113,16 @@ class Evaluation:
         self.planning_p99_us = _quantile(planning, 0.99)
 
     def __getitem__(self, key: str) -> Estimate:
+        if key not in self.figures:
+            raise KeyError(f"no figure {key!r}; there are {', '.join(self.figures)}")
         return self.figures[key]
+
+    def keys(self) -> list[str]:
+        """The names of the figures."""
+        return list(self.figures)
+
+    def __repr__(self) -> str:
+        return f"Evaluation({self.driver!r}: {len(self.episodes)} episodes, success {self['success'].mean:.3f})"
 
     def __str__(self) -> str:
         rows = [("", "mean", "95 %")]
@@ -217,22 +226,23 @@ def evaluate(
     importable by name. Only the planning time depends on the number of threads, processes
     or nodes. `options` are those of the environment.
     """
-    if not isinstance(seeds, Iterable):
-        raise TypeError(f"seeds = {seeds!r}: pass a sequence, such as range(1000, 1200)")
-    wanted = [checked_seed(seed) for seed in seeds]
+    wanted = [whole("seed", seed) for seed in listed("seeds", seeds)]
     if not wanted:
         raise ValueError("no seeds: pass for example range(1000, 1200)")
-    if processes < 1:
-        raise ValueError(f"processes = {processes}: it must be at least 1")
-    if threads is not None and threads < 1:
-        raise ValueError(f"threads = {threads}: it must be at least 1")
+    processes = whole("processes", processes, 1)
+    threads = max(1, _cores() // processes) if threads is None else whole("threads", threads, 1)
+    for option in ("start_seed", "num_scenarios", "shuffle", "order_seed", "autoreset_mode"):
+        if option in options:
+            raise ValueError(f"{option}: evaluate drives an episode of each of `seeds`; leave it out")
     name, driver = name_of(driver), loaded(driver)
     if isinstance(driver, str) and driver not in (*EXPERTS, "expert", "lane"):
         raise ValueError(f"driver {driver!r}: choose from {', '.join(EXPERTS)}, expert, lane, or FILE.onnx")
     lidar = merged(options)["vehicle_config"]["lidar"]
     if isinstance(driver, (str, Policy)) and (lidar["gaussian_noise"] or lidar["dropout_prob"]):
         raise ValueError("gaussian_noise and dropout_prob: experts and policy files drive without them")
-    task = _Task(driver, options, expert_config, threads or max(1, _cores() // processes))
+    if isinstance(driver, Policy) and lidar["num_lasers"] != 240:
+        raise ValueError(f"num_lasers = {lidar['num_lasers']}: a policy file drives with 240")
+    task = _Task(driver, options, expert_config, threads)
     chunks = [wanted[start : start + CHUNK] for start in range(0, len(wanted), CHUNK)]
     if ray:
         driven = _on_ray(task, chunks)

@@ -307,9 +307,12 @@ class Recording:
         for name, value in (("start", start), ("end", end)):
             if value is not None and not np.isfinite(value):
                 raise ValueError(f"{name} = {value}: it must be a number of seconds")
-        from_ns = 0 if start is None else self._start_ns + round(start * 1e9)
-        to_ns = _END_NS if end is None else self._start_ns + round(end * 1e9)
-        return min(max(from_ns, 0), _END_NS), min(max(to_ns, 0), _END_NS)
+        from_ns = 0 if start is None else self._start_ns + _ns(start)
+        to_ns = _END_NS if end is None else self._start_ns + _ns(end)
+        if to_ns < 0:
+            # Before every message.
+            return _END_NS, 0
+        return min(max(from_ns, 0), _END_NS), min(to_ns, _END_NS)
 
     def _names(self, topics: str | Iterable[str]) -> list[str]:
         names = [topics] if isinstance(topics, str) else list(topics)
@@ -349,6 +352,11 @@ class Recording:
         span, shape = self._span(start, end), (dtype.itemsize, _positive("every", every))
         data, times = self._file.read(topic, span, shape)
         return data.view(dtype), (times - np.uint64(self._start_ns)).astype(np.float64) * 1e-9
+
+
+def _ns(seconds: float) -> int:
+    """Nanoseconds, at most those of the run's clock."""
+    return round(min(max(seconds, -_END_NS * 1e-9), _END_NS * 1e-9) * 1e9)
 
 
 def _positive(name: str, value: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -60,6 +61,8 @@ class Takeover:
         check_expert(self.method)
         if self.rule not in _RULES:
             raise ValueError(f"takeover {self.rule!r}: choose from {', '.join(_RULES)}")
+        if not isinstance(self.differ, numbers.Real):
+            raise TypeError(f"differ = {self.differ!r}: it must be a number")
         if not self.differ >= 0.0:
             raise ValueError(f"differ = {self.differ}: it must be at least 0")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -14,13 +14,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from . import _vlaps
-from .config import expert_json, merged, to_json
+from .config import expert_json, is_whole, listed, merged, to_json, whole
 from .env import (
     ASSESSMENTS,
     VERDICTS,
     action_space,
     check_expert,
-    checked_seed,
+    checked_view,
     observation_space,
 )
 from .takeover import Decided, Takeover, driver_names
@@ -42,6 +42,14 @@ def _cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _mode(name: AutoresetMode | str) -> AutoresetMode:
+    try:
+        return AutoresetMode(name)
+    except ValueError:
+        names = ", ".join(mode.value for mode in AutoresetMode)
+        raise ValueError(f"autoreset_mode {name!r}: choose from {names}") from None
 
 
 class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -78,12 +86,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode {render_mode!r}: a vector of environments supports only rgb_array")
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}: it must be at least 1")
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads = {threads}: it must be at least 1")
-        self.num_envs = num_envs
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.num_envs = num_envs = whole("num_envs", num_envs, 1)
+        self.autoreset_mode = _mode(autoreset_mode)
         self._ends_in_step = self.autoreset_mode == AutoresetMode.SAME_STEP
         self.metadata = {
             "autoreset_mode": self.autoreset_mode,
@@ -91,14 +95,14 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             "render_fps": 10,
         }
         self.render_mode = render_mode
-        self._view = (render_view, render_size)
+        self._view = checked_view(render_view, render_size)
         self.config = merged(options)
         self._worlds: _vlaps.Worlds | None = _vlaps.Worlds(
             to_json(self.config),
             expert_json(expert_config),
             self.autoreset_mode.value,
             num_envs,
-            threads or _cores(),
+            _cores() if threads is None else whole("threads", threads, 1),
         )
         self._takeover = Takeover.of(takeover)
         arrays = self._worlds.arrays()
@@ -139,7 +143,7 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
     def reset(
         self,
         *,
-        seed: int | Sequence[int | None] | None = None,
+        seed: int | Iterable[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins an episode in each world, or only where `options["reset_mask"]` is true.
@@ -150,12 +154,15 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         worlds = self._open()
         if seed is None:
             seeds = [-1] * self.num_envs
-        elif isinstance(seed, (int, np.integer)):
-            seeds = [checked_seed(int(seed) + k) for k in range(self.num_envs)]
+        elif is_whole(seed):
+            seeds = [whole("seed", int(seed) + k) for k in range(self.num_envs)]
         else:
-            if len(seed) != self.num_envs:
-                raise ValueError(f"{len(seed)} seeds for {self.num_envs} environments")
-            seeds = [-1 if one is None else checked_seed(one) for one in seed]
+            each = listed("seed", seed)
+            if len(each) != self.num_envs:
+                raise ValueError(f"{len(each)} seeds for {self.num_envs} environments")
+            seeds = [-1 if one is None else whole("seed", one) for one in each]
+        if not isinstance(options, dict | None):
+            raise TypeError(f"options = {options!r}: it must be a dictionary, such as with 'reset_mask'")
         mask = (options or {}).get("reset_mask")
         if mask is not None:
             mask = np.asarray(mask)
@@ -178,7 +185,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return self._stepped(driven)
 
     def send(self, actions: ArrayLike, takeover: ArrayLike | None = None) -> None:
-        """Begins a step on another thread and returns immediately."""
+        """Begins a step on another thread and returns immediately. What is wrong with the
+        numbers, `recv` raises."""
         worlds = self._open()
         if self._executor is None or self._process != os.getpid():
             # A thread does not survive a fork.
@@ -186,6 +194,9 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             self._executor = ThreadPoolExecutor(1, thread_name_prefix="vlaps-send")
         # The caller may overwrite its array before the step has read it.
         copied = np.array(actions, np.float32, order="C")
+        self._check_shape(copied)
+        if takeover is not None:
+            takeover = self._marks("takeover", takeover).copy()
         self._sent = self._executor.submit(self._drive, worlds, copied, takeover)
 
     def recv(self) -> Stepped:
@@ -204,16 +215,19 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
             worlds.step(actions)
             return None
         asked = None if takeover is None else self._marks("takeover", takeover)
-        if actions.shape != (self.num_envs, 2):
-            raise ValueError(
-                f"actions have the shape {actions.shape}: it must be ({self.num_envs}, 2), "
-                "steering and pedal"
-            )
+        self._check_shape(actions)
         driving = ~worlds.ended()
         rule = self._takeover or Takeover()
         decided = rule.decide(actions.copy(), driving, asked, worlds.advise, worlds.judge)
         worlds.step(decided.applied)
         return decided
+
+    def _check_shape(self, actions: NDArray[np.float32]) -> None:
+        if actions.shape != (self.num_envs, 2):
+            raise ValueError(
+                f"actions have the shape {actions.shape}: it must be ({self.num_envs}, 2), "
+                "steering and pedal"
+            )
 
     def _marks(self, name: str, given: ArrayLike) -> NDArray[np.bool_]:
         """Checks a boolean per world, or one for all; returns one per world."""
@@ -281,6 +295,8 @@ class MetaDriveVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDA
         return self._open().get_state(self._place(index))
 
     def _place(self, index: int) -> int:
+        if not is_whole(index):
+            raise TypeError(f"environment {index!r}: it must be a whole number")
         if not 0 <= index < self.num_envs:
             raise IndexError(f"environment {index}: there are {self.num_envs}, counted from 0")
         return index

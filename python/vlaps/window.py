@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .config import whole
+
 
 def has_display() -> bool:
     """Whether a window can be expected to open."""
@@ -72,8 +74,7 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[NDArray[np.uint8]
     path = Path(path)
     if path.suffix not in (".png", ".apng"):
         raise ValueError(f"{path}: the video is an animated PNG; its name must end in .png or .apng")
-    if fps < 1:
-        raise ValueError(f"fps = {fps}: it must be at least 1")
+    fps = whole("fps", fps, 1, 2**16 - 1)
     pictures = [_checked(frame) for frame in frames]
     if not pictures:
         raise ValueError("no frames: nothing was written")
@@ -101,7 +102,7 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[NDArray[np.uint8]
 
 def _checked(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     frame = np.asarray(frame)
-    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+    if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3 or not frame.size:
         raise ValueError(f"a frame must be a uint8 array [height, width, 3], not {frame.dtype} {frame.shape}")
     return frame
 
