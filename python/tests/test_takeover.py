@@ -60,13 +60,13 @@ def test_the_configuration_of_the_experts_counts():
         return info["velocity"]
 
     assert driven({"mpc": {"speed_mps": 3.0}}) < 3.2 < 4.5 < driven(None)
-    for wrong, message in [
-        ({"mpc": {"speed": 3.0}}, "speed"),
-        ({"mpc": {"speed_mps": -1.0}}, "mpc.speed_mps"),
-        ({"mcp": {}}, "mcp"),
-        (3, "dictionary"),
+    for wrong, error, message in [
+        ({"mpc": {"speed": 3.0}}, ValueError, "speed"),
+        ({"mpc": {"speed_mps": -1.0}}, ValueError, "mpc.speed_mps"),
+        ({"mcp": {}}, ValueError, "mcp"),
+        (3, TypeError, "dictionary"),
     ]:
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(error, match=message):
             vlaps.MetaDriveEnv(expert_config=wrong)
 
 
