@@ -29,7 +29,7 @@ impl Bench {
     }
 
     fn command(&self, arguments: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_vlaps-supervisor"));
+        let mut command = common::supervisor();
         command
             .args(arguments)
             .current_dir(self.dir.path())

@@ -64,7 +64,7 @@ impl Bench {
 
     /// Starts a set and waits until its children run.
     fn up(&self, words: &[&str]) -> Child {
-        let up = Command::new(env!("CARGO_BIN_EXE_vlaps-supervisor"))
+        let up = common::supervisor()
             .args(["up", "--run", &self.run])
             .args(words)
             .current_dir(self.dir.path())

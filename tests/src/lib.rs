@@ -91,15 +91,12 @@ impl Set {
 
     /// The command line of `vlaps up` for this set, under `wrapper` if not empty.
     pub fn up_command(&self, wrapper: &[&str], arguments: &[&str]) -> Command {
-        let supervisor = programs().join("vlaps-supervisor");
-        let mut command = match wrapper.split_first() {
-            None => Command::new(supervisor),
-            Some((program, rest)) => {
-                let mut command = Command::new(program);
-                command.args(rest).arg(supervisor);
-                command
-            }
-        };
+        // Under nohup the tests inherit that SIGHUP is ignored, and a supervisor would, too.
+        let mut command = Command::new("env");
+        command
+            .arg("--default-signal=HUP")
+            .args(wrapper)
+            .arg(programs().join("vlaps-supervisor"));
         command
             .args(["up", "--run", &self.name.to_string(), "--json", "up.json"])
             .args(arguments)

@@ -5,6 +5,7 @@
 use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, waitid};
 use shm_config::Instant;
@@ -27,6 +28,16 @@ pub fn binaries(script: &str) -> TempDir {
         replace(dir.path(), row.binary, script);
     }
     dir
+}
+
+/// The program. Under nohup the tests inherit that SIGHUP is ignored, and it would, too.
+pub fn supervisor() -> Command {
+    let mut command = Command::new("env");
+    command.args([
+        "--default-signal=HUP",
+        env!("CARGO_BIN_EXE_vlaps-supervisor"),
+    ]);
+    command
 }
 
 /// Replaces one binary by another script.
