@@ -245,9 +245,10 @@ impl Idm {
 
     fn steer(&mut self, view: &View, lane: LaneId) -> f64 {
         let own = &view.bodies[view.own];
-        let lane = view.network.lane(lane);
-        let (longitudinal_m, lateral_m) = lane.local_coordinates(own.position_world);
-        let lane_rad = lane.heading_at(longitudinal_m + 1.0);
+        let (longitudinal_m, lateral_m) =
+            view.navigator
+                .coordinates(view.network, lane, own.position_world);
+        let lane_rad = view.network.lane(lane).heading_at(longitudinal_m + 1.0);
         let own_rad = own.forward_world.y.atan2(own.forward_world.x);
         let turn = self
             .heading
@@ -316,7 +317,9 @@ fn surroundings(view: &View, lane_id: LaneId) -> Surroundings {
     let network = view.network;
     let (lane, joins) = (network.lane(lane_id), network.joins(lane_id));
     let own = &view.bodies[view.own];
-    let own_m = lane.local_coordinates(own.position_world).0;
+    let (own_m, _) = view
+        .navigator
+        .coordinates(network, lane_id, own.position_world);
     let left_m = lane.length_m - own_m;
     let mut found = Surroundings {
         front: None,

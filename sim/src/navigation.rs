@@ -26,10 +26,15 @@ pub struct Navigator {
     /// The lanes whose boxes hold its place.
     cell: Cell,
     /// Where it was found, and its coordinates on the leftmost lane of the current
-    /// road, m.
+    /// road and on its own, m.
     position_world: Point,
     longitudinal_m: f64,
     lateral_m: f64,
+    own_m: (f64, f64),
+    /// Where it was found the time before, its lane, and the coordinate along it, m.
+    before_world: Point,
+    before_lane: LaneId,
+    before_m: f64,
     travelled_m: f64,
     /// The road the car is on, the one after it, and the last one.
     road: RoadId,
@@ -49,11 +54,16 @@ impl Navigator {
     /// At the beginning of a route, on one of its first road's lanes.
     pub fn new(network: &Network, route: &Route, lane: LaneId, position_world: Point) -> Navigator {
         let roads = route.roads.clone();
+        let own_m = network.lane(lane).local_coordinates(position_world);
         let mut navigator = Navigator {
             cell: Cell::default(),
             position_world,
             longitudinal_m: 0.0,
             lateral_m: 0.0,
+            own_m,
+            before_world: position_world,
+            before_lane: lane,
+            before_m: own_m.0,
             travelled_m: 0.0,
             road: roads[0],
             next_road: None,
@@ -132,18 +142,16 @@ impl Navigator {
 
     /// Finds the car again after it moved. `forward_world` is its heading.
     pub fn update(&mut self, network: &Network, position_world: Point, forward_world: Vector) {
-        let here = self.localize(network, position_world, forward_world);
-        let longitudinal_m = match here {
-            Some((lane, longitudinal_m)) => {
-                self.lane = lane;
-                longitudinal_m
-            }
-            None => network.lane(self.lane).local_coordinates(position_world).0,
-        };
+        (self.before_world, self.before_lane) = (self.position_world, self.lane);
+        self.before_m = self.own_m.0;
+        match self.localize(network, position_world, forward_world) {
+            Some(found) => (self.lane, self.own_m) = found,
+            None => self.own_m = network.lane(self.lane).local_coordinates(position_world),
+        }
         let before_m = self.longitudinal_m;
         self.refer(network, position_world);
         self.travelled_m += self.longitudinal_m - before_m;
-        if longitudinal_m >= REACHED_M {
+        if self.own_m.0 >= REACHED_M {
             return;
         }
         let from = network.road(network.road_of(self.lane)).from;
@@ -165,20 +173,20 @@ impl Navigator {
     }
 
     /// Of the lanes under the car whose direction it shares, the nearest of
-    /// the current road, else of the next, else of any.
+    /// the current road, else of the next, else of any; with the car's coordinates on it, m.
     fn localize(
         &mut self,
         network: &Network,
         position_world: Point,
         forward_world: Vector,
-    ) -> Option<(LaneId, f64)> {
+    ) -> Option<(LaneId, (f64, f64))> {
         if self.cell.of(position_world).is_none() {
             self.find_cell(network, position_world);
         }
         let held = self.cell.of(position_world);
         let count = held.map_or(network.lanes().len(), <[u16]>::len);
         let mut on_lane = false;
-        let mut best: Option<(u8, f64, LaneId, f64)> = None;
+        let mut best: Option<(u8, f64, LaneId, (f64, f64))> = None;
         for place in 0..count {
             let id = LaneId(held.map_or(place as u16, |lanes| lanes[place]));
             if held.is_none()
@@ -205,11 +213,11 @@ impl Navigator {
                 + (longitudinal_m - lane.length_m).max(0.0)
                 + (-longitudinal_m).max(0.0);
             if best.is_none_or(|(r, d, ..)| (rank, distance_m) < (r, d)) {
-                best = Some((rank, distance_m, id, longitudinal_m));
+                best = Some((rank, distance_m, id, (longitudinal_m, lateral_m)));
             }
         }
         self.on_lane = on_lane;
-        best.map(|(_, _, id, longitudinal_m)| (id, longitudinal_m))
+        best.map(|(_, _, id, own_m)| (id, own_m))
     }
 
     /// Finds the cell of a place. Where too many lanes are near, there is none.
@@ -227,22 +235,40 @@ impl Navigator {
             .find(position_world, SURFACE_MARGIN_M, within, near);
     }
 
-    /// Lateral coordinate of a place on the leftmost lane of the current road, m; known
-    /// already where the car was found.
-    pub(crate) fn lateral_m(&self, network: &Network, position_world: Point) -> f64 {
-        match position_world == self.position_world {
-            true => self.lateral_m,
-            false => self.reference(network, position_world).1,
+    /// Coordinates of a place on a lane, m; known already where the car was found, on its
+    /// own lane and on the leftmost one of the current road.
+    pub(crate) fn coordinates(
+        &self,
+        network: &Network,
+        lane: LaneId,
+        position_world: Point,
+    ) -> (f64, f64) {
+        let is_here = position_world == self.position_world;
+        if is_here && lane == self.lane {
+            self.own_m
+        } else if is_here && lane == network.road(self.road).first_lane {
+            (self.longitudinal_m, self.lateral_m)
+        } else {
+            network.lane(lane).local_coordinates(position_world)
         }
     }
 
-    fn reference(&self, network: &Network, position_world: Point) -> (f64, f64) {
-        let lane = network.road(self.road).first_lane;
-        network.lane(lane).local_coordinates(position_world)
+    /// Coordinate along a lane where the car was found the time before, m.
+    pub(crate) fn before_m(&self, network: &Network, lane: LaneId) -> f64 {
+        match lane == self.before_lane {
+            true => self.before_m,
+            false => network.lane(lane).local_coordinates(self.before_world).0,
+        }
+    }
+
+    /// How far the car has moved since it was found the time before, m.
+    pub(crate) fn moved_m(&self) -> f64 {
+        (self.position_world - self.before_world).norm()
     }
 
     fn refer(&mut self, network: &Network, position_world: Point) {
         self.position_world = position_world;
-        (self.longitudinal_m, self.lateral_m) = self.reference(network, position_world);
+        let leftmost = network.lane(network.road(self.road).first_lane);
+        (self.longitudinal_m, self.lateral_m) = leftmost.local_coordinates(position_world);
     }
 }

@@ -37,14 +37,15 @@ pub(crate) fn ego(motion: &Motion, before_world: Vector, last: Action) -> Ego {
 pub(crate) fn road(network: &Network, navigator: &Navigator, motion: &Motion) -> Road {
     let position = motion.seen_position();
     let edges = Edges::of(network, navigator, position);
-    let right_lane = network.lane(network.road(navigator.road()).last_lane());
-    let along_m = right_lane.local_coordinates(position).0;
-    let lane_rad = right_lane.heading_at(along_m);
+    let right_lane = network.road(navigator.road()).last_lane();
+    let (along_m, _) = navigator.coordinates(network, right_lane, position);
+    let lane_rad = network.lane(right_lane).heading_at(along_m);
+    let (_, lateral_m) = navigator.coordinates(network, navigator.lane(), position);
     Road {
         left_m: edges.left_m,
         right_m: edges.right_m,
         heading_rad: wrap_rad(motion.seen_heading_rad() - lane_rad),
-        offset_m: -network.lane(navigator.lane()).local_coordinates(position).1,
+        offset_m: -lateral_m,
         lane_width_m: network.lane(navigator.lane()).width_m,
     }
 }

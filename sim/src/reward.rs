@@ -70,13 +70,12 @@ impl RewardConfig {
         let road = network.road(navigator.road());
         // A car that left the roads of its route is measured along the leftmost lane.
         let own = navigator.lane();
-        let lane_id = match network.road_of(own) == navigator.road() {
+        let lane = match network.road_of(own) == navigator.road() {
             true => own,
             false => road.first_lane,
         };
-        let lane = network.lane(lane_id);
-        let before_m = lane.local_coordinates(world.tick_begin_position()).0;
-        let (now_m, lateral_m) = lane.local_coordinates(world.ego_position());
+        let before_m = navigator.before_m(network, lane);
+        let (now_m, lateral_m) = navigator.coordinates(network, lane, world.ego_position());
         let width_m = network.lane(own).width_m;
         let lateral_factor = match self.use_lateral_reward {
             true => (1.0 - 2.0 * lateral_m.abs() / width_m).clamp(0.0, 1.0),
@@ -115,6 +114,7 @@ mod tests {
 
     use super::*;
     use crate::WorldConfig;
+    use crate::idm::Idm;
 
     const AHEAD: Action = Action {
         steer: 0.0,
@@ -150,6 +150,35 @@ mod tests {
         assert!(
             (reward - expected).abs() < 1e-3 * expected,
             "{reward} {expected}"
+        );
+    }
+
+    #[test]
+    fn the_navigator_remembers_the_coordinates_that_the_lane_has() {
+        let mut world = world("SCrRXO");
+        let mut idm = Idm::new(0, 1);
+        let (mut lanes, mut changes) = (0, 0);
+        loop {
+            let (before_world, before_lane) = (world.ego_position(), world.navigator().lane());
+            let action = world.advise(&mut idm);
+            if world.step(action).has_ended() {
+                break;
+            }
+            let (network, navigator) = (&world.map().network, world.navigator());
+            changes += usize::from(navigator.lane() != before_lane);
+            for road in [navigator.road(), network.road_of(navigator.lane())] {
+                for lane in network.lane_ids(road) {
+                    let of = |place| network.lane(lane).local_coordinates(place);
+                    let here = world.ego_position();
+                    assert_eq!(navigator.coordinates(network, lane, here), of(here));
+                    assert_eq!(navigator.before_m(network, lane), of(before_world).0);
+                    lanes += 1;
+                }
+            }
+        }
+        assert!(
+            lanes > 1_000 && changes > 5,
+            "{lanes} lanes, {changes} changes"
         );
     }
 

@@ -42,7 +42,7 @@ impl Edges {
     pub fn of(network: &Network, navigator: &Navigator, position_world: Point) -> Edges {
         let road = network.road(navigator.road());
         let width_m = network.lane(navigator.lane()).width_m;
-        let lateral_m = navigator.lateral_m(network, position_world);
+        let (_, lateral_m) = navigator.coordinates(network, road.first_lane, position_world);
         let left_m = lateral_m + width_m / 2.0;
         Edges {
             left_m,

@@ -81,8 +81,6 @@ pub struct World {
     substeps: usize,
     touch: Touch,
     driven_m: f64,
-    /// Where the ego was seen when the current tick began.
-    begun_world: Point,
     /// The ego's seen headings before each of the last five sub-steps; the one
     /// that the next sub-step overwrites is the oldest, a tick ago.
     headings_world: [Vector; SUBSTEPS as usize],
@@ -130,7 +128,6 @@ impl World {
             last_action: Action::default(),
             substeps: 0,
             touch: Touch::default(),
-            begun_world: Point::origin(),
             headings_world: [Vector::x(); SUBSTEPS as usize],
             step: StepOutcome::BEGINNING,
         };
@@ -227,7 +224,6 @@ impl World {
             self.last_action = action;
         }
         if begins {
-            self.begun_world = self.bodies.movers[0].motion.seen_position();
             self.touch = Touch::default();
             self.bodies.find_pairs();
         }
@@ -243,7 +239,7 @@ impl World {
         let motion = &self.bodies.movers[0].motion;
         self.navigator
             .update(network, motion.seen_position(), motion.seen_forward());
-        self.driven_m += (motion.seen_position() - self.begun_world).norm();
+        self.driven_m += self.navigator.moved_m();
         self.substeps = 0;
         self.ticks += 1;
         self.step = self.judge(self.touch);
@@ -394,11 +390,6 @@ impl World {
     /// The ego's position, as observations give it.
     pub fn ego_position(&self) -> Point {
         self.bodies.movers[0].motion.seen_position()
-    }
-
-    /// Where the ego was when the last tick began.
-    pub fn tick_begin_position(&self) -> Point {
-        self.begun_world
     }
 
     /// The ego's car: its measures and engine.
