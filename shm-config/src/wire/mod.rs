@@ -7,6 +7,7 @@ mod producers;
 mod publisher;
 mod subscriber;
 
+use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -55,6 +56,15 @@ const NAMED_LOOK: Timespec = Timespec {
 };
 /// Reads until the wait for a roster is given up: 5 s.
 const NAMED_LOOKS: u32 = 10_000;
+
+/// How long a process beside the run waits after each port that it opens or closes. A
+/// producer connects to a new reader, and parts from one that has gone, at its next send:
+/// some 20 us a port, and up to a millisecond in a sandbox whose system calls are slow. So
+/// no tick pays for many.
+const PORT_PAUSE: Timespec = Timespec {
+    tv_sec: 0,
+    tv_nsec: 3_000_000,
+};
 
 /// The service attribute that carries the layout's fingerprint.
 pub const LAYOUT_KEY: &str = "layout";
@@ -119,7 +129,14 @@ pub struct Wire {
     producers: Rc<Producers>,
     node: Node<Ipc>,
     config: Config,
+    process: Process,
+    /// Whether it only looks on, and so waits after each port.
+    is_beside: Rc<Cell<bool>>,
     _alive: RunLock,
+}
+
+fn pause() {
+    let _ = poll(&mut [], Some(&PORT_PAUSE));
 }
 
 fn iceoryx_config(paths: &RunPaths) -> Result<Config, WireError> {
@@ -163,6 +180,8 @@ impl Wire {
             producers: Rc::new(Producers::open()),
             node,
             config,
+            process,
+            is_beside: Rc::new(Cell::new(process == Process::Recorder)),
             _alive: alive,
         })
     }
@@ -181,6 +200,10 @@ impl Wire {
     pub fn follow(&self, author: u32) -> Result<(), WireError> {
         let port = self.port(ROSTER, 1)?.0;
         self.producers.follow(author, port);
+        // The supervisor itself follows nobody: who does so in its name looks on.
+        if self.process == Process::Supervisor {
+            self.is_beside.set(true);
+        }
         Ok(())
     }
 
@@ -313,7 +336,13 @@ impl Wire {
     ) -> Result<Subscriber<M>, WireError> {
         let (port, topic) = self.port(service, depth)?;
         let producers = self.producers.clone();
-        Ok(Subscriber::new(port, topic, producers, (service, depth)))
+        Ok(Subscriber::new(
+            port,
+            topic,
+            producers,
+            (service, depth),
+            self.is_beside.clone(),
+        ))
     }
 
     fn port<M: Message>(
@@ -327,6 +356,9 @@ impl Wire {
             .buffer_size(depth)
             .create()
             .map_err(|error| WireError::port(service.name, format!("{error:?}")))?;
+        if self.is_beside.get() {
+            pause();
+        }
         Ok((port, topic))
     }
 

@@ -1,5 +1,6 @@
 //! The reading end of a service.
 
+use std::cell::Cell;
 use std::rc::Rc;
 
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -35,6 +36,16 @@ pub struct Subscriber<M: Message> {
     producer: u32,
     sequence: u64,
     lost: u64,
+    /// Whether its process looks on, and waits after each port.
+    is_beside: Rc<Cell<bool>>,
+}
+
+impl<M: Message> Drop for Subscriber<M> {
+    fn drop(&mut self) {
+        if self.is_beside.get() {
+            super::pause();
+        }
+    }
 }
 
 impl<M: Message> Subscriber<M> {
@@ -44,6 +55,7 @@ impl<M: Message> Subscriber<M> {
         topic: Topic<Ipc, M, ()>,
         producers: Rc<Producers>,
         (service, depth): (Service<M>, usize),
+        is_beside: Rc<Cell<bool>>,
     ) -> Self {
         Self {
             port,
@@ -56,6 +68,7 @@ impl<M: Message> Subscriber<M> {
             producer: 0,
             sequence: 0,
             lost: 0,
+            is_beside,
         }
     }
 
