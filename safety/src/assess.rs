@@ -13,6 +13,11 @@ pub const CLEARANCE_MAX_M: f64 = 50.0;
 /// begins 0.2 m outside it.
 const SIDEWALK_M: f64 = 0.2;
 
+/// Below this speed, m/s, a car that is nearer to something than the margin may drive on.
+const CREEP_MPS: f64 = 1.0;
+/// By as much less, m, it is as near as before.
+const NEARER_M: f64 = 1e-3;
+
 /// What proposals are judged against: the lidar's returns and the road, in the
 /// body frame. Made once a tick, without allocation.
 pub struct Scene {
@@ -70,6 +75,9 @@ impl Scene {
 /// leave the road, sooner than the brake could still prevent it. The car's delay counts
 /// as time that the brake needs.
 ///
+/// A car that creeps, and is nearer to something than the margin, only has to come no
+/// nearer: one that was stopped beside an obstacle would stand there for ever otherwise.
+///
 /// Space at which no beam looks counts as occupied where the front of the body would
 /// enter it, since nothing says that it is free. The sides and the rear are not checked:
 /// the car does not reverse, so they follow where the front has been. In a scan without
@@ -91,8 +99,14 @@ pub fn assess(
     let mut state = State::at_origin(scene.speed_mps);
     // The car's present position is not part of a proposal: only later states count.
     let edge_now_m = edge_m(vehicle, scene, &state);
+    let clearance_now_m = clearance_m(vehicle, scene, &state);
+    let creeps = scene.speed_mps < CREEP_MPS && clearance_now_m < limits.margin_m;
+    let least_m = match creeps {
+        true => (clearance_now_m - NEARER_M).max(0.0),
+        false => limits.margin_m,
+    };
     let mut measured = Assessment {
-        clearance_m: clearance_m(vehicle, scene, &state),
+        clearance_m: clearance_now_m,
         safe_s: limits.horizon_s,
         edge_m: edge_now_m,
         verdict: Verdict::Clear.code(),
@@ -107,7 +121,7 @@ pub fn assess(
         measured.clearance_m = measured.clearance_m.min(clearance_m);
         measured.edge_m = measured.edge_m.min(edge_m);
         let enters_unseen = || state.speed_mps > 0.0 && is_front_unseen(vehicle, scene, &state);
-        let found = if clearance_m < limits.margin_m && state.speed_mps > 0.0 || enters_unseen() {
+        let found = if clearance_m < least_m && state.speed_mps > 0.0 || enters_unseen() {
             Verdict::Hits
         } else if edge_m < (limits.edge_margin_m - SIDEWALK_M).min(edge_now_m) {
             Verdict::Leaves

@@ -37,18 +37,31 @@ proptest! {
         let measured = assess(&vehicle, &limits, &scene, Some(action));
 
         let control = action.control(&vehicle);
-        let mut state = State::at_origin(speed_mps);
-        let mut first_s = None;
-        for k in 1..=15 {
-            state = step(&vehicle, &state, control, 0.1);
+        let clearance_m = |state: &State| {
             let body = state.pose().inverse();
-            let hits = returns.iter().any(|(beam, _)| {
+            let away = returns.iter().map(|(beam, _)| {
                 let range_m = f64::from(observation.ranges_m[*beam]);
                 let angle = (*beam as f64 * 1.5).to_radians();
                 let p = body * Point::new(range_m * angle.cos(), range_m * angle.sin());
                 let (dx, dy) = (p.x.abs() - vehicle.length_m / 2.0, p.y.abs() - vehicle.width_m / 2.0);
-                dx.max(0.0).hypot(dy.max(0.0)) < limits.margin_m && dx.max(dy) < limits.margin_m
-            }) && state.speed_mps > 0.0;
+                match dx.max(dy) < 0.0 {
+                    true => dx.max(dy),
+                    false => dx.max(0.0).hypot(dy.max(0.0)),
+                }
+            });
+            away.fold(f64::INFINITY, f64::min)
+        };
+        let mut state = State::at_origin(speed_mps);
+        // Within the margin a car that creeps may go on, and come no nearer.
+        let now_m = clearance_m(&state);
+        let least_m = match now_m < limits.margin_m && speed_mps < 1.0 {
+            true => (now_m - 0.001).max(0.0),
+            false => limits.margin_m,
+        };
+        let mut first_s = None;
+        for k in 1..=15 {
+            state = step(&vehicle, &state, control, 0.1);
+            let hits = clearance_m(&state) < least_m && state.speed_mps > 0.0;
             let leaves = vehicle.footprint().corners(&state.pose()).iter().any(|c| c.y.abs() > 5.45);
             if hits || leaves {
                 first_s = Some((f64::from(k) * 0.1, if hits { Verdict::Hits } else { Verdict::Leaves }));
@@ -205,4 +218,24 @@ fn a_delay_makes_the_veto_earlier() {
     };
     // A contact in 1.1 s; the brake takes 0.85 s and the reaction 0.2 s.
     assert!(!vetoed(0.0) && vetoed(300.0));
+}
+
+/// The verdict on a car that drives straight on at this speed with a return beside it.
+fn beside_an_obstacle(speed_mps: f64, steer: f64, away_m: f64) -> Verdict {
+    let (vehicle, limits) = (Vehicle::default(), SafetyLimits::default());
+    let mut observation = observation(speed_mps);
+    observation.ranges_m[60] = (vehicle.width_m / 2.0 + away_m) as f32;
+    let scene = Scene::new(&observation, Scene::reach_m(&vehicle, &limits, speed_mps));
+    let action = Action { steer, pedal: 0.3 };
+    assess(&vehicle, &limits, &scene, Some(action)).verdict()
+}
+
+#[test]
+fn a_car_within_the_margin_may_creep_on_and_come_no_nearer() {
+    assert_eq!(beside_an_obstacle(0.0, 0.0, 0.1), Verdict::Clear);
+    assert_eq!(beside_an_obstacle(0.9, 0.0, 0.1), Verdict::Clear);
+    assert_eq!(beside_an_obstacle(2.0, 0.0, 0.1), Verdict::Hits);
+    // To the right its rear swings to the left.
+    assert_eq!(beside_an_obstacle(0.9, -1.0, 0.1), Verdict::Hits);
+    assert_eq!(beside_an_obstacle(2.0, 0.0, 0.2), Verdict::Clear);
 }

@@ -242,6 +242,8 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
         // The teacher keeps a larger distance than it does alone (0.6 m and 1.2 m), because the
         // policy reproduces it with an error of decimetres (results/learning.md).
         "mpc.clearance_m=1.2".into(),
+        // Nor does it slow down for what a policy cannot see in one scan (results/experts.md).
+        "mpc.wary=false".into(),
         "mpc.speed_mps=5.0".into(),
         "mpc.steps=8".into(),
         "informed.inflation_m=2.0".into(),

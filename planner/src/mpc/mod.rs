@@ -24,6 +24,7 @@ mod nearby;
 mod problem;
 mod sparse;
 mod speed;
+mod traffic;
 
 use shm_config::config::{Config, Mpc as Settings};
 use shm_config::message::{
@@ -43,6 +44,7 @@ use problem::{Problem, Solution, Stage, Task};
 
 pub use problem::Effort;
 use speed::{Profile, Way};
+use traffic::Traffic;
 
 /// Longest time for which the memory is used, s.
 const MEMORY_S: f64 = 0.5;
@@ -63,6 +65,7 @@ pub struct Mpc {
     body: Body,
     tracker: Tracker,
     nearby: Nearby,
+    traffic: Box<Traffic>,
     field: Field,
     lattice: Lattice,
     problem: Problem,
@@ -106,6 +109,7 @@ impl Mpc {
             body: Body::new(&config.vehicle),
             tracker: Tracker::default(),
             nearby: Nearby::default(),
+            traffic: Box::default(),
             field: Field::new(),
             lattice: Lattice::new(),
             problem: Problem::new(&config.mpc, time_limit_s),
@@ -181,12 +185,16 @@ impl Mpc {
             begin.left_m,
             road.heading_rad.clamp(-1.2, 1.2).tan(),
         );
+        let sightings = self.tracker.sightings();
+        let car = (&self.vehicle, &self.settings);
+        self.traffic.predict(&line, sightings, car);
         let profile = Way {
             line: &line,
             path: &path,
             config: &self.settings,
             vehicle: &self.vehicle,
-            sightings: self.tracker.sightings(),
+            sightings,
+            traffic: &self.traffic,
         }
         .choose(ego.speed_mps());
         let now = [

@@ -1,12 +1,13 @@
 use vehicle::{Footprint, Vehicle, pose};
 
 use crate::mpc::lattice::Path;
-use crate::mpc::line::Line;
+use crate::mpc::line::{Line, Place};
+use crate::mpc::traffic::{Foe, Traffic};
 use crate::track::Sighting;
 use shm_config::config::Mpc as Config;
 use shm_config::message::PLANNED_MAX;
 
-/// Instants looked at: the steps, and as many after them.
+/// Instants of a profile: the steps, and as many after them.
 const INSTANTS: usize = 2 * PLANNED_MAX;
 /// Speed at the end of the known road, m/s: at it the car can drive, or brake for, any
 /// bend of at least 10 m radius.
@@ -18,12 +19,22 @@ const PLACES: usize = 64;
 /// certain.
 const GAP_M: f64 = 0.5;
 const GAP_MPS: f64 = 0.15;
+/// Gap kept to what comes from behind in another lane, m: it passes closely.
+const GAP_BEHIND_M: f64 = 0.3;
 /// Part of the gap ahead that grows with speed, s.
 const HEADWAY_S: f64 = 0.4;
-/// Longest horizon of a prediction, s.
-const PREDICT_S: f64 = 4.0;
 /// Acceleration that is planned with, m/s².
 const ACCEL_MPS2: f64 = 2.0;
+
+/// A body that shows at least this, half the diagonal of the box around its returns, m, may be
+/// a car that pulls out.
+const CAR_M: f64 = 0.85;
+/// Nearer than this beside the path, m, it is passed slowly: at most so much faster than it
+/// drives, m/s, so that there is time to stop when it pulls out.
+const BESIDE_M: f64 = 1.9;
+pub(crate) const PASS_MPS: f64 = 2.5;
+/// Of a body that hardly moves, so much counts as along the road, m/s.
+const ALONG_MPS: f64 = 1.0;
 
 /// One way to drive along the path: a share of the wanted speed, and a share of
 /// the planned deceleration to get down to it.
@@ -61,8 +72,9 @@ pub(crate) struct Way<'a> {
     pub(crate) path: &'a Path,
     pub(crate) config: &'a Config,
     pub(crate) vehicle: &'a Vehicle,
-    /// Only those that move matter here.
     pub(crate) sightings: &'a [Sighting],
+    /// Those of them that move.
+    pub(crate) traffic: &'a Traffic,
 }
 
 impl Way<'_> {
@@ -81,7 +93,11 @@ impl Way<'_> {
             if met_s == f64::INFINITY {
                 return profile;
             }
-            if best.as_ref().is_none_or(|(latest_s, _)| met_s > *latest_s) {
+            // Of two that are as late, a wary driver takes the slower one: it may be later.
+            let is_later = |(latest_s, _): &(f64, Profile)| {
+                met_s > *latest_s || self.config.wary && met_s == *latest_s
+            };
+            if best.as_ref().is_none_or(is_later) {
                 best = Some((met_s, profile));
             }
         }
@@ -107,6 +123,9 @@ impl Way<'_> {
             };
             config.speed_mps.min(bend_mps).min(known_mps)
         });
+        if config.wary {
+            self.slow_beside(&mut limits);
+        }
         if stop_m.is_finite() {
             for (index, limit) in limits.iter_mut().enumerate() {
                 if index as f64 * SPACING_M >= stop_m {
@@ -120,6 +139,28 @@ impl Way<'_> {
             limits[index] = limits[index].min(reachable);
         }
         limits
+    }
+
+    /// Lowers the limits beside bodies that may pull out.
+    fn slow_beside(&self, limits: &mut [f64; PLACES]) {
+        let half_length_m = self.vehicle.length_m / 2.0;
+        for sighting in self.sightings.iter().filter(|body| body.radius_m > CAR_M) {
+            let Place { along_m, left_m } = self.line.place(sighting.point_body);
+            let road = self.line.body_from_road(along_m).rotation;
+            let velocity_road = road.inverse() * sighting.velocity_body;
+            let is_along = velocity_road.x >= 0.0
+                && 2.0 * velocity_road.y.abs() <= velocity_road.x.max(ALONG_MPS);
+            let off_path_m = (left_m - self.path.at(along_m).0).abs();
+            if !is_along || off_path_m > self.vehicle.width_m / 2.0 + BESIDE_M {
+                continue;
+            }
+            let place = |along_m: f64| (along_m / SPACING_M).max(0.0) as usize;
+            let first = place(along_m - half_length_m);
+            let end = place(along_m + half_length_m + SPACING_M);
+            for limit in limits.iter_mut().take(end).skip(first) {
+                *limit = limit.min(velocity_road.x + PASS_MPS);
+            }
+        }
     }
 
     /// Drives along the path within the limits.
@@ -159,39 +200,28 @@ impl Way<'_> {
             length_m, width_m, ..
         } = *self.vehicle;
         let footprint = Footprint { length_m, width_m };
-        // A body that approaches from behind can see the car; a stop would block its
-        // path.
-        let follows = |sighting: &Sighting| {
-            sighting.point_body.x < -length_m / 2.0 && sighting.velocity_body.x > 0.0
-        };
-        let moving = || {
-            self.sightings
-                .iter()
-                .filter(|sighting| sighting.moves() && !follows(sighting))
-        };
-        if moving().next().is_none() {
-            return f64::INFINITY;
-        }
-        let steps = (PREDICT_S / self.config.step_s) as usize;
-        for step in (1..=steps.min(INSTANTS)).step_by(2) {
+        for (look, step) in self.traffic.steps().enumerate() {
             let then_s = step as f64 * self.config.step_s;
             let (along_m, speed_mps) = profile.at(step);
             let (left_m, slope) = self.path.at(along_m);
             let road = self.line.body_from_road(along_m);
             let body_from_car = road * pose(0.0, left_m, slope.atan());
             let car_from_body = body_from_car.inverse();
-            let gap_m = GAP_M + GAP_MPS * then_s;
-            let meets = |sighting: &Sighting| {
-                let point_body = sighting.point_body + sighting.velocity_body * then_s;
+            let meets = |foe: &Foe| {
+                let (point_body, velocity_body) = self.traffic.then(foe, look);
                 let mut point_car = car_from_body * point_body;
-                let velocity_car = car_from_body.rotation * sighting.velocity_body;
+                let ahead_mps = (car_from_body.rotation * velocity_body).x;
                 if point_car.x > 0.0 {
-                    let ahead_m = HEADWAY_S * (speed_mps - velocity_car.x.max(0.0)).max(0.0);
+                    let ahead_m = HEADWAY_S * (speed_mps - ahead_mps.max(0.0)).max(0.0);
                     point_car.x = (point_car.x - ahead_m).max(0.0);
                 }
+                let gap_m = match foe.is_behind {
+                    true => GAP_BEHIND_M,
+                    false => GAP_M + GAP_MPS * then_s,
+                };
                 footprint.distance_m(point_car) < gap_m
             };
-            if moving().any(meets) {
+            if self.traffic.foes().iter().any(meets) {
                 return then_s;
             }
         }

@@ -101,3 +101,54 @@ fn an_answer_of_another_episode_or_long_ago_is_not_followed() {
         assert_eq!(plan.outcome(), PlanOutcome::Blocked, "{episode} {tick}");
     }
 }
+
+/// What a scan sees of bodies of this size, m, on both sides of the road's middle, 13 m ahead
+/// at tick 0.
+fn between(tick: u64, size_m: (f64, f64)) -> Observation {
+    let mut observation = free_road(tick);
+    observation.ego.speed_mps = 6.0;
+    // It drives on by what it has measured of itself.
+    observation.ego.x_world_m = 0.6 * tick as f64;
+    let body = vehicle::Footprint {
+        length_m: size_m.0,
+        width_m: size_m.1,
+    };
+    let ahead_m = 13.0 - observation.ego.x_world_m;
+    for (beam, range_m) in observation.ranges_m[..240].iter_mut().enumerate() {
+        let (sin, cos) = (beam as f64 * 1.5_f64.to_radians()).sin_cos();
+        let hits = |away_m: f64| {
+            [-3.2, 3.2].iter().any(|left_m| {
+                let at = Point::new(cos * away_m - ahead_m, sin * away_m - left_m);
+                body.distance_m(at) <= 0.0
+            })
+        };
+        let hit = (1..500)
+            .map(|step| f64::from(step) * 0.1)
+            .find(|&away_m| hits(away_m));
+        *range_m = hit.unwrap_or(50.0) as f32;
+    }
+    observation
+}
+
+/// Slowest speed that is planned, m/s.
+fn slowest_mps(size_m: (f64, f64)) -> f64 {
+    let (mut mpc, mut plan) = (Mpc::new(&config()), Plan::default());
+    for tick in 0..5 {
+        mpc.plan(&between(tick, size_m), &mut plan);
+    }
+    let waypoints = plan.waypoints().iter();
+    waypoints
+        .map(|waypoint| waypoint.speed_mps)
+        .fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn it_passes_slowly_between_cars_that_may_pull_out() {
+    let cars_mps = slowest_mps((4.6, 1.85));
+    assert!(
+        cars_mps < speed::PASS_MPS + 1.0,
+        "{cars_mps} m/s between cars"
+    );
+    let cones_mps = slowest_mps((0.4, 0.4));
+    assert!(cones_mps > 5.0, "{cones_mps} m/s between cones");
+}

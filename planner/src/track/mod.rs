@@ -27,6 +27,11 @@ const MIDDLE_DEVIATION_M: f64 = 0.4;
 const VELOCITY_NOISE: f64 = 2.0;
 /// First guess of a velocity: none, but up to this, m/s.
 const VELOCITY_DEVIATION: f64 = 5.0;
+/// Deviation of the direction of a velocity, rad, and of how fast it turns, rad/s, when a body
+/// begins to move; and how much the turning changes, rad/s per root of a second.
+const DIRECTION_DEVIATION: f64 = 0.1;
+const TURN_DEVIATION: f64 = 0.5;
+const TURN_NOISE: f64 = 0.8;
 /// A track counts after it was seen this often, and is dropped after it was
 /// not seen this often.
 const SEEN_MIN: u32 = 4;
@@ -52,6 +57,8 @@ pub struct Sighting {
     pub point_body: Point,
     /// Velocity over ground, in the body frame's directions, m/s; zero at rest.
     pub velocity_body: Vector,
+    /// Rate at which its velocity turns, rad/s, counter-clockwise; zero at rest.
+    pub turn_radps: f64,
     /// Half the diagonal of the box around all returns of its body, m.
     pub radius_m: f64,
 }
@@ -63,10 +70,28 @@ impl Sighting {
     }
 }
 
+/// How a body moves over ground: its velocity in the world frame, m/s, and the rate at which
+/// that turns, rad/s.
+#[derive(Debug, Clone, Copy)]
+struct Motion {
+    velocity_world: Vector,
+    turn_radps: f64,
+}
+
+impl Motion {
+    const REST: Self = Self {
+        velocity_world: Vector::new(0.0, 0.0),
+        turn_radps: 0.0,
+    };
+}
+
 #[derive(Debug, Clone, Copy)]
 struct Track {
     x: Kalman,
     y: Kalman,
+    /// Direction of the velocity in the world frame, rad, without jumps, and its rate; once it
+    /// moves.
+    direction: Option<Kalman>,
     /// Where its middle was last.
     middle: Point,
     /// Where its middle was first, and the largest box it was seen in.
@@ -87,6 +112,7 @@ impl Track {
         Self {
             x: begin(cluster.middle.x),
             y: begin(cluster.middle.y),
+            direction: None,
             middle: cluster.middle,
             begin: cluster.middle,
             radius_m: cluster.radius_m,
@@ -97,8 +123,8 @@ impl Track {
         }
     }
 
-    /// Takes its cluster of this scan; the velocity over ground, or zero at rest.
-    fn take(&mut self, cluster: &Cluster) -> Vector {
+    /// Takes its cluster of this scan; how the body moves.
+    fn take(&mut self, cluster: &Cluster) -> Motion {
         self.x.measure(cluster.middle.x, MIDDLE_DEVIATION_M);
         self.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
         (self.taken, self.missed, self.still) = (true, 0, 0);
@@ -109,9 +135,26 @@ impl Track {
         let went_m = (cluster.middle - self.begin).norm();
         let has_moved = went_m > self.radius_m + LEFT_M && self.radius_m <= VEHICLE_M;
         match has_moved && self.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
-            true => velocity,
-            false => Vector::zeros(),
+            true => Motion {
+                velocity_world: velocity,
+                turn_radps: self.turn_radps(velocity),
+            },
+            false => {
+                self.direction = None;
+                Motion::REST
+            }
         }
+    }
+
+    /// Takes the direction of this scan's velocity; the rate at which it turns, rad/s.
+    fn turn_radps(&mut self, velocity: Vector) -> f64 {
+        let now_rad = velocity.y.atan2(velocity.x);
+        let direction = self.direction.get_or_insert_with(|| {
+            Kalman::new((now_rad, DIRECTION_DEVIATION), (0.0, TURN_DEVIATION))
+        });
+        let change_rad = vehicle::wrap_rad(now_rad - direction.value());
+        direction.measure(direction.value() + change_rad, DIRECTION_DEVIATION);
+        direction.driver()
     }
 }
 
@@ -147,6 +190,7 @@ impl Tracker {
             let _ = self.sightings.push(Sighting {
                 point_body,
                 velocity_body: Vector::zeros(),
+                turn_radps: 0.0,
                 radius_m: 0.0,
             });
         }
@@ -154,6 +198,9 @@ impl Tracker {
             let noise = VELOCITY_NOISE * step_s.sqrt();
             track.x.predict(1.0, step_s, noise);
             track.y.predict(1.0, step_s, noise);
+            if let Some(direction) = &mut track.direction {
+                direction.predict(1.0, step_s, TURN_NOISE * step_s.sqrt());
+            }
             track.taken = false;
             track.missed += 1;
         }
@@ -164,36 +211,35 @@ impl Tracker {
         let found = clusters
             .iter()
             .map(|cluster| self.find_resting(cluster, still));
-        let found: heapless::Vec<Option<Vector>, CLUSTERS_MAX> = found.collect();
+        let found: heapless::Vec<Option<Motion>, CLUSTERS_MAX> = found.collect();
         for (cluster, found) in clusters.iter().zip(found) {
-            let velocity_world = found.unwrap_or_else(|| self.follow(cluster));
-            self.mark(cluster, &world_from_body, velocity_world);
+            let motion = found.unwrap_or_else(|| self.follow(cluster));
+            self.mark(cluster, &world_from_body, motion);
         }
         self.tracks.retain(|track| track.missed <= MISSED_MAX);
     }
 
     /// A cluster that is where a track was last is that track; after some scans
-    /// of that it rests, even if it seemed to move before. Returns its velocity.
-    fn find_resting(&mut self, cluster: &Cluster, still_m: f64) -> Option<Vector> {
+    /// of that it rests, even if it seemed to move before. Returns how it moves.
+    fn find_resting(&mut self, cluster: &Cluster, still_m: f64) -> Option<Motion> {
         let is_there =
             |track: &&mut Track| !track.taken && (track.middle - cluster.middle).norm() < still_m;
         let track = self.tracks.iter_mut().find(is_there)?;
         if track.still + 1 < STILL_MIN {
             let still = track.still + 1;
-            let velocity = track.take(cluster);
+            let motion = track.take(cluster);
             track.still = still;
-            return Some(velocity);
+            return Some(motion);
         }
         *track = Track {
             still: track.still,
             ..Track::new(cluster)
         };
-        Some(Vector::zeros())
+        Some(Motion::REST)
     }
 
-    /// Gives a cluster to its track, or begins one; the velocity over ground, or
-    /// zero at rest.
-    fn follow(&mut self, cluster: &Cluster) -> Vector {
+    /// Gives a cluster to its track, or begins one; how it moves.
+    fn follow(&mut self, cluster: &Cluster) -> Motion {
         let away = |track: &Track| {
             (Point::new(track.x.value(), track.y.value()) - cluster.middle).norm_squared()
         };
@@ -205,17 +251,17 @@ impl Tracker {
         let Some(track) = nearest else {
             // Without a free track it is not followed, and rests.
             let _ = self.tracks.push(Track::new(cluster));
-            return Vector::zeros();
+            return Motion::REST;
         };
         track.take(cluster)
     }
 
-    fn mark(&mut self, cluster: &Cluster, world_from_body: &Pose, velocity_world: Vector) {
-        let velocity_body = world_from_body.rotation.inverse() * velocity_world;
+    fn mark(&mut self, cluster: &Cluster, world_from_body: &Pose, motion: Motion) {
+        let velocity_body = world_from_body.rotation.inverse() * motion.velocity_world;
         let count = self.sightings.len();
         for offset in 0..cluster.count {
             let sighting = &mut self.sightings[(cluster.first + offset) % count];
-            sighting.velocity_body = velocity_body;
+            (sighting.velocity_body, sighting.turn_radps) = (velocity_body, motion.turn_radps);
             sighting.radius_m = cluster.radius_m;
         }
     }

@@ -76,6 +76,42 @@ fn tells_what_moves_from_what_rests() {
     assert!(alarms * 50 < seen_resting, "{alarms} of {seen_resting}");
 }
 
+/// Which way a car turns is known within 0.25 rad/s, most of the time.
+#[test]
+fn tells_how_fast_what_moves_turns() {
+    for turn_radps in [-0.5, 0.0, 0.5] {
+        let (mut tracker, mut away_radps) = (Tracker::default(), Vec::new());
+        for tick in 0..30 {
+            let heading_rad = turn_radps * f64::from(tick) * STEP_S;
+            // 6 m/s, first past (20, -8) to the left.
+            let at = match turn_radps == 0.0 {
+                true => pose(20.0, -8.0 + 6.0 * f64::from(tick) * STEP_S, 0.0),
+                false => {
+                    let radius_m = 6.0 / turn_radps;
+                    let (sin, cos) = heading_rad.sin_cos();
+                    pose(20.0 + radius_m * (cos - 1.0), -8.0 + radius_m * sin, 0.0)
+                }
+            };
+            let heading = pose(0.0, 0.0, std::f64::consts::FRAC_PI_2 + heading_rad);
+            tracker.update(&seen(&pose(0.0, 0.0, 0.0), &(at * heading)), STEP_S);
+            if tick >= 15 {
+                let moving = tracker
+                    .sightings()
+                    .iter()
+                    .filter(|sighting| sighting.moves());
+                away_radps.extend(moving.map(|sighting| (sighting.turn_radps - turn_radps).abs()));
+            }
+        }
+        let near = away_radps.iter().filter(|away| **away < 0.25).count();
+        assert!(away_radps.len() > 50);
+        assert!(
+            near * 10 > away_radps.len() * 7,
+            "{turn_radps} rad/s: {near} of {}",
+            away_radps.len()
+        );
+    }
+}
+
 /// An engine and a steering stronger than the model's are found out.
 #[test]
 fn learns_the_gains_of_engine_and_steering() {
