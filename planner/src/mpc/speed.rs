@@ -27,8 +27,10 @@ const HEADWAY_S: f64 = 0.4;
 const ACCEL_MPS2: f64 = 2.0;
 
 /// A body that shows at least this, half the diagonal of the box around its returns, m, may be
-/// a car that pulls out.
+/// a car that pulls out. This and the next for a car as wide as the experiment's, m, and less
+/// for a narrower one.
 const CAR_M: f64 = 0.85;
+const CAR_WIDTH_M: f64 = 1.852;
 /// Nearer than this beside the path, m, it is passed slowly: at most so much faster than it
 /// drives, m/s, so that there is time to stop when it pulls out.
 const BESIDE_M: f64 = 1.9;
@@ -144,14 +146,17 @@ impl Way<'_> {
     /// Lowers the limits beside bodies that may pull out.
     fn slow_beside(&self, limits: &mut [f64; PLACES]) {
         let half_length_m = self.vehicle.length_m / 2.0;
-        for sighting in self.sightings.iter().filter(|body| body.radius_m > CAR_M) {
+        let size = (self.vehicle.width_m / CAR_WIDTH_M).min(1.0);
+        let near_m = self.vehicle.width_m / 2.0 + BESIDE_M * size;
+        let may_be_car = |body: &&Sighting| body.radius_m > CAR_M * size;
+        for sighting in self.sightings.iter().filter(may_be_car) {
             let Place { along_m, left_m } = self.line.place(sighting.point_body);
             let road = self.line.body_from_road(along_m).rotation;
             let velocity_road = road.inverse() * sighting.velocity_body;
             let is_along = velocity_road.x >= 0.0
                 && 2.0 * velocity_road.y.abs() <= velocity_road.x.max(ALONG_MPS);
             let off_path_m = (left_m - self.path.at(along_m).0).abs();
-            if !is_along || off_path_m > self.vehicle.width_m / 2.0 + BESIDE_M {
+            if !is_along || off_path_m > near_m {
                 continue;
             }
             let place = |along_m: f64| (along_m / SPACING_M).max(0.0) as usize;
