@@ -80,7 +80,7 @@ impl Live {
         seal(kind, (self.session, self.sent), body, &self.ends.send)
     }
 
-    /// Decrypts a packet of this session and gives its body. A packet that was changed, or
+    /// Decrypts a packet of this connection and gives its body. A packet that was changed, or
     /// whose counter is not above that of the last one, is refused.
     ///
     /// # Errors
