@@ -469,3 +469,27 @@ fn runs_that_end_do_not_keep_others_from_starting() {
         thread.join().expect("no thread failed");
     }
 }
+
+/// How long it takes to open and to close eight reading ends.
+#[allow(clippy::disallowed_methods)] // a sleep has a least length, and no greatest
+fn eight_ports(wire: &Wire) -> [Duration; 2] {
+    let begun = std::time::Instant::now();
+    let ports: Vec<_> = (0..8)
+        .map(|_| wire.latest(COMMAND).expect("a port"))
+        .collect();
+    let opened = begun.elapsed();
+    drop(ports);
+    [opened, begun.elapsed() - opened]
+}
+
+/// So that no tick pays for many of its ports; 3 ms after each.
+#[test]
+fn who_only_reads_opens_and_closes_port_by_port() {
+    let run = TestRun::new("beside");
+    let least = Duration::from_millis(8 * 3);
+    let recorder = run.join(Process::Recorder);
+    assert!(eight_ports(&recorder).iter().all(|took| *took >= least));
+    let command = run.join(Process::Supervisor);
+    command.follow(std::process::id()).expect("a roster");
+    assert!(eight_ports(&command).iter().all(|took| *took >= least));
+}

@@ -7,7 +7,6 @@ mod producers;
 mod publisher;
 mod subscriber;
 
-use std::cell::Cell;
 use std::rc::Rc;
 use std::time::Duration;
 
@@ -130,8 +129,6 @@ pub struct Wire {
     node: Node<Ipc>,
     config: Config,
     process: Process,
-    /// Whether it only looks on, and so waits after each port.
-    is_beside: Rc<Cell<bool>>,
     _alive: RunLock,
 }
 
@@ -181,7 +178,6 @@ impl Wire {
             node,
             config,
             process,
-            is_beside: Rc::new(Cell::new(process == Process::Recorder)),
             _alive: alive,
         })
     }
@@ -200,11 +196,17 @@ impl Wire {
     pub fn follow(&self, author: u32) -> Result<(), WireError> {
         let port = self.port(ROSTER, 1)?.0;
         self.producers.follow(author, port);
-        // The supervisor itself follows nobody: who does so in its name looks on.
-        if self.process == Process::Supervisor {
-            self.is_beside.set(true);
-        }
         Ok(())
+    }
+
+    /// Whether the process only reads what others publish: a recorder, or a command that
+    /// follows a supervisor and has joined in its place.
+    fn is_beside(&self) -> bool {
+        match self.process {
+            Process::Recorder => true,
+            Process::Supervisor => self.producers.follows(),
+            _ => false,
+        }
     }
 
     /// Waits until the roster names this process id. Ports that are opened afterwards
@@ -341,7 +343,7 @@ impl Wire {
             topic,
             producers,
             (service, depth),
-            self.is_beside.clone(),
+            self.is_beside(),
         ))
     }
 
@@ -356,7 +358,7 @@ impl Wire {
             .buffer_size(depth)
             .create()
             .map_err(|error| WireError::port(service.name, format!("{error:?}")))?;
-        if self.is_beside.get() {
+        if self.is_beside() {
             pause();
         }
         Ok((port, topic))

@@ -85,6 +85,11 @@ impl Producers {
         self.look();
     }
 
+    /// Whether the roster is that of another process.
+    pub(super) fn follows(&self) -> bool {
+        matches!(*self.author.borrow(), Author::Other(..))
+    }
+
     /// The process that the roster names, `None` when it names none.
     pub(super) fn pid(&self, process: Process) -> Option<u32> {
         self.look();

@@ -1,6 +1,5 @@
 //! The reading end of a service.
 
-use std::cell::Cell;
 use std::rc::Rc;
 
 use iceoryx2::port::update_connections::UpdateConnections;
@@ -36,13 +35,13 @@ pub struct Subscriber<M: Message> {
     producer: u32,
     sequence: u64,
     lost: u64,
-    /// Whether its process looks on, and waits after each port.
-    is_beside: Rc<Cell<bool>>,
+    /// Whether its process only reads, and waits after each port.
+    is_beside: bool,
 }
 
 impl<M: Message> Drop for Subscriber<M> {
     fn drop(&mut self) {
-        if self.is_beside.get() {
+        if self.is_beside {
             super::pause();
         }
     }
@@ -55,7 +54,7 @@ impl<M: Message> Subscriber<M> {
         topic: Topic<Ipc, M, ()>,
         producers: Rc<Producers>,
         (service, depth): (Service<M>, usize),
-        is_beside: Rc<Cell<bool>>,
+        is_beside: bool,
     ) -> Self {
         Self {
             port,
