@@ -131,8 +131,10 @@ fn between(tick: u64, size_m: (f64, f64)) -> Observation {
 }
 
 /// Slowest speed that is planned, m/s.
-fn slowest_mps(size_m: (f64, f64)) -> f64 {
-    let (mut mpc, mut plan) = (Mpc::new(&config()), Plan::default());
+fn slowest_mps(size_m: (f64, f64), is_wary: bool) -> f64 {
+    let mut config = config();
+    config.mpc.wary = is_wary;
+    let (mut mpc, mut plan) = (Mpc::new(&config), Plan::default());
     for tick in 0..5 {
         mpc.plan(&between(tick, size_m), &mut plan);
     }
@@ -144,11 +146,13 @@ fn slowest_mps(size_m: (f64, f64)) -> f64 {
 
 #[test]
 fn it_passes_slowly_between_cars_that_may_pull_out() {
-    let cars_mps = slowest_mps((4.6, 1.85));
+    let cars_mps = slowest_mps((4.6, 1.85), true);
     assert!(
         cars_mps < speed::PASS_MPS + 1.0,
         "{cars_mps} m/s between cars"
     );
-    let cones_mps = slowest_mps((0.4, 0.4));
+    let cones_mps = slowest_mps((0.4, 0.4), true);
     assert!(cones_mps > 5.0, "{cones_mps} m/s between cones");
+    let unwary_mps = slowest_mps((4.6, 1.85), false);
+    assert!(unwary_mps > 5.0, "{unwary_mps} m/s, not wary");
 }

@@ -175,4 +175,54 @@ mod tests {
             Vector::new(6.0, 8.0)
         );
     }
+    /// What is predicted of one body on a straight road, from its place and velocity.
+    fn predicted(is_wary: bool, at: (f64, f64), velocity: (f64, f64)) -> Box<Traffic> {
+        let mut observation = shm_config::message::Observation::default();
+        (observation.road.left_m, observation.road.right_m) = (5.25, 5.25);
+        observation.checkpoints[0].x_body_m = 60.0;
+        observation.checkpoints[1].x_body_m = 60.0;
+        let body = Sighting {
+            point_body: Point::new(at.0, at.1),
+            velocity_body: Vector::new(velocity.0, velocity.1),
+            turn_radps: 0.5,
+            radius_m: 2.0,
+        };
+        let config = Config {
+            wary: is_wary,
+            ..Config::default()
+        };
+        let mut traffic = Box::<Traffic>::default();
+        let line = Line::new(&observation);
+        traffic.predict(&line, &[body], (&Vehicle::default(), &config));
+        traffic
+    }
+
+    #[test]
+    fn what_comes_from_the_side_may_turn_into_the_road() {
+        let traffic = predicted(true, (20.0, -10.0), (0.0, 8.0));
+        let [turns, joins] = traffic.foes() else {
+            panic!("{traffic:?}");
+        };
+        // After 2.1 s it has turned to the left by 1.05 rad, or into the road.
+        let look = 10;
+        let (turned, _) = traffic.then(turns, look);
+        assert!(turned.x < 14.0, "{turned:?}");
+        let (joined, _) = traffic.then(joins, look);
+        assert!(joined.x > 27.0 && joined.y < 2.0, "{joined:?}");
+        let traffic = predicted(false, (20.0, -10.0), (0.0, 8.0));
+        let [straight_on] = traffic.foes() else {
+            panic!("{traffic:?}");
+        };
+        let (then, _) = traffic.then(straight_on, look);
+        assert!((then - Point::new(20.0, 6.8)).norm() < 1e-9, "{then:?}");
+    }
+
+    #[test]
+    fn what_comes_from_behind_counts_in_another_lane_alone() {
+        for (is_wary, left_m, count) in [(true, 0.5, 0), (true, 3.5, 1), (false, 3.5, 0)] {
+            let traffic = predicted(is_wary, (-8.0, left_m), (9.0, 0.0));
+            assert_eq!(traffic.foes().len(), count, "{is_wary} {left_m} m");
+            assert!(traffic.foes().iter().all(|foe| foe.is_behind));
+        }
+    }
 }
