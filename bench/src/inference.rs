@@ -68,7 +68,11 @@ impl Subcommand for BenchPolicy {
             runs: self.runs,
             features,
         };
-        let mut rows = vec![bare(&mlp, &meter), native(&mlp, &meter)];
+        let mut rows = vec![
+            bare(&mlp, &meter),
+            native("native, in the tick", &mlp, &meter),
+            native("the same, beams compressed", &compressed(&mlp), &meter),
+        ];
         rows.extend(onnx_runtime(self, &bytes, &mlp, &meter)?);
         rows.push(pytorch(self, &meter));
         let results = PolicyResults {
@@ -198,9 +202,15 @@ fn absent(backend: &'static str, note: String) -> Row {
     }
 }
 
-fn native(mlp: &Mlp, meter: &Meter) -> Row {
+/// The net behind the compression that the learner's policies have.
+fn compressed(mlp: &Mlp) -> Mlp {
+    let layers = mlp.layers().to_vec();
+    Mlp::compressed(learner::features::COMPRESSION, layers).expect("the layers of a net")
+}
+
+fn native(backend: &'static str, mlp: &Mlp, meter: &Meter) -> Row {
     let mut mlp = mlp.clone();
-    meter.row("native, in the tick", |features| {
+    meter.row(backend, |features| {
         std::hint::black_box(mlp.infer(features));
     })
 }

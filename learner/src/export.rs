@@ -2,11 +2,12 @@
 
 use policy::{Activation, Layer, Mlp, Provenance, Refusal};
 
-use crate::features::scaling;
+use crate::features::{COMPRESSION, scaling};
 use crate::network::{Head, Network};
 
-/// The network as the runtime evaluates it. It takes the plain features, so the linear
-/// change of the networks' input is folded into the first layer.
+/// The network as the runtime evaluates it. It takes the plain features, so it has the
+/// compression of the beams, and the linear change of the networks' input is folded into
+/// the first layer.
 ///
 /// # Errors
 /// When a number is not finite, or the sizes are not those of a policy.
@@ -37,7 +38,7 @@ pub fn mlp(network: &Network) -> Result<Mlp, Refusal> {
             activation,
         }
     });
-    Mlp::new(layers.collect())
+    Mlp::compressed(COMPRESSION, layers.collect())
 }
 
 /// The bytes of a policy file with these plain features as probes.

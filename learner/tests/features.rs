@@ -121,6 +121,19 @@ fn the_mirror_of_the_mirror_is_the_scene() {
 }
 
 #[test]
+fn a_beam_counts_most_where_something_is_near() {
+    let near = |feature: f32| {
+        let mut row = [feature; FEATURES];
+        prepare(&mut row);
+        row[FEATURES - 1]
+    };
+    // In 50 m: at the obstacle, 2.5 m away, and where nothing is in range.
+    for (feature, expected) in [(0.0, 2.0), (0.05, 1.0), (1.0, 2.0 / 21.0)] {
+        assert!((near(feature) - expected).abs() < 1e-5, "{}", near(feature));
+    }
+}
+
+#[test]
 fn a_policy_file_answers_on_plain_features_what_the_network_does_on_prepared_ones() {
     for (seed, head) in [(1, Head::Tanh), (2, Head::Linear), (3, Head::Tanh)] {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);

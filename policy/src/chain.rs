@@ -1,7 +1,7 @@
 //! A chain of layers of any shape, and its native runtime.
 
 use crate::Refusal;
-use crate::forward::{BLOCK, LAYERS_MAX, PackedLayer, forward, pack};
+use crate::forward::{BLOCK, Compression, LAYERS_MAX, PackedLayer, forward, pack};
 use crate::mlp::{Layer, WIDTH_MAX};
 
 /// How many numbers a net takes and gives.
@@ -50,8 +50,13 @@ impl Chain {
     /// The answer of the net. Missing inputs count as 0, more are ignored. Never
     /// allocates.
     pub fn infer(&mut self, inputs: &[f32]) -> &[f32] {
+        self.infer_compressed(inputs, Compression::default())
+    }
+
+    /// [`Chain::infer`] behind this compression of the inputs.
+    pub(crate) fn infer_compressed(&mut self, inputs: &[f32], by: Compression) -> &[f32] {
         let [x, y] = &mut self.scratch;
-        forward(&self.packed, [x, y], inputs, self.arch)
+        forward(&self.packed, [x, y], (inputs, by), self.arch)
     }
 }
 

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use crate::chain::{Chain, Shape, all_finite, wrong_shape};
 use crate::file::{Ends, graph_hash, graph_of, joined, model};
 use crate::onnx::Entry;
-use crate::{Refusal, graph, metadata};
+use crate::{Compression, Refusal, graph, metadata};
 
 /// What a file of this kind holds.
 #[derive(Debug, Clone)]
@@ -28,7 +28,7 @@ pub fn encode_chain(kind: &str, chain: &Chain, entries: &[(&str, String)]) -> Ve
         input: "question",
         output: "answer",
     };
-    let graph = graph_of(chain.layers(), &ends);
+    let graph = graph_of(Compression::default(), chain.layers(), &ends);
     let own = [
         (KIND_KEY, kind.to_string()),
         (metadata::GRAPH_KEY, graph_hash(&graph)),
@@ -64,6 +64,7 @@ pub fn decode_chain(
     let shape = shape(&metadata)?;
     graph::check(&graph, shape)?;
     let layers = graph::layers(&graph, shape)?
+        .and_then(|(by, layers)| (by == Compression::default()).then_some(layers))
         .ok_or_else(|| Refusal::Graph("its operators are no chain of layers".into()))?;
     let mut chain = Chain::new(layers, shape)?;
     for value in [-1.0, 0.0, 1.0] {

@@ -9,7 +9,7 @@ use crate::onnx::{
     ATTRIBUTE_INT, Attribute, Dimension, Entry, FLOAT, Graph, Model, Node, OperatorSet, Shape,
     Tensor, TensorType, Type, ValueInfo,
 };
-use crate::{Activation, Layer, Mlp, Refusal, graph, scan};
+use crate::{Activation, Compression, Layer, Mlp, Refusal, graph, scan};
 
 /// The default tolerance of a probe's answer: a hundred times the difference between
 /// two orders of summation, a hundredth of what changes the driving.
@@ -107,8 +107,8 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
     };
     graph::check(&graph, Mlp::SHAPE)?;
     let net = match graph::layers(&graph, Mlp::SHAPE)? {
-        Some(layers) => {
-            let mut mlp = Mlp::new(layers)?;
+        Some((compression, layers)) => {
+            let mut mlp = Mlp::compressed(compression, layers)?;
             check_answers(&probes, tolerance, |features| mlp.infer(features))?;
             Net::Mlp {
                 mlp: Box::new(mlp),
@@ -234,7 +234,7 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
         input: "features",
         output: "action",
     };
-    let graph = graph_of(mlp.layers(), &ends);
+    let graph = graph_of(mlp.compression(), mlp.layers(), &ends);
     let entries = metadata::write(provenance, &probes, &graph_hash(&graph));
     joined(entries, graph)
 }
@@ -275,7 +275,7 @@ pub(crate) fn graph_hash(graph: &Graph) -> String {
     hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub(crate) fn graph_of(layers: &[Layer], ends: &Ends) -> Graph {
+pub(crate) fn graph_of(compression: Compression, layers: &[Layer], ends: &Ends) -> Graph {
     let width = |layer: Option<&Layer>, of: fn(&Layer) -> usize| layer.map_or(0, of);
     let inputs = width(layers.first(), |layer| layer.inputs);
     let outputs = width(layers.last(), |layer| layer.outputs);
@@ -285,7 +285,10 @@ pub(crate) fn graph_of(layers: &[Layer], ends: &Ends) -> Graph {
         output: vec![row(ends.output, outputs)],
         ..Graph::default()
     };
-    let mut current = ends.input.to_string();
+    let mut current = match compression.slope == 0.0 {
+        true => ends.input.to_string(),
+        false => compress(&mut graph, ends.input, (compression, inputs)),
+    };
     let last = layers.len().saturating_sub(1);
     for (k, layer) in layers.iter().enumerate() {
         let name = |what: &str, is_end: bool| match is_end && k == last {
@@ -333,6 +336,33 @@ pub(crate) fn graph_of(layers: &[Layer], ends: &Ends) -> Graph {
         };
     }
     graph
+}
+
+/// Adds the operators of the compression of this input; returns what their output is called.
+fn compress(graph: &mut Graph, input: &str, (by, width): (Compression, usize)) -> String {
+    let name = |what: &str| format!("compression.{what}");
+    let mut slopes = vec![0.0; width];
+    slopes
+        .iter_mut()
+        .skip(by.from)
+        .for_each(|slope| *slope = by.slope);
+    graph
+        .initializer
+        .push(tensor(name("slopes"), &[width as i64], &slopes));
+    graph.initializer.push(tensor(name("one"), &[1], &[1.0]));
+    for (operator, inputs, output) in [
+        ("Mul", [input.into(), name("slopes")], "products"),
+        ("Add", [name("products"), name("one")], "divisors"),
+        ("Div", [input.into(), name("divisors")], "output"),
+    ] {
+        graph.node.push(Node {
+            input: inputs.to_vec(),
+            output: vec![name(output)],
+            op_type: operator.into(),
+            ..Node::default()
+        });
+    }
+    name("output")
 }
 
 fn tensor(name: String, dims: &[i64], values: &[f32]) -> Tensor {

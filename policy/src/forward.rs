@@ -24,6 +24,27 @@ pub enum Activation {
     Tanh,
 }
 
+/// What features go through before the first layer: from feature `from` on, `x` becomes
+/// `x / (1 + slope x)`. A scan's beams then differ most where something is near. The slope
+/// 0 changes nothing. One addition, one product and one quotient, so the bits are the same
+/// on every processor.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Compression {
+    /// The first feature that is compressed.
+    pub from: usize,
+    /// At least 0, finite.
+    pub slope: f32,
+}
+
+impl Compression {
+    /// Compresses features, in place.
+    pub fn apply(self, features: &mut [f32]) {
+        for x in features.iter_mut().skip(self.from) {
+            *x /= 1.0 + self.slope * *x;
+        }
+    }
+}
+
 /// A layer, `y = activation(weights x + bias)`, as the inner loop reads it: blocks of
 /// [`BLOCK`] outputs, in each first the bias, then for each input the weights of the
 /// block's outputs; with zeros behind the last output.
@@ -135,6 +156,7 @@ pub fn pack(weights: &[f32], bias: &[f32], blocks: &mut [[f32; BLOCK]]) -> Resul
 #[derive(Debug)]
 pub struct Forward<'a, B> {
     layers: &'a [PackedLayer<B>],
+    compression: Compression,
     workspace: [&'a mut [f32]; 2],
     arch: pulp::Arch,
 }
@@ -165,10 +187,20 @@ impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
         match width {
             ACTIONS => Ok(Self {
                 layers,
+                compression: Compression::default(),
                 workspace,
                 arch: pulp::Arch::new(),
             }),
             _ => Err(Mismatch::Chain(layers.len() - 1)),
+        }
+    }
+
+    /// The net behind this compression of its features.
+    #[must_use]
+    pub fn compressed(self, compression: Compression) -> Self {
+        Self {
+            compression,
+            ..self
         }
     }
 
@@ -177,7 +209,7 @@ impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
     /// more are ignored.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {
         let [x, y] = &mut self.workspace;
-        match *forward(self.layers, [x, y], features, self.arch) {
+        match *forward(self.layers, [x, y], (features, self.compression), self.arch) {
             [steer, pedal, ..] => [steer, pedal],
             // `new` has checked that there are two.
             _ => [f32::NAN; ACTIONS],
@@ -190,7 +222,7 @@ impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
 pub(crate) fn forward<'a, B: AsRef<[[f32; BLOCK]]>>(
     layers: &[PackedLayer<B>],
     [mut x, mut y]: [&'a mut [f32]; 2],
-    features: &[f32],
+    (features, compression): (&[f32], Compression),
     arch: pulp::Arch,
 ) -> &'a [f32] {
     let (inputs, outputs) = match layers {
@@ -201,6 +233,7 @@ pub(crate) fn forward<'a, B: AsRef<[[f32; BLOCK]]>>(
     let count = features.len().min(inputs);
     x[..count].copy_from_slice(&features[..count]);
     x[count..inputs].fill(0.0);
+    compression.apply(&mut x[..inputs]);
     for layer in layers {
         arch.dispatch(Product {
             blocks: layer.blocks.as_ref(),

@@ -6,11 +6,12 @@ use crate::chain::{Shape, all_finite, wrong_shape};
 use crate::forward::LAYERS_MAX;
 use crate::mlp::WIDTH_MAX;
 use crate::onnx::{ATTRIBUTE_INT, EXTERNAL, FLOAT, Graph, INT64, Node, Tensor, ValueInfo};
-use crate::{Activation, Layer, Refusal};
+use crate::{Activation, Compression, Layer, Refusal};
 
 /// The operators that a policy may use, all of ONNX's own domain. Those up to
-/// `Tanh` are what the native runtime knows; the rest needs ONNX Runtime. There
-/// is no control flow, no randomness and no reading of files among them.
+/// `Tanh` are what the native runtime knows, and `Mul`, `Add` and `Div` where they are a
+/// [`Compression`] before the layers; the rest needs ONNX Runtime. There is no control flow,
+/// no randomness and no reading of files among them.
 pub const OPERATORS: &[&str] = &[
     "Gemm",
     "MatMul",
@@ -222,34 +223,24 @@ fn floats(tensor: &Tensor) -> Vec<f32> {
     values.map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
-/// The layers of a graph that is a chain of them; `None` when it is something
-/// else, which is no error: ONNX Runtime may know it.
+/// The layers of a graph that is a chain of them, and the compression before them; `None`
+/// when it is something else, which is no error: ONNX Runtime may know it.
 ///
 /// # Errors
 /// When it is such a chain, but not of the right shape.
-pub fn layers(graph: &Graph, shape: Shape) -> Result<Option<Vec<Layer>>, Refusal> {
-    let mut constants: BTreeMap<&str, &Tensor> = graph
-        .initializer
-        .iter()
-        .map(|tensor| (tensor.name.as_str(), tensor))
-        .collect();
+pub fn layers(graph: &Graph, shape: Shape) -> Result<Option<(Compression, Vec<Layer>)>, Refusal> {
+    let Some((constants, operators)) = sorted(graph) else {
+        return Ok(None);
+    };
     let mut current = inputs(graph)[0].name.as_str();
     let mut layers: Vec<Layer> = Vec::new();
     let mut width = shape.inputs;
-    for node in &graph.node {
-        let [output] = &node.output[..] else {
-            return Ok(None);
-        };
-        if node.op_type == "Constant" {
-            let [attribute] = &node.attribute[..] else {
-                return Ok(None);
-            };
-            let Some(tensor) = &attribute.t else {
-                return Ok(None);
-            };
-            constants.insert(output, tensor);
-            continue;
-        }
+    let mut compression = Compression::default();
+    let mut rest = &operators[..];
+    if let Some((found, output, behind)) = compressed(rest, current, &constants, width) {
+        (compression, current, rest) = (found, output, behind);
+    }
+    for &(node, output) in rest {
         let Some(link) = link(node, current, &constants, (layers.last(), width)) else {
             return Ok(None);
         };
@@ -286,7 +277,64 @@ pub fn layers(graph: &Graph, shape: Shape) -> Result<Option<Vec<Layer>>, Refusal
         .output
         .first()
         .is_some_and(|value| value.name == current);
-    Ok((is_whole && !layers.is_empty()).then_some(layers))
+    Ok((is_whole && !layers.is_empty()).then_some((compression, layers)))
+}
+
+type Constants<'a> = BTreeMap<&'a str, &'a Tensor>;
+/// An operator with one output, and what that is called.
+type Operator<'a> = (&'a Node, &'a str);
+
+/// The constants of a graph and its other operators; `None` when one of them has not exactly
+/// one output, or a constant is no tensor.
+fn sorted(graph: &Graph) -> Option<(Constants<'_>, Vec<Operator<'_>>)> {
+    let weights = graph.initializer.iter();
+    let mut constants: Constants = weights
+        .map(|tensor| (tensor.name.as_str(), tensor))
+        .collect();
+    let mut operators = Vec::new();
+    for node in &graph.node {
+        let [output] = &node.output[..] else {
+            return None;
+        };
+        if node.op_type != "Constant" {
+            operators.push((node, output.as_str()));
+            continue;
+        }
+        let [attribute] = &node.attribute[..] else {
+            return None;
+        };
+        constants.insert(output, attribute.t.as_ref()?);
+    }
+    Some((constants, operators))
+}
+
+/// The compression that the first operators make of the input, what its output is called,
+/// and the operators behind it.
+fn compressed<'a, 'b>(
+    operators: &'b [Operator<'a>],
+    input: &str,
+    constants: &Constants,
+    width: usize,
+) -> Option<(Compression, &'a str, &'b [Operator<'a>])> {
+    let [(mul, products), (add, divisors), (div, output), rest @ ..] = operators else {
+        return None;
+    };
+    let takes = |node: &Node, operator: &str, first: &str| {
+        let is_it = node.op_type == operator && node.input.len() == 2 && node.input[0] == first;
+        is_it.then(|| node.input[1].clone())
+    };
+    let row = |name: &str| {
+        let tensor = constants.get(name).filter(|tensor| is_row(tensor));
+        tensor.map(|tensor| floats(tensor))
+    };
+    let slopes = row(&takes(mul, "Mul", input)?)?;
+    let is_one = row(&takes(add, "Add", products)?)? == [1.0];
+    let is_quotient = takes(div, "Div", input)? == *divisors;
+    let from = slopes.iter().position(|slope| *slope != 0.0)?;
+    let slope = slopes[from];
+    let is_same = slopes[from..].iter().all(|other| *other == slope);
+    let is_known = is_one && is_quotient && is_same && slopes.len() == width;
+    is_known.then_some((Compression { from, slope }, *output, rest))
 }
 
 /// What one operator adds to the chain.
@@ -301,7 +349,7 @@ enum Link {
 fn link(
     node: &Node,
     current: &str,
-    constants: &BTreeMap<&str, &Tensor>,
+    constants: &Constants,
     (last, width): (Option<&Layer>, usize),
 ) -> Option<Link> {
     let inputs: Vec<&str> = node.input.iter().map(String::as_str).collect();

@@ -75,7 +75,9 @@ pub use file::{
     Names, Net, PolicyFile, TOLERANCE, check_answers, check_hash, decode, decode_within, encode,
     sha256, short_hash,
 };
-pub use forward::{ACTIONS, Activation, BLOCK, Forward, LAYERS_MAX, Mismatch, PackedLayer, pack};
+pub use forward::{
+    ACTIONS, Activation, BLOCK, Compression, Forward, LAYERS_MAX, Mismatch, PackedLayer, pack,
+};
 #[cfg(feature = "std")]
 pub use graph::OPERATORS;
 #[cfg(feature = "std")]

@@ -1,8 +1,8 @@
 use shm_config::message::FEATURES;
 
 use crate::Refusal;
-use crate::chain::{Chain, Shape};
-use crate::forward::{ACTIONS, Activation};
+use crate::chain::{Chain, Shape, wrong_shape};
+use crate::forward::{ACTIONS, Activation, Compression};
 
 /// `y = activation(weights x + bias)`.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,6 +30,7 @@ pub const WIDTH_MAX: usize = 1 << 14;
 /// do (`tanh` is the C library's).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mlp {
+    compression: Compression,
     chain: Chain,
 }
 
@@ -47,8 +48,30 @@ impl Mlp {
     /// [`FEATURES`] or answer [`ACTIONS`] numbers, are too many or too wide, or
     /// hold a number that is not finite.
     pub fn new(layers: Vec<Layer>) -> Result<Mlp, Refusal> {
+        Mlp::compressed(Compression::default(), layers)
+    }
+
+    /// A net of these layers behind this compression of its features.
+    ///
+    /// # Errors
+    /// As [`Mlp::new`], or when the slope is negative or not finite.
+    pub fn compressed(compression: Compression, layers: Vec<Layer>) -> Result<Mlp, Refusal> {
+        let slope = compression.slope;
+        if !(slope.is_finite() && slope >= 0.0) {
+            let expected = "a number of at least 0".into();
+            return Err(wrong_shape(
+                "the slope of the compression",
+                slope.to_string(),
+                expected,
+            ));
+        }
         let chain = Chain::new(layers, Self::SHAPE)?;
-        Ok(Mlp { chain })
+        Ok(Mlp { compression, chain })
+    }
+
+    /// What the features go through before the first layer.
+    pub fn compression(&self) -> Compression {
+        self.compression
     }
 
     /// The layers, as given.
@@ -60,7 +83,7 @@ impl Mlp {
     /// net has them: neither clamped nor checked. Missing features count as 0,
     /// more are ignored. Never allocates.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {
-        match *self.chain.infer(features) {
+        match *self.chain.infer_compressed(features, self.compression) {
             [steer, pedal, ..] => [steer, pedal],
             // `new` has checked that there are two.
             _ => [f32::NAN; ACTIONS],

@@ -4,7 +4,7 @@ mod bad;
 mod torch;
 
 use bad::{bad, good, net, patched};
-use policy::{Activation, Layer, Mlp, Net, Refusal, check_hash, decode, sha256};
+use policy::{Activation, Compression, Layer, Mlp, Net, Refusal, check_hash, decode, sha256};
 use proptest::prelude::*;
 use shm_config::message::WEIGHTS_BYTES_MAX;
 
@@ -27,6 +27,52 @@ fn what_is_written_is_read_again() {
     let mut written = net(32, 7);
     assert_eq!(*read, written);
     assert_eq!(read.infer(&[0.3; 259]), written.infer(&[0.3; 259]));
+}
+
+/// A file of a net behind this compression.
+fn compressing(from: usize, slope: f32) -> Vec<u8> {
+    let layers = net(8, 7).layers().to_vec();
+    let mlp = Mlp::compressed(Compression { from, slope }, layers).expect("a net");
+    policy::encode(&mlp, &policy::Provenance::default(), &bad::probes())
+}
+
+#[test]
+fn a_compression_is_written_and_read_again() {
+    for (from, slope) in [(19, 20.0), (0, 0.5), (258, 1e-3)] {
+        let file = decode(&compressing(from, slope)).expect("a good file");
+        let Net::Mlp { mlp, .. } = file.net else {
+            panic!("a chain of layers");
+        };
+        assert_eq!(mlp.compression(), Compression { from, slope });
+    }
+    for slope in [-1.0, f32::NAN, f32::INFINITY] {
+        let layers = net(8, 7).layers().to_vec();
+        let refusal = Mlp::compressed(Compression { from: 0, slope }, layers).expect_err("refused");
+        assert!(refusal.to_string().contains("slope"), "{refusal}");
+    }
+}
+
+#[test]
+fn other_operators_before_the_layers_are_left_to_onnx_runtime() {
+    let good = compressing(19, 20.0);
+    let plain = patched(&good, b"vlaps.", b"other.");
+    let is_native = |bytes: &[u8]| matches!(decode(bytes).expect("read").net, Net::Mlp { .. });
+    assert!(is_native(&plain));
+    let twenty = 20.0_f32.to_le_bytes();
+    let other_slope = {
+        let at = plain.windows(4).position(|bytes| bytes == twenty);
+        let mut bytes = plain.clone();
+        bytes[at.expect("a slope")..][..4].copy_from_slice(&19.0_f32.to_le_bytes());
+        bytes
+    };
+    assert!(!is_native(&other_slope), "two slopes");
+    for (old, new) in [("Mul", "Add"), ("Div", "Mul")] {
+        let other = patched(&plain, old.as_bytes(), new.as_bytes());
+        assert!(!is_native(&other), "{new} in place of {old}");
+    }
+    // The same division, of something that may be 0, is refused as its answer.
+    let negative = patched(&plain, &twenty, &(-20.0_f32).to_le_bytes());
+    assert!(reason(&negative).contains("slope"), "{}", reason(&negative));
 }
 
 #[test]
@@ -144,7 +190,12 @@ fn a_net_that_overflows_is_refused() {
 
 /// The definition, output by output, in double precision.
 fn by_definition(mlp: &Mlp, features: &[f32]) -> Vec<f64> {
-    let mut x: Vec<f64> = features.iter().map(|&f| f64::from(f)).collect();
+    let Compression { from, slope } = mlp.compression();
+    let compressed = |(k, &x): (usize, &f32)| {
+        let slope = if k < from { 0.0 } else { f64::from(slope) };
+        f64::from(x) / (1.0 + slope * f64::from(x))
+    };
+    let mut x: Vec<f64> = features.iter().enumerate().map(compressed).collect();
     for layer in mlp.layers() {
         let rows = layer.weights.chunks_exact(layer.inputs);
         let sums = rows.zip(&layer.bias).map(|(row, &bias)| {
@@ -188,10 +239,11 @@ proptest! {
 
     #[test]
     fn the_runtime_answers_as_defined(
-        hidden in 1_usize..150, seed in any::<u64>(),
+        hidden in 1_usize..150, seed in any::<u64>(), from in 0_usize..300, slope in 0.0_f32..50.0,
         features in prop::collection::vec(0.0_f32..=1.0, 259),
     ) {
-        let mut mlp = net(hidden, seed);
+        let layers = net(hidden, seed).layers().to_vec();
+        let mut mlp = Mlp::compressed(Compression { from, slope }, layers).expect("a net");
         let expected = by_definition(&mlp, &features);
         let answer = mlp.infer(&features);
         for k in 0..2 {

@@ -1,6 +1,6 @@
 //! The net over the caller's memory answers as the one that owns its own.
 
-use policy::{Activation, BLOCK, Forward, Layer, Mismatch, Mlp, PackedLayer, pack};
+use policy::{Activation, BLOCK, Compression, Forward, Layer, Mismatch, Mlp, PackedLayer, pack};
 use proptest::prelude::*;
 use shm_config::message::FEATURES;
 
@@ -28,15 +28,17 @@ fn packed(layer: &Layer) -> PackedLayer<Blocks> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
-    fn both_answer_the_same_bits(hidden in 1..200usize, seen in prop::collection::vec(-1.0..1.0f32, FEATURES)) {
+    fn both_answer_the_same_bits(hidden in 1..200usize, slope in 0.0..40.0f32, seen in prop::collection::vec(0.0..1.0f32, FEATURES)) {
         let layers = vec![
             layer(FEATURES, hidden, Activation::Relu),
             layer(hidden, 2, Activation::Tanh),
         ];
         let borrowed: Vec<_> = layers.iter().map(packed).collect();
         let (mut x, mut y) = (vec![0.0; 259], vec![0.0; 259]);
-        let mut forward = Forward::new(&borrowed, [&mut x, &mut y]).expect("a net");
-        let mut owned = Mlp::new(layers).expect("a net");
+        let by = Compression { from: 19, slope };
+        let forward = Forward::new(&borrowed, [&mut x, &mut y]).expect("a net");
+        let mut forward = forward.compressed(by);
+        let mut owned = Mlp::compressed(by, layers).expect("a net");
         let [ours, theirs] = [forward.infer(&seen), owned.infer(&seen)];
         prop_assert_eq!(ours.map(f32::to_bits), theirs.map(f32::to_bits));
         prop_assert!(ours[0] != 0.0);
