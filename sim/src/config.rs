@@ -34,6 +34,9 @@ pub struct WorldConfig {
     pub traffic_density: f64,
     /// Probability of an obstacle on a block that may have one.
     pub accident_probability: f64,
+    /// Whether each episode draws its own lanes, blocks, density and probability
+    /// ([`ScenarioConfig::of_seed`]).
+    pub varied: bool,
     /// Ticks after which an episode ends.
     pub horizon_steps: u64,
     /// The ego's car.
@@ -55,6 +58,7 @@ impl Default for WorldConfig {
             exit_length_m: scenario.map.exit_length_m,
             traffic_density: scenario.traffic_density,
             accident_probability: scenario.accident_probability,
+            varied: scenario.varied,
             horizon_steps: 1500,
             vehicle: Vehicle::default(),
             scanner: Scanner::default(),
@@ -118,6 +122,7 @@ impl WorldConfig {
             },
             traffic_density: self.traffic_density,
             accident_probability: self.accident_probability,
+            varied: self.varied,
         })
     }
 }

@@ -14,6 +14,7 @@ impl From<&Config> for WorldConfig {
             lane_width_m: section.lane_width_m,
             traffic_density: section.traffic_density,
             accident_probability: section.accident_probability,
+            varied: section.varied,
             horizon_steps: u64::from(section.horizon_ticks),
             vehicle: config.vehicle,
             scanner: config.scanner,

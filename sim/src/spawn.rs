@@ -10,7 +10,7 @@ mod traffic;
 
 use vehicle::Point;
 
-use crate::map::{BlockKind, Map, MapConfig, MapError};
+use crate::map::{BlockKind, BlockPlan, Map, MapConfig, MapError};
 use crate::model::{Forces, VehicleKind};
 use crate::rng::Stream;
 use crate::road::{Direction, LaneId, Network, NodeId, RoadId};
@@ -27,6 +27,43 @@ pub struct ScenarioConfig {
     pub traffic_density: f64,
     /// Probability of an obstacle on a block that may have one.
     pub accident_probability: f64,
+    /// Whether each seed has its own number of lanes and blocks, density and probability, in
+    /// place of the above: [`ScenarioConfig::of_seed`].
+    pub varied: bool,
+}
+
+/// Changes the seed of a scenario into that of what is drawn for it.
+const VARIETY: u64 = 0x7661_7269;
+/// Lanes in one direction that a varied scenario may have.
+const LANES: std::ops::RangeInclusive<u32> = 2..=4;
+/// Random blocks that it may have.
+const BLOCKS: std::ops::RangeInclusive<u32> = 1..=7;
+/// The greatest traffic density that it may have.
+const DENSITY_MAX: f64 = 0.3;
+
+impl ScenarioConfig {
+    /// What the scenario of this seed is like. A varied one has 2 to 4 lanes, 1 to 7 random
+    /// blocks unless their order is given, a traffic density of 0 to 0.3, and an obstacle on
+    /// a block with a probability of 0 to 1, each drawn evenly.
+    #[must_use]
+    pub fn of_seed(&self, seed: u64) -> ScenarioConfig {
+        let mut config = self.clone();
+        if self.varied {
+            let mut stream = Stream::new(seed ^ VARIETY);
+            let mut within = |range: std::ops::RangeInclusive<u32>| {
+                let count = range.end() - range.start() + 1;
+                (range.start() + stream.below(count)) as usize
+            };
+            config.map.lane_count = within(LANES);
+            let blocks = within(BLOCKS);
+            if let BlockPlan::Random(count) = &mut config.map.blocks {
+                *count = blocks;
+            }
+            config.traffic_density = DENSITY_MAX * stream.unit();
+            config.accident_probability = stream.unit();
+        }
+        config
+    }
 }
 
 impl Default for ScenarioConfig {
@@ -35,6 +72,7 @@ impl Default for ScenarioConfig {
             map: MapConfig::default(),
             traffic_density: 0.06,
             accident_probability: 0.8,
+            varied: false,
         }
     }
 }
@@ -188,8 +226,9 @@ impl Scenario {
             let probability = config.accident_probability;
             return Err(ScenarioError::AccidentProbability(probability));
         }
+        let config = config.of_seed(seed);
         let map = Map::generate(&config.map, seed)?;
-        Ok(furnish(config, map))
+        Ok(furnish(&config, map))
     }
 }
 

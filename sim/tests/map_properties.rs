@@ -206,6 +206,7 @@ fn any_sequence_lane_count_and_width_generates_or_says_why_not() {
                 map,
                 traffic_density: 0.3,
                 accident_probability: 1.0,
+                varied: false,
             };
             for seed in seeds.clone() {
                 match Scenario::generate(&config, seed) {
@@ -220,6 +221,43 @@ fn any_sequence_lane_count_and_width_generates_or_says_why_not() {
         }
     }
     assert!(made > 100, "only {made} made");
+}
+
+#[test]
+fn varied_scenarios_are_of_many_kinds_and_each_seed_has_its_own() {
+    let plain = ScenarioConfig::default();
+    assert_eq!(plain.of_seed(7), plain);
+    let config = ScenarioConfig {
+        varied: true,
+        ..plain
+    };
+    let (mut lanes, mut blocks, mut densities) = ([0; 3], [0; 7], Vec::new());
+    for seed in 0..400 {
+        let own = config.of_seed(seed);
+        assert_eq!(own, config.of_seed(seed));
+        let BlockPlan::Random(count) = own.map.blocks else {
+            panic!("{own:?}");
+        };
+        lanes[own.map.lane_count - 2] += 1;
+        blocks[count - 1] += 1;
+        densities.push(own.traffic_density);
+        assert!((0.0..=1.0).contains(&own.accident_probability), "{own:?}");
+        if seed < 40 {
+            let scenario = Scenario::generate(&config, seed).expect("a scenario");
+            check_map(&scenario.map, seed);
+            let network = &scenario.map.network;
+            let road = network.road(network.road_of(scenario.ego.place.lane));
+            assert_eq!(usize::from(road.lane_count), own.map.lane_count);
+        }
+    }
+    assert!(lanes.iter().all(|count| *count > 100), "{lanes:?}");
+    assert!(blocks.iter().all(|count| *count > 30), "{blocks:?}");
+    densities.sort_by(f64::total_cmp);
+    assert!(
+        densities[20] < 0.03 && densities[380] > 0.27,
+        "{densities:?}"
+    );
+    assert!(densities.iter().all(|density| (0.0..0.3).contains(density)));
 }
 
 #[test]

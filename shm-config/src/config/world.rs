@@ -63,6 +63,10 @@ pub struct World {
     pub traffic_density: f64,
     /// Probability of an obstacle on a block.
     pub accident_probability: f64,
+    /// In the built-in world: whether each episode has its own number of lanes (2 to 4) and
+    /// blocks (1 to 7), traffic density (0 to 0.3) and probability of an obstacle (0 to 1),
+    /// drawn from its seed, in place of the keys above.
+    pub varied: bool,
     /// Ticks after which an episode ends.
     pub horizon_ticks: u32,
 }
@@ -78,6 +82,7 @@ impl Default for World {
             lane_width_m: 3.5,
             traffic_density: 0.06,
             accident_probability: 0.8,
+            varied: false,
             horizon_ticks: 1500,
         }
     }
@@ -147,6 +152,13 @@ impl World {
     pub(super) fn check(&self, vehicle: &Vehicle, scanner: &Scanner) -> Result<(), OutOfRange> {
         self.check_obeys(vehicle, scanner)?;
         in_range("world.blocks", self.blocks, 1..=30)?;
+        if self.varied && self.simulator != Simulator::BuiltIn {
+            return Err(OutOfRange {
+                key: "world.varied".into(),
+                value: "true".into(),
+                expected: "false: only the built-in world draws episodes of many kinds".into(),
+            });
+        }
         if let Some(letter) = self.sequence.chars().find(|c| !"SCrRXTO".contains(*c)) {
             return Err(OutOfRange {
                 key: "world.sequence".into(),
