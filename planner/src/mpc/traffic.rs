@@ -175,6 +175,7 @@ mod tests {
             Vector::new(6.0, 8.0)
         );
     }
+
     /// What is predicted of one body on a straight road, from its place and velocity.
     fn predicted(is_wary: bool, at: (f64, f64), velocity: (f64, f64)) -> Box<Traffic> {
         let mut observation = shm_config::message::Observation::default();
