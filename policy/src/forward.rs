@@ -26,7 +26,7 @@ pub enum Activation {
 
 /// What features go through before the first layer: from feature `from` on, `x` becomes
 /// `x / (1 + slope x)`. A scan's beams then differ most where something is near. The slope
-/// 0 changes nothing. One addition, one product and one quotient, so the bits are the same
+/// 0 changes nothing, and costs nothing. One addition, one product and one quotient, so the bits are the same
 /// on every processor.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Compression {
@@ -39,6 +39,10 @@ pub struct Compression {
 impl Compression {
     /// Compresses features, in place.
     pub fn apply(self, features: &mut [f32]) {
+        // Infinity times 0 would be NaN.
+        if self.slope == 0.0 {
+            return;
+        }
         for x in features.iter_mut().skip(self.from) {
             *x /= 1.0 + self.slope * *x;
         }

@@ -51,7 +51,8 @@ impl Mlp {
         Mlp::compressed(Compression::default(), layers)
     }
 
-    /// A net of these layers behind this compression of its features.
+    /// A net of these layers behind this compression of its features. One that changes none
+    /// of them is the same as none.
     ///
     /// # Errors
     /// As [`Mlp::new`], or when the slope is negative or not finite.
@@ -66,6 +67,10 @@ impl Mlp {
             ));
         }
         let chain = Chain::new(layers, Self::SHAPE)?;
+        let compression = match slope == 0.0 || compression.from >= FEATURES {
+            true => Compression::default(),
+            false => compression,
+        };
         Ok(Mlp { compression, chain })
     }
 

@@ -45,6 +45,13 @@ fn a_compression_is_written_and_read_again() {
         };
         assert_eq!(mlp.compression(), Compression { from, slope });
     }
+    let plain = policy::encode(&net(8, 7), &policy::Provenance::default(), &bad::probes());
+    for (from, slope) in [(19, 0.0), (259, 20.0), (1000, 20.0)] {
+        assert!(
+            compressing(from, slope) == plain,
+            "{slope} from {from} changes a file"
+        );
+    }
     for slope in [-1.0, f32::NAN, f32::INFINITY] {
         let layers = net(8, 7).layers().to_vec();
         let refusal = Mlp::compressed(Compression { from: 0, slope }, layers).expect_err("refused");

@@ -46,6 +46,22 @@ proptest! {
 }
 
 #[test]
+fn no_compression_changes_no_bit_of_any_number() {
+    let mut numbers = [
+        0.0,
+        -0.0,
+        1e-40,
+        -3.5,
+        f32::MAX,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+    ];
+    let before = numbers.map(f32::to_bits);
+    Compression::default().apply(&mut numbers);
+    assert_eq!(numbers.map(f32::to_bits), before);
+}
+
+#[test]
 fn what_is_no_net_is_refused() {
     let (first, last) = (
         layer(FEATURES, 8, Activation::Relu),

@@ -15,7 +15,7 @@ use std::time::Duration;
 use allocation_counter::measure;
 use controller::ControllerProcess;
 use planner::PlannerProcess;
-use policy::{Activation, Layer, Mlp, Provenance};
+use policy::{Activation, Compression, Layer, Mlp, Provenance};
 use runtime::{FixedRate, Flow, Member, SetUpError, TickLoop};
 use shm_config::config::{Clock, Config, GateMode};
 use shm_config::message::{
@@ -61,7 +61,12 @@ fn lane_keeper(version: u64) -> Vec<u8> {
     act.weights[..2].copy_from_slice(&[1.6, 0.675]);
     act.weights[256 + 2] = -6.75;
     act.bias = vec![-1.1375 + version as f32 * 1e-6, 0.3 * (5.0 + 1.0 / 3.6)];
-    let mlp = Mlp::new(vec![see, keep, act]).expect("layers that fit");
+    // Of the beams, as the learner's policies have it.
+    let compression = Compression {
+        from: FEATURES - 240,
+        slope: 20.0,
+    };
+    let mlp = Mlp::compressed(compression, vec![see, keep, act]).expect("layers that fit");
     policy::encode(&mlp, &Provenance::default(), &[vec![0.5; FEATURES]])
 }
 
