@@ -204,6 +204,16 @@ fn metadrive_has_one_rate() {
 }
 
 #[test]
+fn only_the_built_in_world_is_varied() {
+    assert!(from_toml("[world]\nvaried = true\n", "x").is_ok());
+    let text = error("[world]\nsimulator = \"metadrive\"\nvaried = true\n");
+    assert!(
+        text.contains("world.varied = true: must be false"),
+        "{text}"
+    );
+}
+
+#[test]
 fn a_models_server_is_an_address_and_holds_no_key() {
     for server in [
         "",

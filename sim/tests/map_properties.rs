@@ -250,6 +250,10 @@ fn varied_scenarios_are_of_many_kinds_and_each_seed_has_its_own() {
             assert_eq!(usize::from(road.lane_count), own.map.lane_count);
         }
     }
+    let mut run = shm_config::config::Config::default();
+    run.world.varied = true;
+    let of_run = sim::WorldConfig::from(&run).scenario();
+    assert_eq!(of_run.expect("a configuration"), config);
     assert!(lanes.iter().all(|count| *count > 100), "{lanes:?}");
     assert!(blocks.iter().all(|count| *count > 30), "{blocks:?}");
     densities.sort_by(f64::total_cmp);
