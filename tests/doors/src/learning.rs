@@ -5,7 +5,7 @@ use std::path::Path;
 use gate::judge::Recorded;
 use gate::record::store;
 use judge::audit;
-use learner::checkpoint::Checkpoint;
+use learner::checkpoint::{Checkpoint, MAGIC};
 use learner::journal::{Journal, last_mark};
 
 use crate::Said;
@@ -71,7 +71,7 @@ pub fn journal(bytes: &[u8]) -> Said {
 /// A learner's networks. The checksum is made valid, so that the code behind its check
 /// is reached.
 pub fn checkpoint(bytes: &[u8]) -> Said {
-    let mut file = b"VLLRNR03".to_vec();
+    let mut file = MAGIC.to_vec();
     file.extend_from_slice(&crc32fast::hash(bytes).to_le_bytes());
     file.extend_from_slice(bytes);
     let folder = tempfile::tempdir().expect("a folder");
