@@ -76,6 +76,81 @@ fn tells_what_moves_from_what_rests() {
     assert!(alarms * 50 < seen_resting, "{alarms} of {seen_resting}");
 }
 
+/// The scan of a car that drives ahead of one that stands, at a time.
+fn passing(episode: u32, taken_s: f64) -> Observation {
+    let mut observation = seen(&pose(0.0, 0.0, 0.0), &pose(8.0 + 6.0 * taken_s, 4.0, 0.0));
+    observation.header.episode = episode;
+    observation.header.taken_ns = (taken_s * 1e9) as u64;
+    observation
+}
+
+/// The time between scans is that of their headers; a pause or another episode begins anew.
+#[test]
+fn follows_by_the_time_that_has_passed() {
+    let moves = |tracker: &Tracker| tracker.sightings().iter().any(Sighting::moves);
+    let mut tracker = Tracker::default();
+    let times_s = [0.0, 0.1, 0.3, 0.4, 0.6, 0.7, 0.9, 1.0, 1.2];
+    for taken_s in times_s {
+        tracker.follow(&passing(0, taken_s));
+        // The same again changes nothing.
+        let before = tracker.sightings().to_vec();
+        tracker.follow(&passing(0, taken_s));
+        assert_eq!(tracker.sightings(), before);
+    }
+    assert!(moves(&tracker));
+    let here = passing(0, 1.2);
+    for body in tracker.moving(&here) {
+        let away = body.motion.velocity_world - Vector::new(6.0, 0.0);
+        assert!(away.norm() < 3.0, "{body:?}");
+    }
+    for (episode, taken_s) in [(0, 2.5), (1, 1.3)] {
+        let mut tracker = Tracker::default();
+        for taken_s in times_s {
+            tracker.follow(&passing(0, taken_s));
+        }
+        tracker.follow(&passing(episode, taken_s));
+        assert!(!moves(&tracker), "episode {episode}, {taken_s} s");
+    }
+}
+
+/// From another place, the returns of a body have its motion, and others rest.
+#[test]
+fn what_moves_is_known_from_elsewhere() {
+    let mut tracker = Tracker::default();
+    for tick in 0..12 {
+        tracker.follow(&passing(0, f64::from(tick) * STEP_S));
+    }
+    let here = passing(0, 1.1);
+    let moving: Vec<_> = tracker.moving(&here).collect();
+    // The same car, from 2 m further to the left and turned; and one that was not there.
+    let car = pose(8.0 + 6.0 * 1.1, 4.0, 0.0);
+    let elsewhere = pose(1.0, 2.0, 0.4);
+    for (car, is_known) in [(car, true), (pose(20.0, -6.0, 0.0), false)] {
+        let there = seen(&elsewhere, &car);
+        let mut fresh = Tracker::default();
+        fresh.follow(&there);
+        fresh.set_moving(&there, &moving);
+        let moves = fresh.sightings().iter().filter(|one| one.moves());
+        let velocities: Vec<_> = moves
+            .map(|one| elsewhere.rotation * one.velocity_body)
+            .collect();
+        let count = fresh.sightings().len();
+        match is_known {
+            true => assert!(
+                count > 3 && velocities.len() * 10 > count * 7,
+                "{velocities:?}"
+            ),
+            false => assert!(count > 3 && velocities.is_empty(), "{velocities:?}"),
+        }
+        for velocity in velocities {
+            assert!(
+                (velocity - Vector::new(6.0, 0.0)).norm() < 1.5,
+                "{velocity:?}"
+            );
+        }
+    }
+}
+
 /// Which way a car turns is known within 0.25 rad/s, most of the time.
 #[test]
 fn tells_how_fast_what_moves_turns() {
