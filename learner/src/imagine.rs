@@ -60,12 +60,6 @@ impl Imagination {
         })
     }
 
-    /// Follows what moves: the expert knows it at the states imagined around this
-    /// observation.
-    pub fn watch(&mut self, observation: &Observation) {
-        self.oracle.watch(observation);
-    }
-
     /// Predicts this many states while a rejected action is held; `out` receives each
     /// with the expert's answer.
     pub fn predict(

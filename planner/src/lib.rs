@@ -84,5 +84,5 @@ pub use rrt_star::RrtStar;
 pub use search::Search;
 pub use shm_config::settings::Planner as PlannerConfig;
 #[cfg(feature = "std")]
-pub use track::{Moving, Sighting, Tracker};
+pub use track::{Sighting, Tracker};
 pub use tree::{Node, Tree};

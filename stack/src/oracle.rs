@@ -1,8 +1,7 @@
 //! The expert's action at any observation.
 
-use planner::{Moving, Tracker};
 use shm_config::config::{Clock, Config, GateMode, OutOfRange};
-use shm_config::message::{BEAMS_MAX, Header, Observation};
+use shm_config::message::{Header, Observation};
 use vehicle::Action;
 
 use crate::Stack;
@@ -15,8 +14,6 @@ const APART_NS: u64 = 1_000_000_000_000;
 /// policy.
 pub struct Oracle {
     stack: Box<Stack>,
-    tracker: Box<Tracker>,
-    moving: Vec<Moving>,
     asked: u32,
 }
 
@@ -32,25 +29,15 @@ impl Oracle {
         config.run.clock = Clock::Lockstep;
         Ok(Oracle {
             stack: Box::new(Stack::new(&config)?),
-            tracker: Box::default(),
-            moving: Vec::with_capacity(BEAMS_MAX),
             asked: 0,
         })
     }
 
-    /// Follows what moves from one observation of a drive to the next: the answers that
-    /// follow know how the bodies seen there move.
-    pub fn watch(&mut self, observation: &Observation) {
-        self.tracker.follow(observation);
-        self.moving.clear();
-        self.moving.extend(self.tracker.moving(observation));
-    }
-
-    /// The expert's command here, without a plan before it, at the time of the observation
-    /// that was watched last; all rests if none was. The planner's random numbers are those
-    /// of the observation's tick and episode, so that the answer depends on nothing else.
+    /// The expert's command here, without a state before it. The planner's random
+    /// numbers are those of the observation's tick and episode, so that the answer
+    /// depends on the observation alone.
     pub fn ask(&mut self, observation: &mut Observation) -> Action {
-        self.stack.plan_anew(observation, &self.moving);
+        self.stack.plan_anew(observation);
         self.asked = self.asked.wrapping_add(1);
         let tick = u64::from(self.asked);
         let header = Header {

@@ -1,7 +1,7 @@
 //! One tick of the stack.
 
 use controller::{Controller, Inputs, Intent, PolicySlot};
-use planner::{Moving, Planner};
+use planner::Planner;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Header, Observation, Plan, Step};
 
@@ -36,9 +36,11 @@ impl Stack {
         self.planner.forget();
     }
 
-    /// The planner's tick, without the plans before.
-    pub(crate) fn plan_anew(&mut self, observation: &Observation, moving: &[Moving]) {
-        self.planner.plan_anew(observation, moving, &mut self.plan);
+    /// The planner's tick, without the plans before: the answer depends on the
+    /// observation alone.
+    pub(crate) fn plan_anew(&mut self, observation: &Observation) {
+        self.planner.forget();
+        self.plan(observation);
     }
 
     /// The planner's tick.

@@ -30,10 +30,10 @@ use shm_config::config::{Config, Mpc as Settings};
 use shm_config::message::{
     Header, Observation, PLANNED_MAX, Plan, PlanOutcome, PlannedAction, Waypoint,
 };
-use vehicle::{Control, Point, Vehicle};
+use vehicle::{Control, Point, Pose, Vehicle, pose};
 
 use crate::rrt_star::header;
-use crate::track::{EgoFilter, Moving, Tracker, world_from_body};
+use crate::track::{EgoFilter, Tracker};
 use body::Body;
 use field::Field;
 use lattice::{Ground, Lattice, Path};
@@ -150,20 +150,7 @@ impl Mpc {
         self.problem.set_given_up(false);
     }
 
-    /// Plans without a memory, among what is known to move.
-    pub(crate) fn plan_anew(
-        &mut self,
-        observation: &Observation,
-        moving: &[Moving],
-        out: &mut Plan,
-    ) {
-        self.forget();
-        let ego = self.remember(observation);
-        self.tracker.set_moving(observation, moving);
-        self.plan_as_seen(observation, ego, out, || ());
-    }
-
-    /// As [`Mpc::plan`]; `prepared` is called before the search begins.
+    /// The same; `prepared` is called before the search begins.
     pub(crate) fn plan_in_parts(
         &mut self,
         observation: &Observation,
@@ -171,17 +158,6 @@ impl Mpc {
         prepared: impl FnOnce(),
     ) {
         let ego = self.remember(observation);
-        self.plan_as_seen(observation, ego, out, prepared);
-    }
-
-    /// Plans with the tracker's sightings of this observation.
-    fn plan_as_seen(
-        &mut self,
-        observation: &Observation,
-        ego: EgoFilter,
-        out: &mut Plan,
-        prepared: impl FnOnce(),
-    ) {
         let line = Line::new(observation);
         let (sight, world_from_body) = (observation.fan().sight(), world_from_body(observation));
         let sightings = self.tracker.sightings();
@@ -446,6 +422,11 @@ impl Mpc {
             answered_ns,
         });
     }
+}
+
+fn world_from_body(observation: &Observation) -> Pose {
+    let ego = &observation.ego;
+    pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad)
 }
 
 #[cfg(test)]

@@ -49,11 +49,6 @@ const JITTER_M: f64 = 0.05;
 const LEFT_M: f64 = 0.5;
 /// A larger box, half its diagonal, m, holds more than one vehicle, and rests.
 const VEHICLE_M: f64 = 3.6;
-/// A pause between two scans after which bodies are followed anew, s: by then a car at
-/// 15 m/s has left the gate of its track.
-const PAUSE_S: f64 = 1.0;
-/// A return that is nearer than this to one of a moving body belongs to that body, m.
-const SAME_BODY_M: f64 = 0.5;
 
 /// One lidar return with the velocity of its body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,7 +72,7 @@ impl Sighting {
 
 /// How a body moves over ground: its velocity in the world frame, m/s, and the rate at which
 /// that turns, rad/s.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 struct Motion {
     velocity_world: Vector,
     turn_radps: f64,
@@ -88,13 +83,6 @@ impl Motion {
         velocity_world: Vector::new(0.0, 0.0),
         turn_radps: 0.0,
     };
-}
-
-/// A return of a body that moves, over ground.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Moving {
-    point_world: Point,
-    motion: Motion,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -176,67 +164,12 @@ pub struct Tracker {
     beams: Beams,
     tracks: heapless::Vec<Track, TRACKS_MAX>,
     sightings: heapless::Vec<Sighting, BEAMS_MAX>,
-    /// Episode and instant of the last scan, ns, of [`Tracker::follow`].
-    last: Option<(u32, u64)>,
 }
 
 impl Tracker {
     /// Nothing was seen yet.
     pub fn forget(&mut self) {
         self.tracks.clear();
-        self.last = None;
-    }
-
-    /// Takes the scan of an observation in, by the time that has passed since the last one;
-    /// that of another episode, or after a pause, as the first. The last one again changes
-    /// nothing.
-    pub fn follow(&mut self, observation: &Observation) {
-        let now = (observation.header.episode, observation.header.taken_ns);
-        if self.last == Some(now) {
-            return;
-        }
-        let since_s = self.last.and_then(|(episode, taken_ns)| {
-            let passed_s = now.1.checked_sub(taken_ns)? as f64 * 1e-9;
-            (episode == now.0 && passed_s <= PAUSE_S).then_some(passed_s)
-        });
-        if since_s.is_none() {
-            self.forget();
-        }
-        self.last = Some(now);
-        self.update(observation, since_s.unwrap_or(0.0));
-    }
-
-    /// The returns of the last scan, which is that of this observation, whose bodies move.
-    pub fn moving(&self, observation: &Observation) -> impl Iterator<Item = Moving> {
-        let world_from_body = world_from_body(observation);
-        let moving = self.sightings.iter().filter(|sighting| sighting.moves());
-        moving.map(move |sighting| Moving {
-            point_world: world_from_body * sighting.point_body,
-            motion: Motion {
-                velocity_world: world_from_body.rotation * sighting.velocity_body,
-                turn_radps: sighting.turn_radps,
-            },
-        })
-    }
-
-    /// Gives the returns of the last scan, which is that of this observation, the motion of
-    /// what is known to move where they are.
-    pub(crate) fn set_moving(&mut self, observation: &Observation, moving: &[Moving]) {
-        let world_from_body = world_from_body(observation);
-        for sighting in &mut self.sightings {
-            let point_world = world_from_body * sighting.point_body;
-            let away = |moving: &&Moving| (moving.point_world - point_world).norm_squared();
-            let nearest = moving.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
-            let Some(body) = nearest.filter(|body| away(body) < SAME_BODY_M * SAME_BODY_M) else {
-                continue;
-            };
-            let Motion {
-                velocity_world,
-                turn_radps,
-            } = body.motion;
-            sighting.velocity_body = world_from_body.rotation.inverse() * velocity_world;
-            sighting.turn_radps = turn_radps;
-        }
     }
 
     /// All returns of the last scan.
@@ -246,7 +179,8 @@ impl Tracker {
 
     /// Takes a scan in, `step_s` after the last one.
     pub fn update(&mut self, observation: &Observation, step_s: f64) {
-        let world_from_body = world_from_body(observation);
+        let ego = &observation.ego;
+        let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
         self.beams.prepare(observation.fan());
         let mut returns_world = heapless::Vec::<(Point, f64), BEAMS_MAX>::new();
         self.sightings.clear();
@@ -279,7 +213,7 @@ impl Tracker {
             .map(|cluster| self.find_resting(cluster, still));
         let found: heapless::Vec<Option<Motion>, CLUSTERS_MAX> = found.collect();
         for (cluster, found) in clusters.iter().zip(found) {
-            let motion = found.unwrap_or_else(|| self.take_nearest(cluster));
+            let motion = found.unwrap_or_else(|| self.follow(cluster));
             self.mark(cluster, &world_from_body, motion);
         }
         self.tracks.retain(|track| track.missed <= MISSED_MAX);
@@ -305,7 +239,7 @@ impl Tracker {
     }
 
     /// Gives a cluster to its track, or begins one; how it moves.
-    fn take_nearest(&mut self, cluster: &Cluster) -> Motion {
+    fn follow(&mut self, cluster: &Cluster) -> Motion {
         let away = |track: &Track| {
             (Point::new(track.x.value(), track.y.value()) - cluster.middle).norm_squared()
         };
@@ -331,12 +265,6 @@ impl Tracker {
             sighting.radius_m = cluster.radius_m;
         }
     }
-}
-
-/// The car's pose in the world.
-pub(crate) fn world_from_body(observation: &Observation) -> Pose {
-    let ego = &observation.ego;
-    pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad)
 }
 
 const _: () = assert!(CLUSTERS_MAX <= TRACKS_MAX, "every cluster can be followed");
