@@ -26,8 +26,8 @@ pub enum Activation {
 
 /// What features go through before the first layer: from feature `from` on, `x` becomes
 /// `x / (1 + slope x)`. A scan's beams then differ most where something is near. The slope
-/// 0 changes nothing, and costs nothing. One addition, one product and one quotient, so the bits are the same
-/// on every processor.
+/// 0 changes nothing, and costs nothing. One addition, one product and one quotient, so the
+/// bits are the same on every processor.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Compression {
     /// The first feature that is compressed.
