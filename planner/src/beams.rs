@@ -32,15 +32,15 @@ impl Beams {
         &self.directions_body
     }
 
-    /// The points that were hit; a beam at its full range hit nothing.
+    /// The beams that hit something, and where; a beam at its full range hit nothing.
     #[cfg(feature = "std")]
     pub(crate) fn returns<'a>(
         &'a self,
         observation: &'a Observation,
-    ) -> impl Iterator<Item = Point> + 'a {
+    ) -> impl Iterator<Item = (usize, Point)> + 'a {
         let mount_body = observation.fan().mount_body;
         let beams = 0..observation.ranges().len();
-        beams.filter_map(move |beam| self.hit(observation, mount_body, beam))
+        beams.filter_map(move |beam| Some((beam, self.hit(observation, mount_body, beam)?)))
     }
 
     /// The point that a beam hit, from a scanner that is mounted there; `None` when it hit

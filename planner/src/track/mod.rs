@@ -1,11 +1,15 @@
 //! What moves: the car's own state, and the bodies that the lidar sees.
 //!
-//! The returns of a scan are parted into clusters; a cluster is followed from
-//! scan to scan by a Kalman filter of constant velocity in the world frame.
+//! The returns of a scan are parted into clusters, and a cluster is followed from scan to
+//! scan. It moves when it is where earlier scans saw through, or when this one sees through
+//! where it was: what comes into view behind another body does neither.
 
+mod body;
 mod cluster;
 mod ego;
 mod kalman;
+mod kinematic;
+mod past;
 
 pub(crate) use ego::{EgoFilter, YAW_LAG_S};
 
@@ -13,42 +17,21 @@ use shm_config::message::{BEAMS_MAX, Observation};
 use vehicle::{Point, Pose, Vector, pose};
 
 use crate::beams::Beams;
-use cluster::{CLUSTERS_MAX, Cluster, clusters};
-use kalman::Kalman;
+use body::{Motion, Track, View};
+use cluster::{CLUSTERS_MAX, Cluster, Return, Returns, clusters};
+use past::Past;
 
 /// Most bodies followed at a time.
 const TRACKS_MAX: usize = 64;
 /// A cluster belongs to a track when it is nearer than this to where the track
-/// should be, m: a car seen from another side moves its middle by half its length.
-const GATE_M: f64 = 2.5;
-/// How well the middle of a cluster is measured, m: its seen part changes.
-const MIDDLE_DEVIATION_M: f64 = 0.4;
-/// Change of velocity of traffic, m/s per root of a second.
-const VELOCITY_NOISE: f64 = 2.0;
-/// First guess of a velocity: none, but up to this, m/s.
-const VELOCITY_DEVIATION: f64 = 5.0;
-/// Deviation of the direction of a velocity, rad, and of how fast it turns, rad/s, when a body
-/// begins to move; and how much the turning changes, rad/s per root of a second.
-const DIRECTION_DEVIATION: f64 = 0.1;
-const TURN_DEVIATION: f64 = 0.5;
-const TURN_NOISE: f64 = 0.8;
-/// A track counts after it was seen this often, and is dropped after it was
-/// not seen this often.
-const SEEN_MIN: u32 = 4;
+/// should be, m.
+const GATE_M: f64 = 1.8;
+/// Most pairs of a cluster and a track that near.
+const PAIRS_MAX: usize = 512;
+/// Fewer returns than this, or as many, may be a part of the body beside them.
+const PART_MAX: usize = 2;
+/// A track is dropped after it was not seen this often.
 const MISSED_MAX: u32 = 5;
-/// A slower track rests, m/s.
-const RESTING_MPS: f64 = 1.5;
-/// After so many scans at one place a body rests; a moving one that comes into
-/// view may seem to stand for one or two.
-const STILL_MIN: u32 = 3;
-/// How far the middle of a resting body's box jumps from scan to scan, m.
-const JITTER_M: f64 = 0.05;
-/// A body has moved when the middle of its box has left the largest box it was
-/// seen in by this, m. A standing car that is passed, or a row of cones that
-/// comes into view, seems to move as well, but never that far.
-const LEFT_M: f64 = 0.5;
-/// A larger box, half its diagonal, m, holds more than one vehicle, and rests.
-const VEHICLE_M: f64 = 3.6;
 
 /// One lidar return with the velocity of its body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,99 +53,14 @@ impl Sighting {
     }
 }
 
-/// How a body moves over ground: its velocity in the world frame, m/s, and the rate at which
-/// that turns, rad/s.
-#[derive(Debug, Clone, Copy)]
-struct Motion {
-    velocity_world: Vector,
-    turn_radps: f64,
-}
-
-impl Motion {
-    const REST: Self = Self {
-        velocity_world: Vector::new(0.0, 0.0),
-        turn_radps: 0.0,
-    };
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Track {
-    x: Kalman,
-    y: Kalman,
-    /// Direction of the velocity in the world frame, rad, without jumps, and its rate; once it
-    /// moves.
-    direction: Option<Kalman>,
-    /// Where its middle was last.
-    middle: Point,
-    /// Where its middle was first, and the largest box it was seen in.
-    begin: Point,
-    radius_m: f64,
-    seen: u32,
-    /// For so many scans it has been where it was.
-    still: u32,
-    missed: u32,
-    /// Already has its cluster of this scan.
-    taken: bool,
-}
-
-impl Track {
-    /// Of a cluster that is seen for the first time, or rests.
-    fn new(cluster: &Cluster) -> Self {
-        let begin = |at_m| Kalman::new((at_m, MIDDLE_DEVIATION_M), (0.0, VELOCITY_DEVIATION));
-        Self {
-            x: begin(cluster.middle.x),
-            y: begin(cluster.middle.y),
-            direction: None,
-            middle: cluster.middle,
-            begin: cluster.middle,
-            radius_m: cluster.radius_m,
-            seen: 1,
-            still: 0,
-            missed: 0,
-            taken: true,
-        }
-    }
-
-    /// Takes its cluster of this scan; how the body moves.
-    fn take(&mut self, cluster: &Cluster) -> Motion {
-        self.x.measure(cluster.middle.x, MIDDLE_DEVIATION_M);
-        self.y.measure(cluster.middle.y, MIDDLE_DEVIATION_M);
-        (self.taken, self.missed, self.still) = (true, 0, 0);
-        self.middle = cluster.middle;
-        self.seen += 1;
-        self.radius_m = self.radius_m.max(cluster.radius_m);
-        let velocity = Vector::new(self.x.driver(), self.y.driver());
-        let went_m = (cluster.middle - self.begin).norm();
-        let has_moved = went_m > self.radius_m + LEFT_M && self.radius_m <= VEHICLE_M;
-        match has_moved && self.seen >= SEEN_MIN && velocity.norm() >= RESTING_MPS {
-            true => Motion {
-                velocity_world: velocity,
-                turn_radps: self.turn_radps(velocity),
-            },
-            false => {
-                self.direction = None;
-                Motion::REST
-            }
-        }
-    }
-
-    /// Takes the direction of this scan's velocity; the rate at which it turns, rad/s.
-    fn turn_radps(&mut self, velocity: Vector) -> f64 {
-        let now_rad = velocity.y.atan2(velocity.x);
-        let direction = self.direction.get_or_insert_with(|| {
-            Kalman::new((now_rad, DIRECTION_DEVIATION), (0.0, TURN_DEVIATION))
-        });
-        let change_rad = vehicle::wrap_rad(now_rad - direction.value());
-        direction.measure(direction.value() + change_rad, DIRECTION_DEVIATION);
-        direction.driver()
-    }
-}
-
 /// Follows bodies from scan to scan. All memory is its own.
 #[derive(Debug, Default)]
 pub struct Tracker {
     beams: Beams,
     tracks: heapless::Vec<Track, TRACKS_MAX>,
+    /// Number of the last track that was begun.
+    last_id: u32,
+    past: Past,
     sightings: heapless::Vec<Sighting, BEAMS_MAX>,
 }
 
@@ -170,6 +68,7 @@ impl Tracker {
     /// Nothing was seen yet.
     pub fn forget(&mut self) {
         self.tracks.clear();
+        self.past.forget();
     }
 
     /// All returns of the last scan.
@@ -181,12 +80,60 @@ impl Tracker {
     pub fn update(&mut self, observation: &Observation, step_s: f64) {
         let ego = &observation.ego;
         let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
+        let returns = self.sight(observation, &world_from_body);
+        for track in &mut self.tracks {
+            track.predict(step_s);
+        }
+        self.past.begin(observation);
+        let fan = observation.fan();
+        let view = View {
+            returns: &returns,
+            scanner: world_from_body * fan.mount_body,
+            spacing_rad: fan.spacing_rad(),
+        };
+        let clusters = clusters(&returns, fan.beams);
+        let gone = self.gone();
+        let found = self.associate(&clusters, &view);
+        let parts = self.parts(&clusters, &found, &view);
+        let mut motions: heapless::Vec<Motion, CLUSTERS_MAX> =
+            clusters.iter().map(|_| Motion::REST).collect();
+        for (number, cluster) in clusters.iter().enumerate() {
+            if parts[number].is_some() {
+                continue;
+            }
+            let Some(index) = found[number].or_else(|| self.begin(cluster, &view)) else {
+                // Without a free track it is not followed, and rests.
+                continue;
+            };
+            let is_new = |index: &usize| self.past.is_new(returns[*index].point_world);
+            let arrived = cluster.indices(returns.len()).filter(is_new).count();
+            let left = gone.get(index).copied().unwrap_or(0);
+            let track = &mut self.tracks[index];
+            motions[number] = track.take(cluster, &view, arrived as u32 + left);
+            for index in cluster.indices(returns.len()) {
+                self.past.own(returns[index].beam, track.id);
+            }
+        }
+        for (number, cluster) in clusters.iter().enumerate() {
+            let motion = motions[parts[number].unwrap_or(number)];
+            self.mark(cluster, &world_from_body, motion);
+        }
+        self.tracks.retain(|track| track.missed <= MISSED_MAX);
+        self.past.end();
+    }
+
+    /// Notes what the beams hit, at rest for now.
+    fn sight(&mut self, observation: &Observation, world_from_body: &Pose) -> Returns {
         self.beams.prepare(observation.fan());
-        let mut returns_world = heapless::Vec::<(Point, f64), BEAMS_MAX>::new();
+        let mut returns = Returns::new();
         self.sightings.clear();
-        for point_body in self.beams.returns(observation) {
+        for (beam, point_body) in self.beams.returns(observation) {
             // Both have room for every beam.
-            let _ = returns_world.push((world_from_body * point_body, point_body.coords.norm()));
+            let _ = returns.push(Return {
+                beam,
+                point_world: world_from_body * point_body,
+                range_m: point_body.coords.norm(),
+            });
             let _ = self.sightings.push(Sighting {
                 point_body,
                 velocity_body: Vector::zeros(),
@@ -194,73 +141,87 @@ impl Tracker {
                 radius_m: 0.0,
             });
         }
-        for track in &mut self.tracks {
-            let noise = VELOCITY_NOISE * step_s.sqrt();
-            track.x.predict(1.0, step_s, noise);
-            track.y.predict(1.0, step_s, noise);
-            if let Some(direction) = &mut track.direction {
-                direction.predict(1.0, step_s, TURN_NOISE * step_s.sqrt());
+        returns
+    }
+
+    /// The track of each cluster, nearest pairs first.
+    fn associate(
+        &self,
+        clusters: &[Cluster],
+        view: &View,
+    ) -> heapless::Vec<Option<usize>, CLUSTERS_MAX> {
+        let mut pairs = heapless::Vec::<(f64, usize, usize), PAIRS_MAX>::new();
+        for (cluster_index, cluster) in clusters.iter().enumerate() {
+            for (track_index, track) in self.tracks.iter().enumerate() {
+                let away_m = track.away_m(cluster, view, GATE_M);
+                // A pair over the capacity is left out: its cluster begins a track.
+                let _ = match away_m < GATE_M {
+                    true => pairs.push((away_m, cluster_index, track_index)),
+                    false => Ok(()),
+                };
             }
-            track.taken = false;
-            track.missed += 1;
         }
-        let clusters = clusters(&returns_world);
-        // First the clusters that have not moved: otherwise neighbours in a row of cones
-        // would exchange their tracks and seem to move.
-        let still = RESTING_MPS * step_s + JITTER_M;
-        let found = clusters
-            .iter()
-            .map(|cluster| self.find_resting(cluster, still));
-        let found: heapless::Vec<Option<Motion>, CLUSTERS_MAX> = found.collect();
-        for (cluster, found) in clusters.iter().zip(found) {
-            let motion = found.unwrap_or_else(|| self.follow(cluster));
-            self.mark(cluster, &world_from_body, motion);
+        pairs.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let mut found: heapless::Vec<Option<usize>, CLUSTERS_MAX> =
+            clusters.iter().map(|_| None).collect();
+        for (_, cluster, track) in pairs {
+            if found[cluster].is_none() && !found.contains(&Some(track)) {
+                found[cluster] = Some(track);
+            }
         }
-        self.tracks.retain(|track| track.missed <= MISSED_MAX);
+        found
     }
 
-    /// A cluster that is where a track was last is that track; after some scans
-    /// of that it rests, even if it seemed to move before. Returns how it moves.
-    fn find_resting(&mut self, cluster: &Cluster, still_m: f64) -> Option<Motion> {
-        let is_there =
-            |track: &&mut Track| !track.taken && (track.middle - cluster.middle).norm() < still_m;
-        let track = self.tracks.iter_mut().find(is_there)?;
-        if track.still + 1 < STILL_MIN {
-            let still = track.still + 1;
-            let motion = track.take(cluster);
-            track.still = still;
-            return Some(motion);
-        }
-        *track = Track {
-            still: track.still,
-            ..Track::new(cluster)
+    /// The neighbour that a cluster of a few returns is a part of, for each cluster.
+    fn parts(
+        &self,
+        clusters: &[Cluster],
+        found: &[Option<usize>],
+        view: &View,
+    ) -> heapless::Vec<Option<usize>, CLUSTERS_MAX> {
+        let is_part = |number: usize, whole: usize| {
+            let (few, cluster) = (&clusters[number], &clusters[whole]);
+            let track = found[whole].map(|index| &self.tracks[index]);
+            few.count <= PART_MAX
+                && cluster.count > PART_MAX
+                && track.is_some_and(|track| track.extends_to(cluster, few, view))
         };
-        Some(Motion::REST)
+        let count = clusters.len();
+        let numbers = 0..count;
+        numbers
+            .map(|number| {
+                let neighbours = [(number + count - 1) % count, (number + 1) % count];
+                neighbours.into_iter().find(|&whole| is_part(number, whole))
+            })
+            .collect()
     }
 
-    /// Gives a cluster to its track, or begins one; how it moves.
-    fn follow(&mut self, cluster: &Cluster) -> Motion {
-        let away = |track: &Track| {
-            (Point::new(track.x.value(), track.y.value()) - cluster.middle).norm_squared()
-        };
-        let nearest = self
-            .tracks
-            .iter_mut()
-            .filter(|track| !track.taken && away(track) < GATE_M * GATE_M)
-            .min_by(|a, b| away(a).total_cmp(&away(b)));
-        let Some(track) = nearest else {
-            // Without a free track it is not followed, and rests.
-            let _ = self.tracks.push(Track::new(cluster));
-            return Motion::REST;
-        };
-        track.take(cluster)
+    /// How many returns of each track's earliest remembered scan are gone.
+    fn gone(&self) -> heapless::Vec<u32, TRACKS_MAX> {
+        let mut gone: heapless::Vec<u32, TRACKS_MAX> = self.tracks.iter().map(|_| 0).collect();
+        for id in self.past.left() {
+            let index = self.tracks.iter().position(|track| track.id == id);
+            if let Some(gone) = index.and_then(|index| gone.get_mut(index)) {
+                *gone += 1;
+            }
+        }
+        gone
+    }
+
+    /// Begins a track; its index.
+    fn begin(&mut self, cluster: &Cluster, view: &View) -> Option<usize> {
+        // 0 is no track's.
+        self.last_id = self.last_id.checked_add(1).unwrap_or(1);
+        let track = Track::new(self.last_id, cluster, view);
+        self.tracks.push(track).ok()?;
+        Some(self.tracks.len() - 1)
     }
 
     fn mark(&mut self, cluster: &Cluster, world_from_body: &Pose, motion: Motion) {
         let velocity_body = world_from_body.rotation.inverse() * motion.velocity_world;
         let count = self.sightings.len();
-        for offset in 0..cluster.count {
-            let sighting = &mut self.sightings[(cluster.first + offset) % count];
+        for index in cluster.indices(count) {
+            let sighting = &mut self.sightings[index];
             (sighting.velocity_body, sighting.turn_radps) = (velocity_body, motion.turn_radps);
             sighting.radius_m = cluster.radius_m;
         }
