@@ -6,6 +6,7 @@
 //! | [`speed`], [`batches`], [`metadrive`], [`photography`] | ticks per second of the built-in world, alone, in batches and beside MetaDrive; rendering time of its camera images |
 //! | [`planning`] | planners on recorded scenes, beside OMPL's |
 //! | [`mpc`] | the model-predictive expert over long, disturbed drives |
+//! | [`tracking`] | what the expert tells of bodies that move, beside the truth |
 //! | [`inference`] | inference time of a policy, by back end |
 //! | [`actors`] | transitions per second from actors to their learner |
 //! | [`learning`] | gradient steps per second, beside PyTorch |
@@ -59,6 +60,7 @@ pub mod soak;
 pub mod speed;
 pub mod stalls;
 pub mod swapping;
+pub mod tracking;
 
 supervisor::subcommands! {
     /// What to measure.
@@ -67,6 +69,7 @@ supervisor::subcommands! {
         Sim(speed::Sim),
         Planner(planning::BenchPlanner),
         Mpc(mpc::BenchMpc),
+        Tracker(tracking::BenchTracker),
         Policy(inference::BenchPolicy),
         Learner(learning::BenchLearner),
         Actors(actors::BenchActors),
