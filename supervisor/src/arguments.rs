@@ -64,8 +64,8 @@ pub enum Command {
     /// Drive many episodes and print success, contacts and completion.
     #[command(disable_help_flag = true)]
     Eval(Delegated),
-    /// Measure: parity, sim, planner, mpc, policy, learner, actors, swap, judge, latency, ipc,
-    /// faults, replay, scale, soak.
+    /// Measure: parity, sim, planner, mpc, tracker, policy, learner, actors, swap, judge, latency,
+    /// ipc, faults, replay, scale, soak.
     #[command(disable_help_flag = true)]
     Bench(Delegated),
     /// Show a running set, or a recording, as a page for a browser.
