@@ -13,7 +13,8 @@
 //! continued, and when that has ended, the car brakes.
 //!
 //! The solver (clarabel) keeps its symbolic factorisation and updates its data
-//! in place, but allocates a little for each solution; `tests/mpc.rs` counts it.
+//! in place, but allocates a little for each solution; `tests/tests/mpc_alloc.rs`
+//! counts it.
 
 mod body;
 mod field;

@@ -221,7 +221,10 @@ impl Track {
         self.motion
             .measure(outline.point(corner), outline.forward, deviations);
         self.missed = 0;
-        self.silent = if evidence > 0 { 0 } else { self.silent + 1 };
+        self.silent = match evidence {
+            0 => self.silent.saturating_add(1),
+            _ => 0,
+        };
         self.shown = match self.silent > DOUBTED_AFTER {
             true => 0,
             false => self.shown.saturating_add(evidence.min(EVIDENCE_MAX)),
