@@ -240,6 +240,7 @@ fn row(
 ) -> anyhow::Result<Row> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(2);
     let size = Size {
+        inputs: FEATURES,
         hidden: HIDDEN,
         batch: case.batch,
     };

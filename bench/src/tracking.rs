@@ -6,7 +6,6 @@ use std::process::ExitCode;
 use clap::Args;
 use hdrhistogram::Histogram;
 use indicatif::{ProgressBar, ProgressStyle};
-use planner::Tracker;
 use serde::Serialize;
 use shm_config::counted;
 use shm_config::message::Observation;
@@ -18,6 +17,7 @@ use stack::driver::{DriverKind, EpisodeDriver, planning_histogram};
 use stack::episode::drive;
 use supervisor::cli::parsers::whole;
 use supervisor::subcommand::{Configuration, Output, Subcommand, say, write_json_option};
+use tracker::Tracker;
 use vehicle::{Point, Pose, Vector, pose};
 
 use crate::gauges::Gauges;

@@ -26,7 +26,7 @@ impl Controller {
         let Some(weights) = self.policy.shadow_weights().filter(|_| sees) else {
             return;
         };
-        let proposal = self.policy.propose_in_shadow(&step.observation);
+        let proposal = self.policy.propose_in_shadow(step);
         self.arbiter.record_shadow(proposal, weights);
     }
 

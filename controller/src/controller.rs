@@ -1,6 +1,7 @@
 use shm_config::Instant;
 use shm_config::config::Config;
-use shm_config::message::{Admission, Before, Intent, Step};
+use shm_config::message::{Admission, Before, Intent, MOTION_AT_REST, Observation, Step};
+use tracker::Tracker;
 
 use crate::policy::Limits;
 use crate::{Arbiter, ArbiterConfig, Inputs, PolicySlot};
@@ -11,6 +12,9 @@ pub struct Controller {
     pub(crate) policy: PolicySlot,
     pub(crate) limits: Limits,
     pub(crate) observation_age_ns: u64,
+    /// Follows what moves, as long as a policy takes it or a learner trains one that will.
+    tracker: Box<Tracker>,
+    trains_motion: bool,
 }
 
 impl Controller {
@@ -21,6 +25,8 @@ impl Controller {
             policy,
             limits: Limits::from(&config.policy),
             observation_age_ns: config.limits.observation_age_ns(),
+            tracker: Box::default(),
+            trains_motion: config.learner.enabled && config.learner.motion,
         }
     }
 
@@ -28,6 +34,12 @@ impl Controller {
     /// that were admitted.
     pub fn resume(&mut self, before: &Before, step: Step) {
         self.arbiter.restore(before, step);
+    }
+
+    /// Follows what moves in an observation of before the first tick, so that a policy which
+    /// takes it knows it then.
+    pub fn watch(&mut self, observation: &Observation) {
+        self.tracker.follow(observation);
     }
 
     /// One tick, start to end. Always answers.
@@ -40,14 +52,21 @@ impl Controller {
     /// was admitted.
     pub fn admit(&mut self, inputs: &Inputs, now: Instant) -> bool {
         self.arbiter.admit(inputs, now);
-        self.arbiter.step().observation_entry.admission() == Admission::Admitted
+        let step = self.arbiter.step_mut();
+        let came = step.observation_entry.admission() == Admission::Admitted;
+        if came && (self.trains_motion || self.policy.takes_motion()) {
+            self.tracker.follow(&step.observation);
+            self.tracker.motion(&mut step.motion);
+        } else if came {
+            step.motion.fill(MOTION_AT_REST);
+        }
+        came
     }
 
     /// The second half of a tick, on what [`Controller::admit`] let in.
     pub fn decide(&mut self, tick: u64, now: Instant, intent: Intent) -> &Step {
         let sees = self.arbiter.sees(now);
-        let observation = &self.arbiter.step().observation;
-        let answer = self.policy.answer(observation, sees);
+        let answer = self.policy.answer(self.arbiter.step(), sees);
         self.arbiter.decide(tick, now, intent, &answer);
         self.arbiter.step()
     }

@@ -110,7 +110,7 @@ impl Recomputer {
     /// What the policies said: recorded, or asked again.
     fn answer(&mut self, recorded: &Step, now: Instant) -> PolicyAnswer {
         let sees = self.arbiter.sees(now);
-        let observation = &self.arbiter.step().observation;
+        let step = self.arbiter.step();
         let mut answer = PolicyAnswer {
             stage: recorded.stage(),
             proposal: recorded.policy.action(),
@@ -118,11 +118,11 @@ impl Recomputer {
         };
         match &mut self.policies {
             Policies::Instead(policy) if !is_shadow(policy, recorded) => {
-                return policy.answer(observation, sees);
+                return policy.answer(step, sees);
             }
             Policies::Known(policies) if answer.proposal.is_some() => {
                 if let Some(policy) = of_hash(policies, recorded.weights_hash) {
-                    answer.proposal = policy.answer(observation, sees).proposal;
+                    answer.proposal = policy.answer(step, sees).proposal;
                 }
             }
             Policies::Recorded | Policies::Instead(_) | Policies::Known(_) => {}
@@ -136,7 +136,7 @@ impl Recomputer {
         if shadow.weights_version == 0 {
             return;
         }
-        let observation = &self.arbiter.step().observation;
+        let step = self.arbiter.step();
         let said = shadow.proposal.action();
         let again = match &mut self.policies {
             Policies::Instead(policy) => {
@@ -145,7 +145,7 @@ impl Recomputer {
             Policies::Known(policies) if said.is_some() => of_hash(policies, shadow.weights_hash),
             Policies::Recorded | Policies::Known(_) => None,
         };
-        let proposal = again.map_or(said, |policy| policy.propose(observation));
+        let proposal = again.map_or(said, |policy| policy.propose(step));
         let weights = (shadow.weights_version, shadow.weights_hash);
         self.arbiter.record_shadow(proposal, weights);
     }
@@ -174,6 +174,8 @@ fn held(recorded: &Step) -> Step {
             ..Header::default()
         },
         skipped: recorded.skipped,
+        // Of the scans before it, which are not in the step.
+        motion: recorded.motion,
         ..Step::default()
     };
     let is_held = |entry: &Entry| entry.admission() != Admission::Admitted;

@@ -15,7 +15,7 @@ use shm_config::config::{Algorithm, GateMode};
 use shm_config::message::{Driver, FEATURES, Preference, Reason, Step};
 use vehicle::Action;
 
-use crate::replay::{ACTIONS, Then, Transition};
+use crate::replay::{ACTIONS, INPUTS, Then, Transition};
 
 /// Answers that are remembered. More come only from a judge that is asked more than ten
 /// times a second for as long as a transition waits.
@@ -285,7 +285,8 @@ impl Assembler {
             .newest
             .filter(|newest| newest.world == origin.world && newest.episode == header.episode);
         let is_old = before.is_some_and(|newest| header.tick <= newest.tick);
-        let mut state = [0.0; FEATURES];
+        let mut state = [0.0; INPUTS];
+        state[FEATURES..].copy_from_slice(&step.motion);
         let sees = step.reason() != Some(Reason::Blind)
             && step.observation_age_ns != u64::MAX
             && observation.fits_policy();

@@ -7,7 +7,7 @@
 //! the beams, and the linear rest is folded into the first layer.
 
 use policy::Compression;
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, MOTION_AT_REST, MOTION_SECTORS};
 
 use crate::replay::ACTIONS;
 
@@ -19,10 +19,13 @@ const STRETCH: f32 = 4.0;
 /// obstacle, its closeness is half as large as at the obstacle.
 pub const COMPRESSION: Compression = Compression {
     from: EGO,
+    to: FEATURES,
     slope: 20.0,
 };
 /// The closeness of a beam at an obstacle.
 const CLOSENESS: f32 = 2.0;
+/// Scale of the features of motion, after centring: 5 m/s become 1.
+const MOTION: f32 = 8.0;
 /// Index of the first feature of each of the two checkpoints.
 const CHECKPOINTS: [usize; 2] = [9, 14];
 /// Widths are divided by this, m.
@@ -34,9 +37,10 @@ const LANE_M: f32 = 3.5;
 
 /// `x' = scale x + shift` of a compressed feature.
 pub const fn scaling(feature: usize) -> (f32, f32) {
-    match feature < EGO {
-        true => (STRETCH, -0.5 * STRETCH),
-        false => (-CLOSENESS * COMPRESSION.slope, CLOSENESS),
+    match feature {
+        0..EGO => (STRETCH, -0.5 * STRETCH),
+        EGO..FEATURES => (-CLOSENESS * COMPRESSION.slope, CLOSENESS),
+        _ => (MOTION, -MOTION_AT_REST * MOTION),
     }
 }
 
@@ -49,12 +53,13 @@ pub fn prepare(row: &mut [f32]) {
     }
 }
 
-/// Mirrors the plain features of a scene, in place: left and right are exchanged, the
-/// steering changes sign.
+/// Mirrors the plain features of a scene, in place, and those of motion if there are any:
+/// left and right are exchanged, the steering changes sign.
 ///
 /// The radius of a bend is that of the leftmost lane, which is the rightmost lane of
 /// the mirrored scene.
-pub fn mirror(row: &mut [f32; FEATURES]) {
+pub fn mirror(row: &mut [f32]) {
+    let (row, motion) = row.split_at_mut(FEATURES);
     let width_m = (row[0] + row[1]) * WIDTH_M;
     row.swap(0, 1);
     // Heading, both steerings, and the offset from the lane's centre.
@@ -77,6 +82,18 @@ pub fn mirror(row: &mut [f32; FEATURES]) {
     }
     // Beam 0 points ahead; each other beam is exchanged with the one on the other side.
     row[EGO + 1..].reverse();
+    mirror_motion(motion);
+}
+
+/// Sector 0 is ahead; each other sector is exchanged with the one on the other side.
+fn mirror_motion(motion: &mut [f32]) {
+    let (sectors, _) = motion.as_chunks_mut::<2>();
+    if sectors.len() == MOTION_SECTORS {
+        sectors[1..].reverse();
+    }
+    for [_, left] in sectors {
+        *left = 2.0 * MOTION_AT_REST - *left;
+    }
 }
 
 /// Mirrors an action.

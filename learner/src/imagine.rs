@@ -14,7 +14,7 @@ use stack::oracle::Oracle;
 use vehicle::{Action, Point, Pose, State, Vehicle, wrap_rad};
 
 use crate::elsewhere;
-use crate::replay::{ACTIONS, Then, Transition};
+use crate::replay::{ACTIONS, INPUTS, Then, Transition};
 
 /// Time between predicted states, s.
 const STRIDE_S: f64 = 0.2;
@@ -58,6 +58,12 @@ impl Imagination {
             vehicle: config.vehicle,
             there: Box::default(),
         })
+    }
+
+    /// Follows what moves: the expert knows it at the states imagined around this observation,
+    /// and the states tell it.
+    pub fn watch(&mut self, observation: &Observation) {
+        self.oracle.watch(observation);
     }
 
     /// Predicts this many states while a rejected action is held; `out` receives each
@@ -104,9 +110,11 @@ impl Imagination {
     /// The imagined state with the expert's answer. Without a rejected action the
     /// answer is a target, but no preference.
     fn ask(&mut self, rejected: Option<Action>) -> Transition {
-        let mut state = [0.0; FEATURES];
+        let mut state = [0.0; INPUTS];
+        let (features, motion) = state.split_at_mut(FEATURES);
         // Steps with another number of beams were refused before.
-        self.there.features(&mut state);
+        self.there.features(features);
+        motion.copy_from_slice(&self.oracle.motion(&self.there));
         let expert = self.oracle.ask(&mut self.there);
         let rejected = rejected.unwrap_or(expert);
         let pair =

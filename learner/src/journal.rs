@@ -10,15 +10,15 @@ use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use shm_config::file::{Access, Durable, open_ours, replace_with};
-use shm_config::message::{FEATURES, Preference};
+use shm_config::message::Preference;
 
 use crate::assembler::Counts;
-use crate::replay::{ACTIONS, Buffer, Replay, Then, Transition};
+use crate::replay::{ACTIONS, Buffer, INPUTS, Replay, Then, Transition};
 
 /// The first bytes of the file: name and version of the format.
-const MAGIC: &[u8; 8] = b"VLREPL02";
+const MAGIC: &[u8; 8] = b"VLREPL03";
 /// Floating-point numbers in a transition.
-const NUMBERS: usize = 2 * FEATURES + 3 * ACTIONS;
+const NUMBERS: usize = 2 * INPUTS + 3 * ACTIONS;
 /// Counters beside each transition.
 const COUNTERS: usize = 12;
 /// Codes beside them: buffer, label, successor.
@@ -28,7 +28,7 @@ pub const RECORD: usize = 4 * NUMBERS + CODES + 8 * COUNTERS + 4;
 /// The file is replaced when it holds this many times the capacity of the buffers.
 const SLACK: u64 = 2;
 
-/// Records of a new file that are written to the disk at once: 4.5 MB.
+/// Records of a new file that are written to the disk at once: 6.5 MB.
 const SYNCED: u64 = 2048;
 
 /// Maximum value of a counter, far beyond every run: sums of counters stay within 64 bits.
@@ -356,8 +356,8 @@ fn decode(record: &[u8; RECORD]) -> Option<(Buffer, Transition, Mark)> {
     let mut numbers = numbers
         .chunks_exact(4)
         .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]));
-    let mut state = [0.0; FEATURES];
-    let mut next = [0.0; FEATURES];
+    let mut state = [0.0; INPUTS];
+    let mut next = [0.0; INPUTS];
     let mut actions = [[0.0; ACTIONS]; 3];
     let places = state
         .iter_mut()

@@ -6,12 +6,16 @@
 //! never visited, with the expert's answer there.
 
 use rand::{Rng, RngExt};
-use shm_config::message::{FEATURES, Preference};
+use shm_config::message::{FEATURES, INPUTS_WITH_MOTION, Preference};
 
 use crate::features;
 
 /// Numbers in an action: steering, pedal.
 pub const ACTIONS: usize = 2;
+
+/// Numbers in a state: the features of the observation, then how bodies move, which not
+/// every policy takes.
+pub const INPUTS: usize = INPUTS_WITH_MOTION;
 
 /// The successor of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,10 +31,10 @@ pub enum Then {
 /// One step with all that the algorithms use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Transition {
-    /// The policy's input.
-    pub state: [f32; FEATURES],
-    /// The policy's input one step later; equal to `state` without a successor.
-    pub next: [f32; FEATURES],
+    /// What the policy's input is taken from.
+    pub state: [f32; INPUTS],
+    /// The same one step later; equal to `state` without a successor.
+    pub next: [f32; INPUTS],
     /// The action that the car applied.
     pub applied: [f32; ACTIONS],
     /// The policy's proposal; the applied action if there was none.
@@ -73,6 +77,8 @@ impl Transition {
 #[derive(Clone, Debug)]
 pub struct Replay {
     capacity: usize,
+    /// Of each state the networks take so many numbers.
+    inputs: usize,
     buffers: [Vec<Transition>; 3],
     /// Transitions ever put into each buffer.
     counts: [u64; 3],
@@ -99,9 +105,9 @@ impl Reflection {
 /// states as the networks take them ([`features::prepare`]).
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
-    /// `batch x FEATURES`.
+    /// `batch x inputs`.
     pub states: Vec<f32>,
-    /// `batch x FEATURES`.
+    /// `batch x inputs`.
     pub nexts: Vec<f32>,
     /// `batch x ACTIONS`.
     pub applied: Vec<f32>,
@@ -140,17 +146,19 @@ impl Batch {
         self.is_known.clear();
     }
 
-    /// Appends a transition, as recorded or mirrored.
-    fn push(&mut self, transition: &Transition, reflection: Reflection) {
-        for (states, mut state) in [
-            (&mut self.states, transition.state),
-            (&mut self.nexts, transition.next),
+    /// Appends a transition, as recorded or mirrored, with so many numbers of its states.
+    fn push(&mut self, transition: &Transition, reflection: Reflection, inputs: usize) {
+        for (states, state) in [
+            (&mut self.states, &transition.state),
+            (&mut self.nexts, &transition.next),
         ] {
+            let begin = states.len();
+            states.extend_from_slice(&state[..inputs]);
+            let state = &mut states[begin..];
             if reflection == Reflection::Mirrored {
-                features::mirror(&mut state);
+                features::mirror(state);
             }
-            features::prepare(&mut state);
-            states.extend_from_slice(&state);
+            features::prepare(state);
         }
         for (actions, mut action) in [
             (&mut self.applied, transition.applied),
@@ -176,9 +184,16 @@ impl Replay {
     pub fn new(capacity: usize) -> Replay {
         Replay {
             capacity: capacity.max(1),
+            inputs: FEATURES,
             buffers: [const { Vec::new() }; 3],
             counts: [0; 3],
         }
+    }
+
+    /// Sets how many numbers of each state the networks take: [`FEATURES`], or
+    /// [`INPUTS`] with how bodies move.
+    pub fn set_inputs(&mut self, inputs: usize) {
+        self.inputs = inputs.clamp(FEATURES, INPUTS);
     }
 
     /// Adds a transition to a buffer; in a full buffer it replaces the oldest one.
@@ -234,7 +249,7 @@ impl Replay {
             let held = &self.buffers[buffer as usize];
             for _ in 0..share {
                 let transition = &held[random.random_range(0..held.len())];
-                batch.push(transition, Reflection::draw(random));
+                batch.push(transition, Reflection::draw(random), self.inputs);
             }
         }
     }
@@ -258,7 +273,7 @@ impl Replay {
             for &buffer in buffers {
                 match self.buffers[buffer as usize].get(k) {
                     Some(transition) => {
-                        batch.push(transition, Reflection::draw(random));
+                        batch.push(transition, Reflection::draw(random), self.inputs);
                         break;
                     }
                     None => k -= self.len(buffer),

@@ -11,7 +11,7 @@ use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::config::{Algorithm, Config};
 use shm_config::file::{Durable, Entry, Folder, is_unfinished, make_folders, replace};
-use shm_config::message::{Driver, Step};
+use shm_config::message::{Driver, FEATURES, Step};
 use vehicle::Action;
 
 use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
@@ -21,7 +21,7 @@ use crate::export;
 use crate::imagine::Imagination;
 use crate::journal::{Journal, Mark, Recovered};
 use crate::metrics::{Metrics, Row};
-use crate::replay::{Buffer, Replay, Transition};
+use crate::replay::{Buffer, INPUTS, Replay, Transition};
 
 /// Learning rate of the imitating algorithms, unless configured.
 const IMITATION_RATE: f32 = 1e-3;
@@ -88,7 +88,7 @@ impl Session {
         let capacity = settings.capacity as usize;
         let Recovered {
             journal,
-            replay,
+            mut replay,
             mark,
             torn_bytes,
         } = Journal::open(&path, capacity, metrics.counts().transitions())
@@ -99,6 +99,7 @@ impl Session {
                 "the end of the replay was incomplete and is cut off"
             );
         }
+        replay.set_inputs(inputs(config));
         let labelling = Labelling {
             mode: config.gate.mode,
             wait_ns: (settings.label_wait_s * 1e9) as u64,
@@ -263,6 +264,9 @@ impl Session {
         let mut made = Vec::new();
         let sees = step.observation_age_ns != u64::MAX && observation.fits_policy();
         if sees {
+            if settings.motion {
+                imagination.watch(observation);
+            }
             for _ in 0..settings.imagined_scenes {
                 made.push(imagination.disturb(observation, &mut self.state.random));
             }
@@ -381,11 +385,20 @@ fn checkpoint_path(folder: &Path) -> PathBuf {
     folder.join("learner.bin")
 }
 
+/// How many numbers the policy takes.
+fn inputs(config: &Config) -> usize {
+    match config.learner.motion {
+        true => INPUTS,
+        false => FEATURES,
+    }
+}
+
 /// The state of a new session.
 fn begin(config: &Config) -> Checkpoint {
     let settings = &config.learner;
     let mut random = Xoshiro256PlusPlus::seed_from_u64(settings.seed);
     let size = Size {
+        inputs: inputs(config),
         hidden: settings.hidden as usize,
         batch: settings.batch as usize,
     };

@@ -4,6 +4,7 @@
 use learner::export;
 use learner::features::{mirror, mirror_action, prepare};
 use learner::network::{Head, Network, Tape};
+use learner::replay::INPUTS;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{Bend, FEATURES, Observation};
@@ -118,6 +119,27 @@ fn the_mirror_of_the_mirror_is_the_scene() {
     assert_eq!(action, [-0.25, -0.5]);
     mirror_action(&mut action);
     assert_eq!(action, [0.25, -0.5]);
+}
+
+#[test]
+fn a_mirrored_velocity_is_on_the_other_side_and_goes_to_the_other_side() {
+    let mut row = [0.0; INPUTS];
+    row[..FEATURES].copy_from_slice(&features(&scene(1)));
+    row[FEATURES..].fill(0.5);
+    // A car 12 degrees to the left drives ahead and to the left.
+    let [left, right] = [2, 58].map(|sector| FEATURES + 2 * sector);
+    (row[left], row[left + 1]) = (0.8, 0.6);
+    let mut mirrored = row;
+    mirror(&mut mirrored);
+    assert_near(&mirrored[right..right + 2], &[0.8, 0.4], "the other side");
+    assert_near(&mirrored[left..left + 2], &[0.5, 0.5], "its own side");
+    mirror(&mut mirrored);
+    assert_near(&mirrored, &row, "twice");
+    // What rests is zero for the networks, and 5 m/s are one.
+    let mut prepared = row;
+    prepare(&mut prepared);
+    assert_near(&prepared[left..left + 2], &[2.4, 0.8], "12 and 4 m/s");
+    assert_near(&prepared[right..right + 2], &[0.0, 0.0], "at rest");
 }
 
 #[test]

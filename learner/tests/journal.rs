@@ -7,10 +7,10 @@ use std::process::{Command, Stdio};
 
 use learner::assembler::Counts;
 use learner::journal::{Journal, Mark, Recovered, last_mark};
-use learner::replay::{Buffer, Replay, Then, Transition};
+use learner::replay::{Buffer, INPUTS, Replay, Then, Transition};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::{FEATURES, Preference};
+use shm_config::message::Preference;
 use tempfile::TempDir;
 
 /// Bytes before the first record.
@@ -30,8 +30,8 @@ fn numbered(number: u64) -> Transition {
         ]
     };
     let (applied, policy, expert) = (pair(), pair(), pair());
-    let mut state = [0.0; FEATURES];
-    let mut next = [0.0; FEATURES];
+    let mut state = [0.0; INPUTS];
+    let mut next = [0.0; INPUTS];
     for value in state.iter_mut().chain(&mut next) {
         *value = random.random();
     }

@@ -1,7 +1,7 @@
 //! Tests of the replay buffers: what they hold, what they drop, and what is drawn from
 //! them.
 
-use learner::replay::{ACTIONS, Batch, Buffer, Replay, Then, Transition};
+use learner::replay::{ACTIONS, Batch, Buffer, INPUTS, Replay, Then, Transition};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{FEATURES, Preference};
@@ -9,8 +9,8 @@ use shm_config::message::{FEATURES, Preference};
 /// A transition that is identified by its pedal, which mirroring leaves unchanged.
 fn numbered(number: u32, label: Preference) -> Transition {
     Transition {
-        state: [0.5; FEATURES],
-        next: [0.5; FEATURES],
+        state: [0.5; INPUTS],
+        next: [0.5; INPUTS],
         applied: [0.1, number as f32],
         policy: [0.2, number as f32],
         expert: [0.3, number as f32],

@@ -4,7 +4,6 @@ use vehicle::Float as _;
 use vehicle::{Footprint, Point, Vehicle};
 
 use crate::PlannerConfig;
-use crate::beams::Beams;
 use crate::corridor::Corridor;
 #[cfg(feature = "std")]
 use crate::memory::own_words;
@@ -13,6 +12,7 @@ use crate::segment::{Run, Segment};
 #[cfg(feature = "std")]
 use levels::Levels;
 use shm_config::settings::planner::DISC_CELLS_MAX;
+use tracker::Beams;
 
 mod arc;
 #[cfg(feature = "std")]

@@ -39,7 +39,6 @@
 
 #![cfg_attr(not(feature = "std"), no_std)]
 
-mod beams;
 mod buckets;
 mod centre_line;
 mod corridor;
@@ -62,8 +61,6 @@ mod rrt_star;
 mod sampler;
 mod search;
 mod segment;
-#[cfg(feature = "std")]
-mod track;
 mod tree;
 
 pub use centre_line::{CentreLine, Station};
@@ -83,6 +80,4 @@ pub use process::{PlannerProcess, run};
 pub use rrt_star::RrtStar;
 pub use search::Search;
 pub use shm_config::settings::Planner as PlannerConfig;
-#[cfg(feature = "std")]
-pub use track::{Sighting, Tracker};
 pub use tree::{Node, Tree};

@@ -1,6 +1,7 @@
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, Late, OutOfRange};
 use shm_config::message::{Lateness, Observation, Plan};
+use tracker::Moving;
 
 use crate::{Grid, Informed, Kinodynamic, Mpc, RrtStar, Tree};
 
@@ -59,6 +60,18 @@ impl Planner {
             Self::Informed(planner) => planner.plan_in_parts(observation, out, prepared),
             Self::Kinodynamic(planner) => planner.plan_in_parts(observation, out, prepared),
             Self::Mpc(planner) => planner.plan_in_parts(observation, out, prepared),
+        }
+    }
+
+    /// Plans without the plans before: the answer depends on this observation, and on what
+    /// is known to move around it, alone. Methods other than [`Mpc`] take all to rest.
+    pub fn plan_anew(&mut self, observation: &Observation, moving: &[Moving], out: &mut Plan) {
+        match self {
+            Self::Mpc(planner) => planner.plan_anew(observation, moving, out),
+            Self::RrtStar(_) | Self::Informed(_) | Self::Kinodynamic(_) => {
+                self.forget();
+                self.plan(observation, out);
+            }
         }
     }
 

@@ -1,11 +1,11 @@
-//! A plan takes no memory and gives none back, and neither does the tracker of the MPC expert.
+//! A plan takes no memory and gives none back.
 
 mod course;
 
 use std::hint::black_box;
 
 use allocation_counter::measure;
-use planner::{Planner, Tracker};
+use planner::Planner;
 use shm_config::config::Config;
 use shm_config::config::planner::Method;
 use shm_config::message::{Observation, Plan, PlanOutcome};
@@ -59,31 +59,4 @@ fn no_plan_of_a_method_allocates(method: Method) {
     };
     assert!(nodes > 2000 * least, "{method:?}: {nodes} nodes");
     assert!(waypoints > 2000 * 4, "{waypoints} waypoints");
-}
-
-/// Scans with returns, and with bodies that come and go: also after all of its memory of
-/// earlier scans is in use.
-#[test]
-fn no_scan_of_the_tracker_allocates() {
-    let mut scenes: Vec<Observation> = (0..200).map(course::random_scene).collect();
-    let mut tracker = Tracker::default();
-    let (mut sightings, mut moving) = (0, 0);
-    for (tick, scene) in scenes.iter_mut().enumerate() {
-        if tick % 50 == 0 {
-            tracker.forget();
-        }
-        // A body that drives: beams ahead hit it, a little farther at each tick.
-        let ahead_m = 10.0 + 0.6 * (tick % 50) as f32;
-        scene.ranges_m[..3].fill(ahead_m);
-        scene.ranges_m[237..240].fill(ahead_m);
-        let ego = &mut scene.ego;
-        (ego.x_world_m, ego.y_world_m, ego.heading_world_rad) = (0.0, 0.0, 0.0);
-        let taken = measure(|| tracker.update(scene, 0.1));
-        assert_eq!((taken.count_total, taken.count_current), (0, 0), "{tick}");
-        sightings += tracker.sightings().len();
-        let moves = |sighting: &&planner::Sighting| sighting.moves();
-        moving += tracker.sightings().iter().filter(moves).count();
-    }
-    assert!(sightings > 2000, "{sightings} returns");
-    assert!(moving > 100, "{moving} of {sightings} returns move");
 }

@@ -1,6 +1,6 @@
 use prost::Message;
 use sha2::{Digest, Sha256};
-use shm_config::message::{FEATURES, WEIGHTS_BYTES_MAX};
+use shm_config::message::{FEATURES, INPUTS_WITH_MOTION, WEIGHTS_BYTES_MAX};
 
 use crate::chain::all_finite;
 use crate::forward::ACTIONS;
@@ -50,7 +50,7 @@ pub enum Net {
 pub struct Names {
     /// The features.
     pub input: String,
-    /// Elements of the input: `[1, 259]` or `[259]`.
+    /// Elements of the input: `[1, 259]` or `[259]`; 379 with how bodies move.
     pub input_shape: Vec<i64>,
     /// The actions.
     pub output: String,
@@ -101,21 +101,22 @@ pub fn decode(bytes: &[u8]) -> Result<PolicyFile, Refusal> {
 /// As [`decode`].
 pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal> {
     let (model, graph) = model(bytes)?;
-    let (provenance, probes) = match metadata::read(&model.metadata_props)? {
+    let shape = Mlp::shape(graph::width(&graph).unwrap_or(FEATURES));
+    let (provenance, probes) = match metadata::read(&model.metadata_props, shape.inputs)? {
         Some((provenance, probes)) => (Some(provenance), probes),
         None => (None, Vec::new()),
     };
-    graph::check(&graph, Mlp::SHAPE)?;
-    let net = match graph::layers(&graph, Mlp::SHAPE)? {
+    graph::check(&graph, shape)?;
+    let net = match graph::layers(&graph, shape)? {
         Some((compression, layers)) => {
             let mut mlp = Mlp::compressed(compression, layers)?;
             check_answers(&probes, tolerance, |features| mlp.infer(features))?;
             Net::Mlp {
                 mlp: Box::new(mlp),
-                names: names(&graph),
+                names: names(&graph, shape.inputs),
             }
         }
-        None => Net::Graph(names(&graph)),
+        None => Net::Graph(names(&graph, shape.inputs)),
     };
     // Last: the checks before it name the fault more exactly.
     metadata::check_graph(&model.metadata_props, || graph_hash(&graph))?;
@@ -168,7 +169,7 @@ pub fn check_answers(
     mut infer: impl FnMut(&[f32]) -> [f32; ACTIONS],
 ) -> Result<(), Refusal> {
     for value in CONSTANT_INPUTS {
-        if !all_finite(&infer(&[value; FEATURES])) {
+        if !all_finite(&infer(&[value; INPUTS_WITH_MOTION])) {
             return Err(Refusal::NotFinite(format!(
                 "the answer to features that are all {value}"
             )));
@@ -190,7 +191,7 @@ pub fn check_answers(
     Ok(())
 }
 
-fn names(graph: &Graph) -> Names {
+fn names(graph: &Graph, inputs: usize) -> Names {
     let input = graph::inputs(graph)[0];
     let shape = input
         .r#type
@@ -201,8 +202,8 @@ fn names(graph: &Graph) -> Names {
     Names {
         input: input.name.clone(),
         input_shape: match is_flat {
-            true => vec![FEATURES as i64],
-            false => vec![1, FEATURES as i64],
+            true => vec![inputs as i64],
+            false => vec![1, inputs as i64],
         },
         output: graph.output[0].name.clone(),
     }
@@ -214,7 +215,7 @@ const OPERATOR_SET: i64 = 13;
 
 /// A policy file of a net: ONNX with the metadata of
 /// [`Provenance`], and these probes with the answers of the native runtime. A
-/// probe of other than [`FEATURES`] features is filled with zeros or cut.
+/// probe of another length than the net's input is filled with zeros or cut.
 ///
 /// The graph comes last, after the metadata: a truncated file has no complete graph, and
 /// is never mistaken for a file without metadata.
@@ -224,7 +225,7 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
         .iter()
         .map(|features| {
             let mut features = features.clone();
-            features.resize(FEATURES, 0.0);
+            features.resize(mlp.inputs(), 0.0);
             let action = runtime.infer(&features);
             Probe { features, action }
         })
@@ -235,7 +236,8 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
         output: "action",
     };
     let graph = graph_of(mlp.compression(), mlp.layers(), &ends);
-    let entries = metadata::write(provenance, &probes, &graph_hash(&graph));
+    let about = (provenance, mlp.inputs());
+    let entries = metadata::write(about, &probes, &graph_hash(&graph));
     joined(entries, graph)
 }
 
@@ -344,6 +346,7 @@ fn compress(graph: &mut Graph, input: &str, (by, width): (Compression, usize)) -
     let mut slopes = vec![0.0; width];
     slopes
         .iter_mut()
+        .take(by.to)
         .skip(by.from)
         .for_each(|slope| *slope = by.slope);
     graph

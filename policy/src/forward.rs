@@ -1,7 +1,7 @@
 //! The forward pass of a net: weights and workspace are the caller's, so it needs
 //! neither the standard library nor an allocator.
 
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, INPUTS_WITH_MOTION};
 #[cfg(not(feature = "std"))]
 use vehicle::Float as _;
 
@@ -9,6 +9,15 @@ use vehicle::Float as _;
 pub const ACTIONS: usize = 2;
 /// Most layers of a net.
 pub const LAYERS_MAX: usize = 16;
+/// How many numbers a net takes whose first layer takes so many: [`INPUTS_WITH_MOTION`], or
+/// [`FEATURES`].
+pub const fn policy_inputs(inputs: usize) -> usize {
+    match inputs {
+        INPUTS_WITH_MOTION => INPUTS_WITH_MOTION,
+        _ => FEATURES,
+    }
+}
+
 /// Outputs whose sums are kept in registers together: four registers of AVX-512,
 /// eight of AVX2, and sixteen of SSE2, half of which then live in the cache.
 pub const BLOCK: usize = 64;
@@ -24,14 +33,16 @@ pub enum Activation {
     Tanh,
 }
 
-/// What features go through before the first layer: from feature `from` on, `x` becomes
-/// `x / (1 + slope x)`. A scan's beams then differ most where something is near. The slope
+/// What features go through before the first layer: from feature `from` up to `to`, `x`
+/// becomes `x / (1 + slope x)`. A scan's beams then differ most where something is near. The slope
 /// 0 changes nothing, and costs nothing. One addition, one product and one quotient, so the
 /// bits are the same on every processor.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Compression {
     /// The first feature that is compressed.
     pub from: usize,
+    /// The first behind them that is not.
+    pub to: usize,
     /// At least 0, finite.
     pub slope: f32,
 }
@@ -43,7 +54,7 @@ impl Compression {
         if self.slope == 0.0 {
             return;
         }
-        for x in features.iter_mut().skip(self.from) {
+        for x in features.iter_mut().take(self.to).skip(self.from) {
             *x /= 1.0 + self.slope * *x;
         }
     }
@@ -70,7 +81,7 @@ pub enum Mismatch {
     #[error("the net has no layer or more than {LAYERS_MAX}")]
     Count,
     /// A layer takes another number of inputs than the one before it gives; the first
-    /// takes [`FEATURES`], the last gives [`ACTIONS`].
+    /// takes [`FEATURES`] or [`INPUTS_WITH_MOTION`], the last gives [`ACTIONS`].
     #[error("layer {0} takes or gives another number of values than its neighbour")]
     Chain(usize),
     /// A row of the workspace is shorter than [`PackedLayer::row`] of a layer.
@@ -166,8 +177,8 @@ pub struct Forward<'a, B> {
 }
 
 impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
-    /// Checks that the layers follow on each other, from [`FEATURES`] to [`ACTIONS`],
-    /// and that both rows of the workspace hold the widest of them.
+    /// Checks that the layers follow on each other, from the inputs of a policy
+    /// ([`policy_inputs`]) to [`ACTIONS`], and that both rows of the workspace hold the widest of them.
     ///
     /// # Errors
     /// What does not fit.
@@ -178,7 +189,7 @@ impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
         if layers.is_empty() || layers.len() > LAYERS_MAX {
             return Err(Mismatch::Count);
         }
-        let mut width = FEATURES;
+        let mut width = policy_inputs(layers[0].inputs);
         for (k, layer) in layers.iter().enumerate() {
             if layer.inputs != width {
                 return Err(Mismatch::Chain(k));
@@ -208,7 +219,7 @@ impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
         }
     }
 
-    /// The answer to [`FEATURES`] features: steering and pedal, normalised, as the
+    /// The answer to the features: steering and pedal, normalised, as the
     /// net has them: neither clamped nor checked. Missing features count as 0,
     /// more are ignored.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {

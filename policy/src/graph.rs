@@ -136,6 +136,16 @@ pub fn inputs(graph: &Graph) -> Vec<&ValueInfo> {
         .collect()
 }
 
+/// How many numbers the graph's input has, if it says so.
+pub fn width(graph: &Graph) -> Option<usize> {
+    let [input] = inputs(graph)[..] else {
+        return None;
+    };
+    let tensor = input.r#type.as_ref()?.tensor_type.as_ref()?;
+    let last = tensor.shape.as_ref()?.dim.last()?.dim_value?;
+    usize::try_from(last).ok()
+}
+
 /// One row, or a variable number of rows, of `width` 32-bit floats. A missing shape or
 /// type is accepted.
 fn check_value(what: &str, value: &ValueInfo, width: usize) -> Result<(), Refusal> {
@@ -332,9 +342,13 @@ fn compressed<'a, 'b>(
     let is_quotient = takes(div, "Div", input)? == *divisors;
     let from = slopes.iter().position(|slope| *slope != 0.0)?;
     let slope = slopes[from];
-    let is_same = slopes[from..].iter().all(|other| *other == slope);
+    let (mut others, to) = (slopes[from..].iter(), slopes.len());
+    let to = others
+        .position(|other| *other != slope)
+        .map_or(to, |count| from + count);
+    let is_same = slopes[to..].iter().all(|other| *other == 0.0);
     let is_known = is_one && is_quotient && is_same && slopes.len() == width;
-    is_known.then_some((Compression { from, slope }, *output, rest))
+    is_known.then_some((Compression { from, to, slope }, *output, rest))
 }
 
 /// What one operator adds to the chain.

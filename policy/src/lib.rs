@@ -2,17 +2,17 @@
 //! that answers in the tick.
 //!
 //! A policy file is an ONNX file of at most 8 MB with one input of 259 floats,
-//! the features of `Observation::features`, and one output of two, steering and
-//! pedal, each within [-1, 1] (the controller clamps values beyond). It may use the
-//! operators of [`OPERATORS`] and no others. Eight metadata keys say where it comes
+//! the features of `Observation::features`, or of 379, with `Step::motion` behind them,
+//! and one output of two, steering and pedal, each within [-1, 1] (the controller clamps
+//! values beyond). It may use the operators of [`OPERATORS`] and no others. Eight metadata keys say where it comes
 //! from and how it must answer:
 //!
 //! | key | value |
 //! |---|---|
 //! | `vlaps.format` | [`FORMAT_VERSION`] |
-//! | `vlaps.observation_layout` | `shm_config::message::OBSERVATION_LAYOUT`, 16 hex digits |
+//! | `vlaps.observation_layout` | `shm_config::message::OBSERVATION_LAYOUT`, or `MOTION_LAYOUT` for 379 inputs, 16 hex digits |
 //! | `vlaps.algorithm` `vlaps.seed` `vlaps.steps` `vlaps.commit` | [`Provenance`] |
-//! | `vlaps.probe_inputs` | rows of 259 numbers: `,` between numbers, `;` between rows |
+//! | `vlaps.probe_inputs` | rows of as many numbers as it has inputs: `,` between numbers, `;` between rows |
 //! | `vlaps.probe_outputs` | a row of two numbers for each |
 //!
 //! A file without any of them is a plain ONNX file, such as PyTorch's exporters write.

@@ -1,4 +1,4 @@
-use shm_config::message::{FEATURES, OBSERVATION_LAYOUT};
+use shm_config::message::{INPUTS_WITH_MOTION, MOTION_LAYOUT, OBSERVATION_LAYOUT};
 
 use crate::Refusal;
 use crate::chain::all_finite;
@@ -33,14 +33,18 @@ pub struct Provenance {
 /// An input with the output that the file says it has.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Probe {
-    /// [`FEATURES`] features.
+    /// As many features as the net takes.
     pub features: Vec<f32>,
     /// Steering and pedal.
     pub action: [f32; ACTIONS],
 }
 
-/// The metadata of a file; `graph` is the hash of its graph.
-pub fn write(provenance: &Provenance, probes: &[Probe], graph: &str) -> Vec<Entry> {
+/// The metadata of a file whose net takes so many inputs; `graph` is the hash of its graph.
+pub fn write(
+    (provenance, inputs): (&Provenance, usize),
+    probes: &[Probe],
+    graph: &str,
+) -> Vec<Entry> {
     let entry = |key: &str, value: String| Entry {
         key: format!("{PREFIX}{key}"),
         value,
@@ -54,7 +58,7 @@ pub fn write(provenance: &Provenance, probes: &[Probe], graph: &str) -> Vec<Entr
     };
     vec![
         entry("format", FORMAT_VERSION.to_string()),
-        entry("observation_layout", layout_word(OBSERVATION_LAYOUT)),
+        entry("observation_layout", layout_word(inputs)),
         entry("algorithm", provenance.algorithm.clone()),
         entry("seed", provenance.seed.to_string()),
         entry("steps", provenance.steps.to_string()),
@@ -83,16 +87,21 @@ pub fn check_graph(entries: &[Entry], hash: impl FnOnce() -> String) -> Result<(
     }
 }
 
-fn layout_word(layout: u64) -> String {
+/// The feature map of a net that takes so many inputs.
+fn layout_word(inputs: usize) -> String {
+    let layout = match inputs {
+        INPUTS_WITH_MOTION => MOTION_LAYOUT,
+        _ => OBSERVATION_LAYOUT,
+    };
     format!("{layout:016x}")
 }
 
-/// The metadata of a file; `None` when it has none of our keys.
+/// The metadata of a file whose net takes so many inputs; `None` when it has none of our keys.
 ///
 /// # Errors
 /// When some keys are missing, a value cannot be read, or the format or observation
 /// layout is another.
-pub fn read(entries: &[Entry]) -> Result<Option<(Provenance, Vec<Probe>)>, Refusal> {
+pub fn read(entries: &[Entry], inputs: usize) -> Result<Option<(Provenance, Vec<Probe>)>, Refusal> {
     if !entries.iter().any(|entry| entry.key.starts_with(PREFIX)) {
         return Ok(None);
     }
@@ -107,7 +116,7 @@ pub fn read(entries: &[Entry]) -> Result<Option<(Provenance, Vec<Probe>)>, Refus
         ));
     }
     let theirs = text(entries, "observation_layout")?;
-    let ours = layout_word(OBSERVATION_LAYOUT);
+    let ours = layout_word(inputs);
     if theirs != ours {
         return Err(Refusal::WrongLayout {
             theirs: short(theirs),
@@ -120,7 +129,7 @@ pub fn read(entries: &[Entry]) -> Result<Option<(Provenance, Vec<Probe>)>, Refus
         steps: number(entries, "steps")?,
         commit: text(entries, "commit")?.into(),
     };
-    let inputs = rows(entries, "probe_inputs", FEATURES)?;
+    let inputs = rows(entries, "probe_inputs", inputs)?;
     let outputs = rows(entries, "probe_outputs", ACTIONS)?;
     if inputs.len() != outputs.len() {
         return Err(broken(

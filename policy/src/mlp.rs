@@ -1,8 +1,8 @@
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, INPUTS_WITH_MOTION};
 
 use crate::Refusal;
 use crate::chain::{Chain, Shape, wrong_shape};
-use crate::forward::{ACTIONS, Activation, Compression};
+use crate::forward::{ACTIONS, Activation, Compression, policy_inputs};
 
 /// `y = activation(weights x + bias)`.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,7 +22,8 @@ pub struct Layer {
 /// Widest layer: two such layers would already be over the size of a file.
 pub const WIDTH_MAX: usize = 1 << 14;
 
-/// The native runtime: a multilayer perceptron from 259 features to 2 actions.
+/// The native runtime: a multilayer perceptron from the 259 features of an observation, or
+/// from these and the 120 of how bodies move, to 2 actions.
 ///
 /// Every sum is taken in the order of the inputs, one product and one addition
 /// at a time and without fused operations, so that a net answers the same bits
@@ -35,17 +36,20 @@ pub struct Mlp {
 }
 
 impl Mlp {
-    /// What every policy takes and gives.
-    pub const SHAPE: Shape = Shape {
-        inputs: FEATURES,
-        outputs: ACTIONS,
-    };
+    /// What a policy takes and gives whose first layer takes so many numbers: those of the
+    /// observation alone, unless it is as many as with motion.
+    pub const fn shape(inputs: usize) -> Shape {
+        Shape {
+            inputs: policy_inputs(inputs),
+            outputs: ACTIONS,
+        }
+    }
 
     /// A net of these layers.
     ///
     /// # Errors
     /// When the layers do not follow on each other, do not take
-    /// [`FEATURES`] or answer [`ACTIONS`] numbers, are too many or too wide, or
+    /// [`FEATURES`] or [`INPUTS_WITH_MOTION`] or answer [`ACTIONS`] numbers, are too many or too wide, or
     /// hold a number that is not finite.
     pub fn new(layers: Vec<Layer>) -> Result<Mlp, Refusal> {
         Mlp::compressed(Compression::default(), layers)
@@ -66,10 +70,12 @@ impl Mlp {
                 expected,
             ));
         }
-        let chain = Chain::new(layers, Self::SHAPE)?;
-        let compression = match slope == 0.0 || compression.from >= FEATURES {
+        let shape = Self::shape(layers.first().map_or(FEATURES, |layer| layer.inputs));
+        let chain = Chain::new(layers, shape)?;
+        let to = compression.to.min(shape.inputs);
+        let compression = match slope == 0.0 || compression.from >= to {
             true => Compression::default(),
-            false => compression,
+            false => Compression { to, ..compression },
         };
         Ok(Mlp { compression, chain })
     }
@@ -79,12 +85,22 @@ impl Mlp {
         self.compression
     }
 
+    /// How many numbers it takes: [`FEATURES`] or [`INPUTS_WITH_MOTION`].
+    pub fn inputs(&self) -> usize {
+        self.layers().first().map_or(FEATURES, |layer| layer.inputs)
+    }
+
+    /// Whether it takes how bodies move.
+    pub fn takes_motion(&self) -> bool {
+        self.inputs() == INPUTS_WITH_MOTION
+    }
+
     /// The layers, as given.
     pub fn layers(&self) -> &[Layer] {
         self.chain.layers()
     }
 
-    /// The answer to [`FEATURES`] features: steering and pedal, normalised, as the
+    /// The answer to the features: steering and pedal, normalised, as the
     /// net has them: neither clamped nor checked. Missing features count as 0,
     /// more are ignored. Never allocates.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {

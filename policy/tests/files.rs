@@ -6,7 +6,9 @@ mod torch;
 use bad::{bad, good, net, patched};
 use policy::{Activation, Compression, Layer, Mlp, Net, Refusal, check_hash, decode, sha256};
 use proptest::prelude::*;
-use shm_config::message::WEIGHTS_BYTES_MAX;
+use shm_config::message::{
+    INPUTS_WITH_MOTION, MOTION_LAYOUT, OBSERVATION_LAYOUT, WEIGHTS_BYTES_MAX,
+};
 
 fn reason(bytes: &[u8]) -> String {
     decode(bytes).expect_err("refused").to_string()
@@ -32,8 +34,55 @@ fn what_is_written_is_read_again() {
 /// A file of a net behind this compression.
 fn compressing(from: usize, slope: f32) -> Vec<u8> {
     let layers = net(8, 7).layers().to_vec();
-    let mlp = Mlp::compressed(Compression { from, slope }, layers).expect("a net");
+    let mlp = Mlp::compressed(
+        Compression {
+            from,
+            to: 259,
+            slope,
+        },
+        layers,
+    )
+    .expect("a net");
     policy::encode(&mlp, &policy::Provenance::default(), &bad::probes())
+}
+
+#[test]
+fn a_policy_may_take_how_bodies_move() {
+    let layer = |inputs: usize, outputs: usize| Layer {
+        weights: (0..inputs * outputs)
+            .map(|k| (k % 7) as f32 * 1e-3)
+            .collect(),
+        bias: vec![0.1; outputs],
+        inputs,
+        outputs,
+        activation: Activation::Tanh,
+    };
+    let compression = Compression {
+        from: 19,
+        to: 259,
+        slope: 20.0,
+    };
+    let layers = vec![layer(INPUTS_WITH_MOTION, 8), layer(8, 2)];
+    let mut mlp = Mlp::compressed(compression, layers).expect("a net");
+    assert!(mlp.takes_motion());
+    let provenance = policy::Provenance::default();
+    let bytes = policy::encode(&mlp, &provenance, &[vec![0.5; INPUTS_WITH_MOTION]]);
+    let file = decode(&bytes).expect("a good file");
+    let Net::Mlp { mlp: read, names } = file.net else {
+        panic!("a chain of layers");
+    };
+    assert_eq!(*read, mlp);
+    assert_eq!(names.input_shape, [1, 379]);
+    let mut features = [0.5; INPUTS_WITH_MOTION];
+    let resting = mlp.infer(&features);
+    features[INPUTS_WITH_MOTION - 1] = 0.9;
+    assert_ne!(mlp.infer(&features), resting, "motion counts");
+
+    // The layout of the observation alone is another one.
+    let layout = |layout: u64| format!("{layout:016x}").into_bytes();
+    let (motion, alone) = (layout(MOTION_LAYOUT), layout(OBSERVATION_LAYOUT));
+    let refusal = decode(&bad::patched(&bytes, &motion, &alone)).expect_err("refused");
+    assert!(matches!(refusal, Refusal::WrongLayout { .. }), "{refusal}");
 }
 
 #[test]
@@ -43,7 +92,14 @@ fn a_compression_is_written_and_read_again() {
         let Net::Mlp { mlp, .. } = file.net else {
             panic!("a chain of layers");
         };
-        assert_eq!(mlp.compression(), Compression { from, slope });
+        assert_eq!(
+            mlp.compression(),
+            Compression {
+                from,
+                to: 259,
+                slope
+            }
+        );
     }
     let plain = policy::encode(&net(8, 7), &policy::Provenance::default(), &bad::probes());
     for (from, slope) in [(19, 0.0), (259, 20.0), (1000, 20.0)] {
@@ -54,7 +110,15 @@ fn a_compression_is_written_and_read_again() {
     }
     for slope in [-1.0, f32::NAN, f32::INFINITY] {
         let layers = net(8, 7).layers().to_vec();
-        let refusal = Mlp::compressed(Compression { from: 0, slope }, layers).expect_err("refused");
+        let refusal = Mlp::compressed(
+            Compression {
+                from: 0,
+                to: 259,
+                slope,
+            },
+            layers,
+        )
+        .expect_err("refused");
         assert!(refusal.to_string().contains("slope"), "{refusal}");
     }
 }
@@ -197,9 +261,12 @@ fn a_net_that_overflows_is_refused() {
 
 /// The definition, output by output, in double precision.
 fn by_definition(mlp: &Mlp, features: &[f32]) -> Vec<f64> {
-    let Compression { from, slope } = mlp.compression();
+    let Compression { from, to, slope } = mlp.compression();
     let compressed = |(k, &x): (usize, &f32)| {
-        let slope = if k < from { 0.0 } else { f64::from(slope) };
+        let slope = match (from..to).contains(&k) {
+            true => f64::from(slope),
+            false => 0.0,
+        };
         f64::from(x) / (1.0 + slope * f64::from(x))
     };
     let mut x: Vec<f64> = features.iter().enumerate().map(compressed).collect();
@@ -250,7 +317,7 @@ proptest! {
         features in prop::collection::vec(0.0_f32..=1.0, 259),
     ) {
         let layers = net(hidden, seed).layers().to_vec();
-        let mut mlp = Mlp::compressed(Compression { from, slope }, layers).expect("a net");
+        let mut mlp = Mlp::compressed(Compression { from, to: 259, slope }, layers).expect("a net");
         let expected = by_definition(&mlp, &features);
         let answer = mlp.infer(&features);
         for k in 0..2 {

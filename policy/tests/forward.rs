@@ -35,7 +35,7 @@ proptest! {
         ];
         let borrowed: Vec<_> = layers.iter().map(packed).collect();
         let (mut x, mut y) = (vec![0.0; 259], vec![0.0; 259]);
-        let by = Compression { from: 19, slope };
+        let by = Compression { from: 19, to: 259, slope };
         let forward = Forward::new(&borrowed, [&mut x, &mut y]).expect("a net");
         let mut forward = forward.compressed(by);
         let mut owned = Mlp::compressed(by, layers).expect("a net");

@@ -5,9 +5,13 @@ use controller::{Policy, Terms};
 use hdrhistogram::Histogram;
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, GateMode};
-use shm_config::message::{Command, Driver, FEATURES, Observation, Plan, Reason};
+use shm_config::message::{
+    Command, Driver, FEATURES, INPUTS_WITH_MOTION, MOTION_AT_REST, MOTION_FEATURES, Observation,
+    Plan, Reason,
+};
 use sim::World;
 use sim::idm::Idm;
+use tracker::Tracker;
 use vehicle::Action;
 
 use crate::lane_keeper::keep_lane;
@@ -140,10 +144,12 @@ enum Loaded {
     Policy(Box<PolicyAlone>),
 }
 
-/// A policy without expert and safety check, and the buffer of its features.
+/// A policy without expert and safety check, the buffer of its features, and what follows
+/// the bodies around the car for it.
 struct PolicyAlone {
     policy: Box<dyn Policy>,
-    features: [f32; FEATURES],
+    features: [f32; INPUTS_WITH_MOTION],
+    tracker: Tracker,
 }
 
 impl EpisodeDriver {
@@ -191,7 +197,8 @@ impl EpisodeDriver {
             planning_us: planning_histogram(),
             kind: Loaded::Policy(Box::new(PolicyAlone {
                 policy,
-                features: [0.0; FEATURES],
+                features: [MOTION_AT_REST; INPUTS_WITH_MOTION],
+                tracker: Tracker::default(),
             })),
         }
     }
@@ -201,7 +208,8 @@ impl EpisodeDriver {
     pub fn begin(&mut self, seed: u64) {
         match &mut self.kind {
             Loaded::Expert(stack) => stack.forget(),
-            Loaded::Lane | Loaded::Policy(_) => {}
+            Loaded::Lane => {}
+            Loaded::Policy(alone) => alone.tracker.forget(),
             Loaded::Idm(idm) => {
                 *idm = Idm::new((seed.wrapping_mul(31) % LANE_CHANGE_STEPS) as u32, seed);
             }
@@ -286,8 +294,20 @@ pub fn planning_histogram() -> Histogram<u64> {
 impl PolicyAlone {
     /// The policy's action, clamped; the brake where it has none.
     fn action(&mut self, observation: &Observation) -> Action {
-        let features = observation.policy_features(&mut self.features);
-        let action = features.and_then(|features| self.policy.infer(features));
+        let (features, motion) = self.features.split_at_mut(FEATURES);
+        let fits = observation.policy_features(features).is_some();
+        let mut count = FEATURES;
+        if fits && self.policy.takes_motion() {
+            self.tracker.follow(observation);
+            let mut moves = [0.0; MOTION_FEATURES];
+            self.tracker.motion(&mut moves);
+            motion.copy_from_slice(&moves);
+            count = INPUTS_WITH_MOTION;
+        }
+        let action = match fits {
+            true => self.policy.infer(&self.features[..count]),
+            false => None,
+        };
         let action = action.filter(|action| action.is_finite());
         action.map_or(Action::BRAKE, |action| action.clamped())
     }

@@ -1,7 +1,8 @@
 //! The expert's action at any observation.
 
 use shm_config::config::{Clock, Config, GateMode, OutOfRange};
-use shm_config::message::{Header, Observation};
+use shm_config::message::{BEAMS_MAX, Header, MOTION_FEATURES, Observation};
+use tracker::{Moving, Tracker};
 use vehicle::Action;
 
 use crate::Stack;
@@ -14,6 +15,11 @@ const APART_NS: u64 = 1_000_000_000_000;
 /// policy.
 pub struct Oracle {
     stack: Box<Stack>,
+    tracker: Box<Tracker>,
+    /// What moves in the observation that was watched last.
+    moving: Vec<Moving>,
+    /// For the observations that are asked about.
+    there: Box<Tracker>,
     asked: u32,
 }
 
@@ -29,15 +35,35 @@ impl Oracle {
         config.run.clock = Clock::Lockstep;
         Ok(Oracle {
             stack: Box::new(Stack::new(&config)?),
+            tracker: Box::default(),
+            moving: Vec::with_capacity(BEAMS_MAX),
+            there: Box::default(),
             asked: 0,
         })
     }
 
-    /// The expert's command here, without a state before it. The planner's random
-    /// numbers are those of the observation's tick and episode, so that the answer
-    /// depends on the observation alone.
+    /// Follows what moves from one observation of a drive to the next: the answers that
+    /// follow know how the bodies seen there move.
+    pub fn watch(&mut self, observation: &Observation) {
+        self.tracker.follow(observation);
+        self.moving.clear();
+        self.moving.extend(self.tracker.moving(observation));
+    }
+
+    /// How the bodies move in an observation near the one that was watched last, as a policy
+    /// takes it; all rest if none was.
+    pub fn motion(&mut self, observation: &Observation) -> [f32; MOTION_FEATURES] {
+        let mut motion = [0.0; MOTION_FEATURES];
+        self.there.suppose(observation, &self.moving);
+        self.there.motion(&mut motion);
+        motion
+    }
+
+    /// The expert's command here, without a plan before it, at the time of the observation
+    /// that was watched last; all rests if none was. The planner's random numbers are those
+    /// of the observation's tick and episode, so that the answer depends on nothing else.
     pub fn ask(&mut self, observation: &mut Observation) -> Action {
-        self.stack.plan_anew(observation);
+        self.stack.plan_anew(observation, &self.moving);
         self.asked = self.asked.wrapping_add(1);
         let tick = u64::from(self.asked);
         let header = Header {

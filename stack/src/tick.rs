@@ -4,6 +4,7 @@ use controller::{Controller, Inputs, Intent, PolicySlot};
 use planner::Planner;
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Header, Observation, Plan, Step};
+use tracker::Moving;
 
 /// Planner and controller in lockstep order, without their processes and without a
 /// policy. The headers of the observations are those of a run: tick, time, episode.
@@ -36,11 +37,9 @@ impl Stack {
         self.planner.forget();
     }
 
-    /// The planner's tick, without the plans before: the answer depends on the
-    /// observation alone.
-    pub(crate) fn plan_anew(&mut self, observation: &Observation) {
-        self.planner.forget();
-        self.plan(observation);
+    /// The planner's tick, without the plans before.
+    pub(crate) fn plan_anew(&mut self, observation: &Observation, moving: &[Moving]) {
+        self.planner.plan_anew(observation, moving, &mut self.plan);
     }
 
     /// The planner's tick.

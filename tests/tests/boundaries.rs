@@ -10,7 +10,8 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("vehicle", &[]),
     ("shm-config", &["vehicle"]),
     ("runtime", &["shm-config"]),
-    ("planner", &["vehicle", "shm-config", "runtime"]),
+    ("tracker", &["vehicle", "shm-config"]),
+    ("planner", &["vehicle", "shm-config", "runtime", "tracker"]),
     ("safety", &["vehicle", "shm-config"]),
     (
         "gate",
@@ -23,7 +24,14 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("policy", &["vehicle", "shm-config"]),
     (
         "controller",
-        &["vehicle", "shm-config", "runtime", "safety", "policy"],
+        &[
+            "vehicle",
+            "shm-config",
+            "runtime",
+            "tracker",
+            "safety",
+            "policy",
+        ],
     ),
     ("robot", &["vehicle", "shm-config", "runtime"]),
     ("sim", &["vehicle", "shm-config", "runtime", "robot"]),
@@ -33,7 +41,10 @@ const ARROWS: &[(&str, &[&str])] = &[
         &["vehicle", "shm-config", "runtime", "policy", "stack"],
     ),
     ("supervisor", &["vehicle", "shm-config", "runtime"]),
-    ("recorder", &["vehicle", "shm-config", "planner", "runtime"]),
+    (
+        "recorder",
+        &["vehicle", "shm-config", "tracker", "planner", "runtime"],
+    ),
     (
         "python",
         &[
@@ -49,7 +60,14 @@ const ARROWS: &[(&str, &[&str])] = &[
     ),
     (
         "stack",
-        &["vehicle", "shm-config", "planner", "controller", "sim"],
+        &[
+            "vehicle",
+            "shm-config",
+            "tracker",
+            "planner",
+            "controller",
+            "sim",
+        ],
     ),
     (
         "view",

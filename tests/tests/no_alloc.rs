@@ -64,6 +64,7 @@ fn lane_keeper(version: u64) -> Vec<u8> {
     // Of the beams, as the learner's policies have it.
     let compression = Compression {
         from: FEATURES - 240,
+        to: FEATURES,
         slope: 20.0,
     };
     let mlp = Mlp::compressed(compression, vec![see, keep, act]).expect("layers that fit");

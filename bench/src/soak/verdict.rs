@@ -362,8 +362,8 @@ mod tests {
         };
         let leak = row(&|tick| 2_000 + tick * 11 / 1_000);
         assert!(!leak.is_flat && leak.rises == 10, "{leak:?}");
-        // A step sample of 11,392 B every 20 ticks.
-        let fast = row(&|tick| 2_000 + tick / 20 * 11_392 / 1_024);
+        // A step sample of 11,872 B every 20 ticks.
+        let fast = row(&|tick| 2_000 + tick / 20 * 11_872 / 1_024);
         assert!(!fast.is_flat && fast.rises == 10, "{fast:?}");
         let lag = row(&|tick| 2_000 + 5_000 * u64::from(tick > 80_000));
         assert!(lag.is_flat && lag.rises == 1, "{lag:?}");

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use policy::{Net, PolicyFile, Refusal, check_answers, decode_within};
 use shm_config::config::{Backend, Config};
-use shm_config::message::{FEATURES, fits_policy};
+use shm_config::message::{INPUTS_WITH_MOTION, fits_policy};
 use shm_config::time::Clock;
 
 use super::{NativePolicy, OrtPolicy, OrtSession, Policy, library};
@@ -77,7 +77,7 @@ fn warm_up(terms: &Terms, mut infer: impl FnMut(&[f32]) -> [f32; 2]) -> Result<(
     let mut times_ns = [0; WARM_UP];
     for time_ns in &mut times_ns {
         let begun = (terms.clock)();
-        std::hint::black_box(infer(&[0.5; FEATURES]));
+        std::hint::black_box(infer(&[0.5; INPUTS_WITH_MOTION]));
         *time_ns = (terms.clock)().since_ns(begun);
     }
     times_ns.sort_unstable();

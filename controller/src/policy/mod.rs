@@ -26,7 +26,7 @@ pub use mailbox::{Candidate, Exchanged, Mailbox, SwapEvent, TickEnd};
 pub use native::NativePolicy;
 pub use ort::{OrtPolicy, OrtSession, library};
 
-use shm_config::message::{FEATURES, Observation, Stage};
+use shm_config::message::{FEATURES, INPUTS_WITH_MOTION, Stage, Step};
 use vehicle::Action;
 
 use crate::PolicyAnswer;
@@ -35,9 +35,15 @@ use canary::Canary;
 /// A learned driver. Called once in every tick, so it must not allocate, block
 /// or take long.
 pub trait Policy: Send {
-    /// The normalised action for these features; any value, checked by the
+    /// The normalised action for these features: those of the observation, and if it
+    /// [takes](Policy::takes_motion) them those of how bodies move. Any value, checked by the
     /// caller. `None` when there is no answer in time.
     fn infer(&mut self, features: &[f32]) -> Option<Action>;
+
+    /// Whether it takes how bodies move: then they are followed from scan to scan.
+    fn takes_motion(&self) -> bool {
+        false
+    }
 
     /// Version of the weights, from 1.
     fn version(&self) -> u64;
@@ -88,7 +94,7 @@ pub struct PolicySlot {
     before: Option<Box<dyn Policy>>,
     is_watched: bool,
     shadow: Option<TrackedPolicy>,
-    features: [f32; FEATURES],
+    features: [f32; INPUTS_WITH_MOTION],
 }
 
 /// Policies to be dropped outside the tick.
@@ -103,7 +109,7 @@ impl PolicySlot {
             before: None,
             is_watched: false,
             shadow: None,
-            features: [0.0; FEATURES],
+            features: [0.0; INPUTS_WITH_MOTION],
         }
     }
 
@@ -116,6 +122,14 @@ impl PolicySlot {
         }
     }
 
+    /// Whether one that proposes takes how bodies move.
+    pub fn takes_motion(&self) -> bool {
+        let proposing = self.active.iter().chain(&self.shadow);
+        proposing
+            .into_iter()
+            .any(|tracked| tracked.policy.takes_motion())
+    }
+
     /// Version and hash of the active weights; zeros for none.
     pub fn weights(&self) -> (u64, u64) {
         let active = self.active.as_ref();
@@ -124,18 +138,18 @@ impl PolicySlot {
         })
     }
 
-    /// The proposal of the active weights, clamped; `None` when there are
+    /// The proposal of the active weights for the observation in this step, clamped; `None` when there are
     /// none or their answer is late or not finite.
-    pub fn propose(&mut self, observation: &Observation) -> Option<Action> {
+    pub fn propose(&mut self, step: &Step) -> Option<Action> {
         let active = self.active.as_mut()?;
-        active.propose(observation, &mut self.features)
+        active.propose(step, &mut self.features)
     }
 
     /// What the tick needs of the policies; they are asked only where it `sees`.
-    pub fn answer(&mut self, observation: &Observation, sees: bool) -> PolicyAnswer {
+    pub fn answer(&mut self, step: &Step, sees: bool) -> PolicyAnswer {
         PolicyAnswer {
             stage: self.stage(),
-            proposal: sees.then(|| self.propose(observation)).flatten(),
+            proposal: sees.then(|| self.propose(step)).flatten(),
             weights: self.weights(),
         }
     }
@@ -147,9 +161,9 @@ impl PolicySlot {
     }
 
     /// The same of the weights in shadow.
-    pub fn propose_in_shadow(&mut self, observation: &Observation) -> Option<Action> {
+    pub fn propose_in_shadow(&mut self, step: &Step) -> Option<Action> {
         let shadow = self.shadow.as_mut()?;
-        shadow.propose(observation, &mut self.features)
+        shadow.propose(step, &mut self.features)
     }
 
     /// Adopts new weights. They replace those in shadow, if any.
@@ -247,8 +261,18 @@ impl TrackedPolicy {
         }
     }
 
-    fn propose(&mut self, observation: &Observation, workspace: &mut [f32]) -> Option<Action> {
-        let features = observation.policy_features(workspace)?;
+    fn propose(
+        &mut self,
+        step: &Step,
+        workspace: &mut [f32; INPUTS_WITH_MOTION],
+    ) -> Option<Action> {
+        step.observation
+            .policy_features(&mut workspace[..FEATURES])?;
+        workspace[FEATURES..].copy_from_slice(&step.motion);
+        let features = match self.policy.takes_motion() {
+            true => &workspace[..],
+            false => &workspace[..FEATURES],
+        };
         let action = self.policy.infer(features)?;
         if !action.is_finite() {
             self.canary.count_not_finite();

@@ -27,6 +27,10 @@ impl Policy for NativePolicy {
         Some(Action { steer, pedal })
     }
 
+    fn takes_motion(&self) -> bool {
+        self.mlp.takes_motion()
+    }
+
     fn version(&self) -> u64 {
         self.version
     }

@@ -19,7 +19,7 @@ use ort::session::builder::GraphOptimizationLevel;
 use ort::value::TensorRef;
 use policy::{ACTIONS, Names, Refusal, short_hash};
 use shm_config::Instant;
-use shm_config::message::FEATURES;
+use shm_config::message::INPUTS_WITH_MOTION;
 use vehicle::Action;
 
 use super::Policy;
@@ -133,13 +133,18 @@ impl OrtSession {
         })
     }
 
+    /// How many numbers it takes.
+    fn inputs(&self) -> usize {
+        self.names.input_shape.iter().product::<i64>() as usize
+    }
+
     /// The answer; NaN when the library has none.
     pub fn infer(&mut self, features: &[f32]) -> [f32; ACTIONS] {
         self.run(features).unwrap_or([f32::NAN; ACTIONS])
     }
 
     fn run(&mut self, features: &[f32]) -> Option<[f32; ACTIONS]> {
-        let features = features.get(..FEATURES)?;
+        let features = features.get(..self.inputs())?;
         let shape = self.names.input_shape.clone();
         let input = TensorRef::from_array_view((shape, features)).ok()?;
         let inputs = ort::inputs![self.names.input.as_str() => input];
@@ -154,7 +159,7 @@ impl OrtSession {
 /// and the tick only ever tries it.
 struct Shared {
     asked: AtomicU64,
-    features: Mutex<[f32; FEATURES]>,
+    features: Mutex<[f32; INPUTS_WITH_MOTION]>,
     answer: Mutex<(u64, [f32; ACTIONS])>,
     tick_thread: Mutex<Option<Thread>>,
 }
@@ -170,6 +175,7 @@ pub struct OrtPolicy {
     wait_ns: u64,
     clock: fn() -> Instant,
     knows_me: bool,
+    takes_motion: bool,
     version: u64,
     hash: u64,
 }
@@ -185,9 +191,10 @@ impl OrtPolicy {
         wait: Duration,
         clock: fn() -> Instant,
     ) -> Result<Self, Refusal> {
+        let takes_motion = session.inputs() == INPUTS_WITH_MOTION;
         let shared = Arc::new(Shared {
             asked: AtomicU64::new(0),
-            features: Mutex::new([0.0; FEATURES]),
+            features: Mutex::new([0.0; INPUTS_WITH_MOTION]),
             answer: Mutex::new((0, [0.0; ACTIONS])),
             tick_thread: Mutex::new(None),
         });
@@ -203,6 +210,7 @@ impl OrtPolicy {
             wait_ns: wait.as_nanos() as u64,
             clock,
             knows_me: false,
+            takes_motion,
             version,
             hash: short_hash(sha256),
         })
@@ -211,7 +219,7 @@ impl OrtPolicy {
 
 /// The helper's loop.
 fn answer(mut session: OrtSession, shared: &Shared) {
-    let (mut done, mut features) = (0, [0.0; FEATURES]);
+    let (mut done, mut features) = (0, [0.0; INPUTS_WITH_MOTION]);
     loop {
         let asked = shared.asked.load(Ordering::Acquire);
         if asked == END {
@@ -246,7 +254,7 @@ impl Policy for OrtPolicy {
         }
         // The helper still reads the features of an earlier tick: no answer for this one.
         let mut room = self.shared.features.try_lock().ok()?;
-        let count = features.len().min(FEATURES);
+        let count = features.len().min(INPUTS_WITH_MOTION);
         room[..count].copy_from_slice(&features[..count]);
         drop(room);
         self.asked += 1;
@@ -265,6 +273,10 @@ impl Policy for OrtPolicy {
             }
             thread::park_timeout(Duration::from_nanos(until.since_ns(now)));
         }
+    }
+
+    fn takes_motion(&self) -> bool {
+        self.takes_motion
     }
 
     fn version(&self) -> u64 {

@@ -199,6 +199,9 @@ impl Loop {
             }
         }
         let mut controller = Controller::new(config.clone(), PolicySlot::new(policy));
+        for (observation, _) in planned {
+            controller.watch(observation);
+        }
         if let Some((step, before)) = last {
             plan = step.plan;
             controller.resume(&before, *step);

@@ -15,7 +15,7 @@ pub mod regression;
 
 use rand::Rng;
 use serde::{Deserialize, Serialize};
-use shm_config::message::FEATURES;
+use shm_config::message::INPUTS_WITH_MOTION;
 
 use crate::Adam;
 use crate::network::{Head, Network};
@@ -28,6 +28,8 @@ pub use regression::{Regression, Source};
 /// The sizes that all algorithms have.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Size {
+    /// Numbers that a policy takes: 259, or 379 with how bodies move.
+    pub inputs: usize,
     /// Neurons of each of the two hidden layers.
     pub hidden: usize,
     /// Transitions in an update.
@@ -37,7 +39,9 @@ pub struct Size {
 impl Size {
     /// The values that a learner keeps from its start, by configuration key.
     fn begun_with(self, rate: f32) -> Vec<(&'static str, f64)> {
+        let takes_motion = self.inputs == INPUTS_WITH_MOTION;
         vec![
+            ("learner.motion", f64::from(u8::from(takes_motion))),
             ("learner.hidden", self.hidden as f64),
             ("learner.batch", self.batch as f64),
             ("learner.rate", f64::from(rate)),
@@ -89,7 +93,7 @@ impl Learned {
 
 /// An actor of the configured size: 259-256-256-2 by default.
 pub fn actor(size: Size, rate: f32, random: &mut impl Rng) -> Learned {
-    let sizes = [FEATURES, size.hidden, size.hidden, ACTIONS];
+    let sizes = [size.inputs, size.hidden, size.hidden, ACTIONS];
     Learned::new(&sizes, Head::Tanh, rate, random)
 }
 

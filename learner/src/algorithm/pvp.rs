@@ -5,7 +5,6 @@
 
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use shm_config::message::FEATURES;
 
 use super::{Learned, Losses, Size, actor};
 use crate::network::{Head, Network, Tape};
@@ -92,7 +91,7 @@ impl Pvp {
     /// With random parameters.
     pub fn new(settings: Settings, size: Size, random: &mut impl Rng) -> Pvp {
         let actor = actor(size, settings.rate, random);
-        let sizes = [FEATURES + ACTIONS, size.hidden, size.hidden, 1];
+        let sizes = [size.inputs + ACTIONS, size.hidden, size.hidden, 1];
         let critics = [(), ()].map(|()| Learned::new(&sizes, Head::Linear, settings.rate, random));
         Pvp {
             settings,
@@ -213,9 +212,9 @@ impl Pvp {
             Some(action_gradient),
         );
         delta.clear();
-        for row in action_gradient.chunks_exact(FEATURES + ACTIONS) {
+        for row in action_gradient.chunks_exact(self.size.inputs + ACTIONS) {
             delta.extend(
-                row[FEATURES..]
+                row[self.size.inputs..]
                     .iter()
                     .zip(scale)
                     .map(|(slope, scale)| slope * scale),
@@ -294,13 +293,18 @@ impl Pvp {
     }
 }
 
-/// Each row holds a state and an action times `scale`: `batch x (FEATURES + ACTIONS)`.
+/// Each row holds a state and an action times `scale`: `batch x (inputs + ACTIONS)`.
 fn join(states: &[f32], actions: &[f32], scale: [f32; ACTIONS], out: &mut Vec<f32>) {
     out.clear();
-    let rows = states.chunks_exact(FEATURES);
-    for (state, action) in rows.zip(actions.chunks_exact(ACTIONS)) {
+    for (state, action) in rows(states, actions).zip(actions.chunks_exact(ACTIONS)) {
         add(out, state, action, scale);
     }
+}
+
+/// The states of as many actions, one by one.
+fn rows<'a>(states: &'a [f32], actions: &[f32]) -> std::slice::ChunksExact<'a, f32> {
+    let count = (actions.len() / ACTIONS).max(1);
+    states.chunks_exact((states.len() / count).max(1))
 }
 
 /// Adds a row of a state and an action times `scale`.
@@ -332,7 +336,7 @@ fn join_preferences(
 ) {
     out.clear();
     bounds.clear();
-    for (k, state) in batch.states.chunks_exact(FEATURES).enumerate() {
+    for (k, state) in rows(&batch.states, &batch.policy).enumerate() {
         if batch.is_preferred[k] == 0.0 {
             continue;
         }

@@ -1,6 +1,7 @@
 //! Steps as a run publishes them, made without a run.
 #![allow(dead_code)]
 
+use learner::replay::INPUTS;
 use shm_config::message::{Driver, FEATURES, Judge, Preference, Proposal, Reason, Step};
 use vehicle::Action;
 
@@ -76,8 +77,9 @@ pub fn of_episode(mut step: Step, episode: u32) -> Step {
 }
 
 /// The policy's input at a step.
-pub fn state(step: &Step) -> [f32; FEATURES] {
-    let mut state = [0.0; FEATURES];
+pub fn state(step: &Step) -> [f32; INPUTS] {
+    let mut state = [0.0; INPUTS];
+    state[FEATURES..].copy_from_slice(&step.motion);
     step.observation.features(&mut state).expect("240 beams");
     state
 }

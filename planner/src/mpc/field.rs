@@ -1,6 +1,6 @@
 use crate::mpc::body::Body;
 use crate::mpc::line::{Line, Place};
-use crate::track::Sighting;
+use tracker::Sighting;
 use vehicle::{Point, Sight};
 
 /// Larger clearances count as this one, m.

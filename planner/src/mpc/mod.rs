@@ -34,7 +34,6 @@ use shm_config::message::{
 use vehicle::{Control, Point, Pose, Vehicle, pose};
 
 use crate::rrt_star::header;
-use crate::track::{EgoFilter, Tracker};
 use body::Body;
 use field::Field;
 use lattice::{Ground, Lattice, Path};
@@ -42,6 +41,7 @@ use line::{Line, Place};
 use model::{Model, State};
 use nearby::Nearby;
 use problem::{Problem, Solution, Stage, Task};
+use tracker::{EgoFilter, Moving, Tracker};
 
 pub use problem::Effort;
 use speed::{Profile, Way};
@@ -151,7 +151,19 @@ impl Mpc {
         self.problem.set_given_up(false);
     }
 
-    /// The same; `prepared` is called before the search begins.
+    /// Plans without a memory, among what is known to move.
+    pub(crate) fn plan_anew(
+        &mut self,
+        observation: &Observation,
+        moving: &[Moving],
+        out: &mut Plan,
+    ) {
+        self.forget();
+        self.tracker.suppose(observation, moving);
+        self.plan_as_seen(observation, EgoFilter::new(&observation.ego), out, || ());
+    }
+
+    /// As [`Mpc::plan`]; `prepared` is called before the search begins.
     pub(crate) fn plan_in_parts(
         &mut self,
         observation: &Observation,
@@ -159,6 +171,17 @@ impl Mpc {
         prepared: impl FnOnce(),
     ) {
         let ego = self.remember(observation);
+        self.plan_as_seen(observation, ego, out, prepared);
+    }
+
+    /// Plans with the tracker's sightings of this observation.
+    fn plan_as_seen(
+        &mut self,
+        observation: &Observation,
+        ego: EgoFilter,
+        out: &mut Plan,
+        prepared: impl FnOnce(),
+    ) {
         let line = Line::new(observation);
         let (sight, world_from_body) = (observation.fan().sight(), world_from_body(observation));
         let sightings = self.tracker.sightings();

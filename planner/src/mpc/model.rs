@@ -1,4 +1,4 @@
-use crate::track::YAW_LAG_S;
+use tracker::YAW_LAG_S;
 
 /// Numbers of a state: distance along the road, m; offset to its left, m;
 /// heading against it, rad; speed, m/s; turning rate, rad/s.

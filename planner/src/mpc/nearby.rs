@@ -1,7 +1,7 @@
 use vehicle::{Extent, Point, Pose, Sight};
 
 use crate::mpc::body::Body;
-use crate::track::Sighting;
+use tracker::Sighting;
 
 /// Most places that are remembered: the outlines within reach of a truck have a quarter.
 const PLACES_MAX: usize = 512;

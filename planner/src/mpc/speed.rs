@@ -3,9 +3,9 @@ use vehicle::{Footprint, Vehicle, pose};
 use crate::mpc::lattice::Path;
 use crate::mpc::line::{Line, Place};
 use crate::mpc::traffic::{Foe, Traffic};
-use crate::track::Sighting;
 use shm_config::config::Mpc as Config;
 use shm_config::message::PLANNED_MAX;
+use tracker::Sighting;
 
 /// Instants of a profile: the steps, and as many after them.
 const INSTANTS: usize = 2 * PLANNED_MAX;

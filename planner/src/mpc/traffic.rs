@@ -5,7 +5,7 @@ use shm_config::message::{BEAMS_MAX, PLANNED_MAX};
 use vehicle::{Point, Vector, Vehicle, wrap_rad};
 
 use crate::mpc::line::Line;
-use crate::track::Sighting;
+use tracker::Sighting;
 
 /// Instants looked at: every second one of a profile.
 const LOOKS: usize = PLANNED_MAX;
@@ -183,6 +183,7 @@ mod tests {
         observation.checkpoints[0].x_body_m = 60.0;
         observation.checkpoints[1].x_body_m = 60.0;
         let body = Sighting {
+            beam: 0,
             point_body: Point::new(at.0, at.1),
             velocity_body: Vector::new(velocity.0, velocity.1),
             turn_radps: 0.5,

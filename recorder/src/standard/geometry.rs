@@ -1,9 +1,10 @@
 //! What a step shows from above, in the body frame of its observation: x forward, y left,
 //! m.
 
-use planner::{CentreLine, Sighting, Tracker};
+use planner::CentreLine;
 use shm_config::config::Config;
 use shm_config::message::{Observation, Step};
+use tracker::{Sighting, Tracker};
 use vehicle::{Action, Point, State, Vector, step};
 
 /// The road is drawn from this far behind the car, m.
@@ -13,9 +14,6 @@ const ROAD_AHEAD_M: f64 = 70.0;
 /// Length of one piece of the drawn road, m: in the tightest bend, of 19 m, its chord
 /// leaves the edge by 3 cm.
 const ROAD_PIECE_M: f64 = 2.0;
-/// A pause between two scans after which bodies are followed anew, ns: by then a car at
-/// 15 m/s has left the gate of its track.
-const TRACK_PAUSE_NS: u64 = 1_000_000_000;
 /// Two sightings with velocities that differ by less are of one body, m/s.
 const SAME_MPS: f64 = 1e-9;
 
@@ -65,40 +63,19 @@ pub struct Body {
 
 /// Follows the bodies in successive scans.
 #[derive(Debug, Default)]
-pub struct Bodies {
-    tracker: Tracker,
-    /// Episode and instant of the last scan.
-    last: Option<(u32, u64)>,
-}
+pub struct Bodies(Tracker);
 
 impl Bodies {
     /// Follows the bodies in a step's scan; a scan that was followed already counts once.
     pub fn follow(&mut self, step: &Step) {
-        let observation = &step.observation;
-        let (episode, taken_ns) = (observation.header.episode, observation.header.taken_ns);
-        let step_ns = match self.last {
-            Some((last, begun_ns)) if last == episode && taken_ns >= begun_ns => {
-                taken_ns - begun_ns
-            }
-            _ => u64::MAX,
-        };
-        // The same observation again.
-        if step_ns == 0 {
-            return;
-        }
-        if step_ns > TRACK_PAUSE_NS {
-            self.tracker.forget();
-        }
-        self.last = Some((episode, taken_ns));
-        let step_s = step_ns.min(TRACK_PAUSE_NS) as f64 * 1e-9;
-        self.tracker.update(observation, step_s);
+        self.0.follow(&step.observation);
     }
 
     /// The bodies that move: successive returns with one velocity are of one body.
     pub fn moving(&self) -> impl Iterator<Item = Body> {
         let same =
             |a: &Sighting, b: &Sighting| (a.velocity_body - b.velocity_body).norm() < SAME_MPS;
-        let runs = self.tracker.sightings().chunk_by(same);
+        let runs = self.0.sightings().chunk_by(same);
         runs.filter(|run| run[0].moves()).map(|run| {
             let sum = run
                 .iter()

@@ -71,6 +71,9 @@ pub struct Learner {
     pub critic_pedal: f64,
     /// For pvp: publish the running average of the actor, not the actor.
     pub averaged: bool,
+    /// The policy also takes how the bodies around the car move, in each of 60 sectors; the
+    /// expert then knows it at imagined scenes, too.
+    pub motion: bool,
     /// Capacity of each replay buffer, transitions; PVP4Real.
     pub capacity: u32,
     /// For ppl: predicted states of a rejected action, 0.2 s apart.
@@ -101,6 +104,7 @@ impl Default for Learner {
             critic_steer: 1.0,
             critic_pedal: 1.0,
             averaged: false,
+            motion: false,
             capacity: 50_000,
             predicted_states: 4,
             imagined_scenes: 3,

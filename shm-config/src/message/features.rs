@@ -25,6 +25,25 @@ pub const OBSERVATION_LAYOUT: u64 = fnv1a(
     &FEATURES_VERSION.to_le_bytes(),
 );
 
+/// Sectors of the circle in each of which a policy may be told how the nearest return moves.
+pub const MOTION_SECTORS: usize = 60;
+/// Numbers of the policy's input that tell how bodies move: the velocity of the nearest return
+/// in each sector, forward and to the left. A scan alone does not show it.
+pub const MOTION_FEATURES: usize = 2 * MOTION_SECTORS;
+/// Length of the input of a policy that is told how bodies move.
+pub const INPUTS_WITH_MOTION: usize = FEATURES + MOTION_FEATURES;
+/// The feature of a component of a velocity that is zero.
+pub const MOTION_AT_REST: f32 = 0.5;
+/// The version of the meaning of [`motion_feature`] and [`motion_sector`].
+const MOTION_VERSION: u32 = 1;
+/// The feature map of weights that are told how bodies move.
+pub const MOTION_LAYOUT: u64 = fnv1a(OBSERVATION_LAYOUT, &MOTION_VERSION.to_le_bytes());
+
+/// Velocity over ground that is shown as 1, m/s; minus that is shown as 0.
+const MOTION_MPS: f64 = 20.0;
+/// Beams of a sector. The first sector has its middle ahead.
+const SECTOR_BEAMS: usize = FEATURE_BEAMS / MOTION_SECTORS;
+
 /// Distance to an edge of the road that is shown as 1, m: four lanes of 4.5 m.
 const EDGE_M: f64 = 18.0;
 /// Widest lane, m.
@@ -50,6 +69,17 @@ pub fn fits_policy(fan: &Fan) -> bool {
         && fan.is_circle()
         && fan.heading_rad == 0.0
         && fan.mount_body == Point::origin()
+}
+
+/// The feature in [0, 1] of a component of a velocity over ground, m/s.
+pub fn motion_feature(velocity_mps: f64) -> f32 {
+    (f64::from(MOTION_AT_REST) + velocity_mps / (2.0 * MOTION_MPS)).clamp(0.0, 1.0) as f32
+}
+
+/// The sector of a beam of a scan that policies are trained with. Sector 0 is ahead, the
+/// others follow counter-clockwise.
+pub fn motion_sector(beam: usize) -> usize {
+    (beam + SECTOR_BEAMS / 2) / SECTOR_BEAMS % MOTION_SECTORS
 }
 
 impl Observation {

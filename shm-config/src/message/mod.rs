@@ -28,7 +28,9 @@ pub use camera::{Camera, TOP_DOWN_ACROSS_M, TOP_DOWN_AHEAD, TOP_DOWN_HEIGHT_M, V
 pub use command::{Command, Driver, Reason};
 pub use fault::{Fault, FaultKind};
 pub use features::{
-    FEATURE_BEAMS, FEATURES, FEATURES_VERSION, OBSERVATION_LAYOUT, STATE_FEATURES, fits_policy,
+    FEATURE_BEAMS, FEATURES, FEATURES_VERSION, INPUTS_WITH_MOTION, MOTION_AT_REST, MOTION_FEATURES,
+    MOTION_LAYOUT, MOTION_SECTORS, OBSERVATION_LAYOUT, STATE_FEATURES, fits_policy, motion_feature,
+    motion_sector,
 };
 pub use frame::{
     FRAME_BYTES_MAX, FRAME_SIDES_PX, Foresight, Frame, FrameRequest, Outlook, PixelFormat,

@@ -1,8 +1,9 @@
 use vehicle::Action;
 
 use super::{
-    Advice, Before, Command, Driver, Entry, Header, Intent, Lateness, Message, Observation, Plan,
-    Reason, Refusal, Stage, Takeover, header_accessors, known, within,
+    Advice, Before, Command, Driver, Entry, Header, Intent, Lateness, MOTION_AT_REST,
+    MOTION_FEATURES, Message, Observation, Plan, Reason, Refusal, Stage, Takeover,
+    header_accessors, known, within,
 };
 
 /// A late tick at most this long after another one is part of the same event, ns: under load
@@ -99,7 +100,7 @@ crate::message! {
     /// The record of one tick of the controller: everything known and decided. From it
     /// and the run's configuration the tick can be recomputed bit by bit
     /// (`controller::Recomputer`).
-    pub struct Step: 11392 bytes,
+    pub struct Step: 11872 bytes,
         nested [
             Header, Before, Entry, Observation, Plan, Advice, Takeover, Proposal, Assessment,
             ShadowProposal, Command, Timings
@@ -161,6 +162,10 @@ crate::message! {
         pub takeover_used: u32,
         /// A [`Lateness`]: of the command.
         pub lateness: u32,
+        /// How the bodies of the observation move, as a policy takes it: for each of 60 sectors
+        /// the velocity of the nearest return, forward and to the left, where 0 is -20 m/s, 0.5
+        /// is rest and 1 is 20 m/s. All at rest unless a policy is loaded that takes it.
+        pub motion: [f32; 120],
         /// The observation; the last admitted one when none arrived. It ends the step, so that
         /// beams which the scanner does not have are not sent.
         pub observation: Observation,
@@ -289,6 +294,7 @@ impl Default for Step {
             stage: Stage::Unloaded.code(),
             takeover_used: 0,
             lateness: Lateness::OnTime.code(),
+            motion: [MOTION_AT_REST; MOTION_FEATURES],
             observation: Observation::default(),
         }
     }
@@ -324,6 +330,9 @@ impl Message for Step {
             (code <= 1).then_some(code)
         })?;
         known("lateness", self.lateness, Lateness::from_code)?;
+        for &velocity in &self.motion {
+            within("motion", f64::from(velocity), 0.0..=1.0)?;
+        }
         self.command.check()
     }
 }

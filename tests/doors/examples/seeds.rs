@@ -12,7 +12,7 @@ use std::path::Path;
 use doors::{KINDS, as_bytes};
 use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, Mark};
-use learner::replay::{Buffer, Then, Transition};
+use learner::replay::{Buffer, INPUTS, Then, Transition};
 use policy::{Activation, Layer, Mlp, Provenance};
 use recorder::{Origin, Writer};
 use shm_config::Instant;
@@ -270,8 +270,8 @@ fn of_recordings() {
         .enumerate()
     {
         let transition = Transition {
-            state: [0.25; FEATURES],
-            next: [0.5; FEATURES],
+            state: [0.25; INPUTS],
+            next: [0.5; INPUTS],
             applied: [0.1, 0.2],
             policy: [0.3, 0.4],
             expert: [0.5, 0.6],
@@ -305,6 +305,7 @@ fn checkpoints(folder: &Path) {
     use rand_xoshiro::rand_core::SeedableRng;
     let mut random = Xoshiro256PlusPlus::seed_from_u64(3);
     let size = Size {
+        inputs: 259,
         hidden: 2,
         batch: 4,
     };

@@ -151,8 +151,8 @@ mod tests {
         let of = |name: &str| flows.iter().find(|flow| flow.service == name).expect(name);
         // 10 steps a second; six processes send two histograms a second.
         let step = of("step");
-        assert_eq!((step.messages_per_s, step.message_bytes), (10.0, 11392.0));
-        assert_eq!(step.queue_bytes, 2048.0 * 11392.0);
+        assert_eq!((step.messages_per_s, step.message_bytes), (10.0, 11872.0));
+        assert_eq!(step.queue_bytes, 2048.0 * 11872.0);
         assert_eq!(of("timing/*").messages_per_s, 12.0);
         for own in [
             "observation",

@@ -4,7 +4,7 @@ use shm_config::message::{FEATURES, Preference};
 
 use super::{Pvp, Settings};
 use crate::algorithm::{Learned, Size};
-use crate::replay::{ACTIONS, Replay, Then, Transition};
+use crate::replay::{ACTIONS, INPUTS, Replay, Then, Transition};
 
 /// Directions in parameter space that are tried.
 const DIRECTIONS: usize = 20;
@@ -23,7 +23,7 @@ fn drawn(seed: u64) -> Pvp {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut replay = Replay::new(100);
     for k in 0..60 {
-        let mut numbers = |scale: f32| -> [f32; FEATURES] {
+        let mut numbers = |scale: f32| -> [f32; INPUTS] {
             std::array::from_fn(|_| 0.5 + scale * random.random_range(-0.5..0.5))
         };
         let (state, next) = (numbers(0.5), numbers(0.5));
@@ -47,6 +47,7 @@ fn drawn(seed: u64) -> Pvp {
         replay.push(transition.buffer(), transition);
     }
     let size = Size {
+        inputs: FEATURES,
         hidden: 12,
         batch: 32,
     };
@@ -150,8 +151,8 @@ fn an_eased_hand_over_is_judged_by_what_the_expert_proposed() {
     let mut replay = Replay::new(10);
     // The test changes the pedal, which mirroring leaves unchanged.
     let transition = Transition {
-        state: [0.5; FEATURES],
-        next: [0.5; FEATURES],
+        state: [0.5; INPUTS],
+        next: [0.5; INPUTS],
         applied: [0.0, 0.6],
         policy: [0.0, 0.9],
         expert: [0.0, -0.6],
@@ -188,8 +189,8 @@ fn a_replay_without_preferences_is_learnt_from_all_the_same() {
     let mut pvp = drawn(3);
     let mut replay = Replay::new(10);
     let transition = Transition {
-        state: [0.5; FEATURES],
-        next: [0.4; FEATURES],
+        state: [0.5; INPUTS],
+        next: [0.4; INPUTS],
         applied: [0.1, 0.2],
         policy: [0.3, 0.4],
         expert: [0.5, 0.6],

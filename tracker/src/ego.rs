@@ -1,11 +1,11 @@
 use shm_config::message::Ego;
 use vehicle::{Action, Vehicle};
 
-use super::kalman::Kalman;
+use crate::kalman::Kalman;
 
 /// Time in which the turning rate follows the wheels to 1/e, s: each of the
 /// simulator's sub-steps of 0.02 s takes a fifth of the tyres' slip away.
-pub(crate) const YAW_LAG_S: f64 = 0.09;
+pub const YAW_LAG_S: f64 = 0.09;
 /// How well speeds, m/s, and turning rates, rad/s, are measured.
 const SPEED_DEVIATION: f64 = 0.05;
 const YAW_RATE_DEVIATION: f64 = 0.02;
@@ -20,14 +20,14 @@ const MOVING_MPS: f64 = 1.0;
 /// and how strongly engine and steering answer, compared with the model. The
 /// simulator draws the engine's force for each episode.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct EgoFilter {
+pub struct EgoFilter {
     speed: Kalman,
     yaw_rate: Kalman,
 }
 
 impl EgoFilter {
     /// At the first observation of an episode.
-    pub(crate) fn new(ego: &Ego) -> Self {
+    pub fn new(ego: &Ego) -> Self {
         Self {
             speed: Kalman::new((ego.speed_mps, SPEED_DEVIATION), (1.0, 0.1)),
             yaw_rate: Kalman::new((ego.yaw_rate_radps, YAW_RATE_DEVIATION), (1.0, 0.1)),
@@ -35,7 +35,7 @@ impl EgoFilter {
     }
 
     /// One observation later by `step_s`.
-    pub(crate) fn update(&mut self, ego: &Ego, vehicle: &Vehicle, step_s: f64) {
+    pub fn update(&mut self, ego: &Ego, vehicle: &Vehicle, step_s: f64) {
         let action = Action {
             steer: ego.steer,
             pedal: ego.pedal,
@@ -62,22 +62,22 @@ impl EgoFilter {
     }
 
     /// Speed, m/s.
-    pub(crate) fn speed_mps(&self) -> f64 {
+    pub fn speed_mps(&self) -> f64 {
         self.speed.value().max(0.0)
     }
 
     /// Turning rate, rad/s, counter-clockwise.
-    pub(crate) fn yaw_rate_radps(&self) -> f64 {
+    pub fn yaw_rate_radps(&self) -> f64 {
         self.yaw_rate.value()
     }
 
     /// Acceleration at full pedal, compared with the model's.
-    pub(crate) fn engine_gain(&self) -> f64 {
+    pub fn engine_gain(&self) -> f64 {
         self.speed.driver().clamp(GAINS.0, GAINS.1)
     }
 
     /// Turning rate at an angle of the wheels, compared with the model's.
-    pub(crate) fn steering_gain(&self) -> f64 {
+    pub fn steering_gain(&self) -> f64 {
         self.yaw_rate.driver().clamp(GAINS.0, GAINS.1)
     }
 }

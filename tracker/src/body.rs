@@ -1,8 +1,8 @@
 use vehicle::{Point, Vector};
 
-use super::cluster::{Cluster, Returns};
-use super::kalman::Kalman;
-use super::kinematic::Kinematic;
+use crate::cluster::{Cluster, Returns};
+use crate::kalman::Kalman;
+use crate::kinematic::Kinematic;
 
 /// How well a face of a body is measured, m, and the share of the beams' spacing there that
 /// comes on top, along the body and across it.
@@ -33,7 +33,7 @@ const HEADED_MPS: f64 = 1.5;
 
 /// How a body moves over ground: its velocity in the world frame, m/s, and the rate at which
 /// that turns, rad/s.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Motion {
     pub(crate) velocity_world: Vector,
     pub(crate) turn_radps: f64,

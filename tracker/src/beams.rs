@@ -4,14 +4,14 @@ use vehicle::{Fan, Point, Sight, Vector};
 /// The directions of the lidar's beams in the body frame, and what they see, kept between
 /// plans because the sine and cosine of 240 beams cost more than the grid.
 #[derive(Debug, Default)]
-pub(crate) struct Beams {
+pub struct Beams {
     sight: Option<Sight>,
     directions_body: heapless::Vec<Vector, BEAMS_MAX>,
 }
 
 impl Beams {
     /// Directions for the beams of this fan, at most the capacity.
-    pub(crate) fn prepare(&mut self, fan: Fan) {
+    pub fn prepare(&mut self, fan: Fan) {
         if self.sight.is_some_and(|sight| *sight.fan() == fan) {
             return;
         }
@@ -23,18 +23,18 @@ impl Beams {
     }
 
     /// What the fan prepared last sees.
-    pub(crate) fn sight(&self) -> Option<Sight> {
+    pub fn sight(&self) -> Option<Sight> {
         self.sight
     }
 
     /// The directions of the fan prepared last.
-    pub(crate) fn directions_body(&self) -> &[Vector] {
+    pub fn directions_body(&self) -> &[Vector] {
         &self.directions_body
     }
 
     /// The beams that hit something, and where; a beam at its full range hit nothing.
     #[cfg(feature = "std")]
-    pub(crate) fn returns<'a>(
+    pub fn returns<'a>(
         &'a self,
         observation: &'a Observation,
     ) -> impl Iterator<Item = (usize, Point)> + 'a {
@@ -45,12 +45,7 @@ impl Beams {
 
     /// The point that a beam hit, from a scanner that is mounted there; `None` when it hit
     /// nothing.
-    pub(crate) fn hit(
-        &self,
-        observation: &Observation,
-        mount_body: Point,
-        beam: usize,
-    ) -> Option<Point> {
+    pub fn hit(&self, observation: &Observation, mount_body: Point, beam: usize) -> Option<Point> {
         let range_m = *observation.ranges().get(beam)?;
         let direction = self.directions_body.get(beam)?;
         let is_hit = range_m < observation.lidar_max_m;

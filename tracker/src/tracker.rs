@@ -1,25 +1,12 @@
-//! What moves: the car's own state, and the bodies that the lidar sees.
-//!
-//! The returns of a scan are parted into clusters, and a cluster is followed from scan to
-//! scan. It moves when it is where earlier scans saw through, or when this one sees through
-//! where it was: what comes into view behind another body does neither.
-
-mod body;
-mod cluster;
-mod ego;
-mod kalman;
-mod kinematic;
-mod past;
-
-pub(crate) use ego::{EgoFilter, YAW_LAG_S};
-
-use shm_config::message::{BEAMS_MAX, Observation};
+use shm_config::message::{
+    BEAMS_MAX, MOTION_AT_REST, MOTION_FEATURES, Observation, motion_feature, motion_sector,
+};
 use vehicle::{Point, Pose, Vector, pose};
 
 use crate::beams::Beams;
-use body::{Motion, Track, View};
-use cluster::{CLUSTERS_MAX, Cluster, Return, Returns, clusters};
-use past::Past;
+use crate::body::{Motion, Track, View};
+use crate::cluster::{CLUSTERS_MAX, Cluster, Return, Returns, clusters};
+use crate::past::Past;
 
 /// Most bodies followed at a time.
 const TRACKS_MAX: usize = 64;
@@ -32,10 +19,17 @@ const PAIRS_MAX: usize = 512;
 const PART_MAX: usize = 2;
 /// A track is dropped after it was not seen this often.
 const MISSED_MAX: u32 = 5;
+/// A pause between two scans after which bodies are followed anew, s: by then a car at
+/// 15 m/s has left the gate of its track.
+const PAUSE_S: f64 = 1.0;
+/// A return that is nearer than this to one of a moving body belongs to that body, m.
+const SAME_BODY_M: f64 = 0.5;
 
 /// One lidar return with the velocity of its body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
+    /// Number of its beam.
+    pub beam: usize,
     /// Where, in the body frame, m.
     pub point_body: Point,
     /// Velocity over ground, in the body frame's directions, m/s; zero at rest.
@@ -53,7 +47,18 @@ impl Sighting {
     }
 }
 
+/// A return of a body that moves, over ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Moving {
+    point_world: Point,
+    motion: Motion,
+}
+
 /// Follows bodies from scan to scan. All memory is its own.
+///
+/// The returns of a scan are parted into clusters, and a cluster is followed from scan to
+/// scan. It moves when it is where earlier scans saw through, or when this one sees through
+/// where it was: what comes into view behind another body does neither.
 #[derive(Debug, Default)]
 pub struct Tracker {
     beams: Beams,
@@ -62,6 +67,8 @@ pub struct Tracker {
     last_id: u32,
     past: Past,
     sightings: heapless::Vec<Sighting, BEAMS_MAX>,
+    /// Episode and instant of the last scan, ns, of [`Tracker::follow`].
+    last: Option<(u32, u64)>,
 }
 
 impl Tracker {
@@ -69,6 +76,76 @@ impl Tracker {
     pub fn forget(&mut self) {
         self.tracks.clear();
         self.past.forget();
+        self.last = None;
+    }
+
+    /// Takes the scan of an observation in, by the time that has passed since the last one;
+    /// that of another episode, or after a pause, as the first. The last one again changes
+    /// nothing.
+    pub fn follow(&mut self, observation: &Observation) {
+        let now = (observation.header.episode, observation.header.taken_ns);
+        if self.last == Some(now) {
+            return;
+        }
+        let since_s = self.last.and_then(|(episode, taken_ns)| {
+            let passed_s = now.1.checked_sub(taken_ns)? as f64 * 1e-9;
+            (episode == now.0 && passed_s <= PAUSE_S).then_some(passed_s)
+        });
+        if since_s.is_none() {
+            self.forget();
+        }
+        self.last = Some(now);
+        self.update(observation, since_s.unwrap_or(0.0));
+    }
+
+    /// Takes a single scan in, in which the returns of these bodies move and all others rest.
+    pub fn suppose(&mut self, observation: &Observation, moving: &[Moving]) {
+        self.forget();
+        let world_from_body = world_from_body(observation);
+        self.sight(observation, &world_from_body);
+        for sighting in &mut self.sightings {
+            let point_world = world_from_body * sighting.point_body;
+            let away = |moving: &&Moving| (moving.point_world - point_world).norm_squared();
+            let nearest = moving.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+            if let Some(body) = nearest.filter(|body| away(body) < SAME_BODY_M * SAME_BODY_M) {
+                let velocity_world = body.motion.velocity_world;
+                sighting.velocity_body = world_from_body.rotation.inverse() * velocity_world;
+                sighting.turn_radps = body.motion.turn_radps;
+            }
+        }
+    }
+
+    /// The returns of the last scan, which is that of this observation, whose bodies move.
+    pub fn moving(&self, observation: &Observation) -> impl Iterator<Item = Moving> {
+        let world_from_body = world_from_body(observation);
+        let moving = self.sightings.iter().filter(|sighting| sighting.moves());
+        moving.map(move |sighting| Moving {
+            point_world: world_from_body * sighting.point_body,
+            motion: Motion {
+                velocity_world: world_from_body.rotation * sighting.velocity_body,
+                turn_radps: sighting.turn_radps,
+            },
+        })
+    }
+
+    /// How what the last scan shows moves, as a policy takes it: for each sector of the circle
+    /// the velocity of the nearest return.
+    pub fn motion(&self, out: &mut [f32; MOTION_FEATURES]) {
+        out.fill(MOTION_AT_REST);
+        let mut nearest_m = [f64::INFINITY; MOTION_FEATURES / 2];
+        for sighting in &self.sightings {
+            let away_m = sighting.point_body.coords.norm();
+            let sector = motion_sector(sighting.beam);
+            let Some(nearest_m) = nearest_m
+                .get_mut(sector)
+                .filter(|nearest| away_m < **nearest)
+            else {
+                continue;
+            };
+            *nearest_m = away_m;
+            out[2 * sector] = motion_feature(sighting.velocity_body.x);
+            out[2 * sector + 1] = motion_feature(sighting.velocity_body.y);
+        }
     }
 
     /// All returns of the last scan.
@@ -78,8 +155,7 @@ impl Tracker {
 
     /// Takes a scan in, `step_s` after the last one.
     pub fn update(&mut self, observation: &Observation, step_s: f64) {
-        let ego = &observation.ego;
-        let world_from_body = pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
+        let world_from_body = world_from_body(observation);
         let returns = self.sight(observation, &world_from_body);
         for track in &mut self.tracks {
             track.predict(step_s);
@@ -135,6 +211,7 @@ impl Tracker {
                 range_m: point_body.coords.norm(),
             });
             let _ = self.sightings.push(Sighting {
+                beam,
                 point_body,
                 velocity_body: Vector::zeros(),
                 turn_radps: 0.0,
@@ -226,6 +303,12 @@ impl Tracker {
             sighting.radius_m = cluster.radius_m;
         }
     }
+}
+
+/// The car's pose in the world.
+fn world_from_body(observation: &Observation) -> Pose {
+    let ego = &observation.ego;
+    pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad)
 }
 
 const _: () = assert!(CLUSTERS_MAX <= TRACKS_MAX, "every cluster can be followed");

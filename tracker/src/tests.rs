@@ -6,6 +6,7 @@ use shm_config::message::{Ego, Observation};
 use vehicle::{Action, Footprint, Vehicle, pose};
 
 use super::*;
+use crate::{EgoFilter, YAW_LAG_S};
 
 const STEP_S: f64 = 0.1;
 const CAR: Footprint = Footprint {
@@ -256,4 +257,61 @@ fn learns_the_gains_of_engine_and_steering() {
     );
     assert!((filter.speed_mps() - ego.speed_mps).abs() < 0.05);
     assert!((filter.yaw_rate_radps() - ego.yaw_rate_radps).abs() < 0.02);
+}
+
+/// A car ahead that drives away at 8 m/s is told in the sector ahead, and nothing elsewhere.
+#[test]
+fn a_policy_is_told_the_velocity_of_the_nearest_return_of_each_sector() {
+    let mut tracker = Tracker::default();
+    let own = pose(0.0, 0.0, 0.0);
+    for tick in 0..15 {
+        let at = pose(12.0 + 0.8 * f64::from(tick), 0.0, 0.0);
+        let resting = pose(0.0, 15.0, 0.0);
+        let mut observation = seen(&own, &[(at, CAR), (resting, CAR)]);
+        observation.header.taken_ns = tick as u64 * 100_000_000;
+        tracker.follow(&observation);
+        // The same one again changes nothing.
+        let sightings = tracker.sightings().to_vec();
+        tracker.follow(&observation);
+        assert_eq!(tracker.sightings(), sightings);
+    }
+    let mut motion = [0.0; MOTION_FEATURES];
+    tracker.motion(&mut motion);
+    assert!((motion[0] - 0.7).abs() < 0.03, "{}", motion[0]);
+    assert!((motion[1] - 0.5).abs() < 0.02, "{}", motion[1]);
+    let ahead = |sector: usize| (1..MOTION_FEATURES / 2 - 1).contains(&sector);
+    for sector in (0..MOTION_FEATURES / 2).filter(|sector| ahead(*sector)) {
+        assert_eq!(
+            motion[2 * sector..2 * sector + 2],
+            [MOTION_AT_REST; 2],
+            "{sector}"
+        );
+    }
+}
+
+/// What is known to move keeps its velocity over ground in a scan from another pose.
+#[test]
+fn a_single_scan_takes_the_motion_that_is_known() {
+    let mut tracker = Tracker::default();
+    let mut last = Observation::default();
+    let at = |tick: i32| pose(12.0 + 0.8 * f64::from(tick), 0.0, 0.0);
+    for tick in 0..15 {
+        last = seen(&pose(0.0, 0.0, 0.0), &[(at(tick), CAR)]);
+        last.header.taken_ns = tick as u64 * 100_000_000;
+        tracker.follow(&last);
+    }
+    let moving: Vec<Moving> = tracker.moving(&last).collect();
+    assert!(!moving.is_empty());
+    // From a little to the left, turned to the left by a quarter: it drives to the right.
+    let turned = pose(0.0, 0.5, std::f64::consts::FRAC_PI_2);
+    let mut there = Tracker::default();
+    there.suppose(&seen(&turned, &[(at(14), CAR)]), &moving);
+    let moves: Vec<&Sighting> = there.sightings().iter().filter(|one| one.moves()).collect();
+    assert!(!moves.is_empty());
+    for sighting in moves {
+        let off = sighting.velocity_body - Vector::new(0.0, -8.0);
+        assert!(off.norm() < 1.0, "{}", sighting.velocity_body);
+    }
+    there.suppose(&last, &[]);
+    assert!(there.sightings().iter().all(|one| !one.moves()));
 }
