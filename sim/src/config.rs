@@ -123,6 +123,7 @@ impl WorldConfig {
             traffic_density: self.traffic_density,
             accident_probability: self.accident_probability,
             varied: self.varied,
+            ..ScenarioConfig::default()
         })
     }
 }

@@ -80,6 +80,8 @@ impl Pid {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Idm {
     target_lane: Option<LaneId>,
+    /// Speed on a free road.
+    normal_kmh: f64,
     target_kmh: f64,
     overtake_timer: u32,
     heading: Pid,
@@ -124,11 +126,22 @@ impl Idm {
     pub fn new(overtake_timer: u32, seed: u64) -> Idm {
         Idm {
             target_lane: None,
+            normal_kmh: NORMAL_KMH,
             target_kmh: NORMAL_KMH,
             overtake_timer,
             heading: Pid::NEW,
             lateral: Pid::NEW,
             random: SplitMix64::seed_from_u64(seed),
+        }
+    }
+
+    /// The same driver with another speed on a free road, km/h, in place of MetaDrive's 30.
+    #[must_use]
+    pub fn at_kmh(self, normal_kmh: f64) -> Idm {
+        Idm {
+            normal_kmh,
+            target_kmh: normal_kmh,
+            ..self
         }
     }
 
@@ -198,14 +211,14 @@ impl Idm {
                 self.target_kmh = CREEP_KMH;
                 return stay;
             }
-            self.target_kmh = NORMAL_KMH;
+            self.target_kmh = self.normal_kmh;
             return (side.front, side.front_m, lane);
         }
         let own_kmh = view.bodies[view.own].speed_kmh();
         if let Some(front) = here.front {
             let front_kmh = view.bodies[front].speed_kmh();
-            let may_change = (own_kmh - NORMAL_KMH).abs() > CONTENT_KMH
-                && (front_kmh - NORMAL_KMH).abs() > CONTENT_KMH
+            let may_change = (own_kmh - self.normal_kmh).abs() > CONTENT_KMH
+                && (front_kmh - self.normal_kmh).abs() > CONTENT_KMH
                 && self.overtake_timer > CHANGE_STEPS;
             for (offset, side) in [(-1, left), (1, right)] {
                 let gain_kmh = side
@@ -219,7 +232,7 @@ impl Idm {
                 }
             }
         }
-        self.target_kmh = NORMAL_KMH;
+        self.target_kmh = self.normal_kmh;
         self.overtake_timer += 1;
         stay
     }

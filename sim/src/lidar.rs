@@ -17,6 +17,7 @@ use vehicle::{BEAMS_MAX, Fan, Point, Scanner, Vector};
 use crate::contact::Placed;
 use crate::dynamics::Motion;
 use crate::simd::Width;
+use crate::spawn::ScanNoise;
 use kernel::{Beams, CHUNK, Target, shoot};
 
 /// Height of the beams above the ground, m; a body that lies completely above or below
@@ -37,7 +38,8 @@ pub struct Lidar {
     fan: Fan,
     count: usize,
     range_m: f64,
-    drop_probability: f64,
+    own: ScanNoise,
+    noise: ScanNoise,
     width: Width,
 }
 
@@ -61,12 +63,17 @@ impl Lidar {
             let beams = &mut beams_body[k / CHUNK];
             (beams.x[k % CHUNK], beams.y[k % CHUNK]) = (cos, sin);
         }
+        let own = ScanNoise {
+            drop_probability: scanner.drop_probability,
+            range_m: 0.0,
+        };
         Lidar {
             beams_body: beams_body.into(),
             fan,
             count,
             range_m: scanner.range_m,
-            drop_probability: scanner.drop_probability,
+            own,
+            noise: own,
             width: Width::default(),
         }
     }
@@ -88,17 +95,36 @@ impl Lidar {
         }
     }
 
-    /// Takes some returns away, each with the scanner's probability; such a beam shows
-    /// its full range. `of` are two numbers that decide which.
-    pub fn drop_returns(&self, of: (u64, u64), ranges_m: &mut [f32]) {
-        if self.drop_probability <= 0.0 {
-            return;
-        }
+    /// An episode begins, with what is wrong with its scans beside what the scanner has.
+    pub fn begin(&mut self, noise: ScanNoise) {
+        self.noise = ScanNoise {
+            drop_probability: self.own.drop_probability.max(noise.drop_probability),
+            range_m: noise.range_m,
+        };
+    }
+
+    /// Disturbs ranges, and takes some returns away: such a beam shows its full range. `of`
+    /// are two numbers that decide which and how.
+    pub fn disturb(&self, of: (u64, u64), ranges_m: &mut [f32]) {
+        let ScanNoise {
+            drop_probability,
+            range_m: deviation_m,
+        } = self.noise;
         let seed = Draw::new(of.0).bits() ^ of.1;
         let (mut draw, max_m) = (Draw::new(seed), self.range_m as f32);
-        for range_m in ranges_m.iter_mut().take(self.count) {
-            if draw.within(0.0, 1.0) < self.drop_probability {
-                *range_m = max_m;
+        if drop_probability > 0.0 {
+            for range_m in ranges_m.iter_mut().take(self.count) {
+                if draw.within(0.0, 1.0) < drop_probability {
+                    *range_m = max_m;
+                }
+            }
+        }
+        if deviation_m > 0.0 {
+            let hits = ranges_m.iter_mut().take(self.count);
+            for range_m in hits.filter(|range_m| **range_m < max_m) {
+                // Irwin and Hall: the sum of 12 even draws is nearly normal.
+                let sum: f64 = (0..12).map(|_| draw.within(-0.5, 0.5)).sum();
+                *range_m = (f64::from(*range_m) + deviation_m * sum).max(0.0) as f32;
             }
         }
     }

@@ -27,9 +27,22 @@ pub struct ScenarioConfig {
     pub traffic_density: f64,
     /// Probability of an obstacle on a block that may have one.
     pub accident_probability: f64,
-    /// Whether each seed has its own number of lanes and blocks, density and probability, in
-    /// place of the above: [`ScenarioConfig::of_seed`].
+    /// Whether each seed has its own number of lanes and blocks, density, probability, speed
+    /// of the traffic and noise of the scan: [`ScenarioConfig::of_seed`].
     pub varied: bool,
+    /// Speed at which the traffic drives on a free road; MetaDrive has 30 km/h.
+    pub traffic_kmh: f64,
+    /// What is wrong with the scans, beside what the scanner itself has.
+    pub noise: ScanNoise,
+}
+
+/// What is wrong with scans.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ScanNoise {
+    /// Probability that a beam's return is lost.
+    pub drop_probability: f64,
+    /// Standard deviation of a range, m.
+    pub range_m: f64,
 }
 
 /// Changes the seed of a scenario into that of what is drawn for it.
@@ -40,11 +53,19 @@ const LANES: std::ops::RangeInclusive<u32> = 2..=4;
 const BLOCKS: std::ops::RangeInclusive<u32> = 1..=7;
 /// The greatest traffic density that it may have.
 const DENSITY_MAX: f64 = 0.3;
+/// Speeds on a free road that its traffic may have, km/h.
+const TRAFFIC_KMH: (f64, f64) = (20.0, 40.0);
+/// The worst scans that it may have.
+const NOISE_MAX: ScanNoise = ScanNoise {
+    drop_probability: 0.05,
+    range_m: 0.1,
+};
 
 impl ScenarioConfig {
     /// What the scenario of this seed is like. A varied one has 2 to 4 lanes, 1 to 7 random
-    /// blocks unless their order is given, a traffic density of 0 to 0.3, and an obstacle on
-    /// a block with a probability of 0 to 1, each drawn evenly.
+    /// blocks unless their order is given, a traffic density of 0 to 0.3, an obstacle on
+    /// a block with a probability of 0 to 1, traffic of 20 to 40 km/h, and a scan that loses 0
+    /// to 5 % of its returns and whose ranges deviate by 0 to 0.1 m, each drawn evenly.
     #[must_use]
     pub fn of_seed(&self, seed: u64) -> ScenarioConfig {
         let mut config = self.clone();
@@ -61,6 +82,12 @@ impl ScenarioConfig {
             }
             config.traffic_density = DENSITY_MAX * stream.unit();
             config.accident_probability = stream.unit();
+            let (slow_kmh, fast_kmh) = TRAFFIC_KMH;
+            config.traffic_kmh = slow_kmh + (fast_kmh - slow_kmh) * stream.unit();
+            config.noise = ScanNoise {
+                drop_probability: NOISE_MAX.drop_probability * stream.unit(),
+                range_m: NOISE_MAX.range_m * stream.unit(),
+            };
         }
         config
     }
@@ -73,6 +100,8 @@ impl Default for ScenarioConfig {
             traffic_density: 0.06,
             accident_probability: 0.8,
             varied: false,
+            traffic_kmh: 30.0,
+            noise: ScanNoise::default(),
         }
     }
 }
@@ -209,6 +238,10 @@ pub struct Scenario {
     pub obstacles: Vec<Obstacle>,
     /// The traffic, one group per block after the first, in order.
     pub traffic: Vec<TrafficGroup>,
+    /// Its speed on a free road, km/h.
+    pub traffic_kmh: f64,
+    /// What is wrong with the scans.
+    pub noise: ScanNoise,
 }
 
 impl Scenario {
@@ -259,6 +292,8 @@ fn furnish(config: &ScenarioConfig, map: Map) -> Scenario {
         ego,
         obstacles,
         traffic,
+        traffic_kmh: config.traffic_kmh,
+        noise: config.noise,
     }
 }
 

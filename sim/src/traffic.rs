@@ -111,7 +111,7 @@ impl Traffic {
                 bodies.push(Mover::new(kind, Car::new(kind, forces), motion));
                 self.minds.push(Mind::Driver {
                     navigator,
-                    idm: Idm::new(spawn.overtake_timer, seed),
+                    idm: Idm::new(spawn.overtake_timer, seed).at_kmh(scenario.traffic_kmh),
                 });
             }
             self.groups.push((cars.trigger, self.minds.len()));

@@ -172,6 +172,7 @@ impl World {
         self.driven_m = 0.0;
         self.last_action = Action::default();
         self.delay.forget();
+        self.lidar.begin(scenario.noise);
         self.step = StepOutcome::BEGINNING;
     }
 
@@ -313,10 +314,10 @@ impl World {
             .map(Mover::placed)
             .chain(things.map(|place| fixtures[place].placed));
         self.lidar.scan(&origin, bodies, &mut observation.ranges_m);
-        // Of an instant and an episode, the same returns are dropped in every run.
+        // Of an instant and an episode, the same returns are lost in every run.
         let instant = (self.ticks << 3) + self.substeps as u64;
         let draw = (self.seed(), instant ^ passed.to_bits());
-        self.lidar.drop_returns(draw, &mut observation.ranges_m);
+        self.lidar.disturb(draw, &mut observation.ranges_m);
     }
 
     /// The ego's seen heading a tick before that moment, as a unit vector.

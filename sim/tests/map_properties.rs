@@ -206,7 +206,7 @@ fn any_sequence_lane_count_and_width_generates_or_says_why_not() {
                 map,
                 traffic_density: 0.3,
                 accident_probability: 1.0,
-                varied: false,
+                ..ScenarioConfig::default()
             };
             for seed in seeds.clone() {
                 match Scenario::generate(&config, seed) {
@@ -242,6 +242,12 @@ fn varied_scenarios_are_of_many_kinds_and_each_seed_has_its_own() {
         blocks[count - 1] += 1;
         densities.push(own.traffic_density);
         assert!((0.0..=1.0).contains(&own.accident_probability), "{own:?}");
+        assert!((20.0..=40.0).contains(&own.traffic_kmh), "{own:?}");
+        assert!(
+            (0.0..=0.05).contains(&own.noise.drop_probability),
+            "{own:?}"
+        );
+        assert!((0.0..=0.1).contains(&own.noise.range_m), "{own:?}");
         if seed < 40 {
             let scenario = Scenario::generate(&config, seed).expect("a scenario");
             check_map(&scenario.map, seed);

@@ -5,6 +5,7 @@ use shm_config::message::Observation;
 use sim::dynamics::{Car, Motion};
 use sim::lidar::Lidar;
 use sim::model::VehicleKind;
+use sim::spawn::ScanNoise;
 use sim::{World, WorldConfig};
 use vehicle::{Action, Scanner, Vehicle};
 
@@ -232,9 +233,40 @@ fn a_scan_says_where_its_beams_look_and_drops_its_share() {
     let mut dropped = 0;
     for instant in 0..100 {
         let mut ranges_m = [10.0; 1080];
-        lidar.drop_returns((7, instant), &mut ranges_m);
+        lidar.disturb((7, instant), &mut ranges_m);
         dropped += ranges_m.iter().filter(|&&range_m| range_m == 50.0).count();
     }
     let share = f64::from(dropped as u32) / 108_000.0;
     assert!((0.24..0.26).contains(&share), "{share}");
+}
+
+#[test]
+fn the_ranges_of_a_noisy_scan_deviate_and_no_free_beam_becomes_a_return() {
+    let mut lidar = Lidar::new(&Scanner::default());
+    let noise = ScanNoise {
+        drop_probability: 0.0,
+        range_m: 0.1,
+    };
+    lidar.begin(noise);
+    let scan = |lidar: &Lidar, instant: u64| {
+        let mut ranges_m = [10.0; 240];
+        ranges_m[..40].fill(50.0);
+        lidar.disturb((7, instant), &mut ranges_m);
+        ranges_m
+    };
+    assert_eq!(scan(&lidar, 1), scan(&lidar, 1), "the same of one seed");
+    let mut squares = 0.0;
+    for instant in 0..100 {
+        let ranges_m = scan(&lidar, instant);
+        assert!(ranges_m[..40].iter().all(|range_m| *range_m == 50.0));
+        let off = ranges_m[40..]
+            .iter()
+            .map(|range_m| f64::from(range_m - 10.0));
+        squares += off.map(|off| off * off).sum::<f64>();
+    }
+    let deviation_m = (squares / 20_000.0_f64).sqrt();
+    assert!((0.098..0.102).contains(&deviation_m), "{deviation_m}");
+    // The next episode has no noise.
+    lidar.begin(ScanNoise::default());
+    assert!(scan(&lidar, 1)[40..].iter().all(|range_m| *range_m == 10.0));
 }

@@ -64,8 +64,9 @@ pub struct World {
     /// Probability of an obstacle on a block.
     pub accident_probability: f64,
     /// In the built-in world: whether each episode has its own number of lanes (2 to 4) and,
-    /// without a sequence, of blocks (1 to 7), traffic density (0 to 0.3) and probability of
-    /// an obstacle (0 to 1), drawn from its seed, in place of the keys above.
+    /// without a sequence, of blocks (1 to 7), traffic density (0 to 0.3), probability of
+    /// an obstacle (0 to 1), speed of the traffic (20 to 40 km/h), share of lost returns (0 to
+    /// 0.05) and deviation of ranges (0 to 0.1 m), drawn from its seed.
     pub varied: bool,
     /// Ticks after which an episode ends.
     pub horizon_ticks: u32,
