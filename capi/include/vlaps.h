@@ -24,7 +24,7 @@ extern "C" {
 #endif
 
 /* The hash of all layouts, codes and constants below. A library with another one refuses to join. */
-#define VLAPS_LAYOUT UINT64_C(0xf360a9eba839f6f7)
+#define VLAPS_LAYOUT UINT64_C(0xab9fbf9745e490cf)
 
 #define VLAPS_BEAMS_MAX 2048
 #define VLAPS_WAYPOINTS_MAX 64
@@ -741,11 +741,15 @@ typedef struct vlaps_step {
     uint32_t takeover_used;
     /* A `Lateness`: of the command. */
     uint32_t lateness;
+    /* How the bodies of the observation move, as a policy takes it: for each of 60 sectors
+     * the velocity of the nearest return, forward and to the left, where 0 is -20 m/s, 0.5
+     * is rest and 1 is 20 m/s. All at rest unless a policy is loaded that takes it. */
+    float motion[120];
     /* The observation; the last admitted one when none arrived. It ends the step, so that
      * beams which the scanner does not have are not sent. */
     vlaps_observation observation;
 } vlaps_step;
-VLAPS_ASSERT(sizeof(vlaps_step) == 11392, "vlaps_step");
+VLAPS_ASSERT(sizeof(vlaps_step) == 11872, "vlaps_step");
 VLAPS_ASSERT(offsetof(vlaps_step, header) == 0, "vlaps_step.header");
 VLAPS_ASSERT(offsetof(vlaps_step, before) == 32, "vlaps_step.before");
 VLAPS_ASSERT(offsetof(vlaps_step, observation_entry) == 136, "vlaps_step.observation_entry");
@@ -774,7 +778,8 @@ VLAPS_ASSERT(offsetof(vlaps_step, intent) == 2912, "vlaps_step.intent");
 VLAPS_ASSERT(offsetof(vlaps_step, stage) == 2916, "vlaps_step.stage");
 VLAPS_ASSERT(offsetof(vlaps_step, takeover_used) == 2920, "vlaps_step.takeover_used");
 VLAPS_ASSERT(offsetof(vlaps_step, lateness) == 2924, "vlaps_step.lateness");
-VLAPS_ASSERT(offsetof(vlaps_step, observation) == 2928, "vlaps_step.observation");
+VLAPS_ASSERT(offsetof(vlaps_step, motion) == 2928, "vlaps_step.motion");
+VLAPS_ASSERT(offsetof(vlaps_step, observation) == 3408, "vlaps_step.observation");
 
 typedef struct vlaps_frame_request {
     /* Tick, episode and instant of the observation to be shown. Where a tick has

@@ -4,7 +4,7 @@
 use learner::replay::{ACTIONS, Batch, Buffer, INPUTS, Replay, Then, Transition};
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::{FEATURES, Preference};
+use shm_config::message::Preference;
 
 /// A transition that is identified by its pedal, which mirroring leaves unchanged.
 fn numbered(number: u32, label: Preference) -> Transition {
