@@ -1,7 +1,7 @@
 use shm_config::Instant;
 use shm_config::config::Config;
 use shm_config::difference::{Difference, first_difference};
-use shm_config::message::{Admission, Before, Entry, Header, Step};
+use shm_config::message::{Admission, Before, Entry, Header, MOTION_AT_REST, Step};
 
 use crate::{Arbiter, ArbiterConfig, Inputs, Policy, PolicyAnswer, PolicySlot};
 
@@ -14,6 +14,8 @@ use crate::{Arbiter, ArbiterConfig, Inputs, Policy, PolicyAnswer, PolicySlot};
 pub struct Recomputer {
     arbiter: Arbiter,
     policies: Policies,
+    /// A learner of the run trained a policy that takes how bodies move.
+    trains_motion: bool,
 }
 
 /// Where the policies' proposals come from.
@@ -33,6 +35,7 @@ impl Recomputer {
         Self {
             arbiter: Arbiter::new(ArbiterConfig::from(config)),
             policies: Policies::Recorded,
+            trains_motion: config.learner.enabled && config.learner.motion,
         }
     }
 
@@ -68,6 +71,9 @@ impl Recomputer {
         let now = recorded.header.taken();
         self.arbiter.restore(&recorded.before, held(recorded));
         self.arbiter.admit(&inputs(recorded), now);
+        if self.follows_nothing(recorded) {
+            self.arbiter.step_mut().motion.fill(MOTION_AT_REST);
+        }
         self.repeat_refusals(recorded);
         let answer = self.answer(recorded, now);
         let (tick, intent) = (recorded.header.tick, recorded.intent());
@@ -88,6 +94,21 @@ impl Recomputer {
     /// with its recorded and its recomputed value.
     pub fn first_difference(&mut self, recorded: &Step) -> Option<Difference> {
         first_difference(recorded, self.recompute(recorded))
+    }
+
+    /// The tick took an observation, and none of its policies, which are known, takes how
+    /// bodies move. Otherwise that is the step's: it comes from the scans before.
+    fn follows_nothing(&self, recorded: &Step) -> bool {
+        let Policies::Known(policies) = &self.policies else {
+            return false;
+        };
+        let is_known =
+            |hash: u64| hash == 0 || policies.iter().any(|policy| policy.weights().1 == hash);
+        recorded.observation_entry.admission() == Admission::Admitted
+            && !self.trains_motion
+            && is_known(recorded.weights_hash)
+            && is_known(recorded.shadow.weights_hash)
+            && policies.iter().all(|policy| !policy.takes_motion())
     }
 
     /// A message that the tick refused is not in its step.

@@ -72,6 +72,8 @@ fn is_no_input(topic: &str, field: &str) -> bool {
         "step" => &[
             // How long the tick took, when its inputs were published, how often it was woken.
             "timings.", "skipped",
+            // Which weights proposed: of those that the run does not have, the step says what.
+            "weights_",
         ],
         "plan" => &["planning_ns"],
         // The supervisor alone reads it, for the screen. It is compared where its header names

@@ -232,7 +232,7 @@ fn a_file_of_another_kind_is_refused_and_unchanged() {
     }
     fs::write(&path, b"VLREPL01 and records").expect("a file");
     let error = Journal::open(&path, CAPACITY, 0).err().expect("a refusal");
-    let words = "it has version 01, this build reads version 02";
+    let words = "it has version 01, this build reads version 03";
     assert!(error.to_string().contains(words), "{error}");
 }
 

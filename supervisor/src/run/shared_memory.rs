@@ -151,7 +151,7 @@ mod tests {
         assert!(bytes[0] > 24_000_000 + 8_400_000, "{plain}");
         assert!(bytes[0] < CONTAINER_BYTES, "{plain}");
         let text = plain.to_string();
-        assert!(text.starts_with("44 MB (steps 24, "), "{text}");
+        assert!(text.starts_with("45 MB (steps 25, "), "{text}");
         assert!(!text.contains("pictures"), "{text}");
         assert!(shown.to_string().contains("pictures 4"), "{shown}");
     }
