@@ -223,7 +223,7 @@ fn a_plain_run_has_enough_of_a_containers_shared_memory_and_refuses_too_little()
     for part in [
         "/dev/shm: ",
         " MB free, the run needs ",
-        "(steps 24, weights",
+        "(steps 25, weights",
         "--shm-size",
     ] {
         assert!(line.contains(part), "'{part}' is missing in: {line}");
