@@ -124,7 +124,8 @@ impl Lidar {
             for range_m in hits.filter(|range_m| **range_m < max_m) {
                 // Irwin and Hall: the sum of 12 even draws is nearly normal.
                 let sum: f64 = (0..12).map(|_| draw.within(-0.5, 0.5)).sum();
-                *range_m = (f64::from(*range_m) + deviation_m * sum).max(0.0) as f32;
+                // A return beyond the reach is none.
+                *range_m = ((f64::from(*range_m) + deviation_m * sum) as f32).clamp(0.0, max_m);
             }
         }
     }

@@ -264,6 +264,11 @@ fn the_ranges_of_a_noisy_scan_deviate_and_no_free_beam_becomes_a_return() {
             .map(|range_m| f64::from(range_m - 10.0));
         squares += off.map(|off| off * off).sum::<f64>();
     }
+    let mut far_and_near = [49.99; 240];
+    far_and_near[..40].fill(0.01);
+    lidar.disturb((7, 1), &mut far_and_near);
+    let reach = 0.0..=50.0;
+    assert!(far_and_near.iter().all(|range_m| reach.contains(range_m)));
     let deviation_m = (squares / 20_000.0_f64).sqrt();
     assert!((0.098..0.102).contains(&deviation_m), "{deviation_m}");
     // The next episode has no noise.
