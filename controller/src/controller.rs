@@ -26,7 +26,7 @@ impl Controller {
             limits: Limits::from(&config.policy),
             observation_age_ns: config.limits.observation_age_ns(),
             tracker: Box::default(),
-            trains_motion: config.learner.enabled && config.learner.motion,
+            trains_motion: config.learner.trains_motion(),
         }
     }
 
@@ -36,10 +36,17 @@ impl Controller {
         self.arbiter.restore(before, step);
     }
 
-    /// Follows what moves in an observation of before the first tick, so that a policy which
-    /// takes it knows it then.
-    pub fn watch(&mut self, observation: &Observation) {
-        self.tracker.follow(observation);
+    /// Follows what moves in an observation, if a policy takes it. [`Controller::admit`] does
+    /// so, too; what was followed before costs nothing then. The process calls this while the
+    /// plan is made, and a drive that begins in the middle of a run for what came before.
+    pub fn follow(&mut self, observation: &Observation) {
+        if self.tells_motion() {
+            self.tracker.follow(observation);
+        }
+    }
+
+    fn tells_motion(&self) -> bool {
+        self.trains_motion || self.policy.takes_motion()
     }
 
     /// One tick, start to end. Always answers.
@@ -52,11 +59,12 @@ impl Controller {
     /// was admitted.
     pub fn admit(&mut self, inputs: &Inputs, now: Instant) -> bool {
         self.arbiter.admit(inputs, now);
+        let tells_motion = self.tells_motion();
         let step = self.arbiter.step_mut();
         let came = step.observation_entry.admission() == Admission::Admitted;
-        if came && (self.trains_motion || self.policy.takes_motion()) {
+        if came && tells_motion {
             self.tracker.follow(&step.observation);
-            self.tracker.motion(&mut step.motion);
+            step.motion = self.tracker.motion();
         } else if came {
             step.motion.fill(MOTION_AT_REST);
         }

@@ -52,7 +52,7 @@ pub use policy::Loader;
 #[cfg(feature = "std")]
 pub use policy::{
     CanaryOutcome, Candidate, Exchanged, Fault, Mailbox, NativePolicy, OrtPolicy, OrtSession,
-    Policy, PolicySlot, StartStage, SwapEvent, Terms, TickEnd, build, library,
+    Policy, PolicySlot, StartStage, SwapEvent, Terms, TickEnd, ask, build, library,
 };
 #[cfg(feature = "process")]
 pub use process::{ControllerProcess, run};

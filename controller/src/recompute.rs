@@ -35,7 +35,7 @@ impl Recomputer {
         Self {
             arbiter: Arbiter::new(ArbiterConfig::from(config)),
             policies: Policies::Recorded,
-            trains_motion: config.learner.enabled && config.learner.motion,
+            trains_motion: config.learner.trains_motion(),
         }
     }
 

@@ -9,7 +9,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use rand::{Rng, RngExt};
 use shm_config::config::{Config, OutOfRange};
-use shm_config::message::{Bend, FEATURES, Observation, Preference};
+use shm_config::message::{Bend, FEATURES, MOTION_AT_REST, Observation, Preference};
 use stack::oracle::Oracle;
 use vehicle::{Action, Point, Pose, State, Vehicle, wrap_rad};
 
@@ -45,6 +45,7 @@ pub struct Imagination {
     oracle: Oracle,
     vehicle: Vehicle,
     there: Box<Observation>,
+    tells_motion: bool,
 }
 
 impl Imagination {
@@ -57,13 +58,16 @@ impl Imagination {
             oracle: Oracle::new(config)?,
             vehicle: config.vehicle,
             there: Box::default(),
+            tells_motion: config.learner.motion,
         })
     }
 
-    /// Follows what moves: the expert knows it at the states imagined around this observation,
-    /// and the states tell it.
+    /// Follows what moves, if the policy is told: the expert knows it at the states imagined
+    /// around this observation, and the states tell it.
     pub fn watch(&mut self, observation: &Observation) {
-        self.oracle.watch(observation);
+        if self.tells_motion {
+            self.oracle.watch(observation);
+        }
     }
 
     /// Predicts this many states while a rejected action is held; `out` receives each
@@ -114,7 +118,10 @@ impl Imagination {
         let (features, motion) = state.split_at_mut(FEATURES);
         // Steps with another number of beams were refused before.
         self.there.features(features);
-        motion.copy_from_slice(&self.oracle.motion(&self.there));
+        motion.fill(MOTION_AT_REST);
+        if self.tells_motion {
+            motion.copy_from_slice(&self.oracle.motion(&self.there));
+        }
         let expert = self.oracle.ask(&mut self.there);
         let rejected = rejected.unwrap_or(expert);
         let pair =

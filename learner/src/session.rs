@@ -264,9 +264,7 @@ impl Session {
         let mut made = Vec::new();
         let sees = step.observation_age_ns != u64::MAX && observation.fits_policy();
         if sees {
-            if settings.motion {
-                imagination.watch(observation);
-            }
+            imagination.watch(observation);
             for _ in 0..settings.imagined_scenes {
                 made.push(imagination.disturb(observation, &mut self.state.random));
             }

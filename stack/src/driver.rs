@@ -6,8 +6,7 @@ use hdrhistogram::Histogram;
 use shm_config::config::planner::Method;
 use shm_config::config::{Config, GateMode};
 use shm_config::message::{
-    Command, Driver, FEATURES, INPUTS_WITH_MOTION, MOTION_AT_REST, MOTION_FEATURES, Observation,
-    Plan, Reason,
+    Command, Driver, INPUTS_WITH_MOTION, MOTION_AT_REST, MOTION_FEATURES, Observation, Plan, Reason,
 };
 use sim::World;
 use sim::idm::Idm;
@@ -197,7 +196,7 @@ impl EpisodeDriver {
             planning_us: planning_histogram(),
             kind: Loaded::Policy(Box::new(PolicyAlone {
                 policy,
-                features: [MOTION_AT_REST; INPUTS_WITH_MOTION],
+                features: [0.0; INPUTS_WITH_MOTION],
                 tracker: Tracker::default(),
             })),
         }
@@ -294,20 +293,13 @@ pub fn planning_histogram() -> Histogram<u64> {
 impl PolicyAlone {
     /// The policy's action, clamped; the brake where it has none.
     fn action(&mut self, observation: &Observation) -> Action {
-        let (features, motion) = self.features.split_at_mut(FEATURES);
-        let fits = observation.policy_features(features).is_some();
-        let mut count = FEATURES;
-        if fits && self.policy.takes_motion() {
+        let mut motion = [MOTION_AT_REST; MOTION_FEATURES];
+        if self.policy.takes_motion() {
             self.tracker.follow(observation);
-            let mut moves = [0.0; MOTION_FEATURES];
-            self.tracker.motion(&mut moves);
-            motion.copy_from_slice(&moves);
-            count = INPUTS_WITH_MOTION;
+            motion = self.tracker.motion();
         }
-        let action = match fits {
-            true => self.policy.infer(&self.features[..count]),
-            false => None,
-        };
+        let seen = (observation, &motion);
+        let action = controller::ask(&mut *self.policy, seen, &mut self.features);
         let action = action.filter(|action| action.is_finite());
         action.map_or(Action::BRAKE, |action| action.clamped())
     }

@@ -53,10 +53,8 @@ impl Oracle {
     /// How the bodies move in an observation near the one that was watched last, as a policy
     /// takes it; all rest if none was.
     pub fn motion(&mut self, observation: &Observation) -> [f32; MOTION_FEATURES] {
-        let mut motion = [0.0; MOTION_FEATURES];
         self.there.suppose(observation, &self.moving);
-        self.there.motion(&mut motion);
-        motion
+        self.there.motion()
     }
 
     /// The expert's command here, without a plan before it, at the time of the observation

@@ -19,8 +19,8 @@ use policy::{Activation, Compression, Layer, Mlp, Provenance};
 use runtime::{FixedRate, Flow, Member, SetUpError, TickLoop};
 use shm_config::config::{Clock, Config, GateMode};
 use shm_config::message::{
-    Advice, Command, Driver, FEATURES, Observation, PlanOutcome, PolicyState, PolicyStatus,
-    Preference, Roster, Step, Takeover, Verdict, Weights,
+    Advice, Command, Driver, FEATURES, INPUTS_WITH_MOTION, Observation, PlanOutcome, PolicyState,
+    PolicyStatus, Preference, Roster, Step, Takeover, Verdict, Weights,
 };
 use shm_config::run::{RunName, RunPaths};
 use shm_config::services::{
@@ -49,9 +49,11 @@ fn lane_keeper(version: u64) -> Vec<u8> {
         outputs,
         activation,
     };
-    let mut see = layer(FEATURES, 256, Activation::Relu);
+    // Every other version is told how bodies move.
+    let inputs = [FEATURES, INPUTS_WITH_MOTION][(version % 2) as usize];
+    let mut see = layer(inputs, 256, Activation::Relu);
     for (hidden, feature) in [2, 8, 3].into_iter().enumerate() {
-        see.weights[hidden * FEATURES + feature] = 1.0;
+        see.weights[hidden * inputs + feature] = 1.0;
     }
     let mut keep = layer(256, 256, Activation::Relu);
     for hidden in 0..3 {

@@ -10,10 +10,8 @@
 //!
 //! let mut tracker = Tracker::default();
 //! tracker.follow(&Observation::default());
-//! let mut motion = [0.0; MOTION_FEATURES];
-//! tracker.motion(&mut motion);
 //! // Nothing is there, so nothing moves.
-//! assert_eq!(motion, [MOTION_AT_REST; MOTION_FEATURES]);
+//! assert_eq!(tracker.motion(), [MOTION_AT_REST; MOTION_FEATURES]);
 //! ```
 
 #![cfg_attr(not(feature = "std"), no_std)]

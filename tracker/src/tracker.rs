@@ -130,8 +130,8 @@ impl Tracker {
 
     /// How what the last scan shows moves, as a policy takes it: for each sector of the circle
     /// the velocity of the nearest return.
-    pub fn motion(&self, out: &mut [f32; MOTION_FEATURES]) {
-        out.fill(MOTION_AT_REST);
+    pub fn motion(&self) -> [f32; MOTION_FEATURES] {
+        let mut out = [MOTION_AT_REST; MOTION_FEATURES];
         let mut nearest_m = [f64::INFINITY; MOTION_FEATURES / 2];
         for sighting in &self.sightings {
             let away_m = sighting.point_body.coords.norm();
@@ -146,6 +146,7 @@ impl Tracker {
             out[2 * sector] = motion_feature(sighting.velocity_body.x);
             out[2 * sector + 1] = motion_feature(sighting.velocity_body.y);
         }
+        out
     }
 
     /// All returns of the last scan.

@@ -37,7 +37,7 @@ fn no_scan_allocates() {
         let mut motion = [0.0; MOTION_FEATURES];
         let taken = measure(|| {
             tracker.follow(&scene);
-            tracker.motion(&mut motion);
+            motion = tracker.motion();
         });
         assert_eq!((taken.count_total, taken.count_current), (0, 0), "{tick}");
         sightings += tracker.sightings().len();

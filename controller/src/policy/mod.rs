@@ -26,7 +26,9 @@ pub use mailbox::{Candidate, Exchanged, Mailbox, SwapEvent, TickEnd};
 pub use native::NativePolicy;
 pub use ort::{OrtPolicy, OrtSession, library};
 
-use shm_config::message::{FEATURES, INPUTS_WITH_MOTION, Stage, Step};
+use shm_config::message::{
+    FEATURES, INPUTS_WITH_MOTION, MOTION_FEATURES, Observation, Stage, Step,
+};
 use vehicle::Action;
 
 use crate::PolicyAnswer;
@@ -50,6 +52,22 @@ pub trait Policy: Send {
 
     /// First 8 bytes of the weights' SHA-256.
     fn hash(&self) -> u64;
+}
+
+/// Asks a policy at an observation whose bodies move so (`Step::motion`); any answer, or none
+/// where no policy is trained with such a scan.
+pub fn ask(
+    policy: &mut dyn Policy,
+    (observation, motion): (&Observation, &[f32; MOTION_FEATURES]),
+    workspace: &mut [f32; INPUTS_WITH_MOTION],
+) -> Option<Action> {
+    observation.policy_features(&mut workspace[..FEATURES])?;
+    let count = match policy.takes_motion() {
+        true => INPUTS_WITH_MOTION,
+        false => FEATURES,
+    };
+    workspace[FEATURES..].copy_from_slice(motion);
+    policy.infer(&workspace[..count])
 }
 
 /// A policy, and its record so far.
@@ -126,8 +144,8 @@ impl PolicySlot {
     pub fn takes_motion(&self) -> bool {
         let proposing = self.active.iter().chain(&self.shadow);
         proposing
-            .into_iter()
-            .any(|tracked| tracked.policy.takes_motion())
+            .map(|tracked| &tracked.policy)
+            .any(|policy| policy.takes_motion())
     }
 
     /// Version and hash of the active weights; zeros for none.
@@ -138,8 +156,8 @@ impl PolicySlot {
         })
     }
 
-    /// The proposal of the active weights for the observation in this step, clamped; `None` when there are
-    /// none or their answer is late or not finite.
+    /// The proposal of the active weights for the observation in this step, clamped; `None`
+    /// when there are none or their answer is late or not finite.
     pub fn propose(&mut self, step: &Step) -> Option<Action> {
         let active = self.active.as_mut()?;
         active.propose(step, &mut self.features)
@@ -266,14 +284,8 @@ impl TrackedPolicy {
         step: &Step,
         workspace: &mut [f32; INPUTS_WITH_MOTION],
     ) -> Option<Action> {
-        step.observation
-            .policy_features(&mut workspace[..FEATURES])?;
-        workspace[FEATURES..].copy_from_slice(&step.motion);
-        let features = match self.policy.takes_motion() {
-            true => &workspace[..],
-            false => &workspace[..FEATURES],
-        };
-        let action = self.policy.infer(features)?;
+        let seen = (&step.observation, &step.motion);
+        let action = ask(&mut *self.policy, seen, workspace)?;
         if !action.is_finite() {
             self.canary.count_not_finite();
             return None;

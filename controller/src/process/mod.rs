@@ -297,6 +297,10 @@ impl FixedRate for ControllerProcess {
             (Release::Observation, Some(observation)) => observation.published(),
             (Release::Observation | Release::TimeOut, _) => due.due,
         };
+        // While the planner works.
+        if let Some(observation) = observation {
+            self.controller.follow(observation);
+        }
         self.waiting
             .peers(run, &mut self.ports, &mut self.inputs, &begun);
         let run_clock = self.waiting.clock(run, &self.inputs);

@@ -200,7 +200,7 @@ impl Loop {
         }
         let mut controller = Controller::new(config.clone(), PolicySlot::new(policy));
         for (observation, _) in planned {
-            controller.watch(observation);
+            controller.follow(observation);
         }
         if let Some((step, before)) = last {
             plan = step.plan;

@@ -119,6 +119,11 @@ impl Learner {
     /// of updates takes seconds, on a busy machine ten times that.
     pub const LOCKSTEP_WAIT_S: f64 = 120.0;
 
+    /// Whether the run trains a policy that is told how bodies move.
+    pub fn trains_motion(&self) -> bool {
+        self.enabled && self.motion
+    }
+
     pub(super) fn check(&self) -> Result<(), OutOfRange> {
         let counts = [
             ("learner.block_steps", self.block_steps, 1..=1_000_000),

@@ -275,8 +275,7 @@ fn a_policy_is_told_the_velocity_of_the_nearest_return_of_each_sector() {
         tracker.follow(&observation);
         assert_eq!(tracker.sightings(), sightings);
     }
-    let mut motion = [0.0; MOTION_FEATURES];
-    tracker.motion(&mut motion);
+    let motion = tracker.motion();
     assert!((motion[0] - 0.7).abs() < 0.03, "{}", motion[0]);
     assert!((motion[1] - 0.5).abs() < 0.02, "{}", motion[1]);
     let ahead = |sector: usize| (1..MOTION_FEATURES / 2 - 1).contains(&sector);
