@@ -84,7 +84,8 @@ impl Orphans {
                 Origin::Marked(_) | Origin::Foreign => {}
             }
         }
-        is_left
+        // One that is ending has no readable environment any more and looks like a foreign one.
+        is_left || !self.killed.is_empty()
     }
 
     fn kill(&mut self, pid: u32, mark: Mark) {
