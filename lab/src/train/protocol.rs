@@ -54,10 +54,15 @@ impl Protocol {
     pub fn new(experiment: &Experiment, (seed, out): (u64, &Path)) -> anyhow::Result<Protocol> {
         check_own(&experiment.set)?;
         let folder = out.join(format!("seed-{seed}"));
+        let files = [experiment.config.as_deref(), None];
+        let asked = settings::config(files, &experiment.set)?;
         let mut overrides = preset(experiment, seed);
+        // A policy that sees one scan cannot imitate an expert that slows down for how others
+        // move; one that is told it gains from it (results/learning.md).
+        overrides.push(format!("mpc.wary={}", asked.learner.motion));
         overrides.push(format!("run.name={}", run_name(out, seed)));
         overrides.extend(experiment.set.iter().cloned());
-        let mut config = settings::config([experiment.config.as_deref(), None], &overrides)?;
+        let mut config = settings::config(files, &overrides)?;
         config.run.folder = folder.display().to_string();
         let block_steps = u64::from(config.learner.block_steps);
         if !experiment.steps.is_multiple_of(block_steps) {
@@ -242,8 +247,6 @@ fn preset(experiment: &Experiment, seed: u64) -> Vec<String> {
         // The teacher keeps a larger distance than it does alone (0.6 m and 1.2 m), because the
         // policy reproduces it with an error of decimetres (results/learning.md).
         "mpc.clearance_m=1.2".into(),
-        // Nor does it slow down for what a policy cannot see in one scan (results/experts.md).
-        "mpc.wary=false".into(),
         "mpc.speed_mps=5.0".into(),
         "mpc.steps=8".into(),
         "informed.inflation_m=2.0".into(),
@@ -302,6 +305,24 @@ mod tests {
         ] {
             let error = open(other).expect_err(other).to_string();
             assert!(error.contains(hint), "{other}: {error}");
+        }
+    }
+
+    #[test]
+    fn the_expert_is_wary_where_the_policy_is_told_how_others_move() {
+        let place = tempfile::tempdir().expect("a folder");
+        for (set, is_wary) in [
+            ("run.seeds=20", false),
+            ("learner.motion=true", true),
+            ("learner.motion=true mpc.wary=false", false),
+            ("mpc.wary=true", true),
+        ] {
+            let experiment = Experiment {
+                set: set.split(' ').map(String::from).collect(),
+                ..Experiment::default()
+            };
+            let protocol = Protocol::new(&experiment, (0, place.path())).expect("a training");
+            assert_eq!(protocol.config.mpc.wary, is_wary, "{set}");
         }
     }
 
