@@ -8,6 +8,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use supervisor::subcommand::{Output, Subcommand, seconds};
 
 use anyhow::Context;
+use learner::Rate;
 use learner::algorithm::{Pvp, Regression, Size, Source, Student, pvp};
 use learner::replay::{ACTIONS, Buffer, Replay, Then, Transition};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -100,7 +101,7 @@ const STEPS_MIN: u32 = 5;
 /// Target: PVP is this many times as fast as PyTorch at the first batch size.
 const BAR: f64 = 1.5;
 /// Learning rate; it does not affect the time.
-const RATE: f32 = 1e-4;
+const RATE: Rate = Rate::constant(1e-4);
 
 /// The same update in PyTorch.
 const SCRIPT: &str = include_str!("../torch/td3_update.py");

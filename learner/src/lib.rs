@@ -49,7 +49,7 @@ pub mod replay;
 pub mod session;
 pub mod share;
 
-pub use adam::Adam;
+pub use adam::{Adam, Rate};
 pub use network::{Network, Tape};
 #[cfg(feature = "process")]
 pub use process::run;

@@ -14,6 +14,7 @@ use shm_config::file::{Durable, Entry, Folder, is_unfinished, make_folders, repl
 use shm_config::message::{Driver, FEATURES, Step};
 use vehicle::Action;
 
+use crate::Rate;
 use crate::algorithm::{Losses, Ppl, Pvp, Regression, Size, Source, Student, pvp};
 use crate::assembler::{Assembler, Labelling};
 use crate::checkpoint::Checkpoint;
@@ -400,9 +401,12 @@ fn begin(config: &Config) -> Checkpoint {
         hidden: settings.hidden as usize,
         batch: settings.batch as usize,
     };
-    let rate = |own: f32| match settings.rate > 0.0 {
-        true => settings.rate as f32,
-        false => own,
+    let rate = |own: f32| Rate {
+        start: match settings.rate > 0.0 {
+            true => settings.rate as f32,
+            false => own,
+        },
+        decay_steps: settings.decay_updates,
     };
     let imitation_rate = rate(IMITATION_RATE);
     let student = match settings.algorithm {

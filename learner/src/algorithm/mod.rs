@@ -17,9 +17,9 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use shm_config::message::INPUTS_WITH_MOTION;
 
-use crate::Adam;
 use crate::network::{Head, Network};
 use crate::replay::{ACTIONS, Replay};
+use crate::{Adam, Rate};
 
 pub use ppl::Ppl;
 pub use pvp::Pvp;
@@ -38,13 +38,14 @@ pub struct Size {
 
 impl Size {
     /// The values that a learner keeps from its start, by configuration key.
-    fn begun_with(self, rate: f32) -> Vec<(&'static str, f64)> {
+    fn begun_with(self, rate: Rate) -> Vec<(&'static str, f64)> {
         let takes_motion = self.inputs == INPUTS_WITH_MOTION;
         vec![
             ("learner.motion", f64::from(u8::from(takes_motion))),
             ("learner.hidden", self.hidden as f64),
             ("learner.batch", self.batch as f64),
-            ("learner.rate", f64::from(rate)),
+            ("learner.rate", f64::from(rate.start)),
+            ("learner.decay_updates", f64::from(rate.decay_steps)),
         ]
     }
 }
@@ -72,7 +73,7 @@ pub struct Learned {
 
 impl Learned {
     /// A network with random parameters, and its optimiser.
-    pub fn new(sizes: &[usize], head: Head, rate: f32, random: &mut impl Rng) -> Learned {
+    pub fn new(sizes: &[usize], head: Head, rate: Rate, random: &mut impl Rng) -> Learned {
         let network = Network::new(sizes, head, random);
         let count = network.parameters().len();
         Learned {
@@ -92,7 +93,7 @@ impl Learned {
 }
 
 /// An actor of the configured size: 259-256-256-2 by default.
-pub fn actor(size: Size, rate: f32, random: &mut impl Rng) -> Learned {
+pub fn actor(size: Size, rate: Rate, random: &mut impl Rng) -> Learned {
     let sizes = [size.inputs, size.hidden, size.hidden, ACTIONS];
     Learned::new(&sizes, Head::Tanh, rate, random)
 }

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::regression::Imitator;
 use super::{Losses, Size};
+use crate::Rate;
 use crate::network::Network;
 use crate::replay::{ACTIONS, Buffer, Replay};
 
@@ -28,7 +29,7 @@ pub struct Ppl(Imitator);
 
 impl Ppl {
     /// With random parameters.
-    pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Ppl {
+    pub fn new(size: Size, rate: Rate, random: &mut impl Rng) -> Ppl {
         Ppl(Imitator::new(size, rate, random))
     }
 

@@ -7,6 +7,7 @@ use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 
 use super::{Learned, Losses, Size, actor};
+use crate::Rate;
 use crate::network::{Head, Network, Tape};
 use crate::replay::{ACTIONS, Batch, Replay};
 
@@ -27,7 +28,7 @@ const EPSILON: f32 = 1e-5;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Learning rate of all networks; PVP4Real has 1e-4.
-    pub rate: f32,
+    pub rate: Rate,
     /// `lambda_BC` of Eq. 2; PVP4Real has 1.
     pub imitation_weight: f32,
     /// Standard deviation of the noise on target actions; TD3 has 0.2.
@@ -44,7 +45,7 @@ pub struct Settings {
 
 impl Settings {
     /// Those of PVP4Real, with this learning rate.
-    pub fn published(rate: f32) -> Self {
+    pub fn published(rate: Rate) -> Self {
         Self {
             rate,
             imitation_weight: 1.0,
@@ -90,7 +91,12 @@ struct Workspace {
 impl Pvp {
     /// With random parameters.
     pub fn new(settings: Settings, size: Size, random: &mut impl Rng) -> Pvp {
-        let actor = actor(size, settings.rate, random);
+        // It is updated less often.
+        let rate = Rate {
+            decay_steps: settings.rate.decay_steps.div_ceil(POLICY_DELAY as u32),
+            ..settings.rate
+        };
+        let actor = actor(size, rate, random);
         let sizes = [size.inputs + ACTIONS, size.hidden, size.hidden, 1];
         let critics = [(), ()].map(|()| Learned::new(&sizes, Head::Linear, settings.rate, random));
         Pvp {

@@ -6,6 +6,7 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 
 use super::{Learned, Losses, Size, actor};
+use crate::Rate;
 use crate::network::{Network, Tape};
 use crate::replay::{ACTIONS, Batch, Buffer, Replay};
 
@@ -34,7 +35,7 @@ pub struct Regression {
 
 impl Regression {
     /// With random parameters.
-    pub fn new(source: Source, size: Size, rate: f32, random: &mut impl Rng) -> Regression {
+    pub fn new(source: Source, size: Size, rate: Rate, random: &mut impl Rng) -> Regression {
         Regression {
             imitator: Imitator::new(size, rate, random),
             source,
@@ -81,7 +82,7 @@ struct Workspace {
 
 impl Imitator {
     /// With random parameters.
-    pub fn new(size: Size, rate: f32, random: &mut impl Rng) -> Imitator {
+    pub fn new(size: Size, rate: Rate, random: &mut impl Rng) -> Imitator {
         let actor = actor(size, rate, random);
         Imitator {
             average: actor.network.clone(),

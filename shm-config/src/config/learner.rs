@@ -55,6 +55,10 @@ pub struct Learner {
     /// Learning rate; 0 for the algorithm's own: 1e-4 (PVP4Real) for pvp, 1e-3 for the
     /// others.
     pub rate: f64,
+    /// Updates over which the rate falls in a straight line to a hundredth, where it then
+    /// stays; 0 keeps it. `./vlaps train --steps` makes `learner.updates` for each
+    /// `learner.block_steps`: 75,000 for 50,000 steps.
+    pub decay_updates: u32,
     /// Weight of the imitation loss relative to the value loss: lambda_BC of Eq. 2;
     /// PVP4Real.
     pub imitation_weight: f64,
@@ -98,6 +102,7 @@ impl Default for Learner {
             batch: 256,
             hidden: 256,
             rate: 0.0,
+            decay_updates: 0,
             imitation_weight: 1.0,
             target_noise: 0.2,
             imitation_steer: 1.0,

@@ -10,6 +10,7 @@ use std::mem::offset_of;
 use std::path::Path;
 
 use doors::{KINDS, as_bytes};
+use learner::Rate;
 use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, Mark};
 use learner::replay::{Buffer, INPUTS, Then, Transition};
@@ -311,7 +312,12 @@ fn checkpoints(folder: &Path) {
     };
     let state = Checkpoint {
         algorithm: "bc".into(),
-        student: Student::Regression(Regression::new(Source::All, size, 1e-3, &mut random)),
+        student: Student::Regression(Regression::new(
+            Source::All,
+            size,
+            Rate::constant(1e-3),
+            &mut random,
+        )),
         random,
         steps: 3,
         updates: 1,

@@ -55,7 +55,7 @@ fn drawn(seed: u64) -> Pvp {
         imitation_weight: 0.7,
         imitation_steer: 3.0,
         critic_scale: [2.0, 1.5],
-        ..Settings::published(1e-3)
+        ..Settings::published(Rate::constant(1e-3))
     };
     let mut pvp = Pvp::new(settings, size, &mut random);
     replay.sample_evenly(size.batch, &mut random, &mut pvp.workspace.batch);
