@@ -1,7 +1,7 @@
 //! The training of a distilled judge: several small nets from different beginnings.
 
 use gate::distilled::{INPUTS, OUTPUTS, probabilities};
-use learner::adam::Adam;
+use learner::adam::{Adam, Rate};
 use learner::network::{Head, Network, Tape};
 use policy::{Activation, Layer};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -85,7 +85,7 @@ impl Member {
         let sizes = [INPUTS, HIDDEN[0], HIDDEN[1], OUTPUTS];
         let network = Network::new(&sizes, Head::Linear, &mut random);
         Self {
-            adam: Adam::new(network.parameters().len(), RATE),
+            adam: Adam::new(network.parameters().len(), Rate::constant(RATE)),
             network,
             draw: Draw::new(seed ^ 0x006f_7264_6572),
             epochs,
@@ -105,7 +105,7 @@ impl Member {
         let mut since = 0;
         for epoch in 0..self.epochs {
             let share = epoch as f32 / self.epochs as f32;
-            self.adam.rate = RATE * 0.5 * (1.0 + (std::f32::consts::PI * share).cos());
+            self.adam.rate.start = RATE * 0.5 * (1.0 + (std::f32::consts::PI * share).cos());
             for at in (1..order.len()).rev() {
                 order.swap(at, self.draw.below(at as u64 + 1) as usize);
             }
@@ -161,7 +161,7 @@ impl Member {
         let pass = (&inputs[..], &delta[..]);
         let wanted = Some(&mut gradient[..]);
         self.network.backward(pass, 1, tape, wanted, None);
-        let keep = 1.0 - self.adam.rate * DECAY;
+        let keep = 1.0 - self.adam.rate.start * DECAY;
         let parameters = self.network.parameters_mut();
         parameters
             .iter_mut()
