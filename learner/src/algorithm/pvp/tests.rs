@@ -3,6 +3,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::message::{FEATURES, Preference};
 
 use super::{Pvp, Settings};
+use crate::Rate;
 use crate::algorithm::{Learned, Size};
 use crate::replay::{ACTIONS, INPUTS, Replay, Then, Transition};
 
