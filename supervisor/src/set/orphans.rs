@@ -49,11 +49,11 @@ impl Orphans {
         if self.since.is_none() && !has_dead_child() {
             return Vec::new();
         }
-        let is_left = self.look(set);
-        match self.since {
-            Some(since) if is_left && now.since_ns(since) < LOOK_NS => return Vec::new(),
-            _ => self.since = None,
+        let since = *self.since.get_or_insert(now);
+        if self.look(set) && now.since_ns(since) < LOOK_NS {
+            return Vec::new();
         }
+        self.since = None;
         self.report()
     }
 
