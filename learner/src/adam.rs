@@ -85,7 +85,7 @@ impl Adam {
 
 #[cfg(test)]
 mod tests {
-    use super::Rate;
+    use super::{Adam, Rate};
 
     #[test]
     fn a_rate_stays_or_falls_to_a_hundredth_and_no_further() {
@@ -96,5 +96,20 @@ mod tests {
         };
         let rates = [0, 50, 100, 198, 200, u64::MAX].map(|steps| falls.at(steps));
         assert_eq!(rates, [0.5, 0.375, 0.25, 0.005, 0.005, 0.005]);
+    }
+
+    #[test]
+    fn steps_are_as_long_as_the_rate_at_the_time() {
+        let rate = Rate {
+            start: 0.5,
+            decay_steps: 2,
+        };
+        let mut adam = Adam::new(1, rate);
+        let mut place = [0.0];
+        // Against an even slope Adam moves by its rate.
+        for expected in [-0.5, -0.75, -0.755, -0.76] {
+            adam.step(&mut place, &[1.0]);
+            assert!((place[0] - expected).abs() < 1e-4_f32, "{place:?}");
+        }
     }
 }

@@ -178,7 +178,8 @@ pub struct Forward<'a, B> {
 
 impl<'a, B: AsRef<[[f32; BLOCK]]>> Forward<'a, B> {
     /// Checks that the layers follow on each other, from the inputs of a policy
-    /// (259, or 379 with how bodies move) to [`ACTIONS`], and that both rows of the workspace hold the widest of them.
+    /// (259, or 379 with how bodies move) to [`ACTIONS`], and that both rows of the
+    /// workspace hold the widest of them.
     ///
     /// # Errors
     /// What does not fit.
