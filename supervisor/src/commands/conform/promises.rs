@@ -16,9 +16,12 @@ use crate::set::member::READY_LIMIT_NS;
 /// Time in which a car reaches the speed of the test, s: the delay until its engine pulls,
 /// and a course that is uphill.
 const SPEED_UP_S: f64 = 8.0;
-/// Time in which a car stands beyond what braking takes, s: its brakes build up, and it
-/// rocks back.
-const STAND_S: f64 = 2.0;
+/// Time for which a car was slow that stands, ns: one that rocks on its springs is slow for
+/// a moment, too.
+const STEADY_NS: u64 = 500_000_000;
+/// Time in which a car stands beyond what braking takes, s: its brakes build up, it rocks
+/// back, and it is seen to be steady.
+const STAND_S: f64 = 2.5;
 /// Steering of the test, normalised.
 const STEER: f64 = 0.3;
 /// Time for which it is held, s.
@@ -190,7 +193,13 @@ fn stand(rig: &mut Rig, begin: impl FnOnce(&mut Rig) -> Tested) -> Result<(bool,
 }
 
 fn is_standing(rig: &Rig) -> bool {
-    rig.watched.speed_mps().abs() < rig.pace.stands_mps
+    let seen = &rig.watched.seen;
+    let newest_ns = seen.last().map_or(0, |seen| seen.scheduled_ns);
+    let mut lately = seen
+        .iter()
+        .rev()
+        .take_while(|seen| seen.scheduled_ns + STEADY_NS >= newest_ns);
+    lately.all(|seen| seen.speed_mps.abs() < rig.pace.stands_mps)
 }
 
 /// Lets the car come to a stand, which is no promise of its own.
