@@ -32,8 +32,10 @@ impl BlockWarning {
 /// Warnings about consecutive blocks, with the step at the end of each. The first block
 /// gets none: it has no policy that could drive or be preferred.
 pub fn warnings(blocks: &[Block], config: &Config) -> Vec<(u64, BlockWarning)> {
-    // `dagger` imitates the expert at every step and needs no labels of the judge.
-    let needs_labels = config.learner.algorithm != Algorithm::Dagger;
+    // `dagger` imitates the expert at every step and needs no labels of the judge; with
+    // takeovers, a block without one is a block in which the expert found nothing to mend.
+    let needs_labels =
+        config.learner.algorithm != Algorithm::Dagger && config.gate.mode != GateMode::Takeover;
     let may_drive = config.gate.mode != GateMode::Expert;
     let mut found = Vec::new();
     for pair in blocks.windows(2) {
@@ -92,6 +94,7 @@ mod tests {
         let of = |algorithm, mode| warnings(&blocks, &config(algorithm, mode));
         assert_eq!(of(Algorithm::Pvp, GateMode::Rules), all);
         assert_eq!(of(Algorithm::Dagger, GateMode::Rules), all[1..]);
+        assert_eq!(of(Algorithm::Pvp, GateMode::Takeover), all[1..]);
         assert_eq!(of(Algorithm::Bc, GateMode::Expert), all[..1]);
         assert_eq!(warnings(&blocks[..1], &Config::default()), []);
     }
