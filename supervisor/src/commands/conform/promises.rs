@@ -245,8 +245,9 @@ pub(super) fn refuses(rig: &mut Rig, report: &mut Report) -> Tested {
         let (stands, figure) = stand(rig, |rig| rig.order(Order::Silence))?;
         let before = rig.refused(counted);
         rig.order(Order::Hostile(kind))?;
+        await_refusal(rig, counted, before)?;
         let fastest_mps = stay(rig)?;
-        let refused = refused_since(rig, counted, before)?;
+        let refused = rig.refused(counted).saturating_sub(before);
         let held = stands && fastest_mps < rig.pace.stays_mps && refused > 0;
         let figure = match stands {
             true => format!("at most {fastest_mps:.2} m/s, {refused} refused"),
@@ -257,10 +258,11 @@ pub(super) fn refuses(rig: &mut Rig, report: &mut Report) -> Tested {
     rig.order(Order::Silence)
 }
 
-/// How many messages the world refuses for this reason beyond `before`; waits for the first.
-fn refused_since(rig: &mut Rig, kind: RefusalKind, before: u64) -> Result<u64, Failure> {
-    rig.watch(LATE_S, |rig| Ok(rig.refused(kind) > before))?;
-    Ok(rig.refused(kind).saturating_sub(before))
+/// Waits until the world has refused a message for this reason, so that the car is watched
+/// while the messages come.
+fn await_refusal(rig: &mut Rig, kind: RefusalKind, before: u64) -> Tested {
+    rig.watch(LATE_S, |rig| Ok(rig.refused(kind) > before))
+        .map(drop)
 }
 
 /// It brakes while a process that the run did not start sends commands too.
@@ -268,8 +270,9 @@ pub(super) fn brakes_while_contested(rig: &mut Rig, report: &mut Report) -> Test
     let is_fast = speed_up(rig)?;
     let before = rig.refused(RefusalKind::Foreign);
     let (stands, figure) = stand(rig, |rig| rig.start_stranger(Order::Drive(0.0, 1.0)))?;
+    await_refusal(rig, RefusalKind::Foreign, before)?;
     let fastest_mps = stay(rig)?;
-    let refused = refused_since(rig, RefusalKind::Foreign, before)?;
+    let refused = rig.refused(RefusalKind::Foreign).saturating_sub(before);
     rig.end_stranger();
     let held = is_fast && stands && fastest_mps < rig.pace.stays_mps && refused > 0;
     let figure = format!("{figure}; then at most {fastest_mps:.2} m/s; {refused} refused");
