@@ -1,11 +1,12 @@
 //! The program `vlaps-lab`: training, evaluation, sweeps, parity and recorded runs.
-//! `./vlaps eval`, `train`, `sweep`, `replay`, `fork`, `regress`, `export` and `draw` start it.
+//! `./vlaps eval`, `train`, `relearn`, `sweep`, `replay`, `fork`, `regress`, `export` and `draw` start it.
 //!
 //! | module | holds |
 //! |---|---|
 //! | [`eval`], [`episodes`], [`evaluation`] | `./vlaps eval`, many episodes, and their table |
 //! | [`outside`] | evaluation in simulators with a process of their own |
 //! | [`train`] | the paper's experiment, its curves and tables |
+//! | [`relearn`] | policies trained anew on what trainings recorded |
 //! | [`actors`] | trainings whose worlds are in other processes, here or elsewhere |
 //! | [`sweep`] | trainings under a judge with label noise, abstention or delay |
 //! | [`parity`] | comparison of the built-in world with recordings of MetaDrive |
@@ -37,6 +38,7 @@ pub mod outside;
 pub mod parity;
 pub mod progress;
 pub mod regress;
+pub mod relearn;
 pub mod replay;
 pub mod report;
 mod sections;
@@ -51,6 +53,7 @@ use eval::Eval;
 use export::Export;
 use fork::Fork;
 use regress::Regress;
+use relearn::Relearn;
 use replay::command::Replay;
 use sweep::Sweep;
 use train::arguments::Train;
@@ -61,6 +64,7 @@ supervisor::subcommands! {
     Command {
         Eval(Eval),
         Train(Train),
+        Relearn(Relearn),
         Actor(Actor),
         Sweep(Sweep),
         Replay(Replay),

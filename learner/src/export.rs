@@ -4,6 +4,10 @@ use policy::{Activation, Layer, Mlp, Provenance, Refusal};
 
 use crate::features::{COMPRESSION, scaling};
 use crate::network::{Head, Network};
+use crate::replay::{Buffer, Replay};
+
+/// Number of probes in a policy file: replay states with the network's answers.
+const PROBES: usize = 4;
 
 /// The network as the runtime evaluates it. It takes the plain features, so it has the
 /// compression of the beams, and the linear change of the networks' input is folded into
@@ -39,6 +43,22 @@ pub fn mlp(network: &Network) -> Result<Mlp, Refusal> {
         }
     });
     Mlp::compressed(COMPRESSION, layers.collect())
+}
+
+/// The bytes of a policy file with states of the replay as probes.
+///
+/// # Errors
+/// As [`mlp`].
+pub fn with_probes(
+    network: &Network,
+    provenance: &Provenance,
+    replay: &Replay,
+) -> Result<Vec<u8>, Refusal> {
+    let buffers = Buffer::ALL.into_iter();
+    let states = buffers.flat_map(|buffer| replay.iter(buffer));
+    let states = states.take(PROBES);
+    let probes: Vec<_> = states.map(|transition| transition.state.to_vec()).collect();
+    encode(network, provenance, &probes)
 }
 
 /// The bytes of a policy file with these plain features as probes.

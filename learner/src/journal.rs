@@ -99,29 +99,16 @@ impl Journal {
     /// When the file cannot be read or written, has another format, or holds fewer
     /// transitions than were learnt from. It is then left unchanged.
     pub fn open(path: &Path, capacity: usize, learnt: u64) -> io::Result<Recovered> {
-        let mut replay = Replay::new(capacity);
-        let mut mark = None;
         let mut file = open_ours(path, Access::Change)?;
         let length = file.metadata()?.len();
-        let mut records = 0;
-        let mut reader = BufReader::with_capacity(1 << 20, &file);
-        let mut magic = Vec::with_capacity(MAGIC.len());
-        let mut first = reader.by_ref().take(MAGIC.len() as u64);
-        first.read_to_end(&mut magic)?;
-        check_magic(&magic)?;
-        if magic.len() == MAGIC.len() {
-            let mut record = [0; RECORD];
-            while let Whole::Yes = read_record(&mut reader, &mut record)? {
-                let Some((buffer, transition, at)) = decode(&record) else {
-                    break;
-                };
-                replay.push(buffer, transition);
-                mark = Some(at);
-                records += 1;
-            }
-        }
+        let Content {
+            replay,
+            mark,
+            records,
+            has_magic,
+        } = Content::read(&file, capacity)?;
         check_whole(mark, learnt)?;
-        if magic.len() < MAGIC.len() {
+        if !has_magic {
             // A learner was killed while it created the file.
             file.set_len(0)?;
             file.rewind()?;
@@ -247,6 +234,53 @@ fn check_magic(magic: &[u8]) -> io::Result<()> {
         None => "is no replay of this version; move it away to begin a new one".into(),
     };
     Err(io::Error::new(io::ErrorKind::InvalidData, what))
+}
+
+/// What a file holds up to its first invalid record.
+struct Content {
+    replay: Replay,
+    mark: Option<Mark>,
+    records: u64,
+    has_magic: bool,
+}
+
+impl Content {
+    fn read(file: &File, capacity: usize) -> io::Result<Content> {
+        let mut content = Content {
+            replay: Replay::new(capacity),
+            mark: None,
+            records: 0,
+            has_magic: false,
+        };
+        let mut reader = BufReader::with_capacity(1 << 20, file);
+        let mut magic = Vec::with_capacity(MAGIC.len());
+        let mut first = reader.by_ref().take(MAGIC.len() as u64);
+        first.read_to_end(&mut magic)?;
+        check_magic(&magic)?;
+        content.has_magic = magic.len() == MAGIC.len();
+        if content.has_magic {
+            let mut record = [0; RECORD];
+            while let Whole::Yes = read_record(&mut reader, &mut record)? {
+                let Some((buffer, transition, mark)) = decode(&record) else {
+                    break;
+                };
+                content.replay.push(buffer, transition);
+                content.mark = Some(mark);
+                content.records += 1;
+            }
+        }
+        Ok(content)
+    }
+}
+
+/// The transitions of a file, in replay buffers of this capacity, and its last mark. The file
+/// is only read, and a learner may be using it.
+///
+/// # Errors
+/// When the file cannot be read or has another format.
+pub fn read(path: &Path, capacity: usize) -> io::Result<(Replay, Option<Mark>)> {
+    let content = Content::read(&File::open(path)?, capacity)?;
+    Ok((content.replay, content.mark))
 }
 
 /// The counts of a file's last valid record; `None` if the file is missing or holds

@@ -10,6 +10,7 @@
 //! policy file |
 //! | [`elsewhere`], [`imagine`] | observations and the expert's actions at states that
 //! were never visited |
+//! | [`relearn`] | a policy from the replay of a session, trained anew |
 //! | [`session`], [`checkpoint`], [`metrics`] | the learning session, which is on disk
 //! after every block |
 //!
@@ -45,6 +46,7 @@ pub mod network;
 pub mod ports;
 #[cfg(feature = "process")]
 mod process;
+pub mod relearn;
 pub mod replay;
 pub mod session;
 pub mod share;

@@ -28,8 +28,6 @@ use crate::replay::{Buffer, INPUTS, Replay, Transition};
 const IMITATION_RATE: f32 = 1e-3;
 /// Learning rate of `pvp`, unless configured; PVP4Real.
 const VALUE_RATE: f32 = 1e-4;
-/// Number of probes in a policy file: replay states with the network's answers.
-const PROBES: usize = 4;
 
 /// A learning session: the algorithm, its data and its files.
 pub struct Session {
@@ -120,7 +118,7 @@ impl Session {
             false => None,
         };
         let threads = match config.run.is_lockstep() {
-            true => available_parallelism().map_or(1, NonZeroUsize::get),
+            true => all_threads(),
             false => 1,
         };
         Ok(Session {
@@ -234,13 +232,7 @@ impl Session {
             steps: self.state.steps,
             commit: self.commit.clone(),
         };
-        let buffers = Buffer::ALL.into_iter();
-        let states = buffers.flat_map(|buffer| self.replay.iter(buffer));
-        let probes: Vec<Vec<f32>> = states
-            .take(PROBES)
-            .map(|transition| transition.state.to_vec())
-            .collect();
-        export::encode(self.state.student.policy(), &provenance, &probes)
+        export::with_probes(self.state.student.policy(), &provenance, &self.replay)
     }
 
     /// Ends the run: transitions that wait for a label are stored without one, and
@@ -384,8 +376,13 @@ fn checkpoint_path(folder: &Path) -> PathBuf {
     folder.join("learner.bin")
 }
 
+/// Threads that this machine has.
+pub(crate) fn all_threads() -> usize {
+    available_parallelism().map_or(1, NonZeroUsize::get)
+}
+
 /// How many numbers the policy takes.
-fn inputs(config: &Config) -> usize {
+pub(crate) fn inputs(config: &Config) -> usize {
     match config.learner.motion {
         true => INPUTS,
         false => FEATURES,
@@ -393,7 +390,7 @@ fn inputs(config: &Config) -> usize {
 }
 
 /// The state of a new session.
-fn begin(config: &Config) -> Checkpoint {
+pub(crate) fn begin(config: &Config) -> Checkpoint {
     let settings = &config.learner;
     let mut random = Xoshiro256PlusPlus::seed_from_u64(settings.seed);
     let size = Size {

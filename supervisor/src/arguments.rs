@@ -77,6 +77,9 @@ pub enum Command {
     /// Train a policy while the process set drives: the paper's experiment.
     #[command(disable_help_flag = true)]
     Train(Delegated),
+    /// Train a policy anew on all that a training recorded.
+    #[command(disable_help_flag = true)]
+    Relearn(Delegated),
     /// Drive episodes for a training on another machine.
     #[command(disable_help_flag = true)]
     Actor(Delegated),

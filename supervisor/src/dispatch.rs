@@ -35,6 +35,7 @@ pub fn carry_out(command: &Command, clock: Clock) -> Result<(), Failure> {
         Command::Fork(words) => delegate(LAB, &["fork"], words),
         Command::Regress(words) => delegate(LAB, &["regress"], words),
         Command::Link(_) | Command::Join(_) => delegate(LINK, &[], &Delegated::own()),
+        Command::Relearn(words) => delegate(LAB, &["relearn"], words),
         Command::Export(words) => delegate(LAB, &["export"], words),
     }
 }

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use shm_config::message::INPUTS_WITH_MOTION;
 
 use crate::network::{Head, Network};
-use crate::replay::{ACTIONS, Replay};
+use crate::replay::{ACTIONS, Buffer, Replay};
 use crate::{Adam, Rate};
 
 pub use ppl::Ppl;
@@ -118,6 +118,16 @@ impl Student {
             Student::Regression(student) => student.update(replay, random, threads),
             Student::Pvp(student) => student.update(replay, random, threads),
             Student::Ppl(student) => student.update(replay, random, threads),
+        }
+    }
+
+    /// The replay buffers that it learns from.
+    pub fn buffers(&self) -> &'static [Buffer] {
+        match self {
+            Student::Regression(student) => student.buffers(),
+            // Every batch has steps of both.
+            Student::Pvp(_) => &[Buffer::Expert, Buffer::Learner],
+            Student::Ppl(student) => student.buffers(),
         }
     }
 

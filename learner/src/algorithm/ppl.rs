@@ -36,15 +36,20 @@ impl Ppl {
     /// One update from the steps whose label prefers the expert, and from predicted
     /// states.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
-        let buffers = [Buffer::Expert, Buffer::Predicted];
+        let buffers = self.buffers();
         self.0.update(
-            (replay, &buffers),
+            (replay, buffers),
             random,
             threads,
             |actions, batch, delta| {
                 PREFERENCE_WEIGHT * prefer(actions, &batch.expert, &batch.policy, delta)
             },
         )
+    }
+
+    /// The replay buffers that it learns from.
+    pub fn buffers(&self) -> &'static [Buffer] {
+        &[Buffer::Expert, Buffer::Predicted]
     }
 
     /// The values it keeps from its start, by configuration key.

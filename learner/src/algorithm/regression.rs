@@ -44,12 +44,17 @@ impl Regression {
 
     /// One update; does nothing when there is nothing to imitate.
     pub fn update(&mut self, replay: &Replay, random: &mut impl Rng, threads: usize) -> Losses {
-        let buffers: &[Buffer] = match self.source {
-            Source::Preferred => &[Buffer::Expert],
-            Source::All => &Buffer::ALL,
-        };
+        let buffers = self.buffers();
         self.imitator
             .update((replay, buffers), random, threads, |_, _, _| 0.0)
+    }
+
+    /// The replay buffers that it learns from.
+    pub fn buffers(&self) -> &'static [Buffer] {
+        match self.source {
+            Source::Preferred => &[Buffer::Expert],
+            Source::All => &Buffer::ALL,
+        }
     }
 
     /// The values it keeps from its start, by configuration key.

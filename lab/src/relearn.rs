@@ -1,0 +1,145 @@
+//! `./vlaps relearn`: policies trained anew on what trainings recorded.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context, bail};
+use clap::Args;
+use learner::relearn::Relearning;
+use shm_config::config::Config;
+use shm_config::counted;
+use shm_config::file::{Durable, replace};
+use stack::Clock;
+use supervisor::cli::failure::Failure;
+use supervisor::cli::parsers::whole;
+use supervisor::subcommand::{Output, Subcommand, say, settings};
+
+use crate::fork::cannot;
+use crate::progress::Progress;
+use crate::stop::Stop;
+use crate::train::results::{CONFIG, seed_folders};
+
+/// The file beside each training's own policies.
+const POLICY: &str = "relearnt.onnx";
+
+/// Number of progress lines.
+const PARTS: u64 = 20;
+
+/// Train a policy anew on all that a training recorded: its steps and imagined scenes.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "While a training drives, its first steps are learnt from many times and its last \
+        ones hardly at all. Trained from scratch on the whole replay, a policy sees all of them \
+        equally often; the rate falls over the updates. Nothing is driven and no expert is \
+        asked. All cores compute; their number changes no bit.\n\n\
+        The policy of each seed is written to seed-N/relearnt.onnx, when it is complete; seeds \
+        that have one are left out. The settings are those of the training, unless --set says \
+        otherwise, such as another algorithm or another size of the network.\n\n\
+        Exit code 2: the folder holds no training, or an option is wrong.\n\n\
+        Examples:\n  \
+        ./vlaps relearn runs/train-ppl\n  \
+        ./vlaps relearn runs/train-ppl --updates 60000 --set learner.hidden=512 --again\n  \
+        ./vlaps relearn runs/train-ppl/seed-0 --set learner.algorithm=dagger\n  \
+        ./vlaps eval --driver runs/train-ppl/seed-0/relearnt.onnx"
+)]
+pub struct Relearn {
+    /// Folder of an experiment (`./vlaps train --out`), or of one of its seeds.
+    #[arg(value_name = "DIR")]
+    pub folder: PathBuf,
+    /// Number of updates, over which the rate falls to a hundredth.
+    #[arg(long, value_name = "N", default_value_t = 30_000, allow_negative_numbers = true,
+          value_parser = whole::<u32>(1..=100_000_000))]
+    pub updates: u32,
+    /// Replace policies that are there.
+    #[arg(long)]
+    pub again: bool,
+    /// Override a key of the training's configuration, such as learner.batch=1024; repeatable.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub overrides: Vec<String>,
+}
+
+impl Subcommand for Relearn {
+    fn outputs(&self) -> Vec<Output> {
+        Vec::new()
+    }
+
+    fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
+        let stop = Stop::listen()?;
+        for folder in self.seeds()? {
+            let file = folder.join(POLICY);
+            if file.exists() && !self.again {
+                say(format_args!(
+                    "{}: is there; --again replaces it",
+                    file.display()
+                ));
+                continue;
+            }
+            self.relearn(&folder, &file, (&stop, clock))?;
+            say(file.display());
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}
+
+impl Relearn {
+    /// The folders of the trainings.
+    fn seeds(&self) -> anyhow::Result<Vec<PathBuf>> {
+        if self.folder.join(CONFIG).exists() && self.folder.join("learner").exists() {
+            return Ok(vec![self.folder.clone()]);
+        }
+        let seeds = seed_folders(&self.folder)?.into_iter();
+        let seeds: Vec<PathBuf> = seeds.map(|(_, folder)| folder).collect();
+        match seeds.is_empty() {
+            false => Ok(seeds),
+            true => Err(Failure::Usage(format!(
+                "{}: holds no training: neither seed-N nor a learner's folder",
+                self.folder.display()
+            ))
+            .into()),
+        }
+    }
+
+    /// The configuration of a training with the overrides.
+    fn configuration(&self, folder: &Path) -> anyhow::Result<Config> {
+        let file = folder.join(CONFIG);
+        let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
+        let mut config = settings::changed(&text, &self.overrides)?;
+        config.learner.decay_updates = self.updates;
+        Ok(config)
+    }
+
+    fn relearn(
+        &self,
+        folder: &Path,
+        file: &Path,
+        (stop, clock): (&Stop, Clock),
+    ) -> anyhow::Result<()> {
+        let config = self.configuration(folder).map_err(cannot)?;
+        let commit = std::env::var("VLAPS_COMMIT").unwrap_or_default();
+        let opened = Relearning::open(&config, &folder.join("learner"), commit);
+        let mut relearning = opened.map_err(|error| cannot(error.into()))?;
+        let name = format!("seed {}", config.learner.seed);
+        let total = u64::from(self.updates);
+        let mut progress = Progress::begin(name, "updates", (0, total), clock)?;
+        let transitions = counted(relearning.transitions() as u64, "transition");
+        progress.tell(&format!("learns from {transitions}"));
+        let part = (total / PARTS).max(1);
+        let mut loss = 0.0;
+        for update in 1..=total {
+            if stop.is_asked() {
+                progress.end();
+                bail!("stopped after {update} of {total} updates; nothing was written");
+            }
+            loss += relearning.update().actor;
+            if update.is_multiple_of(part) {
+                progress.note(format!("loss {:.4}", loss / part as f32));
+                progress.at(update);
+                loss = 0.0;
+            }
+        }
+        progress.end();
+        let policy = relearning.policy_file()?;
+        replace(file, &policy, Durable::Yes).with_context(|| file.display().to_string())
+    }
+}

@@ -1,0 +1,81 @@
+//! Learns a policy anew from all that a session recorded.
+//!
+//! While a car drives, the replay grows: the first transitions are learnt from many times, and
+//! the last ones hardly at all, at a rate that has fallen. A policy that is trained from scratch
+//! on the whole replay sees all of them equally often, as DAgger has it (Ross, Gordon and
+//! Bagnell, 2011).
+
+use std::io;
+use std::path::Path;
+
+use policy::{Provenance, Refusal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use shm_config::config::Config;
+
+use crate::algorithm::{Losses, Student};
+use crate::replay::Replay;
+use crate::{export, journal, session};
+
+/// A policy in training, and the replay of a session, which is only read.
+pub struct Relearning {
+    student: Student,
+    random: Xoshiro256PlusPlus,
+    replay: Replay,
+    provenance: Provenance,
+    threads: usize,
+}
+
+impl Relearning {
+    /// A new policy of the configured algorithm and sizes, and the replay in this session's
+    /// folder. `commit` names the build in the policy file.
+    ///
+    /// # Errors
+    /// When there is no replay, it cannot be read, or holds nothing that the algorithm learns
+    /// from.
+    pub fn open(config: &Config, folder: &Path, commit: String) -> io::Result<Relearning> {
+        let path = folder.join("replay.bin");
+        let name =
+            |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
+        let capacity = config.learner.capacity as usize;
+        let (mut replay, mark) = journal::read(&path, capacity).map_err(name)?;
+        replay.set_inputs(session::inputs(config));
+        let state = session::begin(config);
+        let mut buffers = state.student.buffers().iter();
+        if buffers.all(|buffer| replay.len(*buffer) == 0) {
+            let what = format!("holds nothing that {} learns from", state.algorithm);
+            return Err(name(io::Error::new(io::ErrorKind::InvalidData, what)));
+        }
+        Ok(Relearning {
+            provenance: Provenance {
+                algorithm: state.algorithm,
+                seed: config.learner.seed,
+                steps: mark.map_or(0, |mark| mark.counts.driven()),
+                commit,
+            },
+            student: state.student,
+            random: state.random,
+            replay,
+            threads: session::all_threads(),
+        })
+    }
+
+    /// Number of transitions that it learns from.
+    pub fn transitions(&self) -> usize {
+        let buffers = self.student.buffers().iter();
+        buffers.map(|buffer| self.replay.len(*buffer)).sum()
+    }
+
+    /// One update.
+    pub fn update(&mut self) -> Losses {
+        self.student
+            .update(&self.replay, &mut self.random, self.threads)
+    }
+
+    /// The present policy as a file.
+    ///
+    /// # Errors
+    /// When its numbers are not finite.
+    pub fn policy_file(&self) -> Result<Vec<u8>, Refusal> {
+        export::with_probes(self.student.policy(), &self.provenance, &self.replay)
+    }
+}

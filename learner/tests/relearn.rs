@@ -1,0 +1,148 @@
+//! A policy trained anew on the replay of a session.
+
+mod steps;
+
+use std::fs;
+use std::path::Path;
+
+use learner::algorithm::Losses;
+use learner::relearn::Relearning;
+use learner::session::Session;
+use policy::{Net, decode};
+use shm_config::config::{Algorithm, Config, GateMode};
+use steps::{step, vetoed};
+use tempfile::TempDir;
+
+const STEPS: u64 = 41;
+
+fn config(algorithm: Algorithm) -> Config {
+    let mut config = Config::default();
+    // Steps with a veto have a label at once; all other steps have none.
+    config.gate.mode = GateMode::Policy;
+    let learner = &mut config.learner;
+    learner.algorithm = algorithm;
+    learner.block_steps = 20;
+    learner.updates = 2;
+    learner.batch = 16;
+    learner.hidden = 16;
+    learner.capacity = 64;
+    learner.predicted_states = 1;
+    learner.imagined_scenes = 1;
+    config
+}
+
+/// A session of some blocks, every third step vetoed if so asked.
+fn session(algorithm: Algorithm, is_vetoed: bool) -> TempDir {
+    let folder = TempDir::new().expect("a folder");
+    let mut session = Session::open(&config(algorithm), folder.path()).expect("a session");
+    for tick in 0..STEPS {
+        session.push(&match is_vetoed && tick % 3 == 0 {
+            true => vetoed(step(tick)),
+            false => step(tick),
+        });
+        if session.is_due() {
+            session.learn(|| {}).expect("finite numbers");
+        }
+    }
+    session.finish();
+    folder
+}
+
+fn open(config: &Config, folder: &Path) -> Relearning {
+    Relearning::open(config, folder, "0123abcd".into()).expect("a replay")
+}
+
+/// The policy after so many updates, and the loss of the last one.
+fn relearn(config: &Config, folder: &Path, updates: u32) -> (Vec<u8>, f32) {
+    let mut relearning = open(config, folder);
+    let mut losses = Losses::default();
+    for _ in 0..updates {
+        losses = relearning.update();
+    }
+    (
+        relearning.policy_file().expect("finite numbers"),
+        losses.actor,
+    )
+}
+
+#[test]
+fn every_algorithm_learns_anew_the_same_each_time_and_leaves_the_session_as_it_was() {
+    for algorithm in [
+        Algorithm::Pvp,
+        Algorithm::Ppl,
+        Algorithm::HgDagger,
+        Algorithm::Dagger,
+    ] {
+        let folder = session(algorithm, true);
+        let config = config(algorithm);
+        let files = ["replay.bin", "learner.bin", "blocks.csv"];
+        let read = || files.map(|file| fs::read(folder.path().join(file)).expect("the file"));
+        let before = read();
+        let (first, _) = relearn(&config, folder.path(), 50);
+        let (again, _) = relearn(&config, folder.path(), 50);
+        let (fewer, _) = relearn(&config, folder.path(), 1);
+        assert!(first == again, "{algorithm:?}: another policy");
+        assert!(first != fewer, "{algorithm:?} learnt nothing");
+        assert!(before == read(), "{algorithm:?}: the session is changed");
+        let file = decode(&first).expect("a policy file");
+        let provenance = file.provenance.expect("ours");
+        assert_eq!(provenance.algorithm, algorithm.word());
+        assert_eq!((provenance.steps, &provenance.commit[..]), (40, "0123abcd"));
+        assert!(matches!(file.net, Net::Mlp { .. }) && !file.probes.is_empty());
+    }
+}
+
+#[test]
+fn another_algorithm_and_size_may_learn_from_a_session() {
+    let folder = session(Algorithm::Ppl, true);
+    let of_ppl = open(&config(Algorithm::Ppl), folder.path());
+    let mut all = config(Algorithm::Dagger);
+    all.learner.hidden = 24;
+    let of_all = open(&all, folder.path());
+    assert!(
+        of_all.transitions() > of_ppl.transitions(),
+        "the policy drove, too"
+    );
+    let (_, first) = relearn(&all, folder.path(), 1);
+    let (_, last) = relearn(&all, folder.path(), 300);
+    assert!(last < 0.5 * first, "loss {first}, then {last}");
+}
+
+#[test]
+fn a_replay_that_is_missing_damaged_or_has_nothing_to_learn_from_is_refused_by_name() {
+    let refusal = |config: &Config, folder: &Path| {
+        let error = Relearning::open(config, folder, String::new()).err();
+        let said = error.expect("refused").to_string();
+        assert!(said.contains("replay.bin"), "{said}");
+        said
+    };
+    let empty = TempDir::new().expect("a folder");
+    refusal(&config(Algorithm::Ppl), empty.path());
+    fs::write(empty.path().join("replay.bin"), b"something else").expect("a file");
+    refusal(&config(Algorithm::Ppl), empty.path());
+    assert_eq!(
+        fs::read(empty.path().join("replay.bin")).expect("the file"),
+        b"something else"
+    );
+
+    let folder = session(Algorithm::HgDagger, false);
+    let said = refusal(&config(Algorithm::HgDagger), folder.path());
+    assert!(
+        said.contains("nothing that hg-dagger learns from"),
+        "{said}"
+    );
+    open(&config(Algorithm::Dagger), folder.path());
+}
+
+#[test]
+fn a_record_that_is_being_written_is_left_alone() {
+    let folder = session(Algorithm::Dagger, true);
+    let config = config(Algorithm::Dagger);
+    let path = folder.path().join("replay.bin");
+    let mut bytes = fs::read(&path).expect("the file");
+    let whole = open(&config, folder.path()).transitions();
+    bytes.truncate(bytes.len() - 100);
+    fs::write(&path, &bytes).expect("a file");
+    assert_eq!(open(&config, folder.path()).transitions(), whole - 1);
+    assert_eq!(fs::read(&path).expect("the file").len(), bytes.len());
+}
