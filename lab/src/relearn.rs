@@ -34,25 +34,30 @@ const PARTS: u64 = 20;
         equally often; the rate falls over the updates. Nothing is driven and no expert is \
         asked. All cores compute; their number changes no bit.\n\n\
         The policy of each seed is written to seed-N/relearnt.onnx, when it is complete; seeds \
-        that have one are left out. The settings are those of the training, unless --set says \
+        that have one are left out. With --together, one policy learns from all of them. The \
+        settings are those of the training, of the first one with --together, unless --set says \
         otherwise, such as another algorithm or another size of the network.\n\n\
         Exit code 2: the folder holds no training, or an option is wrong.\n\n\
         Examples:\n  \
         ./vlaps relearn runs/train-ppl\n  \
         ./vlaps relearn runs/train-ppl --updates 60000 --set learner.hidden=512 --again\n  \
         ./vlaps relearn runs/train-ppl/seed-0 --set learner.algorithm=dagger\n  \
+        ./vlaps relearn runs/a runs/b --together both.onnx --set learner.capacity=1000000\n  \
         ./vlaps eval --driver runs/train-ppl/seed-0/relearnt.onnx"
 )]
 pub struct Relearn {
-    /// Folder of an experiment (`./vlaps train --out`), or of one of its seeds.
-    #[arg(value_name = "DIR")]
-    pub folder: PathBuf,
+    /// Folders of experiments (`./vlaps train --out`), or of single seeds.
+    #[arg(value_name = "DIR", required = true)]
+    pub folders: Vec<PathBuf>,
+    /// Train one policy on all of them together, and write it to this file.
+    #[arg(long, value_name = "FILE")]
+    pub together: Option<PathBuf>,
     /// Number of updates, over which the rate falls to a hundredth.
     #[arg(long, value_name = "N", default_value_t = 30_000, allow_negative_numbers = true,
           value_parser = whole::<u32>(1..=100_000_000))]
     pub updates: u32,
     /// Replace policies that are there.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "together")]
     pub again: bool,
     /// Override a key of the training's configuration, such as learner.batch=1024; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -61,21 +66,25 @@ pub struct Relearn {
 
 impl Subcommand for Relearn {
     fn outputs(&self) -> Vec<Output> {
-        Vec::new()
+        vec![Output::File("--together", self.together.clone())]
     }
 
     fn run(&self, clock: Clock) -> anyhow::Result<ExitCode> {
-        let stop = Stop::listen()?;
-        for folder in self.seeds()? {
-            let file = folder.join(POLICY);
+        let watch = (&Stop::listen()?, clock);
+        let seeds = self.seeds()?;
+        if let Some(file) = &self.together {
+            self.relearn(&seeds, file, watch)?;
+            say(file.display());
+            return Ok(ExitCode::SUCCESS);
+        }
+        for seed in seeds {
+            let file = seed.join(POLICY);
             if file.exists() && !self.again {
-                say(format_args!(
-                    "{}: is there; --again replaces it",
-                    file.display()
-                ));
+                let file = file.display();
+                say(format_args!("{file}: is there; --again replaces it"));
                 continue;
             }
-            self.relearn(&folder, &file, (&stop, clock))?;
+            self.relearn(&[seed], &file, watch)?;
             say(file.display());
         }
         Ok(ExitCode::SUCCESS)
@@ -85,19 +94,23 @@ impl Subcommand for Relearn {
 impl Relearn {
     /// The folders of the trainings.
     fn seeds(&self) -> anyhow::Result<Vec<PathBuf>> {
-        if self.folder.join(CONFIG).exists() && self.folder.join("learner").exists() {
-            return Ok(vec![self.folder.clone()]);
+        let mut seeds = Vec::new();
+        for folder in &self.folders {
+            if folder.join(CONFIG).exists() && folder.join("learner").exists() {
+                seeds.push(folder.clone());
+                continue;
+            }
+            let found = seed_folders(folder)?;
+            if found.is_empty() {
+                return Err(Failure::Usage(format!(
+                    "{}: holds no training: neither seed-N nor a learner's folder",
+                    folder.display()
+                ))
+                .into());
+            }
+            seeds.extend(found.into_iter().map(|(_, seed)| seed));
         }
-        let seeds = seed_folders(&self.folder)?.into_iter();
-        let seeds: Vec<PathBuf> = seeds.map(|(_, folder)| folder).collect();
-        match seeds.is_empty() {
-            false => Ok(seeds),
-            true => Err(Failure::Usage(format!(
-                "{}: holds no training: neither seed-N nor a learner's folder",
-                self.folder.display()
-            ))
-            .into()),
-        }
+        Ok(seeds)
     }
 
     /// The configuration of a training with the overrides.
@@ -109,17 +122,23 @@ impl Relearn {
         Ok(config)
     }
 
+    /// Trains one policy on these trainings and writes it to the file.
     fn relearn(
         &self,
-        folder: &Path,
+        seeds: &[PathBuf],
         file: &Path,
         (stop, clock): (&Stop, Clock),
     ) -> anyhow::Result<()> {
-        let config = self.configuration(folder).map_err(cannot)?;
+        let first = seeds.first().context("no training")?;
+        let config = self.configuration(first).map_err(cannot)?;
         let commit = std::env::var("VLAPS_COMMIT").unwrap_or_default();
-        let opened = Relearning::open(&config, &folder.join("learner"), commit);
+        let learners: Vec<PathBuf> = seeds.iter().map(|seed| seed.join("learner")).collect();
+        let opened = Relearning::open(&config, &learners, commit);
         let mut relearning = opened.map_err(|error| cannot(error.into()))?;
-        let name = format!("seed {}", config.learner.seed);
+        let name = match seeds {
+            [_] => format!("seed {}", config.learner.seed),
+            seeds => format!("{} trainings", seeds.len()),
+        };
         let total = u64::from(self.updates);
         let mut progress = Progress::begin(name, "updates", (0, total), clock)?;
         let transitions = counted(relearning.transitions() as u64, "transition");

@@ -106,7 +106,7 @@ impl Journal {
             mark,
             records,
             has_magic,
-        } = Content::read(&file, capacity)?;
+        } = Content::read(&file, Replay::new(capacity))?;
         check_whole(mark, learnt)?;
         if !has_magic {
             // A learner was killed while it created the file.
@@ -245,9 +245,10 @@ struct Content {
 }
 
 impl Content {
-    fn read(file: &File, capacity: usize) -> io::Result<Content> {
+    /// Adds what the file holds to the replay.
+    fn read(file: &File, replay: Replay) -> io::Result<Content> {
         let mut content = Content {
-            replay: Replay::new(capacity),
+            replay,
             mark: None,
             records: 0,
             has_magic: false,
@@ -273,13 +274,13 @@ impl Content {
     }
 }
 
-/// The transitions of a file, in replay buffers of this capacity, and its last mark. The file
-/// is only read, and a learner may be using it.
+/// Adds the transitions of a file to a replay; returns it and the file's last mark. The file is
+/// only read, and a learner may be using it.
 ///
 /// # Errors
 /// When the file cannot be read or has another format.
-pub fn read(path: &Path, capacity: usize) -> io::Result<(Replay, Option<Mark>)> {
-    let content = Content::read(&File::open(path)?, capacity)?;
+pub fn read(path: &Path, replay: Replay) -> io::Result<(Replay, Option<Mark>)> {
+    let content = Content::read(&File::open(path)?, replay)?;
     Ok((content.replay, content.mark))
 }
 

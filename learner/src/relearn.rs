@@ -1,4 +1,4 @@
-//! Learns a policy anew from all that a session recorded.
+//! Learns a policy anew from all that sessions recorded.
 //!
 //! While a car drives, the replay grows: the first transitions are learnt from many times, and
 //! the last ones hardly at all, at a rate that has fallen. A policy that is trained from scratch
@@ -6,7 +6,7 @@
 //! Bagnell, 2011).
 
 use std::io;
-use std::path::Path;
+use std::path::PathBuf;
 
 use policy::{Provenance, Refusal};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -16,7 +16,7 @@ use crate::algorithm::{Losses, Student};
 use crate::replay::Replay;
 use crate::{export, journal, session};
 
-/// A policy in training, and the replay of a session, which is only read.
+/// A policy in training, and the replay of sessions, whose files are only read.
 pub struct Relearning {
     student: Student,
     random: Xoshiro256PlusPlus,
@@ -26,30 +26,41 @@ pub struct Relearning {
 }
 
 impl Relearning {
-    /// A new policy of the configured algorithm and sizes, and the replay in this session's
-    /// folder. `commit` names the build in the policy file.
+    /// A new policy of the configured algorithm and sizes, and the replays in the folders of
+    /// these sessions, together as much as `learner.capacity` holds: the last ones. `commit` names
+    /// the build in the policy file.
     ///
     /// # Errors
-    /// When there is no replay, it cannot be read, or holds nothing that the algorithm learns
+    /// When there is no replay, one cannot be read, or they hold nothing that the algorithm learns
     /// from.
-    pub fn open(config: &Config, folder: &Path, commit: String) -> io::Result<Relearning> {
-        let path = folder.join("replay.bin");
-        let name =
-            |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
-        let capacity = config.learner.capacity as usize;
-        let (mut replay, mark) = journal::read(&path, capacity).map_err(name)?;
+    pub fn open(config: &Config, folders: &[PathBuf], commit: String) -> io::Result<Relearning> {
+        let mut replay = Replay::new(config.learner.capacity as usize);
         replay.set_inputs(session::inputs(config));
+        let mut steps = 0;
+        for folder in folders {
+            let path = folder.join("replay.bin");
+            let name = |error: io::Error| {
+                io::Error::new(error.kind(), format!("{}: {error}", path.display()))
+            };
+            let (further, mark) = journal::read(&path, replay).map_err(name)?;
+            replay = further;
+            steps += mark.map_or(0, |mark| mark.counts.driven());
+        }
         let state = session::begin(config);
         let mut buffers = state.student.buffers().iter();
         if buffers.all(|buffer| replay.len(*buffer) == 0) {
-            let what = format!("holds nothing that {} learns from", state.algorithm);
-            return Err(name(io::Error::new(io::ErrorKind::InvalidData, what)));
+            let files = match folders {
+                [folder] => folder.join("replay.bin").display().to_string(),
+                folders => format!("replay.bin of {} sessions", folders.len()),
+            };
+            let what = format!("{files}: nothing that {} learns from", state.algorithm);
+            return Err(io::Error::new(io::ErrorKind::InvalidData, what));
         }
         Ok(Relearning {
             provenance: Provenance {
                 algorithm: state.algorithm,
                 seed: config.learner.seed,
-                steps: mark.map_or(0, |mark| mark.counts.driven()),
+                steps,
                 commit,
             },
             student: state.student,

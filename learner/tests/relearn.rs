@@ -49,7 +49,7 @@ fn session(algorithm: Algorithm, is_vetoed: bool) -> TempDir {
 }
 
 fn open(config: &Config, folder: &Path) -> Relearning {
-    Relearning::open(config, folder, "0123abcd".into()).expect("a replay")
+    Relearning::open(config, &[folder.into()], "0123abcd".into()).expect("a replay")
 }
 
 /// The policy after so many updates, and the loss of the last one.
@@ -109,9 +109,28 @@ fn another_algorithm_and_size_may_learn_from_a_session() {
 }
 
 #[test]
+fn several_sessions_teach_together_as_much_as_there_is_room_for() {
+    let sessions = [
+        session(Algorithm::Ppl, true),
+        session(Algorithm::Dagger, true),
+    ];
+    let folders = [&sessions[0], &sessions[1]].map(|folder| folder.path().to_path_buf());
+    let mut config = config(Algorithm::Dagger);
+    config.learner.capacity = 10_000;
+    let apart = [0, 1].map(|k| open(&config, &folders[k]).transitions());
+    let together = |config: &Config| Relearning::open(config, &folders, String::new());
+    let both = together(&config).expect("two replays");
+    assert_eq!(both.transitions(), apart[0] + apart[1]);
+    let file = decode(&both.policy_file().expect("finite")).expect("a policy file");
+    assert_eq!(file.provenance.expect("ours").steps, 80);
+    config.learner.capacity = 5;
+    assert_eq!(together(&config).expect("two replays").transitions(), 3 * 5);
+}
+
+#[test]
 fn a_replay_that_is_missing_damaged_or_has_nothing_to_learn_from_is_refused_by_name() {
     let refusal = |config: &Config, folder: &Path| {
-        let error = Relearning::open(config, folder, String::new()).err();
+        let error = Relearning::open(config, &[folder.into()], String::new()).err();
         let said = error.expect("refused").to_string();
         assert!(said.contains("replay.bin"), "{said}");
         said

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
+use policy::decode;
 use rustix::process::{Pid, Signal, kill_process};
 use shm_config::config::from_toml;
 use shm_config::run::RunPaths;
@@ -216,8 +217,57 @@ fn a_training_reports_each_block_in_a_pipe_and_is_refused_a_second_time() {
         );
     }
 
+    assert_a_policy_is_trained_anew(&experiment);
     assert_other_options_are_refused(&experiment, &words);
     assert_a_longer_training_continues(&experiment);
+}
+
+/// `./vlaps relearn` writes a policy beside the training's own, and replaces it only if asked.
+fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
+    let relearn = |words: &[&str]| {
+        let mut command = Command::new(programs().join("vlaps-lab"));
+        command.arg("relearn").args(words);
+        command.current_dir(&experiment.folder);
+        command.output().expect("it starts")
+    };
+    let file = experiment.seed(0).join("relearnt.onnx");
+    let all = ["--set", "learner.algorithm=dagger", "--updates", "20"];
+    let output = relearn(&[&[&experiment.name[..]], &all[..]].concat());
+    assert!(output.status.success(), "{output:?}");
+    assert!(
+        text(&output.stderr).contains("20 of 20 updates"),
+        "{output:?}"
+    );
+    let first = fs::read(&file).expect("a policy");
+    let origin = decode(&first).expect("a policy file").provenance;
+    let origin = origin.expect("ours");
+    assert_eq!((&origin.algorithm[..], origin.steps), ("dagger", 3 * BLOCK));
+
+    let output = relearn(&[&experiment.name, "--updates", "30"]);
+    assert!(
+        text(&output.stdout).contains("--again replaces it"),
+        "{output:?}"
+    );
+    assert!(fs::read(&file).expect("a policy") == first);
+    let seed = experiment.seed(0);
+    let seed = seed.to_str().expect("a path in UTF-8");
+    let output = relearn(&[&[seed, "--again"], &all[..3], &["10"]].concat());
+    assert!(output.status.success(), "{output:?}");
+    assert!(fs::read(&file).expect("a policy") != first);
+
+    for (words, said) in [
+        (&["nowhere"][..], "holds no training"),
+        (
+            &[&experiment.name, "--again", "--set", "learner.batch=1"],
+            "learner.batch",
+        ),
+        (&[&experiment.name, "--updates", "0"], "--updates"),
+    ] {
+        let output = relearn(words);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        assert!(text(&output.stderr).contains(said), "{output:?}");
+    }
+    assert!(fs::read(&file).expect("a policy") != first);
 }
 
 /// A second start, and a resumed one with other options, are refused with the reason.
