@@ -11,8 +11,7 @@ use rand::{Rng, RngExt};
 use shm_config::config::{Config, OutOfRange};
 use shm_config::message::{Bend, FEATURES, MOTION_AT_REST, Observation, Preference};
 use stack::oracle::Oracle;
-use tracker::Moving;
-use vehicle::{Action, Point, Pose, State, Vector, Vehicle, wrap_rad};
+use vehicle::{Action, Point, Pose, State, Vehicle, wrap_rad};
 
 use crate::elsewhere;
 use crate::replay::{ACTIONS, INPUTS, Then, Transition};
@@ -34,15 +33,7 @@ const EDGE_M: f64 = 1.2;
 /// Distance ahead of an added body, m.
 const AHEAD_M: std::ops::Range<f64> = 4.0..30.0;
 /// Half lengths and half widths of added bodies: a cone, a barrier, a car, m.
-const BODIES_M: [(f64, f64); 3] = [(0.2, 0.2), (0.15, 0.8), CAR_M];
-/// Half the length and half the width of a car, m.
-const CAR_M: (f64, f64) = (2.3, 1.0);
-/// Distance ahead of an added car that moves, m.
-const TRAFFIC_AHEAD_M: std::ops::Range<f64> = -20.0..40.0;
-/// Its speed, m/s: MetaDrive's traffic wants up to 11.
-const TRAFFIC_SPEED_MPS: std::ops::Range<f64> = 0.0..12.0;
-/// Distance between its imagined returns, m.
-const TRAFFIC_RETURNS_M: f64 = 0.5;
+const BODIES_M: [(f64, f64); 3] = [(0.2, 0.2), (0.15, 0.8), (2.3, 1.0)];
 /// Number of added bodies, drawn uniformly from this list.
 const BODY_COUNTS: [usize; 4] = [0, 1, 1, 2];
 /// No body is added nearer than this ahead of the car's centre or beside it, m: it
@@ -55,7 +46,6 @@ pub struct Imagination {
     vehicle: Vehicle,
     there: Box<Observation>,
     tells_motion: bool,
-    cars_max: u32,
 }
 
 impl Imagination {
@@ -69,7 +59,6 @@ impl Imagination {
             vehicle: config.vehicle,
             there: Box::default(),
             tells_motion: config.learner.motion,
-            cars_max: config.learner.imagined_cars,
         })
     }
 
@@ -117,35 +106,9 @@ impl Imagination {
         }
         elsewhere::observe(observation, &state, (ego.steer, ego.pedal), &mut self.there);
         for _ in 0..BODY_COUNTS[random.random_range(0..BODY_COUNTS.len())] {
-            if let Some(body) = Body::draw(&self.there, (AHEAD_M, &BODIES_M), random) {
-                elsewhere::place(&body.outline(), &mut self.there);
-            }
+            place(&mut self.there, random);
         }
-        if self.tells_motion && self.cars_max > 0 {
-            self.add_traffic(random);
-        }
-        let asked = self.ask(None);
-        self.oracle.forget_imagined();
-        asked
-    }
-
-    /// Adds cars that drive along the road.
-    fn add_traffic(&mut self, random: &mut impl Rng) {
-        let ego = &self.there.ego;
-        let world_from_body = vehicle::pose(ego.x_world_m, ego.y_world_m, ego.heading_world_rad);
-        for _ in 0..random.random_range(0..=self.cars_max) {
-            let Some(car) = Body::draw(&self.there, (TRAFFIC_AHEAD_M, &[CAR_M]), random) else {
-                continue;
-            };
-            let speed_mps = random.random_range(TRAFFIC_SPEED_MPS);
-            elsewhere::place(&car.outline(), &mut self.there);
-            let world_from_car = world_from_body * car.body_from_box;
-            let velocity_world = world_from_car.rotation * Vector::new(speed_mps, 0.0);
-            let returns = along(car.outline(), TRAFFIC_RETURNS_M);
-            let returns =
-                returns.map(|point| Moving::straight(world_from_body * point, velocity_world));
-            self.oracle.imagine(returns);
-        }
+        self.ask(None)
     }
 
     /// The imagined state with the expert's answer. Without a rejected action the
@@ -175,58 +138,34 @@ impl Imagination {
     }
 }
 
-/// A body on the road.
-struct Body {
-    body_from_box: Pose,
-    /// Half its length and half its width, m.
-    half_m: (f64, f64),
-}
-
-impl Body {
-    /// One at a random place on the road, so far ahead of the car; `None` if the car is there.
-    fn draw(
-        observation: &Observation,
-        (ahead_m, kinds_m): (std::ops::Range<f64>, &[(f64, f64)]),
-        random: &mut impl Rng,
-    ) -> Option<Body> {
-        let road = &observation.road;
-        let checkpoint = &observation.checkpoints[0];
-        let curvature = match checkpoint.bend() {
-            Bend::Left if checkpoint.bend_radius_m > 0.0 => 1.0 / checkpoint.bend_radius_m,
-            Bend::Right if checkpoint.bend_radius_m > 0.0 => -1.0 / checkpoint.bend_radius_m,
-            Bend::Left | Bend::Right | Bend::Straight => 0.0,
-        };
-        let ahead_m = random.random_range(ahead_m);
-        let right_m = road.right_m.max(0.1);
-        let aside_m = random.random_range(-right_m..road.left_m.max(0.1));
-        let half_m = kinds_m[random.random_range(0..kinds_m.len())];
-        let across_m =
-            aside_m - ahead_m * road.heading_rad.sin() + 0.5 * curvature * ahead_m * ahead_m;
-        let heading_rad = curvature * ahead_m - road.heading_rad + 0.2 * normal(random);
-        let [ahead_clear_m, aside_clear_m] = CLEAR_M;
-        let in_the_car =
-            ahead_m.abs() - half_m.0 < ahead_clear_m && across_m.abs() - half_m.1 < aside_clear_m;
+/// Adds a body to the road ahead.
+fn place(observation: &mut Observation, random: &mut impl Rng) {
+    let road = &observation.road;
+    let checkpoint = &observation.checkpoints[0];
+    let curvature = match checkpoint.bend() {
+        Bend::Left if checkpoint.bend_radius_m > 0.0 => 1.0 / checkpoint.bend_radius_m,
+        Bend::Right if checkpoint.bend_radius_m > 0.0 => -1.0 / checkpoint.bend_radius_m,
+        Bend::Left | Bend::Right | Bend::Straight => 0.0,
+    };
+    let ahead_m = random.random_range(AHEAD_M);
+    let right_m = road.right_m.max(0.1);
+    let aside_m = random.random_range(-right_m..road.left_m.max(0.1));
+    let (half_length_m, half_width_m) = BODIES_M[random.random_range(0..BODIES_M.len())];
+    let across_m = aside_m - ahead_m * road.heading_rad.sin() + 0.5 * curvature * ahead_m * ahead_m;
+    let heading_rad = curvature * ahead_m - road.heading_rad + 0.2 * normal(random);
+    let [ahead_clear_m, aside_clear_m] = CLEAR_M;
+    let in_the_car =
+        ahead_m - half_length_m < ahead_clear_m && across_m.abs() - half_width_m < aside_clear_m;
+    if !in_the_car {
         let body_from_box = vehicle::pose(ahead_m, across_m, heading_rad);
-        (!in_the_car).then_some(Body {
-            body_from_box,
-            half_m,
-        })
-    }
-
-    fn outline(&self) -> [Point; 4] {
-        let (length_m, width_m) = self.half_m;
-        [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
-            .map(|(x, y)| self.body_from_box * Point::new(x * length_m, y * width_m))
+        let outline = outline(&body_from_box, half_length_m, half_width_m);
+        elsewhere::place(&outline, observation);
     }
 }
 
-/// Points along an outline, at most so far apart.
-fn along(outline: [Point; 4], apart_m: f64) -> impl Iterator<Item = Point> {
-    (0..4).flat_map(move |corner| {
-        let (from, to) = (outline[corner], outline[(corner + 1) % 4]);
-        let count = ((to - from).norm() / apart_m).ceil().max(1.0) as usize;
-        (0..count).map(move |k| from + (to - from) * (k as f64 / count as f64))
-    })
+fn outline(body_from_box: &Pose, half_length_m: f64, half_width_m: f64) -> [Point; 4] {
+    [(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)]
+        .map(|(x, y)| body_from_box * Point::new(x * half_length_m, y * half_width_m))
 }
 
 /// A normally distributed number (Box and Muller).

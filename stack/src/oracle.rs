@@ -16,10 +16,8 @@ const APART_NS: u64 = 1_000_000_000_000;
 pub struct Oracle {
     stack: Box<Stack>,
     tracker: Box<Tracker>,
-    /// What moves in the observation that was watched last, then what is imagined to move.
+    /// What moves in the observation that was watched last.
     moving: Vec<Moving>,
-    /// Length of the first part.
-    watched: usize,
     /// For the observations that are asked about.
     there: Box<Tracker>,
     asked: u32,
@@ -39,7 +37,6 @@ impl Oracle {
             stack: Box::new(Stack::new(&config)?),
             tracker: Box::default(),
             moving: Vec::with_capacity(BEAMS_MAX),
-            watched: 0,
             there: Box::default(),
             asked: 0,
         })
@@ -51,17 +48,6 @@ impl Oracle {
         self.tracker.follow(observation);
         self.moving.clear();
         self.moving.extend(self.tracker.moving(observation));
-        self.watched = self.moving.len();
-    }
-
-    /// Forgets the bodies that were imagined to move.
-    pub fn forget_imagined(&mut self) {
-        self.moving.truncate(self.watched);
-    }
-
-    /// Imagines that a body moves, beside those that were watched: these are its returns.
-    pub fn imagine(&mut self, returns: impl IntoIterator<Item = Moving>) {
-        self.moving.extend(returns);
     }
 
     /// How the bodies move in an observation near the one that was watched last, as a policy

@@ -54,19 +54,6 @@ pub struct Moving {
     motion: Motion,
 }
 
-impl Moving {
-    /// A return here of a body with this velocity, m/s, that does not turn.
-    pub fn straight(point_world: Point, velocity_world: Vector) -> Moving {
-        Moving {
-            point_world,
-            motion: Motion {
-                velocity_world,
-                turn_radps: 0.0,
-            },
-        }
-    }
-}
-
 /// Follows bodies from scan to scan. All memory is its own.
 ///
 /// The returns of a scan are parted into clusters, and a cluster is followed from scan to

@@ -85,8 +85,6 @@ pub struct Learner {
     /// For dagger and ppl: imagined scenes for each observed one, at which the expert
     /// is asked.
     pub imagined_scenes: u32,
-    /// With `learner.motion`: up to so many moving cars are added to each imagined scene.
-    pub imagined_cars: u32,
     /// How long a step waits for the answer to its question, s; after that it has no
     /// label.
     #[serde(skip)]
@@ -115,7 +113,6 @@ impl Default for Learner {
             capacity: 50_000,
             predicted_states: 4,
             imagined_scenes: 3,
-            imagined_cars: 0,
             label_wait_s: 35.0,
         }
     }
@@ -141,7 +138,6 @@ impl Learner {
             ("learner.capacity", self.capacity, 1..=1_000_000),
             ("learner.predicted_states", self.predicted_states, 0..=50),
             ("learner.imagined_scenes", self.imagined_scenes, 0..=50),
-            ("learner.imagined_cars", self.imagined_cars, 0..=10),
         ];
         for (key, value, range) in counts {
             in_range(key, value, range)?;
