@@ -135,7 +135,7 @@ impl Learner {
             ("learner.updates", self.updates, 0..=1_000_000),
             ("learner.batch", self.batch, 2..=65_536),
             ("learner.hidden", self.hidden, 1..=1024),
-            ("learner.capacity", self.capacity, 1..=1_000_000),
+            ("learner.capacity", self.capacity, 1..=10_000_000),
             ("learner.predicted_states", self.predicted_states, 0..=50),
             ("learner.imagined_scenes", self.imagined_scenes, 0..=50),
         ];
