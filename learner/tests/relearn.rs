@@ -87,7 +87,7 @@ fn every_algorithm_learns_anew_the_same_each_time_and_leaves_the_session_as_it_w
         let file = decode(&first).expect("a policy file");
         let provenance = file.provenance.expect("ours");
         assert_eq!(provenance.algorithm, algorithm.word());
-        assert_eq!((provenance.steps, &provenance.commit[..]), (40, "0123abcd"));
+        assert_eq!((provenance.steps, &provenance.commit[..]), (STEPS, "0123abcd"));
         assert!(matches!(file.net, Net::Mlp { .. }) && !file.probes.is_empty());
     }
 }
@@ -104,7 +104,7 @@ fn another_algorithm_and_size_may_learn_from_a_session() {
         "the policy drove, too"
     );
     let (_, first) = relearn(&all, folder.path(), 1);
-    let (_, last) = relearn(&all, folder.path(), 300);
+    let (_, last) = relearn(&all, folder.path(), 3000);
     assert!(last < 0.5 * first, "loss {first}, then {last}");
 }
 
@@ -122,7 +122,7 @@ fn several_sessions_teach_together_as_much_as_there_is_room_for() {
     let both = together(&config).expect("two replays");
     assert_eq!(both.transitions(), apart[0] + apart[1]);
     let file = decode(&both.policy_file().expect("finite")).expect("a policy file");
-    assert_eq!(file.provenance.expect("ours").steps, 80);
+    assert_eq!(file.provenance.expect("ours").steps, 2 * STEPS);
     config.learner.capacity = 5;
     assert_eq!(together(&config).expect("two replays").transitions(), 3 * 5);
 }
