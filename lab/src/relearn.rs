@@ -46,7 +46,7 @@ const PARTS: u64 = 20;
         ./vlaps eval --driver runs/train-ppl/seed-0/relearnt.onnx"
 )]
 pub struct Relearn {
-    /// Folders of experiments (`./vlaps train --out`), or of single seeds.
+    /// Folders of experiments, as `./vlaps train` makes them, or of single seeds.
     #[arg(value_name = "DIR", required = true)]
     pub folders: Vec<PathBuf>,
     /// Train one policy on all of them together, and write it to this file.

@@ -87,7 +87,10 @@ fn every_algorithm_learns_anew_the_same_each_time_and_leaves_the_session_as_it_w
         let file = decode(&first).expect("a policy file");
         let provenance = file.provenance.expect("ours");
         assert_eq!(provenance.algorithm, algorithm.word());
-        assert_eq!((provenance.steps, &provenance.commit[..]), (STEPS, "0123abcd"));
+        assert_eq!(
+            (provenance.steps, &provenance.commit[..]),
+            (STEPS, "0123abcd")
+        );
         assert!(matches!(file.net, Net::Mlp { .. }) && !file.probes.is_empty());
     }
 }
