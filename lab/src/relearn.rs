@@ -113,12 +113,22 @@ impl Relearn {
         Ok(seeds)
     }
 
-    /// The configuration of a training with the overrides.
-    fn configuration(&self, folder: &Path) -> anyhow::Result<Config> {
-        let file = folder.join(CONFIG);
-        let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
-        let mut config = settings::changed(&text, &self.overrides)?;
+    /// The configuration of the first training with the overrides.
+    fn configuration(&self, seeds: &[PathBuf]) -> anyhow::Result<Config> {
+        let first = seeds.first().context("no training")?;
+        let mut config = settings::changed(&text(first)?, &self.overrides)?;
         config.learner.decay_updates = self.updates;
+        if config.learner.motion {
+            for seed in seeds {
+                if !settings::changed(&text(seed)?, &[])?.learner.motion {
+                    bail!(
+                        "{}: was trained without learner.motion: its replay does not tell how \
+                         bodies move; leave it out, or add --set learner.motion=false",
+                        seed.display()
+                    );
+                }
+            }
+        }
         Ok(config)
     }
 
@@ -129,8 +139,7 @@ impl Relearn {
         file: &Path,
         (stop, clock): (&Stop, Clock),
     ) -> anyhow::Result<()> {
-        let first = seeds.first().context("no training")?;
-        let config = self.configuration(first).map_err(cannot)?;
+        let config = self.configuration(seeds).map_err(cannot)?;
         let commit = std::env::var("VLAPS_COMMIT").unwrap_or_default();
         let learners: Vec<PathBuf> = seeds.iter().map(|seed| seed.join("learner")).collect();
         let opened = Relearning::open(&config, &learners, commit);
@@ -148,7 +157,10 @@ impl Relearn {
         for update in 1..=total {
             if stop.is_asked() {
                 progress.end();
-                bail!("stopped after {update} of {total} updates; nothing was written");
+                bail!(
+                    "stopped after {} of {total} updates; nothing was written",
+                    update - 1
+                );
             }
             loss += relearning.update().actor;
             if update.is_multiple_of(part) {
@@ -161,4 +173,10 @@ impl Relearn {
         let policy = relearning.policy_file()?;
         replace(file, &policy, Durable::Yes).with_context(|| file.display().to_string())
     }
+}
+
+/// The configuration file of a training.
+fn text(seed: &Path) -> anyhow::Result<String> {
+    let file = seed.join(CONFIG);
+    fs::read_to_string(&file).with_context(|| file.display().to_string())
 }

@@ -262,6 +262,10 @@ fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
             "learner.batch",
         ),
         (&[&experiment.name, "--updates", "0"], "--updates"),
+        (
+            &[&experiment.name, "--again", "--set", "learner.motion=true"],
+            "without learner.motion",
+        ),
     ] {
         let output = relearn(words);
         assert_eq!(output.status.code(), Some(2), "{output:?}");
