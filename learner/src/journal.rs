@@ -101,12 +101,12 @@ impl Journal {
     pub fn open(path: &Path, capacity: usize, learnt: u64) -> io::Result<Recovered> {
         let mut file = open_ours(path, Access::Change)?;
         let length = file.metadata()?.len();
+        let mut replay = Replay::new(capacity);
         let Content {
-            replay,
             mark,
             records,
             has_magic,
-        } = Content::read(&file, Replay::new(capacity))?;
+        } = Content::read(&file, &mut replay)?;
         check_whole(mark, learnt)?;
         if !has_magic {
             // A learner was killed while it created the file.
@@ -238,7 +238,6 @@ fn check_magic(magic: &[u8]) -> io::Result<()> {
 
 /// What a file holds up to its first invalid record.
 struct Content {
-    replay: Replay,
     mark: Option<Mark>,
     records: u64,
     has_magic: bool,
@@ -246,9 +245,8 @@ struct Content {
 
 impl Content {
     /// Adds what the file holds to the replay.
-    fn read(file: &File, replay: Replay) -> io::Result<Content> {
+    fn read(file: &File, replay: &mut Replay) -> io::Result<Content> {
         let mut content = Content {
-            replay,
             mark: None,
             records: 0,
             has_magic: false,
@@ -265,7 +263,7 @@ impl Content {
                 let Some((buffer, transition, mark)) = decode(&record) else {
                     break;
                 };
-                content.replay.push(buffer, transition);
+                replay.push(buffer, transition);
                 content.mark = Some(mark);
                 content.records += 1;
             }
@@ -274,14 +272,13 @@ impl Content {
     }
 }
 
-/// Adds the transitions of a file to a replay; returns it and the file's last mark. The file is
-/// only read, and a learner may be using it.
+/// Adds the transitions of a file to a replay; returns the file's last mark. The file is only
+/// read, and a learner may be using it.
 ///
 /// # Errors
 /// When the file cannot be read or has another format.
-pub fn read(path: &Path, replay: Replay) -> io::Result<(Replay, Option<Mark>)> {
-    let content = Content::read(&File::open(path)?, replay)?;
-    Ok((content.replay, content.mark))
+pub fn read(path: &Path, replay: &mut Replay) -> io::Result<Option<Mark>> {
+    Ok(Content::read(&File::open(path)?, replay)?.mark)
 }
 
 /// The counts of a file's last valid record; `None` if the file is missing or holds

@@ -42,8 +42,7 @@ impl Relearning {
             let name = |error: io::Error| {
                 io::Error::new(error.kind(), format!("{}: {error}", path.display()))
             };
-            let (further, mark) = journal::read(&path, replay).map_err(name)?;
-            replay = further;
+            let mark = journal::read(&path, &mut replay).map_err(name)?;
             steps += mark.map_or(0, |mark| mark.counts.driven());
         }
         let state = session::begin(config);

@@ -6,12 +6,11 @@ use std::fs;
 use std::path::Path;
 
 use learner::session::Session;
-use shm_config::config::{Algorithm, Config, GateMode};
+use shm_config::config::{Algorithm, Config};
 use shm_config::message::Step;
-use steps::{step, vetoed};
+use steps::{BLOCK, config, step, vetoed};
 use tempfile::TempDir;
 
-const BLOCK: u64 = 20;
 const ALGORITHMS: [Algorithm; 5] = [
     Algorithm::Pvp,
     Algorithm::Ppl,
@@ -19,22 +18,6 @@ const ALGORITHMS: [Algorithm; 5] = [
     Algorithm::HgDagger,
     Algorithm::Dagger,
 ];
-
-fn config(algorithm: Algorithm) -> Config {
-    let mut config = Config::default();
-    // Steps with a veto have a label at once; all other steps have none.
-    config.gate.mode = GateMode::Policy;
-    let learner = &mut config.learner;
-    learner.algorithm = algorithm;
-    learner.block_steps = BLOCK as u32;
-    learner.updates = 5;
-    learner.batch = 16;
-    learner.hidden = 16;
-    learner.capacity = 64;
-    learner.predicted_states = 1;
-    learner.imagined_scenes = 1;
-    config
-}
 
 /// Takes the steps of these ticks and learns at the end of each block; returns the last
 /// policy.

@@ -9,27 +9,12 @@ use learner::algorithm::Losses;
 use learner::relearn::Relearning;
 use learner::session::Session;
 use policy::{Net, decode};
-use shm_config::config::{Algorithm, Config, GateMode};
-use steps::{step, vetoed};
+use shm_config::config::{Algorithm, Config};
+use steps::{BLOCK, config, step, vetoed};
 use tempfile::TempDir;
 
-const STEPS: u64 = 41;
-
-fn config(algorithm: Algorithm) -> Config {
-    let mut config = Config::default();
-    // Steps with a veto have a label at once; all other steps have none.
-    config.gate.mode = GateMode::Policy;
-    let learner = &mut config.learner;
-    learner.algorithm = algorithm;
-    learner.block_steps = 20;
-    learner.updates = 2;
-    learner.batch = 16;
-    learner.hidden = 16;
-    learner.capacity = 64;
-    learner.predicted_states = 1;
-    learner.imagined_scenes = 1;
-    config
-}
+/// Two blocks, and the step after them.
+const STEPS: u64 = 2 * BLOCK + 1;
 
 /// A session of some blocks, every third step vetoed if so asked.
 fn session(algorithm: Algorithm, is_vetoed: bool) -> TempDir {

@@ -125,7 +125,7 @@ impl Student {
     pub fn buffers(&self) -> &'static [Buffer] {
         match self {
             Student::Regression(student) => student.buffers(),
-            // Every batch has steps of both.
+            // As `Replay::sample_evenly` draws them.
             Student::Pvp(_) => &[Buffer::Expert, Buffer::Learner],
             Student::Ppl(student) => student.buffers(),
         }

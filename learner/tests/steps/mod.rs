@@ -2,6 +2,7 @@
 #![allow(dead_code)]
 
 use learner::replay::INPUTS;
+use shm_config::config::{Algorithm, Config, GateMode};
 use shm_config::message::{Driver, FEATURES, Judge, Preference, Proposal, Reason, Step};
 use vehicle::Action;
 
@@ -12,6 +13,26 @@ pub const CONTROLLER: u32 = 100;
 pub const WORLD: u32 = 200;
 /// How long an answer labels steps, ticks: a question each second.
 pub const WINDOW: u64 = 10;
+
+/// Steps of a block of [`config`].
+pub const BLOCK: u64 = 20;
+
+/// A learner with small nets, blocks and buffers.
+pub fn config(algorithm: Algorithm) -> Config {
+    let mut config = Config::default();
+    // Steps with a veto have a label at once; all other steps have none.
+    config.gate.mode = GateMode::Policy;
+    let learner = &mut config.learner;
+    learner.algorithm = algorithm;
+    learner.block_steps = BLOCK as u32;
+    learner.updates = 5;
+    learner.batch = 16;
+    learner.hidden = 16;
+    learner.capacity = 64;
+    learner.predicted_states = 1;
+    learner.imagined_scenes = 1;
+    config
+}
 
 /// The step of a tick in the first episode; the policy drives. The observations differ
 /// from tick to tick.
