@@ -13,8 +13,12 @@ use anyhow::{Context, bail};
 use controller::{OrtPolicy, OrtSession, Policy, library};
 use hdrhistogram::Histogram;
 use policy::{Activation, Layer, Mlp, Net, Provenance, decode, encode};
+use learner::algorithm::{Size, actor};
+use learner::{Rate, export};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rand_xoshiro::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
-use shm_config::message::FEATURES;
+use shm_config::message::{FEATURES, INPUTS_WITH_MOTION};
 
 use lab::report::{Machine, table};
 use stack::Clock;
@@ -72,6 +76,8 @@ impl Subcommand for BenchPolicy {
             bare(&mlp, &meter),
             native("native, in the tick", &mlp, &meter),
             native("the same, beams compressed", &compressed(&mlp), &meter),
+            native("native, 379-512-512-2", &trained(0)?, &meter),
+            native("the same behind 32 filters", &trained(32)?, &meter),
         ];
         rows.extend(onnx_runtime(self, &bytes, &mlp, &meter)?);
         rows.push(pytorch(self, &meter));
@@ -131,8 +137,6 @@ pub struct PolicyResults {
 /// # Panics
 /// Never: the shapes are constants that fit.
 pub fn net(hidden: usize, seed: u64) -> Mlp {
-    use rand_xoshiro::Xoshiro256PlusPlus;
-    use rand_xoshiro::rand_core::{Rng, SeedableRng};
     let mut dice = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut layer = |inputs: usize, outputs: usize, activation| {
         let mut next = || {
@@ -200,6 +204,24 @@ fn absent(backend: &'static str, note: String) -> Row {
         allocations_per_call: None,
         note: Some(note),
     }
+}
+
+/// An untrained net of the learner's for how bodies move, too, with 512 neurons in each of the
+/// hidden layers and so many filters in each of the convolutions.
+fn trained(filters: usize) -> anyhow::Result<Mlp> {
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
+    let size = Size {
+        inputs: INPUTS_WITH_MOTION,
+        hidden: 512,
+        filters,
+        batch: 1,
+    };
+    let rate = Rate {
+        start: 0.0,
+        decay_steps: 0,
+    };
+    let actor = actor(size, rate, &mut random);
+    Ok(export::mlp(&actor.network)?)
 }
 
 /// The net behind the compression that the learner's policies have.

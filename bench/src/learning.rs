@@ -243,6 +243,7 @@ fn row(
     let size = Size {
         inputs: FEATURES,
         hidden: HIDDEN,
+        filters: 0,
         batch: case.batch,
     };
     let mut student = match case.kind {

@@ -1,6 +1,6 @@
 //! Turns a network into a policy file.
 
-use policy::{Activation, Layer, Mlp, Provenance, Refusal};
+use policy::{Activation, Layer, Mlp, Provenance, Refusal, Windows};
 
 use crate::features::{COMPRESSION, scaling};
 use crate::network::{Head, Network};
@@ -11,38 +11,68 @@ const PROBES: usize = 4;
 
 /// The network as the runtime evaluates it. It takes the plain features, so it has the
 /// compression of the beams, and the linear change of the networks' input is folded into
-/// the first layer.
+/// the layers that see them.
 ///
 /// # Errors
 /// When a number is not finite, or the sizes are not those of a policy.
 pub fn mlp(network: &Network) -> Result<Mlp, Refusal> {
     let count = network.layers().len();
-    let layers = network.layers().enumerate().map(|(k, layer)| {
-        let (inputs, outputs, weights, bias) = layer;
-        let activation = match (k + 1 == count, network.head()) {
-            (false, _) => Activation::Relu,
-            (true, Head::Tanh) => Activation::Tanh,
-            (true, Head::Linear) => Activation::None,
-        };
-        let (mut weights, mut bias) = (weights.to_vec(), bias.to_vec());
-        if k == 0 {
-            for (row, bias) in weights.chunks_exact_mut(inputs).zip(&mut bias) {
-                for (feature, weight) in row.iter_mut().enumerate() {
-                    let (scale, shift) = scaling(feature);
-                    *bias += *weight * shift;
-                    *weight *= scale;
-                }
-            }
+    let (mut convolutions, mut layers) = (Vec::new(), Vec::new());
+    // How many of the first numbers that a layer takes are plain features.
+    let mut plain = network.inputs();
+    for (k, layer) in network.layers().enumerate() {
+        let (mut weights, mut bias) = (layer.weights.to_vec(), layer.bias.to_vec());
+        if let Some(windows) = layer.windows {
+            let seen = |k: usize| windows.indices.get(k).map_or(0, |index| *index as usize);
+            fold((&mut weights, windows.window), &mut bias, |k| {
+                Some(seen(k)).filter(|feature| *feature < plain)
+            });
+            plain = windows.kept.min(plain);
+            convolutions.push(Windows {
+                inputs: layer.inputs,
+                kept: windows.kept,
+                window: windows.window,
+                indices: windows.indices.clone(),
+                weights,
+                bias,
+            });
+            continue;
         }
-        Layer {
+        fold((&mut weights, layer.inputs), &mut bias, |k| {
+            Some(k).filter(|feature| *feature < plain)
+        });
+        plain = 0;
+        layers.push(Layer {
             weights,
             bias,
-            inputs,
-            outputs,
-            activation,
+            inputs: layer.inputs,
+            outputs: layer.outputs,
+            activation: match (k + 1 == count, network.head()) {
+                (false, _) => Activation::Relu,
+                (true, Head::Tanh) => Activation::Tanh,
+                (true, Head::Linear) => Activation::None,
+            },
+        });
+    }
+    Mlp::convolved(COMPRESSION, convolutions, layers)
+}
+
+/// Folds the linear change of the features into a layer's weights, rows of so many numbers, and
+/// its bias. `feature` says which feature number `k` of a row belongs to, if any. All windows
+/// of a convolution see features of the same kinds at the same places, so the first tells.
+fn fold(
+    (weights, inputs): (&mut [f32], usize),
+    bias: &mut [f32],
+    feature: impl Fn(usize) -> Option<usize>,
+) {
+    for (row, bias) in weights.chunks_exact_mut(inputs).zip(bias) {
+        for (k, weight) in row.iter_mut().enumerate() {
+            if let Some((scale, shift)) = feature(k).map(scaling) {
+                *bias += *weight * shift;
+                *weight *= scale;
+            }
         }
-    });
-    Mlp::compressed(COMPRESSION, layers.collect())
+    }
 }
 
 /// The bytes of a policy file with states of the replay as probes.

@@ -7,9 +7,12 @@
 //! the beams, and the linear rest is folded into the first layer.
 
 use policy::Compression;
-use shm_config::message::{FEATURES, MOTION_AT_REST, MOTION_SECTORS};
+use shm_config::message::{
+    FEATURES, INPUTS_WITH_MOTION, MOTION_AT_REST, MOTION_SECTORS, motion_sector,
+};
 
 use crate::replay::ACTIONS;
+use crate::windows::Windows;
 
 /// Features before the beams.
 const EGO: usize = 19;
@@ -41,6 +44,47 @@ pub const fn scaling(feature: usize) -> (f32, f32) {
         0..EGO => (STRETCH, -0.5 * STRETCH),
         EGO..FEATURES => (-CLOSENESS * COMPRESSION.slope, CLOSENESS),
         _ => (MOTION, -MOTION_AT_REST * MOTION),
+    }
+}
+
+/// Sectors in a window of either convolution: two to each side.
+const WINDOW: usize = 5;
+/// Every second window of the first convolution is the middle of one of the second.
+const STRIDE: usize = 2;
+
+/// Two convolutions with so many filters each, over the 60 sectors of the scan and over how
+/// bodies move in them if `inputs` has that; the ego's features are passed on.
+pub fn convolutions(inputs: usize, filters: usize) -> Vec<(Windows, usize)> {
+    let sector = |sector: usize| {
+        let beams = (EGO..FEATURES).filter(move |k| motion_sector(k - EGO) == sector);
+        let motion = [0, 1].map(|part| FEATURES + 2 * sector + part);
+        beams.chain(motion.into_iter().filter(|_| inputs == INPUTS_WITH_MOTION))
+    };
+    let answers = |sector: usize| {
+        let first = EGO + sector * filters;
+        first..first + filters
+    };
+    let first = windows((MOTION_SECTORS, 1), sector);
+    let second = windows((MOTION_SECTORS, STRIDE), answers);
+    vec![(first, filters), (second, filters)]
+}
+
+/// The windows around every `stride`-th of so many places on a circle, each of which has these
+/// numbers of the input.
+fn windows<I: Iterator<Item = usize>>(
+    (places, stride): (usize, usize),
+    of_place: impl Fn(usize) -> I,
+) -> Windows {
+    let around = |middle: usize| {
+        let first = middle + places - WINDOW / 2;
+        (first..first + WINDOW).map(move |place| place % places)
+    };
+    let indices = (0..places).step_by(stride).flat_map(around);
+    let indices: Vec<u32> = indices.flat_map(&of_place).map(|k| k as u32).collect();
+    Windows {
+        kept: EGO,
+        window: indices.len() / places.div_ceil(stride),
+        indices,
     }
 }
 

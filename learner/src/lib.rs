@@ -50,6 +50,7 @@ pub mod relearn;
 pub mod replay;
 pub mod session;
 pub mod share;
+pub mod windows;
 
 pub use adam::{Adam, Rate};
 pub use network::{Network, Tape};

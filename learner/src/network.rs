@@ -1,4 +1,4 @@
-//! A multi-layer perceptron with explicit gradients.
+//! A multi-layer perceptron with explicit gradients, with or without convolutions before it.
 //!
 //! Explicit forward and backward passes with a matrix library are twice as fast as the
 //! autograd frameworks at these sizes, and the loss code stays short.
@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::matrix::{Old, View, product};
 use crate::share::share;
+use crate::windows::{Seen, Windows};
 
 /// Rows of a batch that one thread processes at a time. Neither the parts nor the sums
 /// over them depend on the number of threads, so the result is the same, bit by bit,
@@ -25,30 +26,66 @@ pub enum Head {
 }
 
 /// The sizes of one layer, and the offset of its parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct Dense {
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Layer {
     inputs: usize,
     outputs: usize,
-    /// Weights, `outputs x inputs`, row by row; then the biases.
+    /// Sums: the outputs, or the filters of a convolution.
+    sums: usize,
+    /// What one sum sees: the inputs, or a window of them.
+    sees: usize,
+    /// Weights, `sums x sees`, row by row; then the biases.
     at: usize,
+    /// `None` when each sum sees the whole input.
+    windows: Option<Windows>,
 }
 
-impl Dense {
-    fn weights(self) -> std::ops::Range<usize> {
-        self.at..self.at + self.outputs * self.inputs
+impl Layer {
+    fn weights(&self) -> std::ops::Range<usize> {
+        self.at..self.at + self.sums * self.sees
     }
 
-    fn bias(self) -> std::ops::Range<usize> {
+    fn bias(&self) -> std::ops::Range<usize> {
         let begin = self.weights().end;
-        begin..begin + self.outputs
+        begin..begin + self.sums
+    }
+
+    /// Whether the sizes fit each other.
+    fn is_sound(&self) -> bool {
+        self.sums > 0
+            && match &self.windows {
+                None => (self.inputs, self.outputs) == (self.sees, self.sums),
+                Some(windows) => {
+                    let answers = windows.positions().checked_mul(self.sums);
+                    let outputs = answers.and_then(|count| count.checked_add(windows.kept));
+                    windows.fits(self.inputs)
+                        && windows.window == self.sees
+                        && outputs == Some(self.outputs)
+                }
+            }
     }
 }
 
-/// A perceptron. All parameters lie in one slice, for the optimiser and the disk.
+/// One layer of a network, and its numbers.
+#[derive(Clone, Copy, Debug)]
+pub struct Weights<'a> {
+    /// Numbers that it takes.
+    pub inputs: usize,
+    /// Numbers that it gives.
+    pub outputs: usize,
+    /// `outputs x inputs`; of a convolution `filters x window`.
+    pub weights: &'a [f32],
+    /// `outputs`; of a convolution `filters`.
+    pub bias: &'a [f32],
+    /// The windows of a convolution.
+    pub windows: Option<&'a Windows>,
+}
+
+/// A perceptron, with or without convolutions before it. All parameters lie in one slice, for the optimiser and the disk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Stored")]
 pub struct Network {
-    layers: Vec<Dense>,
+    layers: Vec<Layer>,
     head: Head,
     parameters: Vec<f32>,
 }
@@ -56,7 +93,7 @@ pub struct Network {
 /// A network read from a file, not checked yet.
 #[derive(Deserialize)]
 struct Stored {
-    layers: Vec<Dense>,
+    layers: Vec<Layer>,
     head: Head,
     parameters: Vec<f32>,
 }
@@ -73,10 +110,10 @@ impl TryFrom<Stored> for Network {
         let (mut at, mut inputs) = (0_usize, layers.first().map_or(0, |layer| layer.inputs));
         for layer in &layers {
             let is_next = layer.inputs > 0 && layer.inputs == inputs && layer.at == at;
-            let weights = layer.inputs.checked_mul(layer.outputs);
+            let weights = layer.sees.checked_mul(layer.sums);
             let end = weights
-                .and_then(|count| count.checked_add(layer.outputs)?.checked_add(at))
-                .filter(|end| is_next && *end <= parameters.len());
+                .and_then(|count| count.checked_add(layer.sums)?.checked_add(at))
+                .filter(|end| is_next && layer.is_sound() && *end <= parameters.len());
             at = end.ok_or("layers that do not follow on each other")?;
             inputs = layer.outputs;
         }
@@ -109,6 +146,8 @@ struct Part {
     deltas: [Vec<f32>; 2],
     /// The gradient of the parameters.
     gradient: Vec<f32>,
+    /// What the convolutions have seen, by layer.
+    seen: Vec<Seen>,
 }
 
 impl Network {
@@ -118,21 +157,46 @@ impl Network {
     /// # Panics
     /// With fewer than two sizes.
     pub fn new(sizes: &[usize], head: Head, random: &mut impl Rng) -> Network {
+        Network::convolved(Vec::new(), sizes, head, random)
+    }
+
+    /// The same behind these convolutions, with so many filters each. The first size is that of
+    /// the input of all.
+    ///
+    /// # Panics
+    /// With fewer than two sizes, or when the convolutions do not fit each other.
+    pub fn convolved(
+        convolutions: Vec<(Windows, usize)>,
+        sizes: &[usize],
+        head: Head,
+        random: &mut impl Rng,
+    ) -> Network {
         assert!(sizes.len() >= 2, "an input and an output at least");
-        let mut layers = Vec::new();
-        let mut at = 0;
-        for pair in sizes.windows(2) {
-            let layer = Dense {
-                inputs: pair[0],
-                outputs: pair[1],
-                at,
+        let mut layers: Vec<Layer> = Vec::new();
+        let (mut at, mut inputs) = (0, sizes[0]);
+        let dense = sizes[1..].iter().map(|outputs| (None, *outputs));
+        let convolutions = convolutions.into_iter();
+        let convolutions = convolutions.map(|(windows, filters)| (Some(windows), filters));
+        for (windows, sums) in convolutions.chain(dense) {
+            let (sees, outputs) = match &windows {
+                None => (inputs, sums),
+                Some(windows) => (windows.window, windows.outputs(sums)),
             };
-            at = layer.bias().end;
+            let layer = Layer {
+                inputs,
+                outputs,
+                sums,
+                sees,
+                at,
+                windows,
+            };
+            assert!(layer.is_sound(), "windows outside the input");
+            (at, inputs) = (layer.bias().end, outputs);
             layers.push(layer);
         }
         let mut parameters = vec![0.0; at];
         for layer in &layers {
-            let bound = 1.0 / (layer.inputs as f32).sqrt();
+            let bound = 1.0 / (layer.sees as f32).sqrt();
             for parameter in &mut parameters[layer.at..layer.bias().end] {
                 *parameter = random.random_range(-bound..bound);
             }
@@ -169,15 +233,14 @@ impl Network {
         &mut self.parameters
     }
 
-    /// For each layer: inputs, outputs, weights (`outputs x inputs`), biases.
-    pub fn layers(&self) -> impl ExactSizeIterator<Item = (usize, usize, &[f32], &[f32])> {
-        self.layers.iter().map(|layer| {
-            (
-                layer.inputs,
-                layer.outputs,
-                &self.parameters[layer.weights()],
-                &self.parameters[layer.bias()],
-            )
+    /// The layers, convolutions first.
+    pub fn layers(&self) -> impl ExactSizeIterator<Item = Weights<'_>> {
+        self.layers.iter().map(|layer| Weights {
+            inputs: layer.inputs,
+            outputs: layer.outputs,
+            weights: &self.parameters[layer.weights()],
+            bias: &self.parameters[layer.bias()],
+            windows: layer.windows.as_ref(),
         })
     }
 
@@ -204,10 +267,18 @@ impl Network {
     fn forward_rows(&self, inputs: &[f32], part: &mut Part) {
         let rows = inputs.len() / self.inputs();
         part.activations.resize_with(self.layers.len(), Vec::new);
+        part.seen.resize_with(self.layers.len(), Seen::default);
         for (k, layer) in self.layers.iter().enumerate() {
             let (before, rest) = part.activations.split_at_mut(k);
             let input = before.last().map_or(inputs, Vec::as_slice);
             let output = &mut rest[0];
+            if let Some(windows) = &layer.windows {
+                let bias = &self.parameters[layer.bias()];
+                let weights = (&self.parameters[layer.weights()], bias);
+                let seen = &mut part.seen[k];
+                windows.forward((input, layer.inputs), weights, seen, output);
+                continue;
+            }
             output.clear();
             for _ in 0..rows {
                 output.extend_from_slice(&self.parameters[layer.bias()]);
@@ -224,7 +295,7 @@ impl Network {
     }
 
     /// The layer's weights, `outputs x inputs`.
-    fn weights(&self, layer: &Dense) -> View<'_> {
+    fn weights(&self, layer: &Layer) -> View<'_> {
         let weights = &self.parameters[layer.weights()];
         View::new(weights, layer.outputs, layer.inputs)
     }
@@ -281,6 +352,22 @@ impl Network {
         let last = self.layers.len() - 1;
         for (k, layer) in self.layers.iter().enumerate().rev() {
             let output = &part.activations[k];
+            let wants_before = k > 0 || wants_input_gradient;
+            if let Some(windows) = &layer.windows {
+                let gradient = wants_gradient.then(|| {
+                    let own = &mut part.gradient[layer.at..layer.bias().end];
+                    own.split_at_mut(layer.weights().len())
+                });
+                if wants_before {
+                    delta_before.resize(rows * layer.inputs, 0.0);
+                }
+                let before = wants_before.then_some((&mut delta_before[..], layer.inputs));
+                let weights = &self.parameters[layer.weights()];
+                let (pass, seen) = ((&output[..], &delta_here[..]), &mut part.seen[k]);
+                windows.backward(pass, weights, seen, gradient, before);
+                std::mem::swap(delta_here, delta_before);
+                continue;
+            }
             match (k == last, self.head) {
                 (true, Head::Linear) => {}
                 (true, Head::Tanh) => {
@@ -311,7 +398,7 @@ impl Network {
                     }
                 }
             }
-            if k == 0 && !wants_input_gradient {
+            if !wants_before {
                 break;
             }
             delta_before.resize(rows * layer.inputs, 0.0);

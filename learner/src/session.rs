@@ -396,6 +396,7 @@ pub(crate) fn begin(config: &Config) -> Checkpoint {
     let size = Size {
         inputs: inputs(config),
         hidden: settings.hidden as usize,
+        filters: settings.filters as usize,
         batch: settings.batch as usize,
     };
     let rate = |own: f32| Rate {

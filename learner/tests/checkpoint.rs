@@ -286,9 +286,12 @@ fn other_sizes_and_rates_are_refused_with_both_values() {
     let folder = TempDir::new().expect("a folder");
     drive(&mut open(&config(Algorithm::Pvp), folder.path()), 0..BLOCK);
     type Change = (&'static str, fn(&mut Config));
-    let changes: [Change; 5] = [
+    let changes: [Change; 6] = [
         ("learner.hidden = 16, and 32", |config| {
             config.learner.hidden = 32
+        }),
+        ("learner.filters = 0, and 4", |config| {
+            config.learner.filters = 4;
         }),
         ("learner.batch = 16, and 64", |config| {
             config.learner.batch = 64

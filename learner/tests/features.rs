@@ -2,12 +2,12 @@
 //! policy file.
 
 use learner::export;
-use learner::features::{mirror, mirror_action, prepare};
+use learner::features::{convolutions, mirror, mirror_action, prepare};
 use learner::network::{Head, Network, Tape};
 use learner::replay::INPUTS;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use shm_config::message::{Bend, FEATURES, Observation};
+use shm_config::message::{Bend, FEATURES, INPUTS_WITH_MOTION, Observation};
 
 /// Features are f32 in [0, 1] and change at most twice.
 const TOLERANCE: f32 = 1e-6;
@@ -157,9 +157,14 @@ fn a_beam_counts_most_where_something_is_near() {
 
 #[test]
 fn a_policy_file_answers_on_plain_features_what_the_network_does_on_prepared_ones() {
-    for (seed, head) in [(1, Head::Tanh), (2, Head::Linear), (3, Head::Tanh)] {
+    for (seed, head, filters) in [(1, Head::Tanh, 0), (2, Head::Linear, 0), (3, Head::Tanh, 8)] {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let network = Network::new(&[FEATURES, 64, 32, 2], head, &mut random);
+        let before = match filters {
+            0 => Vec::new(),
+            filters => convolutions(FEATURES, filters),
+        };
+        let sizes = [FEATURES, 64, 32, 2];
+        let network = Network::convolved(before, &sizes, head, &mut random);
         let mut mlp = export::mlp(&network).expect("a net of that size");
         for scene_seed in 0..50 {
             let plain = features(&scene(scene_seed));
@@ -176,5 +181,39 @@ fn a_policy_file_answers_on_plain_features_what_the_network_does_on_prepared_one
                 );
             }
         }
+    }
+}
+
+#[test]
+fn convolutions_see_each_sector_with_two_to_each_side() {
+    for (inputs, of_sector) in [(FEATURES, 4), (INPUTS_WITH_MOTION, 6)] {
+        let [(first, 3), (second, 3)] = &convolutions(inputs, 3)[..] else {
+            panic!("two convolutions of three filters");
+        };
+        assert_eq!(
+            (first.positions(), first.window, first.kept),
+            (60, 5 * of_sector, 19)
+        );
+        assert_eq!(
+            (second.positions(), second.window, second.kept),
+            (30, 15, 19)
+        );
+        // The sector ahead: beams 238, 239, 0 and 1, and the first velocity.
+        let ahead = &first.indices[2 * of_sector..3 * of_sector];
+        let mut sorted = ahead.to_vec();
+        sorted.sort_unstable();
+        let mut expected = vec![19, 20, 257, 258];
+        if inputs == INPUTS_WITH_MOTION {
+            expected.extend([259, 260]);
+        }
+        assert_eq!(sorted, expected);
+        let of_first = |sector: u32| 19 + 3 * sector..19 + 3 * sector + 3;
+        let seen: Vec<u32> = [58, 59, 0, 1, 2].into_iter().flat_map(of_first).collect();
+        assert_eq!(second.indices[..15], seen);
+        let mut all: Vec<u32> = first.indices.clone();
+        all.sort_unstable();
+        all.dedup();
+        let expected: Vec<u32> = (19..inputs as u32).collect();
+        assert_eq!(all, expected, "every beam is in a window");
     }
 }

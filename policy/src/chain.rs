@@ -1,7 +1,7 @@
 //! A chain of layers of any shape, and its native runtime.
 
 use crate::Refusal;
-use crate::forward::{BLOCK, Compression, LAYERS_MAX, PackedLayer, forward, pack};
+use crate::forward::{Activation, BLOCK, Compression, LAYERS_MAX, PackedLayer, forward, pack};
 use crate::mlp::{Layer, WIDTH_MAX};
 
 /// How many numbers a net takes and gives.
@@ -32,7 +32,10 @@ impl Chain {
     /// or too wide, or hold a number that is not finite.
     pub fn new(layers: Vec<Layer>, shape: Shape) -> Result<Chain, Refusal> {
         check(&layers, shape)?;
-        let packed: Vec<_> = layers.iter().map(packed).collect::<Result<_, _>>()?;
+        let packed = layers
+            .iter()
+            .map(|layer| packed(&layer.weights, &layer.bias, layer.activation))
+            .collect::<Result<Vec<_>, _>>()?;
         let width = packed.iter().map(PackedLayer::row).max().unwrap_or(0);
         Ok(Chain {
             layers,
@@ -130,11 +133,16 @@ pub(crate) fn wrong_shape(what: &str, found: String, expected: String) -> Refusa
     }
 }
 
-fn packed(layer: &Layer) -> Result<PackedLayer<Vec<[f32; BLOCK]>>, Refusal> {
-    let shape = [layer.inputs, layer.outputs];
-    let count = PackedLayer::<()>::block_count(layer.inputs, layer.outputs);
+/// Weights (`outputs` x `inputs`) and bias as the inner loop reads them.
+pub(crate) fn packed(
+    weights: &[f32],
+    bias: &[f32],
+    activation: Activation,
+) -> Result<PackedLayer<Vec<[f32; BLOCK]>>, Refusal> {
+    let shape = [weights.len() / bias.len().max(1), bias.len()];
+    let count = PackedLayer::<()>::block_count(shape[0], shape[1]);
     let mut blocks = vec![[0.0; BLOCK]; count];
-    pack(&layer.weights, &layer.bias, &mut blocks)
-        .and_then(|()| PackedLayer::packed(blocks, shape, layer.activation))
+    pack(weights, bias, &mut blocks)
+        .and_then(|()| PackedLayer::packed(blocks, shape, activation))
         .map_err(|mismatch| Refusal::Graph(mismatch.to_string()))
 }

@@ -28,7 +28,7 @@ pub fn encode_chain(kind: &str, chain: &Chain, entries: &[(&str, String)]) -> Ve
         input: "question",
         output: "answer",
     };
-    let graph = graph_of(Compression::default(), chain.layers(), &ends);
+    let graph = graph_of((Compression::default(), &[]), chain.layers(), &ends);
     let own = [
         (KIND_KEY, kind.to_string()),
         (metadata::GRAPH_KEY, graph_hash(&graph)),
@@ -63,8 +63,12 @@ pub fn decode_chain(
     }
     let shape = shape(&metadata)?;
     graph::check(&graph, shape)?;
-    let layers = graph::layers(&graph, shape)?
-        .and_then(|(by, layers)| (by == Compression::default()).then_some(layers))
+    let is_plain = |parts: &graph::Parts| {
+        parts.compression == Compression::default() && parts.convolutions.is_empty()
+    };
+    let layers = graph::parts(&graph, shape)?
+        .filter(is_plain)
+        .map(|parts| parts.layers)
         .ok_or_else(|| Refusal::Graph("its operators are no chain of layers".into()))?;
     let mut chain = Chain::new(layers, shape)?;
     for value in [-1.0, 0.0, 1.0] {

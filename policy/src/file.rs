@@ -9,7 +9,7 @@ use crate::onnx::{
     ATTRIBUTE_INT, Attribute, Dimension, Entry, FLOAT, Graph, Model, Node, OperatorSet, Shape,
     Tensor, TensorType, Type, ValueInfo,
 };
-use crate::{Activation, Compression, Layer, Mlp, Refusal, graph, scan};
+use crate::{Activation, Compression, Layer, Mlp, Refusal, Windows, graph, scan, windows_graph};
 
 /// The default tolerance of a probe's answer: a hundred times the difference between
 /// two orders of summation, a hundredth of what changes the driving.
@@ -34,7 +34,7 @@ pub struct PolicyFile {
 /// What is to be run.
 #[derive(Debug, Clone)]
 pub enum Net {
-    /// A chain of layers: the native runtime runs it, and ONNX Runtime could.
+    /// A chain of layers, with or without convolutions before it: the native runtime runs it, and ONNX Runtime could.
     Mlp {
         /// For the native runtime.
         mlp: Box<Mlp>,
@@ -107,9 +107,10 @@ pub fn decode_within(bytes: &[u8], tolerance: f32) -> Result<PolicyFile, Refusal
         None => (None, Vec::new()),
     };
     graph::check(&graph, shape)?;
-    let net = match graph::layers(&graph, shape)? {
-        Some((compression, layers)) => {
-            let mut mlp = Mlp::compressed(compression, layers)?;
+    let net = match graph::parts(&graph, shape)? {
+        Some(parts) => {
+            let (by, layers) = (parts.compression, parts.layers);
+            let mut mlp = Mlp::convolved(by, parts.convolutions, layers)?;
             check_answers(&probes, tolerance, |features| mlp.infer(features))?;
             Net::Mlp {
                 mlp: Box::new(mlp),
@@ -235,7 +236,8 @@ pub fn encode(mlp: &Mlp, provenance: &Provenance, probes: &[Vec<f32>]) -> Vec<u8
         input: "features",
         output: "action",
     };
-    let graph = graph_of(mlp.compression(), mlp.layers(), &ends);
+    let before = (mlp.compression(), mlp.convolutions());
+    let graph = graph_of(before, mlp.layers(), &ends);
     let about = (provenance, mlp.inputs());
     let entries = metadata::write(about, &probes, &graph_hash(&graph));
     joined(entries, graph)
@@ -277,10 +279,15 @@ pub(crate) fn graph_hash(graph: &Graph) -> String {
     hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-pub(crate) fn graph_of(compression: Compression, layers: &[Layer], ends: &Ends) -> Graph {
-    let width = |layer: Option<&Layer>, of: fn(&Layer) -> usize| layer.map_or(0, of);
-    let inputs = width(layers.first(), |layer| layer.inputs);
-    let outputs = width(layers.last(), |layer| layer.outputs);
+/// The graph of a compression, convolutions and layers that follow on each other.
+pub(crate) fn graph_of(
+    (compression, convolutions): (Compression, &[Windows]),
+    layers: &[Layer],
+    ends: &Ends,
+) -> Graph {
+    let first = layers.first().map_or(0, |layer| layer.inputs);
+    let inputs = convolutions.first().map_or(first, |layer| layer.inputs);
+    let outputs = layers.last().map_or(0, |layer| layer.outputs);
     let mut graph = Graph {
         name: ends.name.into(),
         input: vec![row(ends.input, inputs)],
@@ -291,6 +298,9 @@ pub(crate) fn graph_of(compression: Compression, layers: &[Layer], ends: &Ends) 
         true => ends.input.to_string(),
         false => compress(&mut graph, ends.input, (compression, inputs)),
     };
+    for (k, layer) in convolutions.iter().enumerate() {
+        current = windows_graph::add(&mut graph, k, &current, layer);
+    }
     let last = layers.len().saturating_sub(1);
     for (k, layer) in layers.iter().enumerate() {
         let name = |what: &str, is_end: bool| match is_end && k == last {
@@ -368,7 +378,7 @@ fn compress(graph: &mut Graph, input: &str, (by, width): (Compression, usize)) -
     name("output")
 }
 
-fn tensor(name: String, dims: &[i64], values: &[f32]) -> Tensor {
+pub(crate) fn tensor(name: String, dims: &[i64], values: &[f32]) -> Tensor {
     Tensor {
         dims: dims.to_vec(),
         data_type: FLOAT,

@@ -101,7 +101,7 @@ impl<B> PackedLayer<B> {
     }
 
     /// Outputs with the zeros behind them.
-    fn padded(&self) -> usize {
+    pub(crate) fn padded(&self) -> usize {
         self.outputs.div_ceil(BLOCK) * BLOCK
     }
 }
@@ -251,11 +251,7 @@ pub(crate) fn forward<'a, B: AsRef<[[f32; BLOCK]]>>(
     x[count..inputs].fill(0.0);
     compression.apply(&mut x[..inputs]);
     for layer in layers {
-        arch.dispatch(Product {
-            blocks: layer.blocks.as_ref(),
-            x: &x[..layer.inputs],
-            y: &mut y[..layer.padded()],
-        });
+        sums(layer, &x[..layer.inputs], &mut y[..layer.padded()], arch);
         activate(layer.activation, &mut y[..layer.outputs]);
         core::mem::swap(&mut x, &mut y);
     }
@@ -265,12 +261,27 @@ pub(crate) fn forward<'a, B: AsRef<[[f32; BLOCK]]>>(
 fn activate(activation: Activation, y: &mut [f32]) {
     match activation {
         Activation::None => {}
-        // `max` would turn NaN into 0 and hide it.
-        Activation::Relu => y
-            .iter_mut()
-            .for_each(|y| *y = if *y < 0.0 { 0.0 } else { *y }),
+        Activation::Relu => relu(y),
         Activation::Tanh => y.iter_mut().for_each(|y| *y = y.tanh()),
     }
+}
+
+/// `max(0, y)`.
+pub(crate) fn relu(y: &mut [f32]) {
+    // `max` would turn NaN into 0 and hide it.
+    y.iter_mut()
+        .for_each(|y| *y = if *y < 0.0 { 0.0 } else { *y });
+}
+
+/// A layer's sums over its inputs, padded.
+pub(crate) fn sums<B: AsRef<[[f32; BLOCK]]>>(
+    layer: &PackedLayer<B>,
+    x: &[f32],
+    y: &mut [f32],
+    arch: pulp::Arch,
+) {
+    let blocks = layer.blocks.as_ref();
+    arch.dispatch(Product { blocks, x, y });
 }
 
 /// One layer's sums, compiled for each width of vectors and chosen at run time.

@@ -6,11 +6,13 @@ use crate::chain::{Shape, all_finite, wrong_shape};
 use crate::forward::LAYERS_MAX;
 use crate::mlp::WIDTH_MAX;
 use crate::onnx::{ATTRIBUTE_INT, EXTERNAL, FLOAT, Graph, INT64, Node, Tensor, ValueInfo};
-use crate::{Activation, Compression, Layer, Refusal};
+use crate::windows::Windows;
+use crate::{Activation, Compression, Layer, Refusal, windows_graph};
 
 /// The operators that a policy may use, all of ONNX's own domain. Those up to
-/// `Tanh` are what the native runtime knows, and `Mul`, `Add` and `Div` where they are a
-/// [`Compression`] before the layers; the rest needs ONNX Runtime. There is no control flow,
+/// `Tanh` are what the native runtime knows, `Mul`, `Add` and `Div` where they are a
+/// [`Compression`] before the layers, and `Gather` and `Concat` where they belong to
+/// [`Windows`]; the rest needs ONNX Runtime. There is no control flow,
 /// no randomness and no reading of files among them.
 pub const OPERATORS: &[&str] = &[
     "Gemm",
@@ -225,7 +227,7 @@ fn element_count(tensor: &Tensor) -> Option<usize> {
 }
 
 /// The values of a tensor of floats.
-fn floats(tensor: &Tensor) -> Vec<f32> {
+pub fn floats(tensor: &Tensor) -> Vec<f32> {
     if !tensor.float_data.is_empty() {
         return tensor.float_data.clone();
     }
@@ -233,22 +235,43 @@ fn floats(tensor: &Tensor) -> Vec<f32> {
     values.map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
-/// The layers of a graph that is a chain of them, and the compression before them; `None`
-/// when it is something else, which is no error: ONNX Runtime may know it.
+/// What the native runtime runs.
+#[derive(Default)]
+pub struct Parts {
+    /// What the inputs go through first.
+    pub compression: Compression,
+    /// The convolutions that follow.
+    pub convolutions: Vec<Windows>,
+    /// The layers behind them.
+    pub layers: Vec<Layer>,
+}
+
+/// The parts of a graph that is a chain of them; `None` when it is something else, which is
+/// no error: ONNX Runtime may know it.
 ///
 /// # Errors
 /// When it is such a chain, but not of the right shape.
-pub fn layers(graph: &Graph, shape: Shape) -> Result<Option<(Compression, Vec<Layer>)>, Refusal> {
+pub fn parts(graph: &Graph, shape: Shape) -> Result<Option<Parts>, Refusal> {
     let Some((constants, operators)) = sorted(graph) else {
         return Ok(None);
     };
     let mut current = inputs(graph)[0].name.as_str();
-    let mut layers: Vec<Layer> = Vec::new();
     let mut width = shape.inputs;
-    let mut compression = Compression::default();
+    let Parts {
+        mut compression,
+        mut convolutions,
+        mut layers,
+    } = Parts::default();
     let mut rest = &operators[..];
     if let Some((found, output, behind)) = compressed(rest, current, &constants, width) {
         (compression, current, rest) = (found, output, behind);
+    }
+    while convolutions.len() < LAYERS_MAX
+        && let Some((layer, output, behind)) = windows_graph::find(rest, current, &constants, width)
+    {
+        width = layer.outputs();
+        convolutions.push(layer);
+        (current, rest) = (output, behind);
     }
     for &(node, output) in rest {
         let Some(link) = link(node, current, &constants, (layers.last(), width)) else {
@@ -287,12 +310,17 @@ pub fn layers(graph: &Graph, shape: Shape) -> Result<Option<(Compression, Vec<La
         .output
         .first()
         .is_some_and(|value| value.name == current);
-    Ok((is_whole && !layers.is_empty()).then_some((compression, layers)))
+    Ok((is_whole && !layers.is_empty()).then_some(Parts {
+        compression,
+        convolutions,
+        layers,
+    }))
 }
 
-type Constants<'a> = BTreeMap<&'a str, &'a Tensor>;
+/// The constants of a graph, by name.
+pub type Constants<'a> = BTreeMap<&'a str, &'a Tensor>;
 /// An operator with one output, and what that is called.
-type Operator<'a> = (&'a Node, &'a str);
+pub type Operator<'a> = (&'a Node, &'a str);
 
 /// The constants of a graph and its other operators; `None` when one of them has not exactly
 /// one output, or a constant is no tensor.
@@ -447,17 +475,18 @@ fn linear(weights: &Tensor, rows_are_outputs: bool, bias: Option<&Tensor>) -> Op
 }
 
 /// Columns become rows.
-fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
+pub fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
     let column = |k: usize| values.iter().skip(k).step_by(columns);
     (0..columns).flat_map(column).copied().collect()
 }
 
 /// `[n]` or `[1, n]` floats.
-fn is_row(tensor: &Tensor) -> bool {
+pub fn is_row(tensor: &Tensor) -> bool {
     tensor.data_type == FLOAT && matches!(tensor.dims[..], [_] | [1, _])
 }
 
-fn integers(tensor: &Tensor) -> Vec<i64> {
+/// The values of a tensor of whole numbers.
+pub fn integers(tensor: &Tensor) -> Vec<i64> {
     if tensor.data_type != INT64 {
         return Vec::new();
     }
@@ -468,7 +497,8 @@ fn integers(tensor: &Tensor) -> Vec<i64> {
     values.map(|bytes| i64::from_le_bytes(*bytes)).collect()
 }
 
-fn int(node: &Node, name: &str, default: i64) -> i64 {
+/// An attribute of an operator.
+pub fn int(node: &Node, name: &str, default: i64) -> i64 {
     let found = node
         .attribute
         .iter()

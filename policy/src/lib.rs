@@ -18,8 +18,8 @@
 //! A file without any of them is a plain ONNX file, such as PyTorch's exporters write.
 //! Its feature layout cannot be checked.
 //!
-//! [`decode`] makes every check and gives a [`Net`]: a chain of layers runs in
-//! the native runtime [`Mlp`], anything else needs ONNX Runtime. Arithmetic
+//! [`decode`] makes every check and gives a [`Net`]: a chain of layers, with or without
+//! convolutions over the scan before it, runs in the native runtime [`Mlp`], anything else needs ONNX Runtime. Arithmetic
 //! only: no clock, no files, no threads.
 //!
 //! Without the feature `std` (and with `libm`), the native runtime needs neither the
@@ -65,6 +65,10 @@ mod onnx;
 mod refusal;
 #[cfg(feature = "std")]
 mod scan;
+#[cfg(feature = "std")]
+mod windows;
+#[cfg(feature = "std")]
+mod windows_graph;
 
 #[cfg(feature = "std")]
 pub use chain::{Chain, Shape};
@@ -86,3 +90,5 @@ pub use metadata::{FORMAT_VERSION, PROBES_MAX, Probe, Provenance};
 pub use mlp::{Layer, Mlp, WIDTH_MAX};
 #[cfg(feature = "std")]
 pub use refusal::Refusal;
+#[cfg(feature = "std")]
+pub use windows::Windows;

@@ -1,10 +1,14 @@
 //! What is read, and what is refused and why.
 
 mod bad;
+mod convolved;
 mod torch;
 
 use bad::{bad, good, net, patched};
-use policy::{Activation, Compression, Layer, Mlp, Net, Refusal, check_hash, decode, sha256};
+use convolved::{convolved, over_beams};
+use policy::{
+    Activation, Compression, Layer, Mlp, Net, Refusal, Windows, check_hash, decode, sha256,
+};
 use proptest::prelude::*;
 use shm_config::message::{
     INPUTS_WITH_MOTION, MOTION_LAYOUT, OBSERVATION_LAYOUT, WEIGHTS_BYTES_MAX,
@@ -359,4 +363,79 @@ fn answer(bytes: &[u8]) -> Result<PolicyAnswer, Refusal> {
         Net::Mlp { mut mlp, .. } => Ok(PolicyAnswer(mlp.infer(&[0.5; 259]))),
         Net::Graph(_) => Ok(PolicyAnswer([0.0; 2])),
     }
+}
+
+/// The answers of one convolution, by the definition.
+fn answers(layer: &Windows, x: &[f32]) -> Vec<f32> {
+    let mut y = x[..layer.kept].to_vec();
+    for window in layer.indices.chunks(layer.window) {
+        for (weights, bias) in layer.weights.chunks(layer.window).zip(&layer.bias) {
+            let terms = weights.iter().zip(window);
+            let sum: f32 = terms.map(|(weight, k)| weight * x[*k as usize]).sum();
+            y.push((sum + bias).max(0.0));
+        }
+    }
+    y
+}
+
+#[test]
+fn a_policy_may_have_convolutions_over_the_scan() {
+    let mut mlp = convolved();
+    let bytes = policy::encode(&mlp, &policy::Provenance::default(), &bad::probes());
+    let Net::Mlp { mlp: read, .. } = decode(&bytes).expect("a good file").net else {
+        panic!("a chain of layers");
+    };
+    assert_eq!(*read, mlp);
+    for features in bad::probes() {
+        let mut x = features.clone();
+        mlp.compression().apply(&mut x);
+        for layer in mlp.convolutions() {
+            x = answers(layer, &x);
+        }
+        let layer = mlp.layers()[0].clone();
+        let rows = layer.weights.chunks(layer.inputs).zip(&layer.bias);
+        let expected = rows.map(|(row, bias)| {
+            let sum: f32 = row.iter().zip(&x).map(|(weight, x)| weight * x).sum();
+            (sum + bias).tanh()
+        });
+        for (given, expected) in mlp
+            .infer(&features)
+            .into_iter()
+            .zip(expected.collect::<Vec<_>>())
+        {
+            assert!((given - expected).abs() < 1e-5, "{given}, not {expected}");
+        }
+    }
+}
+
+#[test]
+fn convolutions_that_do_not_fit_are_refused() {
+    let good = over_beams(9, 3);
+    let layer = |inputs: usize| Layer {
+        weights: vec![0.1; 2 * inputs],
+        bias: vec![0.0; 2],
+        inputs,
+        outputs: 2,
+        activation: Activation::Tanh,
+    };
+    type Change = fn(&mut Windows);
+    let changes: [(&str, Change); 6] = [
+        ("the shape", |layer| layer.indices[7] = 259),
+        ("the shape", |layer| layer.kept = 260),
+        ("the shape", |layer| layer.window = 0),
+        ("the shape", |layer| layer.weights.truncate(5)),
+        ("the input", |layer| layer.inputs = 300),
+        ("a weight", |layer| layer.weights[0] = f32::NAN),
+    ];
+    for (what, change) in changes {
+        let mut bad = good.clone();
+        change(&mut bad);
+        let layers = vec![layer(good.outputs())];
+        let refusal = Mlp::convolved(Compression::default(), vec![bad], layers);
+        let told = refusal.expect_err("refused").to_string();
+        assert!(told.contains(&format!("{what} of convolution 0")), "{told}");
+    }
+    let (by, layers) = (Compression::default(), vec![layer(259)]);
+    let refusal = Mlp::convolved(by, vec![good], layers).expect_err("refused");
+    assert!(refusal.to_string().contains("the input of layer 0"));
 }

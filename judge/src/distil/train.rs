@@ -224,19 +224,20 @@ pub fn joined(members: &[Network]) -> Vec<Layer> {
             let is_first = k == 0;
             let inputs = match is_first {
                 true => INPUTS,
-                false => layers.iter().map(|(inputs, ..)| inputs).sum(),
+                false => layers.iter().map(|layer| layer.inputs).sum(),
             };
             let mut weights = Vec::new();
             let mut bias = Vec::new();
             let mut before = 0;
-            for (own, _, of, biases) in &layers {
-                for row in of.chunks_exact(*own) {
+            for layer in &layers {
+                let own = layer.inputs;
+                for row in layer.weights.chunks_exact(own) {
                     let mut whole = vec![0.0; inputs];
                     whole[before..before + own].copy_from_slice(row);
                     weights.extend(whole);
                 }
-                bias.extend_from_slice(biases);
-                before += if is_first { 0 } else { *own };
+                bias.extend_from_slice(layer.bias);
+                before += if is_first { 0 } else { own };
             }
             Layer {
                 inputs,

@@ -303,17 +303,23 @@ fn differing_weight(recorded: &Net, again: &[u8]) -> Option<(String, String, Str
         return None;
     };
     let numbers = |mlp: &Mlp| {
+        let convolutions = mlp.convolutions().iter().enumerate();
+        let convolutions =
+            convolutions.map(|(k, layer)| ("convolutions", k, &layer.weights, &layer.bias));
         let layers = mlp.layers().iter().enumerate();
-        let of_layer = layers.flat_map(|(k, layer)| {
-            let named = move |part: &'static str, (i, value): (usize, &f32)| {
-                (format!("weights.layers[{k}].{part}[{i}]"), *value)
-            };
-            let weights = layer.weights.iter().enumerate();
-            let bias = layer.bias.iter().enumerate();
-            weights
-                .map(move |numbered| named("weights", numbered))
-                .chain(bias.map(move |numbered| named("bias", numbered)))
-        });
+        let layers = layers.map(|(k, layer)| ("layers", k, &layer.weights, &layer.bias));
+        let of_layer = convolutions
+            .chain(layers)
+            .flat_map(|(kind, k, weights, bias)| {
+                let named = move |part: &'static str, (i, value): (usize, &f32)| {
+                    (format!("weights.{kind}[{k}].{part}[{i}]"), *value)
+                };
+                let weights = weights.iter().enumerate();
+                let bias = bias.iter().enumerate();
+                weights
+                    .map(move |numbered| named("weights", numbered))
+                    .chain(bias.map(move |numbered| named("bias", numbered)))
+            });
         of_layer.collect::<Vec<_>>()
     };
     let (left, right) = (numbers(left), numbers(right));

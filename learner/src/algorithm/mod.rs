@@ -19,7 +19,7 @@ use shm_config::message::INPUTS_WITH_MOTION;
 
 use crate::network::{Head, Network};
 use crate::replay::{ACTIONS, Buffer, Replay};
-use crate::{Adam, Rate};
+use crate::{Adam, Rate, features};
 
 pub use ppl::Ppl;
 pub use pvp::Pvp;
@@ -32,6 +32,8 @@ pub struct Size {
     pub inputs: usize,
     /// Neurons of each of the two hidden layers.
     pub hidden: usize,
+    /// Filters of each of the two convolutions before them; 0 for none.
+    pub filters: usize,
     /// Transitions in an update.
     pub batch: usize,
 }
@@ -43,6 +45,7 @@ impl Size {
         vec![
             ("learner.motion", f64::from(u8::from(takes_motion))),
             ("learner.hidden", self.hidden as f64),
+            ("learner.filters", self.filters as f64),
             ("learner.batch", self.batch as f64),
             ("learner.rate", f64::from(rate.start)),
             ("learner.decay_updates", f64::from(rate.decay_steps)),
@@ -74,7 +77,11 @@ pub struct Learned {
 impl Learned {
     /// A network with random parameters, and its optimiser.
     pub fn new(sizes: &[usize], head: Head, rate: Rate, random: &mut impl Rng) -> Learned {
-        let network = Network::new(sizes, head, random);
+        Learned::of(Network::new(sizes, head, random), rate)
+    }
+
+    /// This network and its optimiser.
+    fn of(network: Network, rate: Rate) -> Learned {
         let count = network.parameters().len();
         Learned {
             network,
@@ -95,7 +102,12 @@ impl Learned {
 /// An actor of the configured size: 259-256-256-2 by default.
 pub fn actor(size: Size, rate: Rate, random: &mut impl Rng) -> Learned {
     let sizes = [size.inputs, size.hidden, size.hidden, ACTIONS];
-    Learned::new(&sizes, Head::Tanh, rate, random)
+    let convolutions = match size.filters {
+        0 => Vec::new(),
+        filters => features::convolutions(size.inputs, filters),
+    };
+    let network = Network::convolved(convolutions, &sizes, Head::Tanh, random);
+    Learned::of(network, rate)
 }
 
 /// An algorithm's state: networks, optimisers, and all else that outlives an update.

@@ -52,6 +52,9 @@ pub struct Learner {
     pub batch: u32,
     /// Neurons of each of the two hidden layers; PVP4Real.
     pub hidden: u32,
+    /// Filters of each of two convolutions over the scan, and over how bodies move, before the
+    /// hidden layers; 0 for none.
+    pub filters: u32,
     /// Learning rate; 0 for the algorithm's own: 1e-4 (PVP4Real) for pvp, 1e-3 for the
     /// others.
     pub rate: f64,
@@ -101,6 +104,7 @@ impl Default for Learner {
             updates: 300,
             batch: 256,
             hidden: 256,
+            filters: 0,
             rate: 0.0,
             decay_updates: 0,
             imitation_weight: 1.0,
@@ -135,6 +139,7 @@ impl Learner {
             ("learner.updates", self.updates, 0..=1_000_000),
             ("learner.batch", self.batch, 2..=65_536),
             ("learner.hidden", self.hidden, 1..=1024),
+            ("learner.filters", self.filters, 0..=128),
             ("learner.capacity", self.capacity, 1..=10_000_000),
             ("learner.predicted_states", self.predicted_states, 0..=50),
             ("learner.imagined_scenes", self.imagined_scenes, 0..=50),

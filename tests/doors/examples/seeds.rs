@@ -308,6 +308,7 @@ fn checkpoints(folder: &Path) {
     let size = Size {
         inputs: 259,
         hidden: 2,
+        filters: 0,
         batch: 4,
     };
     let state = Checkpoint {

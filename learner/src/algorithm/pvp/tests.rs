@@ -50,6 +50,7 @@ fn drawn(seed: u64) -> Pvp {
     let size = Size {
         inputs: FEATURES,
         hidden: 12,
+        filters: 0,
         batch: 32,
     };
     let settings = Settings {
