@@ -14,7 +14,7 @@ use learner::Rate;
 use learner::checkpoint::Checkpoint;
 use learner::journal::{Journal, Mark};
 use learner::replay::{Buffer, INPUTS, Then, Transition};
-use policy::{Activation, Layer, Mlp, Provenance};
+use policy::{Activation, Compression, Layer, Mlp, Provenance, Windows};
 use recorder::{Origin, Writer};
 use shm_config::Instant;
 use shm_config::config::planner::Method;
@@ -203,6 +203,19 @@ fn of_policies() {
     seed("policy", "good", &[&file]);
     seed("policy", "cut", &[&file[..file.len() / 2]]);
     seed("policy", "head", &[&file[..64]]);
+    let windows = Windows {
+        inputs: FEATURES,
+        kept: 2,
+        window: 5,
+        indices: (19..39).collect(),
+        weights: vec![0.05; 10],
+        bias: vec![0.01; 2],
+    };
+    let layers = vec![layer(windows.outputs(), 2, Activation::Tanh)];
+    let by = Compression::default();
+    let mlp = Mlp::convolved(by, vec![windows], layers).expect("a net");
+    let file = policy::encode(&mlp, &Provenance::default(), &[vec![0.25; FEATURES]]);
+    seed("policy", "convolution", &[&file]);
 }
 
 fn of_answers() {
