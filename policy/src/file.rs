@@ -34,7 +34,8 @@ pub struct PolicyFile {
 /// What is to be run.
 #[derive(Debug, Clone)]
 pub enum Net {
-    /// A chain of layers, with or without convolutions before it: the native runtime runs it, and ONNX Runtime could.
+    /// A chain of layers, with or without convolutions before it: the native runtime runs it,
+    /// and ONNX Runtime could.
     Mlp {
         /// For the native runtime.
         mlp: Box<Mlp>,

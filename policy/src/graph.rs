@@ -3,9 +3,10 @@
 use std::collections::BTreeMap;
 
 use crate::chain::{Shape, all_finite, wrong_shape};
+use crate::constants::{float, floats, int, integers, is_row, transposed};
 use crate::forward::LAYERS_MAX;
 use crate::mlp::WIDTH_MAX;
-use crate::onnx::{ATTRIBUTE_INT, EXTERNAL, FLOAT, Graph, INT64, Node, Tensor, ValueInfo};
+use crate::onnx::{EXTERNAL, FLOAT, Graph, Node, Tensor, ValueInfo};
 use crate::windows::Windows;
 use crate::{Activation, Compression, Layer, Refusal, windows_graph};
 
@@ -224,15 +225,6 @@ fn element_count(tensor: &Tensor) -> Option<usize> {
         let count = count.checked_mul(usize::try_from(dim).ok()?)?;
         (count <= MOST).then_some(count)
     })
-}
-
-/// The values of a tensor of floats.
-pub fn floats(tensor: &Tensor) -> Vec<f32> {
-    if !tensor.float_data.is_empty() {
-        return tensor.float_data.clone();
-    }
-    let values = tensor.raw_data.as_chunks::<4>().0.iter();
-    values.map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
 /// What the native runtime runs.
@@ -472,41 +464,4 @@ fn linear(weights: &Tensor, rows_are_outputs: bool, bias: Option<&Tensor>) -> Op
         outputs,
         activation: Activation::None,
     })
-}
-
-/// Columns become rows.
-pub fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
-    let column = |k: usize| values.iter().skip(k).step_by(columns);
-    (0..columns).flat_map(column).copied().collect()
-}
-
-/// `[n]` or `[1, n]` floats.
-pub fn is_row(tensor: &Tensor) -> bool {
-    tensor.data_type == FLOAT && matches!(tensor.dims[..], [_] | [1, _])
-}
-
-/// The values of a tensor of whole numbers.
-pub fn integers(tensor: &Tensor) -> Vec<i64> {
-    if tensor.data_type != INT64 {
-        return Vec::new();
-    }
-    if !tensor.int64_data.is_empty() {
-        return tensor.int64_data.clone();
-    }
-    let values = tensor.raw_data.as_chunks::<8>().0.iter();
-    values.map(|bytes| i64::from_le_bytes(*bytes)).collect()
-}
-
-/// An attribute of an operator.
-pub fn int(node: &Node, name: &str, default: i64) -> i64 {
-    let found = node
-        .attribute
-        .iter()
-        .find(|a| a.name == name && a.kind == ATTRIBUTE_INT);
-    found.map_or(default, |attribute| attribute.i)
-}
-
-fn float(node: &Node, name: &str, default: f32) -> f32 {
-    let found = node.attribute.iter().find(|a| a.name == name);
-    found.map_or(default, |attribute| attribute.f)
 }

@@ -49,6 +49,8 @@ mod chain;
 #[cfg(feature = "std")]
 mod chain_file;
 #[cfg(feature = "std")]
+mod constants;
+#[cfg(feature = "std")]
 pub mod drawn;
 #[cfg(feature = "std")]
 mod file;

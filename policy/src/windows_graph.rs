@@ -3,8 +3,9 @@
 //! `Gather` takes the numbers that are passed on and those of all windows, `MatMul`, `Add` and
 //! `Relu` make each window's answers, and `Concat` puts both into one row.
 
-use crate::graph::{Constants, Operator, floats, int, integers, is_row, transposed};
-use crate::onnx::{ATTRIBUTE_INT, Attribute, Graph, INT64, Node, Tensor};
+use crate::constants::{floats, int, integers, is_row, transposed};
+use crate::graph::{Constants, Operator};
+use crate::onnx::{ATTRIBUTE_INT, Attribute, FLOAT, Graph, INT64, Node, Tensor};
 use crate::windows::Windows;
 
 /// Operators of one convolution.
@@ -86,35 +87,39 @@ pub fn find<'a, 'b>(
     let is_along_row = |(node, _): &Operator| int(node, "axis", 0) == 1;
     let kept = integers(constant(takes(first, "Gather", input)?)?);
     let places = constant(takes(windows, "Gather", input)?)?;
+    // Of floats alone it is known that there are as many as the sizes say.
     let weights = constant(takes(products, "MatMul", windows.1)?)?;
+    let weights = Some(weights).filter(|tensor| tensor.data_type == FLOAT)?;
     let bias = constant(takes(sums, "Add", products.1)?)?;
     takes(answers, "Relu", sums.1)?;
     let row = integers(constant(takes(flat, "Reshape", answers.1)?)?);
     let joined = takes(output, "Concat", first.1)?;
-    let ([_, window], [rows, filters]) = (&places.dims[..], &weights.dims[..]) else {
-        return None;
+    let sizes = |tensor: &Tensor| match tensor.dims[..] {
+        [rows, columns] => Some([usize::try_from(rows).ok()?, usize::try_from(columns).ok()?]),
+        _ => None,
     };
+    let ([positions, window], [rows, filters]) = (sizes(places)?, sizes(weights)?);
+    let indices = integers(places).into_iter().map(u32::try_from);
+    let layer = Windows {
+        inputs: width,
+        kept: kept.len(),
+        window,
+        indices: indices.collect::<Result<_, _>>().ok()?,
+        weights: transposed(&floats(weights), filters),
+        bias: floats(bias),
+    };
+    let answers = positions.checked_mul(filters)?;
     let is_first = kept.iter().copied().eq(0..kept.len() as i64);
     let is_known = is_first
         && joined == flat.1
         && output.0.input.len() == 2
         && window == rows
         && is_row(bias)
+        && layer.filters() == filters
+        && Some(layer.indices.len()) == positions.checked_mul(window)
+        && row == [1, answers as i64]
         && [first, windows, output].into_iter().all(is_along_row);
-    if !is_known {
-        return None;
-    }
-    let indices = integers(places).into_iter().map(u32::try_from);
-    let layer = Windows {
-        inputs: width,
-        kept: kept.len(),
-        window: usize::try_from(*window).ok()?,
-        indices: indices.collect::<Result<_, _>>().ok()?,
-        weights: transposed(&floats(weights), usize::try_from(*filters).ok()?),
-        bias: floats(bias),
-    };
-    let answers = layer.outputs().checked_sub(layer.kept)?;
-    (row == [1, answers as i64]).then_some((layer, output.1, rest))
+    is_known.then_some((layer, output.1, rest))
 }
 
 /// A constant of whole numbers.

@@ -59,6 +59,7 @@ impl Experiment {
             "learner.updates=10".into(),
             "learner.batch=32".into(),
             "learner.hidden=32".into(),
+            "learner.filters=4".into(),
             "supervisor.restarts_max=100".into(),
             "supervisor.backoff_max_ms=20".into(),
             // Untrained policies stand still until their time is up.
