@@ -4,7 +4,7 @@
 //! beam is 1. The networks learn faster from standardised features, and from beams that
 //! are large where something is near: a decimetre counts beside an obstacle that is passed,
 //! and little far ahead. A policy file takes the plain features: it has the compression of
-//! the beams, and the linear rest is folded into the first layer.
+//! the beams, and the linear rest is folded into the layers that see them.
 
 use policy::Compression;
 use shm_config::message::{
@@ -55,8 +55,13 @@ const STRIDE: usize = 2;
 /// Two convolutions with so many filters each, over the 60 sectors of the scan and over how
 /// bodies move in them if `inputs` has that; the ego's features are passed on.
 pub fn convolutions(inputs: usize, filters: usize) -> Vec<(Windows, usize)> {
+    const BEAMS: usize = FEATURES - EGO;
     let sector = |sector: usize| {
-        let beams = (EGO..FEATURES).filter(move |k| motion_sector(k - EGO) == sector);
+        // Round from the opposite side: the beams ahead are the last and the first of the scan.
+        let round =
+            (0..BEAMS).map(move |k| (k + sector * BEAMS / MOTION_SECTORS + BEAMS / 2) % BEAMS);
+        let beams = round.filter(move |beam| motion_sector(*beam) == sector);
+        let beams = beams.map(|beam| EGO + beam);
         let motion = [0, 1].map(|part| FEATURES + 2 * sector + part);
         beams.chain(motion.into_iter().filter(|_| inputs == INPUTS_WITH_MOTION))
     };

@@ -198,15 +198,16 @@ fn convolutions_see_each_sector_with_two_to_each_side() {
             (second.positions(), second.window, second.kept),
             (30, 15, 19)
         );
-        // The sector ahead: beams 238, 239, 0 and 1, and the first velocity.
-        let ahead = &first.indices[2 * of_sector..3 * of_sector];
-        let mut sorted = ahead.to_vec();
-        sorted.sort_unstable();
-        let mut expected = vec![19, 20, 257, 258];
-        if inputs == INPUTS_WITH_MOTION {
-            expected.extend([259, 260]);
+        // The middle sectors of windows, in the order of the circle: ahead, beams 238, 239, 0
+        // and 1, and one to the left, each with its velocity.
+        for (sector, beams) in [(0, [257, 258, 19, 20]), (7, [45, 46, 47, 48])] {
+            let mut expected = beams.to_vec();
+            if inputs == INPUTS_WITH_MOTION {
+                expected.extend([259 + 2 * sector, 260 + 2 * sector]);
+            }
+            let window = &first.indices[sector as usize * first.window..][..first.window];
+            assert_eq!(window[2 * of_sector..3 * of_sector], expected);
         }
-        assert_eq!(sorted, expected);
         let of_first = |sector: u32| 19 + 3 * sector..19 + 3 * sector + 3;
         let seen: Vec<u32> = [58, 59, 0, 1, 2].into_iter().flat_map(of_first).collect();
         assert_eq!(second.indices[..15], seen);
