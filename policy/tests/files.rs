@@ -365,14 +365,18 @@ fn answer(bytes: &[u8]) -> Result<PolicyAnswer, Refusal> {
     }
 }
 
+/// A sum in the order of the inputs, one product and one addition at a time.
+fn sum(bias: f32, terms: impl Iterator<Item = (f32, f32)>) -> f32 {
+    terms.fold(bias, |sum, (weight, x)| sum + weight * x)
+}
+
 /// The answers of one convolution, by the definition.
 fn answers(layer: &Windows, x: &[f32]) -> Vec<f32> {
     let mut y = x[..layer.kept].to_vec();
     for window in layer.indices.chunks(layer.window) {
         for (weights, bias) in layer.weights.chunks(layer.window).zip(&layer.bias) {
-            let terms = weights.iter().zip(window);
-            let sum: f32 = terms.map(|(weight, k)| weight * x[*k as usize]).sum();
-            y.push((sum + bias).max(0.0));
+            let seen = window.iter().map(|k| x[*k as usize]);
+            y.push(sum(*bias, weights.iter().copied().zip(seen)).max(0.0));
         }
     }
     y
@@ -395,16 +399,11 @@ fn a_policy_may_have_convolutions_over_the_scan() {
         let layer = mlp.layers()[0].clone();
         let rows = layer.weights.chunks(layer.inputs).zip(&layer.bias);
         let expected = rows.map(|(row, bias)| {
-            let sum: f32 = row.iter().zip(&x).map(|(weight, x)| weight * x).sum();
-            (sum + bias).tanh()
+            let terms = row.iter().copied().zip(x.iter().copied());
+            sum(*bias, terms).tanh()
         });
-        for (given, expected) in mlp
-            .infer(&features)
-            .into_iter()
-            .zip(expected.collect::<Vec<_>>())
-        {
-            assert!((given - expected).abs() < 1e-5, "{given}, not {expected}");
-        }
+        let expected: Vec<f32> = expected.collect();
+        assert_eq!(mlp.infer(&features)[..], expected, "to the last bit");
     }
 }
 

@@ -15,7 +15,7 @@ use std::time::Duration;
 use allocation_counter::measure;
 use controller::ControllerProcess;
 use planner::PlannerProcess;
-use policy::{Activation, Compression, Layer, Mlp, Provenance};
+use policy::{Activation, Compression, Layer, Mlp, Provenance, Windows};
 use runtime::{FixedRate, Flow, Member, SetUpError, TickLoop};
 use shm_config::config::{Clock, Config, GateMode};
 use shm_config::message::{
@@ -49,11 +49,22 @@ fn lane_keeper(version: u64) -> Vec<u8> {
         outputs,
         activation,
     };
-    // Every other version is told how bodies move.
-    let inputs = [FEATURES, INPUTS_WITH_MOTION][(version % 2) as usize];
-    let mut see = layer(inputs, 256, Activation::Relu);
+    // Every other version is told how bodies move, and has a convolution.
+    let takes_motion = version % 2 == 1;
+    let inputs = [FEATURES, INPUTS_WITH_MOTION][usize::from(takes_motion)];
+    let convolution = Windows {
+        inputs,
+        kept: inputs,
+        window: 8,
+        indices: (19..259).collect(),
+        weights: vec![0.1; 8 * 32],
+        bias: vec![0.0; 32],
+    };
+    let convolutions = Vec::from_iter(takes_motion.then_some(convolution));
+    let seen = convolutions.last().map_or(inputs, Windows::outputs);
+    let mut see = layer(seen, 256, Activation::Relu);
     for (hidden, feature) in [2, 8, 3].into_iter().enumerate() {
-        see.weights[hidden * inputs + feature] = 1.0;
+        see.weights[hidden * seen + feature] = 1.0;
     }
     let mut keep = layer(256, 256, Activation::Relu);
     for hidden in 0..3 {
@@ -69,7 +80,8 @@ fn lane_keeper(version: u64) -> Vec<u8> {
         to: FEATURES,
         slope: 20.0,
     };
-    let mlp = Mlp::compressed(compression, vec![see, keep, act]).expect("layers that fit");
+    let layers = vec![see, keep, act];
+    let mlp = Mlp::convolved(compression, convolutions, layers).expect("layers that fit");
     policy::encode(&mlp, &Provenance::default(), &[vec![0.5; FEATURES]])
 }
 
