@@ -44,6 +44,9 @@ pub struct Session {
     threads: usize,
     /// The build that learns, as its policy files name it.
     commit: String,
+    /// The policy file that drives unchanged, if `learner.updates` is 0: the session records what
+    /// `./vlaps relearn` learns from.
+    unchanged: Option<Vec<u8>>,
     /// A write error is reported once; learning continues without saving.
     disk_failed: bool,
 }
@@ -63,7 +66,8 @@ impl Session {
     ///
     /// # Errors
     /// When the folder cannot be written, or holds a session of another algorithm, of
-    /// other settings or of another version.
+    /// other settings or of another version; when `learner.updates` is 0 and `policy.file` cannot
+    /// be read.
     pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
         make_folders(folder)?;
         Folder::open(folder, Entry::Readable)?.make_inside("policies", Entry::Readable)?;
@@ -72,6 +76,11 @@ impl Session {
         let settings = &config.learner;
         let name = |error: io::Error, file: &Path| {
             io::Error::new(error.kind(), format!("{}: {error}", file.display()))
+        };
+        let file = Path::new(&config.policy.file);
+        let unchanged = match settings.updates == 0 && !config.policy.file.is_empty() {
+            true => Some(fs::read(file).map_err(|error| name(error, file))?),
+            false => None,
         };
         let path = checkpoint_path(folder);
         let left = Checkpoint::read(&path).map_err(|error| name(error, &path))?;
@@ -132,6 +141,7 @@ impl Session {
             journal,
             state,
             commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
+            unchanged,
             disk_failed: false,
         })
     }
@@ -226,6 +236,9 @@ impl Session {
     /// # Errors
     /// When its numbers are not finite.
     pub fn policy_file(&self) -> Result<Vec<u8>, policy::Refusal> {
+        if let Some(file) = &self.unchanged {
+            return Ok(file.clone());
+        }
         let provenance = Provenance {
             algorithm: self.state.algorithm.clone(),
             seed: self.config.learner.seed,

@@ -153,3 +153,30 @@ fn a_record_that_is_being_written_is_left_alone() {
     assert_eq!(open(&config, folder.path()).transitions(), whole - 1);
     assert_eq!(fs::read(&path).expect("the file").len(), bytes.len());
 }
+
+#[test]
+fn with_no_updates_the_named_policy_drives_and_its_steps_can_be_learnt_anew() {
+    let before = session(Algorithm::Dagger, false);
+    let mut config = config(Algorithm::Dagger);
+    let (policy, _) = relearn(&config, before.path(), 5);
+    let file = before.path().join("given.onnx");
+    fs::write(&file, &policy).expect("a file");
+    config.policy.file = file.display().to_string();
+    config.learner.updates = 0;
+    let folder = TempDir::new().expect("a folder");
+    let mut session = Session::open(&config, folder.path()).expect("a session");
+    for tick in 0..STEPS {
+        session.push(&step(tick));
+        if session.is_due() {
+            assert!(session.learn(|| {}).expect("the file").policy == policy);
+        }
+    }
+    session.finish();
+    assert_eq!(session.learnt(), 2 * BLOCK);
+    assert!(open(&config, folder.path()).transitions() as u64 >= STEPS - 1);
+
+    config.policy.file = "nowhere.onnx".into();
+    let error = Session::open(&config, folder.path()).err();
+    let told = error.expect("no such file").to_string();
+    assert!(told.contains("nowhere.onnx"), "{told}");
+}

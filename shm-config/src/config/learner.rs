@@ -46,7 +46,8 @@ pub struct Learner {
     /// steps, and its policy is adopted or refused.
     pub block_steps: u32,
     /// Updates after each block. PVP4Real makes one for each step; half as many again
-    /// learn more from the replay.
+    /// learn more from the replay. With 0 nothing is learnt: `policy.file` drives unchanged, if one
+    /// is named, and the replay is filled for `./vlaps relearn`.
     pub updates: u32,
     /// Transitions in an update. PVP4Real has 1024, PVP 128.
     pub batch: u32,
