@@ -112,49 +112,39 @@ fn a_small_and_slow_car_keeps_every_promise() {
     assert_keeps_all(&template, &["--vehicle", &file]);
 }
 
+/// All at once: each takes half a minute, in which its processes mostly wait.
 #[test]
-fn a_world_that_never_brakes_is_found() {
-    assert_breaks(
-        "never-brakes",
-        &[
-            "brakes when commands stop",
-            "brakes when the controller is killed",
-        ],
-    );
-}
-
-#[test]
-fn a_world_that_obeys_old_commands_is_found() {
-    let promises = [
-        "brakes when commands stop",
-        "refuses a command a minute old",
+fn flawed_worlds_are_found() {
+    let flaws = [
+        (
+            "never-brakes",
+            &[
+                "brakes when commands stop",
+                "brakes when the controller is killed",
+            ][..],
+        ),
+        (
+            "patient",
+            &[
+                "brakes when commands stop",
+                "refuses a command a minute old",
+            ],
+        ),
+        ("off-grid", &["observations are on the grid"]),
+        ("wrong-way", &["steers left for positive steering"]),
+        ("one-beam-less", &["shows the scanner of the run"]),
+        ("nan-ranges", &["observations are valid"]),
+        ("bad-end", &["ends with exit code 0 when asked"]),
     ];
-    assert_breaks("patient", &promises);
+    std::thread::scope(|scope| {
+        for (flaw, promises) in flaws {
+            scope.spawn(move || assert_breaks(flaw, promises));
+        }
+    });
 }
 
 #[test]
-fn a_world_off_the_grid_is_found() {
-    assert_breaks("off-grid", &["observations are on the grid"]);
-}
-
-#[test]
-fn a_world_that_steers_the_wrong_way_is_found() {
-    assert_breaks("wrong-way", &["steers left for positive steering"]);
-}
-
-#[test]
-fn a_world_with_another_scanner_is_found() {
-    assert_breaks("one-beam-less", &["shows the scanner of the run"]);
-}
-
-#[test]
-fn a_world_with_invalid_ranges_is_found() {
-    assert_breaks("nan-ranges", &["observations are valid"]);
-}
-
-#[test]
-fn a_world_that_ends_badly_or_at_its_start_is_found() {
-    assert_breaks("bad-end", &["ends with exit code 0 when asked"]);
+fn a_world_that_dies_at_its_start_is_found() {
     let world = example("flawed").display().to_string();
     let (output, report) = conform(&world, Some("dies-at-start"));
     assert_eq!(output.status.code(), Some(1));

@@ -53,8 +53,8 @@ pub fn build(bytes: &[u8], terms: &Terms) -> Result<Box<dyn Policy>, Refusal> {
         }
         (Net::Graph(_), Backend::Native) => {
             return Err(Refusal::NoBackEnd(
-                "the net is no chain of Gemm, MatMul, Add, Relu and Tanh, and policy.backend is \
-                 native: set it to auto"
+                "the native runtime does not take this net, and policy.backend is native: set it to \
+                 auto"
                     .into(),
             ));
         }

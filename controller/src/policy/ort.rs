@@ -48,8 +48,7 @@ pub fn library(configured: &str) -> Result<PathBuf, Refusal> {
     };
     let missing = |place: &Path| {
         Refusal::NoBackEnd(format!(
-            "the net is no chain of Gemm, MatMul, Add, Relu and Tanh, so it needs ONNX Runtime, \
-             and {} has none: run ./vlaps setup onnxruntime",
+            "the net needs ONNX Runtime, and {} has none: run ./vlaps setup onnxruntime",
             place.display()
         ))
     };

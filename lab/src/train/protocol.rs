@@ -58,8 +58,9 @@ impl Protocol {
         let asked = settings::config(files, &experiment.set)?;
         let mut overrides = preset(experiment, seed);
         // A policy that sees one scan cannot imitate an expert that slows down for how others
-        // move; one that is told it gains from it (results/learning.md).
-        overrides.push(format!("mpc.wary={}", asked.learner.motion));
+        // move; one that is told it gains from it, but with pvp (results/learning.md).
+        let is_wary = asked.learner.motion && experiment.algorithm != Algorithm::Pvp;
+        overrides.push(format!("mpc.wary={is_wary}"));
         overrides.push(format!("run.name={}", run_name(out, seed)));
         overrides.extend(experiment.set.iter().cloned());
         let mut config = settings::config(files, &overrides)?;
@@ -311,18 +312,20 @@ mod tests {
     #[test]
     fn the_expert_is_wary_where_the_policy_is_told_how_others_move() {
         let place = tempfile::tempdir().expect("a folder");
-        for (set, is_wary) in [
-            ("run.seeds=20", false),
-            ("learner.motion=true", true),
-            ("learner.motion=true mpc.wary=false", false),
-            ("mpc.wary=true", true),
+        for (algorithm, set, is_wary) in [
+            (Algorithm::Ppl, "run.seeds=20", false),
+            (Algorithm::Ppl, "learner.motion=true", true),
+            (Algorithm::Ppl, "learner.motion=true mpc.wary=false", false),
+            (Algorithm::Pvp, "learner.motion=true", false),
+            (Algorithm::Pvp, "mpc.wary=true", true),
         ] {
             let experiment = Experiment {
+                algorithm,
                 set: set.split(' ').map(String::from).collect(),
                 ..Experiment::default()
             };
             let protocol = Protocol::new(&experiment, (0, place.path())).expect("a training");
-            assert_eq!(protocol.config.mpc.wary, is_wary, "{set}");
+            assert_eq!(protocol.config.mpc.wary, is_wary, "{algorithm:?} {set}");
         }
     }
 
