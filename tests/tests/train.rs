@@ -219,6 +219,7 @@ fn a_training_reports_each_block_in_a_pipe_and_is_refused_a_second_time() {
     }
 
     assert_a_policy_is_trained_anew(&experiment);
+    assert_a_finished_policy_drives_for_the_next(&experiment);
     assert_other_options_are_refused(&experiment, &words);
     assert_a_longer_training_continues(&experiment);
 }
@@ -273,6 +274,43 @@ fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
         assert!(text(&output.stderr).contains(said), "{output:?}");
     }
     assert!(fs::read(&file).expect("a policy") != first);
+}
+
+/// With `learner.updates=0` the policy of `policy.file` drives all steps and stays as it is, and
+/// `./vlaps relearn` learns from these steps, too.
+fn assert_a_finished_policy_drives_for_the_next(experiment: &Experiment) {
+    let more = Experiment::new("more");
+    let given = fs::read(experiment.seed(0).join("relearnt.onnx")).expect("a policy");
+    fs::write(more.folder.join("given.onnx"), &given).expect("a file");
+    let steps = (2 * BLOCK).to_string();
+    let keys = [
+        "learner.updates=0",
+        "policy.file=given.onnx",
+        "gate.mode=policy",
+    ];
+    let mut words = vec!["--final-episodes", "0", "--steps", &steps];
+    words.extend(keys.iter().flat_map(|key| ["--set", key]));
+    let output = more.run(&words);
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(more.blocks(0), multiples(2));
+    for steps in multiples(2) {
+        let file = format!("learner/policies/{steps:08}.onnx");
+        let policy = fs::read(more.seed(0).join(&file)).expect("a policy");
+        assert!(policy == given, "{file}");
+    }
+    let recorded = more.column(0, "learner/blocks.csv", "learner_ring");
+    let recorded: u64 = recorded[1].parse().expect("a number");
+    assert!(recorded > BLOCK, "the policy drove {recorded} steps");
+
+    let mut command = Command::new(programs().join("vlaps-lab"));
+    command.current_dir(&more.folder).arg("relearn");
+    command.arg(experiment.seed(0)).arg(more.seed(0));
+    command.args(["--together", "both.onnx", "--updates", "10"]);
+    let output = command.output().expect("it starts");
+    assert!(output.status.success(), "{output:?}");
+    let both = fs::read(more.folder.join("both.onnx")).expect("a policy");
+    let origin = decode(&both).expect("a policy file").provenance;
+    assert_eq!(origin.expect("ours").steps, 5 * BLOCK);
 }
 
 /// A second start, and a resumed one with other options, are refused with the reason.
