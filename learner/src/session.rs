@@ -77,11 +77,6 @@ impl Session {
         let name = |error: io::Error, file: &Path| {
             io::Error::new(error.kind(), format!("{}: {error}", file.display()))
         };
-        let file = Path::new(&config.policy.file);
-        let unchanged = match settings.updates == 0 && !config.policy.file.is_empty() {
-            true => Some(fs::read(file).map_err(|error| name(error, file))?),
-            false => None,
-        };
         let path = checkpoint_path(folder);
         let left = Checkpoint::read(&path).map_err(|error| name(error, &path))?;
         let state = match left {
@@ -141,7 +136,7 @@ impl Session {
             journal,
             state,
             commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
-            unchanged,
+            unchanged: unchanged(config)?,
             disk_failed: false,
         })
     }
@@ -371,6 +366,16 @@ fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The policy that drives unchanged, if there is one.
+fn unchanged(config: &Config) -> io::Result<Option<Vec<u8>>> {
+    let file = &config.policy.file;
+    if config.learner.updates > 0 || file.is_empty() {
+        return Ok(None);
+    }
+    let name = |error: io::Error| io::Error::new(error.kind(), format!("{file}: {error}"));
+    fs::read(file).map(Some).map_err(name)
 }
 
 /// Removes the temporary file of a learner that was killed.
