@@ -10,8 +10,8 @@ use policy::Provenance;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::config::{Algorithm, Config};
-use shm_config::file::{Durable, Entry, Folder, is_unfinished, make_folders, replace};
-use shm_config::message::{Driver, FEATURES, Step};
+use shm_config::file::{self, Durable, Entry, Folder, is_unfinished, make_folders, replace};
+use shm_config::message::{Driver, FEATURES, Step, WEIGHTS_BYTES_MAX};
 use vehicle::Action;
 
 use crate::Rate;
@@ -66,8 +66,8 @@ impl Session {
     ///
     /// # Errors
     /// When the folder cannot be written, or holds a session of another algorithm, of
-    /// other settings or of another version; when `learner.updates` is 0 and `policy.file` cannot
-    /// be read.
+    /// other settings or of another version; when `learner.updates` is 0 and `policy.file` is no
+    /// policy.
     pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
         make_folders(folder)?;
         Folder::open(folder, Entry::Readable)?.make_inside("policies", Entry::Readable)?;
@@ -226,6 +226,18 @@ impl Session {
         })
     }
 
+    /// The policy that drives until the end of the next block, as a file; `None` at the beginning,
+    /// unless the policy never changes.
+    ///
+    /// # Errors
+    /// When its numbers are not finite.
+    pub fn driving_policy(&self) -> Result<Option<Vec<u8>>, policy::Refusal> {
+        match self.learnt() == 0 && self.unchanged.is_none() {
+            true => Ok(None),
+            false => self.policy_file().map(Some),
+        }
+    }
+
     /// The present policy as a file.
     ///
     /// # Errors
@@ -370,12 +382,15 @@ fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
 
 /// The policy that drives unchanged, if there is one.
 fn unchanged(config: &Config) -> io::Result<Option<Vec<u8>>> {
-    let file = &config.policy.file;
-    if config.learner.updates > 0 || file.is_empty() {
+    let named = &config.policy.file;
+    if config.learner.updates > 0 || named.is_empty() {
         return Ok(None);
     }
-    let name = |error: io::Error| io::Error::new(error.kind(), format!("{file}: {error}"));
-    fs::read(file).map(Some).map_err(name)
+    let name = |error: io::Error| io::Error::new(error.kind(), format!("{named}: {error}"));
+    let bytes = file::read(Path::new(named), WEIGHTS_BYTES_MAX as u64).map_err(name)?;
+    policy::decode(&bytes)
+        .map_err(|refusal| name(io::Error::new(io::ErrorKind::InvalidData, refusal)))?;
+    Ok(Some(bytes))
 }
 
 /// Removes the temporary file of a learner that was killed.

@@ -165,6 +165,7 @@ fn with_no_updates_the_named_policy_drives_and_its_steps_can_be_learnt_anew() {
     config.learner.updates = 0;
     let folder = TempDir::new().expect("a folder");
     let mut session = Session::open(&config, folder.path()).expect("a session");
+    assert!(session.driving_policy().expect("the file").as_ref() == Some(&policy));
     for tick in 0..STEPS {
         session.push(&step(tick));
         if session.is_due() {
@@ -175,8 +176,14 @@ fn with_no_updates_the_named_policy_drives_and_its_steps_can_be_learnt_anew() {
     assert_eq!(session.learnt(), 2 * BLOCK);
     assert!(open(&config, folder.path()).transitions() as u64 >= STEPS - 1);
 
-    config.policy.file = "nowhere.onnx".into();
-    let error = Session::open(&config, folder.path()).err();
-    let told = error.expect("no such file").to_string();
-    assert!(told.contains("nowhere.onnx"), "{told}");
+    let cut = before.path().join("cut.onnx");
+    fs::write(&cut, &policy[..policy.len() / 2]).expect("a file");
+    let cut = cut.display().to_string();
+    // The last one would never end.
+    for file in ["nowhere.onnx", &cut, "/dev/zero"] {
+        config.policy.file = file.into();
+        let error = Session::open(&config, folder.path()).err();
+        let told = error.expect(file).to_string();
+        assert!(told.contains(file), "{told}");
+    }
 }

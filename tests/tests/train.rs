@@ -276,41 +276,45 @@ fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
     assert!(fs::read(&file).expect("a policy") != first);
 }
 
-/// With `learner.updates=0` the policy of `policy.file` drives all steps and stays as it is, and
-/// `./vlaps relearn` learns from these steps, too.
+/// With `learner.updates=0` the policy of `policy.file` drives from the first step and stays as it
+/// is, also with actors, and `./vlaps relearn` learns from these steps, too.
 fn assert_a_finished_policy_drives_for_the_next(experiment: &Experiment) {
-    let more = Experiment::new("more");
-    let given = fs::read(experiment.seed(0).join("relearnt.onnx")).expect("a policy");
-    fs::write(more.folder.join("given.onnx"), &given).expect("a file");
+    let good = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../results/learning/ppl-50000.onnx"
+    );
+    let given = fs::read(good).expect("a policy");
     let steps = (2 * BLOCK).to_string();
-    let keys = [
-        "learner.updates=0",
-        "policy.file=given.onnx",
-        "gate.mode=policy",
-    ];
-    let mut words = vec!["--final-episodes", "0", "--steps", &steps];
-    words.extend(keys.iter().flat_map(|key| ["--set", key]));
-    let output = more.run(&words);
-    assert!(output.status.success(), "{output:?}");
-    assert_eq!(more.blocks(0), multiples(2));
-    for steps in multiples(2) {
-        let file = format!("learner/policies/{steps:08}.onnx");
-        let policy = fs::read(more.seed(0).join(&file)).expect("a policy");
-        assert!(policy == given, "{file}");
-    }
-    let recorded = more.column(0, "learner/blocks.csv", "learner_ring");
-    let recorded: u64 = recorded[1].parse().expect("a number");
-    assert!(recorded > BLOCK, "the policy drove {recorded} steps");
+    for actors in [&[][..], &["--actors", "2"]] {
+        let more = Experiment::new("more");
+        fs::write(more.folder.join("given.onnx"), &given).expect("a file");
+        let mut words = vec!["--final-episodes", "0", "--steps", &steps];
+        for key in ["learner.updates=0", "policy.file=given.onnx"] {
+            words.extend(["--set", key]);
+        }
+        let output = more.run(&[&words[..], actors].concat());
+        assert!(output.status.success(), "{output:?}");
+        assert_eq!(more.blocks(0), multiples(2));
+        for steps in multiples(2) {
+            let file = format!("learner/policies/{steps:08}.onnx");
+            let policy = fs::read(more.seed(0).join(&file)).expect("a policy");
+            assert!(policy == given, "{file}");
+        }
+        // An expert that drives for want of a policy drives all steps of a block.
+        let driven = more.column(0, "learner/blocks.csv", "interventions");
+        let driven: u64 = driven[1].parse().expect("a number");
+        assert!(driven <= BLOCK / 4, "{actors:?}: the expert drove {driven}");
 
-    let mut command = Command::new(programs().join("vlaps-lab"));
-    command.current_dir(&more.folder).arg("relearn");
-    command.arg(experiment.seed(0)).arg(more.seed(0));
-    command.args(["--together", "both.onnx", "--updates", "10"]);
-    let output = command.output().expect("it starts");
-    assert!(output.status.success(), "{output:?}");
-    let both = fs::read(more.folder.join("both.onnx")).expect("a policy");
-    let origin = decode(&both).expect("a policy file").provenance;
-    assert_eq!(origin.expect("ours").steps, 5 * BLOCK);
+        let mut command = Command::new(programs().join("vlaps-lab"));
+        command.current_dir(&more.folder).arg("relearn");
+        command.arg(experiment.seed(0)).arg(more.seed(0));
+        command.args(["--together", "both.onnx", "--updates", "10"]);
+        let output = command.output().expect("it starts");
+        assert!(output.status.success(), "{output:?}");
+        let both = fs::read(more.folder.join("both.onnx")).expect("a policy");
+        let origin = decode(&both).expect("a policy file").provenance;
+        assert_eq!(origin.expect("ours").steps, 5 * BLOCK);
+    }
 }
 
 /// A second start, and a resumed one with other options, are refused with the reason.

@@ -95,10 +95,8 @@ impl Coordinator {
                 folder.display()
             );
         }
-        let policy = match session.learnt() {
-            0 => None,
-            _ => Some(offered(&session, session.policy_file()?)),
-        };
+        let policy = session.driving_policy()?;
+        let policy = policy.map(|file| offered(&session, file));
         let mut pool = Pool::new(toml::to_string(&config).context("the configuration")?);
         let children = Children::start(actors, &mut pool)?;
         Ok(Coordinator {
@@ -346,7 +344,8 @@ impl Coordinator {
 
 fn offered(session: &Session, file: Vec<u8>) -> OfferedPolicy {
     OfferedPolicy {
-        version: session.learnt(),
+        // 0 says that there is none.
+        version: session.learnt().max(1),
         file: file.into(),
     }
 }
