@@ -1,15 +1,16 @@
 //! `./vlaps relearn`: policies trained anew on what trainings recorded.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use learner::relearn::Relearning;
 use shm_config::config::Config;
 use shm_config::counted;
-use shm_config::file::{Durable, replace};
+use shm_config::file::{Durable, check_writable, replace};
 use stack::Clock;
 use supervisor::cli::failure::Failure;
 use supervisor::cli::parsers::whole;
@@ -26,18 +27,23 @@ const POLICY: &str = "relearnt.onnx";
 /// Number of progress lines.
 const PARTS: u64 = 20;
 
-/// Train a policy anew on all that a training recorded: its steps and imagined scenes.
+/// Train a policy anew on what the replay of a training holds: steps and imagined scenes.
 #[derive(Debug, Args)]
 #[command(
     after_help = "While a training drives, its first steps are learnt from many times and its last \
         ones hardly at all. Trained from scratch on the whole replay, a policy sees all of them \
         equally often; the rate falls over the updates. Nothing is driven and no expert is \
-        asked. All cores compute; their number changes no bit.\n\n\
+        asked. All cores compute; their number changes no bit. A replay holds the newest \
+        learner.capacity transitions of each kind (steps that prefer the expert, other steps, \
+        imagined scenes), with the capacity of its training: a larger one here brings back nothing \
+        that was dropped.\n\n\
         The policy of each seed is written to seed-N/relearnt.onnx, when it is complete; seeds \
-        that have one are left out. With --together, one policy learns from all of them. The \
-        settings are those of the training, of the first one with --together, unless --set says \
-        otherwise, such as another algorithm or another size of the network.\n\n\
-        Exit code 2: the folder holds no training, or an option is wrong.\n\n\
+        that have one are left out, whatever its settings: --again replaces it. With --together, \
+        one policy learns from all of them. The settings are those of the training, of the first \
+        one with --together, unless --set says otherwise, such as another algorithm or another \
+        size of the network. What was decided while driving stays, such as \
+        learner.imagined_scenes.\n\n\
+        Exit code 2: a folder holds no training, or an option is wrong.\n\n\
         Examples:\n  \
         ./vlaps relearn runs/train-ppl\n  \
         ./vlaps relearn runs/train-ppl --updates 60000 --set learner.hidden=512 --again\n  \
@@ -57,7 +63,7 @@ pub struct Relearn {
           value_parser = whole::<u32>(1..=100_000_000))]
     pub updates: u32,
     /// Replace policies that are there.
-    #[arg(long, conflicts_with = "together")]
+    #[arg(long)]
     pub again: bool,
     /// Override a key of the training's configuration, such as learner.batch=1024; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -73,6 +79,10 @@ impl Subcommand for Relearn {
         let watch = (&Stop::listen()?, clock);
         let seeds = self.seeds()?;
         if let Some(file) = &self.together {
+            if file.exists() && !self.again {
+                let what = format!("{}: is there; --again replaces it", file.display());
+                return Err(Failure::Usage(what).into());
+            }
             self.relearn(&seeds, file, watch)?;
             say(file.display());
             return Ok(ExitCode::SUCCESS);
@@ -96,38 +106,70 @@ impl Relearn {
     fn seeds(&self) -> anyhow::Result<Vec<PathBuf>> {
         let mut seeds = Vec::new();
         for folder in &self.folders {
+            let refuse = |what: &str| Failure::Usage(format!("{}: {what}", folder.display()));
+            if !folder.is_dir() {
+                return Err(refuse("is no folder").into());
+            }
             if folder.join(CONFIG).exists() && folder.join("learner").exists() {
                 seeds.push(folder.clone());
                 continue;
             }
             let found = seed_folders(folder)?;
             if found.is_empty() {
-                return Err(Failure::Usage(format!(
-                    "{}: holds no training: neither seed-N nor a learner's folder",
-                    folder.display()
-                ))
-                .into());
+                let what = "holds no training: neither seed-N, nor config.toml and learner/";
+                return Err(refuse(what).into());
             }
             seeds.extend(found.into_iter().map(|(_, seed)| seed));
         }
+        self.check(&seeds)?;
         Ok(seeds)
+    }
+
+    /// What would be found out after hours otherwise: each training is there once, has driven,
+    /// and takes its policy.
+    fn check(&self, seeds: &[PathBuf]) -> anyhow::Result<()> {
+        let mut known = BTreeSet::new();
+        for seed in seeds {
+            let refuse = |what: String| Failure::Usage(format!("{}: {what}", seed.display()));
+            if !known.insert(seed.canonicalize()?) {
+                return Err(refuse("is named twice".into()).into());
+            }
+            if !seed.join("learner/replay.bin").is_file() {
+                return Err(refuse("has no learner/replay.bin: nothing was driven".into()).into());
+            }
+            if self.together.is_none() {
+                if seed.join(POLICY).is_dir() {
+                    return Err(refuse(format!("{POLICY} is a folder")).into());
+                }
+                check_writable(seed)
+                    .map_err(|error| refuse(format!("cannot write there: {error}")))?;
+            }
+        }
+        Ok(())
     }
 
     /// The configuration of the first training with the overrides.
     fn configuration(&self, seeds: &[PathBuf]) -> anyhow::Result<Config> {
         let first = seeds.first().context("no training")?;
-        let mut config = settings::changed(&text(first)?, &self.overrides)?;
+        let mut config = changed(first, &self.overrides)?;
         config.learner.decay_updates = self.updates;
-        if config.learner.motion {
-            for seed in seeds {
-                if !settings::changed(&text(seed)?, &[])?.learner.motion {
-                    bail!(
-                        "{}: was trained without learner.motion: its replay does not tell how \
-                         bodies move; leave it out, or add --set learner.motion=false",
-                        seed.display()
-                    );
-                }
-            }
+        let mut told = Vec::new();
+        for seed in seeds {
+            told.push(changed(seed, &[])?.learner.motion);
+        }
+        let is_said = self
+            .overrides
+            .iter()
+            .any(|key| key.trim_start().starts_with("learner.motion"));
+        // The first training does not decide for those that were told more.
+        let wants = config.learner.motion || (!is_said && told.contains(&true));
+        if let Some((seed, _)) = seeds.iter().zip(told).find(|(_, told)| wants && !told) {
+            bail!(
+                "{}: was trained without learner.motion, so its replay does not tell how bodies \
+                 move: learn without this training, or from all of them with --set \
+                 learner.motion=false",
+                seed.display()
+            );
         }
         Ok(config)
     }
@@ -152,6 +194,14 @@ impl Relearn {
         let mut progress = Progress::begin(name, "updates", (0, total), clock)?;
         let transitions = counted(relearning.transitions() as u64, "transition");
         progress.tell(&format!("learns from {transitions}"));
+        let left_out = relearning.left_out();
+        if left_out > 0 {
+            progress.warn(&format!(
+                "{} that were read first are left out: learner.capacity is {} of each kind",
+                counted(left_out, "transition"),
+                config.learner.capacity
+            ));
+        }
         let part = (total / PARTS).max(1);
         let mut loss = 0.0;
         for update in 1..=total {
@@ -175,8 +225,11 @@ impl Relearn {
     }
 }
 
-/// The configuration file of a training.
-fn text(seed: &Path) -> anyhow::Result<String> {
+/// The configuration of a training with the overrides.
+fn changed(seed: &Path, overrides: &[String]) -> anyhow::Result<Config> {
     let file = seed.join(CONFIG);
-    fs::read_to_string(&file).with_context(|| file.display().to_string())
+    let name = |error: anyhow::Error| anyhow!("{}: {error:#}", file.display());
+    let text = fs::read_to_string(&file).map_err(|error| name(error.into()))?;
+    settings::changed(&text, &[]).map_err(name)?;
+    settings::changed(&text, overrides)
 }

@@ -1,6 +1,9 @@
 //! Turns a network into a policy file.
 
+use std::io;
+
 use policy::{Activation, Layer, Mlp, Provenance, Refusal, Windows};
+use shm_config::message::WEIGHTS_BYTES_MAX;
 
 use crate::features::{COMPRESSION, scaling};
 use crate::network::{Head, Network};
@@ -8,6 +11,8 @@ use crate::replay::{Buffer, Replay};
 
 /// Number of probes in a policy file: replay states with the network's answers.
 const PROBES: usize = 4;
+/// What they and the provenance may add to the size of a file: 4 times 381 numbers as text.
+const PROBE_BYTES: usize = 64 << 10;
 
 /// The network as the runtime evaluates it. It takes the plain features, so it has the
 /// compression of the beams, and the linear change of the networks' input is folded into
@@ -73,6 +78,23 @@ fn fold(
             }
         }
     }
+}
+
+/// Checks that the policy file of a network fits into a message.
+///
+/// # Errors
+/// When it does not, or a number is not finite.
+pub fn check_size(network: &Network) -> io::Result<()> {
+    let file = encode(network, &Provenance::default(), &[]).map_err(io::Error::other)?;
+    let bytes = file.len() + PROBE_BYTES;
+    if bytes <= WEIGHTS_BYTES_MAX {
+        return Ok(());
+    }
+    let what = format!(
+        "learner.hidden and learner.filters make a policy file of {bytes} bytes; the limit is \
+         {WEIGHTS_BYTES_MAX}"
+    );
+    Err(io::Error::new(io::ErrorKind::InvalidInput, what))
 }
 
 /// The bytes of a policy file with states of the replay as probes.

@@ -272,13 +272,16 @@ impl Content {
     }
 }
 
-/// Adds the transitions of a file to a replay; returns the file's last mark. The file is only
-/// read, and a learner may be using it.
+/// Adds the transitions of a file to a replay; returns the file's last mark. `learnt` is as in
+/// [`Journal::open`]. The file is only read, and a learner may be using it.
 ///
 /// # Errors
-/// When the file cannot be read or has another format.
-pub fn read(path: &Path, replay: &mut Replay) -> io::Result<Option<Mark>> {
-    Ok(Content::read(&File::open(path)?, replay)?.mark)
+/// When the file cannot be read, has another format, or holds fewer transitions than were learnt
+/// from.
+pub fn read(path: &Path, replay: &mut Replay, learnt: u64) -> io::Result<Option<Mark>> {
+    let mark = Content::read(&File::open(path)?, replay)?.mark;
+    check_whole(mark, learnt)?;
+    Ok(mark)
 }
 
 /// The counts of a file's last valid record; `None` if the file is missing or holds

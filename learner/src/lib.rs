@@ -10,7 +10,8 @@
 //! policy file |
 //! | [`elsewhere`], [`imagine`] | observations and the expert's actions at states that
 //! were never visited |
-//! | [`relearn`] | a policy from the replay of a session, trained anew |
+//! | [`relearn`], [`unchanged`] | a policy from the replay of sessions, trained anew; one that
+//! drives while they record |
 //! | [`session`], [`checkpoint`], [`metrics`] | the learning session, which is on disk
 //! after every block |
 //!
@@ -50,6 +51,7 @@ pub mod relearn;
 pub mod replay;
 pub mod session;
 pub mod share;
+pub mod unchanged;
 pub mod windows;
 
 pub use adam::{Adam, Rate};

@@ -57,6 +57,31 @@ struct Line {
     critic_loss: f32,
 }
 
+/// The counts of a file's last row; zeros if no row can be read. The file is only read, and a
+/// learner may be using it.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn read(path: &Path) -> io::Result<Counts> {
+    Ok(last_counts(&fs::read(path)?))
+}
+
+fn last_counts(text: &[u8]) -> Counts {
+    let lines = csv::Reader::from_reader(text).into_deserialize::<Line>();
+    let last = lines.filter_map(Result::ok).last();
+    last.map_or(Counts::default(), |line| Counts {
+        steps: line.steps.saturating_sub(line.lost),
+        lost: line.lost,
+        unseen: line.unseen,
+        cut: line.cut,
+        expert: line.labels_expert,
+        policy: line.labels_policy,
+        unlabelled: line.unlabelled,
+        interventions: line.interventions,
+        imagined: line.imagined,
+    })
+}
+
 /// The file, opened for appending.
 pub struct Metrics {
     writer: csv::Writer<fs::File>,
@@ -80,26 +105,12 @@ impl Metrics {
             }
         }
         replace(path, &kept, Durable::Yes)?;
-        let lines = csv::Reader::from_reader(&kept[..]).into_deserialize::<Line>();
-        let last = lines.filter_map(Result::ok).last();
+        let counts = last_counts(&kept);
         let file = open_ours(path, Access::Append)?;
         let writer = csv::WriterBuilder::new()
             .has_headers(kept.is_empty())
             .from_writer(file);
-        Ok(Metrics {
-            writer,
-            counts: last.map_or(Counts::default(), |line| Counts {
-                steps: line.steps.saturating_sub(line.lost),
-                lost: line.lost,
-                unseen: line.unseen,
-                cut: line.cut,
-                expert: line.labels_expert,
-                policy: line.labels_policy,
-                unlabelled: line.unlabelled,
-                interventions: line.interventions,
-                imagined: line.imagined,
-            }),
-        })
+        Ok(Metrics { writer, counts })
     }
 
     /// The counts of the last row that was in the file; zeros if no row can be read.

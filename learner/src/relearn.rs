@@ -14,7 +14,7 @@ use shm_config::config::Config;
 
 use crate::algorithm::{Losses, Student};
 use crate::replay::Replay;
-use crate::{export, journal, session};
+use crate::{export, journal, metrics, session};
 
 /// A policy in training, and the replay of sessions, whose files are only read.
 pub struct Relearning {
@@ -31,26 +31,28 @@ impl Relearning {
     /// the build in the policy file.
     ///
     /// # Errors
-    /// When there is no replay, one cannot be read, or they hold nothing that the algorithm learns
-    /// from.
+    /// When there is no replay, one cannot be read or is damaged, they hold nothing that the
+    /// algorithm learns from, or the policy file would be too large.
     pub fn open(config: &Config, folders: &[PathBuf], commit: String) -> io::Result<Relearning> {
         let mut replay = Replay::new(config.learner.capacity as usize);
         replay.set_inputs(session::inputs(config));
         let mut steps = 0;
         for folder in folders {
             let path = folder.join("replay.bin");
-            let name = |error: io::Error| {
-                io::Error::new(error.kind(), format!("{}: {error}", path.display()))
-            };
-            let mark = journal::read(&path, &mut replay).map_err(name)?;
+            // Before the replay: a session that drives on writes its row after what it learnt from.
+            let rows = folder.join("blocks.csv");
+            let learnt = metrics::read(&rows).map_or(0, |counts| counts.transitions());
+            let mark = journal::read(&path, &mut replay, learnt)
+                .map_err(|error| session::named(error, &path))?;
             steps += mark.map_or(0, |mark| mark.counts.driven());
         }
         let state = session::begin(config);
+        export::check_size(state.student.policy())?;
         let mut buffers = state.student.buffers().iter();
         if buffers.all(|buffer| replay.len(*buffer) == 0) {
             let files = match folders {
                 [folder] => folder.join("replay.bin").display().to_string(),
-                folders => format!("replay.bin of {} sessions", folders.len()),
+                folders => format!("replay.bin of {} trainings", folders.len()),
             };
             let what = format!("{files}: nothing that {} learns from", state.algorithm);
             return Err(io::Error::new(io::ErrorKind::InvalidData, what));
@@ -73,6 +75,12 @@ impl Relearning {
     pub fn transitions(&self) -> usize {
         let buffers = self.student.buffers().iter();
         buffers.map(|buffer| self.replay.len(*buffer)).sum()
+    }
+
+    /// Number of transitions that were read and had no room: the first ones.
+    pub fn left_out(&self) -> u64 {
+        let buffers = self.student.buffers().iter();
+        buffers.map(|buffer| self.replay.replaced(*buffer)).sum()
     }
 
     /// One update.

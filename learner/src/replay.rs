@@ -219,6 +219,11 @@ impl Replay {
         self.buffers[buffer as usize].len()
     }
 
+    /// Number of transitions of a buffer that later ones have replaced.
+    pub fn replaced(&self, buffer: Buffer) -> u64 {
+        self.counts[buffer as usize] - self.len(buffer) as u64
+    }
+
     /// Whether all buffers are empty.
     pub fn is_empty(&self) -> bool {
         self.buffers.iter().all(Vec::is_empty)

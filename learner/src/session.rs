@@ -10,8 +10,8 @@ use policy::Provenance;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use shm_config::config::{Algorithm, Config};
-use shm_config::file::{self, Durable, Entry, Folder, is_unfinished, make_folders, replace};
-use shm_config::message::{Driver, FEATURES, Step, WEIGHTS_BYTES_MAX};
+use shm_config::file::{Durable, Entry, Folder, is_unfinished, make_folders, replace};
+use shm_config::message::{Driver, FEATURES, Step};
 use vehicle::Action;
 
 use crate::Rate;
@@ -23,6 +23,7 @@ use crate::imagine::Imagination;
 use crate::journal::{Journal, Mark, Recovered};
 use crate::metrics::{Metrics, Row};
 use crate::replay::{Buffer, INPUTS, Replay, Transition};
+use crate::unchanged;
 
 /// Learning rate of the imitating algorithms, unless configured.
 const IMITATION_RATE: f32 = 1e-3;
@@ -66,26 +67,15 @@ impl Session {
     ///
     /// # Errors
     /// When the folder cannot be written, or holds a session of another algorithm, of
-    /// other settings or of another version; when `learner.updates` is 0 and `policy.file` is no
-    /// policy.
+    /// other settings or of another version; when a policy file of the configured size is too
+    /// large; when `learner.updates` is 0 and `policy.file` is no policy, or another one than before.
     pub fn open(config: &Config, folder: &Path) -> io::Result<Session> {
         make_folders(folder)?;
         Folder::open(folder, Entry::Readable)?.make_inside("policies", Entry::Readable)?;
         sweep(folder)?;
         sweep(&folder.join("policies"))?;
         let settings = &config.learner;
-        let name = |error: io::Error, file: &Path| {
-            io::Error::new(error.kind(), format!("{}: {error}", file.display()))
-        };
-        let path = checkpoint_path(folder);
-        let left = Checkpoint::read(&path).map_err(|error| name(error, &path))?;
-        let state = match left {
-            Some(state) => {
-                check_same(&state, config).map_err(|error| name(error, &path))?;
-                state
-            }
-            None => begin(config),
-        };
+        let state = begun(config, folder)?;
         let metrics = Metrics::open(&folder.join("blocks.csv"), state.blocks)?;
         let path = folder.join("replay.bin");
         let capacity = settings.capacity as usize;
@@ -95,7 +85,7 @@ impl Session {
             mark,
             torn_bytes,
         } = Journal::open(&path, capacity, metrics.counts().transitions())
-            .map_err(|error| name(error, &path))?;
+            .map_err(|error| named(error, &path))?;
         if torn_bytes > 0 {
             tracing::warn!(
                 torn_bytes,
@@ -134,9 +124,9 @@ impl Session {
             imagination,
             replay,
             journal,
+            unchanged: unchanged::same_policy(config, folder, &state)?,
             state,
             commit: std::env::var("VLAPS_COMMIT").unwrap_or_default(),
-            unchanged: unchanged(config)?,
             disk_failed: false,
         })
     }
@@ -330,8 +320,8 @@ impl Session {
         self.journal.compact(&self.replay, &mark, heartbeat)?;
         // The journal is saved before the block that was learnt from it.
         self.journal.sync()?;
-        let file = format!("policies/{:08}.onnx", self.state.steps);
-        replace(&self.folder.join(file), policy, Durable::Yes)?;
+        let file = policy_path(&self.folder, self.state.steps);
+        replace(&file, policy, Durable::Yes)?;
         self.metrics.write(&Row {
             steps: self.state.steps,
             updates: self.state.updates,
@@ -358,6 +348,27 @@ impl Session {
     }
 }
 
+/// The state of the session in a folder, or of a new one.
+fn begun(config: &Config, folder: &Path) -> io::Result<Checkpoint> {
+    let path = checkpoint_path(folder);
+    match Checkpoint::read(&path).map_err(|error| named(error, &path))? {
+        Some(state) => {
+            check_same(&state, config).map_err(|error| named(error, &path))?;
+            Ok(state)
+        }
+        None => {
+            let state = begin(config);
+            export::check_size(state.student.policy())?;
+            Ok(state)
+        }
+    }
+}
+
+/// An error with the name of its file.
+pub(crate) fn named(error: io::Error, file: &Path) -> io::Error {
+    io::Error::new(error.kind(), format!("{}: {error}", file.display()))
+}
+
 /// A session keeps the network sizes and learning rates with which it began.
 fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
     let word = config.learner.algorithm.word();
@@ -380,19 +391,6 @@ fn check_same(state: &Checkpoint, config: &Config) -> io::Result<()> {
     Ok(())
 }
 
-/// The policy that drives unchanged, if there is one.
-fn unchanged(config: &Config) -> io::Result<Option<Vec<u8>>> {
-    let named = &config.policy.file;
-    if config.learner.updates > 0 || named.is_empty() {
-        return Ok(None);
-    }
-    let name = |error: io::Error| io::Error::new(error.kind(), format!("{named}: {error}"));
-    let bytes = file::read(Path::new(named), WEIGHTS_BYTES_MAX as u64).map_err(name)?;
-    policy::decode(&bytes)
-        .map_err(|refusal| name(io::Error::new(io::ErrorKind::InvalidData, refusal)))?;
-    Ok(Some(bytes))
-}
-
 /// Removes the temporary file of a learner that was killed.
 fn sweep(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
@@ -403,6 +401,11 @@ fn sweep(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// The policy after so many steps.
+pub(crate) fn policy_path(folder: &Path, steps: u64) -> PathBuf {
+    folder.join(format!("policies/{steps:08}.onnx"))
 }
 
 fn checkpoint_path(folder: &Path) -> PathBuf {

@@ -111,8 +111,12 @@ fn several_sessions_teach_together_as_much_as_there_is_room_for() {
     assert_eq!(both.transitions(), apart[0] + apart[1]);
     let file = decode(&both.policy_file().expect("finite")).expect("a policy file");
     assert_eq!(file.provenance.expect("ours").steps, 2 * STEPS);
+    assert_eq!(both.left_out(), 0);
     config.learner.capacity = 5;
-    assert_eq!(together(&config).expect("two replays").transitions(), 3 * 5);
+    let newest = together(&config).expect("two replays");
+    assert_eq!(newest.transitions(), 3 * 5);
+    let read = newest.transitions() as u64 + newest.left_out();
+    assert_eq!(read, both.transitions() as u64);
 }
 
 #[test]
@@ -131,6 +135,15 @@ fn a_replay_that_is_missing_damaged_or_has_nothing_to_learn_from_is_refused_by_n
         fs::read(empty.path().join("replay.bin")).expect("the file"),
         b"something else"
     );
+
+    let folder = session(Algorithm::Dagger, true);
+    let path = folder.path().join("replay.bin");
+    let mut bytes = fs::read(&path).expect("the file");
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 8].fill(0xff);
+    fs::write(&path, &bytes).expect("a file");
+    let said = refusal(&config(Algorithm::Dagger), folder.path());
+    assert!(said.contains("is damaged"), "{said}");
 
     let folder = session(Algorithm::HgDagger, false);
     let said = refusal(&config(Algorithm::HgDagger), folder.path());
@@ -176,6 +189,17 @@ fn with_no_updates_the_named_policy_drives_and_its_steps_can_be_learnt_anew() {
     assert_eq!(session.learnt(), 2 * BLOCK);
     assert!(open(&config, folder.path()).transitions() as u64 >= STEPS - 1);
 
+    // The session goes on with the same policy only.
+    let other = before.path().join("other.onnx");
+    fs::write(&other, relearn(&config, before.path(), 6).0).expect("a file");
+    config.policy.file = other.display().to_string();
+    let error = Session::open(&config, folder.path()).err();
+    let told = error.expect("another policy").to_string();
+    assert!(told.contains("is another policy than"), "{told}");
+    config.policy.file = file.display().to_string();
+    Session::open(&config, folder.path()).expect("the session");
+
+    let folder = TempDir::new().expect("a folder");
     let cut = before.path().join("cut.onnx");
     fs::write(&cut, &policy[..policy.len() / 2]).expect("a file");
     let cut = cut.display().to_string();
@@ -186,4 +210,38 @@ fn with_no_updates_the_named_policy_drives_and_its_steps_can_be_learnt_anew() {
         let told = error.expect(file).to_string();
         assert!(told.contains(file), "{told}");
     }
+}
+
+#[test]
+fn a_policy_that_is_told_more_than_is_recorded_does_not_drive() {
+    let before = session(Algorithm::Dagger, false);
+    let mut config = config(Algorithm::Dagger);
+    config.learner.motion = true;
+    let file = before.path().join("told.onnx");
+    fs::write(&file, relearn(&config, before.path(), 1).0).expect("a file");
+    config.policy.file = file.display().to_string();
+    config.learner.updates = 0;
+    let folder = TempDir::new().expect("a folder");
+    Session::open(&config, folder.path()).expect("a session");
+    config.learner.motion = false;
+    let folder = TempDir::new().expect("a folder");
+    let error = Session::open(&config, folder.path()).err();
+    let told = error.expect("told more").to_string();
+    assert!(told.contains("learner.motion=true"), "{told}");
+}
+
+#[test]
+fn a_network_whose_policy_file_fits_into_no_message_is_refused_before_it_learns() {
+    let folder = session(Algorithm::Dagger, false);
+    let mut large = config(Algorithm::Dagger);
+    (large.learner.hidden, large.learner.filters) = (1024, 64);
+    let relearning = Relearning::open(&large, &[folder.path().into()], String::new()).err();
+    let empty = TempDir::new().expect("a folder");
+    let session = Session::open(&large, empty.path()).err();
+    for error in [relearning, session] {
+        let said = error.expect("too large").to_string();
+        assert!(said.contains("the limit is 8388608"), "{said}");
+    }
+    large.learner.filters = 16;
+    Session::open(&large, empty.path()).expect("a session");
 }

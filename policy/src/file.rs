@@ -46,6 +46,16 @@ pub enum Net {
     Graph(Names),
 }
 
+impl Net {
+    /// How many numbers it takes.
+    pub fn inputs(&self) -> usize {
+        match self {
+            Net::Mlp { mlp, .. } => mlp.inputs(),
+            Net::Graph(names) => names.input_shape.last().map_or(0, |count| *count as usize),
+        }
+    }
+}
+
 /// What a graph calls its input and output.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Names {

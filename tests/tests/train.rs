@@ -258,7 +258,13 @@ fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
     assert!(fs::read(&file).expect("a policy") != first);
 
     for (words, said) in [
-        (&["nowhere"][..], "holds no training"),
+        (&["nowhere"][..], "is no folder"),
+        (&["."], "holds no training"),
+        (&[&experiment.name, seed], "is named twice"),
+        (
+            &[seed, "--together", file.to_str().expect("UTF-8")],
+            "--again replaces it",
+        ),
         (
             &[&experiment.name, "--again", "--set", "learner.batch=1"],
             "learner.batch",
@@ -274,6 +280,27 @@ fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
         assert!(text(&output.stderr).contains(said), "{output:?}");
     }
     assert!(fs::read(&file).expect("a policy") != first);
+}
+
+/// A policy that cannot drive is refused before a folder is made.
+#[test]
+fn a_policy_that_cannot_drive_leaves_no_folder() {
+    let experiment = Experiment::new("mistyped");
+    let told = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../results/learning/fast-convolved.onnx"
+    );
+    let told = format!("policy.file={told}");
+    for (file, said) in [
+        ("learner.updates=0", "name the policy that drives"),
+        ("policy.file=mistyped.onnx", "mistyped.onnx: No such file"),
+        (&told, "learner.motion=true"),
+    ] {
+        let output = experiment.run(&["--set", "learner.updates=0", "--set", file]);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        assert!(text(&output.stderr).contains(said), "{output:?}");
+        assert!(!experiment.seed(0).exists(), "{file}");
+    }
 }
 
 /// With `learner.updates=0` the policy of `policy.file` drives from the first step and stays as it

@@ -21,7 +21,7 @@ use controller::{Policy, Recomputer};
 use serde::Serialize;
 use shm_config::config::{Config, GateMode, planner::Method};
 use shm_config::counted;
-use shm_config::message::{Driver, Episode, Reason};
+use shm_config::message::{Driver, Episode, Reason, WEIGHTS_BYTES_MAX};
 use stack::Clock;
 use stack::driver::DriverKind;
 use supervisor::cli::failure::Failure;
@@ -347,9 +347,8 @@ fn row(episode: &Episode) -> EpisodeRow {
 /// # Errors
 /// When it cannot be read or is refused.
 pub fn read_policy(file: &Path, config: &Config, clock: Clock) -> anyhow::Result<Box<dyn Policy>> {
-    let name = || format!("--policy {}", file.display());
-    shm_config::file::regular(file).with_context(name)?;
-    let bytes = std::fs::read(file).with_context(name)?;
+    let name = || file.display().to_string();
+    let bytes = shm_config::file::read(file, WEIGHTS_BYTES_MAX as u64).with_context(name)?;
     build(&PolicyBytes { hash: 0, bytes }, config, clock).with_context(name)
 }
 

@@ -34,6 +34,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 
+use crate::fork::cannot;
 use crate::stop::Stop;
 use arguments::Train;
 use experiment::Experiment;
@@ -56,7 +57,8 @@ pub fn train(arguments: &Train, clock: Clock) -> anyhow::Result<()> {
         .map(|seed| Protocol::new(&experiment, (seed, &out)))
         .collect::<anyhow::Result<_>>()?;
     if let Some(first) = protocols.first() {
-        // An address that cannot be used leaves no folder.
+        // A policy or an address that cannot be used leaves no folder.
+        training::check_policy(&first.config, clock).map_err(cannot)?;
         drop(training::open_door(first)?);
     }
     let _lock = experiment::lock(&out)?;

@@ -7,6 +7,7 @@ use std::process::{Child, Command};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use shm_config::config::Config;
 use shm_config::{Instant, secret};
 use supervisor::machine::signals::pause;
 use supervisor::subcommand::{say, write_json};
@@ -19,12 +20,16 @@ use crate::actors::coordinate::{Coordinator, Notice, Watch};
 use crate::actors::door::Door;
 use crate::actors::tally::ActorsTally;
 use crate::actors::tls::ListenerKeys;
+use crate::fork::read_policy;
 use crate::progress::Progress;
 use crate::stop::Stop;
 use stack::Clock;
 
 /// Polling interval of the training's progress.
 const LOOK: Duration = Duration::from_millis(200);
+
+/// Looks at a process set that is to end, before it is killed: 10 s, twice what it takes to brake.
+const LAST_LOOKS: u32 = 50;
 
 /// Time between two writings of what the actors did, ns.
 const KEPT_NS: u64 = 1_000_000_000;
@@ -184,6 +189,25 @@ fn look(
     let steps = blocks.last().map_or(0, |block| block.steps);
     progress.at(steps);
     Ok(steps)
+}
+
+/// Checks the policy that drives first, or unchanged if nothing is learnt, before a folder is
+/// made.
+///
+/// # Errors
+/// When there is none though nothing is learnt, or it is refused.
+pub fn check_policy(config: &Config, clock: Clock) -> anyhow::Result<()> {
+    let file = &config.policy.file;
+    if !file.is_empty() {
+        read_policy(Path::new(file), config, clock)?;
+        learner::unchanged::policy(config)?;
+    } else if config.learner.updates == 0 {
+        bail!(
+            "learner.updates=0 learns nothing: name the policy that drives with \
+             --set policy.file=FILE.onnx"
+        );
+    }
+    Ok(())
 }
 
 /// The port at which the actors of other machines join; `None` without them.
@@ -351,7 +375,14 @@ impl ProcessSet {
 
 impl Drop for ProcessSet {
     fn drop(&mut self) {
-        // Reached only if training fails: the set has nothing left to drive.
+        // If training fails, the set still drives: it brakes and removes its shared memory.
+        for _ in 0..LAST_LOOKS {
+            if !matches!(self.child.try_wait(), Ok(None)) {
+                return;
+            }
+            self.stop();
+            pause(LOOK);
+        }
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

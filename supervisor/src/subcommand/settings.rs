@@ -61,9 +61,11 @@ pub fn changed(text: &str, overrides: &[String]) -> anyhow::Result<Config> {
     for text in overrides {
         words.extend(["--set".into(), text.into()]);
     }
+    // The temporary file is not the user's.
+    let own = file.path().display().to_string();
     Ok(of_up(words).map_err(|failure| match failure {
-        // The temporary file is not the user's.
         Failure::Config(ConfigError::OutOfRange { error, .. }) => Failure::Usage(error.to_string()),
+        Failure::Config(error) => Failure::Usage(error.to_string().replace(&own, "configuration")),
         other => other,
     })?)
 }
