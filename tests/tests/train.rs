@@ -282,6 +282,27 @@ fn assert_a_policy_is_trained_anew(experiment: &Experiment) {
     assert!(fs::read(&file).expect("a policy") != first);
 }
 
+/// Without its training a process set has nothing left to drive: it brakes, and removes its shared
+/// memory itself.
+#[test]
+fn a_training_that_fails_stops_its_set_and_leaves_no_shared_memory() {
+    let mut experiment = Experiment::new("damaged");
+    experiment.start(&["--steps", "100000"]);
+    until("a block", || !experiment.blocks(0).is_empty());
+    let rows = experiment.seed(0).join("learner/blocks.csv");
+    fs::write(rows, "steps\nmany\n").expect("a file");
+    let output = experiment.end();
+    assert!(!output.status.success(), "{output:?}");
+    assert!(text(&output.stderr).contains("blocks.csv"), "{output:?}");
+    assert!(experiment.pids("").is_empty());
+    let config = fs::read_to_string(experiment.seed(0).join("train.toml")).expect("the file");
+    let config = from_toml(&config, "").expect("a configuration");
+    let entries = fs::read_dir("/dev/shm").expect("shared memory");
+    let names = entries.map(|entry| entry.expect("an entry").file_name());
+    let left = names.filter(|name| name.to_string_lossy().contains(&config.run.name));
+    assert_eq!(left.count(), 0);
+}
+
 /// A policy that cannot drive is refused before a folder is made.
 #[test]
 fn a_policy_that_cannot_drive_leaves_no_folder() {
