@@ -196,15 +196,19 @@ impl Rest {
     #[allow(clippy::disallowed_methods)] // a test without processes reads the clock
     fn answer(&mut self, tick: u64) -> (Command, Step) {
         let until = monotonic().after_ns(30_000_000_000);
-        let mut command = None;
+        let (mut command, mut step) = (None, None);
         while monotonic() < until {
-            if let Some(newest) = self.commands.newest(Message::check) {
-                command = Some(newest).filter(|newest| newest.header.tick == tick);
+            let newest = self.commands.newest(Message::check);
+            command = newest
+                .filter(|newest| newest.header.tick == tick)
+                .or(command);
+            // Both may come between the look at the commands and this one at the steps.
+            while let Some(received) = self.steps.receive() {
+                step = Some(received).filter(|received| received.header.tick == tick);
             }
-            while let Some(step) = self.steps.receive() {
-                if let Some(command) = command.filter(|_| step.header.tick == tick) {
-                    return (command, step);
-                }
+            match (command.take(), step.take()) {
+                (Some(command), Some(step)) => return (command, step),
+                one => (command, step) = one,
             }
             self.update_connections();
             self.bell.wait(Duration::from_millis(1));

@@ -9,7 +9,7 @@ use std::process::Command;
 
 use experiment::{BLOCK, Experiment};
 use policy::decode;
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 use shm_config::config::from_toml;
 use vlaps_tests::{programs, until};
 

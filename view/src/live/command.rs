@@ -21,7 +21,7 @@ use supervisor::subcommand::{Output, Subcommand, say, write_json_option};
 use super::fleet::{Fleet, watch};
 use super::foxglove::{Board, FoxgloveServer};
 use super::hub::Hub;
-use super::reader::{Boards, Wanted, read};
+use super::reader::{Boards, STACK_BYTES, Wanted, read};
 use super::server::Server;
 use super::source::Source;
 use super::tape::Tape;
@@ -141,6 +141,7 @@ impl View {
         let stopped = stop.clone();
         let reader = std::thread::Builder::new()
             .name("view-reader".into())
+            .stack_size(STACK_BYTES)
             .spawn(move || read(&wanted, &boards, &stopped))
             .context("cannot start the reader's thread")?;
         wait(signals);

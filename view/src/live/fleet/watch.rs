@@ -16,6 +16,7 @@ use super::entry::Entry;
 use super::reader::read;
 use super::{Fleet, LET_GO_NS};
 use crate::live::hub::Moment;
+use crate::live::reader::STACK_BYTES;
 
 /// Time between two looks for runs and pages.
 const TURN: Duration = Duration::from_millis(250);
@@ -89,6 +90,7 @@ fn start(fleet: &Arc<Fleet>, entry: &Arc<Entry>, stop: &Arc<AtomicBool>) -> Opti
     let (fleet, stop) = (fleet.clone(), stop.clone());
     let started = std::thread::Builder::new()
         .name("view-reader".into())
+        .stack_size(STACK_BYTES)
         .spawn(move || read(&fleet, &seat.entry, &stop));
     match started {
         Ok(reader) => Some(reader),
