@@ -37,11 +37,11 @@ const PARTS: u64 = 20;
         learner.capacity transitions of each kind (steps that prefer the expert, other steps, \
         imagined scenes), with the capacity of its training: a larger one here brings back nothing \
         that was dropped.\n\n\
-        The policy of each seed is written to seed-N/relearnt.onnx, when it is complete; seeds \
-        that have one are left out, whatever its settings: --again replaces it. With --together, \
-        one policy learns from all of them. The settings are those of the training, of the first \
-        one with --together, unless --set says otherwise, such as another algorithm or another \
-        size of the network. What was decided while driving stays, such as \
+        The policy of each seed is written to seed-N/relearnt.onnx, when it is complete. A seed \
+        that has one is left out, even if other settings made it; --again replaces it. With \
+        --together, one policy learns from all of them. The settings are those of the training, of \
+        the first one with --together, unless --set says otherwise, such as another algorithm or \
+        another size of the network. What was decided while driving stays, such as \
         learner.imagined_scenes.\n\n\
         Exit code 2: a folder holds no training, or an option is wrong.\n\n\
         Examples:\n  \
@@ -106,9 +106,9 @@ impl Relearn {
     fn seeds(&self) -> anyhow::Result<Vec<PathBuf>> {
         let mut seeds = Vec::new();
         for folder in &self.folders {
-            let refuse = |what: &str| Failure::Usage(format!("{}: {what}", folder.display()));
+            let refuse = |what: String| Failure::Usage(format!("{}: {what}", folder.display()));
             if !folder.is_dir() {
-                return Err(refuse("is no folder").into());
+                return Err(refuse("is no folder".into()).into());
             }
             if folder.join(CONFIG).exists() && folder.join("learner").exists() {
                 seeds.push(folder.clone());
@@ -116,7 +116,7 @@ impl Relearn {
             }
             let found = seed_folders(folder)?;
             if found.is_empty() {
-                let what = "holds no training: neither seed-N, nor config.toml and learner/";
+                let what = format!("holds no training: neither seed-N, nor {CONFIG} and learner/");
                 return Err(refuse(what).into());
             }
             seeds.extend(found.into_iter().map(|(_, seed)| seed));
@@ -137,8 +137,9 @@ impl Relearn {
             if !seed.join("learner/replay.bin").is_file() {
                 return Err(refuse("has no learner/replay.bin: nothing was driven".into()).into());
             }
-            if self.together.is_none() {
-                if seed.join(POLICY).is_dir() {
+            let file = seed.join(POLICY);
+            if self.together.is_none() && (self.again || !file.exists()) {
+                if file.is_dir() {
                     return Err(refuse(format!("{POLICY} is a folder")).into());
                 }
                 check_writable(seed)

@@ -34,8 +34,8 @@ use super::hub::{Hub, Moment};
 use super::scene::Painter;
 use super::status::{RunFolder, Status};
 
-/// Stack of the thread that reads. It holds whole messages, several at once where the compiler
-/// does not join their copies: without optimisation more than the 2 MB of a thread's default.
+/// Stack of the thread that reads, which holds several whole messages. Compiled with less
+/// optimisation it needs more than the 2 MB of a thread's default, and 4 MB are enough.
 pub(super) const STACK_BYTES: usize = 8 << 20;
 /// Time between two reads: the page's 20 Hz.
 pub(super) const LOOK: Duration = Duration::from_millis(50);
