@@ -7,6 +7,7 @@ use std::sync::mpsc;
 
 use anyhow::Context;
 use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
 use shm_config::config::{Config, Simulator};
 use shm_config::message::{Episode, Outcome};
 use sim::{World, WorldConfig};
@@ -189,7 +190,8 @@ fn work(
 }
 
 /// The reason why an episode is not a strict success.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(into = "&'static str", try_from = "String")]
 pub enum Cause {
     /// The car left the road.
     OutOfRoad,
@@ -226,7 +228,12 @@ impl Cause {
         }
     }
 
-    /// Description in the table.
+    /// Whether the car arrived all the same.
+    pub fn arrived(self) -> bool {
+        matches!(self, Cause::TouchedVehicle | Cause::TouchedObject)
+    }
+
+    /// Description in tables and files.
     pub fn words(self) -> &'static str {
         match self {
             Cause::OutOfRoad => "out of road",
@@ -235,5 +242,20 @@ impl Cause {
             Cause::TouchedVehicle => "arrived, touched a vehicle",
             Cause::TouchedObject => "arrived, touched an object",
         }
+    }
+}
+
+impl From<Cause> for &'static str {
+    fn from(cause: Cause) -> &'static str {
+        cause.words()
+    }
+}
+
+impl TryFrom<String> for Cause {
+    type Error = String;
+
+    fn try_from(words: String) -> Result<Cause, String> {
+        let found = Cause::ALL.into_iter().find(|cause| cause.words() == words);
+        found.ok_or_else(|| format!("unknown cause of a failure: {words:?}"))
     }
 }

@@ -59,7 +59,7 @@ pub struct Failure {
     /// Seed of the episode.
     pub seed: u64,
     /// Cause of the failure.
-    pub cause: &'static str,
+    pub cause: Cause,
     /// Driven share of the route.
     pub completion: f64,
     /// Number of ticks until the end.
@@ -148,7 +148,7 @@ impl Evaluation {
         for cause in Cause::ALL {
             let failed = self.failures.iter();
             let seeds: Vec<String> = failed
-                .filter(|failure| failure.cause == cause.words())
+                .filter(|failure| failure.cause == cause)
                 .map(|failure| failure.seed.to_string())
                 .collect();
             if !seeds.is_empty() {
@@ -171,7 +171,7 @@ fn cells(Estimate { mean, low, high }: Estimate, digits: usize) -> [String; 2] {
 fn failure(episode: &Episode) -> Option<Failure> {
     Some(Failure {
         seed: episode.seed,
-        cause: Cause::of(episode)?.words(),
+        cause: Cause::of(episode)?,
         completion: episode.completion,
         ticks: episode.ticks,
     })

@@ -4,6 +4,7 @@
 //! | module | holds |
 //! |---|---|
 //! | [`eval`], [`episodes`], [`evaluation`] | `./vlaps eval`, many episodes, and their table |
+//! | [`outcomes`] | how episodes ended, map by map: two drivers compared, intervals over maps |
 //! | [`outside`] | evaluation in simulators with a process of their own |
 //! | [`train`] | the paper's experiment, its curves and tables |
 //! | [`relearn`] | policies trained anew on what trainings recorded |
@@ -34,6 +35,7 @@ pub mod evaluation;
 pub mod export;
 pub mod fork;
 pub mod metric;
+pub mod outcomes;
 pub mod outside;
 pub mod parity;
 pub mod progress;

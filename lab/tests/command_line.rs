@@ -109,6 +109,72 @@ fn an_evaluation_has_the_agreed_keys() {
 }
 
 #[test]
+fn two_drivers_are_compared_map_by_map() {
+    let words = ["eval", "--episodes", "6", "--driver", "lane"];
+    let (lane, compared) = (scratch("eval-lane.json"), scratch("eval-against.json"));
+    let [lane, compared] = [lane, compared].map(|path| path.display().to_string());
+    assert!(
+        lab(&[&words[..], &["--json", &lane]].concat())
+            .status
+            .success()
+    );
+    let same = lab(&[&words[..], &["--against", &lane, "--json", &compared]].concat());
+    assert!(same.status.success(), "{same:?}");
+    let figures = json(Path::new(&compared));
+    assert_eq!(figures["against"]["driver"], "lane");
+    let paired = &figures["against"]["strict_success"];
+    assert_eq!(
+        (&paired["this_alone"], &paired["other_alone"]),
+        (&0.into(), &0.into())
+    );
+    assert_eq!(paired["p"], 1.0);
+    // What it wrote is again an evaluation to compare with.
+    let other = [
+        "eval",
+        "--episodes",
+        "6",
+        "--driver",
+        "mpc",
+        "--against",
+        &compared,
+    ];
+    let other = lab(&other);
+    let text = String::from_utf8_lossy(&other.stdout);
+    assert!(text.contains("the other alone"), "{text}");
+
+    for (file, options, hint) in [
+        (
+            lane.as_str(),
+            &["--first-seed", "7"][..],
+            "seeds 1000 to 1005 in sim",
+        ),
+        (
+            lane.as_str(),
+            &["--episodes", "7"],
+            "seeds 1000 to 1005 in sim",
+        ),
+        ("no/such/a.json", &[], "--against no/such/a.json"),
+        (
+            concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"),
+            &[],
+            "no figures of ./vlaps eval",
+        ),
+    ] {
+        let words = ["eval", "--episodes", "6", "--against", file];
+        let words: Vec<&str> = match options {
+            ["--episodes", ..] => [&words[..1], options, &words[3..]].concat(),
+            _ => [&words[..], options].concat(),
+        };
+        let refused = lab(&words);
+        let text = String::from_utf8_lossy(&refused.stderr);
+        assert!(
+            !refused.status.success() && text.contains(hint),
+            "{words:?}: {text}"
+        );
+    }
+}
+
+#[test]
 fn mistakes_are_named_with_exit_code_2() {
     for (words, hint) in [
         (&["eval", "--drivr", "idm"][..], "--driver"),

@@ -3,11 +3,13 @@
 mod shards;
 
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 use shm_config::config::Simulator;
 use shm_config::counted;
 use stack::Clock;
@@ -21,6 +23,7 @@ use view::draw::failures;
 use crate::episodes::{Task, evaluate};
 use crate::evaluation::Evaluation;
 use crate::metric::FOOTNOTE;
+use crate::outcomes::{Comparison, Maps, Outcomes};
 use crate::progress::left;
 use crate::shard::{Shard, needs_shard};
 
@@ -35,11 +38,15 @@ use crate::shard::{Shard, needs_shard};
         soon as it ends; the same command continues after Ctrl-C or a kill. --report merges the \
         parts in --out and says which are missing (exit code 1); with all of them the figures are \
         those of one piece, bit by bit, but for the planning time.\n\n\
+        --against FILE counts the maps on which one of two drivers alone succeeds; p is the \
+        probability of so uneven a split, or a more uneven one, between equally good drivers. The \
+        file does not tell the configuration of its evaluation, which may be another one.\n\n\
         Examples:\n  \
         ./vlaps eval --driver expert --episodes 1000\n  \
         ./vlaps eval --driver mpc --episodes 200\n  \
         ./vlaps eval --driver policy.onnx --episodes 200\n  \
         ./vlaps eval --driver idm --first-seed 100 --episodes 50 --json idm.json\n  \
+        ./vlaps eval --driver mpc --first-seed 100 --episodes 50 --against idm.json\n  \
         ./vlaps eval --driver expert --world metadrive --episodes 50\n  \
         ./vlaps eval --driver mpc --episodes 8000 --shard 3/8 --out runs/mpc\n  \
         ./vlaps eval --out runs/mpc --report --json mpc.json"
@@ -83,6 +90,10 @@ pub struct Eval {
     #[arg(long, requires = "out", conflicts_with_all = ["shard", "draw", "driver", "episodes",
           "first_seed", "world", "threads", "config", "vehicle", "overrides"])]
     pub report: bool,
+    /// Compare map by map with the figures in this file, by the sign test: those of an
+    /// evaluation of the same seeds (--json), or the final.json of a training.
+    #[arg(long, value_name = "FILE", conflicts_with = "shard")]
+    pub against: Option<PathBuf>,
     /// Also write the figures to this file.
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
@@ -118,6 +129,7 @@ impl Subcommand for Eval {
             episodes: self.episodes,
             threads: asked.min(of_use),
         };
+        let earlier = self.earlier(&task)?;
         if let (Some(shard), Some(out)) = (self.shard, &self.out) {
             shards::drive(self, (shard, out), (&task, &config), clock)?;
             return Ok(ExitCode::SUCCESS);
@@ -147,6 +159,8 @@ impl Subcommand for Eval {
             ));
         }
         print(&evaluation);
+        let compared = earlier.map(|earlier| compare(earlier, &evaluation));
+        let against = compared.transpose()?;
         if let Some(folder) = &self.draw {
             let seeds: Vec<u64> = evaluation
                 .failures
@@ -156,9 +170,55 @@ impl Subcommand for Eval {
             let drawn = (&seeds[..], task.driver);
             failures((folder, DRAWN_MAX), drawn, &config, clock)?;
         }
-        write_json_option(&self.json, &evaluation)?;
+        let figures = &evaluation;
+        write_json_option(&self.json, &Compared { figures, against })?;
         Ok(ExitCode::SUCCESS)
     }
+}
+
+/// The JSON object of an evaluation, with its comparison.
+#[derive(Serialize)]
+struct Compared<'a> {
+    #[serde(flatten)]
+    figures: &'a Evaluation,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    against: Option<Comparison>,
+}
+
+impl Eval {
+    /// What `--against` names, before hours of driving.
+    fn earlier(&self, task: &Task) -> anyhow::Result<Option<(&Path, Outcomes)>> {
+        let Some(file) = &self.against else {
+            return Ok(None);
+        };
+        let maps = Maps {
+            world: task.world.word().into(),
+            first_seed: task.first_seed,
+            episodes: task.episodes,
+        };
+        let read = Outcomes::read(file).and_then(|earlier| {
+            earlier.check_maps(&maps)?;
+            Ok(earlier)
+        });
+        let earlier = read.with_context(|| format!("--against {}", file.display()))?;
+        Ok(Some((file, earlier)))
+    }
+}
+
+/// Compares with an earlier evaluation and prints it.
+fn compare(
+    (file, earlier): (&Path, Outcomes),
+    evaluation: &Evaluation,
+) -> anyhow::Result<Comparison> {
+    let this = Outcomes::of(&serde_json::to_value(evaluation)?)?;
+    let compared = Comparison::new(&this, &earlier)?;
+    say(format_args!(
+        "map by map, against {} of {}:",
+        compared.driver,
+        file.display()
+    ));
+    say(compared.table());
+    Ok(compared)
 }
 
 /// Prints the figures and the failures.

@@ -14,7 +14,7 @@ use stack::driver::DriverKind;
 use supervisor::setup::foreign::Foreign;
 use supervisor::subcommand::{say, write_json_option};
 
-use super::{Eval, print};
+use super::{Compared, Eval, compare, print};
 use crate::episodes::{DrivenEpisode, Drives, Task, evaluate_seeds};
 use crate::evaluation::Evaluation;
 use crate::outside;
@@ -229,7 +229,12 @@ pub fn report(arguments: &Eval, out: &Path) -> anyhow::Result<ExitCode> {
     ));
     print(&evaluation);
     let Some(missing) = merged.missing() else {
-        write_json_option(&arguments.json, &evaluation)?;
+        let figures = &evaluation;
+        let compared = arguments
+            .earlier(&task)?
+            .map(|earlier| compare(earlier, figures));
+        let against = compared.transpose()?;
+        write_json_option(&arguments.json, &Compared { figures, against })?;
         return Ok(ExitCode::SUCCESS);
     };
     missing.tell(&merged.header, UNIT);

@@ -9,7 +9,9 @@ use shm_config::counted;
 use super::results::{Block, BlockEvaluation, FinalSeeds, Results, Seed, policy_file};
 use super::warnings::{BlockWarning, warnings};
 use crate::metric::{FOOTNOTE, Metric};
+use crate::outcomes::{KNOWN, Outcomes, over_seeds_and_maps};
 use crate::report::table;
+use crate::statistics::{mean, student_half};
 
 /// Table 1 (Sec. 6): the figures of the paper and of PVP4Real, as the paper reads them from
 /// its curves; empty if it does not report a figure.
@@ -24,23 +26,9 @@ fn reported(metric: Metric) -> [&'static str; 2] {
     }
 }
 
-/// Two-sided 95 % quantiles of Student's distribution for 2 and more degrees of freedom;
-/// that for 1 is 12.7, too wide to be useful.
-const STUDENT: [f64; 8] = [4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
-
 /// Mean over seeds, and half of its 95 % interval for three or more seeds.
 pub(crate) fn over_seeds(values: &[f64]) -> (f64, Option<f64>) {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let spread = values
-        .iter()
-        .map(|value| (value - mean).powi(2))
-        .sum::<f64>();
-    let half = (values.len() > 2).then(|| {
-        let quantile = STUDENT.get(values.len() - 3).copied().unwrap_or(1.96);
-        quantile * (spread / (n - 1.0)).sqrt() / n.sqrt()
-    });
-    (mean, half)
+    (mean(values), student_half(values))
 }
 
 /// A cell as [`INTERVALS`] explains it, for a figure between 0 and `most`.
@@ -223,6 +211,29 @@ fn policies(results: &Results) -> Option<String> {
     ))
 }
 
+/// The intervals over seeds and maps: those over seeds are of the maps that were driven.
+fn with_maps(results: &Results, seeds: FinalSeeds) -> Option<String> {
+    let finals = results.seeds.iter().filter_map(|seed| seed.final_on(seeds));
+    let outcomes: Vec<Outcomes> = finals
+        .filter_map(|last| Outcomes::of(&last.evaluation).ok())
+        .collect();
+    let figures = KNOWN.map(|metric| {
+        let (mean, half) = over_seeds_and_maps(&outcomes, metric)?;
+        let (low, high) = ((mean - half).max(0.0), (mean + half).min(1.0));
+        Some(format!(
+            "{} {mean:.3} ({low:.3} to {high:.3})",
+            metric.name()
+        ))
+    });
+    let [Some(success), Some(strict)] = figures else {
+        return None;
+    };
+    Some(format!(
+        "With the maps from seed {} on drawn at random, too: {success}, {strict}.",
+        seeds.first()
+    ))
+}
+
 /// Notes that explain the tables.
 pub fn notes(results: &Results) -> Vec<String> {
     let mut notes = vec![FOOTNOTE.to_string()];
@@ -235,6 +246,11 @@ pub fn notes(results: &Results) -> Vec<String> {
     if results.seeds.len() > 1 {
         notes.push(INTERVALS.into());
     }
+    notes.extend(
+        FinalSeeds::ALL
+            .iter()
+            .filter_map(|seeds| with_maps(results, *seeds)),
+    );
     notes.extend(policies(results));
     for seed in &results.seeds {
         if let Some(block) = seed.blocks.last().filter(|block| block.lost > 0) {
